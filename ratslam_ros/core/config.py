@@ -1,0 +1,395 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Every parameter, once: name, unit, range, default and effect.
+
+YAML files, ``--set``, the ROS parameter descriptors and docs/parameters.md are made from these
+dataclasses. Names follow OpenRatSLAM's (Ball et al. 2013), so that its configurations carry over.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import Field, dataclass, field, fields, replace
+from typing import Any, Self
+
+from ratslam_ros.errors import UnusableParameter
+
+Value = bool | int | float | str
+
+WHOLE = -1  # an upper image bound of -1 means: to the edge of the image
+
+
+@dataclass(frozen=True)
+class ParameterInfo:
+    """What is known of one parameter beside its name and default."""
+
+    unit: str
+    low: float
+    high: float
+    effect: str
+    raise_if: str
+    lower_if: str
+    choices: tuple[str, ...] = ()
+
+
+def parameter(
+    default: Any,
+    unit: str,
+    low: float,
+    high: float,
+    effect: str,
+    raise_if: str = '',
+    lower_if: str = '',
+    choices: tuple[str, ...] = (),
+) -> Any:
+    """Declare one parameter of a section."""
+    info = ParameterInfo(unit, low, high, effect, raise_if, lower_if, choices)
+    return field(default=default, metadata={'info': info})
+
+
+@dataclass(frozen=True)
+class Section:
+    """A frozen group of parameters; constructing one checks every value's type and range."""
+
+    def __post_init__(self) -> None:
+        for name, info, default in self.parameters():
+            object.__setattr__(self, name, _checked(name, getattr(self, name), default, info))
+
+    @classmethod
+    def parameters(cls) -> Iterator[tuple[str, ParameterInfo, Value]]:
+        """Yield name, info and default of each parameter, in declared order."""
+        for item in fields(cls):
+            yield item.name, item.metadata['info'], _default(item)
+
+
+def _default(item: Field[Any]) -> Value:
+    default: Value = item.default
+    return default
+
+
+def _checked(name: str, value: Any, default: Value, info: ParameterInfo) -> Value:
+    """Return the value in the default's type, or say what is wrong with it."""
+    if isinstance(default, bool):
+        if isinstance(value, (bool, int)) and value in (0, 1):
+            return bool(value)
+        raise UnusableParameter(f'{name} is {value!r}; expected true or false')
+    if isinstance(default, str):
+        if isinstance(value, str) and value in info.choices:
+            return value
+        raise UnusableParameter(f'{name} is {value!r}; expected one of {", ".join(info.choices)}')
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise UnusableParameter(f'{name} is {value!r}; expected a number in {info.unit}')
+    if isinstance(default, int) and value != int(value if math.isfinite(value) else 0):
+        raise UnusableParameter(f'{name} is {value!r}; expected a whole number')
+    if not info.low <= value <= info.high:
+        raise UnusableParameter(
+            f'{name} is {value!r}; expected {info.low:g} to {info.high:g} {info.unit}'
+        )
+    return type(default)(value)
+
+
+_CROP_MAX = 'px; -1: to the edge of the image'
+
+
+@dataclass(frozen=True)
+class OdometryInput(Section):
+    """How a section that takes odometry reads it, and how long it waits for slower streams."""
+
+    odom_source: str = parameter(
+        'twist', '', 0, 0,
+        'Read motion from the odometry message\'s twist, or from differences of its pose.',
+        'set to pose if the driver leaves the twist empty',
+        'set to twist if the pose jumps (it is corrected by another filter)',
+        choices=('twist', 'pose'),
+    )  # fmt: skip
+    max_lateness_s: float = parameter(
+        2.0, 's', 0.0, 600.0,
+        'A message waits for the other streams at most until a stamp this much newer is seen.',
+        'messages are counted as late', 'the map lags too long behind a camera that fell silent',
+    )  # fmt: skip
+    flush_after_s: float = parameter(
+        2.0, 's', 0.0, 600.0,
+        'Live only: with no input for this long, all held messages are processed.',
+        'inputs pause for longer than this and late messages are counted after the pause',
+        'the last messages of a recording should reach the map sooner',
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class VisualOdometryParameters(Section):
+    """Speed and turn rate from the camera alone."""
+
+    vtrans_image_x_min: int = parameter(
+        0, 'px', 0, 65535, 'Left edge of the window that speed is measured in.',
+        'the robot itself is seen at the left', 'more of the scene should count')  # fmt: skip
+    vtrans_image_x_max: int = parameter(
+        WHOLE, _CROP_MAX, WHOLE, 65535, 'Right edge (exclusive) of the speed window.',
+        'more of the scene should count', 'the robot itself is seen at the right')  # fmt: skip
+    vtrans_image_y_min: int = parameter(
+        0, 'px', 0, 65535, 'Upper edge of the speed window.',
+        'sky or far walls, which hardly move, dilute the speed',
+        'the ground close by is blurred')  # fmt: skip
+    vtrans_image_y_max: int = parameter(
+        WHOLE, _CROP_MAX, WHOLE, 65535, 'Lower edge (exclusive) of the speed window.',
+        'the ground is not seen enough', 'the robot itself is seen below')  # fmt: skip
+    vrot_image_x_min: int = parameter(
+        0, 'px', 0, 65535, 'Left edge of the window that the turn rate is measured in.',
+        'the robot itself is seen at the left', 'fast turns exceed the window')  # fmt: skip
+    vrot_image_x_max: int = parameter(
+        WHOLE, _CROP_MAX, WHOLE, 65535, 'Right edge (exclusive) of the turn window.',
+        'fast turns exceed the window', 'the robot itself is seen at the right')  # fmt: skip
+    vrot_image_y_min: int = parameter(
+        0, 'px', 0, 65535, 'Upper edge of the turn window.',
+        'an empty ceiling or sky dilutes the profile',
+        'far things, which turn without moving, are cut off')  # fmt: skip
+    vrot_image_y_max: int = parameter(
+        WHOLE, _CROP_MAX, WHOLE, 65535, 'Lower edge (exclusive) of the turn window.',
+        'far things, which turn without moving, are cut off',
+        'the ground, which moves with speed, disturbs the turn rate')  # fmt: skip
+    camera_fov_deg: float = parameter(
+        50.0, 'deg', 1.0, 360.0, 'Horizontal field of view of the whole image.',
+        'measured turns are too small', 'measured turns are too large')  # fmt: skip
+    camera_hz: float = parameter(
+        10.0, 'Hz', 0.01, 1000.0,
+        'The frame rate that vtrans_scaling was chosen at; time itself comes from the stamps.',
+        'the speed is too high', 'the speed is too low')  # fmt: skip
+    vtrans_scaling: float = parameter(
+        100.0, 'm/s per unit of profile difference', 0.0, 1e6,
+        'Speed for a given change of the image.', 'the map is too small',
+        'the map is too large')  # fmt: skip
+    vtrans_max: float = parameter(
+        20.0, 'm/s', 0.0, 1000.0, 'Largest speed believed.', 'fast driving is cut off',
+        'changes of light give bursts of speed')  # fmt: skip
+
+
+@dataclass(frozen=True)
+class LocalViewParameters(Section):
+    """What a view is reduced to, and when it counts as seen before."""
+
+    image_crop_x_min: int = parameter(
+        0, 'px', 0, 65535, 'Left edge of the part of the image that is compared.',
+        'the robot itself is seen at the left', 'more of the scene should count')  # fmt: skip
+    image_crop_x_max: int = parameter(
+        WHOLE, _CROP_MAX, WHOLE, 65535, 'Right edge (exclusive) of that part.',
+        'more of the scene should count', 'the robot itself is seen at the right')  # fmt: skip
+    image_crop_y_min: int = parameter(
+        0, 'px', 0, 65535, 'Upper edge of that part.',
+        'sky or ceiling carry no information', 'landmarks are cut off')  # fmt: skip
+    image_crop_y_max: int = parameter(
+        WHOLE, _CROP_MAX, WHOLE, 65535, 'Lower edge (exclusive) of that part.',
+        'landmarks are cut off', 'the robot itself or plain floor is seen below')  # fmt: skip
+    template_x_size: int = parameter(
+        60, 'px', 1, 1024, 'Width of a template.', 'different places look alike',
+        'small differences of the path spoil recognition')  # fmt: skip
+    template_y_size: int = parameter(
+        10, 'px', 1, 1024, 'Height of a template.', 'different places look alike',
+        'pitching of the camera spoils recognition')  # fmt: skip
+    vt_match_threshold: float = parameter(
+        0.03, 'mean difference, 0 to 1', 0.0, 1.0,
+        'A view at most this different from a template is recognised as that template.',
+        'known places are not recognised (ratslam tune proposes a value)',
+        'different places are confused')  # fmt: skip
+    vt_shift_match: int = parameter(
+        5, 'template px', 0, 511, 'Horizontal shifts tried to either side (forward camera).',
+        'the robot passes places at other headings or lanes', 'different places look alike',
+    )  # fmt: skip
+    vt_step_match: int = parameter(
+        1, 'template px', 1, 511, 'Step between the shifts tried.', 'matching is too slow',
+        'recognition misses views between the steps')  # fmt: skip
+    vt_normalisation: float = parameter(
+        0.0, 'mean brightness; 0: off', 0.0, 1.0, 'Scale every view to this mean brightness.',
+        'the brightness of the whole image varies', 'bright parts are cut off at white',
+    )  # fmt: skip
+    vt_patch_normalise: int = parameter(
+        0, 'template px; 0: off', 0, 128,
+        'Normalise each pixel by mean and deviation of the patch this far around it.',
+        'shadows or local light vary', 'noise in plain areas is blown up')  # fmt: skip
+    vt_min_patch_normalisation_std: float = parameter(
+        0.0, 'of brightness 0 to 1', 0.0, 1.0,
+        'Patches with a deviation below this count as plain (0.5).',
+        'noise in plain areas is blown up', 'faint texture should count')  # fmt: skip
+    vt_panoramic: bool = parameter(
+        False, '', 0, 1, 'The camera sees the full circle: compare at every turn of the view.',
+        'the camera is panoramic', 'the camera looks forward')  # fmt: skip
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.vt_panoramic and 2 * self.vt_shift_match >= self.template_x_size:
+            raise UnusableParameter(
+                f'vt_shift_match is {self.vt_shift_match}; expected less than half of '
+                f'template_x_size ({self.template_x_size}), so that something is left to compare'
+            )
+
+
+@dataclass(frozen=True)
+class PoseCellsParameters(OdometryInput):
+    """The continuous attractor network that filters place, and what the views do to it."""
+
+    pc_dim_x: int = parameter(
+        21, 'cells', 1, 100_000, 'Extent along x; the cells wrap round. pc_dim_xy sets x and y.',
+        'distant places are confused', 'the activity picture is too large')  # fmt: skip
+    pc_dim_y: int = parameter(
+        21, 'cells', 1, 100_000, 'Extent along y; the cells wrap round.',
+        'distant places are confused', 'the activity picture is too large')  # fmt: skip
+    pc_dim_th: int = parameter(
+        36, 'cells', 1, 3600, 'Number of headings; 36 gives 10 degrees each.',
+        'headings must be told apart more finely', 'headings are too finely divided',
+    )  # fmt: skip
+    pc_w_e_dim: int = parameter(
+        7, 'cells, odd', 1, 99, 'Width of the excitatory kernel.',
+        'packets fall apart', 'steps cost too much')  # fmt: skip
+    pc_w_e_var: float = parameter(
+        1.0, 'cells', 0.01, 50.0, 'Deviation of the excitatory kernel.',
+        'packets are too sharp', 'packets are too wide')  # fmt: skip
+    pc_w_i_dim: int = parameter(
+        5, 'cells, odd', 1, 99, 'Width of the inhibitory kernel.',
+        'neighbouring packets live side by side', 'steps cost too much')  # fmt: skip
+    pc_w_i_var: float = parameter(
+        2.0, 'cells', 0.01, 50.0, 'Deviation of the inhibitory kernel.',
+        'inhibition should reach further', 'inhibition should stay near')  # fmt: skip
+    pc_global_inhib: float = parameter(
+        0.00002, 'activity', 0.0, 1.0, 'Taken from every cell at each step.',
+        'weak packets live too long', 'a new place wins too quickly')  # fmt: skip
+    pc_cell_x_size: float = parameter(
+        1.0, 'm', 1e-4, 1e4, 'Side of a pose cell on the ground.',
+        'the robot is fast or the odometry poor: places are not linked',
+        'close places must be told apart')  # fmt: skip
+    vt_active_decay: float = parameter(
+        1.0, '', 0.0, 100.0, 'How much a template tires each time that it is seen on end.',
+        'a robot at rest is pulled to wrong places', 'recognition acts too weakly')  # fmt: skip
+    pc_vt_inject_energy: float = parameter(
+        0.15, 'activity', 0.0, 100.0, 'Energy that a recognised view injects.',
+        'known places are recognised but loops do not close',
+        'single wrong recognitions move the packet')  # fmt: skip
+    pc_vt_restore: float = parameter(
+        0.05, 'per template message', 0.0, 100.0, 'How fast a tired template recovers.',
+        'places seen again soon have no effect', 'a robot at rest is pulled to wrong places',
+    )  # fmt: skip
+    exp_delta_pc_threshold: float = parameter(
+        2.0, 'cells', 0.01, 1000.0,
+        'A place further than this from the current experience, in pose cells, is another one.',
+        'loops are seen but not linked; there are too many experiences',
+        'the map is too coarse or wrong places are linked')  # fmt: skip
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ('pc_w_e_dim', 'pc_w_i_dim'):
+            if getattr(self, name) % 2 == 0:
+                raise UnusableParameter(
+                    f'{name} is {getattr(self, name)}; expected an odd number of cells, '
+                    'so that the kernel has a middle'
+                )
+
+
+@dataclass(frozen=True)
+class ExperienceMapParameters(OdometryInput):
+    """The graph of experiences, and how it is relaxed."""
+
+    exp_correction: float = parameter(
+        0.5, 'share of the error', 0.0, 0.5, 'Share of a link\'s error that each end takes.',
+        'loops close too slowly', 'the map is restless')  # fmt: skip
+    exp_loops: int = parameter(
+        10, 'sweeps', 0, 10_000, 'Relaxation sweeps over all links after each action.',
+        'loops close too slowly', 'large maps cost too much')  # fmt: skip
+    exp_initial_em_deg: float = parameter(
+        90.0, 'deg', -360.0, 360.0, 'Heading of the robot on the map at the start.',
+        'the map should be turned counter-clockwise',
+        'the map should be turned clockwise')  # fmt: skip
+
+
+@dataclass(frozen=True)
+class GoalRecallParameters(Section):
+    """How routes are found."""
+
+    goal_tolerance_m: float = parameter(
+        0.5, 'm', 0.0, 1e6, 'A goal position means the nearest experience within this distance.',
+        'goals beside the driven path are refused', 'goals are taken for too distant places',
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Config:
+    """All parameters, a section for each of the five core modules."""
+
+    visual_odometry: VisualOdometryParameters = field(default_factory=VisualOdometryParameters)
+    local_view: LocalViewParameters = field(default_factory=LocalViewParameters)
+    pose_cells: PoseCellsParameters = field(default_factory=PoseCellsParameters)
+    experience_map: ExperienceMapParameters = field(default_factory=ExperienceMapParameters)
+    goal_recall: GoalRecallParameters = field(default_factory=GoalRecallParameters)
+
+    def with_values(self, values: Mapping[str, Value]) -> Self:
+        """Return a copy with ``section.name`` keys set; all or nothing.
+
+        Raises:
+            UnusableParameter: an unknown section or name (the nearest known ones are told), or a
+                value of the wrong type or out of range.
+        """
+        changes: dict[str, dict[str, Value]] = {}
+        for key, value in values.items():
+            for section, name in _targets(key):
+                changes.setdefault(section, {})[name] = value
+        sections = {
+            section: _replaced(section, getattr(self, section), change)
+            for section, change in changes.items()
+        }
+        return replace(self, **sections)
+
+    def values(self) -> dict[str, dict[str, Value]]:
+        """Return every value as ``{section: {name: value}}`` in declared order."""
+        return {
+            item.name: {
+                name: getattr(getattr(self, item.name), name)
+                for name, _, _ in getattr(self, item.name).parameters()
+            }
+            for item in fields(self)
+        }
+
+
+def _replaced(section: str, old: Any, change: Mapping[str, Value]) -> Any:
+    try:
+        return replace(old, **change)
+    except UnusableParameter as error:
+        raise UnusableParameter(f'{section}.{error}') from None
+
+
+SECTIONS: dict[str, type[Section]] = {
+    'visual_odometry': VisualOdometryParameters,
+    'local_view': LocalViewParameters,
+    'pose_cells': PoseCellsParameters,
+    'experience_map': ExperienceMapParameters,
+    'goal_recall': GoalRecallParameters,
+}
+
+
+def section_of(name: str) -> str | None:
+    """Return the first section that has a parameter of this name, None if there is none."""
+    if name == 'pc_dim_xy':
+        return 'pose_cells'
+    for section, cls in SECTIONS.items():
+        if name in {known for known, _, _ in cls.parameters()}:
+            return section
+    return None
+
+
+def _targets(key: str) -> list[tuple[str, str]]:
+    """Return the (section, name) pairs that a ``section.name`` key stands for."""
+    section, _, name = key.partition('.')
+    if section not in SECTIONS:
+        guess = section_of(section if not name else name)
+        hint = f'did you mean {guess}.{name or section}?' if guess else (
+            f'the sections are {", ".join(SECTIONS)}'
+        )
+        raise UnusableParameter(f'{key!r} names no parameter; expected section.name: {hint}')
+    if key == 'pose_cells.pc_dim_xy':
+        return [('pose_cells', 'pc_dim_x'), ('pose_cells', 'pc_dim_y')]
+    known = [item for item, _, _ in SECTIONS[section].parameters()]
+    if name not in known:
+        elsewhere = section_of(name)
+        close = difflib.get_close_matches(name, known, 3, 0.5) or known
+        hint = f'did you mean {elsewhere}.{name}?' if elsewhere else (
+            f'the nearest known: {", ".join(close)}'
+        )
+        raise UnusableParameter(f'{section} has no parameter {name!r}; {hint}')
+    return [(section, name)]

@@ -1,0 +1,93 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Odometry: message -> Motion, by stamps alone."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from ratslam_ros.core.angles import wrap
+
+
+class Twist(NamedTuple):
+    """Forward speed and turn rate, counter-clockwise positive."""
+
+    linear_x_mps: float
+    angular_z_radps: float
+
+
+class Pose(NamedTuple):
+    """A place in the plane; the heading is counter-clockwise from x."""
+
+    x_m: float
+    y_m: float
+    heading_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class Odometry:
+    """One odometry message: the twist over the time up to its stamp, and the pose if known."""
+
+    stamp_ns: int
+    twist: Twist
+    pose: Pose
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """What the robot did between two odometry messages, as an arc of constant curvature."""
+
+    dt_s: float
+    distance_m: float
+    turn_rad: float
+
+    @property
+    def chord_m(self) -> float:
+        """Length of the straight line between the arc's ends; negative when driving back."""
+        return self.distance_m * sinc(0.5 * self.turn_rad)
+
+
+class MotionFromOdometry:
+    """Turn odometry messages into motions; the first message only sets the clock."""
+
+    def __init__(self, odom_source: str) -> None:
+        self._from_pose = odom_source == 'pose'
+        self._last: Odometry | None = None
+
+    def __call__(self, odometry: Odometry) -> Motion | None:
+        """Return the motion since the message before; None for the first one.
+
+        Twist n acts over (t[n-1], t[n]]. From poses: the arc that joins the two poses, seen in
+        the robot's frame. Algorithm.md, Odometry input.
+        """
+        last, self._last = self._last, odometry
+        if last is None:
+            return None
+        dt_s = (odometry.stamp_ns - last.stamp_ns) * 1e-9
+        if not self._from_pose:
+            v, w = odometry.twist
+            return Motion(dt_s, v * dt_s, w * dt_s)
+        turn = wrap(odometry.pose.heading_rad - last.pose.heading_rad)
+        direction = last.pose.heading_rad + 0.5 * turn
+        chord = (odometry.pose.x_m - last.pose.x_m) * math.cos(direction) + (
+            odometry.pose.y_m - last.pose.y_m
+        ) * math.sin(direction)
+        return Motion(dt_s, chord / sinc(0.5 * turn), turn)
+
+
+def sinc(x: float) -> float:
+    """Return sin(x) / x, and 1 at 0."""
+    return math.sin(x) / x if abs(x) > 1e-8 else 1.0
+
+
+def moved(pose: Pose, motion: Motion) -> Pose:
+    """Return the pose after a motion along the exact arc."""
+    direction = pose.heading_rad + 0.5 * motion.turn_rad
+    chord = motion.chord_m
+    return Pose(
+        pose.x_m + chord * math.cos(direction),
+        pose.y_m + chord * math.sin(direction),
+        wrap(pose.heading_rad + motion.turn_rad),
+    )

@@ -1,0 +1,115 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Visual odometry: image -> Motion, from the shift and change of intensity profiles."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ratslam_ros.core.compiled import compiled
+from ratslam_ros.core.config import VisualOdometryParameters
+from ratslam_ros.core.image_window import Window, window_of
+from ratslam_ros.core.odometry import Twist
+
+Profile = NDArray[np.float64]
+
+MAX_SHIFT_PX = 39
+
+
+class VisualOdometry:
+    """Turn rate from the shift of the view, speed from how much it changed."""
+
+    def __init__(self, parameters: VisualOdometryParameters) -> None:
+        self._p = parameters
+        self._last: tuple[int, Profile, Profile] | None = None
+
+    def __call__(self, stamp_ns: int, image: NDArray[np.uint8]) -> Twist | None:
+        """Return the motion since the previous image; None for the first one.
+
+        Args:
+            stamp_ns: the image's stamp; stamps must increase.
+            image: (H, W) uint8 grey, always of one size.
+
+        Raises:
+            UnusableParameter: a window lies outside the image.
+        """
+        p = self._p
+        rotation = _profile_of(image, self.rotation_window(image))
+        translation = _profile_of(image, self.translation_window(image))
+        last = self._last
+        if last is not None and (
+            last[1].shape != rotation.shape or last[2].shape != translation.shape
+        ):
+            last = None  # another image size: nothing to compare with
+        self._last = (stamp_ns, rotation, translation)
+        if last is None:
+            return None
+        dt_s = (stamp_ns - last[0]) * 1e-9
+        offset_px, _ = _compare(rotation, last[1])
+        _, difference = _compare(translation, last[2])
+        rad_per_px = p.camera_fov_deg / image.shape[1] * (math.pi / 180.0)
+        speed_mps = difference * p.vtrans_scaling / (dt_s * p.camera_hz)
+        return Twist(min(speed_mps, p.vtrans_max), offset_px * rad_per_px / dt_s)
+
+    def rotation_window(self, image: NDArray[np.uint8]) -> Window:
+        """Return the window that the turn rate is measured in."""
+        p = self._p
+        return window_of(
+            image, 'visual_odometry.vrot_image',
+            (p.vrot_image_x_min, p.vrot_image_x_max), (p.vrot_image_y_min, p.vrot_image_y_max),
+        )  # fmt: skip
+
+    def translation_window(self, image: NDArray[np.uint8]) -> Window:
+        """Return the window that the speed is measured in."""
+        p = self._p
+        return window_of(
+            image, 'visual_odometry.vtrans_image',
+            (p.vtrans_image_x_min, p.vtrans_image_x_max),
+            (p.vtrans_image_y_min, p.vtrans_image_y_max),
+        )  # fmt: skip
+
+
+def _profile_of(image: NDArray[np.uint8], window: Window) -> Profile:
+    profile = np.empty(window.x_max - window.x_min, np.float64)
+    _profile(image[window.y_min : window.y_max, window.x_min : window.x_max], profile)
+    return profile
+
+
+@compiled('(uint8[:, :], float64[:])')
+def _profile(window: NDArray[np.uint8], profile: Profile) -> None:
+    """Fill ``profile`` (w,) with each column's mean brightness, 0 to 1."""
+    height, width = window.shape
+    sums = np.zeros(width, np.int64)
+    for y in range(height):
+        for x in range(width):
+            sums[x] += window[y, x]
+    for x in range(width):
+        profile[x] = sums[x] / (height * 255.0)
+
+
+@compiled('(float64[:], float64[:])')
+def _compare(now: Profile, before: Profile) -> tuple[int, float]:
+    """Return the shift in px with the least mean difference, and that difference.
+
+    Content that moved left gives a negative shift. Ties: left before right, then the smaller.
+    Algorithm.md, Visual odometry: L(s) and R(s).
+    """
+    width = now.shape[0]
+    best = math.inf
+    offset = 0
+    for side in range(2):
+        for s in range(min(MAX_SHIFT_PX, width // 2) + 1):
+            total = 0.0
+            for k in range(width - s):
+                if side == 0:
+                    total += abs(now[k] - before[k + s])
+                else:
+                    total += abs(now[k + s] - before[k])
+            mean = total / (width - s)
+            if mean < best:
+                best = mean
+                offset = -s if side == 0 else s
+    return offset, best

@@ -1,0 +1,15 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The errors a user can cause; the command line answers them with one line and exit code 2."""
+
+
+class RatslamError(Exception):
+    """Something the user can mend; the text says what was seen, expected and what to do."""
+
+
+class UnusableInput(RatslamError):
+    """A recording, file or topic that cannot be used."""
+
+
+class UnusableParameter(RatslamError):
+    """A parameter that is unknown, of the wrong type or out of its range."""
