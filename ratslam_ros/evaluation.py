@@ -2,8 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """How far a trajectory is from the truth, in the plane: absolute and relative errors.
 
-The figures are those that roboticists quote from evo (M. Grupp), whose options correspond as
-follows; `TRUTH` and `TRAJECTORY` are files in the TUM format, `t x y z qx qy qz qw`:
+The figures are those that evo (M. Grupp) gives for files in the TUM format with these options:
 
     ate                evo_ape tum TRUTH TRAJECTORY -a --t_max_diff 0.05 --project_to_plane xy
     rpe                evo_rpe tum TRUTH TRAJECTORY -d 1 -u m --pairs_from_reference ...
@@ -33,12 +32,14 @@ from ratslam_ros.errors import UnusableInput, UnusableParameter
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
+Index = NDArray[np.intp]
 Alignment = Literal['se2', 'sim2', 'none']
 Pairs = Literal['truth', 'trajectory']
 Row = TypeVar('Row')
 
 COLUMNS = 't x y z qx qy qz qw'
 NS_PER_S = 1_000_000_000
+LATEST_S = 2**63 // NS_PER_S  # in the year 2262
 
 
 @dataclass(frozen=True)
@@ -55,10 +56,14 @@ class Trajectory:
     heading_rad: Floats
     has_heading: bool
 
+    def __post_init__(self) -> None:
+        if np.any(np.diff(self.stamp_ns) <= 0):
+            raise ValueError('the stamps of a trajectory have to increase')
+
     def __len__(self) -> int:
         return len(self.stamp_ns)
 
-    def at(self, index: NDArray[np.intp]) -> Trajectory:
+    def at(self, index: Index) -> Trajectory:
         """Return the poses at these indices."""
         return Trajectory(self.stamp_ns[index], self.position_m[index],
                           self.heading_rad[index], self.has_heading)
@@ -130,9 +135,9 @@ class Evaluation:
     def to_json(self) -> str:
         """Return the figures, without the poses, as a JSON object with a trailing newline."""
         arrays = ('stamp_ns', 'aligned_m', 'truth_m', 'error_m')
-        figures: dict[str, Any] = {'schema_version': 1}
-        figures |= {key: value for key, value in asdict(self).items() if key not in arrays}
-        return json.dumps(figures, indent=2, allow_nan=False) + '\n'
+        payload: dict[str, Any] = {'schema_version': 1, **asdict(self)}
+        payload = {key: value for key, value in payload.items() if key not in arrays}
+        return json.dumps(payload, indent=2, allow_nan=False) + '\n'
 
     def format(self) -> str:
         """Return the figures as a few lines for a terminal."""
@@ -143,8 +148,7 @@ class Evaluation:
             rows.append((f'RPE over {self.delta_m:g} m{of}', 'm', self.rpe, 1.0))
         if self.rpe_heading_rad is not None:
             rows.append(('    heading', 'deg', self.rpe_heading_rad, math.degrees(1.0)))
-        lines = [f'{self.matched} poses matched to the truth, {self.unmatched} without a match; '
-                 f'{self.path_m:.1f} m of truth',
+        lines = [f'{self.matched} poses matched, {self.unmatched} not; {self.path_m:.1f} m of path',
                  f'{"":28}{"rmse":>9}{"mean":>9}{"median":>9}{"max":>9}{"count":>8}']
         for name, unit, f, factor in rows:
             numbers = ''.join(f'{factor * v:9.3f}' for v in (f.rmse, f.mean, f.median, f.max))
@@ -175,33 +179,35 @@ def evaluate(trajectory: Trajectory, truth: Trajectory, align: Alignment = 'se2'
                                 'expected at least 0 and more than 0')
     of_trajectory, of_truth = associate(trajectory.stamp_ns, truth.stamp_ns, max_difference_s)
     if len(of_truth) < 2:
-        raise UnusableInput(_no_match(trajectory, truth, max_difference_s, len(of_truth)))
+        spans = [f'{t.stamp_ns[0] / NS_PER_S:.3f} to {t.stamp_ns[-1] / NS_PER_S:.3f} s'
+                 for t in (trajectory, truth)]
+        raise UnusableInput(
+            f'{len(of_truth)} poses match within {max_difference_s:g} s, at least 2 are needed: '
+            f'the trajectory is from {spans[0]}, the truth from {spans[1]}; '
+            'bring both to the same clock or allow a larger difference')
     estimate, reference = trajectory.at(of_trajectory), truth.at(of_truth)
     transform = Transform2D() if align == 'none' else fit(
         estimate.position_m, reference.position_m, scale=align == 'sim2')
     aligned_m = transform.apply(estimate.position_m)
     error_m = np.linalg.norm(aligned_m - reference.position_m, axis=1)
 
-    walked_m = reference.position_m if pairs == 'truth' else aligned_m
-    first, last = _pairs_along(walked_m, delta_m)
+    first, last = _pairs_along(reference.position_m if pairs == 'truth' else aligned_m, delta_m)
     rpe, rpe_heading = None, None
     if len(first):
-        done_m, true_m = aligned_m[last] - aligned_m[first], (
-            reference.position_m[last] - reference.position_m[first])
+        done_m = aligned_m[last] - aligned_m[first]
+        true_m = reference.position_m[last] - reference.position_m[first]
         if truth.has_heading:
-            turned = estimate.heading_rad + transform.heading_rad
-            done_m, true_m = _rotate(done_m, -turned[first]), _rotate(
-                true_m, -reference.heading_rad[first])
-            # The relative pose is compared in the frame that its end has according to the truth;
-            # that turns the difference and leaves its length.
-            rpe = figures(np.linalg.norm(done_m - true_m, axis=1))
-            turn = ((turned[last] - turned[first])
-                    - (reference.heading_rad[last] - reference.heading_rad[first]))
+            done_rad, true_rad = estimate.heading_rad, reference.heading_rad
+            rpe = figures(np.linalg.norm(
+                _rotate(done_m, -done_rad[first] - transform.heading_rad)
+                - _rotate(true_m, -true_rad[first]), axis=1))
+            turn = done_rad[last] - done_rad[first] - true_rad[last] + true_rad[first]
             rpe_heading = figures(np.abs(np.arctan2(np.sin(turn), np.cos(turn))))
         else:
             rpe = figures(np.abs(np.linalg.norm(done_m, axis=1) - np.linalg.norm(true_m, axis=1)))
+    unmatched = min(len(trajectory), len(truth)) - len(of_truth)
     return Evaluation(
-        align, transform, len(of_truth), min(len(trajectory), len(truth)) - len(of_truth),
+        align, transform, len(of_truth), unmatched,
         float(np.sum(_steps(reference.position_m))), delta_m, figures(error_m),
         'pose' if truth.has_heading else 'chord', rpe, rpe_heading,
         reference.stamp_ns, aligned_m, reference.position_m, error_m)
@@ -215,19 +221,13 @@ def figures(errors: Floats) -> ErrorFigures:
 
 
 def associate(stamp_ns: Stamps, truth_ns: Stamps,
-              max_difference_s: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Pair each stamp of the shorter list with the nearest of the longer one.
-
-    Returns two index arrays of equal length. Of two equally near stamps the earlier one counts.
-    """
+              max_difference_s: float) -> tuple[Index, Index]:
+    """Pair each stamp of the shorter list with the nearest of the longer, ties: the earlier."""
     if len(stamp_ns) > len(truth_ns):
         of_truth, of_trajectory = associate(truth_ns, stamp_ns, max_difference_s)
         return of_trajectory, of_truth
-    after = np.clip(np.searchsorted(truth_ns, stamp_ns), 1, max(len(truth_ns) - 1, 1))
-    after = np.minimum(after, len(truth_ns) - 1)
-    before = np.maximum(after - 1, 0)
-    earlier_is_near = stamp_ns - truth_ns[before] <= truth_ns[after] - stamp_ns
-    nearest = np.where(earlier_is_near, before, after)
+    halfway_ns = truth_ns[:-1] + np.diff(truth_ns) // 2
+    nearest = np.searchsorted(halfway_ns, stamp_ns)
     near = np.abs(truth_ns[nearest] - stamp_ns) <= round(max_difference_s * NS_PER_S)
     return np.flatnonzero(near), nearest[near]
 
@@ -235,17 +235,13 @@ def associate(stamp_ns: Stamps, truth_ns: Stamps,
 def fit(source_m: Floats, target_m: Floats, *, scale: bool = False) -> Transform2D:
     """Return the transform that moves points onto others with the least square error.
 
-    Both are (n, 2). S. Umeyama, PAMI 13(4), 1991, in the plane, where the singular values are
-    not needed: the best turn is the angle of the summed products of the points as complex
-    numbers. Raises UnusableInput where all points of one side are the same.
+    Both are (n, 2). S. Umeyama, PAMI 13(4), 1991; in the plane the best turn is the angle of the
+    summed products of the points as complex numbers. Raises UnusableInput where nothing moves.
     """
-    source = (source_m[:, 0] - source_m[:, 0].mean()) + 1j * (
-        source_m[:, 1] - source_m[:, 1].mean())
-    target = (target_m[:, 0] - target_m[:, 0].mean()) + 1j * (
-        target_m[:, 1] - target_m[:, 1].mean())
+    source, target = ((p - p.mean(axis=0)) @ np.array([1.0, 1.0j]) for p in (source_m, target_m))
     product = complex(np.sum(np.conj(source) * target))
     spread = float(np.sum(np.abs(source) ** 2))
-    if spread == 0.0 or not np.any(target) or product == 0.0:
+    if spread == 0.0 or product == 0.0:
         raise UnusableInput('the matched poses do not move, so nothing says how to turn one '
                             'onto the other: align with none')
     factor = abs(product) / spread if scale else 1.0
@@ -257,7 +253,7 @@ def fit(source_m: Floats, target_m: Floats, *, scale: bool = False) -> Transform
 def read_tum(path: str | Path, at_most: int | None = None) -> Trajectory:
     """Read a trajectory, a line a pose: `t x y z qx qy qz qw`, t in seconds, # for comments.
 
-    z, roll and pitch are left out. `at_most` thins a long file evenly to that many poses.
+    z, roll and pitch are left out; `at_most` thins a long file evenly to that many poses.
     Raises UnusableInput naming the line that does not fit.
     """
     stamps, values, has_heading = array('q'), array('d'), False
@@ -302,7 +298,7 @@ def parse_stamp_ns(text: str, where: str) -> int:
         seconds = Decimal('nan')
     if not seconds.is_finite():
         raise UnusableInput(f"{where}: '{text[:40]}' is no time in seconds")
-    if abs(seconds) >= 2**63 // NS_PER_S:
+    if not -LATEST_S < seconds < LATEST_S:
         raise UnusableInput(f'{where}: the stamp {text[:40]} is too large for seconds; '
                             'if it is in nanoseconds, divide it by 1e9')
     return int((seconds * NS_PER_S).to_integral_value())
@@ -330,10 +326,9 @@ def _lines(path: Path) -> Iterator[tuple[int, str]]:
             for number, line in enumerate(file, start=1):
                 if line.strip() and not line.lstrip().startswith('#'):
                     yield number, line
-    except UnicodeDecodeError:
-        raise UnusableInput(f'{path}: not a text file, expected lines of {COLUMNS}') from None
-    except OSError as error:
-        raise UnusableInput(f'{path}: {error.strerror or error}') from None
+    except (OSError, UnicodeDecodeError) as error:
+        seen = error.strerror if isinstance(error, OSError) else 'not a text file'
+        raise UnusableInput(f'{path}: {seen}, expected lines of {COLUMNS}') from None
 
 
 def _steps(position_m: Floats) -> Floats:
@@ -341,14 +336,12 @@ def _steps(position_m: Floats) -> Floats:
 
 
 def _rotate(vector_m: Floats, angle_rad: Floats) -> Floats:
-    """Turn each of (n, 2) vectors by its own angle."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     x, y = vector_m[:, 0], vector_m[:, 1]
     return np.column_stack((c * x - s * y, s * x + c * y))
 
 
-def _pairs_along(position_m: Floats, delta_m: float) -> tuple[NDArray[np.intp],
-                                                              NDArray[np.intp]]:
+def _pairs_along(position_m: Floats, delta_m: float) -> tuple[Index, Index]:
     """Return the first and last index of consecutive stretches of at least `delta_m` of path."""
     ends, covered_m = [0], 0.0
     for index, step_m in enumerate(_steps(position_m), start=1):
@@ -356,14 +349,4 @@ def _pairs_along(position_m: Floats, delta_m: float) -> tuple[NDArray[np.intp],
         if covered_m >= delta_m:
             ends.append(index)
             covered_m = 0.0
-    return np.array(ends[:-1], np.intp), np.array(ends[1:], np.intp)
-
-
-def _no_match(trajectory: Trajectory, truth: Trajectory, max_difference_s: float,
-              matched: int) -> str:
-    def span(t: Trajectory) -> str:
-        return f'{t.stamp_ns[0] / NS_PER_S:.3f} to {t.stamp_ns[-1] / NS_PER_S:.3f} s'
-
-    return (f'{matched} poses match within {max_difference_s:g} s, at least 2 are needed: the '
-            f'trajectory is from {span(trajectory)}, the truth from {span(truth)}; '
-            'bring both to the same clock or allow a larger difference')
+    return np.array(ends[:-1]), np.array(ends[1:])
