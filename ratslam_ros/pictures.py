@@ -80,8 +80,8 @@ def draw_map(folder: str | Path, truth: str | Path | Trajectory | None = None,
         axes.plot(*start.apply(dead_reckoning.position_m).T, color=PALE_GREY, linewidth=1.0,
                   label='dead reckoning', zorder=1)
     if truth is not None:
-        axes.plot(*_truth_on_map(folder, truth).T, color=GREEN, linewidth=1.2, linestyle='--',
-                  label='truth', zorder=2)
+        axes.plot(*_truth_on_map(folder, truth).T, color=GREEN, alpha=0.45, linewidth=5.0,
+                  solid_joinstyle='round', label='truth', zorder=2)
     for label, colour, chosen in (
         ('experiences and links', BLUE, [k for k in graph.links if k not in closures]),
         ('loop closures', VERMILLION, [k for k in graph.links if k in closures]),
@@ -119,8 +119,7 @@ def draw_matches(folder: str | Path, threshold: float | None = None) -> Path:
     time_s, template_id, is_new, error = table.T
     new = (template_id >= 0) & (is_new == 1)
     recognised = (template_id >= 0) & (is_new == 0)
-    # The first view has nothing to be compared with.
-    compared = np.isfinite(error) & (error >= 0.0) & (template_id >= 0) & ~(new & (error > 1.0))
+    compared = error >= 0.0  # the first view has nothing to be compared with
 
     figure = new_figure(10.0, 6.4)
     ids, errors = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
