@@ -1,0 +1,197 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A camera in the simulated world: one ray a column, walls textured in correct perspective."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from ratslam_ros.simulator.textures import PANEL_WIDTH_M, TEXELS_PER_M, WALL_HEIGHT_M
+from ratslam_ros.simulator.world import EAST, NORTH, SOUTH, WEST, World
+
+FLOOR_TILE_M = 0.75
+LAMP_SPACING_M = 3.0
+
+
+@dataclass(frozen=True)
+class CameraOptions:
+    """A forward-looking camera on the robot's axis.
+
+    noise_grey: standard deviation of the pixel noise, in grey levels
+    exposure_spread: standard deviation of the slow change of brightness, as a share
+    """
+
+    width: int = 160
+    height: int = 120
+    fov_deg: float = 50.0
+    height_m: float = 0.9
+    rate_hz: int = 8
+    noise_grey: float = 2.0
+    exposure_spread: float = 0.03
+
+    @property
+    def focal_px(self) -> float:
+        """Focal length in pixels, the same along both axes."""
+        return self.width / 2 / math.tan(math.radians(self.fov_deg) / 2)
+
+
+class Camera:
+    """Takes pictures of a world; noise and exposure come from the generator it is given."""
+
+    def __init__(self, world: World, rng: np.random.Generator, options: CameraOptions) -> None:
+        self._world = world
+        self._rng = rng
+        self._options = options
+        self._exposure = 0.0
+
+    def take(self, x_m: float, y_m: float, heading_rad: float) -> NDArray[np.uint8]:
+        """Render the view from a pose inside the free floor.
+
+        Returns (height, width) uint8
+        """
+        options, world = self._options, self._world
+        # An exposure that wanders over about ten seconds, as automatic ones do.
+        keep = math.exp(-1.0 / (10.0 * options.rate_hz))
+        spread = options.exposure_spread * math.sqrt(1.0 - keep * keep)
+        self._exposure = keep * self._exposure + spread * self._rng.standard_normal()
+        image = np.empty((options.height, options.width), np.uint8)
+        _render(
+            world.plan.solid,
+            world.plan.cell_m,
+            world.panel,
+            world.panel_u_m,
+            world.library.textures,
+            world.light,
+            x_m,
+            y_m,
+            heading_rad,
+            options.focal_px,
+            options.height_m,
+            1.0 + self._exposure,
+            options.noise_grey,
+            np.uint64(self._rng.integers(2**63)),
+            image,
+        )
+        return image
+
+
+@njit(cache=True)
+def _cast(solid, cell_m, x_m, y_m, ray_x, ray_y):  # type: ignore[no-untyped-def]
+    """Walk a ray through the grid; returns its length in units of the ray, the cell and side."""
+    column, row = int(x_m / cell_m), int(y_m / cell_m)
+    step_x, step_y = (1 if ray_x > 0 else -1), (1 if ray_y > 0 else -1)
+    far = 1e12
+    gap_x = cell_m / abs(ray_x) if ray_x != 0 else far
+    gap_y = cell_m / abs(ray_y) if ray_y != 0 else far
+    next_x = ((column + (step_x > 0)) * cell_m - x_m) / ray_x if ray_x != 0 else far
+    next_y = ((row + (step_y > 0)) * cell_m - y_m) / ray_y if ray_y != 0 else far
+    while True:
+        if next_x < next_y:
+            length, side = next_x, (WEST if step_x > 0 else EAST)
+            next_x += gap_x
+            column += step_x
+        else:
+            length, side = next_y, (SOUTH if step_y > 0 else NORTH)
+            next_y += gap_y
+            row += step_y
+        if solid[row, column]:
+            return length, row, column, side
+
+
+@njit(cache=True)
+def _light_at(light, column, row):  # type: ignore[no-untyped-def]
+    """Interpolate the light between the middles of cells, so that it shows no steps."""
+    n_y, n_x = light.shape
+    column = min(max(column - 0.5, 0.0), n_x - 1.001)
+    row = min(max(row - 0.5, 0.0), n_y - 1.001)
+    i, j = int(column), int(row)
+    fi, fj = column - i, row - j
+    near = light[j, i] * (1.0 - fi) + light[j, i + 1] * fi
+    far = light[j + 1, i] * (1.0 - fi) + light[j + 1, i + 1] * fi
+    return near * (1.0 - fj) + far * fj
+
+
+@njit(cache=True)
+def _noise(key, pixel):  # type: ignore[no-untyped-def]
+    """Return unit noise for a pixel: the eight bytes of a hash summed are close to a Gaussian."""
+    # SplitMix64: a generator without a state, so that a pixel's noise hangs on nothing but itself.
+    z = key + np.uint64(pixel + 1) * np.uint64(0x9E3779B97F4A7C15)
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    z = z ^ (z >> np.uint64(31))
+    total = np.int64(0)
+    for _ in range(8):
+        total += np.int64(z & np.uint64(255))
+        z >>= np.uint64(8)
+    return (total - 1020) / 209.0
+
+
+@njit(cache=True)
+def _render(  # type: ignore[no-untyped-def]
+    solid, cell_m, panel, panel_u_m, textures, light, x_m, y_m, heading_rad, focal_px,
+    camera_height_m, gain, noise_grey, key, image,
+):  # fmt: skip
+    height, width = image.shape
+    n_levels, _, n_u, n_v = textures.shape
+    forward_x, forward_y = math.cos(heading_rad), math.sin(heading_rad)
+    for i in range(width):
+        # Rays reach one metre ahead for each unit of length: the length is the depth itself,
+        # which is what perspective needs.
+        left = (width / 2 - i - 0.5) / focal_px
+        ray_x, ray_y = forward_x - left * forward_y, forward_y + left * forward_x
+        depth_m, row, column, side = _cast(solid, cell_m, x_m, y_m, ray_x, ray_y)
+        hit_x, hit_y = x_m + depth_m * ray_x, y_m + depth_m * ray_y
+        # How far along the side, from its left end as the viewer sees it.
+        if side == WEST:
+            along_m, slant = (row + 1) * cell_m - hit_y, abs(ray_x)
+        elif side == EAST:
+            along_m, slant = hit_y - row * cell_m, abs(ray_x)
+        elif side == SOUTH:
+            along_m, slant = hit_x - column * cell_m, abs(ray_y)
+        else:
+            along_m, slant = (column + 1) * cell_m - hit_x, abs(ray_y)
+        along_m = (along_m + panel_u_m[row, column, side]) % PANEL_WIDTH_M
+        # A column covers this much wall; the level averages over about as much.
+        covered = depth_m * (1.0 + left * left) / (focal_px * slant) * TEXELS_PER_M
+        level = min(max(int(math.log2(covered) + 0.5), 0), n_levels - 1) if covered > 1.0 else 0
+        u = min(max(along_m * TEXELS_PER_M - 0.5, 0.0), n_u - 1.001)
+        iu = int(u)
+        fu = u - iu
+        near = textures[level, panel[row, column, side], iu]
+        next_ = textures[level, panel[row, column, side], iu + 1]
+        # Walls along x are a little darker: it makes corners visible.
+        wall_lit = 1.0 if side in (WEST, EAST) else 0.88
+        wall_lit *= _light_at(light, hit_x / cell_m, hit_y / cell_m) / (1.0 + 0.03 * depth_m)
+        for j in range(height):
+            up = (height / 2 - j - 0.5) / focal_px
+            z_m = camera_height_m + up * depth_m
+            if z_m < 0.0:
+                floor_m = -camera_height_m / up
+                floor_x, floor_y = x_m + floor_m * ray_x, y_m + floor_m * ray_y
+                shade = 0.42 * _light_at(light, floor_x / cell_m, floor_y / cell_m)
+                joint_x, joint_y = floor_x / FLOOR_TILE_M % 1.0, floor_y / FLOOR_TILE_M % 1.0
+                if floor_m < 4.0 and (joint_x < 0.03 or joint_y < 0.03):
+                    shade *= 0.95
+                shade /= 1.0 + 0.06 * floor_m
+            elif z_m >= WALL_HEIGHT_M:
+                ceiling_m = (WALL_HEIGHT_M - camera_height_m) / up
+                over_x, over_y = x_m + ceiling_m * ray_x, y_m + ceiling_m * ray_y
+                shade = 0.66 * _light_at(light, over_x / cell_m, over_y / cell_m)
+                lamp_x, lamp_y = over_x / LAMP_SPACING_M % 1.0, over_y / LAMP_SPACING_M % 1.0
+                if abs(lamp_x - 0.5) < 0.18 and abs(lamp_y - 0.5) < 0.18:
+                    shade = 1.05
+                shade /= 1.0 + 0.03 * ceiling_m
+            else:
+                v = min(max(z_m * TEXELS_PER_M - 0.5, 0.0), n_v - 1.001)
+                iv = int(v)
+                fv = v - iv
+                low = near[iv] * (1.0 - fu) + next_[iv] * fu
+                high = near[iv + 1] * (1.0 - fu) + next_[iv + 1] * fu
+                shade = (low * (1.0 - fv) + high * fv) * wall_lit
+            grey = 255.0 * shade * gain + noise_grey * _noise(key, j * width + i)
+            image[j, i] = np.uint8(min(max(grey + 0.5, 0.0), 255.0))

@@ -1,0 +1,160 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Someone drives the robot: a tour of places, smoothly, never twice in quite the same lane."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ratslam_ros.simulator.robot import Pose
+
+_SPACING_M = 0.05
+
+
+@dataclass(frozen=True)
+class DriveOptions:
+    """How the tour is driven.
+
+    corner_radius_m: corners are rounded with this radius
+    lane_spread_m: standard deviation of the distance to the middle of the corridor
+    rest_every_m, rest_s: the robot stops about this often, for about this long
+    """
+
+    speed_mps: float = 0.55
+    corner_speed_mps: float = 0.4
+    slow_down_mps2: float = 0.25
+    corner_radius_m: float = 0.9
+    lane_spread_m: float = 0.05
+    look_ahead_m: float = 0.6
+    rest_every_m: float = 50.0
+    rest_s: float = 4.0
+
+
+class Driver:
+    """Follows a path by steering at a point ahead on it, and knows when it is done."""
+
+    def __init__(
+        self, tour: Sequence[tuple[float, float]], rng: np.random.Generator, options: DriveOptions
+    ) -> None:
+        self._options = options
+        path = rounded_path(tour, options.corner_radius_m)
+        self._path, self._limit_mps = _wander(path, rng, options)
+        self._index = 0
+        self._rests = _rests(len(self._path) * _SPACING_M, rng, options)
+        self._rest_left_s = 0.0
+
+    @property
+    def start(self) -> Pose:
+        """The pose at the beginning of the path, looking along it."""
+        (x_m, y_m), (next_x_m, next_y_m) = self._path[0], self._path[1]
+        return Pose(float(x_m), float(y_m), math.atan2(next_y_m - y_m, next_x_m - x_m))
+
+    @property
+    def finished(self) -> bool:
+        """Whether the end of the path is reached."""
+        return self._index >= len(self._path) - 1
+
+    def command(self, pose: Pose, duration_s: float) -> tuple[float, float]:
+        """Choose a speed and turn rate for the coming time."""
+        options = self._options
+        self._advance(pose)
+        along_m = self._index * _SPACING_M
+        if self._rests and along_m >= self._rests[0][0]:
+            self._rest_left_s = self._rests.pop(0)[1]
+        if self._rest_left_s > 0.0 or self.finished:
+            self._rest_left_s -= duration_s
+            return 0.0, 0.0
+        ahead = min(self._index + round(options.look_ahead_m / _SPACING_M), len(self._path) - 1)
+        dx_m, dy_m = self._path[ahead] - (pose.x_m, pose.y_m)
+        bearing_rad = math.remainder(math.atan2(dy_m, dx_m) - pose.heading_rad, math.tau)
+        # Pure pursuit: the curvature of the arc through the point ahead.
+        curvature = 2.0 * math.sin(bearing_rad) / max(math.hypot(dx_m, dy_m), _SPACING_M)
+        speed_mps = float(self._limit_mps[self._index])
+        return speed_mps, speed_mps * curvature
+
+    def _advance(self, pose: Pose) -> None:
+        """Move on to the nearest point of the path, looking only a little ahead."""
+        window = self._path[self._index : self._index + 20]
+        distance_m = np.hypot(window[:, 0] - pose.x_m, window[:, 1] - pose.y_m)
+        self._index += int(np.argmin(distance_m))
+
+
+def path_length_m(tour: Sequence[tuple[float, float]]) -> float:
+    """Add up the straight distances along a tour."""
+    return sum(math.dist(a, b) for a, b in pairwise(tour))
+
+
+def rounded_path(
+    tour: Sequence[tuple[float, float]], corner_radius_m: float
+) -> NDArray[np.float64]:
+    """Join places by straight lines with rounded corners.
+
+    Returns (n, 2) points, equally spaced
+    """
+    points = [np.array(place, float) for place in tour]
+    pieces = [points[0][None]]
+    for before, corner, after in zip(points, points[1:], points[2:], strict=False):
+        in_direction = (corner - before) / np.linalg.norm(corner - before)
+        out_direction = (after - corner) / np.linalg.norm(after - corner)
+        turn_rad = math.atan2(
+            in_direction[0] * out_direction[1] - in_direction[1] * out_direction[0],
+            float(in_direction @ out_direction),
+        )
+        cut_m = corner_radius_m * math.tan(abs(turn_rad) / 2)
+        inward = math.copysign(1.0, turn_rad) * np.array([-in_direction[1], in_direction[0]])
+        centre = corner - cut_m * in_direction + corner_radius_m * inward
+        angles_rad = np.linspace(0.0, turn_rad, 2 + int(abs(turn_rad) * 20))
+        cos, sin = np.cos(angles_rad), np.sin(angles_rad)
+        x, y = -corner_radius_m * inward
+        pieces.append(centre + np.stack([cos * x - sin * y, sin * x + cos * y], axis=1))
+    corners = np.concatenate([*pieces, points[-1][None]])
+    return _resample(corners)
+
+
+def _resample(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    along_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
+    even_m = np.arange(0.0, along_m[-1], _SPACING_M)
+    return np.stack([np.interp(even_m, along_m, points[:, axis]) for axis in (0, 1)], axis=1)
+
+
+def _wander(
+    path: NDArray[np.float64], rng: np.random.Generator, options: DriveOptions
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Shift a path sideways by slow waves, and say how fast each of its points may be passed."""
+    tangent = np.gradient(path, axis=0)
+    tangent /= np.hypot(*tangent.T)[:, None]
+    heading_rad = np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
+    curvature = np.gradient(heading_rad) / _SPACING_M
+    along_m = np.arange(len(path)) * _SPACING_M
+    offset_m = np.zeros(len(path))
+    # No two lengths have a common measure, so that no lap repeats another's wander.
+    for length_m in rng.uniform(6.0, 20.0, 4):
+        phase_rad = rng.uniform(0.0, math.tau)
+        offset_m += np.sin(math.tau * along_m / length_m + phase_rad)
+    offset_m *= options.lane_spread_m / math.sqrt(2.0)
+    lane = path + offset_m[:, None] * np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
+    limit_mps = np.where(np.abs(curvature) > 0.2, options.corner_speed_mps, options.speed_mps)
+    limit_mps[-1] = 0.05
+    # Braking in time: v^2 = v_next^2 + 2 a d, from the end backwards.
+    for i in range(len(limit_mps) - 2, -1, -1):
+        reachable = math.sqrt(limit_mps[i + 1] ** 2 + 2 * options.slow_down_mps2 * _SPACING_M)
+        limit_mps[i] = min(limit_mps[i], reachable)
+    return lane, limit_mps
+
+
+def _rests(
+    length_m: float, rng: np.random.Generator, options: DriveOptions
+) -> list[tuple[float, float]]:
+    """Draw where along the path the robot stops, and for how long."""
+    rests: list[tuple[float, float]] = []
+    along_m = options.rest_every_m * rng.uniform(0.4, 0.8)
+    while along_m < length_m - 5.0:
+        rests.append((along_m, options.rest_s * rng.uniform(0.7, 1.3)))
+        along_m += options.rest_every_m * rng.uniform(0.7, 1.3)
+    return rests

@@ -1,0 +1,131 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A Pioneer-like robot: two driven wheels that slip, and encoders that believe the data sheet."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where something is on the floor."""
+
+    x_m: float
+    y_m: float
+    heading_rad: float
+
+    def after_arc(self, distance_m: float, turn_rad: float) -> Pose:
+        """Return the pose after an exact arc of this length that turns by this much."""
+        half_rad = turn_rad / 2
+        # The chord of an arc is shorter than the arc; the series avoids 0/0 on straight lines.
+        shrink = math.sin(half_rad) / half_rad if abs(half_rad) > 1e-6 else 1 - half_rad**2 / 6
+        chord_m = distance_m * shrink
+        return Pose(
+            self.x_m + chord_m * math.cos(self.heading_rad + half_rad),
+            self.y_m + chord_m * math.sin(self.heading_rad + half_rad),
+            math.remainder(self.heading_rad + turn_rad, math.tau),
+        )
+
+
+@dataclass(frozen=True)
+class RobotOptions:
+    """A differential drive and how far it is from its data sheet.
+
+    wheel_radius_error: how much the two wheels differ, as a share; the sign is drawn for each run
+    wheel_base_error: how wrong the distance between the wheels is, as a share; likewise
+    slip_m: random slip of each wheel, standard deviation after one metre; grows with the root
+    """
+
+    wheel_radius_m: float = 0.0825
+    wheel_base_m: float = 0.33
+    encoder_counts_per_turn: int = 2000
+    max_acceleration_mps2: float = 0.4
+    max_turn_acceleration_radps2: float = 1.5
+    wheel_radius_error: float = 0.0006
+    wheel_base_error: float = 0.012
+    slip_m: float = 0.003
+
+
+@dataclass(frozen=True)
+class Odometry:
+    """What the driver reports: motion since the last report, and all of it added up."""
+
+    pose: Pose
+    speed_mps: float
+    turn_rate_radps: float
+
+
+class Robot:
+    """Moves over the floor; only its encoders, not its pose, are known to its driver."""
+
+    def __init__(self, start: Pose, rng: np.random.Generator, options: RobotOptions) -> None:
+        self.pose = start
+        self.speed_mps = 0.0
+        self.turn_rate_radps = 0.0
+        self._rng = rng
+        self._options = options
+        # Between half and one and a half of the nominal error, with either sign: every run drifts.
+        sizes, signs = rng.uniform(0.5, 1.5, 2), rng.choice([-1.0, 1.0], 2)
+        radius_error = options.wheel_radius_error * float(sizes[0] * signs[0])
+        base_error = options.wheel_base_error * float(sizes[1] * signs[1])
+        self._radii_m = (
+            options.wheel_radius_m * (1 - radius_error / 2),
+            options.wheel_radius_m * (1 + radius_error / 2),
+        )
+        self._base_m = options.wheel_base_m * (1 + base_error)
+        self._angles_rad = [0.0, 0.0]
+
+    def command(self, speed_mps: float, turn_rate_radps: float, duration_s: float) -> None:
+        """Change speed towards a command as far as the motors can in this time."""
+        most_mps = self._options.max_acceleration_mps2 * duration_s
+        most_radps = self._options.max_turn_acceleration_radps2 * duration_s
+        self.speed_mps += _clamp(speed_mps - self.speed_mps, most_mps)
+        self.turn_rate_radps += _clamp(turn_rate_radps - self.turn_rate_radps, most_radps)
+
+    def move(self, duration_s: float) -> None:
+        """Drive on at the present speed."""
+        options = self._options
+        around_mps = self.turn_rate_radps * options.wheel_base_m / 2
+        rolled_m = [0.0, 0.0]
+        for wheel, side in enumerate((-1.0, 1.0)):
+            turned_rad = (self.speed_mps + side * around_mps) / options.wheel_radius_m * duration_s
+            self._angles_rad[wheel] += turned_rad
+            ground_m = turned_rad * self._radii_m[wheel]
+            slip_m = options.slip_m * math.sqrt(abs(ground_m)) * float(self._rng.standard_normal())
+            rolled_m[wheel] = ground_m + slip_m
+        left_m, right_m = rolled_m
+        self.pose = self.pose.after_arc((left_m + right_m) / 2, (right_m - left_m) / self._base_m)
+
+    def encoder_counts(self) -> tuple[int, int]:
+        """Read the left and right encoder."""
+        counts_per_rad = self._options.encoder_counts_per_turn / math.tau
+        left, right = (math.floor(angle_rad * counts_per_rad) for angle_rad in self._angles_rad)
+        return left, right
+
+
+class WheelOdometry:
+    """Adds up encoder counts as a driver does, with the wheels of the data sheet."""
+
+    def __init__(self, options: RobotOptions) -> None:
+        self._options = options
+        self._counts = (0, 0)
+        self._pose = Pose(0.0, 0.0, 0.0)
+
+    def update(self, counts: tuple[int, int], duration_s: float) -> Odometry:
+        """Account for the counts since the last update, this long ago."""
+        options = self._options
+        m_per_count = math.tau * options.wheel_radius_m / options.encoder_counts_per_turn
+        left_m = (counts[0] - self._counts[0]) * m_per_count
+        right_m = (counts[1] - self._counts[1]) * m_per_count
+        self._counts = counts
+        distance_m, turn_rad = (left_m + right_m) / 2, (right_m - left_m) / options.wheel_base_m
+        self._pose = self._pose.after_arc(distance_m, turn_rad)
+        return Odometry(self._pose, distance_m / duration_s, turn_rad / duration_s)
+
+
+def _clamp(value: float, most: float) -> float:
+    return min(max(value, -most), most)
