@@ -1,0 +1,28 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings of every kind as one stream of events in order of time.
+
+Start with ``open_recording``; ``Recording.select`` chooses the topics and ``Recording.events``
+yields what they tell. ``describe`` is what ``ratslam info`` shows.
+"""
+
+from ratslam_ros.recordings.describe import Description, describe
+from ratslam_ros.recordings.events import Event, ImageEvent, OdometryEvent, TemplateEvent
+from ratslam_ros.recordings.images import UndecodableImage
+from ratslam_ros.recordings.opening import open_recording
+from ratslam_ros.recordings.recording import Recording
+from ratslam_ros.recordings.selection import Selection, Topic
+
+__all__ = [
+    'Description',
+    'Event',
+    'ImageEvent',
+    'OdometryEvent',
+    'Recording',
+    'Selection',
+    'TemplateEvent',
+    'Topic',
+    'UndecodableImage',
+    'describe',
+    'open_recording',
+]

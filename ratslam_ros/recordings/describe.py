@@ -1,0 +1,131 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a recording holds, and the command that uses it: the answer of ``ratslam info``."""
+
+import shlex
+from dataclasses import dataclass
+
+from ratslam_ros.errors import RatslamError, UnusableInput
+from ratslam_ros.recordings.events import ImageEvent
+from ratslam_ros.recordings.recording import Recording
+from ratslam_ros.recordings.selection import (
+    IMAGE_TYPES,
+    ODOMETRY_TYPES,
+    Selection,
+    Topic,
+    image_candidates,
+    odometry_candidates,
+)
+
+_TRIES = 5  # images to try before a topic counts as undecodable
+
+
+@dataclass(frozen=True, slots=True)
+class TopicDescription:
+    """A topic: its count, mean rate and, of images, the size; ``problem`` is '' if it is usable.
+
+    ``rate_hz`` is None for fewer than two messages, ``image`` is like '160x120 jpeg' or ''.
+    """
+
+    name: str
+    type: str
+    count: int
+    rate_hz: float | None
+    image: str
+    problem: str
+
+
+@dataclass(frozen=True, slots=True)
+class Description:
+    """A recording at a glance; ``command`` is '' where nothing in it can be replayed."""
+
+    path: str
+    kind: str
+    duration_s: float
+    topics: tuple[TopicDescription, ...]
+    notices: tuple[str, ...]
+    warnings: tuple[str, ...]
+    command: str
+
+    def format(self) -> str:
+        """Return a text table."""
+        rows = [('topic', 'type', 'messages', 'rate', 'image', '')]
+        for topic in self.topics:
+            rate = '' if topic.rate_hz is None else f'{topic.rate_hz:.1f} Hz'
+            rows.append((topic.name, topic.type, str(topic.count), rate, topic.image,
+                         topic.problem))
+        widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+        lines = [f'{self.path}: {self.kind}, {self.duration_s:.1f} s', '']
+        for row in rows:
+            cells = [
+                cell.rjust(width) if column in (2, 3) else cell.ljust(width)
+                for column, (cell, width) in enumerate(zip(row, widths, strict=True))
+            ]
+            lines.append('  '.join(cells).rstrip())
+        lines.append('')
+        lines += [f'note: {notice}' for notice in self.notices]
+        lines += [f'warning: {warning}' for warning in self.warnings]
+        if self.command:
+            lines.append(f'next: {self.command}')
+        return '\n'.join(lines)
+
+
+def describe(recording: Recording) -> Description:
+    """Describe a recording; reads it all only where it does not store its counts."""
+    counts = recording.count()
+    duration_s = (recording.end_ns - recording.start_ns) / 1e9
+    topics = tuple(
+        _describe_topic(recording, topic, counts[topic.name], duration_s)
+        for topic in recording.topics
+    )
+    command, notices = _command(recording)
+    return Description(
+        str(recording.path), recording.kind, duration_s, topics, notices,
+        tuple(recording.warnings), command,
+    )
+
+
+def _describe_topic(
+    recording: Recording, topic: Topic, count: int, duration_s: float
+) -> TopicDescription:
+    rate = (count - 1) / duration_s if count > 1 and duration_s > 0.0 else None
+    image, problem = '', topic.readable or ''
+    if not problem and count and topic.type in IMAGE_TYPES:
+        image, problem = _first_image(recording, topic)
+    elif not problem and count and topic.type in ODOMETRY_TYPES:
+        first = next(recording.events(Selection(None, topic.name, None)), None)
+        problem = '' if first else 'cannot be decoded'
+    return TopicDescription(topic.name, topic.type, count, rate, image, problem)
+
+
+def _first_image(recording: Recording, topic: Topic) -> tuple[str, str]:
+    """Return the size and encoding of the first images that can be decoded, or the problem."""
+    problem = 'no image in it can be decoded'
+    for tried, event in enumerate(recording.events(Selection(topic.name, None, None))):
+        if tried == _TRIES:
+            break
+        if isinstance(event, ImageEvent):
+            try:
+                height, width = event.grey().shape
+                return f'{width}x{height} {event.image.encoding}'.strip(), ''
+            except RatslamError as error:
+                problem = str(error)
+    return '', problem
+
+
+def _command(recording: Recording) -> tuple[str, tuple[str, ...]]:
+    """Return the command that replays the recording, with no more options than it needs."""
+    words = ['ratslam', 'replay', str(recording.path)]
+    options: dict[str, str] = {}
+    for option, parameter, candidates in (
+        ('--image-topic', 'image_topic', image_candidates(recording)),
+        ('--odom-topic', 'odom_topic', odometry_candidates(recording)),
+    ):
+        if len(candidates) > 1:
+            options[parameter] = candidates[0].name
+            words += [option, candidates[0].name]
+    try:
+        selection = recording.select(**options)  # type: ignore[arg-type]
+    except UnusableInput as error:
+        return '', (str(error),)
+    return shlex.join(words), selection.notices

@@ -1,0 +1,99 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a file is, and temporary copies of those that cannot be read where they are."""
+
+import shutil
+import tempfile
+from pathlib import Path
+
+import zstandard
+
+from ratslam_ros.errors import UnusableInput
+from ratslam_ros.recordings import mcap_file, rosbag1, sqlite_file
+
+ZSTD = b'\x28\xb5\x2f\xfd'
+
+
+def starts_with(path: Path) -> bytes:
+    """Return the first bytes of a file; raises UnusableInput where there are none."""
+    try:
+        with path.open('rb') as file:
+            head = file.read(16)
+    except OSError as error:
+        raise UnusableInput(
+            f'{path} cannot be opened ({error.strerror}): expected a recording; check its name '
+            'and permissions'
+        ) from None
+    if not head:
+        raise UnusableInput(
+            f'{path} is an empty file (0 bytes): expected a recording; copy it again from where '
+            'it was recorded'
+        )
+    return head
+
+
+def storage_kind(head: bytes) -> str | None:
+    """Return 'mcap', 'sqlite3', 'ros1' or 'zstd' for the first bytes of such a file."""
+    magics = {
+        'mcap': mcap_file.MAGIC,
+        'sqlite3': sqlite_file.MAGIC,
+        'ros1': rosbag1.MAGIC,
+        'zstd': ZSTD,
+    }
+    return next((kind for kind, magic in magics.items() if head.startswith(magic)), None)
+
+
+class Workspace:
+    """A temporary folder that exists only once it is needed; the recording's own is not touched.
+
+    Python removes it at the end of the program as well, if it was never closed.
+    """
+
+    def __init__(self) -> None:
+        self._folder: tempfile.TemporaryDirectory[str] | None = None
+        self._used = 0
+
+    def decompressed(self, path: Path) -> tuple[Path, bool]:
+        """Decompress a zstd file; return the plain file, and whether it is whole."""
+        target, whole = self._new(path.name.removesuffix('.zstd')), True
+        try:
+            with path.open('rb') as packed, target.open('wb') as plain:
+                try:
+                    zstandard.ZstdDecompressor().copy_stream(packed, plain)
+                except zstandard.ZstdError:
+                    whole = False
+                whole = whole and packed.tell() == path.stat().st_size
+        except OSError as error:
+            raise _no_room(path, target, error) from None
+        return target, whole
+
+    def copied(self, path: Path, companions: list[Path]) -> Path:
+        """Copy a file and those that belong to it."""
+        target = self._new(path.name)
+        try:
+            for file in (path, *companions):
+                shutil.copyfile(file, target.parent / file.name)
+        except OSError as error:
+            raise _no_room(path, target, error) from None
+        return target
+
+    def close(self) -> None:
+        """Remove the folder."""
+        if self._folder is not None:
+            self._folder.cleanup()
+            self._folder = None
+
+    def _new(self, name: str) -> Path:
+        if self._folder is None:
+            self._folder = tempfile.TemporaryDirectory(prefix='ratslam-')
+        self._used += 1
+        folder = Path(self._folder.name) / str(self._used)
+        folder.mkdir()
+        return folder / name
+
+
+def _no_room(path: Path, target: Path, error: OSError) -> UnusableInput:
+    return UnusableInput(
+        f'{path} cannot be unpacked to {target.parent} ({error.strerror}): expected room for it '
+        'there; make room, or set TMPDIR to a folder that has some'
+    )

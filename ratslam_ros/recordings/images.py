@@ -1,0 +1,192 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Images of ROS messages, files and videos as arrays, without cv_bridge.
+
+cv_bridge breaks between NumPy 1 and 2, and needs ROS. The few lines here take the messages of
+rclpy and of rosbags alike: both have the same fields, and ``data`` is any buffer of bytes.
+"""
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from ratslam_ros.errors import RatslamError
+
+Pixels = npt.NDArray[np.uint8]
+
+MAX_PIXELS = 2**28  # 268 megapixels: above every camera, below what would fill the memory
+DEPTH_ENCODINGS = frozenset({'16uc1', '32fc1'})
+
+_KEEP = None  # the array is what is wanted already
+# encoding: bytes a pixel, channels of the array, conversion to grey, conversion to BGR
+_ENCODINGS: dict[str, tuple[int, int, int | None, int | None]] = {
+    'mono8': (1, 1, _KEEP, cv2.COLOR_GRAY2BGR),
+    '8uc1': (1, 1, _KEEP, cv2.COLOR_GRAY2BGR),
+    'mono16': (2, 1, _KEEP, cv2.COLOR_GRAY2BGR),
+    '16uc1': (2, 1, _KEEP, cv2.COLOR_GRAY2BGR),
+    'bgr8': (3, 3, cv2.COLOR_BGR2GRAY, _KEEP),
+    '8uc3': (3, 3, cv2.COLOR_BGR2GRAY, _KEEP),
+    'rgb8': (3, 3, cv2.COLOR_RGB2GRAY, cv2.COLOR_RGB2BGR),
+    'bgra8': (4, 4, cv2.COLOR_BGRA2GRAY, cv2.COLOR_BGRA2BGR),
+    '8uc4': (4, 4, cv2.COLOR_BGRA2GRAY, cv2.COLOR_BGRA2BGR),
+    'rgba8': (4, 4, cv2.COLOR_RGBA2GRAY, cv2.COLOR_RGBA2BGR),
+    # OpenCV names a Bayer pattern by the second row's second pixel, ROS by the first row's first.
+    'bayer_rggb8': (1, 1, cv2.COLOR_BayerBG2GRAY, cv2.COLOR_BayerBG2BGR),
+    'bayer_bggr8': (1, 1, cv2.COLOR_BayerRG2GRAY, cv2.COLOR_BayerRG2BGR),
+    'bayer_gbrg8': (1, 1, cv2.COLOR_BayerGR2GRAY, cv2.COLOR_BayerGR2BGR),
+    'bayer_grbg8': (1, 1, cv2.COLOR_BayerGB2GRAY, cv2.COLOR_BayerGB2BGR),
+    'yuv422': (2, 2, cv2.COLOR_YUV2GRAY_UYVY, cv2.COLOR_YUV2BGR_UYVY),
+    'uyvy': (2, 2, cv2.COLOR_YUV2GRAY_UYVY, cv2.COLOR_YUV2BGR_UYVY),
+    'yuv422_yuy2': (2, 2, cv2.COLOR_YUV2GRAY_YUY2, cv2.COLOR_YUV2BGR_YUY2),
+    'yuyv': (2, 2, cv2.COLOR_YUV2GRAY_YUY2, cv2.COLOR_YUV2BGR_YUY2),
+}
+
+
+class UndecodableImage(RatslamError):  # noqa: N818 - as the others in ratslam_ros.errors
+    """An image whose bytes cannot be turned into pixels."""
+
+
+class Image(Protocol):
+    """Whatever can show itself in grey and in colour."""
+
+    @property
+    def encoding(self) -> str:
+        """How the pixels are stored, in the words of the message or file."""
+        ...
+
+    def grey(self) -> Pixels:
+        """Return (H, W) uint8."""
+        ...
+
+    def bgr(self) -> Pixels:
+        """Return (H, W, 3) uint8, blue first."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class RawImage:
+    """A sensor_msgs/Image of rclpy or of rosbags, decoded when it is asked for.
+
+    mono16 (and 16UC1, which says the same in other words) becomes 8 bits as value / 256, rounded
+    down: the same for every image, so that two looks at one place stay comparable.
+    """
+
+    message: Any
+
+    @property
+    def encoding(self) -> str:
+        """The encoding as the message names it."""
+        return str(self.message.encoding)
+
+    def grey(self) -> Pixels:
+        """Return (H, W) uint8; raises UndecodableImage."""
+        pixels, grey, _ = self._pixels()
+        return pixels if grey is None else _convert(pixels, grey, self.encoding)
+
+    def bgr(self) -> Pixels:
+        """Return (H, W, 3) uint8, blue first; raises UndecodableImage."""
+        pixels, _, bgr = self._pixels()
+        return pixels if bgr is None else _convert(pixels, bgr, self.encoding)
+
+    def _pixels(self) -> tuple[Pixels, int | None, int | None]:
+        """Check the sizes and cut the row padding off; (H, W) or (H, W, channels) uint8."""
+        message = self.message
+        height, width, step = int(message.height), int(message.width), int(message.step)
+        layout = _ENCODINGS.get(self.encoding.lower())
+        if layout is None:
+            raise UndecodableImage(
+                f'the image encoding {self.encoding!r} is not supported: expected one of '
+                f'{", ".join(_ENCODINGS)}; convert the topic, for instance with image_proc'
+            )
+        pixel_bytes, channels, grey, bgr = layout
+        row_bytes = width * pixel_bytes
+        data = np.frombuffer(message.data, np.uint8)
+        needed = (height - 1) * step + row_bytes  # some drivers leave the last padding out
+        if height <= 0 or width <= 0 or height * width > MAX_PIXELS:
+            raise UndecodableImage(f'the image says that it is {width} x {height} pixels')
+        if step < row_bytes:
+            raise UndecodableImage(
+                f'the image says that a row is {step} bytes, but {width} pixels of '
+                f'{self.encoding} need {row_bytes}'
+            )
+        if len(data) < needed:
+            raise UndecodableImage(
+                f'the image holds {len(data)} bytes, but {width} x {height} pixels of '
+                f'{self.encoding} with {step} bytes a row need {needed}'
+            )
+        rows = np.lib.stride_tricks.as_strided(data, (height, row_bytes), (step, 1))
+        if self.encoding.lower() in ('mono16', '16uc1'):
+            return np.ascontiguousarray(rows[:, 0 if message.is_bigendian else 1 :: 2]), grey, bgr
+        shape = (height, width) if channels == 1 else (height, width, channels)
+        return np.ascontiguousarray(rows).reshape(shape), grey, bgr
+
+
+@dataclass(frozen=True, slots=True)
+class EncodedImage:
+    """The bytes of a JPEG, PNG or other file that OpenCV reads, decoded when it is asked for."""
+
+    data: Any
+    encoding: str = ''
+
+    def grey(self) -> Pixels:
+        """Return (H, W) uint8; raises UndecodableImage."""
+        return self._decode(cv2.IMREAD_GRAYSCALE)
+
+    def bgr(self) -> Pixels:
+        """Return (H, W, 3) uint8, blue first; raises UndecodableImage."""
+        return self._decode(cv2.IMREAD_COLOR)
+
+    def _decode(self, flags: int) -> Pixels:
+        data = np.frombuffer(self.data, np.uint8)
+        if 'compresseddepth' in self.encoding.lower():
+            raise UndecodableImage(
+                f'the image is a depth image ({self.encoding!r}): choose a topic of a camera'
+            )
+        try:
+            pixels = cv2.imdecode(data, flags) if len(data) else None
+        except cv2.error as error:  # for instance a header that claims more than OpenCV allows
+            raise UndecodableImage(f'OpenCV refuses the image: {error.err}') from None
+        if pixels is None:
+            raise UndecodableImage(
+                f'{len(data)} bytes that are no whole JPEG, PNG or other image known to OpenCV'
+                + (f' (the message says {self.encoding!r})' if self.encoding else '')
+            )
+        return np.asarray(pixels, np.uint8)
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """A picture that is an array already, such as a video's."""
+
+    pixels: Pixels
+    encoding: str = 'bgr8'
+
+    def grey(self) -> Pixels:
+        """Return (H, W) uint8."""
+        return self.pixels if self.pixels.ndim == 2 else _convert(
+            self.pixels, cv2.COLOR_BGR2GRAY, self.encoding)
+
+    def bgr(self) -> Pixels:
+        """Return (H, W, 3) uint8, blue first."""
+        return self.pixels if self.pixels.ndim == 3 else _convert(
+            self.pixels, cv2.COLOR_GRAY2BGR, self.encoding)
+
+
+def image_of(message: Any) -> Image:
+    """Return the image in a sensor_msgs Image or CompressedImage of rclpy or of rosbags."""
+    if hasattr(message, 'encoding'):
+        return RawImage(message)
+    return EncodedImage(message.data, str(message.format))
+
+
+def _convert(pixels: Pixels, code: int, encoding: str) -> Pixels:
+    try:
+        return np.asarray(cv2.cvtColor(pixels, code), np.uint8)
+    except cv2.error as error:  # for instance an odd width with two pixels to a colour
+        height, width = pixels.shape[:2]
+        raise UndecodableImage(
+            f'OpenCV cannot convert {width} x {height} pixels of {encoding}: {error.err}'
+        ) from None

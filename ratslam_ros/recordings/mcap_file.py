@@ -1,0 +1,257 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""One mcap file: read by its index, or by what a walk through it finds where it has none."""
+
+import struct
+import zlib
+from collections import Counter
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from functools import partial
+from io import BytesIO
+from pathlib import Path
+
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.reader import make_reader
+from mcap.records import Channel as ChannelRecord
+from mcap.records import Chunk, Schema
+from mcap.summary import Summary
+
+from ratslam_ros.errors import UnusableInput
+from ratslam_ros.recordings.salvage import decompress, what_was_saved
+from ratslam_ros.recordings.stream import (
+    Channel,
+    Contents,
+    Message,
+    Part,
+    Warnings,
+    in_time_order,
+)
+
+MAGIC = b'\x89MCAP0\r\n'
+_RECORD = struct.Struct('<BQ')  # opcode, length
+_MESSAGE = struct.Struct('<HIQQ')  # channel, sequence, log time, publish time
+_FOOTER = struct.Struct('<QQI')  # start of the summary, of its offsets, checksum
+_LOOSE_BYTES = 1 << 20  # messages outside chunks are read in pieces of about this size
+
+
+@dataclass(slots=True)
+class _Span:
+    """A chunk, or a run of messages outside chunks: where it is and what times it holds."""
+
+    offset: int
+    length: int
+    start_ns: int
+    end_ns: int
+
+
+class McapFile:
+    """The messages of one mcap file."""
+
+    def __init__(self, path: Path, warnings: Warnings, expected: int | None = None) -> None:
+        self.path = path
+        self._warnings = warnings
+        self._expected = expected
+        self._size = path.stat().st_size
+        self._file = path.open('rb')
+        self._channels: dict[int, Channel] = {}
+        self._schemas: dict[int, str] = {0: ''}
+        self._spans: list[_Span] = []
+        self._counts: Counter[int] | None = None
+        summary = self._read_summary()
+        statistics = summary and summary.statistics
+        if summary and summary.chunk_indexes:
+            self._spans = [
+                _Span(c.chunk_start_offset, c.chunk_length, c.message_start_time,
+                      c.message_end_time)
+                for c in summary.chunk_indexes
+                if c.message_end_time or c.message_index_offsets  # not those without messages
+            ]
+            if statistics:
+                self._counts = Counter(statistics.channel_message_counts)
+        elif not (statistics and statistics.message_count == 0):
+            self._scan(damaged=summary is None)
+        self.contents = Contents(
+            tuple(dict.fromkeys(self._channels.values())),
+            self._by_channel() if self._counts is not None else None,
+            min((span.start_ns for span in self._spans), default=0),
+            max((span.end_ns for span in self._spans), default=0),
+            'rosbag2 (mcap)',
+        )
+
+    def messages(
+        self, topics: Collection[str], start_ns: int, stop_ns: int
+    ) -> Iterator[Message]:
+        """Yield the messages of the topics with start_ns <= log_ns < stop_ns in order of time."""
+
+        def read(span: _Span) -> list[Message]:
+            found = [
+                Message(log_ns, channel, bytes(data))
+                for log_ns, channel_id, data in self._messages_in(span)
+                if start_ns <= log_ns < stop_ns
+                and (channel := self._channels.get(channel_id)) is not None
+                and channel.topic in topics
+            ]
+            found.sort(key=lambda message: message.log_ns)
+            return found
+
+        return in_time_order(
+            Part(span.start_ns, span.end_ns, partial(read, span))
+            for span in self._spans
+            if span.end_ns >= start_ns and span.start_ns < stop_ns
+        )
+
+    def count(self) -> dict[Channel, int]:
+        """Count the messages, by a scan where the file does not say."""
+        if self._counts is None:
+            self._counts = Counter(
+                channel_id for span in self._spans for _, channel_id, _ in self._messages_in(span)
+            )
+        return self._by_channel()
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def _by_channel(self) -> dict[Channel, int]:
+        counts: Counter[Channel] = Counter()
+        for channel_id, number in (self._counts or {}).items():
+            if channel_id in self._channels:
+                counts[self._channels[channel_id]] += number
+        return counts
+
+    def _read_summary(self) -> Summary | None:
+        """Return the summary, or None where there is none or it cannot be trusted."""
+        try:
+            self._file.seek(-len(MAGIC) - _FOOTER.size, 2)
+            start, _, checksum = _FOOTER.unpack(self._file.read(_FOOTER.size))
+            if self._file.read() != MAGIC or not start:
+                return None
+            self._file.seek(start)
+            tail = self._file.read(self._size - start - len(MAGIC) - 4)
+            if checksum and zlib.crc32(tail) != checksum:
+                return None
+            self._file.seek(0)
+            summary = make_reader(self._file).get_summary()
+            if summary is None or any(
+                chunk.chunk_start_offset + chunk.chunk_length > self._size
+                or chunk.message_start_time > chunk.message_end_time
+                for chunk in summary.chunk_indexes
+            ):
+                return None
+            for schema in summary.schemas.values():
+                self._schemas[schema.id] = schema.name
+            for record in summary.channels.values():
+                self._add_channel(record)
+            return summary if summary.channels or not summary.chunk_indexes else None
+        except Exception:  # whatever the bytes of a damaged summary bring the library to
+            return None
+
+    def _add_channel(self, record: ChannelRecord) -> None:
+        self._channels.setdefault(
+            record.id,
+            Channel(record.topic, self._schemas.get(record.schema_id, ''),
+                    record.message_encoding),
+        )
+
+    def _scan(self, damaged: bool) -> None:
+        """Find the channels, the messages and their times by reading the whole file."""
+        self._counts = Counter()
+        position, loose, ended = len(MAGIC), None, False
+        while position + _RECORD.size <= self._size and not ended:
+            self._file.seek(position)
+            opcode, length = _RECORD.unpack(self._file.read(_RECORD.size))
+            whole = position + _RECORD.size + length <= self._size
+            if opcode in (Opcode.DATA_END, Opcode.FOOTER):
+                ended = whole
+            elif opcode == Opcode.MESSAGE and whole and length >= _MESSAGE.size:
+                channel_id, _, log_ns, _ = _MESSAGE.unpack(self._file.read(_MESSAGE.size))
+                self._counts[channel_id] += 1
+                if loose is None or loose.length > _LOOSE_BYTES:
+                    loose = _Span(position, 0, log_ns, log_ns)
+                    self._spans.append(loose)
+                loose.length = position + _RECORD.size + length - loose.offset
+                loose.start_ns = min(loose.start_ns, log_ns)
+                loose.end_ns = max(loose.end_ns, log_ns)
+            elif opcode in (Opcode.CHUNK, Opcode.SCHEMA, Opcode.CHANNEL):
+                self._scan_span(_Span(position, _RECORD.size + length, 0, 0))
+                loose = None
+            if not whole:
+                break
+            position += _RECORD.size + length
+        self._say_what_was_saved(damaged, ended)
+
+    def _scan_span(self, span: _Span) -> None:
+        times = []
+        for log_ns, channel_id, _ in self._messages_in(span):
+            times.append(log_ns)
+            if self._counts is not None:
+                self._counts[channel_id] += 1
+        if times:
+            span.start_ns, span.end_ns = min(times), max(times)
+            self._spans.append(span)
+
+    def _say_what_was_saved(self, damaged: bool, ended: bool) -> None:
+        number = sum((self._counts or {}).values())
+        if number == 0 and not ended:
+            raise UnusableInput(
+                f'{self.path} is truncated or damaged and no message in it can be read: expected '
+                'an mcap file with messages; copy it again from where it was recorded'
+            )
+        if damaged:
+            first = min((span.start_ns for span in self._spans), default=0)
+            last = max((span.end_ns for span in self._spans), default=0)
+            state = 'has no index or a damaged one' if ended else 'is truncated'
+            self._warnings.add(
+                what_was_saved(self.path.name, state, number, self._expected, first, last)
+            )
+
+    def _messages_in(self, span: _Span) -> Iterator[tuple[int, int, memoryview]]:
+        """Yield (log_ns, channel id, data) of a span, in the order of the file."""
+        self._file.seek(span.offset)
+        yield from self._walk(self._file.read(min(span.length, self._size - span.offset)))
+
+    def _walk(self, data: bytes) -> Iterator[tuple[int, int, memoryview]]:
+        view, position = memoryview(data), 0
+        while position + _RECORD.size <= len(view):
+            opcode, length = _RECORD.unpack_from(view, position)
+            position += _RECORD.size
+            body = view[position : position + length]
+            position += length
+            if opcode == Opcode.CHUNK:
+                yield from self._walk(self._plain(body))
+            elif len(body) < length:
+                return
+            elif opcode == Opcode.MESSAGE and length >= _MESSAGE.size:
+                channel_id, _, log_ns, _ = _MESSAGE.unpack_from(body)
+                yield log_ns, channel_id, body[_MESSAGE.size :]
+            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                self._learn(opcode, bytes(body))
+
+    def _learn(self, opcode: int, body: bytes) -> None:
+        try:
+            stream = ReadDataStream(BytesIO(body))
+            if opcode == Opcode.SCHEMA:
+                schema = Schema.read(stream)
+                self._schemas.setdefault(schema.id, schema.name)
+            else:
+                self._add_channel(ChannelRecord.read(stream))
+        except Exception:  # a damaged record: its messages, if any, belong to no known topic
+            self._warnings.add(f'{self.path.name} holds a damaged description of a topic')
+
+    def _plain(self, body: memoryview) -> bytes:
+        """Decompress a chunk, as much of it as can be."""
+        try:
+            chunk = Chunk.read(ReadDataStream(BytesIO(body)))
+        except Exception:  # cut off within the chunk's own header
+            return b''
+        plain, whole = decompress(chunk.data, chunk.compression, chunk.uncompressed_size)
+        if whole and chunk.uncompressed_crc and zlib.crc32(plain) != chunk.uncompressed_crc:
+            whole = False
+        if not whole:
+            self._warnings.add(
+                f'{self.path.name} is damaged at {chunk.message_start_time / 1e9:.1f} s: messages '
+                'from there may be missing or wrong'
+            )
+        return plain

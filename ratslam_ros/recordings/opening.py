@@ -1,0 +1,77 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Finding out what kind of recording a path is."""
+
+from pathlib import Path
+
+from ratslam_ros.errors import UnusableInput
+from ratslam_ros.recordings import image_folder, video
+from ratslam_ros.recordings.files import starts_with, storage_kind
+from ratslam_ros.recordings.recording import Recording
+from ratslam_ros.recordings.rosbag2 import METADATA, bag_files, open_bag
+
+EXPECTED = (
+    'a rosbag2 folder, a .mcap, .db3 or ROS 1 .bag file, a video or a folder of images'
+)
+
+
+def open_recording(path: str | Path, *, images_rate_hz: float = 10.0) -> Recording:
+    """Open a recording of any kind; ``images_rate_hz`` is for images without a table of times.
+
+    Raises UnusableInput with one line that says what was seen, expected, and what to do.
+    """
+    path = Path(path)
+    try:
+        if path.is_dir():
+            return _open_folder(path, images_rate_hz)
+        if path.is_file():
+            return _open_file(path, images_rate_hz)
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) and error.strerror else error
+        raise UnusableInput(
+            f'{path} cannot be read ({reason}): expected {EXPECTED}; check its name and '
+            'permissions'
+        ) from None
+    problem = 'is neither a file nor a folder' if path.exists() else 'does not exist'
+    raise UnusableInput(f'{path} {problem}: expected {EXPECTED}; check the path')
+
+
+def _open_folder(path: Path, rate_hz: float) -> Recording:
+    if (path / METADATA).is_file() or bag_files(path):
+        return open_bag(path)
+    if image_folder.image_files(path) or image_folder.find_table(path):
+        return image_folder.ImageFolder(path, rate_hz)
+    entries = sorted(entry for entry in path.iterdir() if not entry.name.startswith('.'))
+    if not entries:
+        raise UnusableInput(f'{path} is an empty folder: expected {EXPECTED}; check the path')
+    inside = [
+        entry for entry in entries
+        if (entry.is_dir() and ((entry / METADATA).is_file() or bag_files(entry)
+                                or image_folder.image_files(entry)))
+        or entry.suffix.lower() in video.SUFFIXES
+    ]
+    advice = (
+        'give one of ' + ', '.join(map(str, inside[:5])) if inside
+        else f'it holds {", ".join(entry.name for entry in entries[:5])}'
+    )
+    raise UnusableInput(f'{path} is a folder without a recording: expected {EXPECTED}; {advice}')
+
+
+def _open_file(path: Path, rate_hz: float) -> Recording:
+    head = starts_with(path)
+    suffix = path.suffix.lower()
+    if storage_kind(head) is not None or path.name.endswith(('.mcap', '.db3', '.bag', '.zstd')):
+        return open_bag(path)
+    if path.name == METADATA:
+        return open_bag(path.parent)
+    if suffix in video.SUFFIXES:
+        return video.Video(path, rate_hz)
+    if suffix == '.csv':
+        return image_folder.ImageFolder(path, rate_hz)
+    if suffix in image_folder.SUFFIXES:
+        raise UnusableInput(
+            f'{path} is a single image: expected {EXPECTED}; give its folder {path.parent}'
+        )
+    raise UnusableInput(
+        f'{path} begins with {head!r} and is not known as a recording: expected {EXPECTED}'
+    )

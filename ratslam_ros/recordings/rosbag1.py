@@ -1,0 +1,241 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""One ROS 1 bag (format 2.0): read by its index, or by a walk where it was not closed.
+
+The record format is the few lines of http://wiki.ros.org/Bags/Format/2.0. rosbags reads healthy
+bags as well, but keeps an entry for every message in memory and refuses bags without an index.
+"""
+
+import struct
+from collections import Counter
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from ratslam_ros.errors import UnusableInput
+from ratslam_ros.recordings.salvage import decompress, what_was_saved
+from ratslam_ros.recordings.stream import (
+    Channel,
+    Contents,
+    Message,
+    Part,
+    Warnings,
+    in_time_order,
+)
+
+MAGIC = b'#ROSBAG V2.0\n'
+_U32 = struct.Struct('<I')
+_TIME = struct.Struct('<II')
+_MESSAGE, _BAG_HEADER, _CHUNK, _CHUNK_INFO, _CONNECTION = (
+    b'\x02', b'\x03', b'\x05', b'\x06', b'\x07')
+_MAX_HEADER = 1 << 20  # bytes; longer ones are damage
+
+
+class _Damaged(Exception):  # noqa: N818
+    """The bytes do not hold a record."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Span:
+    """A chunk: where it is, what times it holds and how many messages of which connections."""
+
+    offset: int
+    start_ns: int
+    end_ns: int
+    counts: dict[int, int]
+
+
+class Rosbag1File:
+    """The messages of one ROS 1 bag."""
+
+    def __init__(self, path: Path, warnings: Warnings, expected: int | None = None) -> None:
+        self.path = path
+        self._warnings = warnings
+        self._size = path.stat().st_size
+        self._file = path.open('rb')
+        self._channels: dict[int, Channel] = {}
+        self._spans: list[_Span] = []
+        try:
+            if not self._read_index():
+                self._scan(expected)
+        except UnusableInput:
+            self.close()
+            raise
+        self.contents = Contents(
+            tuple(dict.fromkeys(self._channels.values())),
+            self.count(),
+            min((span.start_ns for span in self._spans), default=0),
+            max((span.end_ns for span in self._spans), default=0),
+            'ROS 1 bag',
+        )
+
+    def messages(
+        self, topics: Collection[str], start_ns: int, stop_ns: int
+    ) -> Iterator[Message]:
+        """Yield the messages of the topics with start_ns <= log_ns < stop_ns in order of time."""
+        wanted = {number for number, channel in self._channels.items() if channel.topic in topics}
+
+        def read(span: _Span) -> list[Message]:
+            found = [
+                Message(log_ns, self._channels[connection], bytes(data))
+                for log_ns, connection, data in self._messages_in(span.offset)
+                if connection in wanted and start_ns <= log_ns < stop_ns
+            ]
+            found.sort(key=lambda message: message.log_ns)
+            return found
+
+        return in_time_order(
+            Part(span.start_ns, span.end_ns, partial(read, span))
+            for span in self._spans
+            if span.end_ns >= start_ns and span.start_ns < stop_ns and wanted & span.counts.keys()
+        )
+
+    def count(self) -> dict[Channel, int]:
+        """Count the messages, from the index."""
+        counts: Counter[Channel] = Counter()
+        for span in self._spans:
+            for connection, number in span.counts.items():
+                if connection in self._channels:
+                    counts[self._channels[connection]] += number
+        return counts
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def _record(self, position: int) -> tuple[dict[bytes, bytes], int, int]:
+        """Return the header of a record, and where its data begin and end."""
+        self._file.seek(position)
+        size = self._file.read(4)
+        if len(size) < 4 or _U32.unpack(size)[0] > _MAX_HEADER:
+            raise _Damaged
+        header = self._file.read(_U32.unpack(size)[0] + 4)
+        if len(header) < _U32.unpack(size)[0] + 4:
+            raise _Damaged
+        begin = position + 4 + len(header)
+        return _fields(memoryview(header)[:-4]), begin, begin + _U32.unpack(header[-4:])[0]
+
+    def _read_index(self) -> bool:
+        """Read the connections and chunks that the end of a closed bag lists; False without."""
+        try:
+            header, _, _ = self._record(len(MAGIC))
+            if header.get(b'encryptor'):
+                raise UnusableInput(
+                    f'{self.path} is encrypted: expected a plain ROS 1 bag; decrypt it with '
+                    '"rosbag decrypt"'
+                )
+            position = struct.unpack('<Q', header[b'index_pos'])[0]
+            if header[b'op'] != _BAG_HEADER or not 0 < position <= self._size:
+                return False
+            while position < self._size:
+                header, begin, position = self._record(position)
+                self._file.seek(begin)
+                data = self._file.read(position - begin)
+                if header[b'op'] == _CONNECTION:
+                    self._learn(header, memoryview(data))
+                elif header[b'op'] == _CHUNK_INFO:
+                    self._spans.append(_Span(
+                        struct.unpack('<Q', header[b'chunk_pos'])[0],
+                        _nanoseconds(header[b'start_time']),
+                        _nanoseconds(header[b'end_time']),
+                        dict(struct.iter_unpack('<II', data)),
+                    ))
+            return all(span.offset < self._size for span in self._spans)
+        except (_Damaged, KeyError, struct.error):
+            return False
+
+    def _scan(self, expected: int | None) -> None:
+        """Find the connections, the messages and their times by reading the whole file."""
+        self._spans, read, position = [], 0, len(MAGIC)
+        whole = True
+        while position < self._size:
+            try:
+                header, _, end = self._record(position)
+            except _Damaged:
+                whole = False
+                break
+            if header.get(b'op') == _CHUNK:
+                times: list[int] = []
+                counts: Counter[int] = Counter()
+                for log_ns, connection, _ in self._messages_in(position):
+                    times.append(log_ns)
+                    counts[connection] += 1
+                if times:
+                    self._spans.append(_Span(position, min(times), max(times), counts))
+                    read += len(times)
+            position = end
+        if read == 0:
+            raise UnusableInput(
+                f'{self.path} was not closed properly and no message in it can be read: expected '
+                'a ROS 1 bag with messages; copy it again from where it was recorded'
+            )
+        state = 'has no index' if whole and position == self._size else 'is truncated'
+        self._warnings.add(what_was_saved(
+            self.path.name, state, read, expected,
+            min(span.start_ns for span in self._spans), max(span.end_ns for span in self._spans),
+        ))
+
+    def _messages_in(self, offset: int) -> Iterator[tuple[int, int, memoryview]]:
+        """Yield (log_ns, connection, data) of the chunk at an offset, in the order of the file."""
+        try:
+            header, begin, end = self._record(offset)
+            compression = header[b'compression'].decode(errors='replace')
+            size = _U32.unpack(header[b'size'])[0]
+        except (_Damaged, KeyError, struct.error):
+            compression = ''
+        if compression not in ('none', 'bz2', 'lz4'):
+            self._warnings.add(f'{self.path.name} is damaged at byte {offset}: the messages of '
+                               'one chunk are lost')
+            return
+        self._file.seek(begin)
+        plain, whole = decompress(self._file.read(end - begin), compression, size)
+        view, position = memoryview(plain), 0
+        while position + 8 <= len(view):
+            try:
+                start = position + 4 + _U32.unpack_from(view, position)[0]
+                length = _U32.unpack_from(view, start)[0]
+                header = _fields(view[position + 4 : start])
+                data = view[start + 4 : start + 4 + length]
+                if len(data) < length:
+                    raise _Damaged
+                if header[b'op'] == _MESSAGE:
+                    yield (_nanoseconds(header[b'time']), _U32.unpack(header[b'conn'])[0], data)
+                elif header[b'op'] == _CONNECTION:
+                    self._learn(header, data)
+            except (_Damaged, KeyError, struct.error):
+                whole = False
+                break
+            position = start + 4 + length
+        if not whole and end <= self._size:  # being cut off is told elsewhere
+            self._warnings.add(f'{self.path.name} is damaged at byte {offset}: messages from '
+                               'there may be missing or wrong')
+
+    def _learn(self, header: dict[bytes, bytes], data: memoryview) -> None:
+        """Note the topic of a connection."""
+        about = _fields(data)
+        kind = about.get(b'type', b'').decode(errors='replace')
+        self._channels.setdefault(
+            _U32.unpack(header[b'conn'])[0],
+            Channel(header.get(b'topic', b'').decode(errors='replace'), kind, 'ros1'),
+        )
+
+
+def _fields(data: memoryview) -> dict[bytes, bytes]:
+    """Split a header into its fields, each a length and name=value."""
+    fields, position = {}, 0
+    while position < len(data):
+        if position + 4 > len(data):
+            raise _Damaged
+        begin = position + 4
+        position = begin + _U32.unpack_from(data, position)[0]
+        name, equals, value = bytes(data[begin:position]).partition(b'=')
+        if not equals or position > len(data):
+            raise _Damaged
+        fields[name] = value
+    return fields
+
+
+def _nanoseconds(data: bytes) -> int:
+    seconds, nanoseconds = _TIME.unpack(data)
+    return int(seconds * 1_000_000_000 + nanoseconds)

@@ -1,0 +1,111 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A video as a recording: its frames, each at its own time."""
+
+import math
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from ratslam_ros.errors import UnusableInput
+from ratslam_ros.recordings.events import Event, ImageEvent
+from ratslam_ros.recordings.images import Frame, Pixels
+from ratslam_ros.recordings.recording import Recording
+from ratslam_ros.recordings.selection import VIDEO, Selection, Topic
+
+SUFFIXES = frozenset({
+    '.mp4', '.avi', '.mov', '.mkv', '.webm', '.m4v', '.mpg', '.mpeg', '.ogv', '.wmv', '.flv',
+    '.ts', '.mjpeg', '.mjpg', '.h264', '.h265', '.3gp',
+})
+FRAMES = 'images'
+
+
+class Video(Recording):
+    """The frames of a video file; the times start at 0."""
+
+    kind = 'video'
+
+    def __init__(self, path: Path, rate_hz: float) -> None:
+        super().__init__(path)
+        with closing(_Capture(path)) as capture:
+            frames, rate = capture.frames, capture.rate_hz
+            if not capture.grab():
+                raise UnusableInput(
+                    f'{path} gives no frame: expected a video that OpenCV can decode; convert it, '
+                    f'for instance with "ffmpeg -i {path.name} {path.stem}.mp4"'
+                )
+        if not rate:
+            rate = rate_hz
+            self._warnings.add(f'{path.name} does not say its rate: {rate:g} Hz is assumed')
+        self._period_ns = 1e9 / rate
+        self.start_ns, self.end_ns = 0, round(max(frames - 1, 0) * self._period_ns)
+        if not frames:
+            self.end_ns = 2**62  # a stream whose length nobody knows before its end
+        self.topics = (Topic(FRAMES, VIDEO, frames or None),)
+        self._expected = frames
+
+    def count(self) -> dict[str, int]:
+        """Count the frames, by decoding them where the file does not say."""
+        count = self.topics[0].count
+        if count is None:
+            with closing(_Capture(self.path)) as capture:
+                count = 0
+                while capture.grab():
+                    count += 1
+        return {FRAMES: count}
+
+    def _events(self, selection: Selection, start_ns: int, stop_ns: int) -> Iterator[Event]:
+        with closing(_Capture(self.path)) as capture:
+            index, before_ns = 0, -1
+            while capture.grab():
+                # A variable rate is in the frames' own times; some containers have none.
+                stamp_ns = capture.time_ns()
+                if stamp_ns <= before_ns:
+                    stamp_ns = max(round(index * self._period_ns), before_ns + 1)
+                index, before_ns = index + 1, stamp_ns
+                if stamp_ns >= stop_ns and stop_ns <= self.end_ns:
+                    return
+                if stamp_ns >= start_ns:
+                    yield ImageEvent(stamp_ns, stamp_ns, Frame(capture.frame()))
+            if index < self._expected:
+                self._warnings.add(
+                    f'{self.path.name} is truncated or damaged: read {index} of '
+                    f'{self._expected} frames, up to {before_ns / 1e9:.1f} s'
+                )
+
+
+class _Capture:
+    """OpenCV's VideoCapture, with the errors of this project."""
+
+    def __init__(self, path: Path) -> None:
+        self._capture = cv2.VideoCapture(str(path))
+        if not self._capture.isOpened():
+            self._capture.release()
+            raise UnusableInput(
+                f'{path} cannot be opened as a video: expected one that OpenCV can decode; '
+                f'convert it, for instance with "ffmpeg -i {path.name} {path.stem}.mp4"'
+            )
+        rate = float(self._capture.get(cv2.CAP_PROP_FPS))
+        self.rate_hz = rate if math.isfinite(rate) and 0.0 < rate <= 10_000.0 else 0.0
+        frames = float(self._capture.get(cv2.CAP_PROP_FRAME_COUNT))
+        self.frames = int(frames) if math.isfinite(frames) and 0 < frames < 1e9 else 0
+
+    def grab(self) -> bool:
+        """Go to the next frame."""
+        return bool(self._capture.grab())
+
+    def time_ns(self) -> int:
+        """Return the time of the frame."""
+        time_ms = float(self._capture.get(cv2.CAP_PROP_POS_MSEC))
+        return round(time_ms * 1e6) if math.isfinite(time_ms) else 0
+
+    def frame(self) -> Pixels:
+        """Return (H, W, 3) uint8, blue first."""
+        return np.asarray(self._capture.retrieve()[1], np.uint8)
+
+    def close(self) -> None:
+        """Let go of the file."""
+        self._capture.release()
