@@ -11,7 +11,6 @@ from pathlib import Path
 
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.recordings.decode import (
-    RAW_IMAGE,
     STRING,
     UndecodableMessage,
     decode,
@@ -21,7 +20,7 @@ from ratslam_ros.recordings.decode import (
 )
 from ratslam_ros.recordings.events import Event
 from ratslam_ros.recordings.files import Workspace
-from ratslam_ros.recordings.images import DEPTH_ENCODINGS
+from ratslam_ros.recordings.images import image_of
 from ratslam_ros.recordings.recording import Recording
 from ratslam_ros.recordings.selection import Selection, Topic
 from ratslam_ros.recordings.stream import (
@@ -46,12 +45,13 @@ class BagRecording(Recording):
         warnings: Warnings,
         workspace: Workspace,
         counts: dict[str, int] | None = None,
+        formats: dict[str, str] | None = None,
     ) -> None:
         super().__init__(path, warnings)
         self._storages = storages
         self._workspace = workspace
         self.kind = storages[0].contents.kind
-        filled = [s.contents for s in storages if s.contents.start_ns or s.contents.end_ns]
+        filled = [s.contents for s in storages if s.contents.end_ns >= s.contents.start_ns]
         if not filled:
             raise UnusableInput(
                 f'{path} holds no messages: expected a recording with images; look whether the '
@@ -60,12 +60,12 @@ class BagRecording(Recording):
         self.start_ns = min(contents.start_ns for contents in filled)
         self.end_ns = max(contents.end_ns for contents in filled)
         self._counts = self._stored_counts(counts)
-        self.topics = self._read_topics()
+        self.topics = self._read_topics(formats or {})
         reasons = {topic.readable for topic in self.topics}
         if None not in reasons:
             raise UnusableInput(
-                f'{path} cannot be decoded: {", ".join(sorted(map(str, reasons)))}; convert it '
-                'with "ros2 bag convert"'
+                f'{path} cannot be decoded: {"; ".join(sorted(map(str, reasons)))}; record it '
+                'again with an rmw that writes cdr, or convert it with "ros2 bag convert"'
             )
 
     def count(self) -> dict[str, int]:
@@ -80,11 +80,9 @@ class BagRecording(Recording):
 
     def is_depth(self, topic: Topic) -> bool:
         """Tell a depth image topic, by its first message, from one of a camera."""
-        if topic.type != RAW_IMAGE:
-            return False
         for message in islice(self._messages({topic.name}), _PEEK):
             try:
-                return decode(message).encoding.lower() in DEPTH_ENCODINGS
+                return image_of(decode(message)).is_depth
             except UndecodableMessage:
                 continue
         return False
@@ -105,7 +103,7 @@ class BagRecording(Recording):
                 found[channel.topic] += number
         return found
 
-    def _read_topics(self) -> tuple[Topic, ...]:
+    def _read_topics(self, formats: dict[str, str]) -> tuple[Topic, ...]:
         channels: dict[str, Channel] = {}
         for storage in self._storages:
             for channel in storage.contents.channels:
@@ -120,7 +118,7 @@ class BagRecording(Recording):
                 name,
                 normal_type(channel.type),
                 None if self._counts is None else self._counts.get(name, 0),
-                unreadable(channel),
+                unreadable(formats.get(name, channel.encoding)) or unreadable(channel.encoding),
             )
             for name, channel in sorted(channels.items())
         )

@@ -12,7 +12,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from ratslam_ros.recordings.events import Event, ImageEvent, OdometryEvent, TemplateEvent
 from ratslam_ros.recordings.images import image_of
-from ratslam_ros.recordings.stream import Channel, Message
+from ratslam_ros.recordings.stream import Message
 
 RAW_IMAGE = 'sensor_msgs/msg/Image'
 COMPRESSED_IMAGE = 'sensor_msgs/msg/CompressedImage'
@@ -32,11 +32,11 @@ def normal_type(name: str) -> str:
     return name if '/' in kind or not kind else f'{package}/msg/{kind}'
 
 
-def unreadable(channel: Channel) -> str | None:
-    """Return why no message of a channel can be decoded, or None."""
-    if channel.encoding in ('cdr', 'ros1'):
+def unreadable(encoding: str) -> str | None:
+    """Return why no message of an encoding can be decoded, or None."""
+    if encoding in ('cdr', 'ros1'):
         return None
-    return f'serialisation format {channel.encoding!r}, expected cdr'
+    return f'the serialisation format is {encoding!r} and not cdr'
 
 
 def decode(message: Message) -> Any:

@@ -78,7 +78,7 @@ def describe(recording: Recording) -> Description:
         _describe_topic(recording, topic, counts[topic.name], duration_s)
         for topic in recording.topics
     )
-    command, notices = _command(recording)
+    command, notices = _command(recording, {topic.name for topic in topics if topic.problem})
     return Description(
         str(recording.path), recording.kind, duration_s, topics, notices,
         tuple(recording.warnings), command,
@@ -113,7 +113,7 @@ def _first_image(recording: Recording, topic: Topic) -> tuple[str, str]:
     return '', problem
 
 
-def _command(recording: Recording) -> tuple[str, tuple[str, ...]]:
+def _command(recording: Recording, broken: set[str]) -> tuple[str, tuple[str, ...]]:
     """Return the command that replays the recording, with no more options than it needs."""
     words = ['ratslam', 'replay', str(recording.path)]
     options: dict[str, str] = {}
@@ -122,8 +122,9 @@ def _command(recording: Recording) -> tuple[str, tuple[str, ...]]:
         ('--odom-topic', 'odom_topic', odometry_candidates(recording)),
     ):
         if len(candidates) > 1:
-            options[parameter] = candidates[0].name
-            words += [option, candidates[0].name]
+            chosen = next((t for t in candidates if t.name not in broken), candidates[0])
+            options[parameter] = chosen.name
+            words += [option, chosen.name]
     try:
         selection = recording.select(**options)  # type: ignore[arg-type]
     except UnusableInput as error:

@@ -57,6 +57,11 @@ class Image(Protocol):
         """How the pixels are stored, in the words of the message or file."""
         ...
 
+    @property
+    def is_depth(self) -> bool:
+        """Whether the pixels are distances, not light."""
+        ...
+
     def grey(self) -> Pixels:
         """Return (H, W) uint8."""
         ...
@@ -80,6 +85,11 @@ class RawImage:
     def encoding(self) -> str:
         """The encoding as the message names it."""
         return str(self.message.encoding)
+
+    @property
+    def is_depth(self) -> bool:
+        """Whether the pixels are distances, not light."""
+        return self.encoding.lower() in DEPTH_ENCODINGS
 
     def grey(self) -> Pixels:
         """Return (H, W) uint8; raises UndecodableImage."""
@@ -131,6 +141,12 @@ class EncodedImage:
     data: Any
     encoding: str = ''
 
+    @property
+    def is_depth(self) -> bool:
+        """Whether the pixels are distances, not light."""
+        words = self.encoding.lower().replace(';', ' ').split()
+        return 'compresseddepth' in words or not DEPTH_ENCODINGS.isdisjoint(words)
+
     def grey(self) -> Pixels:
         """Return (H, W) uint8; raises UndecodableImage."""
         return self._decode(cv2.IMREAD_GRAYSCALE)
@@ -141,7 +157,7 @@ class EncodedImage:
 
     def _decode(self, flags: int) -> Pixels:
         data = np.frombuffer(self.data, np.uint8)
-        if 'compresseddepth' in self.encoding.lower():
+        if self.is_depth:
             raise UndecodableImage(
                 f'the image is a depth image ({self.encoding!r}): choose a topic of a camera'
             )
@@ -163,6 +179,7 @@ class Frame:
 
     pixels: Pixels
     encoding: str = 'bgr8'
+    is_depth: bool = False
 
     def grey(self) -> Pixels:
         """Return (H, W) uint8."""

@@ -76,7 +76,7 @@ class McapFile:
             tuple(dict.fromkeys(self._channels.values())),
             self._by_channel() if self._counts is not None else None,
             min((span.start_ns for span in self._spans), default=0),
-            max((span.end_ns for span in self._spans), default=0),
+            max((span.end_ns for span in self._spans), default=-1),
             'rosbag2 (mcap)',
         )
 
@@ -212,15 +212,17 @@ class McapFile:
         self._file.seek(span.offset)
         yield from self._walk(self._file.read(min(span.length, self._size - span.offset)))
 
-    def _walk(self, data: bytes) -> Iterator[tuple[int, int, memoryview]]:
+    def _walk(
+        self, data: bytes, within_chunk: bool = False
+    ) -> Iterator[tuple[int, int, memoryview]]:
         view, position = memoryview(data), 0
         while position + _RECORD.size <= len(view):
             opcode, length = _RECORD.unpack_from(view, position)
             position += _RECORD.size
             body = view[position : position + length]
             position += length
-            if opcode == Opcode.CHUNK:
-                yield from self._walk(self._plain(body))
+            if opcode == Opcode.CHUNK and not within_chunk:
+                yield from self._walk(self._plain(body), within_chunk=True)
             elif len(body) < length:
                 return
             elif opcode == Opcode.MESSAGE and length >= _MESSAGE.size:

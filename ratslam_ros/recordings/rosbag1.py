@@ -66,7 +66,7 @@ class Rosbag1File:
             tuple(dict.fromkeys(self._channels.values())),
             self.count(),
             min((span.start_ns for span in self._spans), default=0),
-            max((span.end_ns for span in self._spans), default=0),
+            max((span.end_ns for span in self._spans), default=-1),
             'ROS 1 bag',
         )
 

@@ -28,6 +28,7 @@ class _Metadata:
     file_counts: dict[str, int] = field(default_factory=dict)
     topic_counts: dict[str, int] | None = None
     message_count: int | None = None
+    formats: dict[str, str] = field(default_factory=dict)
 
 
 def bag_files(folder: Path) -> list[Path]:
@@ -67,7 +68,8 @@ def open_bag(path: Path) -> BagRecording:
             warnings.add(text)
         whole = not empty and len(storages) == len(metadata.files)
         return BagRecording(
-            path, storages, warnings, workspace, metadata.topic_counts if whole else None
+            path, storages, warnings, workspace,
+            metadata.topic_counts if whole else None, metadata.formats,
         )
     except BaseException:
         for storage in storages:
@@ -141,7 +143,7 @@ def _metadata_beside(path: Path) -> _Metadata:
     if path.name not in names:
         return _Metadata()
     if len(names) > 1:
-        return _Metadata(file_counts=metadata.file_counts)
+        return _Metadata(file_counts=metadata.file_counts, formats=metadata.formats)
     return metadata
 
 
@@ -165,6 +167,11 @@ def _read_metadata(folder: Path, warnings: Warnings) -> _Metadata:
                 for topic in about['topics_with_message_count']
             },
             int(about['message_count']),
+            {
+                str(topic['topic_metadata']['name']):
+                    str(topic['topic_metadata']['serialization_format'])
+                for topic in about['topics_with_message_count']
+            },
         )
     except (OSError, yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__

@@ -105,7 +105,7 @@ def image_candidates(recording: Recording) -> list[Topic]:
     """Return the topics of cameras: no depth images, no compressed twins of a raw topic."""
     topics = [
         topic for topic in _usable(recording, IMAGE_TYPES)
-        if not topic.name.lower().endswith('/compresseddepth') and not recording.is_depth(topic)
+        if not recording.is_depth(topic)
     ]
     names = {topic.name for topic in topics}
     return [

@@ -140,11 +140,11 @@ class SqliteFile:
                 # Two queries, as SQLite answers each from the index, but not both at once.
                 (start,), = self._database.execute('SELECT MIN(timestamp) FROM messages')
                 (end,), = self._database.execute('SELECT MAX(timestamp) FROM messages')
-                return int(start or 0), int(end or 0)
-            except sqlite3.Error:
+                return (0, -1) if start is None else (int(start), int(end))
+            except (sqlite3.Error, ValueError, TypeError):  # SQLite lets text stand for numbers
                 self._salvage()
         parts = self._parts or []
-        return min((p[0] for p in parts), default=0), max((p[1] for p in parts), default=0)
+        return min((p[0] for p in parts), default=0), max((p[1] for p in parts), default=-1)
 
     def _ordered(self, ids: list[int], start_ns: int, stop_ns: int) -> Iterator[Message]:
         rows = self._database.execute(

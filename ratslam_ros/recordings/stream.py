@@ -37,7 +37,10 @@ class Part:
 
 @dataclass(slots=True)
 class Contents:
-    """What a file says it holds; ``counts`` is None where that would take a scan."""
+    """What a file says it holds; ``counts`` is None where that would take a scan.
+
+    A file without messages ends before it starts.
+    """
 
     channels: tuple[Channel, ...]
     counts: dict[Channel, int] | None
