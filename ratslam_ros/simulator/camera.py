@@ -11,11 +11,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ratslam_ros.simulator.textures import PANEL_WIDTH_M, TEXELS_PER_M, WALL_HEIGHT_M
+from ratslam_ros.simulator.textures import TEXELS_PER_M, WALL_HEIGHT_M
 from ratslam_ros.simulator.world import EAST, NORTH, SOUTH, WEST, World
 
 FLOOR_TILE_M = 0.75
-LAMP_SPACING_M = 3.0
+# Lamps hang on a grid through the middle of the floor; in the office, over the corridors.
+LAMP_SPACING_X_M, LAMP_SPACING_Y_M = 3.75, 3.0
 
 
 @dataclass(frozen=True)
@@ -138,6 +139,7 @@ def _render(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     height, width = image.shape
     n_levels, _, n_u, n_v = textures.shape
+    middle_x, middle_y = solid.shape[1] * cell_m / 2, solid.shape[0] * cell_m / 2
     forward_x, forward_y = math.cos(heading_rad), math.sin(heading_rad)
     for i in range(width):
         # Rays reach one metre ahead for each unit of length: the length is the depth itself,
@@ -155,7 +157,7 @@ def _render(  # type: ignore[no-untyped-def]
             along_m, slant = hit_x - column * cell_m, abs(ray_y)
         else:
             along_m, slant = (column + 1) * cell_m - hit_x, abs(ray_y)
-        along_m = (along_m + panel_u_m[row, column, side]) % PANEL_WIDTH_M
+        along_m += panel_u_m[row, column, side]
         # A column covers this much wall; the level averages over about as much.
         covered = depth_m * (1.0 + left * left) / (focal_px * slant) * TEXELS_PER_M
         level = min(max(int(math.log2(covered) + 0.5), 0), n_levels - 1) if covered > 1.0 else 0
@@ -182,8 +184,9 @@ def _render(  # type: ignore[no-untyped-def]
                 ceiling_m = (WALL_HEIGHT_M - camera_height_m) / up
                 over_x, over_y = x_m + ceiling_m * ray_x, y_m + ceiling_m * ray_y
                 shade = 0.66 * _light_at(light, over_x / cell_m, over_y / cell_m)
-                lamp_x, lamp_y = over_x / LAMP_SPACING_M % 1.0, over_y / LAMP_SPACING_M % 1.0
-                if abs(lamp_x - 0.5) < 0.18 and abs(lamp_y - 0.5) < 0.18:
+                lamp_x = ((over_x - middle_x) / LAMP_SPACING_X_M + 0.5) % 1.0 - 0.5
+                lamp_y = ((over_y - middle_y) / LAMP_SPACING_Y_M + 0.5) % 1.0 - 0.5
+                if abs(lamp_x) * LAMP_SPACING_X_M < 0.6 and abs(lamp_y) * LAMP_SPACING_Y_M < 0.6:
                     shade = 1.05
                 shade /= 1.0 + 0.03 * ceiling_m
             else:

@@ -23,12 +23,10 @@ class WorldOptions:
 
     aliasing: share of the floor, 0..1, that is built in the house style, where walls repeat the
         same few panels and places far apart really look alike
-    district_m: side of the square districts that are in the house style or not
     light_spread: how much the lighting differs from place to place, as a share
     """
 
-    aliasing: float = 0.4
-    district_m: float = 6.0
+    aliasing: float = 0.5
     light_spread: float = 0.15
 
 
@@ -104,16 +102,16 @@ def _panels_along(length_m: float, library: PanelLibrary, rng: np.random.Generat
 def _house_style_cells(
     plan: FloorPlan, rng: np.random.Generator, options: WorldOptions
 ) -> NDArray[np.bool_]:
-    """Choose the districts in the house style: the wanted share of them, which ones by lot."""
+    """Choose a stretch of the north wing, and the stretch of the south wing that is its twin.
+
+    In a building that looks the same when turned by half a turn, so do these two stretches.
+    """
     n_y, n_x = plan.solid.shape
-    district_cells = max(1, round(options.district_m / plan.cell_m))
-    shape = (-(-n_y // district_cells), -(-n_x // district_cells))
-    count = shape[0] * shape[1]
-    chosen = np.zeros(count, bool)
-    chosen[rng.permutation(count)[: round(options.aliasing * count)]] = True
-    chosen = chosen.reshape(shape)
-    rows, columns = np.arange(n_y) // district_cells, np.arange(n_x) // district_cells
-    return np.asarray(chosen[rows[:, None], columns[None, :]])
+    stretch_x = np.zeros(n_x, bool)
+    length = round(options.aliasing * n_x)
+    first = int(rng.integers(n_x - length + 1))
+    stretch_x[first : first + length] = True
+    return np.array([stretch_x if row >= n_y / 2 else stretch_x[::-1] for row in range(n_y)])
 
 
 def _lighting(

@@ -1,0 +1,88 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+import math
+import time
+
+import numpy as np
+import pytest
+
+from ratslam_ros.simulator.camera import Camera, CameraOptions
+from ratslam_ros.simulator.floor_plan import office, parse_floor_plan
+from ratslam_ros.simulator.textures import WALL_HEIGHT_M, PanelLibrary
+from ratslam_ros.simulator.world import World, build_world
+
+QUIET = CameraOptions(noise_grey=0.0, exposure_spread=0.0)
+ROOM = parse_floor_plan('\n'.join(['#' * 14, *['#............#'] * 12, '#' * 14]), cell_m=1.0)
+
+
+def rng(seed=0):
+    return np.random.Generator(np.random.PCG64(seed))
+
+
+def room(textures):
+    """A room of 12 x 12 m, from (1, 1) to (13, 13), with one panel everywhere."""
+    shape = (*ROOM.solid.shape, 4)
+    library = PanelLibrary(textures.astype(np.float32), (0,))
+    return World(ROOM, library, np.zeros(shape, np.int16), np.zeros(shape, np.float32),
+                 np.ones(ROOM.solid.shape, np.float32))
+
+
+WHITE_ROOM = room(np.ones((7, 1, 60, 100)))
+
+
+@pytest.mark.parametrize('distance_m', [3.0, 5.0, 8.0])
+def test_wall_ahead_is_as_tall_as_perspective_says(distance_m):
+    image = Camera(WHITE_ROOM, rng(), QUIET).take(13.0 - distance_m, 7.0, 0.0)
+    middle = image[:, QUIET.width // 2]
+    foot_row = QUIET.height / 2 + QUIET.height_m * QUIET.focal_px / distance_m
+    top_row = QUIET.height / 2 - (WALL_HEIGHT_M - QUIET.height_m) * QUIET.focal_px / distance_m
+    wall = np.flatnonzero(middle == middle[QUIET.height // 2])
+    assert wall[0] == pytest.approx(max(top_row, 0), abs=1)
+    assert wall[-1] + 1 == pytest.approx(min(foot_row, QUIET.height), abs=1)
+
+
+def test_corner_stands_where_the_angle_says():
+    # At 45 degrees between two walls; the south wall, along x, is darker than the east wall.
+    corner_rad = -math.pi / 4
+    for turned_rad in (-0.2, 0.0, 0.2):
+        image = Camera(WHITE_ROOM, rng(), QUIET).take(9.0, 5.0, corner_rad + turned_rad)
+        row = image[QUIET.height // 2].astype(int)
+        edge = int(np.argmax(np.abs(np.diff(row)))) + 1
+        # Turning left, by a positive angle, moves what is seen to the right.
+        expected = QUIET.width / 2 + QUIET.focal_px * math.tan(turned_rad)
+        assert edge == pytest.approx(expected, abs=1)
+
+
+def test_panel_is_seen_the_right_way_round_on_every_wall():
+    dark_on_the_left = np.ones((7, 1, 60, 100))
+    dark_on_the_left[:, :, :30] = 0.2
+    world = room(dark_on_the_left)
+    for heading_rad in (0.0, math.pi / 2, math.pi, -math.pi / 2):
+        # One metre from the wall, where the dark half ends: a quarter of a cell to the left.
+        cos, sin = math.cos(heading_rad), math.sin(heading_rad)
+        x_m, y_m = 7.0 + 5.0 * cos - 0.25 * sin, 7.0 + 5.0 * sin + 0.25 * cos
+        row = Camera(world, rng(), QUIET).take(x_m, y_m, heading_rad)[QUIET.height // 2]
+        left, right = row[: QUIET.width // 2], row[QUIET.width // 2 :]
+        # All but the texel's width about the edge, where the two shades mix.
+        assert (left[:-3] == 50).all()
+        assert right[3:20].min() > 240
+
+
+def test_noise_hangs_on_the_seed_alone_and_has_its_size():
+    options = CameraOptions(noise_grey=3.0, exposure_spread=0.0)
+    images = [Camera(WHITE_ROOM, rng(seed), options).take(7.0, 7.0, 0.0) for seed in (1, 1, 2)]
+    assert np.array_equal(images[0], images[1])
+    difference = images[0].astype(float) - images[2]
+    floor = difference[-20:]
+    assert floor.std() == pytest.approx(3.0 * math.sqrt(2.0), rel=0.1)
+
+
+def test_camera_is_fast_enough_to_make_recordings_on_the_fly():
+    camera = Camera(build_world(office(), rng()), rng(), CameraOptions())
+    camera.take(6.0, 1.9, 0.0)  # compiles
+    fastest_s = math.inf
+    for _ in range(50):
+        begin_s = time.thread_time()
+        camera.take(6.0, 1.9, 0.0)
+        fastest_s = min(fastest_s, time.thread_time() - begin_s)
+    assert fastest_s < 1e-3

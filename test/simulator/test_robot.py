@@ -1,0 +1,82 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+import math
+
+import numpy as np
+import pytest
+
+from ratslam_ros.simulator.robot import Pose, Robot, RobotOptions, WheelOdometry
+
+EXACT = RobotOptions(
+    wheel_radius_error=0.0, wheel_base_error=0.0, slip_m=0.0, encoder_counts_per_turn=10**9
+)
+START = Pose(0.0, 0.0, 0.0)
+
+
+def drive(options, seed=0, steps=2400):
+    """Drive an eight for two minutes; return the true pose and what the odometry says."""
+    robot = Robot(START, np.random.Generator(np.random.PCG64(seed)), options)
+    odometry = WheelOdometry(options)
+    report = odometry.update(robot.encoder_counts(), 0.05)
+    for step in range(steps):
+        robot.command(0.5, math.copysign(0.4, math.sin(step / 100)), 0.05)
+        robot.move(0.025)
+        robot.move(0.025)
+        report = odometry.update(robot.encoder_counts(), 0.05)
+    return robot.pose, report
+
+
+def distance_m(a, b):
+    return math.hypot(a.x_m - b.x_m, a.y_m - b.y_m)
+
+
+def test_arc_is_exact():
+    quarter = START.after_arc(math.pi / 2, math.pi / 2)
+    assert (quarter.x_m, quarter.y_m) == pytest.approx((1.0, 1.0), abs=1e-12)
+    assert quarter.heading_rad == pytest.approx(math.pi / 2)
+    straight = START.after_arc(2.0, 0.0)
+    assert straight == Pose(2.0, 0.0, 0.0)
+
+
+def test_perfect_robot_knows_where_it_is():
+    truth, report = drive(EXACT)
+    assert distance_m(truth, report.pose) < 1e-5
+    assert report.pose.heading_rad == pytest.approx(truth.heading_rad, abs=1e-6)
+    assert report.speed_mps == pytest.approx(0.5, abs=1e-6)
+
+
+def test_encoders_round_down_to_whole_counts():
+    coarse = RobotOptions(wheel_radius_error=0.0, wheel_base_error=0.0, slip_m=0.0)
+    truth, report = drive(coarse)
+    assert 0.0 < distance_m(truth, report.pose) < 0.05
+
+
+def test_dead_reckoning_gets_worse_with_noise():
+    errors_m = []
+    for factor in (0.0, 1.0, 4.0):
+        nominal = RobotOptions()
+        options = RobotOptions(
+            wheel_radius_error=factor * nominal.wheel_radius_error,
+            wheel_base_error=factor * nominal.wheel_base_error,
+            slip_m=factor * nominal.slip_m,
+        )
+        runs = [drive(options, seed) for seed in range(5)]
+        errors_m.append(np.mean([distance_m(truth, report.pose) for truth, report in runs]))
+    assert errors_m[0] < 0.1 * errors_m[1]
+    assert errors_m[1] < 0.5 * errors_m[2]
+
+
+def test_robot_at_rest_stays_where_it_is():
+    robot = Robot(START, np.random.Generator(np.random.PCG64(0)), RobotOptions())
+    for _ in range(100):
+        robot.command(0.0, 0.0, 0.05)
+        robot.move(0.05)
+    assert robot.pose == START
+    assert robot.encoder_counts() == (0, 0)
+
+
+def test_motors_accelerate_no_faster_than_they_can():
+    robot = Robot(START, np.random.Generator(np.random.PCG64(0)), RobotOptions())
+    robot.command(1.0, -2.0, 0.1)
+    assert robot.speed_mps == pytest.approx(0.04)
+    assert robot.turn_rate_radps == pytest.approx(-0.15)

@@ -1,0 +1,56 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+
+from ratslam_ros.errors import UnusableInput
+from ratslam_ros.simulator.floor_plan import office, parse_floor_plan
+from ratslam_ros.simulator.world import EAST, NORTH, SOUTH, WEST, WorldOptions, build_world
+
+
+def rng(seed):
+    return np.random.Generator(np.random.PCG64(seed))
+
+
+def test_plan_has_its_first_line_in_the_north():
+    plan = parse_floor_plan('#####\n#B..#\n#..A#\n#####', cell_m=2.0)
+    assert plan.size_m == (10.0, 8.0)
+    assert plan.places == {'A': (7.0, 3.0), 'B': (3.0, 5.0)}
+    assert plan.clearance_m(5.0, 4.0) == pytest.approx(2.0)
+    assert plan.clearance_m(1.0, 1.0) == 0.0
+
+
+@pytest.mark.parametrize('text', ['###\n#.#\n#.#', '####\n#.#\n####'])
+def test_plan_that_is_open_or_ragged_is_refused(text):
+    with pytest.raises(UnusableInput):
+        parse_floor_plan(text, cell_m=1.0)
+
+
+def test_same_seed_same_world_and_another_seed_another():
+    first, again, other = (build_world(office(), rng(seed)) for seed in (1, 1, 2))
+    for name in ('panel', 'panel_u_m', 'light'):
+        assert np.array_equal(getattr(first, name), getattr(again, name))
+    assert np.array_equal(first.library.textures, again.library.textures)
+    assert not np.array_equal(first.panel, other.panel)
+    assert not np.array_equal(first.library.textures, other.library.textures)
+
+
+def test_panels_run_on_from_cell_to_cell_as_the_viewer_sees_them():
+    plan = parse_floor_plan('######\n#....#\n#....#\n#....#\n#....#\n######', cell_m=0.75)
+    world = build_world(plan, rng(0), WorldOptions(aliasing=0.0))
+    begin, middle = 0.0, 0.75
+    # Seen from the room, left to right is west to east only on the north wall.
+    assert world.panel_u_m[5, 1:5, SOUTH].tolist() == [begin, middle, begin, middle]
+    assert world.panel_u_m[0, 1:5, NORTH].tolist() == [middle, begin, middle, begin]
+    assert world.panel_u_m[1:5, 0, EAST].tolist() == [begin, middle, begin, middle]
+    assert world.panel_u_m[1:5, 5, WEST].tolist() == [middle, begin, middle, begin]
+    assert world.panel[5, 1, SOUTH] == world.panel[5, 2, SOUTH] != world.panel[5, 3, SOUTH]
+
+
+def test_full_aliasing_makes_the_office_its_own_twin():
+    # The west wall has no twin: the lobby breaks the east one up.
+    world = build_world(office(), rng(3), WorldOptions(aliasing=1.0))
+    turned = world.panel[::-1, ::-1]
+    assert np.array_equal(world.panel[0, :, NORTH], turned[0, :, SOUTH])
+    assert np.array_equal(world.panel[4, 4:16, NORTH], turned[4, 4:16, SOUTH])
+    assert set(np.unique(world.panel)) <= set(world.library.house_style)
