@@ -60,51 +60,43 @@ def _decompress_pieces(data: bytes, compression: str) -> bytes:
 
 def readable_rows(
     database: sqlite3.Connection, columns: str
-) -> Iterator[tuple[int, tuple[Any, ...], bool]]:
-    """Yield (id, columns, is the row before it lost) of the messages that can still be read.
+) -> Iterator[tuple[Any, ...] | None]:
+    """Yield (id, *columns) of the messages that can be read, and None where some are lost.
 
-    Reads the table itself, as the indices may be gone, and steps over what is broken.
+    Reads the table itself, as the indices may be gone, and steps over what is broken. The ids
+    increase, whatever the pages say: damaged ones may lead back to where they were reached from.
     """
     query = f'SELECT id, {columns} FROM messages NOT INDEXED WHERE id >= ? ORDER BY id'
-    following, lost = 0, False
-    while True:
+    following: int | None = 0
+    while following is not None:
         try:
             for row in database.execute(query, (following,)):
-                yield row[0], row[1:], lost
-                following, lost = row[0] + 1, False
+                if row[0] < following:
+                    raise sqlite3.DatabaseError
+                yield row
+                following = row[0] + 1
             return
         except (sqlite3.Error, OverflowError):
-            lost = True
-            found = _next_readable(database, query, following)
-            if found is None:
-                return
-            following = found
+            yield None
+            following = _next_readable(database, query, following)
 
 
 def _next_readable(database: sqlite3.Connection, query: str, broken: int) -> int | None:
     """Return the first id after a broken one from where reading works again, by bisection."""
 
-    def works(row_id: int) -> bool | None:
+    def works(row_id: int) -> bool:
         try:
             found = database.execute(f'{query} LIMIT 1', (row_id,)).fetchone()
         except sqlite3.Error:
             return False
-        return True if found else None
+        return found is None or found[0] >= row_id  # past the last row there is nothing to fail
 
-    step = 1
-    while not (answer := works(broken + step)):
-        step *= 2
-        if answer is None or broken + step > _LAST_ROW:
-            # Past the last row, or nothing but broken rows: look once more in between.
-            if answer is False or step <= 4:
-                return None
-            step //= 4
-            break
-    low, high = broken + step // 2, broken + step
+    low, high = broken, broken + 1
+    while not works(high):
+        low, high = high, broken + 2 * (high - broken)
+        if high > _LAST_ROW:
+            return None
     while high - low > 1:
         middle = (low + high) // 2
-        if works(middle):
-            high = middle
-        else:
-            low = middle
-    return high if works(high) else None
+        low, high = (low, middle) if works(middle) else (middle, high)
+    return high
