@@ -64,8 +64,8 @@ def test_panel_is_seen_the_right_way_round_on_every_wall():
         row = Camera(world, rng(), QUIET).take(x_m, y_m, heading_rad)[QUIET.height // 2]
         left, right = row[: QUIET.width // 2], row[QUIET.width // 2 :]
         # All but the texel's width about the edge, where the two shades mix.
-        assert (left[:-3] == 50).all()
-        assert right[3:20].min() > 240
+        assert left[:-3].max() < 60
+        assert right[3:20].min() > 200
 
 
 def test_noise_hangs_on_the_seed_alone_and_has_its_size():
