@@ -1,53 +1,70 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A picture of a simulated run: the floor from above, where the robot went, what it believed."""
+"""A picture of a simulated run: the floor from above, where the robot went and what it saw."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ratslam_ros.pictures import GREEN, VERMILLION, new_figure, save_figure
+from ratslam_ros.simulator.camera import Camera, CameraOptions
 from ratslam_ros.simulator.recording import SimulatedRun
 
-BLUE, VERMILLION = '#0072B2', '#D55E00'
-DOTS_PER_INCH = 120
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+VIEWS = 4
 
 
 def draw_run(run: SimulatedRun, path: str | Path) -> Path:
-    """Draw the floor plan, the true path and dead reckoning to a PNG; needs no display."""
-    # Imported here, as it is slow to import; and not pyplot, which may want a screen.
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+    """Draw floor plan, true path, dead reckoning and a few camera views; needs no display."""
+    figure = new_figure(9.0, 8.2)
+    grid = figure.add_gridspec(2, VIEWS, height_ratios=(4.0, 1.0))
+    floor = figure.add_subplot(grid[0, :])
+    _draw_floor(floor, run)
+    camera = Camera(run.world, np.random.Generator(np.random.PCG64(0)), CameraOptions())
+    for view in range(VIEWS):
+        # Spread over the first half of the run: the second drives the same way again.
+        index = len(run.truth_pose) * (2 * view + 1) // (4 * VIEWS)
+        x_m, y_m, heading_rad = run.truth_pose[index]
+        name = 'abcdefgh'[view]
+        floor.annotate(
+            name, (x_m, y_m), ha='center', va='center', zorder=5,
+            bbox={'boxstyle': 'circle', 'facecolor': 'white', 'edgecolor': GREEN},
+        )  # fmt: skip
+        axes = figure.add_subplot(grid[1, view])
+        axes.imshow(camera.take(x_m, y_m, heading_rad), cmap='gray', vmin=0, vmax=255)
+        axes.set_title(f'view at {name}')
+        axes.set_axis_off()
+    return save_figure(figure, path)
 
-    path = Path(path)
-    width_m, depth_m = run.world.plan.size_m
-    believed = _from_true_start(run.odometry_pose, run.truth_pose[0])
-    figure = Figure(figsize=(9.0, 6.4), layout='constrained')
-    FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
+
+def _draw_floor(axes: Axes, run: SimulatedRun) -> None:
+    plan = run.world.plan
+    width_m, depth_m = plan.size_m
     axes.imshow(
-        np.where(run.world.plan.solid, 1.0, np.nan),
+        np.where(plan.solid, 0.77, np.nan),
         origin='lower',
         extent=(0.0, width_m, 0.0, depth_m),
         cmap='gray',
         vmin=0.0,
-        vmax=1.3,
+        vmax=1.0,
         interpolation='nearest',
-        zorder=0,
     )
-    axes.plot(*believed.T, color=VERMILLION, lw=1.0, label='where its wheels say it went')
-    axes.plot(*run.truth_pose[:, :2].T, color=BLUE, lw=1.4, label='where the robot went')
-    axes.plot(*run.truth_pose[0, :2], 'o', color=BLUE, label='start')
-    axes.set_aspect('equal')
+    believed = _from_true_start(run.odometry_pose, run.truth_pose[0])
+    axes.plot(*believed.T, color=VERMILLION, linewidth=1.0, label='dead reckoning')
+    axes.plot(*run.truth_pose[:, :2].T, color=GREEN, linewidth=1.6, label='truth')
+    axes.plot(*run.truth_pose[0, :2], 'o', color=GREEN, label='start')
+    axes.set_aspect('equal', adjustable='datalim')
+    axes.margins(0.03)
     axes.set_xlabel('x (m)')
     axes.set_ylabel('y (m)')
-    axes.set_title(f'Simulated office, {run.duration_s:.0f} s, {run.images} images')
-    figure.legend(loc='outside lower center', ncols=3, frameon=False)
-    # Without the version of matplotlib in it: the same run gives the same bytes.
-    figure.savefig(path, dpi=DOTS_PER_INCH, metadata={'Software': None})
-    return path
+    axes.set_title(f'Simulated office: {run.duration_s:.0f} s, {run.images} images')
+    axes.legend(loc='upper right')
 
 
 def _from_true_start(
