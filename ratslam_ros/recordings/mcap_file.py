@@ -33,6 +33,7 @@ MAGIC = b'\x89MCAP0\r\n'
 _RECORD = struct.Struct('<BQ')  # opcode, length
 _MESSAGE = struct.Struct('<HIQQ')  # channel, sequence, log time, publish time
 _FOOTER = struct.Struct('<QQI')  # start of the summary, of its offsets, checksum
+_NEVER = frozenset({0, Opcode.HEADER})  # what stands in a chunk only by damage
 _LOOSE_BYTES = 1 << 20  # messages outside chunks are read in pieces of about this size
 
 
@@ -58,9 +59,11 @@ class McapFile:
         self._channels: dict[int, Channel] = {}
         self._schemas: dict[int, str] = {0: ''}
         self._spans: list[_Span] = []
-        self._counts: Counter[int] | None = None
+        self._counts: Counter[int] = Counter()
+        self._counted = True
+        self._state = 'is truncated'
         summary = self._read_summary()
-        statistics = summary and summary.statistics
+        statistics = summary.statistics if summary else None
         if summary and summary.chunk_indexes:
             self._spans = [
                 _Span(c.chunk_start_offset, c.chunk_length, c.message_start_time,
@@ -68,13 +71,17 @@ class McapFile:
                 for c in summary.chunk_indexes
                 if c.message_end_time or c.message_index_offsets  # not those without messages
             ]
+            self._counted = statistics is not None
             if statistics:
-                self._counts = Counter(statistics.channel_message_counts)
+                self._counts.update(statistics.channel_message_counts)
         elif not (statistics and statistics.message_count == 0):
-            self._scan(damaged=summary is None)
+            self._scan()
+            stored = statistics.message_count if statistics else self._expected
+            if summary is None or (statistics and sum(self._counts.values()) < (stored or 0)):
+                self._say_what_was_saved(stored)
         self.contents = Contents(
             tuple(dict.fromkeys(self._channels.values())),
-            self._by_channel() if self._counts is not None else None,
+            self._by_channel() if self._counted else None,
             min((span.start_ns for span in self._spans), default=0),
             max((span.end_ns for span in self._spans), default=-1),
             'rosbag2 (mcap)',
@@ -86,13 +93,13 @@ class McapFile:
         """Yield the messages of the topics with start_ns <= log_ns < stop_ns in order of time."""
 
         def read(span: _Span) -> list[Message]:
-            found = [
-                Message(log_ns, channel, bytes(data))
-                for log_ns, channel_id, data in self._messages_in(span)
-                if start_ns <= log_ns < stop_ns
-                and (channel := self._channels.get(channel_id)) is not None
-                and channel.topic in topics
-            ]
+            found = []
+            for log_ns, channel_id, data in self._messages_in(span):
+                channel = self._channels.get(channel_id)
+                if channel is None or not span.start_ns <= log_ns <= span.end_ns:
+                    self._warn_of_damage(span)
+                elif channel.topic in topics and start_ns <= log_ns < stop_ns:
+                    found.append(Message(log_ns, channel, bytes(data)))
             found.sort(key=lambda message: message.log_ns)
             return found
 
@@ -104,10 +111,11 @@ class McapFile:
 
     def count(self) -> dict[Channel, int]:
         """Count the messages, by a scan where the file does not say."""
-        if self._counts is None:
-            self._counts = Counter(
+        if not self._counted:
+            self._counts.update(
                 channel_id for span in self._spans for _, channel_id, _ in self._messages_in(span)
             )
+            self._counted = True
         return self._by_channel()
 
     def close(self) -> None:
@@ -116,7 +124,7 @@ class McapFile:
 
     def _by_channel(self) -> dict[Channel, int]:
         counts: Counter[Channel] = Counter()
-        for channel_id, number in (self._counts or {}).items():
+        for channel_id, number in self._counts.items():
             if channel_id in self._channels:
                 counts[self._channels[channel_id]] += number
         return counts
@@ -155,16 +163,16 @@ class McapFile:
                     record.message_encoding),
         )
 
-    def _scan(self, damaged: bool) -> None:
+    def _scan(self) -> None:
         """Find the channels, the messages and their times by reading the whole file."""
-        self._counts = Counter()
-        position, loose, ended = len(MAGIC), None, False
-        while position + _RECORD.size <= self._size and not ended:
+        position, loose = len(MAGIC), None
+        while position + _RECORD.size <= self._size:
             self._file.seek(position)
             opcode, length = _RECORD.unpack(self._file.read(_RECORD.size))
             whole = position + _RECORD.size + length <= self._size
             if opcode in (Opcode.DATA_END, Opcode.FOOTER):
-                ended = whole
+                self._state = 'has no index or a damaged one'
+                break
             elif opcode == Opcode.MESSAGE and whole and length >= _MESSAGE.size:
                 channel_id, _, log_ns, _ = _MESSAGE.unpack(self._file.read(_MESSAGE.size))
                 self._counts[channel_id] += 1
@@ -177,43 +185,47 @@ class McapFile:
             elif opcode in (Opcode.CHUNK, Opcode.SCHEMA, Opcode.CHANNEL):
                 self._scan_span(_Span(position, _RECORD.size + length, 0, 0))
                 loose = None
+            elif opcode == 0 or (opcode == Opcode.MESSAGE and whole):
+                self._state = 'is damaged'
+                break
             if not whole:
                 break
             position += _RECORD.size + length
-        self._say_what_was_saved(damaged, ended)
 
     def _scan_span(self, span: _Span) -> None:
         times = []
         for log_ns, channel_id, _ in self._messages_in(span):
             times.append(log_ns)
-            if self._counts is not None:
-                self._counts[channel_id] += 1
+            self._counts[channel_id] += 1
         if times:
             span.start_ns, span.end_ns = min(times), max(times)
             self._spans.append(span)
 
-    def _say_what_was_saved(self, damaged: bool, ended: bool) -> None:
-        number = sum((self._counts or {}).values())
-        if number == 0 and not ended:
+    def _say_what_was_saved(self, expected: int | None) -> None:
+        if not self._spans:
+            self.close()
             raise UnusableInput(
                 f'{self.path} is truncated or damaged and no message in it can be read: expected '
                 'an mcap file with messages; copy it again from where it was recorded'
             )
-        if damaged:
-            first = min((span.start_ns for span in self._spans), default=0)
-            last = max((span.end_ns for span in self._spans), default=0)
-            state = 'has no index or a damaged one' if ended else 'is truncated'
-            self._warnings.add(
-                what_was_saved(self.path.name, state, number, self._expected, first, last)
-            )
+        self._warnings.add(what_was_saved(
+            self.path.name, self._state, sum(self._counts.values()), expected,
+            min(span.start_ns for span in self._spans), max(span.end_ns for span in self._spans),
+        ))
+
+    def _warn_of_damage(self, span: _Span) -> None:
+        if span.offset + span.length <= self._size:  # being cut off is told elsewhere
+            self._warnings.add(f'{self.path.name} is damaged at byte {span.offset}: messages '
+                               'from there may be missing or wrong')
 
     def _messages_in(self, span: _Span) -> Iterator[tuple[int, int, memoryview]]:
         """Yield (log_ns, channel id, data) of a span, in the order of the file."""
         self._file.seek(span.offset)
-        yield from self._walk(self._file.read(min(span.length, self._size - span.offset)))
+        data = self._file.read(min(span.length, self._size - span.offset))
+        yield from self._walk(data, span)
 
     def _walk(
-        self, data: bytes, within_chunk: bool = False
+        self, data: bytes, span: _Span, within_chunk: bool = False
     ) -> Iterator[tuple[int, int, memoryview]]:
         view, position = memoryview(data), 0
         while position + _RECORD.size <= len(view):
@@ -222,8 +234,10 @@ class McapFile:
             body = view[position : position + length]
             position += length
             if opcode == Opcode.CHUNK and not within_chunk:
-                yield from self._walk(self._plain(body), within_chunk=True)
-            elif len(body) < length:
+                yield from self._walk(self._plain(body, span), span, within_chunk=True)
+            elif len(body) < length or opcode in _NEVER:
+                if within_chunk:
+                    self._warn_of_damage(span)
                 return
             elif opcode == Opcode.MESSAGE and length >= _MESSAGE.size:
                 channel_id, _, log_ns, _ = _MESSAGE.unpack_from(body)
@@ -242,7 +256,7 @@ class McapFile:
         except Exception:  # a damaged record: its messages, if any, belong to no known topic
             self._warnings.add(f'{self.path.name} holds a damaged description of a topic')
 
-    def _plain(self, body: memoryview) -> bytes:
+    def _plain(self, body: memoryview, span: _Span) -> bytes:
         """Decompress a chunk, as much of it as can be."""
         try:
             chunk = Chunk.read(ReadDataStream(BytesIO(body)))
@@ -252,8 +266,5 @@ class McapFile:
         if whole and chunk.uncompressed_crc and zlib.crc32(plain) != chunk.uncompressed_crc:
             whole = False
         if not whole:
-            self._warnings.add(
-                f'{self.path.name} is damaged at {chunk.message_start_time / 1e9:.1f} s: messages '
-                'from there may be missing or wrong'
-            )
+            self._warn_of_damage(span)
         return plain

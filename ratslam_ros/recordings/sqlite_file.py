@@ -31,12 +31,12 @@ _STEPS = 1_000_000  # of SQLite's machine, between two looks at whether it goes 
 
 @dataclass(slots=True)
 class _Block:
-    """A run of rows: what times it holds, and the ids of its first and last row."""
+    """A run of rows: what times it holds, the id of its first row, and how many there are."""
 
     start_ns: int
     end_ns: int
     first_id: int
-    last_id: int
+    rows: int = 0
 
 
 class SqliteFile:
@@ -202,10 +202,10 @@ class SqliteFile:
 
     def _by_blocks(self, ids: list[int], start_ns: int, stop_ns: int) -> Iterator[Message]:
         def read(block: _Block) -> list[Message]:
+            # LIMIT, as SQLite would look at the row after the last one otherwise: a broken one.
             rows = self._query(
                 'SELECT topic_id, timestamp, data FROM messages NOT INDEXED '
-                'WHERE id BETWEEN ? AND ? ORDER BY id LIMIT ?',
-                (block.first_id, block.last_id, _ROWS),
+                'WHERE id >= ? ORDER BY id LIMIT ?', (block.first_id, block.rows),
             )
             found = [
                 Message(log_ns, self._channels[number], _as_bytes(data))
@@ -225,23 +225,22 @@ class SqliteFile:
         """Find the rows that can be read, as blocks without gaps; count them; are they all."""
         blocks: list[_Block] = []
         counts: Counter[int] = Counter()
-        rows, whole = _ROWS, True
+        block, whole = None, True
         for row in readable_rows(self._database, columns):
             self._idle = 0
             if row is None:
-                rows, whole = _ROWS, False
+                block, whole = None, False
                 continue
             row_id, topic, log_ns = row[:3]
             if not isinstance(log_ns, int) or not isinstance(topic, int):
-                continue  # SQLite lets any type stand in any column
+                block, whole = None, False  # SQLite lets any type stand in any column
+                continue
             counts[topic] += 1
-            if rows == _ROWS:
-                blocks.append(_Block(log_ns, log_ns, row_id, row_id))
-                rows = 0
-            rows += 1
-            block = blocks[-1]
+            if block is None or block.rows == _ROWS:
+                block = _Block(log_ns, log_ns, row_id)
+                blocks.append(block)
+            block.rows += 1
             block.start_ns, block.end_ns = min(block.start_ns, log_ns), max(block.end_ns, log_ns)
-            block.last_id = row_id
         return blocks, counts, whole
 
     def _salvage(self) -> None:
