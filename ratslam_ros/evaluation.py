@@ -6,7 +6,7 @@ The figures are those that evo (M. Grupp) gives for files in the TUM format with
 
     ate                evo_ape tum TRUTH TRAJECTORY -a --t_max_diff 0.05 --project_to_plane xy
     rpe                evo_rpe tum TRUTH TRAJECTORY -d 1 -u m --pairs_from_reference ...
-    rpe_heading_rad    the same with -r angle_rad
+    rpe_heading_rad    the same with -r angle_rad; truth without headings: -r point_distance
     align='sim2'       -as in place of -a
     pairs='trajectory' without --pairs_from_reference
 
@@ -135,8 +135,8 @@ class Evaluation:
     def to_json(self) -> str:
         """Return the figures, without the poses, as a JSON object with a trailing newline."""
         arrays = ('stamp_ns', 'aligned_m', 'truth_m', 'error_m')
-        payload: dict[str, Any] = {'schema_version': 1, **asdict(self)}
-        payload = {key: value for key, value in payload.items() if key not in arrays}
+        payload: dict[str, Any] = {'schema_version': 1}
+        payload |= {key: value for key, value in asdict(self).items() if key not in arrays}
         return json.dumps(payload, indent=2, allow_nan=False) + '\n'
 
     def format(self) -> str:
@@ -148,7 +148,7 @@ class Evaluation:
             rows.append((f'RPE over {self.delta_m:g} m{of}', 'm', self.rpe, 1.0))
         if self.rpe_heading_rad is not None:
             rows.append(('    heading', 'deg', self.rpe_heading_rad, math.degrees(1.0)))
-        lines = [f'{self.matched} poses matched, {self.unmatched} not; {self.path_m:.1f} m of path',
+        lines = [f'{self.matched} poses matched, {self.unmatched} not; path {self.path_m:.1f} m',
                  f'{"":28}{"rmse":>9}{"mean":>9}{"median":>9}{"max":>9}{"count":>8}']
         for name, unit, f, factor in rows:
             numbers = ''.join(f'{factor * v:9.3f}' for v in (f.rmse, f.mean, f.median, f.max))
@@ -167,10 +167,9 @@ def evaluate(trajectory: Trajectory, truth: Trajectory, align: Alignment = 'se2'
 
     Every pose of the sparser of the two is matched to the nearest stamp of the denser one, at
     most `max_difference_s` away. `align` moves the trajectory onto the truth by least squares:
-    turn and shift ('se2'), scale too ('sim2'), or not at all ('none').
-    RPE walks along the path of `pairs` and closes a pair whenever `delta_m` have been covered;
-    pairs do not overlap.
-    Raises UnusableInput if too little matches to say anything.
+    turn and shift ('se2'), scale too ('sim2'), or not at all ('none'). RPE closes a pair
+    whenever `delta_m` of the path of `pairs` have been covered; pairs do not overlap.
+    Raises UnusableInput where too little matches.
     """
     if align not in ('se2', 'sim2', 'none'):
         raise UnusableParameter(f"align is '{align}', expected se2, sim2 or none")
@@ -182,9 +181,9 @@ def evaluate(trajectory: Trajectory, truth: Trajectory, align: Alignment = 'se2'
         spans = [f'{t.stamp_ns[0] / NS_PER_S:.3f} to {t.stamp_ns[-1] / NS_PER_S:.3f} s'
                  for t in (trajectory, truth)]
         raise UnusableInput(
-            f'{len(of_truth)} poses match within {max_difference_s:g} s, at least 2 are needed: '
-            f'the trajectory is from {spans[0]}, the truth from {spans[1]}; '
-            'bring both to the same clock or allow a larger difference')
+            f'{len(of_truth)} poses match within {max_difference_s:g} s, expected 2 or more: the '
+            f'trajectory is from {spans[0]}, the truth from {spans[1]}; bring both to the same '
+            'clock')
     estimate, reference = trajectory.at(of_trajectory), truth.at(of_truth)
     transform = Transform2D() if align == 'none' else fit(
         estimate.position_m, reference.position_m, scale=align == 'sim2')
@@ -205,9 +204,8 @@ def evaluate(trajectory: Trajectory, truth: Trajectory, align: Alignment = 'se2'
             rpe_heading = figures(np.abs(np.arctan2(np.sin(turn), np.cos(turn))))
         else:
             rpe = figures(np.abs(np.linalg.norm(done_m, axis=1) - np.linalg.norm(true_m, axis=1)))
-    unmatched = min(len(trajectory), len(truth)) - len(of_truth)
     return Evaluation(
-        align, transform, len(of_truth), unmatched,
+        align, transform, len(of_truth), min(len(trajectory), len(truth)) - len(of_truth),
         float(np.sum(_steps(reference.position_m))), delta_m, figures(error_m),
         'pose' if truth.has_heading else 'chord', rpe, rpe_heading,
         reference.stamp_ns, aligned_m, reference.position_m, error_m)
@@ -342,7 +340,7 @@ def _rotate(vector_m: Floats, angle_rad: Floats) -> Floats:
 
 
 def _pairs_along(position_m: Floats, delta_m: float) -> tuple[Index, Index]:
-    """Return the first and last index of consecutive stretches of at least `delta_m` of path."""
+    """Return the first and last index of stretches of at least `delta_m` of path."""
     ends, covered_m = [0], 0.0
     for index, step_m in enumerate(_steps(position_m), start=1):
         covered_m += float(step_m)
