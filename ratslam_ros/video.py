@@ -1,0 +1,212 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A video of RatSLAM at work: the camera, the view, the pose cells and the growing map.
+
+    ┌────────┬──────┬───────────┐
+    │ camera │ view │           │
+    ├────────┴──────┤    map    │
+    │  pose cells   │           │
+    ├───────────────┴───────────┤
+    │ caption                   │
+    └───────────────────────────┘
+
+Drawn with OpenCV alone, to keep up with a replay.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ratslam_ros.errors import UnusableInput, UnusableParameter
+
+Image = NDArray[np.uint8]
+Floats = NDArray[np.float64]
+
+SUFFIXES = ('.mp4', '.m4v', '.mov')
+LEAST_SIZE = (320, 180)
+MARGIN, CAPTION_HEIGHT = 6, 28
+BACKGROUND, INK, FAINT = (255, 255, 255), (40, 40, 40), (200, 200, 200)  # all blue, green, red
+BLUE, VERMILLION = (0xB2, 0x72, 0x00), (0x00, 0x5E, 0xD5)
+FONT = cv2.FONT_HERSHEY_SIMPLEX
+
+
+class Box(NamedTuple):
+    """A part of the frame, px."""
+
+    x: int
+    y: int
+    width: int
+    height: int
+
+    def inside(self, frame: Image) -> Image:
+        """Return this part of a frame, as a view on it."""
+        return frame[self.y:self.y + self.height, self.x:self.x + self.width]
+
+
+class MapVideo:
+    """Writes one frame of video for each call of `write`; close it, or use it in a `with`."""
+
+    def __init__(self, path: str | Path, fps: float = 10.0,
+                 size: tuple[int, int] = (1280, 720)) -> None:
+        """Open a file for (width, height) px frames; raises UnusableInput where it cannot be."""
+        self._path = Path(path)
+        self._size = (size[0] // 2 * 2, size[1] // 2 * 2)  # encoders want even sizes
+        if not (math.isfinite(fps) and fps > 0.0):
+            raise UnusableParameter(f'the frame rate is {fps}, expected more than 0 Hz')
+        if self._size[0] < LEAST_SIZE[0] or self._size[1] < LEAST_SIZE[1]:
+            raise UnusableParameter(f'the video is {size[0]} x {size[1]} px, '
+                                    f'expected at least {LEAST_SIZE[0]} x {LEAST_SIZE[1]}')
+        if self._path.suffix.lower() not in SUFFIXES:
+            raise UnusableInput(f'{path}: a video is written to {", ".join(SUFFIXES)}')
+        if not self._path.parent.is_dir():
+            raise UnusableInput(f'{path}: there is no folder {self._path.parent}')
+        if self._path.is_dir():
+            raise UnusableInput(f'{path}: is a folder, expected the name of a file')
+        self._writer = cv2.VideoWriter(str(self._path), cv2.VideoWriter.fourcc(*'mp4v'), fps,
+                                       self._size)
+        if not self._writer.isOpened():
+            raise UnusableInput(f'{path}: cannot be written, or this OpenCV has no mp4v encoder')
+
+    def __enter__(self) -> MapVideo:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Finish the file."""
+        self._writer.release()
+
+    def write(self, image_bgr: Image, template: Image | None, activity: Floats,
+              experiences_xy: Floats, current_xy_heading: tuple[float, float, float] | None,
+              caption: str = '') -> None:
+        """Add a frame; the arguments are those of `compose`."""
+        self._writer.write(compose(self._size, image_bgr, template, activity, experiences_xy,
+                                   current_xy_heading, caption))
+
+
+def compose(size: tuple[int, int], image_bgr: Image, template: Image | None, activity: Floats,
+            experiences_xy: Floats, current_xy_heading: tuple[float, float, float] | None,
+            caption: str = '') -> Image:
+    """Return one frame of video, (height, width, 3) uint8, blue first.
+
+    Args:
+        size: (width, height) px.
+        image_bgr: (H, W, 3) or grey (H, W) uint8, what the camera sees.
+        template: (h, w) uint8, the view that was recognised or learned; None: nothing.
+        activity: (n_theta, n_y, n_x) of the pose cells.
+        experiences_xy: (n, 2), m, in the order of their ids.
+        current_xy_heading: the robot on the map, m and rad; None: not known.
+        caption: one line of text.
+    """
+    width, height = size
+    frame = np.full((height, width, 3), BACKGROUND, np.uint8)
+    half = width // 2
+    body = height - CAPTION_HEIGHT
+    split = body * 55 // 100
+    view_x = half * 62 // 100
+    _draw_image(Box(0, 0, view_x, split).inside(frame), image_bgr, 'camera', cv2.INTER_AREA)
+    _draw_image(Box(view_x, 0, half - view_x, split).inside(frame), template, 'view',
+                cv2.INTER_NEAREST)
+    _draw_activity(Box(0, split, half, body - split).inside(frame), activity)
+    _draw_map(Box(half, 0, width - half, body).inside(frame), experiences_xy, current_xy_heading)
+    cv2.putText(frame, _ascii(caption), (2 * MARGIN, height - 9), FONT, 0.5, INK, 1, cv2.LINE_AA)
+    return frame
+
+
+def _draw_image(box: Image, image: Image | None, title: str, shrinking: int) -> None:
+    """Fit an image into a box below its title, enlarged without smoothing."""
+    area = _titled(box, title)
+    if image is None or not image.size:
+        return
+    if image.ndim == 2:
+        image = np.repeat(image[:, :, np.newaxis], 3, axis=2)
+    scale = min(area.shape[1] / image.shape[1], area.shape[0] / image.shape[0])
+    size = (max(1, int(image.shape[1] * scale)), max(1, int(image.shape[0] * scale)))
+    fitted = cv2.resize(image, size,
+                        interpolation=shrinking if scale < 1.0 else cv2.INTER_NEAREST)
+    x, y = (area.shape[1] - size[0]) // 2, (area.shape[0] - size[1]) // 2
+    area[y:y + size[1], x:x + size[0]] = fitted
+
+
+def _draw_activity(box: Image, activity: Floats) -> None:
+    """Draw the sums over heading, as a picture, and over the plane, as bars."""
+    n_theta = activity.shape[0]
+    plane = activity.sum(axis=0)[::-1]  # y up, as on the map
+    turn = activity.sum(axis=(1, 2))
+    bars_width = box.shape[1] * 38 // 100
+    most = float(plane.max())
+    # The square root shows the weaker packets too.
+    level = np.sqrt(np.clip(plane / most, 0.0, 1.0)) if most > 0.0 else np.zeros_like(plane)
+    heat = cv2.applyColorMap((255.0 * level).astype(np.uint8), cv2.COLORMAP_VIRIDIS)
+    _draw_image(box[:, :-bars_width], heat, f'pose cells {plane.shape[1]} x {plane.shape[0]}',
+                cv2.INTER_AREA)
+    area = _titled(box[:, -bars_width:], f'{n_theta} headings')
+    bottom = area.shape[0] - 1
+    cv2.line(area, (0, bottom), (area.shape[1] - 1, bottom), FAINT, 1)
+    highest = float(turn.max())
+    for k, value in enumerate(turn if highest > 0.0 else []):
+        left, right = k * area.shape[1] // n_theta, (k + 1) * area.shape[1] // n_theta
+        top = bottom - round(bottom * float(value) / highest)
+        cv2.rectangle(area, (left, top), (max(left, right - 2), bottom), BLUE, cv2.FILLED)
+
+
+def _draw_map(box: Image, experiences_xy: Floats,
+              robot: tuple[float, float, float] | None) -> None:
+    """Draw the experiences, those that follow each other joined, and the robot."""
+    area = _titled(box, f'experience map: {len(experiences_xy)} experiences')
+    shown = np.asarray(experiences_xy, np.float64).reshape(-1, 2)
+    known = shown if robot is None else np.vstack((shown, robot[:2]))
+    known = known[np.isfinite(known).all(axis=1)]
+    if not len(known):
+        return
+    low, high = known.min(axis=0), known.max(axis=0)
+    height, width = area.shape[:2]
+    extent = np.maximum(high - low, 1.0)
+    scale = float(min((width - 30) / extent[0], (height - 30) / extent[1]))
+    middle = (low + high) / 2.0
+
+    def to_pixels(xy: Floats) -> NDArray[np.int32]:
+        at = (xy - middle) * (scale, -scale) + (width / 2.0, height / 2.0)
+        return np.asarray(np.rint(at), np.int32)
+
+    if len(shown) and np.isfinite(shown).all():
+        points = to_pixels(shown)
+        cv2.polylines(area, [points.reshape(-1, 1, 2)], False, FAINT, 1, cv2.LINE_AA)
+        for x, y in np.unique(points, axis=0).tolist():
+            cv2.circle(area, (x, y), 2, BLUE, cv2.FILLED)
+    if robot is not None and all(map(math.isfinite, robot)):
+        x, y, heading = robot
+        at = to_pixels(np.array([[x, y]]))[0]
+        corners = [(12.0, 0.0), (-7.0, 7.0), (-3.0, 0.0), (-7.0, -7.0)]
+        c, s = math.cos(heading), math.sin(heading)
+        arrow = np.rint([(at[0] + c * u - s * v, at[1] - s * u - c * v) for u, v in corners])
+        cv2.fillPoly(area, [arrow.astype(np.int32)], VERMILLION, cv2.LINE_AA)
+    _draw_scale(area, scale)
+
+
+def _draw_scale(area: Image, pixels_per_m: float) -> None:
+    """Draw a bar of a round length, at most a third of the width, at the lower left."""
+    longest_m = area.shape[1] / 3.0 / pixels_per_m
+    power = 10.0 ** math.floor(math.log10(longest_m))
+    length_m = max(factor * power for factor in (1, 2, 5) if factor * power <= longest_m)
+    y, length = area.shape[0] - 8, round(length_m * pixels_per_m)
+    cv2.line(area, (4, y), (4 + length, y), INK, 2)
+    cv2.putText(area, f'{length_m:g} m', (4, y - 6), FONT, 0.42, INK, 1, cv2.LINE_AA)
+
+
+def _titled(box: Image, title: str) -> Image:
+    """Write a title into a box and return what is left of it."""
+    cv2.putText(box, _ascii(title), (MARGIN, 16), FONT, 0.45, INK, 1, cv2.LINE_AA)
+    return box[22:-MARGIN, MARGIN:-MARGIN]
+
+
+def _ascii(text: str) -> str:
+    """Return text that OpenCV's font can show."""
+    return text.encode('ascii', 'replace').decode()
