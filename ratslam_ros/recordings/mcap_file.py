@@ -236,8 +236,7 @@ class McapFile:
             if opcode == Opcode.CHUNK and not within_chunk:
                 yield from self._walk(self._plain(body, span), span, within_chunk=True)
             elif len(body) < length or opcode in _NEVER:
-                if within_chunk:
-                    self._warn_of_damage(span)
+                self._warn_of_damage(span)
                 return
             elif opcode == Opcode.MESSAGE and length >= _MESSAGE.size:
                 channel_id, _, log_ns, _ = _MESSAGE.unpack_from(body)
@@ -260,7 +259,8 @@ class McapFile:
         """Decompress a chunk, as much of it as can be."""
         try:
             chunk = Chunk.read(ReadDataStream(BytesIO(body)))
-        except Exception:  # cut off within the chunk's own header
+        except Exception:  # damaged or cut off within the chunk's own header
+            self._warn_of_damage(span)
             return b''
         plain, whole = decompress(chunk.data, chunk.compression, chunk.uncompressed_size)
         if whole and chunk.uncompressed_crc and zlib.crc32(plain) != chunk.uncompressed_crc:

@@ -1,0 +1,19 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+import os
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))  # for fabricate.py, in every import mode of pytest
+
+
+@pytest.fixture
+def data() -> Path:
+    """Return the folder with real recordings, which are not part of this project."""
+    default = Path(__file__).parents[3] / 'shared' / 'data'
+    folder = Path(os.environ.get('RATSLAM_DATA', default))
+    if not folder.is_dir():
+        pytest.skip(f'the real recordings are not there: {folder}; set RATSLAM_DATA')
+    return folder
