@@ -161,7 +161,7 @@ class BagRecording(Recording):
         finally:
             for topic, number in skipped.items():
                 self._warnings.add(
-                    f'{number} messages of {topic} cannot be decoded and are skipped, '
+                    f'{number} of the messages of {topic} cannot be decoded and are skipped, '
                     f'{reasons[topic]}'
                 )
 

@@ -26,8 +26,8 @@ class Recording(ABC):
 
     def __init__(self, path: Path, warnings: Warnings | None = None) -> None:
         self.path = path
-        resolved = path.resolve()
-        self.name = resolved.name if path.is_dir() else resolved.name.split('.')[0]
+        name = path.resolve().name
+        self.name = name if path.is_dir() else Path(name.removesuffix('.zstd')).stem
         self._warnings = warnings or Warnings()
 
     @property

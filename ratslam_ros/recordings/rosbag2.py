@@ -11,6 +11,7 @@ import yaml
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.recordings.bag import BagRecording
 from ratslam_ros.recordings.files import Workspace, starts_with, storage_kind
+from ratslam_ros.recordings.image_folder import natural
 from ratslam_ros.recordings.mcap_file import McapFile
 from ratslam_ros.recordings.rosbag1 import Rosbag1File
 from ratslam_ros.recordings.sqlite_file import SqliteFile
@@ -33,8 +34,6 @@ class _Metadata:
 
 def bag_files(folder: Path) -> list[Path]:
     """Return the files in a folder that look like parts of a recording, in order."""
-    from ratslam_ros.recordings.image_folder import natural
-
     return sorted(
         (path for path in folder.iterdir() if path.name.endswith(SUFFIXES) and path.is_file()),
         key=lambda path: natural(path.name),

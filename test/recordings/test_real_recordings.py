@@ -1,0 +1,61 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings that this project did not make; skipped where they are not there."""
+
+import time
+
+import pytest
+
+from ratslam_ros.errors import UnusableInput
+from ratslam_ros.recordings import ImageEvent, OdometryEvent, describe, open_recording
+
+
+def test_rc_car_loops(data):
+    with open_recording(data / 'rc_car_loops') as recording:
+        selection = recording.select()
+        begin = time.process_time()
+        events = list(recording.events(selection))
+        assert time.process_time() - begin < 2.0  # 0.15 s; the bound is for slow machines
+        assert sum(isinstance(event, ImageEvent) for event in events) == 1964
+        assert sum(isinstance(event, OdometryEvent) for event in events) == 1964
+        assert events[1].grey().shape == (120, 160)
+        assert recording.warnings == []
+        image, odom = describe(recording).topics
+        assert (image.count, image.image, odom.count) == (1964, '160x120 jpeg', 1964)
+        assert image.rate_hz == pytest.approx(11.5, abs=0.1)
+
+
+def test_donkeycar_track_and_its_bare_file(data):
+    for name in ('donkeycar_track', 'donkeycar_track/donkeycar_track.db3'):
+        with open_recording(data / name) as recording:
+            assert len(list(recording.events(recording.select()))) == 1000
+            assert recording.count() == {'/camera/image/compressed': 1000}
+
+
+def test_folders_of_images(data):
+    with open_recording(data / 'corridor_circuit') as recording:
+        assert len(list(recording.events(recording.select()))) == 84
+    with pytest.raises(UnusableInput, match=r'give one of .*query'):
+        open_recording(data / 'corridor_vpr')
+
+
+def test_every_recording_of_other_software_reads_or_is_refused_in_one_line(data):
+    paths = [
+        path for path in (data / 'bags').rglob('*')
+        if path.suffix in ('.bag', '.mcap', '.db3') or (path.is_dir() and any(path.glob('*_0.*')))
+    ]
+    assert len(paths) > 50
+    refused = set()
+    for path in paths:
+        try:
+            with open_recording(path) as recording:
+                described = describe(recording)
+                assert sum(topic.count for topic in described.topics) > 0, path
+                assert described.command or 'holds no images' in described.notices[0], path
+        except UnusableInput as error:
+            assert '\n' not in str(error)
+            refused.add(path.name)
+    assert refused == {
+        'empty-file.bag', 'no-messages.bag', 'wrong_rmw_test', 'wrong_rmw_test_0.mcap',
+        'wrong_rmw_test_0.db3',
+    }

@@ -1,0 +1,123 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+from fabricate import (
+    COMPRESSED,
+    IMAGE,
+    ODOMETRY,
+    START_NS,
+    STRING,
+    compressed_image,
+    odometry,
+    picture,
+    raw_image,
+    string,
+    template_text,
+    write_mcap,
+    write_sqlite,
+)
+
+from ratslam_ros.errors import UnusableInput
+from ratslam_ros.recordings import describe, open_recording
+
+MESSAGES = {
+    'raw': (IMAGE, raw_image(picture(0))),
+    'compressed': (COMPRESSED, compressed_image(picture(0))),
+    'depth': (IMAGE, raw_image(np.zeros((4, 4), np.uint16), '16UC1', step=8)),
+    'depth32': (IMAGE, raw_image(np.zeros((4, 4), np.float32), '32FC1', step=16)),
+    'compressed_depth': (COMPRESSED, compressed_image(picture(0), form='16UC1; compressedDepth')),
+    'odometry': (ODOMETRY, odometry()),
+    'template': (STRING, string(template_text(START_NS))),
+    'broken': (IMAGE, b'\x00\x01\x00\x00'),
+}
+
+
+@pytest.fixture
+def recorded(tmp_path):
+    opened = []
+
+    def record(sqlite=False, **topics):
+        """Record one message a topic; a topic is named by its keyword, __ standing for /."""
+        messages = [
+            (START_NS + index, '/' + name.replace('__', '/'), *MESSAGES[kind])
+            for index, (name, kind) in enumerate(topics.items())
+        ]
+        path = tmp_path / f'r{len(opened)}.{"db3" if sqlite else "mcap"}'
+        opened.append(open_recording((write_sqlite if sqlite else write_mcap)(path, messages)))
+        return opened[-1]
+
+    yield record
+    for recording in opened:
+        recording.close()
+
+
+@pytest.mark.parametrize(('topics', 'image', 'odom'), [
+    ({'a': 'raw', 'odom': 'odometry'}, '/a', '/odom'),
+    ({'a': 'raw', 'a__compressed': 'compressed', 'odom': 'odometry'}, '/a', '/odom'),
+    ({'a': 'raw', 'b': 'depth', 'c': 'depth32', 'd': 'compressed_depth'}, '/a', None),
+    ({'a': 'depth', 'a__compressed': 'compressed'}, '/a/compressed', None),
+    ({'a': 'raw', 'local_view__template': 'template', 'odom': 'odometry'}, '/a', '/odom'),
+])
+def test_single_candidates_are_guessed(recorded, topics, image, odom):
+    for sqlite in (False, True):  # with the counts and without
+        selection = recorded(sqlite, **topics).select()
+        assert (selection.image_topic, selection.odom_topic) == (image, odom)
+        assert selection.template_topic is None
+
+
+def test_notices_say_what_was_decided(recorded):
+    recording = recorded(a='raw', local_view__template='template', odom='odometry')
+    assert 'not the recorded templates' in recording.select().notices[0]
+    assert recording.select(visual_odometry=True).odom_topic is None
+    assert 'as it was asked for' in recording.select(visual_odometry=True).notices[1]
+    assert recorded(a='raw').select().notices == ('no odometry topic: visual odometry is used',)
+
+
+@pytest.mark.parametrize(('topics', 'arguments', 'said'), [
+    ({'a': 'raw', 'b': 'compressed'}, {},
+     'holds 2 topics with images: .* --image-topic /a or --image-topic /b'),
+    ({'a': 'raw', 'o': 'odometry', 'p': 'odometry'}, {},
+     'holds 2 topics with odometry: .* --odom-topic /o or --odom-topic /p'),
+    ({'o': 'odometry'}, {}, r'holds no images: .*/o \(nav_msgs/msg/Odometry\)'),
+    ({'a': 'depth', 'o': 'odometry'}, {}, 'holds no images'),
+    ({'local_view__template': 'template'}, {}, 'expected a topic of type nav_msgs/Odometry'),
+    ({'a': 'raw'}, {'image_topic': '/b'}, '--image-topic /b does not exist .*--image-topic /a'),
+    ({'a': 'raw', 'o': 'odometry'}, {'image_topic': '/o'}, 'is of type nav_msgs/msg/Odometry'),
+    ({'a': 'raw', 'o': 'odometry'}, {'odom_topic': '/x'}, 'does not exist .*--odom-topic /o'),
+    ({'a': 'raw'}, {'odom_topic': '/x'}, r'the topics are /a \(sensor_msgs/msg/Image\)'),
+    ({'a': 'raw', 'o': 'odometry'}, {'odom_topic': '/o', 'visual_odometry': True},
+     'expected one of them'),
+])
+def test_what_cannot_be_decided_is_answered_with_the_choice(recorded, topics, arguments, said):
+    with pytest.raises(UnusableInput, match=said) as error:
+        recorded(**topics).select(**arguments)
+    assert '\n' not in str(error.value)
+
+
+def test_named_topics_are_taken(recorded):
+    recording = recorded(a='raw', b='depth', o='odometry', p='odometry')
+    selection = recording.select('b', '/p')  # the slash may be left out; depth may be wanted
+    assert (selection.image_topic, selection.odom_topic) == ('/b', '/p')
+    image = next(event for event in recording.events(selection) if hasattr(event, 'grey'))
+    assert image.grey().shape == (4, 4)
+
+
+def test_descriptions_give_the_command(recorded):
+    for sqlite in (False, True):
+        described = describe(recorded(sqlite, a='raw', o='odometry'))
+        assert described.command.startswith('ratslam replay ')
+        assert 'topic' not in described.command
+        image = described.topics[0]
+        assert (image.name, image.count, image.rate_hz) == ('/a', 1, None)
+        assert (image.image, image.problem) == ('16x12 mono8', '')
+        described = describe(recorded(sqlite, a='broken', b='raw', o='odometry', p='odometry'))
+        assert described.command.endswith('--image-topic /b --odom-topic /o')
+        assert 'no image in it can be decoded' in described.format()
+
+
+def test_descriptions_without_a_command_say_why(recorded):
+    described = describe(recorded(o='odometry'))
+    assert described.command == ''
+    assert 'holds no images' in described.notices[0]
+    assert 'note: ' in described.format()

@@ -1,0 +1,153 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+import cv2
+import numpy as np
+import pytest
+from fabricate import picture
+
+from ratslam_ros.errors import UnusableInput
+from ratslam_ros.recordings import (
+    ImageEvent,
+    OdometryEvent,
+    UndecodableImage,
+    describe,
+    open_recording,
+)
+
+
+def write_images(folder, names):
+    folder.mkdir(exist_ok=True)
+    for index, name in enumerate(names):
+        cv2.imwrite(str(folder / name), picture(index))
+    return folder
+
+
+def read(path, **options):
+    with open_recording(path, **options) as recording:
+        return list(recording.events(recording.select())), recording
+
+
+def test_images_without_a_table_come_in_natural_order(tmp_path):
+    folder = write_images(tmp_path / 'run', ['image1.png', 'image2.png', 'image10.PNG'])
+    (folder / 'notes.txt').write_text('hello')
+    (folder / 'truth.csv').write_text('image,place\nimage1.png,3\n')
+    events, recording = read(folder, images_rate_hz=4.0)
+    assert (recording.name, recording.kind) == ('run', 'image folder')
+    assert [event.stamp_ns for event in events] == [0, 250_000_000, 500_000_000]
+    for index, event in enumerate(events):
+        np.testing.assert_array_equal(event.grey(), picture(index))
+    assert '4 images a second are assumed' in recording.warnings[0]
+    assert '16x12 png' in describe(recording).format()
+
+
+def test_a_table_gives_the_times_and_the_odometry(tmp_path):
+    folder = write_images(tmp_path / 'run', ['a.png', 'b.png'])
+    (folder / 'frames.csv').write_text(
+        '\ufeffstamp_s, image, linear_x_mps, angular_z_radps\n'
+        '1700000000.123456789,a.png,0.5,0.0\n'
+        '1700000002.123456789,,0.5,0.0\n'
+        '1700000003.123456789,b.png,,\n', encoding='utf-8')
+    for path in (folder, folder / 'frames.csv'):
+        events, recording = read(path)
+        assert [type(event) for event in events] == [
+            OdometryEvent, ImageEvent, OdometryEvent, ImageEvent]
+        assert events[0].stamp_ns == 1_700_000_000_123_456_789
+        assert (events[2].x, events[2].y, events[2].heading_rad) == (1.0, 0.0, 0.0)
+        np.testing.assert_array_equal(events[3].grey(), picture(1))
+        assert recording.warnings == []
+        selection = recording.select(visual_odometry=True)
+        assert len(list(recording.events(selection))) == 2
+
+
+def test_odometry_of_a_table_is_integrated_along_the_arc(tmp_path):
+    folder = write_images(tmp_path / 'run', ['a.png'])
+    rows = ''.join(f',{index * 10_000_000},1.0,0.5\n' for index in range(1, 201))
+    (folder / 'frames.csv').write_text(
+        f'image,stamp_ns,linear_x_mps,angular_z_radps\na.png,0,1.0,0.5\n{rows}')
+    last = read(folder)[0][-1]
+    assert (last.x, last.y, last.heading_rad) == pytest.approx(
+        (2 * np.sin(1.0), 2 - 2 * np.cos(1.0), 1.0), abs=1e-4)
+
+
+@pytest.mark.parametrize(('table', 'said'), [
+    ('image,stamp_s\na.png,noon\n', "line 2, .*not 'noon'"),
+    ('image,stamp_ns\na.png,1.5\n', 'line 2'),
+    ('image,stamp_s\na.png,nan\n', 'line 2'),
+    ('image,stamp_s\nz.png,1\n', 'z.png, which is not there'),
+    ('image,stamp_s\na.png\n', 'line 2'),
+    ('image,stamp_s\n', 'has no rows'),
+    ('image,stamp_s,linear_x_mps,angular_z_radps\na.png,1,inf,0\n', 'finite'),
+    ('image,stamp_s,linear_x_mps,angular_z_radps\n,1,1,0\n', 'lists no images'),
+])
+def test_tables_that_cannot_be_used_are_refused(tmp_path, table, said):
+    folder = write_images(tmp_path / 'run', ['a.png'])
+    (folder / 'frames.csv').write_text(table)
+    with pytest.raises(UnusableInput, match=said):
+        open_recording(folder)
+
+
+def test_other_tables_and_rates_are_refused(tmp_path):
+    folder = write_images(tmp_path / 'run', ['a.png'])
+    for rate in (0.0, -1.0, float('nan')):
+        with pytest.raises(UnusableInput, match='rate'):
+            open_recording(folder, images_rate_hz=rate)
+    (folder / 'x.csv').write_text('a,b\n1,2\n')
+    with pytest.raises(UnusableInput, match='has the columns a, b: expected image'):
+        open_recording(folder / 'x.csv')
+    for name in ('x.csv', 'y.csv'):
+        (folder / name).write_text('image,stamp_s\na.png,1\n')
+    with pytest.raises(UnusableInput, match='2 tables of images'):
+        open_recording(folder)
+
+
+def test_an_image_that_is_none_is_refused_when_it_is_looked_at(tmp_path):
+    folder = write_images(tmp_path / 'run', ['a.png'])
+    (folder / 'b.png').write_bytes(b'')
+    events, _ = read(folder)
+    with pytest.raises(UndecodableImage, match='0 bytes'):
+        events[1].grey()
+
+
+@pytest.fixture
+def video(tmp_path):
+    path = tmp_path / 'drive.avi'
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*'MJPG'), 20.0, (64, 48))
+    if not writer.isOpened():
+        pytest.skip('this OpenCV cannot write MJPG videos')
+    for index in range(30):
+        writer.write(np.full((48, 64, 3), 8 * index, np.uint8))
+    writer.release()
+    return path
+
+
+def test_videos(video):
+    events, recording = read(video)
+    assert (recording.name, recording.kind) == ('drive', 'video')
+    assert [event.stamp_ns for event in events] == [index * 50_000_000 for index in range(30)]
+    for index, event in enumerate(events):
+        assert event.bgr().shape == (48, 64, 3)
+        assert abs(int(event.grey()[20, 20]) - 8 * index) < 4
+    assert recording.warnings == []
+    part = list(recording.events(recording.select(), start_s=0.5, duration_s=0.25))
+    assert [event.stamp_ns for event in part] == [
+        500_000_000, 550_000_000, 600_000_000, 650_000_000, 700_000_000]
+    assert '64x48 bgr8' in describe(recording).format()
+    with pytest.raises(UnusableInput, match='does not exist'):
+        recording.select(image_topic='/camera')
+
+
+def test_truncated_videos_give_what_is_there(video):
+    whole = video.read_bytes()
+    video.write_bytes(whole[:len(whole) // 2])
+    try:
+        events, _ = read(video)
+    except UnusableInput:
+        return
+    assert 0 < len(events) < 30
+
+
+def test_files_that_are_no_videos_are_refused(tmp_path):
+    path = tmp_path / 'a.mp4'
+    path.write_bytes(b'no video')
+    with pytest.raises(UnusableInput, match='cannot be opened as a video'):
+        open_recording(path)
