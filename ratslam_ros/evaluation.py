@@ -181,9 +181,8 @@ def evaluate(trajectory: Trajectory, truth: Trajectory, align: Alignment = 'se2'
         spans = [f'{t.stamp_ns[0] / NS_PER_S:.3f} to {t.stamp_ns[-1] / NS_PER_S:.3f} s'
                  for t in (trajectory, truth)]
         raise UnusableInput(
-            f'{len(of_truth)} poses match within {max_difference_s:g} s, expected 2 or more: the '
-            f'trajectory is from {spans[0]}, the truth from {spans[1]}; bring both to the same '
-            'clock')
+            f'{len(of_truth)} poses match within {max_difference_s:g} s, expected 2: trajectory '
+            f'from {spans[0]}, truth from {spans[1]}; bring both to the same clock')
     estimate, reference = trajectory.at(of_trajectory), truth.at(of_truth)
     transform = Transform2D() if align == 'none' else fit(
         estimate.position_m, reference.position_m, scale=align == 'sim2')

@@ -49,11 +49,12 @@ def sample_frames(recording: Recording, image_topic: str | None = None,
     Only these are decoded; those that cannot be are left out.
     """
     selection = recording.select(image_topic, visual_odometry=True)
-    step_ns = max(1.0, (recording.end_ns - recording.start_ns) / at_most)
-    due_ns = 0.0
+    step_ns = (recording.end_ns - recording.start_ns) / max(at_most - 1, 1)
+    due_ns = float(recording.start_ns)
     for event in recording.events(selection):
-        if isinstance(event, ImageEvent) and event.log_ns - recording.start_ns >= due_ns:
-            due_ns += step_ns * (1 + (event.log_ns - recording.start_ns - due_ns) // step_ns)
+        if isinstance(event, ImageEvent) and event.log_ns >= due_ns:
+            # Behind a gap a few may follow closely, so that jitter does not cost frames.
+            due_ns = max(due_ns + step_ns, event.log_ns - 9.0 * step_ns)
             with contextlib.suppress(UndecodableImage):
                 yield event.stamp_ns, event.grey()
 
@@ -152,7 +153,8 @@ def measure(images: NDArray[np.uint8], time_s: NDArray[np.float64],
     """
     views = np.stack([make_view(image, p) for image in images])
     errors = compare_all(views, p)
-    n, period_s = len(views), max(float(np.median(np.diff(time_s))), 1e-9)
+    n = len(views)
+    period_s = max(float(time_s[-1] - time_s[0]) / max(n - 1, 1), 1e-9)
     usual = np.median(errors[np.tril_indices(n, -1)])
     lag = next((k for k in range(1, n // 8)
                 if np.median(np.diagonal(errors, -k)) >= DECORRELATED * usual), n // 8)

@@ -31,7 +31,7 @@ SCREENING_FRAMES = 700  # enough to rank candidates; the winner is measured on a
 FALSE_WEIGHT = 4.0  # how many right recognitions one wrong one costs
 CONCEDED = 0.05  # of the right ones, for a lower threshold: finer places, fewer mistakes
 EQUAL_SCORE = 0.02  # candidates this close are equal; the better separated one wins
-LEAST_D_PRIME = 2.5  # histograms closer than this are both of chance matches
+LEAST_D_PRIME = 2.3  # histograms closer than this are both of chance matches
 UNLIKELY = 0.02  # share of chance matches let pass where no place is seen twice
 STATIC = 0.15  # of the usual deviation over time: the robot itself, or a black border
 
@@ -228,7 +228,7 @@ def _settings(start: LocalViewParameters, parameters: LocalViewParameters) -> tu
 def _reasons(best: Candidate, evidence: Evidence, revisits: bool,
              time_s: NDArray[np.float64]) -> tuple[str, ...]:
     threshold = best.parameters.vt_match_threshold
-    period_s = float(np.median(np.diff(time_s)))
+    period_s = float(time_s[-1]) / (len(time_s) - 1)
     reasons = [f'{len(time_s)} frames, {period_s:.2g} s apart, over {time_s[-1]:.0f} s']
     if period_s > 1.0:
         reasons.append('so few frames of a long recording miss the very places that are seen '
