@@ -78,6 +78,12 @@ class BagRecording(Recording):
             self._counts = counts
         return {topic.name: self._counts.get(topic.name, 0) for topic in self.topics}
 
+    def is_empty(self, topic: Topic) -> bool:
+        """Tell whether a topic has no messages, by a look where the counts are not stored."""
+        if topic.count is None:
+            return next(self._messages({topic.name}), None) is None
+        return topic.count == 0
+
     def is_depth(self, topic: Topic) -> bool:
         """Tell a depth image topic, by its first message, from one of a camera."""
         for message in islice(self._messages({topic.name}), _PEEK):

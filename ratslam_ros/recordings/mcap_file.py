@@ -32,6 +32,7 @@ from ratslam_ros.recordings.stream import (
 MAGIC = b'\x89MCAP0\r\n'
 _RECORD = struct.Struct('<BQ')  # opcode, length
 _MESSAGE = struct.Struct('<HIQQ')  # channel, sequence, log time, publish time
+_TIMES = struct.Struct('<QQ')  # of the first and the last message, where a chunk begins
 _FOOTER = struct.Struct('<QQI')  # start of the summary, of its offsets, checksum
 _NEVER = frozenset({0, Opcode.HEADER})  # what stands in a chunk only by damage
 _LOOSE_BYTES = 1 << 20  # messages outside chunks are read in pieces of about this size
@@ -233,8 +234,13 @@ class McapFile:
             position += _RECORD.size
             body = view[position : position + length]
             position += length
-            if opcode == Opcode.CHUNK and not within_chunk:
-                yield from self._walk(self._plain(body, span), span, within_chunk=True)
+            if opcode == Opcode.CHUNK and not within_chunk and len(body) >= _TIMES.size:
+                first_ns, last_ns = _TIMES.unpack_from(body)
+                for message in self._walk(self._plain(body, span), span, within_chunk=True):
+                    if not last_ns or first_ns <= message[0] <= last_ns:
+                        yield message
+                    else:
+                        self._warn_of_damage(span)
             elif len(body) < length or opcode in _NEVER:
                 self._warn_of_damage(span)
                 return

@@ -70,6 +70,10 @@ class Recording(ABC):
         """Tell a depth image topic, by its first message, from one of a camera."""
         return False
 
+    def is_empty(self, topic: Topic) -> bool:
+        """Tell whether a topic has no messages, by a look where the counts are not stored."""
+        return topic.count == 0
+
     def count(self) -> dict[str, int]:
         """Count the messages of each topic, by a scan where that was not stored."""
         return {topic.name: topic.count or 0 for topic in self.topics}

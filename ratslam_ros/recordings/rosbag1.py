@@ -77,11 +77,12 @@ class Rosbag1File:
         wanted = {number for number, channel in self._channels.items() if channel.topic in topics}
 
         def read(span: _Span) -> list[Message]:
-            found = [
-                Message(log_ns, self._channels[connection], bytes(data))
-                for log_ns, connection, data in self._messages_in(span.offset)
-                if connection in wanted and start_ns <= log_ns < stop_ns
-            ]
+            found = []
+            for log_ns, connection, data in self._messages_in(span.offset):
+                if not span.start_ns <= log_ns <= span.end_ns:
+                    self._warn_of_damage(span.offset)
+                elif connection in wanted and start_ns <= log_ns < stop_ns:
+                    found.append(Message(log_ns, self._channels[connection], bytes(data)))
             found.sort(key=lambda message: message.log_ns)
             return found
 
@@ -185,8 +186,7 @@ class Rosbag1File:
         except (_Damaged, KeyError, struct.error):
             compression = ''
         if compression not in ('none', 'bz2', 'lz4'):
-            self._warnings.add(f'{self.path.name} is damaged at byte {offset}: the messages of '
-                               'one chunk are lost')
+            self._warn_of_damage(offset)
             return
         self._file.seek(begin)
         plain, whole = decompress(self._file.read(end - begin), compression, size)
@@ -208,8 +208,11 @@ class Rosbag1File:
                 break
             position = start + 4 + length
         if not whole and end <= self._size:  # being cut off is told elsewhere
-            self._warnings.add(f'{self.path.name} is damaged at byte {offset}: messages from '
-                               'there may be missing or wrong')
+            self._warn_of_damage(offset)
+
+    def _warn_of_damage(self, offset: int) -> None:
+        self._warnings.add(f'{self.path.name} is damaged at byte {offset}: messages from there '
+                           'may be missing or wrong')
 
     def _learn(self, header: dict[bytes, bytes], data: memoryview) -> None:
         """Note the topic of a connection."""

@@ -131,7 +131,7 @@ def template_candidates(recording: Recording) -> list[Topic]:
 def _usable(recording: Recording, types: frozenset[str]) -> list[Topic]:
     return [
         topic for topic in recording.topics
-        if topic.type in types and topic.readable is None and topic.count != 0
+        if topic.type in types and topic.readable is None and not recording.is_empty(topic)
     ]
 
 
@@ -147,7 +147,7 @@ def _named(
             problem = f'is of type {topic.type}'
         elif topic.readable is not None:
             problem = f'cannot be decoded ({topic.readable})'
-        elif topic.count == 0:
+        elif recording.is_empty(topic):
             problem = 'has no messages'
         else:
             return topic

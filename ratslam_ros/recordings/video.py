@@ -37,25 +37,17 @@ class Video(Recording):
                     f'{path} gives no frame: expected a video that OpenCV can decode; convert it, '
                     f'for instance with "ffmpeg -i {path.name} {path.stem}.mp4"'
                 )
+            if not frames:  # a stream whose length nobody knows before its end
+                frames = 1
+                while capture.grab():
+                    frames += 1
         if not rate:
             rate = rate_hz
             self._warnings.add(f'{path.name} does not say its rate: {rate:g} Hz is assumed')
         self._period_ns = 1e9 / rate
-        self.start_ns, self.end_ns = 0, round(max(frames - 1, 0) * self._period_ns)
-        if not frames:
-            self.end_ns = 2**62  # a stream whose length nobody knows before its end
-        self.topics = (Topic(FRAMES, VIDEO, frames or None),)
+        self.start_ns, self.end_ns = 0, round((frames - 1) * self._period_ns)
+        self.topics = (Topic(FRAMES, VIDEO, frames),)
         self._expected = frames
-
-    def count(self) -> dict[str, int]:
-        """Count the frames, by decoding them where the file does not say."""
-        count = self.topics[0].count
-        if count is None:
-            with closing(_Capture(self.path)) as capture:
-                count = 0
-                while capture.grab():
-                    count += 1
-        return {FRAMES: count}
 
     def _events(self, selection: Selection, start_ns: int, stop_ns: int) -> Iterator[Event]:
         with closing(_Capture(self.path)) as capture:

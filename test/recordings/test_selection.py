@@ -1,5 +1,7 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
+import sqlite3
+
 import numpy as np
 import pytest
 from fabricate import (
@@ -93,6 +95,18 @@ def test_what_cannot_be_decided_is_answered_with_the_choice(recorded, topics, ar
     with pytest.raises(UnusableInput, match=said) as error:
         recorded(**topics).select(**arguments)
     assert '\n' not in str(error.value)
+
+
+def test_topics_without_messages_are_no_candidates(recorded):
+    path = recorded(sqlite=True, a='raw', b='raw', odom='odometry').path
+    database = sqlite3.connect(path)
+    database.execute('DELETE FROM messages WHERE topic_id = 1')
+    database.commit()
+    database.close()
+    with open_recording(path) as recording:
+        assert recording.select().image_topic == '/b'
+        with pytest.raises(UnusableInput, match='has no messages'):
+            recording.select('/a')
 
 
 def test_named_topics_are_taken(recorded):
