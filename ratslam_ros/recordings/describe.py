@@ -52,8 +52,9 @@ class Description:
         rows = [('topic', 'type', 'messages', 'rate', 'image', '')]
         for topic in self.topics:
             rate = '' if topic.rate_hz is None else f'{topic.rate_hz:.1f} Hz'
-            rows.append((topic.name, topic.type, str(topic.count), rate, topic.image,
-                         topic.problem))
+            rows.append(
+                (topic.name, topic.type, str(topic.count), rate, topic.image, topic.problem)
+            )
         widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
         lines = [f'{self.path}: {self.kind}, {self.duration_s:.1f} s', '']
         for row in rows:
@@ -80,8 +81,13 @@ def describe(recording: Recording) -> Description:
     )
     command, notices = _command(recording, {topic.name for topic in topics if topic.problem})
     return Description(
-        str(recording.path), recording.kind, duration_s, topics, notices,
-        tuple(recording.warnings), command,
+        str(recording.path),
+        recording.kind,
+        duration_s,
+        topics,
+        notices,
+        tuple(recording.warnings),
+        command,
     )
 
 

@@ -25,9 +25,21 @@ from ratslam_ros.recordings.images import EncodedImage
 from ratslam_ros.recordings.recording import Recording
 from ratslam_ros.recordings.selection import IMAGE_FILES, TABLE, Selection, Topic
 
-SUFFIXES = frozenset({
-    '.jpg', '.jpeg', '.png', '.bmp', '.pgm', '.ppm', '.pnm', '.tif', '.tiff', '.webp', '.jp2',
-})
+SUFFIXES = frozenset(
+    {
+        '.jpg',
+        '.jpeg',
+        '.png',
+        '.bmp',
+        '.pgm',
+        '.ppm',
+        '.pnm',
+        '.tif',
+        '.tiff',
+        '.webp',
+        '.jp2',
+    }
+)
 IMAGES, ODOMETRY = 'images', 'odometry'
 
 
@@ -51,8 +63,11 @@ def natural(name: str) -> list[tuple[bool, int, str]]:
 def image_files(folder: Path) -> list[Path]:
     """Return the images in a folder in natural order."""
     return sorted(
-        (path for path in folder.iterdir()
-         if path.suffix.lower() in SUFFIXES and not path.name.startswith('.')),
+        (
+            path
+            for path in folder.iterdir()
+            if path.suffix.lower() in SUFFIXES and not path.name.startswith('.')
+        ),
         key=lambda path: natural(path.name),
     )
 
@@ -162,8 +177,11 @@ def _read_table(path: Path) -> list[_Row]:
 
 
 def _row(folder: Path, fields: dict[str, str]) -> _Row:
-    values = {name: (value or '').strip() for name, value in fields.items()
-              if isinstance(name, str) and not isinstance(value, list)}
+    values = {
+        name: (value or '').strip()
+        for name, value in fields.items()
+        if isinstance(name, str) and not isinstance(value, list)
+    }
     image = folder / values['image'] if values['image'] else None
     if image is not None and not image.is_file():
         raise ValueError(f'expected the image {image}, which is not there')

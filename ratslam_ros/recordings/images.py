@@ -183,13 +183,19 @@ class Frame:
 
     def grey(self) -> Pixels:
         """Return (H, W) uint8."""
-        return self.pixels if self.pixels.ndim == 2 else _convert(
-            self.pixels, cv2.COLOR_BGR2GRAY, self.encoding)
+        return (
+            self.pixels
+            if self.pixels.ndim == 2
+            else _convert(self.pixels, cv2.COLOR_BGR2GRAY, self.encoding)
+        )
 
     def bgr(self) -> Pixels:
         """Return (H, W, 3) uint8, blue first."""
-        return self.pixels if self.pixels.ndim == 3 else _convert(
-            self.pixels, cv2.COLOR_GRAY2BGR, self.encoding)
+        return (
+            self.pixels
+            if self.pixels.ndim == 3
+            else _convert(self.pixels, cv2.COLOR_GRAY2BGR, self.encoding)
+        )
 
 
 def image_of(message: Any) -> Image:

@@ -67,8 +67,9 @@ class McapFile:
         statistics = summary.statistics if summary else None
         if summary and summary.chunk_indexes:
             self._spans = [
-                _Span(c.chunk_start_offset, c.chunk_length, c.message_start_time,
-                      c.message_end_time)
+                _Span(
+                    c.chunk_start_offset, c.chunk_length, c.message_start_time, c.message_end_time
+                )
                 for c in summary.chunk_indexes
                 if c.message_end_time or c.message_index_offsets  # not those without messages
             ]
@@ -88,9 +89,7 @@ class McapFile:
             'rosbag2 (mcap)',
         )
 
-    def messages(
-        self, topics: Collection[str], start_ns: int, stop_ns: int
-    ) -> Iterator[Message]:
+    def messages(self, topics: Collection[str], start_ns: int, stop_ns: int) -> Iterator[Message]:
         """Yield the messages of the topics with start_ns <= log_ns < stop_ns in order of time."""
 
         def read(span: _Span) -> list[Message]:
@@ -160,8 +159,9 @@ class McapFile:
     def _add_channel(self, record: ChannelRecord) -> None:
         self._channels.setdefault(
             record.id,
-            Channel(record.topic, self._schemas.get(record.schema_id, ''),
-                    record.message_encoding),
+            Channel(
+                record.topic, self._schemas.get(record.schema_id, ''), record.message_encoding
+            ),
         )
 
     def _scan(self) -> None:
@@ -209,15 +209,23 @@ class McapFile:
                 f'{self.path} is truncated or damaged and no message in it can be read: expected '
                 'an mcap file with messages; copy it again from where it was recorded'
             )
-        self._warnings.add(what_was_saved(
-            self.path.name, self._state, sum(self._counts.values()), expected,
-            min(span.start_ns for span in self._spans), max(span.end_ns for span in self._spans),
-        ))
+        self._warnings.add(
+            what_was_saved(
+                self.path.name,
+                self._state,
+                sum(self._counts.values()),
+                expected,
+                min(span.start_ns for span in self._spans),
+                max(span.end_ns for span in self._spans),
+            )
+        )
 
     def _warn_of_damage(self, span: _Span) -> None:
         if span.offset + span.length <= self._size:  # being cut off is told elsewhere
-            self._warnings.add(f'{self.path.name} is damaged at byte {span.offset}: messages '
-                               'from there may be missing or wrong')
+            self._warnings.add(
+                f'{self.path.name} is damaged at byte {span.offset}: messages '
+                'from there may be missing or wrong'
+            )
 
     def _messages_in(self, span: _Span) -> Iterator[tuple[int, int, memoryview]]:
         """Yield (log_ns, channel id, data) of a span, in the order of the file."""

@@ -10,9 +10,7 @@ from ratslam_ros.recordings.files import starts_with, storage_kind
 from ratslam_ros.recordings.recording import Recording
 from ratslam_ros.recordings.rosbag2 import METADATA, bag_files, open_bag
 
-EXPECTED = (
-    'a rosbag2 folder, a .mcap, .db3 or ROS 1 .bag file, a video or a folder of images'
-)
+EXPECTED = 'a rosbag2 folder, a .mcap, .db3 or ROS 1 .bag file, a video or a folder of images'
 
 
 def open_recording(path: str | Path, *, images_rate_hz: float = 10.0) -> Recording:
@@ -45,13 +43,19 @@ def _open_folder(path: Path, rate_hz: float) -> Recording:
     if not entries:
         raise UnusableInput(f'{path} is an empty folder: expected {EXPECTED}; check the path')
     inside = [
-        entry for entry in entries
-        if (entry.is_dir() and ((entry / METADATA).is_file() or bag_files(entry)
-                                or image_folder.image_files(entry)))
+        entry
+        for entry in entries
+        if (
+            entry.is_dir()
+            and (
+                (entry / METADATA).is_file() or bag_files(entry) or image_folder.image_files(entry)
+            )
+        )
         or entry.suffix.lower() in video.SUFFIXES
     ]
     advice = (
-        'give one of ' + ', '.join(map(str, inside[:5])) if inside
+        'give one of ' + ', '.join(map(str, inside[:5]))
+        if inside
         else f'it holds {", ".join(entry.name for entry in entries[:5])}'
     )
     raise UnusableInput(f'{path} is a folder without a recording: expected {EXPECTED}; {advice}')

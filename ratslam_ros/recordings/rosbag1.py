@@ -28,7 +28,12 @@ MAGIC = b'#ROSBAG V2.0\n'
 _U32 = struct.Struct('<I')
 _TIME = struct.Struct('<II')
 _MESSAGE, _BAG_HEADER, _CHUNK, _CHUNK_INFO, _CONNECTION = (
-    b'\x02', b'\x03', b'\x05', b'\x06', b'\x07')
+    b'\x02',
+    b'\x03',
+    b'\x05',
+    b'\x06',
+    b'\x07',
+)
 _MAX_HEADER = 1 << 20  # bytes; longer ones are damage
 
 
@@ -70,9 +75,7 @@ class Rosbag1File:
             'ROS 1 bag',
         )
 
-    def messages(
-        self, topics: Collection[str], start_ns: int, stop_ns: int
-    ) -> Iterator[Message]:
+    def messages(self, topics: Collection[str], start_ns: int, stop_ns: int) -> Iterator[Message]:
         """Yield the messages of the topics with start_ns <= log_ns < stop_ns in order of time."""
         wanted = {number for number, channel in self._channels.items() if channel.topic in topics}
 
@@ -136,12 +139,14 @@ class Rosbag1File:
                 if header[b'op'] == _CONNECTION:
                     self._learn(header, memoryview(data))
                 elif header[b'op'] == _CHUNK_INFO:
-                    self._spans.append(_Span(
-                        struct.unpack('<Q', header[b'chunk_pos'])[0],
-                        _nanoseconds(header[b'start_time']),
-                        _nanoseconds(header[b'end_time']),
-                        dict(struct.iter_unpack('<II', data)),
-                    ))
+                    self._spans.append(
+                        _Span(
+                            struct.unpack('<Q', header[b'chunk_pos'])[0],
+                            _nanoseconds(header[b'start_time']),
+                            _nanoseconds(header[b'end_time']),
+                            dict(struct.iter_unpack('<II', data)),
+                        )
+                    )
             return all(span.offset < self._size for span in self._spans)
         except (_Damaged, KeyError, struct.error):
             return False
@@ -172,10 +177,16 @@ class Rosbag1File:
                 'a ROS 1 bag with messages; copy it again from where it was recorded'
             )
         state = 'has no index' if whole and position == self._size else 'is truncated'
-        self._warnings.add(what_was_saved(
-            self.path.name, state, read, expected,
-            min(span.start_ns for span in self._spans), max(span.end_ns for span in self._spans),
-        ))
+        self._warnings.add(
+            what_was_saved(
+                self.path.name,
+                state,
+                read,
+                expected,
+                min(span.start_ns for span in self._spans),
+                max(span.end_ns for span in self._spans),
+            )
+        )
 
     def _messages_in(self, offset: int) -> Iterator[tuple[int, int, memoryview]]:
         """Yield (log_ns, connection, data) of the chunk at an offset, in the order of the file."""
@@ -211,8 +222,10 @@ class Rosbag1File:
             self._warn_of_damage(offset)
 
     def _warn_of_damage(self, offset: int) -> None:
-        self._warnings.add(f'{self.path.name} is damaged at byte {offset}: messages from there '
-                           'may be missing or wrong')
+        self._warnings.add(
+            f'{self.path.name} is damaged at byte {offset}: messages from there '
+            'may be missing or wrong'
+        )
 
     def _learn(self, header: dict[bytes, bytes], data: memoryview) -> None:
         """Note the topic of a connection."""

@@ -67,8 +67,12 @@ def open_bag(path: Path) -> BagRecording:
             warnings.add(text)
         whole = not empty and len(storages) == len(metadata.files)
         return BagRecording(
-            path, storages, warnings, workspace,
-            metadata.topic_counts if whole else None, metadata.formats,
+            path,
+            storages,
+            warnings,
+            workspace,
+            metadata.topic_counts if whole else None,
+            metadata.formats,
         )
     except BaseException:
         for storage in storages:
@@ -84,8 +88,9 @@ def _open_file(
     if kind == 'zstd':
         plain, whole = workspace.decompressed(path)
         if not whole:
-            warnings.add(f'{path.name} is truncated or damaged: it was decompressed as far as '
-                         'that goes')
+            warnings.add(
+                f'{path.name} is truncated or damaged: it was decompressed as far as that goes'
+            )
         if not plain.stat().st_size:
             raise UnusableInput(
                 f'{path} is truncated or damaged and nothing in it can be read: expected a '
@@ -94,7 +99,8 @@ def _open_file(
         kind = storage_kind(starts_with(plain))
     if kind == 'sqlite3':
         leftovers = [
-            leftover for suffix in ('-wal', '-journal')
+            leftover
+            for suffix in ('-wal', '-journal')
             if (leftover := Path(f'{path}{suffix}')).is_file() and leftover.stat().st_size
         ]
         if leftovers:
@@ -102,8 +108,10 @@ def _open_file(
             # write beside the recording to read them.
             plain = workspace.copied(path, leftovers)
             SqliteFile.merge_log(plain)
-            warnings.add(f'{path.name} was not closed: its write-ahead log {leftovers[0].name} '
-                         'is read as well, in a temporary copy')
+            warnings.add(
+                f'{path.name} was not closed: its write-ahead log {leftovers[0].name} '
+                'is read as well, in a temporary copy'
+            )
         return SqliteFile(plain, warnings, expected)
     if kind == 'mcap':
         return McapFile(plain, warnings, expected)
@@ -120,12 +128,15 @@ def _files_of(folder: Path, metadata: _Metadata, warnings: Warnings) -> list[Pat
     listed = [folder / Path(name).name for name in metadata.files]
     present = [path for path in listed if path.is_file()]
     if listed and not present:
-        warnings.add(f'none of the files that {METADATA} lists is there: all files in the folder '
-                     'are read')
+        warnings.add(
+            f'none of the files that {METADATA} lists is there: all files in the folder are read'
+        )
     elif len(present) < len(listed):
         missing = [path.name for path in listed if path not in present]
-        warnings.add(f'{len(missing)} of {len(listed)} files of the recording are missing: '
-                     f'{", ".join(missing[:5])}')
+        warnings.add(
+            f'{len(missing)} of {len(listed)} files of the recording are missing: '
+            f'{", ".join(missing[:5])}'
+        )
     found = present or bag_files(folder)
     if not found:
         raise UnusableInput(
@@ -167,8 +178,9 @@ def _read_metadata(folder: Path, warnings: Warnings) -> _Metadata:
             },
             int(about['message_count']),
             {
-                str(topic['topic_metadata']['name']):
-                    str(topic['topic_metadata']['serialization_format'])
+                str(topic['topic_metadata']['name']): str(
+                    topic['topic_metadata']['serialization_format']
+                )
                 for topic in about['topics_with_message_count']
             },
         )

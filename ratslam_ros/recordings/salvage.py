@@ -19,9 +19,7 @@ def what_was_saved(
 ) -> str:
     """Say how much of a damaged file was saved; ``expected`` is about how many messages it had."""
     about = f' of about {expected:.0f}' if expected and expected > read else ''
-    return (
-        f'{name} {state}: read {read}{about} messages, up to {(last_ns - first_ns) / 1e9:.1f} s'
-    )
+    return f'{name} {state}: read {read}{about} messages, up to {(last_ns - first_ns) / 1e9:.1f} s'
 
 
 def decompress(data: bytes, compression: str, size: int = 0) -> tuple[bytes, bool]:
@@ -58,9 +56,7 @@ def _decompress_pieces(data: bytes, compression: str) -> bytes:
     return bytes(plain)
 
 
-def readable_rows(
-    database: sqlite3.Connection, columns: str
-) -> Iterator[tuple[Any, ...] | None]:
+def readable_rows(database: sqlite3.Connection, columns: str) -> Iterator[tuple[Any, ...] | None]:
     """Yield (id, *columns) of the messages that can be read, and None where some are lost.
 
     Reads the table itself, as the indices may be gone, and steps over what is broken. The ids

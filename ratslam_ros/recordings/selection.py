@@ -86,11 +86,15 @@ def select(
             raise UnusableInput(
                 f'{recording.path} holds recorded templates and no images: expected a topic of '
                 'type nav_msgs/Odometry to go with them'
-                + ('; leave out --visual-odometry, which needs images' if visual_odometry else
-                   f'; its topics are {_listed(recording.topics)}')
+                + (
+                    '; leave out --visual-odometry, which needs images'
+                    if visual_odometry
+                    else f'; its topics are {_listed(recording.topics)}'
+                )
             )
         notices.append(
-            'visual odometry is used, as it was asked for' if visual_odometry
+            'visual odometry is used, as it was asked for'
+            if visual_odometry
             else 'no odometry topic: visual odometry is used'
         )
     return Selection(
@@ -103,15 +107,14 @@ def select(
 
 def image_candidates(recording: Recording) -> list[Topic]:
     """Return the topics of cameras: no depth images, no compressed twins of a raw topic."""
-    topics = [
-        topic for topic in _usable(recording, IMAGE_TYPES)
-        if not recording.is_depth(topic)
-    ]
+    topics = [topic for topic in _usable(recording, IMAGE_TYPES) if not recording.is_depth(topic)]
     names = {topic.name for topic in topics}
     return [
-        topic for topic in topics
-        if not (topic.name.endswith('/compressed')
-                and topic.name.removesuffix('/compressed') in names)
+        topic
+        for topic in topics
+        if not (
+            topic.name.endswith('/compressed') and topic.name.removesuffix('/compressed') in names
+        )
     ]
 
 
@@ -123,14 +126,16 @@ def odometry_candidates(recording: Recording) -> list[Topic]:
 def template_candidates(recording: Recording) -> list[Topic]:
     """Return the topics with recorded local_view templates."""
     return [
-        topic for topic in _usable(recording, frozenset({STRING}))
+        topic
+        for topic in _usable(recording, frozenset({STRING}))
         if topic.name.endswith(TEMPLATE_NAME)
     ]
 
 
 def _usable(recording: Recording, types: frozenset[str]) -> list[Topic]:
     return [
-        topic for topic in recording.topics
+        topic
+        for topic in recording.topics
         if topic.type in types and topic.readable is None and not recording.is_empty(topic)
     ]
 

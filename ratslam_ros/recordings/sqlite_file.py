@@ -55,7 +55,8 @@ class SqliteFile:
         self._counts: Counter[int] | None = None
         self._salvaged = False
         self._database = sqlite3.connect(
-            f'file:{quote(str(path.resolve()))}?mode=ro&immutable=1', uri=True,
+            f'file:{quote(str(path.resolve()))}?mode=ro&immutable=1',
+            uri=True,
             check_same_thread=False,
         )
         self._database.text_factory = lambda text: text.decode(errors='replace')
@@ -75,7 +76,9 @@ class SqliteFile:
         self.contents = Contents(
             tuple(dict.fromkeys(self._channels.values())),
             None if self._counts is None else self._by_channel(self._counts),
-            start, end, 'rosbag2 (sqlite3)',
+            start,
+            end,
+            'rosbag2 (sqlite3)',
         )
 
     @staticmethod
@@ -88,9 +91,7 @@ class SqliteFile:
         except sqlite3.Error:
             pass  # what is damaged in it is found, and told, when it is read
 
-    def messages(
-        self, topics: Collection[str], start_ns: int, stop_ns: int
-    ) -> Iterator[Message]:
+    def messages(self, topics: Collection[str], start_ns: int, stop_ns: int) -> Iterator[Message]:
         """Yield the messages of the topics with start_ns <= log_ns < stop_ns in order of time."""
         ids = [number for number, channel in self._channels.items() if channel.topic in topics]
         read = self._by_index if self._blocks is None else self._by_blocks
@@ -159,7 +160,8 @@ class SqliteFile:
         return {
             int(number): Channel(str(name), str(kind), str(encoding))
             for number, name, kind, encoding in self._query(
-                'SELECT id, name, type, serialization_format FROM topics ORDER BY id')
+                'SELECT id, name, type, serialization_format FROM topics ORDER BY id'
+            )
         }
 
     def _read_times(self) -> tuple[int, int]:
@@ -171,14 +173,16 @@ class SqliteFile:
                         self._salvage()
                 else:
                     # Two queries, as SQLite answers each by the index, but not both at once.
-                    (start,), = self._query('SELECT MIN(timestamp) FROM messages')
-                    (end,), = self._query('SELECT MAX(timestamp) FROM messages')
+                    ((start,),) = self._query('SELECT MIN(timestamp) FROM messages')
+                    ((end,),) = self._query('SELECT MAX(timestamp) FROM messages')
                     return (0, -1) if start is None else (int(start), int(end))
             except (sqlite3.Error, ValueError, TypeError):
                 self._salvage()
         blocks = self._blocks or []
-        return (min((block.start_ns for block in blocks), default=0),
-                max((block.end_ns for block in blocks), default=-1))
+        return (
+            min((block.start_ns for block in blocks), default=0),
+            max((block.end_ns for block in blocks), default=-1),
+        )
 
     def _has_index(self) -> bool:
         """Look whether the messages can be had in order of time without sorting them all."""
@@ -205,7 +209,8 @@ class SqliteFile:
             # LIMIT, as SQLite would look at the row after the last one otherwise: a broken one.
             rows = self._query(
                 'SELECT topic_id, timestamp, data FROM messages NOT INDEXED '
-                'WHERE id >= ? ORDER BY id LIMIT ?', (block.first_id, block.rows),
+                'WHERE id >= ? ORDER BY id LIMIT ?',
+                (block.first_id, block.rows),
             )
             found = [
                 Message(log_ns, self._channels[number], _as_bytes(data))
@@ -257,14 +262,16 @@ class SqliteFile:
             header = file.read(100)
         page, pages = *struct.unpack_from('>H', header, 16), *struct.unpack_from('>I', header, 28)
         whole = (65536 if page == 1 else page) * pages
-        self._warnings.add(what_was_saved(
-            self.path.name,
-            'is truncated' if self._size < whole else 'is damaged',
-            read,
-            self._expected or (read * whole / self._size if self._size < whole else None),
-            min(block.start_ns for block in self._blocks),
-            max(block.end_ns for block in self._blocks),
-        ))
+        self._warnings.add(
+            what_was_saved(
+                self.path.name,
+                'is truncated' if self._size < whole else 'is damaged',
+                read,
+                self._expected or (read * whole / self._size if self._size < whole else None),
+                min(block.start_ns for block in self._blocks),
+                max(block.end_ns for block in self._blocks),
+            )
+        )
 
 
 def _as_bytes(data: Any) -> bytes:

@@ -67,9 +67,7 @@ class Storage(Protocol):
     path: Path
     contents: Contents
 
-    def messages(
-        self, topics: Collection[str], start_ns: int, stop_ns: int
-    ) -> Iterator[Message]:
+    def messages(self, topics: Collection[str], start_ns: int, stop_ns: int) -> Iterator[Message]:
         """Yield the messages of the topics with start_ns <= log_ns < stop_ns in order of time."""
         ...
 

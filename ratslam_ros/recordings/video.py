@@ -16,10 +16,27 @@ from ratslam_ros.recordings.images import Frame, Pixels
 from ratslam_ros.recordings.recording import Recording
 from ratslam_ros.recordings.selection import VIDEO, Selection, Topic
 
-SUFFIXES = frozenset({
-    '.mp4', '.avi', '.mov', '.mkv', '.webm', '.m4v', '.mpg', '.mpeg', '.ogv', '.wmv', '.flv',
-    '.ts', '.mjpeg', '.mjpg', '.h264', '.h265', '.3gp',
-})
+SUFFIXES = frozenset(
+    {
+        '.mp4',
+        '.avi',
+        '.mov',
+        '.mkv',
+        '.webm',
+        '.m4v',
+        '.mpg',
+        '.mpeg',
+        '.ogv',
+        '.wmv',
+        '.flv',
+        '.ts',
+        '.mjpeg',
+        '.mjpg',
+        '.h264',
+        '.h265',
+        '.3gp',
+    }
+)
 FRAMES = 'images'
 
 
