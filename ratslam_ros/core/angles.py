@@ -11,7 +11,7 @@ from ratslam_ros.core.compiled import compiled
 TWO_PI = 2.0 * math.pi
 
 
-@compiled('float64(float64)', inline='always')
+@compiled
 def wrap(angle_rad: float) -> float:
     """Map an angle to (-pi, pi]."""
     if -math.pi < angle_rad <= math.pi:

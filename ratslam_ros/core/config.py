@@ -198,6 +198,19 @@ class LocalViewParameters(Section):
     vt_step_match: int = parameter(
         1, 'template px', 1, 511, 'Step between the shifts tried.', 'matching is too slow',
         'recognition misses views between the steps')  # fmt: skip
+    vt_shift_match_y: int = parameter(
+        0, 'template px', 0, 511, 'Vertical shifts tried to either side.',
+        'the camera pitches, or passes places nearer or further', 'different places look alike',
+    )  # fmt: skip
+    vt_recent_templates: int = parameter(
+        0, 'templates; 0: off', 0, 100_000,
+        'This many of the newest templates are recognised only by vt_recent_threshold.',
+        'standing or slow driving names old templates in place of learning new ones',
+        'a loop is shorter than this many templates')  # fmt: skip
+    vt_recent_threshold: float = parameter(
+        0.5, 'share of vt_match_threshold', 0.0, 1.0,
+        'The threshold of the newest templates: how finely a new stretch is learned.',
+        'too many templates are learned', 'a template covers too long a stretch')  # fmt: skip
     vt_normalisation: float = parameter(
         0.0, 'mean brightness; 0: off', 0.0, 1.0, 'Scale every view to this mean brightness.',
         'the brightness of the whole image varies', 'bright parts are cut off at white',
@@ -220,6 +233,11 @@ class LocalViewParameters(Section):
             raise UnusableParameter(
                 f'vt_shift_match is {self.vt_shift_match}; expected less than half of '
                 f'template_x_size ({self.template_x_size}), so that something is left to compare'
+            )
+        if 2 * self.vt_shift_match_y >= self.template_y_size:
+            raise UnusableParameter(
+                f'vt_shift_match_y is {self.vt_shift_match_y}; expected less than half of '
+                f'template_y_size ({self.template_y_size}), so that something is left to compare'
             )
 
 

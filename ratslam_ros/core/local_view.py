@@ -16,6 +16,8 @@ from ratslam_ros.core.config import LocalViewParameters
 from ratslam_ros.core.image_window import Window, window_of
 
 Image = NDArray[np.uint8]
+Match = tuple[int, int, int]
+"""Template id, horizontal offset, SAD."""
 
 NO_TEMPLATE = -1
 
@@ -25,7 +27,9 @@ class ViewMatch:
     """Which template a view is.
 
     ``template_id`` is -1 for an image that could not be decoded. ``error`` is the exact minimum
-    over the templates known before this view, 0 to 1, and -1 where there were none.
+    over the templates known before this view, 0 to 1, and -1 where there were none. (Where
+    ``vt_recent_templates`` is set and an older template is named in place of a recent one, it is
+    the exact minimum over the older ones.)
     ``relative_rad`` is the heading now minus the heading at learning (panoramic only).
     """
 
@@ -54,6 +58,8 @@ class LocalView:
         else:
             self._compared = self._width - 2 * parameters.vt_shift_match
             self._offsets = 2 * parameters.vt_shift_match + 1
+        self._compared_rows = self._height - 2 * parameters.vt_shift_match_y
+        self._full_sum = 255.0 * self._compared * self._compared_rows
 
     @property
     def templates(self) -> NDArray[np.uint8]:
@@ -73,16 +79,27 @@ class LocalView:
         """
         view = make_view(image, self._p)
         match = self.match(view)
-        area = self._compared * self._height
-        if match is not None:
-            template_id, offset, sad = match
-            error = sad / (255.0 * area)
-            if sad <= self._p.vt_match_threshold * 255.0 * area:
-                self._likely = template_id
-                return ViewMatch(template_id, False, error, self._relative_rad(offset))
-        else:
-            error = -1.0
-        return ViewMatch(self.learn(view), True, error, 0.0)
+        if match is None:
+            return ViewMatch(self.learn(view), True, -1.0, 0.0)
+        recognised = self._recognised(view, match)
+        if recognised is None:
+            return ViewMatch(self.learn(view), True, match[2] / self._full_sum, 0.0)
+        template_id, offset, sad = recognised
+        self._likely = template_id
+        return ViewMatch(template_id, False, sad / self._full_sum, self._relative_rad(offset))
+
+    def _recognised(self, view: Image, match: Match) -> Match | None:
+        """Return the best match if it is good enough, else the best older one if that is."""
+        limit = self._p.vt_match_threshold * self._full_sum
+        older = self._count
+        if self._p.vt_recent_templates > 0:
+            older = max(self._count - self._p.vt_recent_templates, 0)
+        if match[0] < older:
+            return match if match[2] <= limit else None
+        if match[2] <= self._p.vt_recent_threshold * limit:
+            return match
+        older_match = self._match_first(view, older)
+        return older_match if older_match is not None and older_match[2] <= limit else None
 
     def learn(self, view: Image) -> int:
         """Append a view, (template_y_size, template_x_size) uint8, and return its id."""
@@ -95,16 +112,20 @@ class LocalView:
         self._count += 1
         return self._likely
 
-    def match(self, view: Image) -> tuple[int, int, int] | None:
+    def match(self, view: Image) -> Match | None:
         """Return (template id, offset, SAD) of the best match, None where nothing is learned.
 
         Ties go to the lowest id, then to the lowest offset. algorithm.md, Local view, step 4.
         """
-        if self._count == 0:
+        return self._match_first(view, self._count)
+
+    def _match_first(self, view: Image, count: int) -> Match | None:
+        """Return what ``match`` does, of the oldest ``count`` templates only."""
+        if count == 0:
             return None
         template_id, offset, sad = _search(
-            self._templates, self._count, self._likely, view,
-            self._p.vt_panoramic, self._compared, self._offsets, self._p.vt_step_match,
+            self._templates, count, min(self._likely, count - 1), view, self._p.vt_panoramic,
+            self._compared, self._offsets, self._p.vt_step_match, self._compared_rows,
         )  # fmt: skip
         return int(template_id), int(offset), int(sad)
 
@@ -147,7 +168,7 @@ def crop_window(image: Image, p: LocalViewParameters) -> Window:
     )
 
 
-@compiled('(uint8[:, :], float64, int64, float64, uint8[:, :])')
+@compiled
 def _make_view(
     crop: Image, normalise_to: float, patch_radius: int, min_std: float, view: Image
 ) -> None:
@@ -211,7 +232,7 @@ def _make_view(
             view[row, column] = int(math.floor(255.0 * v + 0.5))
 
 
-@compiled('(uint8[:, :, :], int64, int64, uint8[:, :], boolean, int64, int64, int64)')
+@compiled
 def _search(
     templates: NDArray[np.uint8],
     count: int,
@@ -221,8 +242,12 @@ def _search(
     compared: int,
     offsets: int,
     step: int,
-) -> tuple[int, int, int]:
+    compared_rows: int,
+) -> Match:
     """Return (id, offset, SAD) of the least SAD; ties: lowest id, then lowest offset.
+
+    The view's middle ``compared_rows`` rows are compared at every vertical offset; among those
+    that are equally good the lowest comes first.
 
     The likely template only sets the bound at which sums are broken off: every template whose
     sum could equal the minimum is still summed in full, so the result does not depend on it.
@@ -236,6 +261,8 @@ def _search(
                 query[y, width + x] = view[y, x]
     else:
         query = view
+    falls = height - compared_rows + 1
+    top = (height - compared_rows) // 2
     best_sad = np.int64(height) * width * 255 + 1
     best_id = np.int64(-1)
     best_offset = np.int64(0)
@@ -244,28 +271,29 @@ def _search(
         last = likely + 1 if turn == 0 else count
         for candidate in range(first, last):
             template = templates[candidate]
-            for offset in range(0, offsets, step):
-                if panoramic:
-                    from_view = (width - offset) % width
-                    from_template = np.int64(0)
-                else:
-                    from_view = np.int64(width - compared) // 2
-                    from_template = np.int64(offset)
-                sad = np.int64(0)
-                for y in range(height):
-                    # Slices, so that the loop needs no bounds arithmetic and becomes SIMD code.
-                    a = query[y, from_view : from_view + compared]
-                    b = template[y, from_template : from_template + compared]
-                    row_sad = np.int32(0)
-                    for x in range(a.shape[0]):
-                        row_sad += abs(np.int32(a[x]) - np.int32(b[x]))
-                    sad += row_sad
-                    if sad >= best_sad:
-                        break
-                if sad < best_sad:
-                    best_sad = sad
-                    best_id = np.int64(candidate)
-                    best_offset = np.int64(offset)
+            for fall in range(falls):
+                for offset in range(0, offsets, step):
+                    if panoramic:
+                        from_view = (width - offset) % width
+                        from_template = np.int64(0)
+                    else:
+                        from_view = np.int64(width - compared) // 2
+                        from_template = np.int64(offset)
+                    sad = np.int64(0)
+                    for y in range(compared_rows):
+                        # Slices, so that the loop needs no bounds arithmetic and becomes SIMD.
+                        a = query[top + y, from_view : from_view + compared]
+                        b = template[fall + y, from_template : from_template + compared]
+                        row_sad = np.int32(0)
+                        for x in range(a.shape[0]):
+                            row_sad += abs(np.int32(a[x]) - np.int32(b[x]))
+                        sad += row_sad
+                        if sad >= best_sad:
+                            break
+                    if sad < best_sad:
+                        best_sad = sad
+                        best_id = np.int64(candidate)
+                        best_offset = np.int64(offset)
         if turn == 0:  # search all again for a lower id that is as good
             best_sad += 1
     return best_id, best_offset, best_sad

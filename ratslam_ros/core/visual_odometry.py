@@ -78,7 +78,7 @@ def _profile_of(image: NDArray[np.uint8], window: Window) -> Profile:
     return profile
 
 
-@compiled('(uint8[:, :], float64[:])')
+@compiled
 def _profile(window: NDArray[np.uint8], profile: Profile) -> None:
     """Fill ``profile`` (w,) with each column's mean brightness, 0 to 1."""
     height, width = window.shape
@@ -90,7 +90,7 @@ def _profile(window: NDArray[np.uint8], profile: Profile) -> None:
         profile[x] = sums[x] / (height * 255.0)
 
 
-@compiled('(float64[:], float64[:])')
+@compiled
 def _compare(now: Profile, before: Profile) -> tuple[int, float]:
     """Return the shift in px with the least mean difference, and that difference.
 

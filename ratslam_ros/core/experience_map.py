@@ -1,0 +1,200 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Experience map: MapAction, Motion -> graph of places in the plane."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ratslam_ros.core.angles import wrap
+from ratslam_ros.core.compiled import compiled
+from ratslam_ros.core.config import ExperienceMapParameters
+from ratslam_ros.core.odometry import Motion, Pose, moved
+from ratslam_ros.core.pose_cells import NO_EXPERIENCE, MapAction, Place
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """A transition that was made: where the target lies in the source's frame, and how it went."""
+
+    source_id: int
+    target_id: int
+    distance_m: float
+    heading_rad: float
+    facing_rad: float
+    duration_s: float
+    behaviour: str
+    count: int
+
+
+@dataclass(frozen=True, slots=True)
+class Experience:
+    """A place: its view, where it lies in the pose cells and on the map."""
+
+    id: int
+    template_id: int
+    pose: Pose
+    place: Place
+
+
+class ExperienceMap:
+    """The graph, and the robot's motion since the experience it is at."""
+
+    def __init__(self, parameters: ExperienceMapParameters) -> None:
+        self._p = parameters
+        self.origin = Pose(0.0, 0.0, wrap(math.radians(parameters.exp_initial_em_deg)))
+        self._poses = np.empty((64, 3), np.float64)
+        self._labels: list[tuple[int, Place]] = []
+        self._ends = np.empty((64, 2), np.int64)
+        self._shapes = np.empty((64, 3), np.float64)
+        self._notes: list[tuple[float, str, int]] = []
+        self._row: dict[tuple[int, int], int] = {}
+        self.current_id = NO_EXPERIENCE
+        self.offset = Pose(0.0, 0.0, 0.0)
+        """Motion since the current experience, in its frame (before the first: since the start)."""
+        self._duration_s = 0.0
+
+    def __len__(self) -> int:
+        return len(self._labels)
+
+    @property
+    def link_count(self) -> int:
+        """Number of links."""
+        return len(self._notes)
+
+    @property
+    def poses(self) -> NDArray[np.float64]:
+        """(n, 3) x, y in m and heading in rad of every experience; a copy."""
+        return self._poses[: len(self)].copy()
+
+    @property
+    def pose(self) -> Pose:
+        """Where the robot is on the map, the motion since the current experience included."""
+        return composed(self.pose_of(self.current_id), self.offset)
+
+    def pose_of(self, experience_id: int) -> Pose:
+        """Return an experience's place on the map; for -1 the robot's place at the start."""
+        if experience_id == NO_EXPERIENCE:
+            return self.origin
+        x, y, heading = self._poses[experience_id].tolist()
+        return Pose(x, y, heading)
+
+    def experiences(self) -> list[Experience]:
+        """Return all experiences, by id."""
+        return [
+            Experience(i, template, self.pose_of(i), place)
+            for i, (template, place) in enumerate(self._labels)
+        ]
+
+    def links(self) -> list[Link]:
+        """Return all links, in the order in which they were made."""
+        return [
+            Link(*self._ends[row].tolist(), *self._shapes[row].tolist(), *note)
+            for row, note in enumerate(self._notes)
+        ]
+
+    def integrate(self, motion: Motion) -> None:
+        """Add one motion to the way since the current experience, in that experience's frame."""
+        self.offset = moved(self.offset, motion)
+        self._duration_s += motion.dt_s
+
+    def apply(self, action: MapAction, behaviour: str = '') -> None:
+        """Do what the pose cells decided, then relax the map.
+
+        Args:
+            action: create, link, set or none.
+            behaviour: name of what the robot was doing, for the link.
+        """
+        if action.action == 'none':
+            self._relax()
+            return
+        turned = action.relative_rad
+        if action.action == 'create':
+            here = self.pose
+            self._append(action, Pose(here.x_m, here.y_m, wrap(here.heading_rad - turned)))
+        if action.source_id != NO_EXPERIENCE:
+            self._connect(action.source_id, action.target_id, turned, behaviour)
+        self.current_id = action.target_id
+        self.offset = Pose(0.0, 0.0, turned)
+        self._duration_s = 0.0
+        self._relax()
+
+    def _append(self, action: MapAction, pose: Pose) -> None:
+        n = len(self)
+        if n == len(self._poses):
+            self._poses = np.concatenate([self._poses, np.empty_like(self._poses)])
+        self._poses[n] = pose
+        self._labels.append((action.template_id, action.place))
+
+    def _connect(self, source: int, target: int, turned: float, behaviour: str) -> None:
+        """Make or average the link; seed 000 equation (6) in polar form."""
+        distance = math.hypot(self.offset.x_m, self.offset.y_m)
+        heading = math.atan2(self.offset.y_m, self.offset.x_m)
+        facing = wrap(self.offset.heading_rad - turned)
+        row = self._row.get((source, target))
+        if row is None:
+            row = len(self._notes)
+            if row == len(self._ends):
+                self._ends = np.concatenate([self._ends, np.empty_like(self._ends)])
+                self._shapes = np.concatenate([self._shapes, np.empty_like(self._shapes)])
+            self._row[source, target] = row
+            self._ends[row] = source, target
+            self._shapes[row] = distance, heading, facing
+            self._notes.append((self._duration_s, behaviour, 1))
+            return
+        old_distance, old_heading, old_facing = self._shapes[row].tolist()
+        self._shapes[row] = (
+            0.5 * (old_distance + distance),
+            wrap(old_heading + 0.5 * wrap(heading - old_heading)),
+            wrap(old_facing + 0.5 * wrap(facing - old_facing)),
+        )
+        duration, known, count = self._notes[row]
+        self._notes[row] = (0.5 * (duration + self._duration_s), behaviour or known, count + 1)
+
+    def _relax(self) -> None:
+        if self._notes:
+            _relax(
+                self._poses, self._ends, self._shapes, len(self._notes),
+                self._p.exp_correction, self._p.exp_loops,
+            )  # fmt: skip
+
+
+def composed(base: Pose, offset: Pose) -> Pose:
+    """Return the pose that lies at ``offset`` in the frame of ``base``."""
+    c, s = math.cos(base.heading_rad), math.sin(base.heading_rad)
+    return Pose(
+        base.x_m + c * offset.x_m - s * offset.y_m,
+        base.y_m + s * offset.x_m + c * offset.y_m,
+        wrap(base.heading_rad + offset.heading_rad),
+    )
+
+
+@compiled
+def _relax(
+    poses: NDArray[np.float64], ends: NDArray[np.int64], shapes: NDArray[np.float64],
+    links: int, correction: float, sweeps: int,
+) -> None:  # fmt: skip
+    """Move both ends of each link towards what it says, in the order the links were made.
+
+    Seed 000 equation (7), with p_k - p_i + dp_ki in its second sum; experience 0 is held fixed.
+    """
+    for _ in range(sweeps):
+        for row in range(links):
+            i = ends[row, 0]
+            j = ends[row, 1]
+            direction = poses[i, 2] + shapes[row, 1]
+            e_x = correction * (poses[j, 0] - poses[i, 0] - shapes[row, 0] * math.cos(direction))
+            e_y = correction * (poses[j, 1] - poses[i, 1] - shapes[row, 0] * math.sin(direction))
+            e_t = correction * wrap(poses[j, 2] - poses[i, 2] - shapes[row, 2])
+            if i > 0:
+                poses[i, 0] += e_x
+                poses[i, 1] += e_y
+                poses[i, 2] = wrap(poses[i, 2] + e_t)
+            if j > 0:
+                poses[j, 0] -= e_x
+                poses[j, 1] -= e_y
+                poses[j, 2] = wrap(poses[j, 2] - e_t)

@@ -1,0 +1,134 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""RatSLAM: one step, as the architecture's picture shows it.
+
+    camera image --+--> visual_odometry --> odometry <-- wheel encoders
+                   |                           |
+                   +--> local_view -template-> pose_cells -action-> experience_map
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ratslam_ros.core.config import Config
+from ratslam_ros.core.experience_map import ExperienceMap
+from ratslam_ros.core.local_view import UNDECODABLE, LocalView, ViewMatch
+from ratslam_ros.core.odometry import MotionFromOdometry, Odometry, Pose, moved
+from ratslam_ros.core.order import Released, StampOrder
+from ratslam_ros.core.pose_cells import MapAction, PoseCells
+from ratslam_ros.core.visual_odometry import VisualOdometry
+
+Stopwatch = Callable[[str], AbstractContextManager[object]]
+
+
+@dataclass(frozen=True, slots=True)
+class OdometryStep:
+    """What one odometry message led to: the believed pose, and what it is made of."""
+
+    stamp_ns: int
+    pose: Pose
+    dead_reckoning: Pose
+    experience_id: int
+    offset: Pose
+
+
+@dataclass(frozen=True, slots=True)
+class ViewStep:
+    """What one template message led to."""
+
+    stamp_ns: int
+    match: ViewMatch
+    action: MapAction
+
+
+Step = OdometryStep | ViewStep
+
+
+class RatSLAM:
+    """All four parts in one process, fed in any order that the order rule allows."""
+
+    def __init__(
+        self,
+        config: Config,
+        visual_odometry: bool = False,
+        stopwatch: Stopwatch = lambda name: nullcontext(),
+    ) -> None:
+        """Prepare an empty map.
+
+        Args:
+            config: all parameters.
+            visual_odometry: take odometry from the images.
+            stopwatch: entered with a part's name around each of its steps (core has no clock).
+        """
+        self.visual_odometry = VisualOdometry(config.visual_odometry) if visual_odometry else None
+        self.local_view = LocalView(config.local_view)
+        self.pose_cells = PoseCells(config.pose_cells)
+        self.experience_map = ExperienceMap(config.experience_map)
+        self.dead_reckoning = self.experience_map.origin
+        self.order: StampOrder[Odometry | ViewMatch] = StampOrder(
+            ('odometry', 'template'), round(config.pose_cells.max_lateness_s * 1e9)
+        )
+        self._motion = MotionFromOdometry(config.pose_cells.odom_source)
+        self._image_ns: int | None = None
+        self._watch = stopwatch
+
+    def image(self, stamp_ns: int, image: NDArray[np.uint8] | None) -> list[Step]:
+        """Take one image, (H, W) uint8 grey, or None where it could not be decoded."""
+        if self._image_ns is not None and stamp_ns <= self._image_ns:
+            self.order.counts.refused += 1
+            return []
+        self._image_ns = stamp_ns
+        if image is None:
+            return self.template(stamp_ns, UNDECODABLE)
+        steps: list[Step] = []
+        if self.visual_odometry is not None:
+            with self._watch('visual_odometry'):
+                twist = self.visual_odometry(stamp_ns, image)
+            if twist is not None:
+                steps += self.odometry(Odometry(stamp_ns, twist, Pose(0.0, 0.0, 0.0)))
+        with self._watch('local_view'):
+            match = self.local_view(image)
+        return steps + self.template(stamp_ns, match)
+
+    def odometry(self, odometry: Odometry) -> list[Step]:
+        """Take one odometry message; return what it and those that waited for it led to."""
+        return self._process(self.order.push('odometry', odometry.stamp_ns, odometry))
+
+    def template(self, stamp_ns: int, match: ViewMatch) -> list[Step]:
+        """Take one template message; return what it and those that waited for it led to."""
+        return self._process(self.order.push('template', stamp_ns, match))
+
+    def finish(self) -> list[Step]:
+        """Process all that still waits."""
+        return self._process(self.order.flush())
+
+    def _process(self, released: Iterable[Released[Odometry | ViewMatch]]) -> list[Step]:
+        return [
+            self._move(item) if isinstance(item, Odometry) else self._see(stamp_ns, item)
+            for stamp_ns, _, item in released
+        ]
+
+    def _move(self, odometry: Odometry) -> OdometryStep:
+        motion = self._motion(odometry)
+        if motion is not None:
+            with self._watch('pose_cells'):
+                self.pose_cells.integrate(motion)
+            self.experience_map.integrate(motion)
+            self.dead_reckoning = moved(self.dead_reckoning, motion)
+        at = self.experience_map
+        return OdometryStep(
+            odometry.stamp_ns, at.pose, self.dead_reckoning, at.current_id, at.offset
+        )
+
+    def _see(self, stamp_ns: int, match: ViewMatch) -> ViewStep:
+        with self._watch('pose_cells_view'):
+            action = self.pose_cells.view(match)
+        with self._watch('experience_map'):
+            self.experience_map.apply(action)
+        return ViewStep(stamp_ns, match, action)
