@@ -61,6 +61,7 @@ class Rosbag1File:
         self._file = path.open('rb')
         self._channels: dict[int, Channel] = {}
         self._spans: list[_Span] = []
+        self._index_pos = 0  # bytes of messages that the bag had when it was closed
         try:
             if not self._read_index():
                 self._scan(expected)
@@ -129,7 +130,7 @@ class Rosbag1File:
                     f'{self.path} is encrypted: expected a plain ROS 1 bag; decrypt it with '
                     '"rosbag decrypt"'
                 )
-            position = struct.unpack('<Q', header[b'index_pos'])[0]
+            position = self._index_pos = struct.unpack('<Q', header[b'index_pos'])[0]
             if header[b'op'] != _BAG_HEADER or not 0 < position <= self._size:
                 return False
             while position < self._size:
@@ -176,6 +177,8 @@ class Rosbag1File:
                 f'{self.path} was not closed properly and no message in it can be read: expected '
                 'a ROS 1 bag with messages; copy it again from where it was recorded'
             )
+        if expected is None and self._index_pos > self._size:
+            expected = round(read * self._index_pos / self._size)
         state = 'has no index' if whole and position == self._size else 'is truncated'
         self._warnings.add(
             what_was_saved(
