@@ -14,7 +14,8 @@ from ratslam_ros.core.angles import wrap
 from ratslam_ros.core.compiled import compiled
 from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.odometry import Motion, Pose, moved
-from ratslam_ros.core.pose_cells import NO_EXPERIENCE, MapAction, Place
+from ratslam_ros.core.pose_cells import NO_EXPERIENCE, MapAction
+from ratslam_ros.core.torus import Place
 
 
 @dataclass(frozen=True, slots=True)

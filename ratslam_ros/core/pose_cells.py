@@ -5,17 +5,18 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ratslam_ros.core.agreement import Agreement
 from ratslam_ros.core.attractor import Network, kernel
 from ratslam_ros.core.config import PoseCellsParameters
 from ratslam_ros.core.local_view import NO_TEMPLATE, ViewMatch
 from ratslam_ros.core.odometry import Motion, Pose, moved
+from ratslam_ros.core.torus import Place, Torus
 
 Action = Literal['create', 'link', 'set', 'none']
 
@@ -26,14 +27,6 @@ NEWEST_TEMPLATES = 10
 
 REST_CELLS = 0.02
 """Net motion since the current experience, in cells or planes, that still counts as rest."""
-
-
-class Place(NamedTuple):
-    """A place in the pose cells, in cells along x, y and theta."""
-
-    x: float
-    y: float
-    theta: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,9 +61,12 @@ class PoseCells:
 
     def __init__(self, parameters: PoseCellsParameters) -> None:
         p = self._p = parameters
-        self._dims = (p.pc_dim_th, p.pc_dim_y, p.pc_dim_x)
+        self._torus = Torus(p.pc_dim_x, p.pc_dim_y, p.pc_dim_th)
+        self._agreement = Agreement(
+            self._torus, p.pc_vt_agree_views, p.pc_vt_agree_cells, p.pc_vt_agree_recent
+        )
         self._network = Network(
-            self._dims,
+            (p.pc_dim_th, p.pc_dim_y, p.pc_dim_x),
             kernel(p.pc_w_e_dim, p.pc_w_e_var),
             kernel(p.pc_w_i_dim, p.pc_w_i_var),
             p.pc_global_inhib,
@@ -98,9 +94,9 @@ class PoseCells:
 
     def integrate(self, motion: Motion) -> None:
         """Let the network compete once and follow one motion."""
-        p = self._p
-        chord = motion.chord_m / p.pc_cell_x_size
-        turn = motion.turn_rad * p.pc_dim_th / (2.0 * math.pi)
+        chord = motion.chord_m / self._p.pc_cell_x_size
+        turn = motion.turn_rad * self._torus.planes_per_rad
+        self._agreement.integrate(chord, turn)
         self._packets = self._network.step(self._packets, chord, turn)
         self.peak = self._decoded()
         self._since_current = moved(self._since_current, motion)
@@ -108,7 +104,7 @@ class PoseCells:
 
     def view(self, match: ViewMatch) -> MapAction:
         """Take one template message: associate or inject, and decide the map's action."""
-        turned = match.relative_rad * self._p.pc_dim_th / (2.0 * math.pi)
+        turned = match.relative_rad * self._torus.planes_per_rad
         if match.template_id != NO_TEMPLATE:
             self._recall(match.template_id, turned)
         self._messages += 1
@@ -145,11 +141,12 @@ class PoseCells:
         memory.message = self._messages
         if template_id == self._last_template:
             memory.decay += p.vt_active_decay
+        claimed = Place(memory.place.x, memory.place.y, memory.place.theta + turned)
         energy = p.pc_vt_inject_energy / 30.0 * (30.0 - math.exp(1.2 * memory.decay))
+        energy *= self._agreement.weigh(template_id, claimed, self.peak)
         if energy > 0.0:
-            at = memory.place
             self._packets = self._network.inject(
-                self._packets, at.theta + turned, at.y, at.x, energy
+                self._packets, claimed.theta, claimed.y, claimed.x, energy
             )
 
     def _decide(self, template_id: int, turned: float) -> Action:
@@ -159,13 +156,13 @@ class PoseCells:
         here = Place(self.peak.x, self.peak.y, self.peak.theta - turned)
         threshold = self._p.exp_delta_pc_threshold
         current_template, current_place = self._experiences[self._current]
-        jumped = self._delta(here, current_place) > threshold
+        jumped = self._torus.distance(here, current_place) > threshold
         if not jumped and (template_id == current_template or self._at_rest()):
             return 'none'
         others = [i for i in candidates if i != self._current]
         if others:
-            nearest = min(others, key=lambda i: self._delta(here, self._experiences[i][1]))
-            if self._delta(here, self._experiences[nearest][1]) < threshold:
+            nearest = min(others, key=lambda i: self._torus.distance(here, self._experiences[i][1]))
+            if self._torus.distance(here, self._experiences[nearest][1]) < threshold:
                 return self._arrive(nearest)
         return self._create(template_id, turned)
 
@@ -173,7 +170,7 @@ class PoseCells:
         if self._current != NO_EXPERIENCE and self._at_rest():
             return 'none'  # never a second experience while the robot stands still
         new = len(self._experiences)
-        here = Place(self.peak.x, self.peak.y, self._wrapped_theta(self.peak.theta - turned))
+        here = Place(self.peak.x, self.peak.y, (self.peak.theta - turned) % self._p.pc_dim_th)
         self._experiences.append((template_id, here))
         self._of_template.setdefault(template_id, []).append(new)
         self._arrive(new)
@@ -189,18 +186,5 @@ class PoseCells:
 
     def _at_rest(self) -> bool:
         x, y, turn = self._since_current
-        planes = abs(turn) * self._p.pc_dim_th / (2.0 * math.pi)
+        planes = abs(turn) * self._torus.planes_per_rad
         return math.hypot(x, y) / self._p.pc_cell_x_size < REST_CELLS and planes < REST_CELLS
-
-    def _wrapped_theta(self, theta: float) -> float:
-        return theta % self._p.pc_dim_th
-
-    def _delta(self, a: Place, b: Place) -> float:
-        """Return the distance of two places in cells, the shortest way round the torus."""
-        p = self._p
-        total = 0.0
-        for u, v, n in zip(a, b, (p.pc_dim_x, p.pc_dim_y, p.pc_dim_th), strict=True):
-            d = abs(u - v) % n
-            d = min(d, n - d)
-            total += d * d
-        return math.sqrt(total)

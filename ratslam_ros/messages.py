@@ -1,0 +1,142 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The JSON payloads: encode, and decode strictly.
+
+Stamps are integers ``sec`` and ``nanosec``; numbers are written as Python's repr gives them, keys
+in a fixed order, and never NaN, so that equal content gives equal bytes.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from ratslam_ros.core.experience_map import ExperienceMap
+from ratslam_ros.core.local_view import ViewMatch
+from ratslam_ros.errors import UnusableInput
+
+SCHEMA_VERSION = 1
+NS_PER_S = 1_000_000_000
+
+
+class MalformedMessage(UnusableInput):
+    """A payload that does not fit its schema; none of it is used."""
+
+
+def encode_template(stamp_ns: int, match: ViewMatch, memory_ns: int) -> str:
+    """Return the payload of ``local_view/template``; ``memory_ns``: when the first was learned."""
+    return _dumps(
+        {
+            'schema_version': SCHEMA_VERSION,
+            'stamp': _stamp(stamp_ns),
+            'id': match.template_id,
+            'is_new': match.is_new,
+            'error': match.error,
+            'relative_rad': match.relative_rad,
+            'memory': memory_ns,
+        }
+    )
+
+
+def decode_template(payload: str) -> tuple[int, ViewMatch, int]:
+    """Return (stamp_ns, match, memory_ns) of a ``local_view/template`` payload.
+
+    Raises:
+        MalformedMessage: it is not such a payload, to the last field.
+    """
+    fields = _loads(
+        payload,
+        'local_view/template',
+        {
+            'stamp': dict, 'id': int, 'is_new': bool, 'error': float, 'relative_rad': float,
+            'memory': int,
+        },
+    )  # fmt: skip
+    if fields['id'] < -1:
+        raise MalformedMessage(f'local_view/template: id is {fields["id"]}; expected -1 or more')
+    match = ViewMatch(fields['id'], fields['is_new'], fields['error'], fields['relative_rad'])
+    return _stamp_ns(fields['stamp']), match, fields['memory']
+
+
+def encode_map(stamp_ns: int, experience_map: ExperienceMap) -> str:
+    """Return the whole graph, for map.json and ``experience_map/map`` alike.
+
+    ``stamp_ns`` is that of the last action applied, 0 before the first.
+    """
+    return _dumps(
+        {
+            'schema_version': SCHEMA_VERSION,
+            'frame_id': 'map',
+            'stamp': _stamp(stamp_ns),
+            'current_experience_id': experience_map.current_id,
+            'experiences': [
+                {
+                    'id': e.id,
+                    'template_id': e.template_id,
+                    'x_m': e.pose.x_m,
+                    'y_m': e.pose.y_m,
+                    'heading_rad': e.pose.heading_rad,
+                    'pc_x': e.place.x,
+                    'pc_y': e.place.y,
+                    'pc_theta': e.place.theta,
+                }
+                for e in experience_map.experiences()
+            ],
+            'links': [
+                {
+                    'source_id': link.source_id,
+                    'target_id': link.target_id,
+                    'distance_m': link.distance_m,
+                    'heading_rad': link.heading_rad,
+                    'facing_rad': link.facing_rad,
+                    'duration_s': link.duration_s,
+                    'behaviour': link.behaviour,
+                    'count': link.count,
+                }
+                for link in experience_map.links()
+            ],
+        }
+    )
+
+
+def _dumps(value: Mapping[str, Any]) -> str:
+    return json.dumps(value, allow_nan=False, separators=(',', ':'))
+
+
+def _loads(payload: str, name: str, types: Mapping[str, type]) -> dict[str, Any]:
+    """Return the fields of a payload that has the schema version and exactly these types."""
+    try:
+        fields = json.loads(payload)
+    except (ValueError, RecursionError) as error:
+        raise MalformedMessage(f'{name}: not JSON ({error}); expected an object') from None
+    if not isinstance(fields, dict):
+        raise MalformedMessage(f'{name}: {type(fields).__name__}; expected an object')
+    if fields.get('schema_version') != SCHEMA_VERSION:
+        raise MalformedMessage(
+            f'{name}: schema_version is {fields.get("schema_version")!r}; expected '
+            f'{SCHEMA_VERSION}: sender and receiver are of different versions'
+        )
+    for key, expected in types.items():
+        value = fields.get(key)
+        if expected is float and isinstance(value, int) and not isinstance(value, bool):
+            value = fields[key] = float(value)
+        if not isinstance(value, expected) or (expected is int and isinstance(value, bool)):
+            raise MalformedMessage(f'{name}: {key} is {value!r}; expected {expected.__name__}')
+        if isinstance(value, float) and not math.isfinite(value):
+            raise MalformedMessage(f'{name}: {key} is {value!r}; expected a finite number')
+    return fields
+
+
+def _stamp(stamp_ns: int) -> dict[str, int]:
+    return {'sec': stamp_ns // NS_PER_S, 'nanosec': stamp_ns % NS_PER_S}
+
+
+def _stamp_ns(stamp: Mapping[str, Any]) -> int:
+    sec, nanosec = stamp.get('sec'), stamp.get('nanosec')
+    if type(sec) is not int or type(nanosec) is not int or not 0 <= nanosec < NS_PER_S:
+        raise MalformedMessage(
+            f'stamp is {dict(stamp)!r}; expected integers sec and nanosec below 10^9'
+        )
+    return sec * NS_PER_S + nanosec

@@ -1,0 +1,336 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Replay: recording -> map, in lock-step, as fast as the machine can, nothing dropped."""
+
+from __future__ import annotations
+
+import queue
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ratslam_ros.core.config import Config
+from ratslam_ros.core.odometry import Odometry, Pose, Twist
+from ratslam_ros.core.ratslam import RatSLAM, Step, ViewStep
+from ratslam_ros.messages import MalformedMessage, decode_template
+from ratslam_ros.recordings import (
+    Event,
+    ImageEvent,
+    OdometryEvent,
+    Recording,
+    Selection,
+    TemplateEvent,
+    UndecodableImage,
+)
+from ratslam_ros.results import Results
+from ratslam_ros.timing import StepTimes
+from ratslam_ros.video import MapVideo
+
+READ_AHEAD = 64  # events
+
+Decoded = tuple[Event, NDArray[np.uint8] | None]
+
+
+@dataclass(frozen=True)
+class ReplayOptions:
+    """What of a recording is replayed, and what is shown meanwhile."""
+
+    start_s: float = 0.0
+    duration_s: float | None = None
+    video: Path | None = None
+    progress: bool = True
+
+
+@dataclass(frozen=True)
+class ReplayOutcome:
+    """How a replay ended."""
+
+    summary: dict[str, Any]
+    interrupted: bool
+    closing_links: list[tuple[int, int]]
+
+
+def replay(
+    recording: Recording,
+    selection: Selection,
+    config: Config,
+    folder: Path,
+    options: ReplayOptions = ReplayOptions(),
+) -> ReplayOutcome:
+    """Replay a recording and write the results; an interrupt writes those so far.
+
+    Raises:
+        UnusableInput: the recording has nothing to replay, or the folder cannot be written.
+        UnusableParameter: a crop or window does not fit the images.
+    """
+    times = StepTimes()
+    slam = RatSLAM(
+        config,
+        visual_odometry=selection.odom_topic is None and selection.image_topic is not None,
+        stopwatch=times,
+    )
+    events = recording.events(selection, options.start_s, options.duration_s)
+    dropped = 0
+    span = _Span()
+    interrupted = False
+    with ExitStack() as stack:
+        decoded = stack.enter_context(_ReadAhead(events, times))
+        first = next(decoded, None)  # before any file is written: this may be refused
+        results = Results(folder)
+        film = stack.enter_context(_Film(options.video, slam)) if options.video else None
+        bar = stack.enter_context(_Progress(recording, options, results))
+        start_s = time.perf_counter()
+        try:
+            while first is not None:
+                event, image = first
+                span.add(event.log_ns)
+                steps: list[Step] = []
+                if isinstance(event, OdometryEvent):
+                    steps = slam.odometry(_odometry(event))
+                elif isinstance(event, ImageEvent):
+                    dropped += image is None
+                    if film is not None:
+                        film.keep(event)
+                    steps = slam.image(event.stamp_ns, image)
+                else:
+                    template = _template(event, recording)
+                    dropped += template is None
+                    if template is not None:
+                        steps = slam.template(*template)
+                for step in steps:
+                    results.add(step)
+                    if film is not None:
+                        film.add(step)
+                bar.update(span.duration_s)
+                first = next(decoded, None)
+        except KeyboardInterrupt:
+            interrupted = True
+        for step in slam.finish():
+            results.add(step)
+        wall_s = time.perf_counter() - start_s
+    counts = slam.order.counts
+    summary = {
+        'frames': results.frames,
+        'odometry': results.odometry,
+        'templates': results.templates,
+        'experiences': len(slam.experience_map),
+        'links': slam.experience_map.link_count,
+        'loop_closures': results.loop_closures,
+        'dropped': dropped,
+        'late': counts.late,
+        'refused': counts.refused,
+        'duration_s': round(span.duration_s, 3),
+        'wall_s': round(wall_s, 3),
+        'times_realtime': round(span.duration_s / wall_s, 1) if wall_s > 0.0 else 0.0,
+        'step_ms': times.summary_ms(),
+    }
+    results.finish(slam.experience_map, config, summary)
+    return ReplayOutcome(summary, interrupted, results.closing_links)
+
+
+def _odometry(event: OdometryEvent) -> Odometry:
+    return Odometry(
+        event.stamp_ns,
+        Twist(event.linear_x, event.angular_z),
+        Pose(event.x, event.y, event.heading_rad),
+    )
+
+
+def _template(event: TemplateEvent, recording: Recording) -> tuple[int, Any] | None:
+    try:
+        stamp_ns, match, _ = decode_template(event.payload)
+    except MalformedMessage as error:
+        text = f'a template message was not used: {error}'
+        if text not in recording.warnings:
+            recording.warnings.append(text)
+        return None
+    return stamp_ns, match
+
+
+class _Span:
+    """From the first to the last time of the recording that was replayed."""
+
+    def __init__(self) -> None:
+        self._first_ns: int | None = None
+        self._last_ns = 0
+
+    def add(self, log_ns: int) -> None:
+        if self._first_ns is None:
+            self._first_ns = self._last_ns = log_ns
+        self._last_ns = max(self._last_ns, log_ns)
+
+    @property
+    def duration_s(self) -> float:
+        return 0.0 if self._first_ns is None else (self._last_ns - self._first_ns) * 1e-9
+
+
+class _ReadAhead:
+    """Reads and decodes on a second thread, in order, a few events ahead."""
+
+    def __init__(self, events: Iterator[Event], times: StepTimes) -> None:
+        self._events = events
+        self._times = times
+        self._queue: queue.Queue[list[Decoded] | BaseException | None] = queue.Queue(4)
+        self._stopped = threading.Event()
+        self._thread = threading.Thread(target=self._read, name='read ahead', daemon=True)
+        self._batch: Iterator[Decoded] = iter(())
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._stopped.set()
+        while self._thread.is_alive():  # it may wait for room
+            try:
+                self._queue.get(timeout=0.05)
+            except queue.Empty:
+                continue
+
+    def __iter__(self) -> Self:
+        return self
+
+    def __next__(self) -> Decoded:
+        for item in self._batch:
+            return item
+        batch = self._queue.get()
+        if batch is None:
+            raise StopIteration
+        if isinstance(batch, BaseException):
+            raise batch
+        self._batch = iter(batch)
+        return next(self._batch)
+
+    def _read(self) -> None:
+        try:
+            batch: list[Decoded] = []
+            for event in self._events:
+                if self._stopped.is_set():
+                    return
+                batch.append((event, self._decode(event)))
+                if len(batch) == READ_AHEAD // 4:
+                    self._queue.put(batch)
+                    batch = []
+            if batch:
+                self._queue.put(batch)
+            self._queue.put(None)
+        except BaseException as error:
+            self._queue.put(error)
+
+    def _decode(self, event: Event) -> NDArray[np.uint8] | None:
+        if not isinstance(event, ImageEvent):
+            return None
+        try:
+            with self._times('decode'):
+                return event.grey()
+        except UndecodableImage:
+            return None
+
+
+class _Progress:
+    """A progress bar with the figures that tell whether a map is coming about."""
+
+    def __init__(self, recording: Recording, options: ReplayOptions, results: Results) -> None:
+        from tqdm import tqdm
+
+        total_s = (recording.end_ns - recording.start_ns) * 1e-9 - options.start_s
+        if options.duration_s is not None:
+            total_s = min(total_s, options.duration_s)
+        self._results = results
+        self._start_s = time.perf_counter()
+        self._next_s = 0.0
+        self._bar = tqdm(
+            total=round(total_s, 1),
+            disable=not options.progress,
+            file=sys.stderr,
+            bar_format='{percentage:3.0f}% |{bar}| {n:.0f}/{total:.0f} s{postfix}',
+        )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._next_s = 0.0
+        self.update(self._bar.n)
+        self._bar.close()
+
+    def update(self, done_s: float) -> None:
+        """Show how far the replay is, a few times a second."""
+        now_s = time.perf_counter()
+        if now_s < self._next_s or self._bar.disable:
+            return
+        self._next_s = now_s + 0.1
+        wall_s = max(now_s - self._start_s, 1e-6)
+        r = self._results
+        self._bar.n = min(done_s, self._bar.total)
+        self._bar.set_postfix_str(
+            f'{done_s / wall_s:.0f}x real time, {r.templates} templates, '
+            f'{r.experiences} experiences, {r.loop_closures} loop closures'
+        )
+
+
+class _Film:
+    """The video of a replay; keeps the images that wait for their turn."""
+
+    def __init__(self, path: Path, slam: RatSLAM) -> None:
+        self._slam = slam
+        self._video = MapVideo(path)
+        self._images: dict[int, ImageEvent] = {}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._video.close()
+
+    def keep(self, event: ImageEvent) -> None:
+        """Remember an image until its template message is processed."""
+        self._images[event.stamp_ns] = event
+
+    def add(self, step: Step) -> None:
+        """Write a frame if this step is a view's."""
+        if not isinstance(step, ViewStep):
+            return
+        for stamp_ns in [s for s in self._images if s < step.stamp_ns]:
+            del self._images[stamp_ns]
+        event = self._images.pop(step.stamp_ns, None)
+        if event is None:
+            return
+        try:
+            image = event.bgr()
+        except UndecodableImage:
+            return
+        known = step.match.template_id
+        templates = self._slam.local_view.templates
+        self._video.write(
+            image,
+            templates[known] if 0 <= known < len(templates) else None,
+            self._slam.pose_cells.activity(),
+            self._slam.experience_map.poses[:, :2],
+            self._slam.experience_map.pose,
+            f'template {known}  experience {step.action.target_id}  {step.action.action}',
+        )

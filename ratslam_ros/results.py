@@ -1,0 +1,149 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The files that a run writes, as they come, in constant memory."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import struct
+import tempfile
+from pathlib import Path
+from typing import IO, Any
+
+from ratslam_ros.config_files import to_yaml
+from ratslam_ros.core.config import Config
+from ratslam_ros.core.experience_map import ExperienceMap, composed
+from ratslam_ros.core.odometry import Pose
+from ratslam_ros.core.ratslam import OdometryStep, Step, ViewStep
+from ratslam_ros.errors import UnusableInput
+from ratslam_ros.messages import NS_PER_S, encode_map
+
+FRAMES_HEADER = 'stamp_ns,template_id,is_new,match_error,relative_rad,experience_id\n'
+
+NEWEST_EXPERIENCES = 10
+"""A link or set to one of the experiences made this recently is no loop closure."""
+
+_OFFSET = struct.Struct('<qqddd')
+
+
+class Results:
+    """Writes one run's files into a folder."""
+
+    def __init__(self, folder: Path) -> None:
+        """Open the files.
+
+        Raises:
+            UnusableInput: the folder cannot be made or written to.
+        """
+        self.folder = folder
+        self.frames = 0
+        self.odometry = 0
+        self.templates = 0
+        self.experiences = 0
+        self.loop_closures = 0
+        self._closures: set[tuple[int, int]] = set()
+        self._action_ns = 0
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            self._frames = _writer(folder / 'frames.csv')
+            self._trajectory = _writer(folder / 'trajectory.tum')
+            self._dead_reckoning = _writer(folder / 'dead_reckoning.tum')
+        except OSError as error:
+            raise UnusableInput(
+                f'{folder} cannot be written to ({error.strerror}); give another --out'
+            ) from None
+        self._frames.write(FRAMES_HEADER)
+        # Where each pose lies from its experience: the final trajectory needs the final map.
+        self._offsets: IO[bytes] = tempfile.TemporaryFile()
+
+    def add(self, step: Step) -> None:
+        """Write what one message led to."""
+        if isinstance(step, OdometryStep):
+            self._add_odometry(step)
+        else:
+            self._add_view(step)
+
+    def _add_odometry(self, step: OdometryStep) -> None:
+        self.odometry += 1
+        self._trajectory.write(tum_line(step.stamp_ns, step.pose))
+        self._dead_reckoning.write(tum_line(step.stamp_ns, step.dead_reckoning))
+        self._offsets.write(_OFFSET.pack(step.stamp_ns, step.experience_id, *step.offset))
+
+    def _add_view(self, step: ViewStep) -> None:
+        match, action = step.match, step.action
+        self.frames += 1
+        self.templates += match.is_new
+        self._action_ns = step.stamp_ns
+        if action.action == 'create':
+            self.experiences += 1
+        elif action.action != 'none' and (
+            action.target_id < self.experiences - NEWEST_EXPERIENCES
+        ):
+            self.loop_closures += 1
+            self._closures.add((action.source_id, action.target_id))
+        self._frames.write(
+            f'{step.stamp_ns},{match.template_id},{int(match.is_new)},{match.error!r},'
+            f'{match.relative_rad!r},{action.target_id}\n'
+        )
+
+    @property
+    def closing_links(self) -> list[tuple[int, int]]:
+        """Source and target of every link that closed a loop."""
+        return sorted(self._closures)
+
+    def finish(
+        self, experience_map: ExperienceMap, config: Config, summary: dict[str, Any]
+    ) -> None:
+        """Write the map, the final trajectory and the summary, and close all files."""
+        for file in (self._frames, self._trajectory, self._dead_reckoning):
+            file.close()
+        map_json = encode_map(self._action_ns, experience_map)
+        _replace(self.folder / 'map.json', map_json + '\n')
+        self._write_final(experience_map)
+        _replace(self.folder / 'config.yaml', to_yaml(config))
+        _replace(self.folder / 'summary.json', json.dumps(summary, indent=2) + '\n')
+
+    def _write_final(self, experience_map: ExperienceMap) -> None:
+        self._offsets.seek(0)
+        with _writer(self.folder / 'trajectory_final.tum') as file:
+            while chunk := self._offsets.read(_OFFSET.size * 4096):
+                for stamp_ns, experience_id, x, y, heading in _OFFSET.iter_unpack(chunk):
+                    base = experience_map.pose_of(experience_id)
+                    file.write(tum_line(stamp_ns, composed(base, Pose(x, y, heading))))
+        self._offsets.close()
+
+
+def tum_line(stamp_ns: int, pose: Pose) -> str:
+    """Return ``t x y z qx qy qz qw`` with t from integer ns, nine decimals."""
+    sec, nanosec = divmod(stamp_ns, NS_PER_S)
+    half = 0.5 * pose.heading_rad
+    return (
+        f'{sec}.{nanosec:09d} {pose.x_m:.9f} {pose.y_m:.9f} 0 0 0 '
+        f'{math.sin(half):.9f} {math.cos(half):.9f}\n'
+    )
+
+
+def link_latest(folder: Path) -> None:
+    """Let ``latest``, beside a results folder, point to it; where links exist."""
+    link = folder.parent / 'latest'
+    if link.exists() and not link.is_symlink():
+        return
+    fresh = folder.parent / f'.latest-{os.getpid()}'
+    try:
+        fresh.symlink_to(folder.name)
+        fresh.replace(link)
+    except OSError:
+        fresh.unlink(missing_ok=True)
+
+
+def _writer(path: Path) -> IO[str]:
+    return open(path, 'w', encoding='ascii', newline='\n')
+
+
+def _replace(path: Path, text: str) -> None:
+    """Write a file whole or not at all."""
+    part = path.with_name(path.name + '.part')
+    part.write_text(text, encoding='ascii', newline='\n')
+    part.replace(path)
