@@ -1,0 +1,51 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+#
+# Everything here runs in a virtual environment, .venv, that is made at the first call.
+#   make demo     a simulated robot maps an office floor: results/latest/map.png
+#   make test     the tests
+#   make lint     ruff and mypy
+#   make docs     docs/parameters.md and config/default.yaml, from the code
+#   make clean    remove .venv
+# Another Python: make PYTHON=/path/to/python3.12 demo (after make clean)
+
+VENV := .venv
+BIN := $(VENV)/bin
+RUN := $(VENV)/.installed
+DEV := $(VENV)/.installed-dev
+
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+
+.PHONY: demo test lint docs clean
+.DELETE_ON_ERROR:
+
+demo: $(RUN)
+	$(BIN)/ratslam demo
+
+test: $(DEV)
+	$(BIN)/python -m pytest $(PYTEST_ARGS)
+
+lint: $(DEV)
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
+docs: $(RUN)
+	$(BIN)/python -m ratslam_ros.parameter_docs
+
+clean:
+	rm -rf $(VENV)
+
+$(BIN)/python:
+	@python=$$(PYTHON='$(PYTHON)' .ci/find_python) || exit 1; \
+	echo "making $(VENV) with $$python"; \
+	rm -rf $(VENV) && "$$python" -m venv $(VENV)
+
+$(RUN): setup.py setup.cfg pyproject.toml | $(BIN)/python
+	@echo 'installing what ratslam_ros needs into $(VENV): once, a few minutes at most'
+	$(BIN)/python -m pip install --quiet --editable .
+	@touch $@
+
+$(DEV): $(RUN)
+	@echo 'installing the tools for tests into $(VENV)'
+	$(BIN)/python -m pip install --quiet --editable '.[dev]'
+	@touch $@

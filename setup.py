@@ -1,0 +1,73 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Builds the package, with pip and with colcon (ament_python) alike."""
+
+import re
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+NAME = 'ratslam_ros'
+HERE = Path(__file__).resolve().parent
+
+
+def version() -> str:
+    """Return the version, without importing the package: its dependencies may be absent."""
+    text = (HERE / NAME / '__init__.py').read_text(encoding='utf-8')
+    found = re.search(r"^__version__ = '(.+)'$", text, re.MULTILINE)
+    assert found is not None
+    return found[1]
+
+
+def installed(folder: str, *patterns: str) -> tuple[str, list[str]]:
+    """Return where a folder's files go under share/, and the files."""
+    files = [path for pattern in patterns for path in sorted((HERE / folder).glob(pattern))]
+    return f'share/{NAME}/{folder}', [path.relative_to(HERE).as_posix() for path in files]
+
+
+setup(
+    name=NAME,
+    version=version(),
+    description='RatSLAM for ROS 2, and for recordings without ROS',
+    long_description=(HERE / 'README.md').read_text(encoding='utf-8'),
+    long_description_content_type='text/markdown',
+    author='the ratslam_ros authors',
+    author_email='ratslam_ros@example.org',
+    maintainer='the ratslam_ros authors',
+    maintainer_email='ratslam_ros@example.org',
+    license='Apache-2.0',
+    keywords=['SLAM', 'RatSLAM', 'ROS 2', 'robotics', 'mapping', 'place recognition'],
+    packages=find_packages(include=[NAME, f'{NAME}.*']),
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
+        (f'share/{NAME}', ['package.xml']),
+        installed('config', '*.yaml'),
+        installed('launch', '*.launch.py'),
+    ],
+    zip_safe=False,
+    python_requires='>=3.11',
+    install_requires=[
+        'lz4>=4.0',
+        'matplotlib>=3.8',
+        'mcap>=1.1',
+        'numba>=0.59',
+        'numpy>=1.26',
+        'opencv-python-headless>=4.8',
+        'pyyaml>=6.0.1',
+        'rosbags>=0.10',
+        'scipy>=1.11.4',
+        'tqdm>=4.64',
+        'zstandard>=0.22',
+    ],
+    extras_require={
+        'dev': [
+            'hypothesis>=6.90',
+            'mypy>=1.8',
+            'pytest>=8.0',
+            'ruff>=0.4',
+            'types-PyYAML',
+            'types-tqdm',
+        ],
+    },
+    entry_points={'console_scripts': [f'ratslam = {NAME}.cli:main']},
+)
