@@ -303,10 +303,9 @@ def join(
 
 @compiled
 def _inside(index: int, length: int, circle: int) -> int:
-    """Return the index in a packet, wrapped where the packet spans its circle; -1 if outside."""
-    if length == circle:
-        return index % circle
-    return index if 0 <= index < length else -1
+    """Return the index in a packet, the way round the circle included; -1 if outside."""
+    wrapped = index % circle
+    return wrapped if wrapped < length else -1
 
 
 @compiled

@@ -1,0 +1,319 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Small worlds and recordings, and plain references that say what the fast code must do."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import convolve1d
+
+from ratslam_ros.core.config import LocalViewParameters, PoseCellsParameters
+from ratslam_ros.core.local_view import ViewMatch
+from ratslam_ros.core.odometry import Motion, Odometry, Pose, Twist
+
+START_NS = 1_700_000_000_000_000_000
+PERIOD_NS = 100_000_000
+STILL = Motion(0.1, 0.0, 0.0)
+IMAGE_TOPIC, ODOM_TOPIC, TEMPLATE_TOPIC = '/camera/image', '/odom', '/local_view/template'
+
+
+def twist(stamp_ns: int, speed: float = 0.0, turn_rate: float = 0.0) -> Odometry:
+    """Return an odometry message without a pose."""
+    return Odometry(stamp_ns, Twist(speed, turn_rate), Pose(0.0, 0.0, 0.0))
+
+
+def ahead(distance_m: float, dt_s: float = 0.1) -> Motion:
+    return Motion(dt_s, distance_m, 0.0)
+
+
+def turning(turn_rad: float, dt_s: float = 0.1) -> Motion:
+    return Motion(dt_s, 0.0, turn_rad)
+
+
+def seen(template_id: int, relative_rad: float = 0.0, is_new: bool = False) -> ViewMatch:
+    return ViewMatch(template_id, is_new, 0.0, relative_rad)
+
+
+# The pose cells, dense
+
+
+class DenseNetwork:
+    """Algorithm.md's network as it is written there, on the whole torus, with bilinear shifts."""
+
+    def __init__(self, p: PoseCellsParameters) -> None:
+        self.dims = (p.pc_dim_th, p.pc_dim_y, p.pc_dim_x)
+        self._excitation = gaussian(p.pc_w_e_dim, p.pc_w_e_var)
+        self._inhibition = gaussian(p.pc_w_i_dim, p.pc_w_i_var)
+        self._cutoff = p.pc_global_inhib
+        self.activity = np.zeros(self.dims)
+        self.activity[tuple(n // 2 for n in self.dims)] = 1.0
+
+    def step(self, cells: float = 0.0, planes: float = 0.0) -> None:
+        """Compete, normalise, move every plane its own way, then all planes along theta."""
+        p = _convolved(self.activity, self._excitation)
+        p = p - _convolved(p, self._inhibition)
+        p = np.maximum(p - self._cutoff, 0.0)
+        survives = p if p.sum() > 0.0 else self.activity
+        self.activity = survives / survives.sum()
+        if cells != 0.0:
+            for k in range(self.dims[0]):
+                heading = 2.0 * math.pi * k / self.dims[0]
+                plane = shifted(self.activity[k], cells * math.sin(heading), 0)
+                self.activity[k] = shifted(plane, cells * math.cos(heading), 1)
+        self.activity = shifted(self.activity, planes, 0)
+
+    def inject(self, theta: float, y: float, x: float, energy: float) -> None:
+        """Add energy to the eight cells around a place."""
+        for i, w_i in _two_cells(theta, self.dims[0]):
+            for j, w_j in _two_cells(y, self.dims[1]):
+                for k, w_k in _two_cells(x, self.dims[2]):
+                    self.activity[i, j, k] += energy * w_i * w_j * w_k
+
+    def peak(self) -> tuple[float, float, float]:
+        """Return theta, y and x of the largest cell, refined within 3 cells."""
+        return peak_of(self.activity)
+
+
+def gaussian(width: int, deviation: float) -> NDArray[np.float64]:
+    """Return one axis of the cube exp(-r^2 / (2 sigma^2)), which is a product of its axes."""
+    k = np.arange(width) - width // 2
+    weights = np.exp(-(k**2) / (2.0 * deviation**2))
+    return weights / weights.sum()
+
+
+def peak_of(activity: NDArray[np.float64]) -> tuple[float, float, float]:
+    """Return theta, y and x of the largest cell, by population vectors of the +-3 box."""
+    largest = np.unravel_index(int(activity.argmax()), activity.shape)
+    radii = [min(3, (n - 1) // 2) for n in activity.shape]
+    around = [np.arange(c - r, c + r + 1) for c, r in zip(largest, radii, strict=True)]
+    box = activity[np.ix_(*[i % n for i, n in zip(around, activity.shape, strict=True)])]
+    place = []
+    for axis, n in enumerate(activity.shape):
+        weights = box.sum(tuple({0, 1, 2} - {axis}))
+        angles = 2.0 * math.pi * around[axis] / n
+        angle = math.atan2((weights * np.sin(angles)).sum(), (weights * np.cos(angles)).sum())
+        place.append(angle * n / (2.0 * math.pi) % n)
+    return place[0], place[1], place[2]
+
+
+def centroid(
+    activity: NDArray[np.float64], near: tuple[float, float, float], radius: int = 4
+) -> tuple[float, float, float]:
+    """Return the population vector of the cells within a box around a place."""
+    mask = np.ones(activity.shape, bool)
+    for axis, n in enumerate(activity.shape):
+        d = np.abs(around(np.arange(n) - near[axis], n)) <= radius
+        mask &= d.reshape([-1 if a == axis else 1 for a in range(3)])
+    part = np.where(mask, activity, 0.0)
+    place = []
+    for axis, n in enumerate(activity.shape):
+        weights = part.sum(tuple({0, 1, 2} - {axis}))
+        angles = 2.0 * math.pi * np.arange(n) / n
+        angle = math.atan2((weights * np.sin(angles)).sum(), (weights * np.cos(angles)).sum())
+        place.append(angle * n / (2.0 * math.pi) % n)
+    return place[0], place[1], place[2]
+
+
+def shifted(a: NDArray[np.float64], cells: float, axis: int) -> NDArray[np.float64]:
+    """Shift cyclically by any number of cells, linearly between two cells."""
+    whole = math.floor(cells)
+    part = cells - whole
+    return (1.0 - part) * np.roll(a, whole, axis) + part * np.roll(a, whole + 1, axis)
+
+
+def around(difference: Any, circle: float) -> Any:
+    """Return a difference on a circle, the shortest way."""
+    return (difference + circle / 2) % circle - circle / 2
+
+
+def _convolved(a: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
+    for axis in range(3):
+        if len(weights) > a.shape[axis]:  # the kernel goes round the circle more than once
+            radius = len(weights) // 2
+            a = sum(w * np.roll(a, k - radius, axis) for k, w in enumerate(weights))
+        else:
+            a = convolve1d(a, weights, axis, mode='wrap')
+    return a
+
+
+def _two_cells(place: float, circle: int) -> tuple[tuple[int, float], tuple[int, float]]:
+    whole = math.floor(place)
+    part = place - whole
+    return (whole % circle, 1.0 - part), ((whole + 1) % circle, part)
+
+
+# The local view, plain
+
+
+def plain_view(image: NDArray[np.uint8], p: LocalViewParameters) -> NDArray[np.uint8]:
+    """Return the view of an image, step by step as algorithm.md has it."""
+    x_max = image.shape[1] if p.image_crop_x_max < 0 else p.image_crop_x_max
+    y_max = image.shape[0] if p.image_crop_y_max < 0 else p.image_crop_y_max
+    crop = image[p.image_crop_y_min : y_max, p.image_crop_x_min : x_max].astype(np.float64)
+    rows, columns = p.template_y_size, p.template_x_size
+    y_edges = [i * crop.shape[0] // rows for i in range(rows + 1)]
+    x_edges = [i * crop.shape[1] // columns for i in range(columns + 1)]
+    v = np.array(
+        [
+            [crop[y_edges[j] : y_edges[j + 1], x_edges[i] : x_edges[i + 1]].mean() / 255.0
+             for i in range(columns)]
+            for j in range(rows)
+        ]
+    )  # fmt: skip
+    if p.vt_normalisation > 0.0 and v.mean() > 0.0:
+        v = np.clip(v * p.vt_normalisation / v.mean(), 0.0, 1.0)
+    n = p.vt_patch_normalise
+    if n > 0:
+        padded = np.pad(v, n, mode='edge')
+        patches = np.lib.stride_tricks.sliding_window_view(padded, (2 * n + 1, 2 * n + 1))
+        mean, std = patches.mean((2, 3)), patches.std((2, 3))
+        plain = (std <= 1e-12) | (std < p.vt_min_patch_normalisation_std)
+        z = ((v - mean) / np.where(plain, 1.0, std) + 3.0) / 6.0
+        v = np.where(plain, 0.5, np.clip(z, 0.0, 1.0))
+    return np.floor(255.0 * v + 0.5).astype(np.uint8)
+
+
+def plain_match(
+    templates: Iterable[NDArray[np.uint8]], view: NDArray[np.uint8], p: LocalViewParameters
+) -> tuple[int, int, int] | None:
+    """Return (id, offset, SAD) of the least sum; ties: lowest id, then lowest offset."""
+    width = view.shape[1]
+    now = view.astype(np.int64)
+    shift = p.vt_shift_match
+    best = None
+    for number, template in enumerate(templates):
+        known = template.astype(np.int64)
+        last = width - 1 if p.vt_panoramic else 2 * shift
+        for offset in range(0, last + 1, p.vt_step_match):
+            if p.vt_panoramic:  # template column (x + o) mod W over view column x
+                sad = int(np.abs(now - np.roll(known, -offset, 1)).sum())
+            else:
+                part = known[:, offset : offset + width - 2 * shift]
+                sad = int(np.abs(now[:, shift : width - shift] - part).sum())
+            if best is None or sad < best[2]:
+                best = number, offset, sad
+    return best
+
+
+# Images
+
+
+def picture(seed: int, height: int = 12, width: int = 16) -> NDArray[np.uint8]:
+    """Return noise that is another for every seed."""
+    return np.random.default_rng(seed).integers(0, 256, (height, width), dtype=np.uint8)
+
+
+def panorama(place: tuple[int, int], turns: int, width: int = 60) -> NDArray[np.uint8]:
+    """Return what a camera that sees the full circle sees at a place.
+
+    ``turns``: the robot's heading in columns, counter-clockwise. Columns run clockwise: column c
+    looks towards ``turns - c``.
+    """
+    seed = (place[0] + 1000) * 10_000 + place[1] + 1000
+    return np.roll(picture(seed, 8, width), turns, axis=1)
+
+
+# Recordings
+
+TYPES = {
+    'image': 'sensor_msgs/msg/Image',
+    'compressed': 'sensor_msgs/msg/CompressedImage',
+    'odometry': 'nav_msgs/msg/Odometry',
+    'string': 'std_msgs/msg/String',
+}
+Recorded = tuple[int, str, str, Any]
+"""Time of the recording in ns, topic, kind and message."""
+
+
+def _store() -> Any:
+    from rosbags.typesys import Stores, get_typestore
+
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
+def write_bag(folder: Path, messages: Iterable[Recorded]) -> Path:
+    """Write a rosbag2 folder (mcap)."""
+    from rosbags.rosbag2 import StoragePlugin, Writer
+
+    store = _store()
+    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connections: dict[str, Any] = {}
+        for log_ns, topic, kind, message in messages:
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, TYPES[kind], typestore=store)
+            writer.write(connections[topic], log_ns, store.serialize_cdr(message, TYPES[kind]))
+    return folder
+
+
+def _header(store: Any, stamp_ns: int) -> Any:
+    time = store.types['builtin_interfaces/msg/Time'](*divmod(stamp_ns, 10**9))
+    return store.types['std_msgs/msg/Header'](time, 'camera')
+
+
+def image_message(stamp_ns: int, pixels: NDArray[np.uint8]) -> Any:
+    store = _store()
+    height, width = pixels.shape
+    data = np.ascontiguousarray(pixels).reshape(-1)
+    return store.types[TYPES['image']](
+        _header(store, stamp_ns), height, width, 'mono8', 0, width, data
+    )
+
+
+def undecodable_message(stamp_ns: int) -> Any:
+    """Return an image whose bytes are too few for its size."""
+    store = _store()
+    return store.types[TYPES['image']](
+        _header(store, stamp_ns), 8, 8, 'mono8', 0, 8, np.zeros(3, np.uint8)
+    )
+
+
+def odometry_message(stamp_ns: int, speed: float, turn_rate: float, pose: Pose) -> Any:
+    types = _store().types
+    vector, point = types['geometry_msgs/msg/Vector3'], types['geometry_msgs/msg/Point']
+    turn = types['geometry_msgs/msg/Quaternion'](
+        0.0, 0.0, math.sin(pose.heading_rad / 2), math.cos(pose.heading_rad / 2)
+    )
+    place = types['geometry_msgs/msg/Pose'](point(pose.x_m, pose.y_m, 0.0), turn)
+    motion = types['geometry_msgs/msg/Twist'](
+        vector(speed, 0.0, 0.0), vector(0.0, 0.0, turn_rate)
+    )
+    return types[TYPES['odometry']](
+        _header(_store(), stamp_ns),
+        'base_link',
+        types['geometry_msgs/msg/PoseWithCovariance'](place, np.zeros(36)),
+        types['geometry_msgs/msg/TwistWithCovariance'](motion, np.zeros(36)),
+    )
+
+
+def string_message(text: str) -> Any:
+    return _store().types[TYPES['string']](text)
+
+
+def circles(laps: int = 3, per_lap: int = 30, radius_m: float = 2.0) -> Iterator[Recorded]:
+    """Yield a robot that drives in a circle and sees the same pictures in every lap."""
+    length_m = 2.0 * math.pi * radius_m
+    for i in range(laps * per_lap):
+        stamp_ns = START_NS + i * PERIOD_NS
+        speed = length_m / per_lap / (PERIOD_NS * 1e-9)
+        turn_rate = 2.0 * math.pi / per_lap / (PERIOD_NS * 1e-9)
+        message = odometry_message(stamp_ns, speed, turn_rate, Pose(0.0, 0.0, 0.0))
+        yield stamp_ns, ODOM_TOPIC, 'odometry', message
+        pixels = picture(i % per_lap, 24, 32)
+        yield stamp_ns + 1_000_000, IMAGE_TOPIC, 'image', image_message(stamp_ns, pixels)
+
+
+def template_text(stamp_ns: int, template_id: int, **changes: Any) -> str:
+    """Return a well-formed template payload, or one with some fields changed."""
+    sec, nanosec = divmod(stamp_ns, 10**9)
+    fields = {
+        'schema_version': 1, 'stamp': {'sec': sec, 'nanosec': nanosec}, 'id': template_id,
+        'is_new': False, 'error': 0.01, 'relative_rad': 0.0, 'memory': START_NS,
+    }  # fmt: skip
+    return json.dumps({**fields, **changes})
