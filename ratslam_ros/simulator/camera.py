@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from ratslam_ros.simulator.textures import TEXELS_PER_M, WALL_HEIGHT_M
 from ratslam_ros.simulator.world import EAST, NORTH, SOUTH, WEST, World
 
-FLOOR_TILE_M = 0.75
+FLOOR_TILE_M = 0.7
 # Lamps hang on a grid through the middle of the floor; in the office, over the corridors.
-LAMP_SPACING_X_M, LAMP_SPACING_Y_M = 3.75, 3.0
+LAMP_SPACING_M = 3.85
 
 
 @dataclass(frozen=True)
@@ -184,9 +184,9 @@ def _render(  # type: ignore[no-untyped-def]
                 ceiling_m = (WALL_HEIGHT_M - camera_height_m) / up
                 over_x, over_y = x_m + ceiling_m * ray_x, y_m + ceiling_m * ray_y
                 shade = 0.66 * _light_at(light, over_x / cell_m, over_y / cell_m)
-                lamp_x = ((over_x - middle_x) / LAMP_SPACING_X_M + 0.5) % 1.0 - 0.5
-                lamp_y = ((over_y - middle_y) / LAMP_SPACING_Y_M + 0.5) % 1.0 - 0.5
-                if abs(lamp_x) * LAMP_SPACING_X_M < 0.6 and abs(lamp_y) * LAMP_SPACING_Y_M < 0.6:
+                lamp_x = ((over_x - middle_x) / LAMP_SPACING_M + 0.5) % 1.0 - 0.5
+                lamp_y = ((over_y - middle_y) / LAMP_SPACING_M + 0.5) % 1.0 - 0.5
+                if abs(lamp_x) * LAMP_SPACING_M < 0.6 and abs(lamp_y) * LAMP_SPACING_M < 0.6:
                     shade = 1.05
                 shade /= 1.0 + 0.03 * ceiling_m
             else:

@@ -26,14 +26,14 @@ class DriveOptions:
     rest_every_m, rest_s: the robot stops about this often, for about this long
     """
 
-    speed_mps: float = 0.55
-    corner_speed_mps: float = 0.4
+    speed_mps: float = 0.6
+    corner_speed_mps: float = 0.45
     slow_down_mps2: float = 0.25
     corner_radius_m: float = 0.9
     lane_spread_m: float = 0.05
     look_ahead_m: float = 0.6
-    rest_every_m: float = 50.0
-    rest_s: float = 4.0
+    rest_every_m: float = 60.0
+    rest_s: float = 3.0
 
 
 class Driver:

@@ -12,35 +12,29 @@ from numpy.typing import NDArray
 from ratslam_ros.errors import UnusableInput
 
 # Two loops that share the whole left half. Corridors are three cells wide, so that a place named
-# in the middle row lies on the centre line. Turned by half a turn the plan is nearly the same:
-# its north and south wings are twins but for what hangs on the walls; the lobby has no twin.
+# in the middle row lies on the centre line; alcoves, a lobby and its pillars tell them apart.
 OFFICE = """
-###################################
-#.................................#
-#.D..............F..............C.#
-#.................................#
-#...###...######...############...#
-#...###...######...############...#
-#...############...############...#
-#...############...########.......#
-#...############...########.......#
-#...############.....######.#.....#
-#...############.....######.......#
-#...############.....######.#.....#
-#...############...########.......#
-#...############...########.......#
-#...############...############...#
-#...############...######...###...#
-#...############...######...###...#
-#.................................#
-#.A.....S........E..............B.#
-#.................................#
-###################################
+###########################
+#.........................#
+#.D..........F..........C.#
+#.........................#
+#...##...###...########...#
+#...##...###...########...#
+#...########...#####......#
+#...########...#####.#....#
+#...########....####......#
+#...########....####.#....#
+#...########...###...##...#
+#...########...###...##...#
+#.........................#
+#.A..........E..........B.#
+#.........................#
+###########################
 """
-OFFICE_CELL_M = 0.75
+OFFICE_CELL_M = 0.7
 # Once round the building, then round its left wing, always counter-clockwise: a camera that looks
 # ahead recognises a place only in the direction in which it learned it.
-OFFICE_START, OFFICE_CIRCUIT, OFFICE_END = 'S', 'BCDAEFDA', 'E'
+OFFICE_START, OFFICE_CIRCUIT = 'E', 'BCDAEFDAE'
 
 WALL = '#'
 

@@ -45,9 +45,9 @@ class RobotOptions:
     encoder_counts_per_turn: int = 2000
     max_acceleration_mps2: float = 0.4
     max_turn_acceleration_radps2: float = 1.5
-    wheel_radius_error: float = 0.0015
-    wheel_base_error: float = 0.02
-    slip_m: float = 0.005
+    wheel_radius_error: float = 0.0022
+    wheel_base_error: float = 0.025
+    slip_m: float = 0.007
 
 
 @dataclass(frozen=True)

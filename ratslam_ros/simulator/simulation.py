@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.simulator.camera import Camera, CameraOptions
 from ratslam_ros.simulator.drive import DriveOptions, Driver, path_length_m
-from ratslam_ros.simulator.floor_plan import OFFICE_CIRCUIT, OFFICE_END, OFFICE_START, office
+from ratslam_ros.simulator.floor_plan import OFFICE_CIRCUIT, OFFICE_START, office
 from ratslam_ros.simulator.robot import Odometry, Pose, Robot, RobotOptions, WheelOdometry
 from ratslam_ros.simulator.world import WorldOptions, build_world
 
@@ -34,7 +34,7 @@ class SimulationOptions:
     circuits: how often the tour of the office is driven, unless a duration is asked for
     """
 
-    circuits: int = 2
+    circuits: int = 3
     world: WorldOptions = field(default_factory=WorldOptions)
     camera: CameraOptions = field(default_factory=CameraOptions)
     robot: RobotOptions = field(default_factory=RobotOptions)
@@ -97,9 +97,9 @@ class Simulation:
         places = self.plan.places
         circuits = options.circuits
         if duration_s is not None:
-            loop = [places[name] for name in OFFICE_CIRCUIT + OFFICE_CIRCUIT[0]]
+            loop = [places[name] for name in OFFICE_START + OFFICE_CIRCUIT]
             circuits = 1 + int(duration_s * options.drive.speed_mps / path_length_m(loop))
-        return [places[name] for name in OFFICE_START + OFFICE_CIRCUIT * circuits + OFFICE_END]
+        return [places[name] for name in OFFICE_START + OFFICE_CIRCUIT * circuits]
 
     def __iter__(self) -> Iterator[Sample]:
         """Yield samples in order of their stamps, odometry before an image of the same stamp."""

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The wall panels of an office: painted from a seed, 1.5 m wide, from the floor to the ceiling."""
+"""The wall panels of an office: painted from a seed, 1.4 m wide, from the floor to the ceiling."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-PANEL_WIDTH_M = 1.5
+PANEL_WIDTH_M = 1.4
 WALL_HEIGHT_M = 2.5
 TEXELS_PER_M = 40
 BLUR_LEVELS = 7

@@ -21,12 +21,14 @@ _STEPS = {WEST: (0, -1), EAST: (0, 1), SOUTH: (-1, 0), NORTH: (1, 0)}
 class WorldOptions:
     """How a floor plan is decorated.
 
-    aliasing: share of the floor, 0..1, that is built in the house style, where walls repeat the
-        same few panels and places far apart really look alike
+    aliasing: share of the walls at corners and junctions, 0..1, that are in the house style,
+        which repeats the same few panels: such places look alike, however far apart they are
+    corner_m: what still counts as at a corner, from the middle of the corridor
     light_spread: how much the lighting differs from place to place, as a share
     """
 
-    aliasing: float = 0.5
+    aliasing: float = 0.8
+    corner_m: float = 1.8
     light_spread: float = 0.15
 
 
@@ -52,7 +54,7 @@ def build_world(
     """Decorate a floor plan from a seed."""
     options = options or WorldOptions()
     library = paint_library(rng)
-    house_style = _house_style_cells(plan, rng, options)
+    house_style = _house_style_sides(plan, rng, options)
     panel = np.zeros((*plan.solid.shape, 4), np.int16)
     panel_u_m = np.zeros((*plan.solid.shape, 4), np.float32)
     for side, wall in _walls(plan.solid):
@@ -62,7 +64,7 @@ def build_world(
             place = int(start_m / PANEL_WIDTH_M + 1e-9)
             repeated = library.house_style[place % len(library.house_style)]
             own = panel_of[place]
-            panel[row, column, side] = repeated if house_style[row, column] else own
+            panel[row, column, side] = repeated if house_style[row, column, side] else own
             panel_u_m[row, column, side] = start_m - place * PANEL_WIDTH_M
     return World(plan, library, panel, panel_u_m, _lighting(plan, rng, options))
 
@@ -99,19 +101,19 @@ def _panels_along(length_m: float, library: PanelLibrary, rng: np.random.Generat
     return chosen
 
 
-def _house_style_cells(
+def _house_style_sides(
     plan: FloorPlan, rng: np.random.Generator, options: WorldOptions
 ) -> NDArray[np.bool_]:
-    """Choose a stretch of the north wing, and the stretch of the south wing that is its twin.
-
-    In a building that looks the same when turned by half a turn, so do these two stretches.
-    """
-    n_y, n_x = plan.solid.shape
-    stretch_x = np.zeros(n_x, bool)
-    length = round(options.aliasing * n_x)
-    first = int(rng.integers(n_x - length + 1))
-    stretch_x[first : first + length] = True
-    return np.array([stretch_x if row >= n_y / 2 else stretch_x[::-1] for row in range(n_y)])
+    """Choose walls around the named places, (n_y, n_x, 4): the wanted share of them, by lot."""
+    rows, columns = np.indices(plan.solid.shape)
+    x_m, y_m = (columns + 0.5) * plan.cell_m, (rows + 0.5) * plan.cell_m
+    chosen = np.zeros((*plan.solid.shape, 4), bool)
+    walls = [(place, side) for place in plan.places.values() for side in _STEPS]
+    for index in rng.permutation(len(walls))[: round(options.aliasing * len(walls))]:
+        (place_x_m, place_y_m), side = walls[index]
+        near = np.hypot(x_m - place_x_m, y_m - place_y_m) <= options.corner_m
+        chosen[..., side] |= near
+    return chosen
 
 
 def _lighting(

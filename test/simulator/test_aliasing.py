@@ -46,7 +46,7 @@ def shares(aliasing):
 
 
 def test_office_has_look_alikes_as_asked_and_is_recognised_all_the_same():
-    none, some = (shares(aliasing) for aliasing in (0.0, 0.5))
+    none, some = (shares(aliasing) for aliasing in (0.0, 0.8))
     assert none.look_alike_share < 0.05
     assert 0.1 < some.look_alike_share < 0.4
     assert some.revisited_share > 0.5
