@@ -28,8 +28,8 @@ def draw_run(run: SimulatedRun, path: str | Path) -> Path:
     _draw_floor(floor, run)
     camera = Camera(run.world, np.random.Generator(np.random.PCG64(0)), CameraOptions())
     for view in range(VIEWS):
-        # Spread over the first half of the run: the second drives the same way again.
-        index = len(run.truth_pose) * (2 * view + 1) // (4 * VIEWS)
+        # Spread over the first circuit: the others go the same way again.
+        index = len(run.truth_pose) * (2 * view + 1) // (6 * VIEWS)
         x_m, y_m, heading_rad = run.truth_pose[index]
         name = 'abcdefgh'[view]
         floor.annotate(
