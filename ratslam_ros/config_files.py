@@ -163,7 +163,11 @@ def _by_name(values: Mapping[Any, Any]) -> Iterator[tuple[str, Value]]:
             for item, inner in value.items():
                 yield f'{name}.{item}', inner
         elif str(name) != 'use_sim_time':
-            found = [s for s, cls in SECTIONS.items() if name in [n for n, _, _ in cls.parameters()]]
+            found = [
+                section
+                for section, cls in SECTIONS.items()
+                if name in [known for known, _, _ in cls.parameters()]
+            ]
             for section in found or [section_of(str(name)) or str(name)]:
                 yield f'{section}.{name}', value
 
@@ -187,7 +191,7 @@ def _from_ini(text: str) -> tuple[Config, list[str]]:
     if not values:
         raise UnusableInput(
             'none of its lines sets a parameter that RatSLAM knows; expected YAML, or '
-            'name=value lines as in OpenRatSLAM\'s configurations'
+            "name=value lines as in OpenRatSLAM's configurations"
         )
     notices = [f'not used of the configuration: {", ".join(unused)}'] if unused else []
     return Config().with_values(values), notices

@@ -7,9 +7,9 @@ class RatslamError(Exception):
     """Something the user can mend; the text says what was seen, expected and what to do."""
 
 
-class UnusableInput(RatslamError):
+class UnusableInput(RatslamError):  # noqa: N818
     """A recording, file or topic that cannot be used."""
 
 
-class UnusableParameter(RatslamError):
+class UnusableParameter(RatslamError):  # noqa: N818
     """A parameter that is unknown, of the wrong type or out of its range."""

@@ -250,11 +250,12 @@ class _Progress:
         total_s = (recording.end_ns - recording.start_ns) * 1e-9 - options.start_s
         if options.duration_s is not None:
             total_s = min(total_s, options.duration_s)
+        self._total_s = round(total_s, 1)
         self._results = results
         self._start_s = time.perf_counter()
         self._next_s = 0.0
         self._bar = tqdm(
-            total=round(total_s, 1),
+            total=self._total_s,
             disable=not options.progress,
             file=sys.stderr,
             bar_format='{percentage:3.0f}% |{bar}| {n:.0f}/{total:.0f} s{postfix}',
@@ -281,7 +282,7 @@ class _Progress:
         self._next_s = now_s + 0.1
         wall_s = max(now_s - self._start_s, 1e-6)
         r = self._results
-        self._bar.n = min(done_s, self._bar.total)
+        self._bar.n = min(done_s, self._total_s)
         self._bar.set_postfix_str(
             f'{done_s / wall_s:.0f}x real time, {r.templates} templates, '
             f'{r.experiences} experiences, {r.loop_closures} loop closures'

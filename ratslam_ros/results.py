@@ -56,7 +56,7 @@ class Results:
             ) from None
         self._frames.write(FRAMES_HEADER)
         # Where each pose lies from its experience: the final trajectory needs the final map.
-        self._offsets: IO[bytes] = tempfile.TemporaryFile()
+        self._offsets: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - closed by finish
 
     def add(self, step: Step) -> None:
         """Write what one message led to."""

@@ -31,7 +31,7 @@ class Histogram:
         for index, count in enumerate(self._bins):
             seen += count
             if count and seen >= rank:
-                return 2.0 ** ((index + 0.5) / BINS_PER_OCTAVE - 30.0)
+                return math.exp2((index + 0.5) / BINS_PER_OCTAVE - 30.0)
         return 0.0
 
 

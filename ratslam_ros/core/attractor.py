@@ -6,8 +6,8 @@ Activity lives in packets: boxes of cells that are too far apart to act on each 
 lattice of its own that may lie anywhere between the cells (``frames``). Path integration moves
 the lattice by the packet's mean motion, and shifts the cells only by what each heading plane
 moves differently from that mean. A packet thus follows the odometry exactly at any speed, where
-shifting the cells themselves would leave it pinned to the lattice by the competition (algorithm.md,
-Tracking), and the cost follows the activity, not the size of the torus.
+shifting the cells themselves would leave it pinned to the lattice by the competition
+(algorithm.md, Tracking), and the cost follows the activity, not the size of the torus.
 
 All arrays are ordered (theta, y, x).
 """
@@ -107,7 +107,7 @@ class Network:
         return self._merged([*packets, _joined(spread, point, self.dims)])
 
     def peak(self, packets: list[Packet]) -> tuple[float, float, float]:
-        """Return theta, y and x, in cells, of the largest cell refined by the +-3 box around it."""
+        """Return theta, y and x, in cells, of the largest cell, refined by the +-3 box around."""
         largest = max(packets, key=lambda p: float(p.cells.max()))
         theta, y, x = decode(largest.cells, largest.box, largest.frame, self.dims)
         return theta, y, x
@@ -155,12 +155,9 @@ class Network:
                     box[axis] += gap_start + gap
                     return self._trimmed(Packet(cells, box, packet.frame))
             if gap > self._reach:
-                parts = (0, gap_start), (gap_start + gap, n - gap_start - gap)
-                return [
-                    part
-                    for start, length in parts
-                    for part in self._trimmed(_slice(cells, box, packet.frame, axis, start, length))
-                ]
+                spans = (0, gap_start), (gap_start + gap, n - gap_start - gap)
+                parts = [_slice(cells, box, packet.frame, axis, *span) for span in spans]
+                return [trimmed for part in parts for trimmed in self._trimmed(part)]
         lows, highs = extents[:, 0], extents[:, 1] + 1
         box = box.copy()
         box[:3] += lows
@@ -172,7 +169,8 @@ class Network:
 def kernel(width: int, deviation: float) -> Cells:
     """Return one axis of a Gaussian cube, (width,) summing to 1; the cube is its outer product."""
     radius = width // 2
-    weights = [math.exp(-(k * k) / (2.0 * deviation * deviation)) for k in range(-radius, radius + 1)]
+    steps = range(-radius, radius + 1)
+    weights = [math.exp(-(k * k) / (2.0 * deviation * deviation)) for k in steps]
     return np.array(weights) / math.fsum(weights)
 
 

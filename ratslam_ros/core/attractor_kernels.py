@@ -30,7 +30,7 @@ def mass(cells: Cells) -> float:
 
 @compiled
 def extent(cells: Cells) -> NDArray[np.int64]:
-    """Return (3, 4): on each axis first and last active slice, start and length of the longest gap."""
+    """Return (3, 4), an axis a row: first and last active slice, start, length of longest gap."""
     out = np.zeros((3, 4), np.int64)
     for axis in range(3):
         used = np.zeros(cells.shape[axis], np.bool_)
@@ -128,7 +128,7 @@ def compete(
 
 
 @compiled
-def _taps(shift: float, spread_as: float) -> tuple[int, float, float, float]:
+def _taps(shift: float, spread_as: float) -> tuple[np.int64, float, float, float]:
     """Return a whole shift and the weights of the cells before, at and after it.
 
     Their mean is ``shift`` and their variance that of a bilinear shift by ``spread_as`` cells,

@@ -12,7 +12,7 @@ import difflib
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import Field, dataclass, field, fields, replace
-from typing import Any, Self
+from typing import Any, Self, cast
 
 from ratslam_ros.errors import UnusableParameter
 
@@ -65,8 +65,7 @@ class Section:
 
 
 def _default(item: Field[Any]) -> Value:
-    default: Value = item.default
-    return default
+    return cast(Value, item.default)
 
 
 def _checked(name: str, value: Any, default: Value, info: ParameterInfo) -> Value:
@@ -99,7 +98,7 @@ class OdometryInput(Section):
 
     odom_source: str = parameter(
         'twist', '', 0, 0,
-        'Read motion from the odometry message\'s twist, or from differences of its pose.',
+        "Read motion from the odometry message's twist, or from differences of its pose.",
         'set to pose if the driver leaves the twist empty',
         'set to twist if the pose jumps (it is corrected by another filter)',
         choices=('twist', 'pose'),
@@ -320,7 +319,7 @@ class ExperienceMapParameters(OdometryInput):
     """The graph of experiences, and how it is relaxed."""
 
     exp_correction: float = parameter(
-        0.5, 'share of the error', 0.0, 0.5, 'Share of a link\'s error that each end takes.',
+        0.5, 'share of the error', 0.0, 0.5, "Share of a link's error that each end takes.",
         'loops close too slowly', 'the map is restless')  # fmt: skip
     exp_loops: int = parameter(
         10, 'sweeps', 0, 10_000, 'Relaxation sweeps over all links after each action.',
@@ -409,7 +408,7 @@ def _targets(key: str) -> list[tuple[str, str]]:
     """Return the (section, name) pairs that a ``section.name`` key stands for."""
     section, _, name = key.partition('.')
     if section not in SECTIONS:
-        guess = section_of(section if not name else name)
+        guess = section_of(name or section)
         hint = f'did you mean {guess}.{name or section}?' if guess else (
             f'the sections are {", ".join(SECTIONS)}'
         )

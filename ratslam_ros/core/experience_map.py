@@ -56,7 +56,7 @@ class ExperienceMap:
         self._row: dict[tuple[int, int], int] = {}
         self.current_id = NO_EXPERIENCE
         self.offset = Pose(0.0, 0.0, 0.0)
-        """Motion since the current experience, in its frame (before the first: since the start)."""
+        """Motion since the current experience, in its frame; before the first, since the start."""
         self._duration_s = 0.0
 
     def __len__(self) -> int:
@@ -93,10 +93,12 @@ class ExperienceMap:
 
     def links(self) -> list[Link]:
         """Return all links, in the order in which they were made."""
-        return [
-            Link(*self._ends[row].tolist(), *self._shapes[row].tolist(), *note)
-            for row, note in enumerate(self._notes)
-        ]
+        links = []
+        for row, note in enumerate(self._notes):
+            source, target = self._ends[row].tolist()
+            distance, heading, facing = self._shapes[row].tolist()
+            links.append(Link(source, target, distance, heading, facing, *note))
+        return links
 
     def integrate(self, motion: Motion) -> None:
         """Add one motion to the way since the current experience, in that experience's frame."""

@@ -229,7 +229,7 @@ def _make_view(
                     v = 0.5
                 else:
                     v = min(max(((v - mean) / std + 3.0) / 6.0, 0.0), 1.0)
-            view[row, column] = int(math.floor(255.0 * v + 0.5))
+            view[row, column] = math.floor(255.0 * v + 0.5)
 
 
 @compiled
@@ -243,7 +243,7 @@ def _search(
     offsets: int,
     step: int,
     compared_rows: int,
-) -> Match:
+) -> tuple[np.int64, np.int64, np.int64]:
     """Return (id, offset, SAD) of the least SAD; ties: lowest id, then lowest offset.
 
     The view's middle ``compared_rows`` rows are compared at every vertical offset; among those

@@ -161,8 +161,10 @@ class PoseCells:
             return 'none'
         others = [i for i in candidates if i != self._current]
         if others:
-            nearest = min(others, key=lambda i: self._torus.distance(here, self._experiences[i][1]))
-            if self._torus.distance(here, self._experiences[nearest][1]) < threshold:
+            distance, nearest = min(
+                (self._torus.distance(here, self._experiences[i][1]), i) for i in others
+            )
+            if distance < threshold:
                 return self._arrive(nearest)
         return self._create(template_id, turned)
 
