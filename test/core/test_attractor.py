@@ -54,7 +54,7 @@ def test_the_sum_is_1_after_every_step_on_every_torus(
         packets = net.step(packets, cells, planes)
         activity = net.dense(packets)
         assert activity.shape == (theta, y, x)
-        assert activity.min() >= 0.0
+        assert activity.min() > -1e-15  # rounding
         assert abs(activity.sum() - 1.0) <= 1e-12
 
 
@@ -164,7 +164,8 @@ def test_at_rest_any_torus_is_as_the_dense_network(
 
 
 def winner_changes(wins: list[bool]) -> list[int]:
-    return [i for i in range(1, len(wins)) if wins[i] != wins[i - 1]]
+    return [i for i, (now, before) in enumerate(zip(wins, [False, *wins], strict=False))
+            if now != before]
 
 
 def duel(
@@ -216,7 +217,9 @@ def test_these_duels_are_won_and_lost() -> None:
 
 @pytest.mark.parametrize('speed', [0.05, 0.3, 1.0])
 @pytest.mark.parametrize('theta', [0.0, 9.4, 27.0])
-@pytest.mark.parametrize(('energy', 'count'), [(0.6, 4), (1.2, 2), (0.02, 2)])
+@pytest.mark.parametrize(
+    ('energy', 'count'), [(0.15, 6), (0.3, 3), (0.6, 4), (1.2, 2), (0.02, 2)]
+)
 def test_while_moving_short_bursts_win_and_lose_within_a_step(
     speed: float, theta: float, energy: float, count: int
 ) -> None:
