@@ -14,7 +14,8 @@ from ratslam_ros.core.config import VisualOdometryParameters
 from ratslam_ros.core.image_window import Window, window_of
 from ratslam_ros.core.odometry import Twist
 
-Profile = NDArray[np.float64]
+Profile = NDArray[np.int64]
+"""Sum of each column of a window: integers, so that ties are ties and not decided by rounding."""
 
 MAX_SHIFT_PX = 39
 
@@ -24,7 +25,7 @@ class VisualOdometry:
 
     def __init__(self, parameters: VisualOdometryParameters) -> None:
         self._p = parameters
-        self._last: tuple[int, Profile, Profile] | None = None
+        self._last: tuple[int, tuple[int, ...], Profile, Profile] | None = None
 
     def __call__(self, stamp_ns: int, image: NDArray[np.uint8]) -> Twist | None:
         """Return the motion since the previous image; None for the first one.
@@ -37,19 +38,16 @@ class VisualOdometry:
             UnusableParameter: a window lies outside the image.
         """
         p = self._p
+        window = self.translation_window(image)
         rotation = _profile_of(image, self.rotation_window(image))
-        translation = _profile_of(image, self.translation_window(image))
-        last = self._last
-        if last is not None and (
-            last[1].shape != rotation.shape or last[2].shape != translation.shape
-        ):
-            last = None  # another image size: nothing to compare with
-        self._last = (stamp_ns, rotation, translation)
-        if last is None:
-            return None
+        translation = _profile_of(image, window)
+        last, self._last = self._last, (stamp_ns, image.shape, rotation, translation)
+        if last is None or last[1] != image.shape:
+            return None  # of another image size there is nothing to compare with
         dt_s = (stamp_ns - last[0]) * 1e-9
-        offset_px, _ = _compare(rotation, last[1])
-        _, difference = _compare(translation, last[2])
+        offset_px, _ = _compare(rotation, last[2])
+        _, least = _compare(translation, last[3])
+        difference = least / (255.0 * (window.y_max - window.y_min))
         rad_per_px = p.camera_fov_deg / image.shape[1] * (math.pi / 180.0)
         speed_mps = difference * p.vtrans_scaling / (dt_s * p.camera_hz)
         return Twist(min(speed_mps, p.vtrans_max), offset_px * rad_per_px / dt_s)
@@ -73,21 +71,18 @@ class VisualOdometry:
 
 
 def _profile_of(image: NDArray[np.uint8], window: Window) -> Profile:
-    profile = np.empty(window.x_max - window.x_min, np.float64)
+    profile = np.zeros(window.x_max - window.x_min, np.int64)
     _profile(image[window.y_min : window.y_max, window.x_min : window.x_max], profile)
     return profile
 
 
 @compiled
 def _profile(window: NDArray[np.uint8], profile: Profile) -> None:
-    """Fill ``profile`` (w,) with each column's mean brightness, 0 to 1."""
+    """Add each column's sum to ``profile`` (w,)."""
     height, width = window.shape
-    sums = np.zeros(width, np.int64)
     for y in range(height):
         for x in range(width):
-            sums[x] += window[y, x]
-    for x in range(width):
-        profile[x] = sums[x] / (height * 255.0)
+            profile[x] += window[y, x]
 
 
 @compiled
@@ -98,18 +93,20 @@ def _compare(now: Profile, before: Profile) -> tuple[int, float]:
     Algorithm.md, Visual odometry: L(s) and R(s).
     """
     width = now.shape[0]
-    best = math.inf
+    best_total = np.int64(0)
+    best_count = np.int64(0)
     offset = 0
     for side in range(2):
         for s in range(min(MAX_SHIFT_PX, width // 2) + 1):
-            total = 0.0
-            for k in range(width - s):
+            total = np.int64(0)
+            count = np.int64(width - s)
+            for k in range(count):
                 if side == 0:
                     total += abs(now[k] - before[k + s])
                 else:
                     total += abs(now[k + s] - before[k])
-            mean = total / (width - s)
-            if mean < best:
-                best = mean
+            if best_count == 0 or total * best_count < best_total * count:
+                best_total = total
+                best_count = count
                 offset = -s if side == 0 else s
-    return offset, best
+    return offset, best_total / best_count
