@@ -142,7 +142,8 @@ class PoseCells:
         if template_id == self._last_template:
             memory.decay += p.vt_active_decay
         claimed = Place(memory.place.x, memory.place.y, memory.place.theta + turned)
-        energy = p.pc_vt_inject_energy / 30.0 * (30.0 - math.exp(1.2 * memory.decay))
+        tired = math.exp(min(1.2 * memory.decay, 10.0))  # above e^3.4 nothing is injected
+        energy = p.pc_vt_inject_energy / 30.0 * (30.0 - tired)
         energy *= self._agreement.weigh(template_id, claimed, self.peak)
         if energy > 0.0:
             self._packets = self._network.inject(
