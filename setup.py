@@ -50,7 +50,7 @@ setup(
         'lz4>=4.0',
         'matplotlib>=3.8',
         'mcap>=1.1',
-        'numba>=0.59',
+        'numba>=0.60',
         'numpy>=1.26',
         'opencv-python-headless>=4.8',
         'pyyaml>=6.0.1',

@@ -1,0 +1,118 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Documentation: what is generated is up to date, and what it names is there."""
+
+import json
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from ratslam_ros.cli import _parser
+from ratslam_ros.config_files import load_config, parse_setting
+from ratslam_ros.core.config import SECTIONS, Config, section_of
+from ratslam_ros.core.experience_map import ExperienceMap
+from ratslam_ros.core.odometry import Motion
+from ratslam_ros.core.pose_cells import MapAction
+from ratslam_ros.core.torus import Place
+from ratslam_ros.messages import encode_map
+from ratslam_ros.parameter_docs import ROOT, documents, main
+from ratslam_ros.results import FRAMES_HEADER
+
+PAGES = [ROOT / 'README.md', ROOT / 'CONTRIBUTING.md', *sorted((ROOT / 'docs').glob('*.md'))]
+
+KEYS = ('pc_x', 'pc_y', 'pc_theta')  # of map.json, and no parameters
+
+page = pytest.mark.parametrize('path', PAGES, ids=lambda path: path.name)
+
+
+def commands(text: str) -> list[str]:
+    """Return the ratslam commands in code blocks."""
+    blocks = re.findall(r'```sh\n(.*?)```', text, re.DOTALL)
+    lines = [line.strip() for block in blocks for line in block.splitlines()]
+    return [line for line in lines if line.startswith('ratslam ')]
+
+
+@pytest.mark.parametrize('path', documents(), ids=str)
+def test_generated_file_is_up_to_date(path: Path):
+    assert (ROOT / path).read_text('utf-8') == documents()[path], 'run "make docs"'
+
+
+def test_check_writes_nothing_and_tells_what_is_out_of_date(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr('ratslam_ros.parameter_docs.ROOT', tmp_path)
+    assert main(['--check']) == 1
+    assert 'make docs' in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+    assert main([]) == 0
+    assert main(['--check']) == 0
+
+
+@pytest.mark.parametrize('section', SECTIONS)
+def test_every_parameter_is_described(section: str):
+    text = (ROOT / 'docs/parameters.md').read_text('utf-8')
+    entry = text[text.index(f'## {section}\n') :].split('\n## ')[0]
+    for name, info, _ in SECTIONS[section].parameters():
+        assert f'### {name}\n\n{info.effect}\n' in entry
+        assert info.raise_if and info.lower_if, f'{name}: say when to change it'
+
+
+def test_default_yaml_is_every_parameter_with_its_default():
+    config, notices = load_config(str(ROOT / 'config/default.yaml'))
+    assert (config, notices) == (Config(), [])
+
+
+@page
+def test_links_lead_somewhere(path: Path):
+    for target in re.findall(r'\]\(([^)#]+)[^)]*\)', path.read_text('utf-8')):
+        if '://' not in target:
+            assert (path.parent / target).exists(), f'{path.name} links to {target}'
+
+
+@page
+def test_commands_are_understood(path: Path):
+    for command in commands(path.read_text('utf-8')):
+        options = _parser().parse_args(shlex.split(command)[1:])
+        settings = [parse_setting(text) for text in getattr(options, 'settings', [])]
+        Config().with_values(dict(settings))
+
+
+@page
+def test_parameters_and_options_exist(path: Path):
+    text = path.read_text('utf-8')
+    for name in re.findall(r'`((?:vt|pc|exp|vtrans|vrot|image_crop)_\w+)[^`]*`', text):
+        assert section_of(name) or name in KEYS, name
+    for section, name in re.findall(r'`(\w+)\.(\w+)(?:=[^`]*)?`', text):
+        if section in SECTIONS and name != 'py':
+            assert name in {known for known, _, _ in SECTIONS[section].parameters()}, name
+    actions = _parser()._subparsers._group_actions[0].choices.values()
+    options = {option for parser in actions for option in parser._option_string_actions}
+    for option in re.findall(r'`(--[a-z-]+)', text):
+        assert option in options, option
+
+
+def test_every_column_and_key_of_the_results_is_described():
+    text = (ROOT / 'docs/results.md').read_text('utf-8')
+    graph = ExperienceMap(Config().experience_map)
+    for source, target in ((-1, 0), (0, 1)):
+        graph.integrate(Motion(1.0, 1.0, 0.1))
+        graph.apply(MapAction('create', source, target, target, 0.0, Place(0.0, 0.0, 0.0)))
+    content = json.loads(encode_map(1, graph))
+    summary = (ROOT / 'ratslam_ros/replay.py').read_text('utf-8')
+    names = [
+        *FRAMES_HEADER.strip().split(','),
+        *content, *content['experiences'][0], *content['links'][0],
+        *re.findall(r"^        '(\w+)': ", summary, re.MULTILINE),
+    ]  # fmt: skip
+    assert 'step_ms' in names and 'pc_x' in names and 'facing_rad' in names
+    for name in names:
+        assert f'`{name}`' in text, name
+
+
+def test_glossary_names_what_is_in_the_code():
+    text = (ROOT / 'docs/glossary.md').read_text('utf-8')
+    code = '\n'.join(path.read_text('utf-8') for path in (ROOT / 'ratslam_ros').rglob('*.py'))
+    for row in re.findall(r'^\| [^|]+\| ([^|]+)\|', text, re.MULTILINE)[2:]:
+        for name in re.findall(r'`([^`]+)`', row):
+            there = (ROOT / 'ratslam_ros' / name).is_file() if '/' in name else False
+            assert there or name.split('.')[-1] in code or name in code, name

@@ -1,0 +1,93 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Packaging: what several files say, they say alike; colcon and pip find what they need."""
+
+import re
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import pytest
+import yaml
+
+from ratslam_ros import __version__
+
+ROOT = Path(__file__).resolve().parents[1]
+SETUP = (ROOT / 'setup.py').read_text('utf-8')
+PACKAGE = ET.parse(ROOT / 'package.xml').getroot()
+LICENCE = 'Apache-2.0'
+
+# What rosdep and the Python package index call the same thing; None: not in the distribution.
+ROSDEP = {
+    'lz4': None,
+    'matplotlib': 'python3-matplotlib',
+    'mcap': None,
+    'numba': 'python3-numba',
+    'numpy': 'python3-numpy',
+    'opencv-python-headless': 'python3-opencv',
+    'pyyaml': 'python3-yaml',
+    'rosbags': None,
+    'scipy': 'python3-scipy',
+    'tqdm': 'python3-tqdm',
+    'zstandard': None,
+}
+
+
+def sources() -> list[Path]:
+    """Return every file that has to name the licence at its top."""
+    folders = ('ratslam_ros', 'test', 'benchmarks', 'launch', 'examples')
+    code = [path for folder in folders for path in (ROOT / folder).rglob('*.py')]
+    others = ('setup.py', 'setup.cfg', 'pyproject.toml', 'Makefile', '.gitignore', 'CITATION.cff')
+    scripts = [path for path in (ROOT / '.ci').iterdir() if path.is_file()]
+    return code + scripts + [ROOT / name for name in others]
+
+
+def test_version_is_the_same_everywhere():
+    citation = yaml.safe_load((ROOT / 'CITATION.cff').read_text('utf-8'))
+    changes = (ROOT / 'CHANGELOG.rst').read_text('utf-8')
+    assert re.fullmatch(r'\d+\.\d+\.\d+', __version__)
+    assert PACKAGE.findtext('version') == __version__
+    assert citation['version'] == __version__
+    assert re.findall(r'^(\d+\.\d+\.\d+)\b.*\n-+$', changes, re.MULTILINE)[0] == __version__
+    assert __version__ not in SETUP  # it is read from the package
+
+
+def test_licence_is_the_same_everywhere():
+    citation = yaml.safe_load((ROOT / 'CITATION.cff').read_text('utf-8'))
+    assert [element.text for element in PACKAGE.findall('license')] == [LICENCE]
+    assert citation['license'] == LICENCE
+    assert f"license='{LICENCE}'" in SETUP
+    text = (ROOT / 'LICENSE').read_text('utf-8')
+    assert 'Apache License' in text and 'Version 2.0, January 2004' in text
+
+
+@pytest.mark.parametrize('path', sources(), ids=lambda path: str(path.relative_to(ROOT)))
+def test_source_begins_with_copyright_and_licence(path: Path):
+    lines = [line for line in path.read_text('utf-8').splitlines() if not line.startswith('#!')]
+    assert lines[0] == '# Copyright 2026 the ratslam_ros authors'
+    assert lines[1] == f'# SPDX-License-Identifier: {LICENCE}'
+
+
+def test_colcon_takes_the_package_for_ament_python():
+    assert PACKAGE.attrib['format'] == '3'
+    assert PACKAGE.findtext('name') == 'ratslam_ros'
+    assert PACKAGE.findtext('export/build_type') == 'ament_python'
+    # With an address that catkin_pkg refuses, colcon takes it for a plain Python package.
+    for maintainer in PACKAGE.findall('maintainer'):
+        assert re.fullmatch(r'[\w%+.-]+@[a-zA-Z0-9.-]+\.[a-zA-Z]{2,}', maintainer.attrib['email'])
+    assert (ROOT / 'resource' / 'ratslam_ros').is_file()
+
+
+def test_package_xml_and_setup_py_need_the_same():
+    block = SETUP[SETUP.index('install_requires=[') : SETUP.index('extras_require')]
+    required = set(re.findall(r"'([\w-]+)[><=]", block))
+    assert required == set(ROSDEP)
+    known = {element.text for element in PACKAGE.iter('exec_depend')}
+    assert {name for name in known if name.startswith('python3-')} == set(ROSDEP.values()) - {None}
+    comment = (ROOT / 'package.xml').read_text('utf-8')
+    for name, key in ROSDEP.items():
+        assert key is not None or re.search(rf'\b{name}\b', comment), f'{name}: say how to get it'
+
+
+def test_oldest_numpy_is_that_of_jazzy():
+    assert "'numpy>=1.26'" in SETUP
+    assert "python_requires='>=3.11'" in SETUP

@@ -1,0 +1,89 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Presets: each loads, says something of itself, and the published ones have the values."""
+
+from pathlib import Path
+
+import pytest
+
+from ratslam_ros.config_files import load_config, presets
+from ratslam_ros.core.config import Config
+
+FOLDER = Path(__file__).resolve().parents[1] / 'config'
+NAMES = sorted(path.stem for path in FOLDER.glob('*.yaml'))
+
+PUBLISHED = {
+    'irat': {
+        'image_crop_y_max': 150, 'template_x_size': 60, 'template_y_size': 20,
+        'vt_shift_match': 4, 'vt_step_match': 1, 'vt_match_threshold': 0.03,
+        'pc_dim_x': 11, 'pc_dim_y': 11, 'pc_cell_x_size': 0.015, 'pc_vt_inject_energy': 0.1,
+        'exp_delta_pc_threshold': 2.0, 'exp_loops': 20, 'exp_initial_em_deg': 140.0,
+    },
+    'stlucia': {
+        'image_crop_x_min': 40, 'image_crop_x_max': 600, 'image_crop_y_min': 150,
+        'image_crop_y_max': 300, 'template_x_size': 60, 'template_y_size': 10,
+        'vt_shift_match': 5, 'vt_step_match': 1, 'vt_match_threshold': 0.085,
+        'vt_normalisation': 0.4, 'pc_dim_x': 30, 'pc_dim_y': 30, 'pc_cell_x_size': 2.0,
+        'pc_vt_inject_energy': 0.15, 'pc_vt_restore': 0.04, 'exp_delta_pc_threshold': 1.0,
+        'exp_loops': 20, 'camera_fov_deg': 53.0, 'camera_hz': 10.0, 'vtrans_scaling': 1000.0,
+        'vtrans_max': 20.0, 'vtrans_image_x_min': 195, 'vtrans_image_x_max': 475,
+        'vtrans_image_y_min': 270, 'vtrans_image_y_max': 430, 'vrot_image_x_min': 195,
+        'vrot_image_x_max': 475, 'vrot_image_y_min': 75, 'vrot_image_y_max': 240,
+    },
+    'newcollege': {
+        'template_x_size': 60, 'template_y_size': 10, 'vt_step_match': 1,
+        'vt_match_threshold': 0.054, 'vt_patch_normalise': 2, 'vt_panoramic': True,
+        'pc_dim_x': 30, 'pc_dim_y': 30, 'pc_cell_x_size': 1.0, 'pc_vt_inject_energy': 0.2,
+        'exp_delta_pc_threshold': 2.0, 'exp_loops': 100,
+    },
+    'pioneer': {
+        'template_x_size': 12, 'template_y_size': 8, 'pc_dim_th': 36, 'pc_cell_x_size': 0.25,
+    },
+}  # fmt: skip
+
+# What the published configurations leave at OpenRatSLAM's defaults; ours must be the same ones.
+DEFAULTS = {
+    'vt_match_threshold': 0.03, 'vt_normalisation': 0.0, 'vt_patch_normalise': 0,
+    'vt_min_patch_normalisation_std': 0.0, 'vt_panoramic': False, 'pc_dim_x': 21, 'pc_dim_y': 21,
+    'pc_dim_th': 36, 'pc_w_e_dim': 7, 'pc_w_e_var': 1.0, 'pc_w_i_dim': 5, 'pc_w_i_var': 2.0,
+    'pc_global_inhib': 0.00002, 'pc_cell_x_size': 1.0, 'vt_active_decay': 1.0,
+    'pc_vt_inject_energy': 0.15, 'pc_vt_restore': 0.05, 'exp_delta_pc_threshold': 2.0,
+    'exp_correction': 0.5, 'exp_loops': 10, 'exp_initial_em_deg': 90.0, 'camera_fov_deg': 50.0,
+    'camera_hz': 10.0, 'vtrans_scaling': 100.0, 'vtrans_max': 20.0,
+}  # fmt: skip
+
+
+def values(config: Config) -> dict[str, object]:
+    """Return the values by the parameters' names alone."""
+    return {name: value for section in config.values().values() for name, value in section.items()}
+
+
+@pytest.mark.parametrize('name', NAMES)
+def test_preset_loads_by_name_and_by_path(name: str):
+    by_path, notices = load_config(str(FOLDER / f'{name}.yaml'))
+    assert notices == []
+    assert presets()[name] == FOLDER / f'{name}.yaml'
+    assert load_config(name) == (by_path, [])
+
+
+@pytest.mark.parametrize('name', NAMES)
+def test_preset_begins_with_what_it_is_for(name: str):
+    first = (FOLDER / f'{name}.yaml').read_text('utf-8').splitlines()[0]
+    assert first.startswith('# ') and len(first) > 20
+
+
+@pytest.mark.parametrize('name', PUBLISHED)
+def test_published_preset_has_the_published_values(name: str):
+    found = values(load_config(name)[0])
+    assert {key: found[key] for key in PUBLISHED[name]} == PUBLISHED[name]
+
+
+@pytest.mark.parametrize('name', ['irat', 'stlucia', 'newcollege'])
+def test_published_preset_has_the_defaults_elsewhere(name: str):
+    found = values(load_config(name)[0])
+    left = {key: value for key, value in DEFAULTS.items() if key not in PUBLISHED[name]}
+    assert {key: found[key] for key in left} == left
+
+
+def test_default_preset_changes_nothing():
+    assert load_config('default')[0] == Config()
