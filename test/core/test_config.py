@@ -1,0 +1,190 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Every parameter has a range, and nothing is set by half."""
+
+import dataclasses
+import math
+from typing import Any
+
+import pytest
+
+from ratslam_ros.core.config import (
+    SECTIONS,
+    Config,
+    LocalViewParameters,
+    PoseCellsParameters,
+    section_of,
+)
+from ratslam_ros.errors import UnusableParameter
+
+PARAMETERS = [
+    (section, name, info, default)
+    for section, cls in SECTIONS.items()
+    for name, info, default in cls.parameters()
+]
+IDS = [f'{section}.{name}' for section, name, _, _ in PARAMETERS]
+each = pytest.mark.parametrize(('section', 'name', 'info', 'default'), PARAMETERS, ids=IDS)
+
+
+def refused(key: str, value: Any) -> str:
+    """Return the reason for which a value is refused."""
+    with pytest.raises(UnusableParameter) as error:
+        Config().with_values({key: value})
+    return str(error.value)
+
+
+@each
+def test_every_parameter_is_described_and_takes_its_default(
+    section: str, name: str, info: Any, default: Any
+) -> None:
+    assert info.effect.endswith('.')
+    assert getattr(getattr(Config(), section), name) == default
+    changed = Config().with_values({f'{section}.{name}': default})
+    assert changed == Config()
+    assert type(getattr(getattr(changed, section), name)) is type(default)
+
+
+@each
+def test_every_number_is_refused_outside_its_range(
+    section: str, name: str, info: Any, default: Any
+) -> None:
+    if isinstance(default, (bool, str)):
+        for wrong in (7, 'nonsense', None, 2.5, [True]):
+            assert name in refused(f'{section}.{name}', wrong)
+        return
+    assert info.low <= default <= info.high
+    whole = isinstance(default, int)
+    for wrong in (info.low - 1, info.high + 1, math.nan, math.inf, -math.inf):
+        assert name in refused(f'{section}.{name}', wrong)
+    for wrong in ('text', None, True, [1], '3'):
+        assert name in refused(f'{section}.{name}', wrong)
+    if whole:
+        assert 'whole' in refused(f'{section}.{name}', default + 0.5)
+
+
+@each
+def test_whole_numbers_may_be_written_as_floats_and_floats_as_whole_numbers(
+    section: str, name: str, info: Any, default: Any
+) -> None:
+    if isinstance(default, bool):
+        value: Any = int(default)
+    elif isinstance(default, int):
+        value = float(default)
+    elif isinstance(default, float) and default == int(default):
+        value = int(default)
+    else:
+        value = default
+    read = getattr(getattr(Config().with_values({f'{section}.{name}': value}), section), name)
+    assert read == default
+    assert type(read) is type(default)
+
+
+@pytest.mark.parametrize(('section', 'name', 'default'), [
+    ('local_view', 'vt_match_threshold', 0.03), ('local_view', 'vt_normalisation', 0.0),
+    ('local_view', 'vt_shift_match', 5), ('local_view', 'vt_step_match', 1),
+    ('local_view', 'vt_patch_normalise', 0), ('local_view', 'vt_panoramic', False),
+    ('local_view', 'vt_min_patch_normalisation_std', 0.0),
+    ('pose_cells', 'pc_dim_x', 21), ('pose_cells', 'pc_dim_y', 21),
+    ('pose_cells', 'pc_dim_th', 36),
+    ('pose_cells', 'pc_w_e_dim', 7), ('pose_cells', 'pc_w_e_var', 1.0),
+    ('pose_cells', 'pc_w_i_dim', 5), ('pose_cells', 'pc_w_i_var', 2.0),
+    ('pose_cells', 'pc_global_inhib', 0.00002), ('pose_cells', 'pc_cell_x_size', 1.0),
+    ('pose_cells', 'vt_active_decay', 1.0), ('pose_cells', 'pc_vt_inject_energy', 0.15),
+    ('pose_cells', 'pc_vt_restore', 0.05), ('pose_cells', 'exp_delta_pc_threshold', 2.0),
+    ('pose_cells', 'max_lateness_s', 2.0), ('pose_cells', 'flush_after_s', 2.0),
+    ('pose_cells', 'odom_source', 'twist'), ('experience_map', 'odom_source', 'twist'),
+    ('experience_map', 'exp_correction', 0.5), ('experience_map', 'exp_loops', 10),
+    ('experience_map', 'exp_initial_em_deg', 90.0),
+    ('visual_odometry', 'camera_fov_deg', 50.0), ('visual_odometry', 'camera_hz', 10.0),
+    ('visual_odometry', 'vtrans_scaling', 100.0), ('visual_odometry', 'vtrans_max', 20.0),
+    ('visual_odometry', 'vrot_image_x_min', 0), ('visual_odometry', 'vtrans_image_y_max', -1),
+    ('local_view', 'image_crop_x_min', 0), ('local_view', 'image_crop_y_max', -1),
+])  # fmt: skip
+def test_names_and_defaults_are_openratslams(section: str, name: str, default: Any) -> None:
+    assert Config().values()[section][name] == default
+
+
+def test_one_bad_value_among_good_ones_sets_nothing() -> None:
+    config = Config()
+    with pytest.raises(UnusableParameter):
+        config.with_values({'local_view.vt_shift_match': 3, 'pose_cells.pc_dim_th': -1})
+    assert config == Config()
+
+
+def test_values_that_fit_only_together_are_set_together() -> None:
+    """Each alone would leave nothing to compare."""
+    config = Config().with_values({'local_view.vt_shift_match': 40,
+                                   'local_view.template_x_size': 100})  # fmt: skip
+    assert config.local_view.vt_shift_match == 40
+    back = config.with_values({'local_view.template_x_size': 12, 'local_view.vt_shift_match': 2})
+    assert back.local_view.template_x_size == 12
+
+
+def test_pc_dim_xy_sets_both_sides() -> None:
+    config = Config().with_values({'pose_cells.pc_dim_xy': 30})
+    assert (config.pose_cells.pc_dim_x, config.pose_cells.pc_dim_y) == (30, 30)
+    later = config.with_values({'pose_cells.pc_dim_y': 11})
+    assert (later.pose_cells.pc_dim_x, later.pose_cells.pc_dim_y) == (30, 11)
+    assert 'pc_dim_x' in refused('pose_cells.pc_dim_xy', 0)
+
+
+@pytest.mark.parametrize(('key', 'hint'), [
+    ('local_view.vt_match_treshold', 'vt_match_threshold'),
+    ('pose_cells.pc_dim', 'pc_dim_x'),
+    ('local_view.pc_dim_th', 'pose_cells.pc_dim_th'),
+    ('vt_match_threshold', 'local_view.vt_match_threshold'),
+    ('localview.vt_panoramic', 'local_view.vt_panoramic'),
+    ('nonsense.nonsense', 'the sections are visual_odometry, local_view'),
+    ('pc_dim_xy', 'pose_cells.pc_dim_xy'),
+    ('experience_map.exp_loop', 'exp_loops'),
+])  # fmt: skip
+def test_unknown_names_are_told_with_the_nearest_known(key: str, hint: str) -> None:
+    text = refused(key, 1)
+    assert hint in text
+    assert key.rpartition('.')[2] in text
+
+
+@pytest.mark.parametrize('name', ['pc_w_e_dim', 'pc_w_i_dim'])
+def test_kernels_have_a_middle(name: str) -> None:
+    assert 'odd' in refused(f'pose_cells.{name}', 6)
+    assert 'pose_cells.' in refused(f'pose_cells.{name}', 6)
+
+
+def test_shifts_leave_something_to_compare() -> None:
+    assert 'vt_shift_match' in refused('local_view.vt_shift_match', 30)
+    assert 'vt_shift_match_y' in refused('local_view.vt_shift_match_y', 5)
+    LocalViewParameters(vt_shift_match=29)
+    LocalViewParameters(vt_shift_match=30, vt_panoramic=True)  # there it has no effect
+
+
+def test_messages_name_value_and_what_was_expected() -> None:
+    text = refused('local_view.vt_match_threshold', 3.5)
+    assert 'local_view.vt_match_threshold' in text
+    assert '3.5' in text
+    assert '0 to 1' in text
+    assert 'twist, pose' in refused('pose_cells.odom_source', 'wheel')
+
+
+def test_a_configuration_cannot_be_changed() -> None:
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        Config().pose_cells.pc_dim_x = 5  # type: ignore[misc]
+
+
+def test_sections_check_themselves_when_made_directly() -> None:
+    with pytest.raises(UnusableParameter, match='pc_dim_x'):
+        PoseCellsParameters(pc_dim_x=0)
+
+
+def test_every_name_is_found_in_its_section() -> None:
+    for section, name, _, _ in PARAMETERS:
+        found = section_of(name)
+        assert found is not None
+        assert name in dict.fromkeys(n for n, _, _ in SECTIONS[found].parameters())
+        assert found == section or name in ('odom_source', 'max_lateness_s', 'flush_after_s')
+    assert section_of('nonsense') is None
+
+
+def test_values_hold_every_parameter_in_declared_order() -> None:
+    assert [
+        (section, name) for section, values in Config().values().items() for name in values
+    ] == [(section, name) for section, name, _, _ in PARAMETERS]
