@@ -6,7 +6,7 @@
 #   make test     the tests
 #   make lint     ruff and mypy
 #   make docs     docs/parameters.md and config/default.yaml, from the code
-#   make clean    remove .venv
+#   make clean    remove .venv and what .ci/run made beside it
 # Another Python: make PYTHON=/path/to/python3.12 demo (after make clean)
 
 VENV := .venv
@@ -33,7 +33,7 @@ docs: $(RUN)
 	$(BIN)/python -m ratslam_ros.parameter_docs
 
 clean:
-	rm -rf $(VENV)
+	rm -rf $(VENV) $(VENV)-jazzy
 
 $(BIN)/python:
 	@python=$$(PYTHON='$(PYTHON)' .ci/find_python) || exit 1; \
