@@ -54,8 +54,13 @@ def decode_template(payload: str) -> tuple[int, ViewMatch, int]:
             'memory': int,
         },
     )  # fmt: skip
-    if fields['id'] < -1:
-        raise MalformedMessage(f'local_view/template: id is {fields["id"]}; expected -1 or more')
+    for key, low, high in (
+        ('id', -1, math.inf), ('error', -1.0, 1.0), ('relative_rad', -math.pi, math.pi),
+    ):  # fmt: skip
+        if not low <= fields[key] <= high:
+            raise MalformedMessage(
+                f'local_view/template: {key} is {fields[key]}; expected {low:.4g} to {high:.4g}'
+            )
     match = ViewMatch(fields['id'], fields['is_new'], fields['error'], fields['relative_rad'])
     return _stamp_ns(fields['stamp']), match, fields['memory']
 
@@ -113,14 +118,15 @@ def _loads(payload: str, name: str, types: Mapping[str, type]) -> dict[str, Any]
         raise MalformedMessage(f'{name}: not JSON ({error}); expected an object') from None
     if not isinstance(fields, dict):
         raise MalformedMessage(f'{name}: {type(fields).__name__}; expected an object')
-    if fields.get('schema_version') != SCHEMA_VERSION:
+    version = fields.get('schema_version')
+    if type(version) is not int or version != SCHEMA_VERSION:
         raise MalformedMessage(
-            f'{name}: schema_version is {fields.get("schema_version")!r}; expected '
+            f'{name}: schema_version is {version!r}; expected '
             f'{SCHEMA_VERSION}: sender and receiver are of different versions'
         )
     for key, expected in types.items():
         value = fields.get(key)
-        if expected is float and isinstance(value, int) and not isinstance(value, bool):
+        if expected is float and type(value) is int and abs(value) < 2**53:
             value = fields[key] = float(value)
         if not isinstance(value, expected) or (expected is int and isinstance(value, bool)):
             raise MalformedMessage(f'{name}: {key} is {value!r}; expected {expected.__name__}')
@@ -135,8 +141,13 @@ def _stamp(stamp_ns: int) -> dict[str, int]:
 
 def _stamp_ns(stamp: Mapping[str, Any]) -> int:
     sec, nanosec = stamp.get('sec'), stamp.get('nanosec')
-    if type(sec) is not int or type(nanosec) is not int or not 0 <= nanosec < NS_PER_S:
+    if (
+        type(sec) is not int
+        or type(nanosec) is not int
+        or not 0 <= sec < 2**32
+        or not 0 <= nanosec < NS_PER_S
+    ):
         raise MalformedMessage(
-            f'stamp is {dict(stamp)!r}; expected integers sec and nanosec below 10^9'
+            f'stamp is {dict(stamp)!r}; expected integers, sec below 2^32 and nanosec below 10^9'
         )
     return sec * NS_PER_S + nanosec

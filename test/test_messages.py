@@ -1,0 +1,189 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Payloads: equal content gives equal bytes, and what does not fit is refused whole."""
+
+import json
+from typing import Any
+
+import pytest
+from helpers import START_NS, ahead, template_text, turning
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ratslam_ros.core.config import ExperienceMapParameters
+from ratslam_ros.core.experience_map import ExperienceMap
+from ratslam_ros.core.local_view import UNDECODABLE, ViewMatch
+from ratslam_ros.core.pose_cells import MapAction
+from ratslam_ros.core.torus import Place
+from ratslam_ros.messages import MalformedMessage, decode_template, encode_map, encode_template
+
+KEYS = ['schema_version', 'stamp', 'id', 'is_new', 'error', 'relative_rad', 'memory']
+
+
+def without(key: str) -> str:
+    fields = json.loads(template_text(5, 3))
+    del fields[key]
+    return json.dumps(fields)
+
+
+def refused(payload: str) -> str:
+    with pytest.raises(MalformedMessage) as error:
+        decode_template(payload)
+    return str(error.value)
+
+
+# Templates
+
+
+@given(
+    st.integers(0, 2**31 * 10**9 - 1), st.integers(-1, 10**6), st.booleans(), st.floats(-1.0, 1.0),
+    st.floats(-3.14, 3.14), st.integers(0, 2**62),
+)  # fmt: skip
+def test_what_is_encoded_is_decoded_to_the_last_bit(
+    stamp_ns: int, number: int, is_new: bool, error: float, relative: float, memory: int
+) -> None:
+    match = ViewMatch(number, is_new, error, relative)
+    payload = encode_template(stamp_ns, match, memory)
+    assert decode_template(payload) == (stamp_ns, match, memory)
+    assert encode_template(*decode_template(payload)) == payload
+
+
+def test_a_template_has_its_keys_in_order_and_nothing_else() -> None:
+    payload = encode_template(START_NS + 42, ViewMatch(3, False, 0.1, -0.5), 7)
+    assert payload == (
+        '{"schema_version":1,"stamp":{"sec":1700000000,"nanosec":42},"id":3,"is_new":false,'
+        '"error":0.1,"relative_rad":-0.5,"memory":7}'
+    )
+
+
+def test_an_undecodable_image_has_a_message_too() -> None:
+    assert decode_template(encode_template(8, UNDECODABLE, 0)) == (8, UNDECODABLE, 0)
+
+
+@pytest.mark.parametrize('key', KEYS)
+def test_a_missing_key_is_refused(key: str) -> None:
+    assert key.split('_')[0] in refused(without(key))
+
+
+@pytest.mark.parametrize(('key', 'value'), [
+    ('id', True), ('id', 1.0), ('id', '1'), ('id', None), ('id', -2), ('id', [1]),
+    ('is_new', 1), ('is_new', 0), ('is_new', 'true'), ('is_new', None),
+    ('error', True), ('error', '0.1'), ('error', None), ('error', {}), ('error', 10**400),
+    ('relative_rad', False), ('relative_rad', 'pi'), ('relative_rad', []),
+    ('relative_rad', 1e300), ('relative_rad', -10**400), ('relative_rad', 7.0),
+    ('memory', True), ('memory', 1.5), ('memory', '1'), ('memory', None),
+    ('schema_version', 0), ('schema_version', 2), ('schema_version', '1'),
+    ('schema_version', None), ('schema_version', True), ('schema_version', 1.0),
+    ('stamp', None), ('stamp', 5), ('stamp', [1, 2]), ('stamp', {}), ('stamp', {'sec': 1}),
+    ('stamp', {'nanosec': 1}), ('stamp', {'sec': True, 'nanosec': 0}),
+    ('stamp', {'sec': 1, 'nanosec': False}), ('stamp', {'sec': 1.0, 'nanosec': 0}),
+    ('stamp', {'sec': 1, 'nanosec': 10**9}), ('stamp', {'sec': 1, 'nanosec': -1}),
+    ('stamp', {'sec': '1', 'nanosec': 0}), ('stamp', {'sec': 10**30, 'nanosec': 0}),
+    ('stamp', {'sec': -1, 'nanosec': 0}),
+], ids=lambda value: str(value)[:30])  # fmt: skip
+def test_a_value_that_does_not_fit_is_refused(key: str, value: Any) -> None:
+    assert key.split('_')[0] in refused(template_text(5, 3, **{key: value}))
+
+
+@pytest.mark.parametrize('key', ['error', 'relative_rad'])
+@pytest.mark.parametrize('value', ['NaN', 'Infinity', '-Infinity', '1e999'])
+def test_numbers_that_are_not_finite_are_refused(key: str, value: str) -> None:
+    payload = template_text(5, 3, **{key: 123.25}).replace('123.25', value)
+    assert value in payload
+    refused(payload)
+
+
+@pytest.mark.parametrize('payload', [
+    '', ' ', '{', 'nonsense', '[]', '3', 'null', '"text"', 'true', template_text(5, 3)[:-1],
+    template_text(5, 3) + '}', '{}', '\x00', '[' * 100_000, '{"a":' * 100_000, '1' * 5000,
+], ids=lambda payload: repr(payload[:12]))  # fmt: skip
+def test_what_is_no_json_object_is_refused(payload: str) -> None:
+    assert len(refused(payload)) < 1000
+
+
+def test_a_whole_number_does_for_a_float() -> None:
+    _, match, _ = decode_template(template_text(5, 3, error=0, relative_rad=1))
+    assert (match.error, match.relative_rad) == (0.0, 1.0)
+    assert type(match.error) is type(match.relative_rad) is float
+
+
+@settings(max_examples=50)
+@given(st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(),
+    lambda inner: st.lists(inner) | st.dictionaries(st.sampled_from(KEYS) | st.text(), inner),
+))  # fmt: skip
+def test_any_other_json_is_refused_and_never_crashes(value: Any) -> None:
+    refused(json.dumps(value))
+
+
+@given(st.sampled_from(KEYS), st.none() | st.integers() | st.floats() | st.text() | st.booleans())
+def test_any_value_of_any_key_is_taken_or_refused(key: str, value: Any) -> None:
+    try:
+        stamp_ns, match, memory = decode_template(template_text(5, 3, **{key: value}))
+    except MalformedMessage:
+        return
+    assert 0 <= stamp_ns < 2**32 * 10**9
+    assert match.template_id >= -1
+    assert abs(match.relative_rad) <= 3.15
+    assert type(memory) is int
+
+
+# The map
+
+
+def small_map() -> ExperienceMap:
+    graph = ExperienceMap(ExperienceMapParameters(exp_initial_em_deg=0.0, exp_loops=0))
+    graph.apply(MapAction('create', -1, 0, 4, 0.0, Place(1.0, 2.0, 3.5)))
+    graph.integrate(turning(0.5))
+    graph.integrate(ahead(2.0))
+    graph.apply(MapAction('create', 0, 1, 6, 0.0, Place(2.0, 0.1, 35.9)), 'wänder')
+    return graph
+
+
+def test_the_map_has_its_keys_in_the_documented_order() -> None:
+    fields = json.loads(encode_map(START_NS + 9, small_map()))
+    assert list(fields) == [
+        'schema_version', 'frame_id', 'stamp', 'current_experience_id', 'experiences', 'links'
+    ]  # fmt: skip
+    assert fields['stamp'] == {'sec': 1_700_000_000, 'nanosec': 9}
+    assert list(fields['stamp']) == ['sec', 'nanosec']
+    assert (fields['frame_id'], fields['current_experience_id']) == ('map', 1)
+    assert [list(e) for e in fields['experiences']] == [
+        ['id', 'template_id', 'x_m', 'y_m', 'heading_rad', 'pc_x', 'pc_y', 'pc_theta']
+    ] * 2
+    assert [list(link) for link in fields['links']] == [[
+        'source_id', 'target_id', 'distance_m', 'heading_rad', 'facing_rad', 'duration_s',
+        'behaviour', 'count',
+    ]]  # fmt: skip
+    assert fields['experiences'][1]['pc_theta'] == 35.9
+    assert fields['links'][0]['behaviour'] == 'wänder'
+    assert fields['links'][0]['distance_m'] == 2.0
+
+
+def test_equal_maps_give_equal_bytes() -> None:
+    assert encode_map(5, small_map()) == encode_map(5, small_map())
+    assert encode_map(5, small_map()) != encode_map(6, small_map())
+
+
+def test_an_empty_map_is_a_map() -> None:
+    assert encode_map(0, ExperienceMap(ExperienceMapParameters())) == (
+        '{"schema_version":1,"frame_id":"map","stamp":{"sec":0,"nanosec":0},'
+        '"current_experience_id":-1,"experiences":[],"links":[]}'
+    )
+
+
+def test_numbers_are_written_as_python_repr_gives_them() -> None:
+    graph = small_map()
+    text = encode_map(0, graph)
+    for experience in graph.experiences():
+        assert f'"x_m":{experience.pose.x_m!r},"y_m":{experience.pose.y_m!r}' in text
+    assert 'NaN' not in text
+    assert ' ' not in text
+    assert text.isascii()
+
+
+def test_no_map_with_nan_is_ever_written() -> None:
+    graph = small_map()
+    graph._poses[1, 0] = float('nan')
+    with pytest.raises(ValueError, match='JSON'):
+        encode_map(0, graph)
