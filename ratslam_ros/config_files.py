@@ -71,8 +71,8 @@ def load_config(source: str | None) -> tuple[Config, list[str]]:
         if path.suffix.lower() in ('.yaml', '.yml'):
             return Config().with_values(dict(_yaml_values(text))), []
         return _from_ini(text)
-    except UnusableParameter as error:
-        raise UnusableParameter(f'{path}: {error}') from None
+    except (UnusableInput, UnusableParameter) as error:
+        raise type(error)(f'{path}: {error}') from None
     except (yaml.YAMLError, configparser.Error, ValueError) as error:
         reason = ' '.join(str(error).split())
         raise UnusableInput(f'{path} cannot be read: {reason}') from None
@@ -135,6 +135,11 @@ def _scalar(text: str) -> Value:
     return text
 
 
+def _read(value: Any) -> Any:
+    """Return a value as YAML read it, numbers that it took for text put right."""
+    return _scalar(value) if isinstance(value, str) else value
+
+
 def _yaml_values(text: str) -> Iterator[tuple[str, Value]]:
     document = yaml.safe_load(text)
     if document is None:
@@ -154,14 +159,14 @@ def _yaml_values(text: str) -> Iterator[tuple[str, Value]]:
         if not isinstance(section, Mapping):
             raise UnusableParameter(f'{name} is {section!r}; expected parameters below it')
         for item, value in section.items():
-            yield f'{name}.{item}', _scalar(value) if isinstance(value, str) else value
+            yield f'{name}.{item}', _read(value)
 
 
 def _by_name(values: Mapping[Any, Any]) -> Iterator[tuple[str, Value]]:
     for name, value in values.items():
         if isinstance(value, Mapping):
             for item, inner in value.items():
-                yield f'{name}.{item}', inner
+                yield f'{name}.{item}', _read(inner)
         elif str(name) != 'use_sim_time':
             found = [
                 section
@@ -169,7 +174,7 @@ def _by_name(values: Mapping[Any, Any]) -> Iterator[tuple[str, Value]]:
                 if name in [known for known, _, _ in cls.parameters()]
             ]
             for section in found or [section_of(str(name)) or str(name)]:
-                yield f'{section}.{name}', value
+                yield f'{section}.{name}', _read(value)
 
 
 def _from_ini(text: str) -> tuple[Config, list[str]]:
