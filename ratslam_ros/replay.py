@@ -242,24 +242,22 @@ class _ReadAhead:
 
 
 class _Progress:
-    """A progress bar with the figures that tell whether a map is coming about."""
+    """A progress bar with the figures that tell whether a map is coming about.
+
+    It appears when there is some progress: what is refused at once is told in one line.
+    """
 
     def __init__(self, recording: Recording, options: ReplayOptions, results: Results) -> None:
-        from tqdm import tqdm
-
         total_s = (recording.end_ns - recording.start_ns) * 1e-9 - options.start_s
         if options.duration_s is not None:
             total_s = min(total_s, options.duration_s)
         self._total_s = round(total_s, 1)
         self._results = results
+        self._shown = options.progress
         self._start_s = time.perf_counter()
-        self._next_s = 0.0
-        self._bar = tqdm(
-            total=self._total_s,
-            disable=not options.progress,
-            file=sys.stderr,
-            bar_format='{percentage:3.0f}% |{bar}| {n:.0f}/{total:.0f} s{postfix}',
-        )
+        self._next_s = self._start_s + 0.5
+        self._done_s = 0.0
+        self._bar: Any = None
 
     def __enter__(self) -> Self:
         return self
@@ -270,16 +268,27 @@ class _Progress:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._next_s = 0.0
-        self.update(self._bar.n)
-        self._bar.close()
+        if kind is None:
+            self._next_s = 0.0
+            self.update(self._done_s)
+        if self._bar is not None:
+            self._bar.close()
 
     def update(self, done_s: float) -> None:
         """Show how far the replay is, a few times a second."""
+        self._done_s = done_s
         now_s = time.perf_counter()
-        if now_s < self._next_s or self._bar.disable:
+        if now_s < self._next_s or not self._shown:
             return
         self._next_s = now_s + 0.1
+        if self._bar is None:
+            from tqdm import tqdm
+
+            self._bar = tqdm(
+                total=self._total_s,
+                file=sys.stderr,
+                bar_format='{percentage:3.0f}% |{bar}| {n:.0f}/{total:.0f} s{postfix}',
+            )
         wall_s = max(now_s - self._start_s, 1e-6)
         r = self._results
         self._bar.n = min(done_s, self._total_s)
