@@ -228,7 +228,9 @@ def _replay(options: argparse.Namespace) -> int:
     if outcome.interrupted:
         _say(f'interrupted: the results so far are in {folder}')
         return INTERRUPTED
-    pictures = draw_all(folder, truth, config.local_view.vt_match_threshold)
+    pictures = draw_all(
+        folder, truth, config.local_view.vt_match_threshold, outcome.closing_links
+    )
     if not options.quiet:
         print(_summary_text(outcome.summary))
         if truth is not None:
@@ -270,10 +272,10 @@ def _demo(options: argparse.Namespace) -> int:
     from ratslam_ros.demo import run_demo, run_seeds
 
     _warm_up()
-    folder = _results_folder(options, 'demo')
     if options.seeds is not None:
-        print(run_seeds(range(options.seed, options.seed + options.seeds), folder))
+        print(run_seeds(range(options.seed, options.seed + options.seeds)))
         return DONE
+    folder = _results_folder(options, 'demo')
     print(run_demo(options.seed, folder, progress=not options.quiet))
     if options.out is None:
         from ratslam_ros.results import link_latest

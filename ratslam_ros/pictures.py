@@ -46,14 +46,14 @@ Links = Iterable[tuple[int, int]]
 
 
 def draw_all(folder: str | Path, truth: str | Path | Trajectory | None = None,
-             threshold: float | None = None) -> list[Path]:
+             threshold: float | None = None, loop_closures: Links | None = None) -> list[Path]:
     """Draw every picture of a results folder; return their paths.
 
     Without a threshold, that of the folder's config.yaml is used.
     """
     if threshold is None:
         threshold = _threshold_of(Path(folder) / 'config.yaml')
-    return [draw_map(folder, truth), draw_matches(folder, threshold)]
+    return [draw_map(folder, truth, loop_closures), draw_matches(folder, threshold)]
 
 
 def draw_map(folder: str | Path, truth: str | Path | Trajectory | None = None,

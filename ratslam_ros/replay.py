@@ -335,10 +335,9 @@ class _Film:
         except UndecodableImage:
             return
         known = step.match.template_id
-        templates = self._slam.local_view.templates
         self._video.write(
             image,
-            templates[known] if 0 <= known < len(templates) else None,
+            self._slam.local_view.template(known) if known >= 0 else None,
             self._slam.pose_cells.activity(),
             self._slam.experience_map.poses[:, :2],
             self._slam.experience_map.pose,

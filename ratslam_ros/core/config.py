@@ -285,17 +285,22 @@ class PoseCellsParameters(OdometryInput):
         'places seen again soon have no effect', 'a robot at rest is pulled to wrong places',
     )  # fmt: skip
     pc_vt_agree_views: float = parameter(
-        2.5, 'views; 0: off', 0.0, 100.0,
-        'A recognised view injects its energy times the square of (recent views that agree with '
-        'its place, less those that agree with the present one) / this. 0: always its energy, as '
-        'in OpenRatSLAM.',
+        3.0, 'views; 0: off', 0.0, 100.0,
+        'A recognised view injects its energy times the 4th power of (recent views that agree '
+        'with its place, less those that agree with the present one) / this. 0: always its '
+        'energy, as in OpenRatSLAM.',
         'wrong recognitions bend the map', 'short revisits are not linked')  # fmt: skip
     pc_vt_agree_cells: float = parameter(
         3.0, 'cells', 0.0, 1000.0, 'Places that views claim agree within this distance.',
         'odometry or views are imprecise against the cells', 'neighbouring places are confused',
     )  # fmt: skip
+    pc_vt_agree_spacing: float = parameter(
+        2.0, 'cells', 0.0, 1000.0,
+        'Way (and turn, in planes) between views that count as two that agree.',
+        'places that look alike for a stretch bend the map', 'short revisits are not linked',
+    )  # fmt: skip
     pc_vt_agree_recent: int = parameter(
-        8, 'recognised views', 1, 1000, 'How many recognised views are remembered for this.',
+        8, 'views', 1, 1000, 'How many recognised views, a spacing apart, are remembered for this.',
         'right recognitions are rare among wrong ones', 'repetitive places agree by chance',
     )  # fmt: skip
     exp_delta_pc_threshold: float = parameter(

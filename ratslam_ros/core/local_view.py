@@ -16,10 +16,14 @@ from ratslam_ros.core.config import LocalViewParameters
 from ratslam_ros.core.image_window import Window, window_of
 
 Image = NDArray[np.uint8]
+Values = NDArray[np.float64]
 Match = tuple[int, int, int]
 """Template id, horizontal offset, SAD."""
 
 NO_TEMPLATE = -1
+
+PIECE = 128
+"""Pixels that are compared before a hopeless template is given up."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,9 +31,7 @@ class ViewMatch:
     """Which template a view is.
 
     ``template_id`` is -1 for an image that could not be decoded. ``error`` is the exact minimum
-    over the templates known before this view, 0 to 1, and -1 where there were none. (Where
-    ``vt_recent_templates`` is set and an older template is named in place of a recent one, it is
-    the exact minimum over the older ones.)
+    over all templates known before this view, 0 to 1, and -1 where there were none.
     ``relative_rad`` is the heading now minus the heading at learning (panoramic only).
     """
 
@@ -49,24 +51,38 @@ class LocalView:
         self._p = parameters
         self._height = parameters.template_y_size
         self._width = parameters.template_x_size
-        self._templates = np.empty((64, self._height, self._width), np.uint8)
-        self._count = 0
-        self._likely = 0
+        self._rows = self._height - 2 * parameters.vt_shift_match_y
         if parameters.vt_panoramic:
-            self._compared = self._width
+            self._columns = self._width
             self._offsets = self._width
         else:
-            self._compared = self._width - 2 * parameters.vt_shift_match
+            self._columns = self._width - 2 * parameters.vt_shift_match
             self._offsets = 2 * parameters.vt_shift_match + 1
-        self._compared_rows = self._height - 2 * parameters.vt_shift_match_y
-        self._full_sum = 255.0 * self._compared * self._compared_rows
+        self._full_sum = 255.0 * self._columns * self._rows
+        # For each vertical offset the rows that it compares, column by column, so that whatever
+        # a horizontal offset compares is one stretch of memory.
+        self._falls = 2 * parameters.vt_shift_match_y + 1
+        self._packed = np.empty((64, self._falls, self._width * self._rows), np.uint8)
+        self._count = 0
+        self._likely = 0
 
     @property
     def templates(self) -> NDArray[np.uint8]:
-        """The templates learned so far: (n, template_y_size, template_x_size) uint8, read-only."""
-        view = self._templates[: self._count]
-        view.flags.writeable = False
-        return view
+        """The templates learned so far: (n, template_y_size, template_x_size) uint8, a copy."""
+        out = np.empty((self._count, self._height, self._width), np.uint8)
+        shape = self._count, self._width, self._rows
+        for fall in range(self._falls):
+            part = self._packed[: self._count, fall].reshape(shape)
+            out[:, fall : fall + self._rows] = part.transpose(0, 2, 1)
+        return out
+
+    def template(self, template_id: int) -> Image:
+        """Return one template: (template_y_size, template_x_size) uint8, a copy."""
+        out = np.empty((self._height, self._width), np.uint8)
+        for fall in range(self._falls):
+            part = self._packed[template_id, fall].reshape(self._width, self._rows)
+            out[fall : fall + self._rows] = part.T
+        return out
 
     def __call__(self, image: Image) -> ViewMatch:
         """Recognise an image, or learn it as a new template.
@@ -82,11 +98,12 @@ class LocalView:
         if match is None:
             return ViewMatch(self.learn(view), True, -1.0, 0.0)
         recognised = self._recognised(view, match)
+        error = match[2] / self._full_sum
         if recognised is None:
-            return ViewMatch(self.learn(view), True, match[2] / self._full_sum, 0.0)
-        template_id, offset, sad = recognised
+            return ViewMatch(self.learn(view), True, error, 0.0)
+        template_id, offset, _ = recognised
         self._likely = template_id
-        return ViewMatch(template_id, False, sad / self._full_sum, self._relative_rad(offset))
+        return ViewMatch(template_id, False, error, self._relative_rad(offset))
 
     def _recognised(self, view: Image, match: Match) -> Match | None:
         """Return the best match if it is good enough, else the best older one if that is."""
@@ -103,11 +120,12 @@ class LocalView:
 
     def learn(self, view: Image) -> int:
         """Append a view, (template_y_size, template_x_size) uint8, and return its id."""
-        if self._count == len(self._templates):
-            grown = np.empty((2 * self._count, self._height, self._width), np.uint8)
-            grown[: self._count] = self._templates
-            self._templates = grown
-        self._templates[self._count] = view
+        if self._count == len(self._packed):
+            grown = np.empty((2 * self._count, *self._packed.shape[1:]), np.uint8)
+            grown[: self._count] = self._packed
+            self._packed = grown
+        for fall in range(self._falls):
+            self._packed[self._count, fall] = view[fall : fall + self._rows].T.reshape(-1)
         self._likely = self._count
         self._count += 1
         return self._likely
@@ -123,9 +141,15 @@ class LocalView:
         """Return what ``match`` does, of the oldest ``count`` templates only."""
         if count == 0:
             return None
+        p = self._p
+        rows = view[p.vt_shift_match_y : p.vt_shift_match_y + self._rows]
+        if p.vt_panoramic:  # twice round, so that every turn of the view is one stretch
+            query = np.concatenate([rows.T, rows.T]).reshape(-1)
+        else:
+            query = rows[:, p.vt_shift_match : p.vt_shift_match + self._columns].T.reshape(-1)
         template_id, offset, sad = _search(
-            self._templates, count, min(self._likely, count - 1), view, self._p.vt_panoramic,
-            self._compared, self._offsets, self._p.vt_step_match, self._compared_rows,
+            self._packed[:count], min(self._likely, count - 1), query, p.vt_panoramic,
+            self._rows, self._columns * self._rows, self._offsets, p.vt_step_match,
         )  # fmt: skip
         return int(template_id), int(offset), int(sad)
 
@@ -204,96 +228,114 @@ def _make_view(
                 for column in range(columns):
                     value[row, column] = min(value[row, column] * normalise_to / mean, 1.0)
 
-    n = patch_radius
-    patch_area = (2 * n + 1) * (2 * n + 1)
+    if patch_radius > 0:
+        _normalise_patches(value, patch_radius, min_std, view)
+        return
     for row in range(rows):
         for column in range(columns):
-            v = value[row, column]
-            if n > 0:
-                mean = 0.0
-                for dy in range(-n, n + 1):
-                    y = min(max(row + dy, 0), rows - 1)
-                    for dx in range(-n, n + 1):
-                        mean += value[y, min(max(column + dx, 0), columns - 1)]
-                mean /= patch_area
-                # Two passes: a flat patch has a deviation of rounding errors at most, which
-                # counts as none, where mean(v^2) - mean(v)^2 could even turn negative.
+            view[row, column] = math.floor(255.0 * value[row, column] + 0.5)
+
+
+@compiled
+def _normalise_patches(value: Values, n: int, min_std: float, view: Image) -> None:
+    """Fill ``view`` from ``value`` (h, w), each pixel by mean and deviation of its patch."""
+    rows, columns = value.shape
+    area = (2 * n + 1) * (2 * n + 1)
+    # Sums over the patch's columns first, then over its rows; edges replicated. From the view's
+    # mean on, so that little is cancelled in the squares.
+    middle = 0.0
+    for row in range(rows):
+        for column in range(columns):
+            middle += value[row, column]
+    middle /= rows * columns
+    sums = np.zeros((rows, columns))
+    squares = np.zeros((rows, columns))
+    for row in range(rows):
+        for dx in range(-n, n + 1):
+            for column in range(columns):
+                v = value[row, min(max(column + dx, 0), columns - 1)] - middle
+                sums[row, column] += v
+                squares[row, column] += v * v
+    total = np.empty(columns)
+    total_square = np.empty(columns)
+    for row in range(rows):
+        total[:] = 0.0
+        total_square[:] = 0.0
+        for dy in range(-n, n + 1):
+            y = min(max(row + dy, 0), rows - 1)
+            for column in range(columns):
+                total[column] += sums[y, column]
+                total_square[column] += squares[y, column]
+        for column in range(columns):
+            mean = middle + total[column] / area
+            variance = total_square[column] / area - (mean - middle) * (mean - middle)
+            if variance < 1e-8:
+                # Here rounding counts: again, exactly. A flat patch then has a deviation of
+                # rounding errors at most, which counts as none.
                 variance = 0.0
                 for dy in range(-n, n + 1):
                     y = min(max(row + dy, 0), rows - 1)
                     for dx in range(-n, n + 1):
                         d = value[y, min(max(column + dx, 0), columns - 1)] - mean
                         variance += d * d
-                std = math.sqrt(variance / patch_area)
-                if std <= 1e-12 or std < min_std:
-                    v = 0.5
-                else:
-                    v = min(max(((v - mean) / std + 3.0) / 6.0, 0.0), 1.0)
+                variance /= area
+            std = math.sqrt(variance)
+            if std <= 1e-12 or std < min_std:
+                v = 0.5
+            else:
+                v = min(max(((value[row, column] - mean) / std + 3.0) / 6.0, 0.0), 1.0)
             view[row, column] = math.floor(255.0 * v + 0.5)
 
 
 @compiled
 def _search(
-    templates: NDArray[np.uint8],
-    count: int,
+    packed: NDArray[np.uint8],
     likely: int,
-    view: Image,
+    query: Image,
     panoramic: bool,
-    compared: int,
+    rows: int,
+    length: int,
     offsets: int,
     step: int,
-    compared_rows: int,
-) -> tuple[np.int64, np.int64, np.int64]:
-    """Return (id, offset, SAD) of the least SAD; ties: lowest id, then lowest offset.
+) -> tuple[int, int, int]:
+    """Return (id, offset, SAD) of the least SAD; ties: lowest id, vertical, horizontal offset.
 
-    The view's middle ``compared_rows`` rows are compared at every vertical offset; among those
-    that are equally good the lowest comes first.
-
-    The likely template only sets the bound at which sums are broken off: every template whose
+    The likely templates only set the bound at which sums are broken off: every template whose
     sum could equal the minimum is still summed in full, so the result does not depend on it.
     """
-    height, width = view.shape
-    if panoramic:  # doubled, so that every turn of the view is one contiguous stretch
-        query = np.empty((height, 2 * width), np.uint8)
-        for y in range(height):
-            for x in range(width):
-                query[y, x] = view[y, x]
-                query[y, width + x] = view[y, x]
-    else:
-        query = view
-    falls = height - compared_rows + 1
-    top = (height - compared_rows) // 2
-    best_sad = np.int64(height) * width * 255 + 1
-    best_id = np.int64(-1)
-    best_offset = np.int64(0)
+    best_sad = length * 255 + 1
+    best_id = -1
+    best_offset = 0
     for turn in range(2):
+        # The view is most likely that of the last match or of those that were learned next.
         first = likely if turn == 0 else 0
-        last = likely + 1 if turn == 0 else count
+        last = min(likely + 4, packed.shape[0]) if turn == 0 else packed.shape[0]
         for candidate in range(first, last):
-            template = templates[candidate]
-            for fall in range(falls):
+            for fall in range(packed.shape[1]):
+                template = packed[candidate, fall]
                 for offset in range(0, offsets, step):
                     if panoramic:
-                        from_view = (width - offset) % width
-                        from_template = np.int64(0)
+                        a = query[(offsets - offset) % offsets * rows :]
+                        b = template
                     else:
-                        from_view = np.int64(width - compared) // 2
-                        from_template = np.int64(offset)
-                    sad = np.int64(0)
-                    for y in range(compared_rows):
+                        a = query
+                        b = template[offset * rows :]
+                    sad = 0
+                    at = 0
+                    while at < length and sad < best_sad:
+                        upto = min(at + PIECE, length)
                         # Slices, so that the loop needs no bounds arithmetic and becomes SIMD.
-                        a = query[top + y, from_view : from_view + compared]
-                        b = template[fall + y, from_template : from_template + compared]
-                        row_sad = np.int32(0)
-                        for x in range(a.shape[0]):
-                            row_sad += abs(np.int32(a[x]) - np.int32(b[x]))
-                        sad += row_sad
-                        if sad >= best_sad:
-                            break
+                        u = a[at:upto]
+                        v = b[at:upto]
+                        part = np.int32(0)
+                        for i in range(u.shape[0]):
+                            part += abs(np.int32(u[i]) - np.int32(v[i]))
+                        sad += part
+                        at = upto
                     if sad < best_sad:
                         best_sad = sad
-                        best_id = np.int64(candidate)
-                        best_offset = np.int64(offset)
+                        best_id = candidate
+                        best_offset = offset
         if turn == 0:  # search all again for a lower id that is as good
             best_sad += 1
     return best_id, best_offset, best_sad

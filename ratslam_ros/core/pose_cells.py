@@ -63,7 +63,11 @@ class PoseCells:
         p = self._p = parameters
         self._torus = Torus(p.pc_dim_x, p.pc_dim_y, p.pc_dim_th)
         self._agreement = Agreement(
-            self._torus, p.pc_vt_agree_views, p.pc_vt_agree_cells, p.pc_vt_agree_recent
+            self._torus,
+            p.pc_vt_agree_views,
+            p.pc_vt_agree_cells,
+            p.pc_vt_agree_spacing,
+            p.pc_vt_agree_recent,
         )
         self._network = Network(
             (p.pc_dim_th, p.pc_dim_y, p.pc_dim_x),

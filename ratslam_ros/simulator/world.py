@@ -27,7 +27,7 @@ class WorldOptions:
     light_spread: how much the lighting differs from place to place, as a share
     """
 
-    aliasing: float = 0.8
+    aliasing: float = 1.0
     corner_m: float = 1.8
     light_spread: float = 0.15
 

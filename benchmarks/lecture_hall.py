@@ -1,0 +1,241 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The back end on real odometry and real, partly wrong recognitions: TU Chemnitz's lecture hall.
+
+    python benchmarks/lecture_hall.py [--data ../shared/data]
+    python benchmarks/lecture_hall.py --convert FOLDER      writes the recording and its truth only
+
+The data (Neubert, Schubert, Protzel 2019) have no images, but odometry and loop candidates with a
+similarity, 13 % of them more than 5 m wrong. They become a recording of `/odom` and
+`/local_view/template`, without any use of the truth:
+
+- views are taken at all times that a candidate names, and one every 1.2 m or 0.6 rad between;
+- the view at t1 takes the template of its most similar t2 that is at least 10 s older, else a new
+  one; it is sent every 0.2 s until the next view;
+- odometry is averaged over 0.5 s; only its forward speed and turn rate are used.
+
+Printed are the errors of trajectory_final and trajectory (RMSE after rigid alignment in the
+plane) for the preset lecture_hall, and for the nine settings around it: a factor of 8 in
+pc_vt_inject_energy, a factor of 4 in pc_cell_x_size. The preset was chosen on this same recording
+(there is no second one), so what counts is the table around it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import statistics
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from ratslam_ros.config_files import load_config
+from ratslam_ros.core.config import Config
+from ratslam_ros.core.local_view import ViewMatch
+from ratslam_ros.core.odometry import Pose
+from ratslam_ros.evaluation import Trajectory, evaluate, read_tum
+from ratslam_ros.messages import encode_template
+from ratslam_ros.recordings import open_recording
+from ratslam_ros.replay import ReplayOptions, replay
+from ratslam_ros.results import tum_line
+
+ROOT = Path(__file__).resolve().parents[1]
+FOLDER = 'lecture_hall'
+ODOMETRY_SAMPLES = 5  # of 0.1 s each
+VIEW_M, VIEW_RAD, VIEW_S = 1.2, 0.6, 0.2
+OLDER_S = 10.0
+ENERGY_FACTORS = (1 / math.sqrt(8), 1.0, math.sqrt(8))
+CELL_FACTORS = (0.5, 1.0, 2.0)
+
+Table = NDArray[np.float64]
+
+
+def read(data: Path) -> tuple[Table, Table, Table]:
+    """Return odometry (t, v_x, w), loop candidates (t1, t2, similarity) and truth (t, x, y)."""
+    odometry, loops = [], []
+    with open(data / FOLDER / 'Lecture_Hall_Input.txt', encoding='ascii') as file:
+        for line in file:
+            kind, *fields = line.split()
+            if kind == 'odom2':
+                odometry.append([float(fields[0]), float(fields[1]), float(fields[3])])
+            elif kind == 'loop':
+                loops.append([float(field) for field in fields[:3]])
+    truth: list[list[float]] = []
+    with open(data / FOLDER / 'Lecture_Hall_GT.txt', encoding='ascii') as file:
+        for line in file:
+            point = [float(field) for field in line.split()[1:4]]
+            if truth and point[0] <= truth[-1][0]:
+                break  # the file goes on with a second table, from time 0 again
+            truth.append(point)
+    return np.array(odometry), np.array(loops), np.array(truth)
+
+
+def view_times(odometry: Table, loops: Table) -> list[float]:
+    """Return when views are taken, in s."""
+    named = sorted({*loops[:, 0].tolist(), *loops[:, 1].tolist()})
+    times = [float(odometry[0, 0])]
+    way_m = turn_rad = 0.0
+    next_named = 0
+    for (before_s, _, _), (now_s, speed, rate) in zip(odometry[:-1], odometry[1:], strict=True):
+        way_m += abs(speed) * (now_s - before_s)
+        turn_rad += abs(rate) * (now_s - before_s)
+        named_now = False
+        while next_named < len(named) and named[next_named] <= now_s:
+            times.append(named[next_named])
+            next_named += 1
+            named_now = True
+        if not named_now and (way_m >= VIEW_M or turn_rad >= VIEW_RAD):
+            times.append(float(now_s))
+            named_now = True
+        if named_now:
+            way_m = turn_rad = 0.0
+    return sorted(set(times))
+
+
+def view_templates(times_s: list[float], loops: Table) -> list[tuple[int, float]]:
+    """Return each view's template id, and one minus the similarity (-1 for a new template)."""
+    best: dict[float, tuple[float, float]] = {}
+    for t1, t2, similarity in loops.tolist():
+        if t1 - t2 >= OLDER_S and similarity > best.get(t1, (-1.0, 0.0))[0]:
+            best[t1] = similarity, t2
+    templates: dict[float, int] = {}
+    views = []
+    new = 0
+    for time_s in times_s:
+        if time_s in best:
+            similarity, older_s = best[time_s]
+            templates[time_s] = templates[older_s]
+            views.append((templates[time_s], 1.0 - similarity))
+        else:
+            templates[time_s] = new
+            views.append((new, -1.0))
+            new += 1
+    return views
+
+
+def convert(data: Path, folder: Path) -> tuple[Path, Path]:
+    """Write the recording and the truth below a folder; return their paths."""
+    odometry, loops, truth = read(data)
+    recording, truth_path = folder / FOLDER, folder / 'truth.tum'
+    store = get_typestore(Stores.ROS2_JAZZY)
+    types = store.types
+    vector, quaternion = types['geometry_msgs/msg/Vector3'], types['geometry_msgs/msg/Quaternion']
+    pose = types['geometry_msgs/msg/PoseWithCovariance'](
+        types['geometry_msgs/msg/Pose'](
+            types['geometry_msgs/msg/Point'](0.0, 0.0, 0.0), quaternion(0.0, 0.0, 0.0, 1.0)
+        ),
+        np.zeros(36),
+    )
+
+    def odometry_message(stamp_ns: int, speed: float, rate: float) -> bytes:
+        stamp = types['builtin_interfaces/msg/Time'](stamp_ns // 10**9, stamp_ns % 10**9)
+        twist = types['geometry_msgs/msg/Twist'](vector(speed, 0.0, 0.0), vector(0.0, 0.0, rate))
+        message = types['nav_msgs/msg/Odometry'](
+            types['std_msgs/msg/Header'](stamp, 'odom'), 'base_link', pose,
+            types['geometry_msgs/msg/TwistWithCovariance'](twist, np.zeros(36)),
+        )  # fmt: skip
+        return bytes(store.serialize_cdr(message, 'nav_msgs/msg/Odometry'))
+
+    messages: list[tuple[int, str, bytes]] = []
+    for start in range(0, len(odometry) - ODOMETRY_SAMPLES + 1, ODOMETRY_SAMPLES):
+        part = odometry[start : start + ODOMETRY_SAMPLES]
+        stamp_ns = round(part[-1, 0] * 1e9)
+        mean_v, mean_w = part[:, 1].mean(), part[:, 2].mean()
+        messages.append((stamp_ns, '/odom', odometry_message(stamp_ns, mean_v, mean_w)))
+    times_s = view_times(odometry, loops)
+    views = view_templates(times_s, loops)
+    seen: set[int] = set()
+    current = 0
+    for tick in range(int(odometry[-1, 0] / VIEW_S) + 1):
+        time_s = tick * VIEW_S
+        while current + 1 < len(times_s) and times_s[current + 1] <= time_s:
+            current += 1
+        template, error = views[current]
+        stamp_ns = round(time_s * 1e9)
+        match = ViewMatch(template, template not in seen, error, 0.0)
+        seen.add(template)
+        text = types['std_msgs/msg/String'](encode_template(stamp_ns, match, 0))
+        data_bytes = bytes(store.serialize_cdr(text, 'std_msgs/msg/String'))
+        messages.append((stamp_ns, '/local_view/template', data_bytes))
+    with Writer(recording, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connections = {
+            name: writer.add_connection(name, kind, typestore=store)
+            for name, kind in (
+                ('/odom', 'nav_msgs/msg/Odometry'),
+                ('/local_view/template', 'std_msgs/msg/String'),
+            )
+        }
+        for stamp_ns, topic, payload in sorted(messages, key=lambda m: m[:2]):
+            writer.write(connections[topic], stamp_ns, payload)
+    truth_path.write_text(
+        ''.join(tum_line(round(t * 1e9), Pose(x, y, 0.0)) for t, x, y in truth.tolist()),
+        encoding='ascii',
+    )
+    return recording, truth_path
+
+
+def errors(recording: Path, truth: Trajectory, config: Config, folder: Path) -> tuple[float, ...]:
+    """Replay; return the ATE RMSE of trajectory_final, trajectory and dead_reckoning, in m."""
+    with open_recording(recording) as opened:
+        replay(opened, opened.select(), config, folder, ReplayOptions(progress=False))
+    return tuple(
+        evaluate(read_tum(folder / f'{name}.tum'), truth).ate.rmse
+        for name in ('trajectory_final', 'trajectory', 'dead_reckoning')
+    )
+
+
+def run(data: Path) -> tuple[tuple[float, ...], dict[tuple[float, float], tuple[float, ...]]]:
+    """Return the errors of the preset, and those of the settings around it."""
+    config, _ = load_config(FOLDER)
+    p = config.pose_cells
+    with tempfile.TemporaryDirectory() as temporary:
+        recording, truth_path = convert(data, Path(temporary))
+        truth = read_tum(truth_path)
+        out = Path(temporary) / 'results'
+        around = {}
+        for energy_factor in ENERGY_FACTORS:
+            for cell_factor in CELL_FACTORS:
+                energy = round(p.pc_vt_inject_energy * energy_factor, 4)
+                cell = round(p.pc_cell_x_size * cell_factor, 4)
+                setting = config.with_values(
+                    {'pose_cells.pc_vt_inject_energy': energy, 'pose_cells.pc_cell_x_size': cell}
+                )
+                around[energy, cell] = errors(recording, truth, setting, out)
+        return errors(recording, truth, config, out), around
+
+
+def report(data: Path) -> str:
+    """Return the figures as text."""
+    if not (data / FOLDER).is_dir():
+        return f'lecture_hall: skipped, {data / FOLDER} is not there'
+    preset, around = run(data)
+    lines = [
+        'lecture_hall, ATE RMSE in m      final   believed   dead reckoning',
+        f'preset                         {preset[0]:7.2f}    {preset[1]:7.2f}          '
+        f'{preset[2]:7.2f}',
+    ]
+    for (energy, cell), (final, believed, _) in around.items():
+        lines.append(f'energy {energy:6.3f}, cells {cell:5.2f} m   {final:7.2f}    {believed:7.2f}')
+    finals = [figures[0] for figures in around.values()]
+    lines.append(f'median of the nine {statistics.median(finals):.2f}, worst {max(finals):.2f}')
+    return '\n'.join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument('--data', type=Path, default=ROOT.parent / 'shared' / 'data')
+    parser.add_argument('--convert', type=Path, metavar='FOLDER')
+    options = parser.parse_args()
+    if options.convert:
+        for path in convert(options.data, options.convert):
+            print(path)
+    else:
+        print(report(options.data))
+
+
+if __name__ == '__main__':
+    main()
