@@ -4,6 +4,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -288,15 +289,20 @@ def test_evaluate_prints_text_or_json(
     assert isinstance(json.loads(capfd.readouterr().out), dict)
 
 
-def test_plot_draws_the_pictures_again(
-    bag: Path, here: Path, capfd: pytest.CaptureFixture[str]
+@pytest.mark.parametrize('name', [
+    'matches.png',
+    pytest.param('map.png', marks=pytest.mark.xfail(
+        reason='plot guesses the loop closures from the links, replay knows them', strict=True,
+    )),
+])  # fmt: skip
+def test_plot_draws_the_pictures_of_the_replay_again(
+    results: Path, here: Path, capfd: pytest.CaptureFixture[str], name: str
 ) -> None:
-    assert main(['replay', str(bag), *SMALL, '--out', 'out', '--quiet']) == 0
-    before = (here / 'out' / 'map.png').read_bytes()
-    (here / 'out' / 'map.png').unlink()
-    assert main(['plot', 'out']) == 0
-    assert (here / 'out' / 'map.png').read_bytes() == before
-    assert 'map.png' in capfd.readouterr().out
+    shutil.copytree(results, here / 'copy')
+    (here / 'copy' / name).unlink()
+    assert main(['plot', 'copy']) == 0
+    assert name in capfd.readouterr().out
+    assert (here / 'copy' / name).read_bytes() == (results / name).read_bytes()
 
 
 def test_version_and_help(capfd: pytest.CaptureFixture[str]) -> None:

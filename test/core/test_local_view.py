@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Views and matches are those of the plain definition in helpers.py, ties included."""
 
+import contextlib
 import math
 from typing import Any
 
@@ -336,8 +337,10 @@ def test_templates_are_numbered_in_the_order_of_learning_however_many() -> None:
 def test_templates_cannot_be_changed_from_outside() -> None:
     local_view = LocalView(parameters())
     local_view(picture(0))
-    with pytest.raises(ValueError, match='read-only'):
-        local_view.templates[0, 0, 0] = 1
+    given_out = local_view.templates
+    with contextlib.suppress(ValueError):  # read-only, or a copy
+        given_out[:] = 1
+    assert not local_view(picture(0)).is_new
 
 
 def test_a_threshold_of_1_recognises_everything_as_the_nearest() -> None:
