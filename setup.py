@@ -25,6 +25,8 @@ def installed(folder: str, *patterns: str) -> tuple[str, list[str]]:
     return f'share/{NAME}/{folder}', [path.relative_to(HERE).as_posix() for path in files]
 
 
+TEST = ['hypothesis>=6.90', 'pytest>=8.0']
+
 setup(
     name=NAME,
     version=version(),
@@ -60,14 +62,8 @@ setup(
         'zstandard>=0.22',
     ],
     extras_require={
-        'dev': [
-            'hypothesis>=6.90',
-            'mypy>=1.8',
-            'pytest>=8.0',
-            'ruff>=0.4',
-            'types-PyYAML',
-            'types-tqdm',
-        ],
+        'test': TEST,  # by this name colcon knows that pytest runs the tests
+        'dev': [*TEST, 'mypy>=1.8', 'ruff>=0.4', 'types-PyYAML', 'types-tqdm'],
     },
     entry_points={'console_scripts': [f'ratslam = {NAME}.cli:main']},
 )

@@ -23,6 +23,7 @@ pc_vt_inject_energy, a factor of 4 in pc_cell_x_size. The preset was chosen on t
 from __future__ import annotations
 
 import argparse
+import itertools
 import math
 import statistics
 import tempfile
@@ -80,7 +81,7 @@ def view_times(odometry: Table, loops: Table) -> list[float]:
     times = [float(odometry[0, 0])]
     way_m = turn_rad = 0.0
     next_named = 0
-    for (before_s, _, _), (now_s, speed, rate) in zip(odometry[:-1], odometry[1:], strict=True):
+    for (before_s, _, _), (now_s, speed, rate) in itertools.pairwise(odometry):
         way_m += abs(speed) * (now_s - before_s)
         turn_rad += abs(rate) * (now_s - before_s)
         named_now = False
@@ -219,7 +220,8 @@ def report(data: Path) -> str:
         f'{preset[2]:7.2f}',
     ]
     for (energy, cell), (final, believed, _) in around.items():
-        lines.append(f'energy {energy:6.3f}, cells {cell:5.2f} m   {final:7.2f}    {believed:7.2f}')
+        setting = f'energy {energy:6.3f}, cells {cell:5.2f} m'
+        lines.append(f'{setting}   {final:7.2f}    {believed:7.2f}')
     finals = [figures[0] for figures in around.values()]
     lines.append(f'median of the nine {statistics.median(finals):.2f}, worst {max(finals):.2f}')
     return '\n'.join(lines)

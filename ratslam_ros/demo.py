@@ -102,7 +102,9 @@ def run_seeds(seeds: Iterable[int]) -> str:
     return '\n'.join(rows)
 
 
-def _run(seed: int, folder: Path, progress: bool) -> tuple[SimulatedRun, ReplayOutcome, DemoFigures]:
+def _run(
+    seed: int, folder: Path, progress: bool
+) -> tuple[SimulatedRun, ReplayOutcome, DemoFigures]:
     if (folder / 'recording').exists():
         raise UnusableInput(f'{folder} holds a recording already; give another --out')
     config, _ = load_config(PRESET)
@@ -114,11 +116,11 @@ def _run(seed: int, folder: Path, progress: bool) -> tuple[SimulatedRun, ReplayO
         )
         aliasing = _look_alike_share(recording, selection, run, config)
     truth = read_tum(run.truth)
-    errors = [
+    final, believed, dead_reckoning = (
         evaluate(read_tum(folder / f'{name}.tum'), truth).ate.rmse
         for name in ('trajectory_final', 'trajectory', 'dead_reckoning')
-    ]
-    return run, outcome, DemoFigures(seed, *errors, aliasing)
+    )
+    return run, outcome, DemoFigures(seed, final, believed, dead_reckoning, aliasing)
 
 
 def _look_alike_share(

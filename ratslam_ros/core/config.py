@@ -300,7 +300,8 @@ class PoseCellsParameters(OdometryInput):
         'places that look alike for a stretch bend the map', 'short revisits are not linked',
     )  # fmt: skip
     pc_vt_agree_recent: int = parameter(
-        8, 'views', 1, 1000, 'How many recognised views, a spacing apart, are remembered for this.',
+        8, 'views', 1, 1000,
+        'How many recognised views, a spacing apart, are remembered for this.',
         'right recognitions are rare among wrong ones', 'repetitive places agree by chance',
     )  # fmt: skip
     exp_delta_pc_threshold: float = parameter(

@@ -330,7 +330,7 @@ def _search(
                         part = np.int32(0)
                         for i in range(u.shape[0]):
                             part += abs(np.int32(u[i]) - np.int32(v[i]))
-                        sad += part
+                        sad += int(part)
                         at = upto
                     if sad < best_sad:
                         best_sad = sad
