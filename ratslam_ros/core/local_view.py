@@ -14,6 +14,7 @@ from ratslam_ros.core.angles import wrap
 from ratslam_ros.core.compiled import compiled
 from ratslam_ros.core.config import LocalViewParameters
 from ratslam_ros.core.image_window import Window, window_of
+from ratslam_ros.core.sad import LANES, sad_of_lanes
 
 Image = NDArray[np.uint8]
 Values = NDArray[np.float64]
@@ -21,9 +22,6 @@ Match = tuple[int, int, int]
 """Template id, horizontal offset, SAD."""
 
 NO_TEMPLATE = -1
-
-PIECE = 128
-"""Pixels that are compared before a hopeless template is given up."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -303,6 +301,7 @@ def _search(
     The likely templates only set the bound at which sums are broken off: every template whose
     sum could equal the minimum is still summed in full, so the result does not depend on it.
     """
+    pieces = length - length % LANES
     best_sad = length * 255 + 1
     best_id = -1
     best_offset = 0
@@ -315,23 +314,21 @@ def _search(
                 template = packed[candidate, fall]
                 for offset in range(0, offsets, step):
                     if panoramic:
-                        a = query[(offsets - offset) % offsets * rows :]
-                        b = template
+                        in_query = (offsets - offset) % offsets * rows
+                        in_template = 0
                     else:
-                        a = query
-                        b = template[offset * rows :]
+                        in_query = 0
+                        in_template = offset * rows
                     sad = 0
                     at = 0
+                    while at < pieces and sad < best_sad:
+                        sad += sad_of_lanes(query, in_query + at, template, in_template + at)
+                        at += LANES
                     while at < length and sad < best_sad:
-                        upto = min(at + PIECE, length)
-                        # Slices, so that the loop needs no bounds arithmetic and becomes SIMD.
-                        u = a[at:upto]
-                        v = b[at:upto]
-                        part = np.int32(0)
-                        for i in range(u.shape[0]):
-                            part += abs(np.int32(u[i]) - np.int32(v[i]))
-                        sad += int(part)
-                        at = upto
+                        difference = np.int64(query[in_query + at])
+                        difference -= np.int64(template[in_template + at])
+                        sad += abs(difference)
+                        at += 1
                     if sad < best_sad:
                         best_sad = sad
                         best_id = candidate
