@@ -134,6 +134,16 @@ def test_only_the_flat_patches_of_a_view_are_a_half() -> None:
     assert_same_view(image, p)
 
 
+@pytest.mark.parametrize('patch', [1, 2, 3])
+def test_flat_patches_are_a_half_for_every_grey_and_whatever_lies_beside(patch: int) -> None:
+    """What is left of rounding in their deviation is none."""
+    for value in range(256):
+        image = np.full((8, 24), value, np.uint8)
+        image[:, 16:] = picture(value, 8, 8)
+        view = make_view(image, parameters(24, 8, 0, vt_patch_normalise=patch))
+        assert (view[:, : 16 - patch] == 128).all(), value
+
+
 def test_faint_patches_are_a_half_below_the_least_deviation() -> None:
     image = np.full((8, 16), 100, np.uint8)
     image[:, 8:] = picture(2, 8, 8)

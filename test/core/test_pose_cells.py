@@ -115,6 +115,14 @@ def test_a_decision_is_made_once_an_odometry_message() -> None:
     assert pose_cells.view(seen(2)).action == 'create'
 
 
+def test_a_decision_of_none_is_a_decision_too() -> None:
+    pose_cells = cells()
+    assert [a.action for a in drive(pose_cells, [0, 0], 1.0)] == ['create', 'none']
+    assert pose_cells.view(seen(5)).action == 'none'
+    pose_cells.integrate(ahead(0.1))
+    assert pose_cells.view(seen(5)).action == 'create'
+
+
 @pytest.mark.parametrize('relative_rad', [0.0, 1.0, -2.5, math.pi])
 def test_places_are_those_of_the_views_heading_not_of_the_robots(relative_rad: float) -> None:
     pose_cells = cells()
