@@ -9,7 +9,7 @@ import random
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import pytest
 from helpers import (
@@ -32,10 +32,14 @@ from helpers import (
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.local_view import ViewMatch
 from ratslam_ros.core.odometry import Motion, Pose, moved
+from ratslam_ros.core.pose_cells import MapAction
+from ratslam_ros.core.ratslam import ViewStep
+from ratslam_ros.core.torus import Place
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.messages import encode_template
 from ratslam_ros.recordings import Event, Recording, open_recording
 from ratslam_ros.replay import ReplayOptions, ReplayOutcome, replay
+from ratslam_ros.results import Results
 
 CONFIG = Config().with_values({
     'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
@@ -249,6 +253,28 @@ def test_the_configuration_written_gives_the_same_map(
     assert config == CONFIG
     run(write_bag(tmp_path / 'bag', drive), tmp_path / 'results', config=config)
     assert bytes_of(tmp_path / 'results') == bytes_of(base)
+
+
+@pytest.mark.parametrize('action', ['link', 'set'])
+def test_a_loop_closure_leads_to_none_of_the_ten_newest_experiences(
+    tmp_path: Path, action: Literal['link', 'set']
+) -> None:
+    results = Results(tmp_path)
+
+    def step(kind: Literal['create', 'link', 'set'], target: int) -> None:
+        place = Place(0.0, 0.0, 0.0)
+        match = ViewMatch(target, kind == 'create', 0.0, 0.0)
+        results.add(ViewStep(START_NS, match, MapAction(kind, 20, target, 0, 0.0, place)))
+
+    for number in range(21):
+        step('create', number)
+    for number in range(11, 21):
+        step(action, number)
+    assert results.loop_closures == 0
+    step(action, 10)
+    step(action, 0)
+    assert results.loop_closures == 2
+    assert results.closing_links == [(20, 0), (20, 10)]
 
 
 # Undecodable images, recorded templates

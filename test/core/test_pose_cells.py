@@ -406,6 +406,17 @@ def test_one_wrong_recognition_does_not_move_the_packet_and_several_that_agree_d
         assert moved_by(pose_cells, Place(30.0 - 20.0, 10.0, 18.0)) < 3.0
 
 
+def test_a_view_that_agrees_with_those_before_it_injects_more_than_one_alone() -> None:
+    whole = injected(known(30), 0)
+    pose_cells = known(30, pc_vt_agree_views=3.0)
+    energies = []
+    for template_id in range(14):
+        energies.append(injected(pose_cells, template_id))
+        pose_cells.integrate(ahead(1.0))
+    assert 0.0 <= energies[0] < 0.5 * whole
+    assert max(energies) >= 0.9 * whole
+
+
 # The torus
 
 
