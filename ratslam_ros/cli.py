@@ -192,7 +192,6 @@ def _info(options: argparse.Namespace) -> int:
 
     with open_recording(options.recording, images_rate_hz=options.images_rate) as recording:
         print(describe(recording).format())
-        _warn(recording.warnings)
     return DONE
 
 

@@ -72,69 +72,115 @@ def replay(
         UnusableInput: the recording has nothing to replay, or the folder cannot be written.
         UnusableParameter: a crop or window does not fit the images.
     """
-    times = StepTimes()
-    slam = RatSLAM(
-        config,
-        visual_odometry=selection.odom_topic is None and selection.image_topic is not None,
-        stopwatch=times,
-    )
-    events = recording.events(selection, options.start_s, options.duration_s)
-    dropped = 0
-    span = _Span()
+    run = _Run(recording, selection, config, folder, options)
     interrupted = False
-    with ExitStack() as stack:
-        decoded = stack.enter_context(_ReadAhead(events, times))
-        first = next(decoded, None)  # before any file is written: this may be refused
-        results = Results(folder)
-        film = stack.enter_context(_Film(options.video, slam)) if options.video else None
-        bar = stack.enter_context(_Progress(recording, options, results))
-        start_s = time.perf_counter()
-        try:
-            while first is not None:
-                event, image = first
-                span.add(event.log_ns)
-                steps: list[Step] = []
-                if isinstance(event, OdometryEvent):
-                    steps = slam.odometry(_odometry(event))
-                elif isinstance(event, ImageEvent):
-                    dropped += image is None
-                    if film is not None:
-                        film.keep(event)
-                    steps = slam.image(event.stamp_ns, image)
-                else:
-                    template = _template(event, recording)
-                    dropped += template is None
-                    if template is not None:
-                        steps = slam.template(*template)
-                for step in steps:
-                    results.add(step)
-                    if film is not None:
-                        film.add(step)
-                bar.update(span.duration_s)
-                first = next(decoded, None)
-        except KeyboardInterrupt:
-            interrupted = True
-        for step in slam.finish():
-            results.add(step)
-        wall_s = time.perf_counter() - start_s
-    counts = slam.order.counts
-    summary = {
-        'frames': results.frames,
-        'odometry': results.odometry,
-        'templates': results.templates,
-        'experiences': len(slam.experience_map),
-        'links': slam.experience_map.link_count,
-        'loop_closures': results.loop_closures,
-        'dropped': dropped,
-        'late': counts.late,
-        'refused': counts.refused,
-        'duration_s': round(span.duration_s, 3),
-        'wall_s': round(wall_s, 3),
-        'times_realtime': round(span.duration_s / wall_s, 1) if wall_s > 0.0 else 0.0,
-        'step_ms': times.summary_ms(),
-    }
-    results.finish(slam.experience_map, config, summary)
-    return ReplayOutcome(summary, interrupted, results.closing_links)
+    try:
+        with ExitStack() as stack:
+            if options.video is not None:
+                run.film = stack.enter_context(_Film(options.video, run.slam))
+            events = recording.events(selection, options.start_s, options.duration_s)
+            decoded = stack.enter_context(_ReadAhead(events, run.times))
+            bar = stack.enter_context(_Progress(recording, options, run))
+            for event, image in decoded:
+                run.feed(event, image)
+                bar.update()
+    except KeyboardInterrupt:
+        interrupted = True
+    except BaseException:
+        # Whatever it is, what was mapped until then is not lost.
+        if run.results is not None:
+            run.finish()
+        raise
+    return ReplayOutcome(run.finish(), interrupted, run.closing_links)
+
+
+class _Run:
+    """One replay: RatSLAM, its results, and what was counted on the way."""
+
+    def __init__(
+        self,
+        recording: Recording,
+        selection: Selection,
+        config: Config,
+        folder: Path,
+        options: ReplayOptions,
+    ) -> None:
+        self.times = StepTimes()
+        self.slam = RatSLAM(
+            config,
+            visual_odometry=selection.odom_topic is None and selection.image_topic is not None,
+            stopwatch=self.times,
+        )
+        # Opened at the first result: what is refused before leaves no files behind.
+        self.results: Results | None = None
+        self.film: _Film | None = None
+        self.span = _Span()
+        self._recording = recording
+        self._config = config
+        self._folder = folder
+        self._dropped = 0
+        self._start_s = time.perf_counter()
+
+    def feed(self, event: Event, image: NDArray[np.uint8] | None) -> None:
+        """Process one event; ``image`` is its decoded image, None if it has none."""
+        self.span.add(event.log_ns)
+        if isinstance(event, OdometryEvent):
+            self._keep(self.slam.odometry(_odometry(event)))
+        elif isinstance(event, ImageEvent):
+            self._dropped += image is None
+            if self.film is not None:
+                self.film.keep(event)
+            self._keep(self.slam.image(event.stamp_ns, image))
+        else:
+            template = _template(event, self._recording)
+            self._dropped += template is None
+            if template is not None:
+                self._keep(self.slam.template(*template))
+
+    def finish(self) -> dict[str, Any]:
+        """Process what still waits, write all files, return the summary."""
+        self._keep(self.slam.finish())
+        wall_s = self.elapsed_s
+        results = self.results or Results(self._folder)
+        counts = self.slam.order.counts
+        summary = {
+            'frames': results.frames,
+            'odometry': results.odometry,
+            'templates': results.templates,
+            'experiences': len(self.slam.experience_map),
+            'links': self.slam.experience_map.link_count,
+            'loop_closures': results.loop_closures,
+            'dropped': self._dropped,
+            'late': counts.late,
+            'refused': counts.refused,
+            'duration_s': round(self.span.duration_s, 3),
+            'wall_s': round(wall_s, 3),
+            'times_realtime': round(self.span.duration_s / wall_s, 1) if wall_s > 0.0 else 0.0,
+            'step_ms': self.times.summary_ms(),
+        }
+        results.finish(self.slam.experience_map, self._config, summary)
+        self.results = results
+        return summary
+
+    @property
+    def elapsed_s(self) -> float:
+        """Time since the start of the replay, reading and decoding included."""
+        return time.perf_counter() - self._start_s
+
+    @property
+    def closing_links(self) -> list[tuple[int, int]]:
+        """Source and target of every link that closed a loop."""
+        return self.results.closing_links if self.results is not None else []
+
+    def _keep(self, steps: list[Step]) -> None:
+        if not steps:
+            return
+        if self.results is None:
+            self.results = Results(self._folder)
+        for step in steps:
+            self.results.add(step)
+            if self.film is not None:
+                self.film.add(step)
 
 
 def _odometry(event: OdometryEvent) -> Odometry:
@@ -247,16 +293,14 @@ class _Progress:
     It appears when there is some progress: what is refused at once is told in one line.
     """
 
-    def __init__(self, recording: Recording, options: ReplayOptions, results: Results) -> None:
+    def __init__(self, recording: Recording, options: ReplayOptions, run: _Run) -> None:
         total_s = (recording.end_ns - recording.start_ns) * 1e-9 - options.start_s
         if options.duration_s is not None:
             total_s = min(total_s, options.duration_s)
         self._total_s = round(total_s, 1)
-        self._results = results
+        self._run = run
         self._shown = options.progress
-        self._start_s = time.perf_counter()
-        self._next_s = self._start_s + 0.5
-        self._done_s = 0.0
+        self._next_s = 0.5
         self._bar: Any = None
 
     def __enter__(self) -> Self:
@@ -270,17 +314,16 @@ class _Progress:
     ) -> None:
         if kind is None:
             self._next_s = 0.0
-            self.update(self._done_s)
+            self.update()
         if self._bar is not None:
             self._bar.close()
 
-    def update(self, done_s: float) -> None:
+    def update(self) -> None:
         """Show how far the replay is, a few times a second."""
-        self._done_s = done_s
-        now_s = time.perf_counter()
-        if now_s < self._next_s or not self._shown:
+        elapsed_s = self._run.elapsed_s
+        if elapsed_s < self._next_s or not self._shown:
             return
-        self._next_s = now_s + 0.1
+        self._next_s = elapsed_s + 0.1
         if self._bar is None:
             from tqdm import tqdm
 
@@ -289,13 +332,16 @@ class _Progress:
                 file=sys.stderr,
                 bar_format='{percentage:3.0f}% |{bar}| {n:.0f}/{total:.0f} s{postfix}',
             )
-        wall_s = max(now_s - self._start_s, 1e-6)
-        r = self._results
+        done_s = self._run.span.duration_s
         self._bar.n = min(done_s, self._total_s)
-        self._bar.set_postfix_str(
-            f'{done_s / wall_s:.0f}x real time, {r.templates} templates, '
-            f'{r.experiences} experiences, {r.loop_closures} loop closures'
-        )
+        text = f'{done_s / max(elapsed_s, 1e-6):.0f}x real time'
+        r = self._run.results
+        if r is not None:
+            text += (
+                f', {r.templates} templates, {r.experiences} experiences, '
+                f'{r.loop_closures} loop closures'
+            )
+        self._bar.set_postfix_str(text)
 
 
 class _Film:

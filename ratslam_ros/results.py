@@ -100,7 +100,7 @@ class Results:
         for file in (self._frames, self._trajectory, self._dead_reckoning):
             file.close()
         map_json = encode_map(self._action_ns, experience_map)
-        _replace(self.folder / 'map.json', map_json + '\n')
+        _replace(self.folder / 'map.json', map_json)  # the bytes of experience_map/map
         self._write_final(experience_map)
         _replace(self.folder / 'config.yaml', to_yaml(config))
         _replace(self.folder / 'summary.json', json.dumps(summary, indent=2) + '\n')

@@ -102,7 +102,7 @@ def test_every_column_and_key_of_the_results_is_described():
     names = [
         *FRAMES_HEADER.strip().split(','),
         *content, *content['experiences'][0], *content['links'][0],
-        *re.findall(r"^        '(\w+)': ", summary, re.MULTILINE),
+        *re.findall(r"^ +'(\w+)': ", summary, re.MULTILINE),
     ]  # fmt: skip
     assert 'step_ms' in names and 'pc_x' in names and 'facing_rad' in names
     for name in names:

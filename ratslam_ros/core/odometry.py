@@ -10,6 +10,9 @@ from typing import NamedTuple
 
 from ratslam_ros.core.angles import wrap
 
+MOST = 1e9
+"""No robot is this fast (m/s, rad/s) or this far off (m); such a message is refused."""
+
 
 class Twist(NamedTuple):
     """Forward speed and turn rate, counter-clockwise positive."""
@@ -55,6 +58,11 @@ class MotionFromOdometry:
     def __init__(self, odom_source: str) -> None:
         self._from_pose = odom_source == 'pose'
         self._last: Odometry | None = None
+
+    def accepts(self, odometry: Odometry) -> bool:
+        """Tell whether the part of a message that is used is finite and below any real speed."""
+        used = odometry.pose if self._from_pose else odometry.twist
+        return all(math.isfinite(value) and abs(value) <= MOST for value in used)
 
     def __call__(self, odometry: Odometry) -> Motion | None:
         """Return the motion since the message before; None for the first one.

@@ -97,7 +97,13 @@ class RatSLAM:
         return steps + self.template(stamp_ns, match)
 
     def odometry(self, odometry: Odometry) -> list[Step]:
-        """Take one odometry message; return what it and those that waited for it led to."""
+        """Take one odometry message; return what it and those that waited for it led to.
+
+        One that is not finite is refused, and counted.
+        """
+        if not self._motion.accepts(odometry):
+            self.order.counts.refused += 1
+            return []
         return self._process(self.order.push('odometry', odometry.stamp_ns, odometry))
 
     def template(self, stamp_ns: int, match: ViewMatch) -> list[Step]:
