@@ -227,9 +227,7 @@ def _replay(options: argparse.Namespace) -> int:
     if outcome.interrupted:
         _say(f'interrupted: the results so far are in {folder}')
         return INTERRUPTED
-    pictures = draw_all(
-        folder, truth, config.local_view.vt_match_threshold, outcome.closing_links
-    )
+    pictures = draw_all(folder, truth, config.local_view.vt_match_threshold)
     if not options.quiet:
         print(_summary_text(outcome.summary))
         if truth is not None:

@@ -50,7 +50,7 @@ def run_demo(seed: int, folder: Path, progress: bool = True) -> str:
     folder.mkdir(parents=True, exist_ok=True)
     run, outcome, figures = _run(seed, folder, progress)
     pictures = [
-        *draw_all(folder, run.truth, loop_closures=outcome.closing_links),
+        *draw_all(folder, run.truth),
         draw_run(run, folder / 'world.png'),
     ]
     if outcome.interrupted:

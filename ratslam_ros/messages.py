@@ -61,10 +61,6 @@ def decode_template(payload: str) -> tuple[int, ViewMatch, int]:
             raise MalformedMessage(
                 f'local_view/template: {key} is {fields[key]}; expected {low:.4g} to {high:.4g}'
             )
-    if abs(fields['relative_rad']) > math.pi:
-        raise MalformedMessage(
-            f'local_view/template: relative_rad is {fields["relative_rad"]}; expected -pi to pi'
-        )
     match = ViewMatch(fields['id'], fields['is_new'], fields['error'], fields['relative_rad'])
     return _stamp_ns(fields['stamp']), match, fields['memory']
 

@@ -46,14 +46,14 @@ Links = Iterable[tuple[int, int]]
 
 
 def draw_all(folder: str | Path, truth: str | Path | Trajectory | None = None,
-             threshold: float | None = None, loop_closures: Links | None = None) -> list[Path]:
+             threshold: float | None = None) -> list[Path]:
     """Draw every picture of a results folder; return their paths.
 
     Without a threshold, that of the folder's config.yaml is used.
     """
     if threshold is None:
         threshold = _threshold_of(Path(folder) / 'config.yaml')
-    return [draw_map(folder, truth, loop_closures), draw_matches(folder, threshold)]
+    return [draw_map(folder, truth), draw_matches(folder, threshold)]
 
 
 def draw_map(folder: str | Path, truth: str | Path | Trajectory | None = None,
@@ -61,8 +61,9 @@ def draw_map(folder: str | Path, truth: str | Path | Trajectory | None = None,
     """Draw `map.png`: experiences and links over dead reckoning, in the map's own metres.
 
     Truth is turned and shifted onto the map by least squares (trajectory_final.tum says when the
-    robot was where). Loop closures are those given, as (source, target) ids, else the links over
-    more than ten ids. Raises UnusableInput where the folder or the truth cannot be used.
+    robot was where). Loop closures are those given, as (source, target) ids, else those that
+    frames.csv tells of, else the links over more than ten ids. Raises UnusableInput where the
+    folder or the truth cannot be used.
     """
     from matplotlib.collections import LineCollection
 
@@ -70,8 +71,7 @@ def draw_map(folder: str | Path, truth: str | Path | Trajectory | None = None,
     graph = _read_map(folder / 'map.json')
     believed = _read_if_there(folder / 'trajectory.tum')
     dead_reckoning = _read_if_there(folder / 'dead_reckoning.tum')
-    closures = set(loop_closures) if loop_closures is not None else {
-        link for link in graph.links if abs(link[0] - link[1]) > RECENT_EXPERIENCES}
+    closures = set(loop_closures) if loop_closures is not None else _closures(folder, graph)
 
     figure = new_figure(8.0, 7.6)
     axes = figure.add_subplot()
@@ -229,12 +229,29 @@ def _read_map(path: Path) -> _Graph:
     return _Graph(places, links, current)
 
 
-def _frames(path: Path, counts: list[int]) -> Iterator[tuple[float, float, float, float]]:
-    """Yield seconds since the first frame, template id, is_new and match error of each row.
+def _closures(folder: Path, graph: _Graph) -> set[tuple[int, int]]:
+    """Return the links to an experience that was not among the ten newest when it was reached.
 
-    `counts` receives how many rows were recognised and new, thinned out later or not.
+    Whenever the experience changes from one row of frames.csv to the next, and not to a new one,
+    a link was made or used.
     """
-    columns = ('stamp_ns', 'template_id', 'is_new', 'match_error')
+    path = folder / 'frames.csv'
+    if not path.exists():
+        return {link for link in graph.links if abs(link[0] - link[1]) > RECENT_EXPERIENCES}
+    closures = set()
+    last, known = -1, 0
+    for *_, experience in _rows(path):
+        if experience >= known:
+            known = experience + 1
+        elif experience != last and experience < known - RECENT_EXPERIENCES:
+            closures.add((last, experience))
+        last = experience
+    return closures
+
+
+def _rows(path: Path) -> Iterator[tuple[int, int, int, float, int]]:
+    """Yield stamp_ns, template_id, is_new, match_error and experience_id of each row."""
+    columns = ('stamp_ns', 'template_id', 'is_new', 'match_error', 'experience_id')
     try:
         with path.open(encoding='utf-8', newline='') as file:
             reader = csv.reader(file)
@@ -242,20 +259,29 @@ def _frames(path: Path, counts: list[int]) -> Iterator[tuple[float, float, float
             if not set(columns) <= set(header):
                 raise UnusableInput(f'{path}: the first line has to name {", ".join(columns)}')
             where = [header.index(column) for column in columns]
-            first_ns = None
             for row in reader:
-                stamp, template, new, error = (row[index] for index in where)
-                stamp_ns = int(stamp)
-                first_ns = stamp_ns if first_ns is None else first_ns
-                if int(template) >= 0:
-                    counts[int(new)] += 1
-                yield (stamp_ns - first_ns) / NS_PER_S, int(template), int(new), float(error)
-    except OSError as error:
-        raise UnusableInput(f'{path}: {error.strerror or error}; give the folder that '
+                stamp, template, new, error, experience = (row[index] for index in where)
+                yield (int(stamp), int(template), ('0', '1').index(new), float(error),
+                       int(experience))
+    except OSError as refusal:
+        raise UnusableInput(f'{path}: {refusal.strerror or refusal}; give the folder that '
                             'ratslam replay wrote') from None
     except (ValueError, IndexError):
         raise UnusableInput(f'{path}, line {reader.line_num}: not a row of '
                             f'{", ".join(columns)}') from None
+
+
+def _frames(path: Path, counts: list[int]) -> Iterator[tuple[float, float, float, float]]:
+    """Yield seconds since the first frame, template id, is_new and match error of each row.
+
+    `counts` receives how many rows were recognised and new, thinned out later or not.
+    """
+    first_ns = None
+    for stamp_ns, template, new, error, _ in _rows(path):
+        first_ns = stamp_ns if first_ns is None else first_ns
+        if template >= 0:
+            counts[new] += 1
+        yield (stamp_ns - first_ns) / NS_PER_S, template, new, error
 
 
 def _read_if_there(path: Path) -> Trajectory | None:

@@ -56,7 +56,6 @@ class ReplayOutcome:
 
     summary: dict[str, Any]
     interrupted: bool
-    closing_links: list[tuple[int, int]]
 
 
 def replay(
@@ -91,7 +90,7 @@ def replay(
         if run.results is not None:
             run.finish()
         raise
-    return ReplayOutcome(run.finish(), interrupted, run.closing_links)
+    return ReplayOutcome(run.finish(), interrupted)
 
 
 class _Run:
@@ -166,11 +165,6 @@ class _Run:
     def elapsed_s(self) -> float:
         """Time since the start of the replay, reading and decoding included."""
         return time.perf_counter() - self._start_s
-
-    @property
-    def closing_links(self) -> list[tuple[int, int]]:
-        """Source and target of every link that closed a loop."""
-        return self.results.closing_links if self.results is not None else []
 
     def _keep(self, steps: list[Step]) -> None:
         if not steps:

@@ -43,7 +43,6 @@ class Results:
         self.templates = 0
         self.experiences = 0
         self.loop_closures = 0
-        self._closures: set[tuple[int, int]] = set()
         self._action_ns = 0
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -82,16 +81,10 @@ class Results:
             action.target_id < self.experiences - NEWEST_EXPERIENCES
         ):
             self.loop_closures += 1
-            self._closures.add((action.source_id, action.target_id))
         self._frames.write(
             f'{step.stamp_ns},{match.template_id},{int(match.is_new)},{match.error!r},'
             f'{match.relative_rad!r},{action.target_id}\n'
         )
-
-    @property
-    def closing_links(self) -> list[tuple[int, int]]:
-        """Source and target of every link that closed a loop."""
-        return sorted(self._closures)
 
     def finish(
         self, experience_map: ExperienceMap, config: Config, summary: dict[str, Any]

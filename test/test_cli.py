@@ -289,12 +289,7 @@ def test_evaluate_prints_text_or_json(
     assert isinstance(json.loads(capfd.readouterr().out), dict)
 
 
-@pytest.mark.parametrize('name', [
-    'matches.png',
-    pytest.param('map.png', marks=pytest.mark.xfail(
-        reason='plot guesses the loop closures from the links, replay knows them', strict=True,
-    )),
-])  # fmt: skip
+@pytest.mark.parametrize('name', ['matches.png', 'map.png'])
 def test_plot_draws_the_pictures_of_the_replay_again(
     results: Path, here: Path, capfd: pytest.CaptureFixture[str], name: str
 ) -> None:

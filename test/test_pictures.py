@@ -22,6 +22,7 @@ from ratslam_ros.pictures import (
     draw_matches,
     plot_evaluation,
 )
+from ratslam_ros.results import FRAMES_HEADER
 
 START_NS = 1_700_000_000_000_000_000
 VERMILLION_BGR = (0x00, 0x5E, 0xD5)
@@ -139,9 +140,9 @@ def test_an_empty_run_still_gives_pictures(tmp_path):
     ('map.json', '{"current_experience_id": 0, "experiences": [], '
                  '"links": [{"source_id": 0, "target_id": 1}]}', 'a link leads to'),
     ('frames.csv', 'a,b\n', 'the first line has to name stamp_ns'),
-    ('frames.csv', 'stamp_ns,template_id,is_new,match_error\n1,2\n', 'line 2'),
-    ('frames.csv', 'stamp_ns,template_id,is_new,match_error\n1,2,0,x\n', 'line 2'),
-    ('frames.csv', 'stamp_ns,template_id,is_new,match_error\n1,2,7,0.1\n', 'line 2'),
+    ('frames.csv', f'{FRAMES_HEADER}1,2\n', 'line 2'),
+    ('frames.csv', f'{FRAMES_HEADER}1,2,0,x,0.0,3\n', 'line 2'),
+    ('frames.csv', f'{FRAMES_HEADER}1,2,7,0.1,0.0,3\n', 'line 2'),
 ])
 def test_unusable_results_are_named_in_one_line(folder, tmp_path, name, text, complaint):
     for file in ('map.json', 'frames.csv'):

@@ -139,7 +139,9 @@ def _taps(shift: float, spread_as: float) -> tuple[np.int64, float, float, float
     f = spread_as - math.floor(spread_as)
     second = max(f * (1.0 - f), abs(e) * (1.0 - abs(e))) + e * e
     # Rounding must not make activity negative where a weight is nothing.
-    return np.int64(whole), max(0.5 * (second - e), 0.0), 1.0 - second, max(0.5 * (second + e), 0.0)
+    before = max(0.5 * (second - e), 0.0)
+    after = max(0.5 * (second + e), 0.0)
+    return np.int64(whole), before, 1.0 - second, after
 
 
 @compiled

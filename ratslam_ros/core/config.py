@@ -356,6 +356,15 @@ class Config:
     experience_map: ExperienceMapParameters = field(default_factory=ExperienceMapParameters)
     goal_recall: GoalRecallParameters = field(default_factory=GoalRecallParameters)
 
+    def __post_init__(self) -> None:
+        sources = self.pose_cells.odom_source, self.experience_map.odom_source
+        if sources[0] != sources[1]:
+            raise UnusableParameter(
+                'pose_cells.odom_source and experience_map.odom_source are '
+                f'{sources[0]} and {sources[1]}; expected the same, or the map would not be that '
+                'of the pose cells: set both'
+            )
+
     def with_values(self, values: Mapping[str, Value]) -> Self:
         """Return a copy with ``section.name`` keys set; all or nothing.
 

@@ -326,8 +326,7 @@ def _search(
                         at += LANES
                     while at < length and sad < best_sad:
                         difference = np.int64(query[in_query + at])
-                        difference -= np.int64(template[in_template + at])
-                        sad += abs(difference)
+                        sad += int(abs(difference - np.int64(template[in_template + at])))
                         at += 1
                     if sad < best_sad:
                         best_sad = sad

@@ -292,7 +292,8 @@ def test_odometry_from_poses_gives_the_same_map_as_from_twists() -> None:
 
     maps = []
     for source in ('twist', 'pose'):
-        slam = RatSLAM(small(**{'pose_cells.odom_source': source}))
+        sections = 'pose_cells', 'experience_map'
+        slam = RatSLAM(small(**{f'{section}.odom_source': source for section in sections}))
         wheel = Pose(3.0, 1.0, -3.0)
         for n in range(80):
             if n:
