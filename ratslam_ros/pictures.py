@@ -241,6 +241,8 @@ def _closures(folder: Path, graph: _Graph) -> set[tuple[int, int]]:
     closures = set()
     last, known = -1, 0
     for *_, experience in _rows(path):
+        if experience < 0:
+            continue  # before the first
         if experience >= known:
             known = experience + 1
         elif experience != last and experience < known - RECENT_EXPERIENCES:

@@ -61,6 +61,7 @@ PARAMETERS = {
 def test_every_value_survives_the_way_through_yaml(values: dict[str, Any]) -> None:
     values['local_view.vt_shift_match'] = 0
     values['local_view.vt_shift_match_y'] = 0
+    values['experience_map.odom_source'] = values['pose_cells.odom_source']
     config = Config().with_values(values)
     document = yaml.safe_load(to_yaml(config))
     read = {
@@ -80,7 +81,7 @@ def test_what_a_run_wrote_can_be_given_to_the_next(file: Any) -> None:
     config = Config().with_values({
         'pose_cells.pc_global_inhib': 2e-05, 'local_view.vt_panoramic': True,
         'pose_cells.pc_dim_xy': 11, 'visual_odometry.vtrans_scaling': 1e-7,
-        'experience_map.odom_source': 'pose',
+        'pose_cells.odom_source': 'pose', 'experience_map.odom_source': 'pose',
     })  # fmt: skip
     assert load(file(to_yaml(config))) == config
 
@@ -269,3 +270,8 @@ def test_a_setting_is_split_and_read(text: str, expected: Any) -> None:
 def test_a_setting_without_a_value_is_refused() -> None:
     with pytest.raises(UnusableParameter, match=r'section\.name=value'):
         parse_setting('local_view.vt_panoramic')
+
+
+def test_the_map_and_the_pose_cells_read_the_same_odometry() -> None:
+    with pytest.raises(UnusableParameter, match='set both'):
+        Config().with_values({'pose_cells.odom_source': 'pose'})

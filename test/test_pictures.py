@@ -67,8 +67,9 @@ def write_results(folder, frames=400, per_lap=60, laps=3):
             place = laps * per_lap * i // frames
             new = place < per_lap and (i == 0 or place != laps * per_lap * (i - 1) // frames)
             error = -1.0 if i == 0 else (0.06 if new else 0.02) + 0.01 * math.sin(i)
-            file.write(f'{START_NS + i * 10**8},{place % per_lap},{int(new)},{error!r},0.0,0\n')
-        file.write(f'{START_NS + frames * 10**8},-1,0,-1.0,0.0,-1\n')
+            file.write(f'{START_NS + i * 10**8},{place % per_lap},{int(new)},{error!r},0.0,'
+                       f'{place % per_lap}\n')
+        file.write(f'{START_NS + frames * 10**8},-1,0,-1.0,0.0,{per_lap - 1}\n')
     (folder / 'config.yaml').write_text('local_view:\n  vt_match_threshold: 0.045\n')
     return folder
 
@@ -130,7 +131,7 @@ def test_counts_hold_however_much_is_thinned(folder):
 def test_an_empty_run_still_gives_pictures(tmp_path):
     (tmp_path / 'map.json').write_text(
         '{"current_experience_id": -1, "experiences": [], "links": []}')
-    (tmp_path / 'frames.csv').write_text('stamp_ns,template_id,is_new,match_error\n')
+    (tmp_path / 'frames.csv').write_text(FRAMES_HEADER)
     assert all(path.stat().st_size > 1000 for path in draw_all(tmp_path))
 
 
