@@ -168,6 +168,16 @@ def _results_folder(options: argparse.Namespace, name: str) -> Path:
     return Path('results') / f'{name}-{time.strftime("%Y%m%d-%H%M%S")}'
 
 
+def _make(folder: Path) -> Path:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UnusableInput(
+            f'{folder} cannot be written to ({error.strerror}); give another --out'
+        ) from None
+    return folder
+
+
 def _warm_up() -> float:
     """Compile the inner loops, telling so where it takes long; return the seconds it took."""
     start_s = time.perf_counter()
@@ -222,6 +232,7 @@ def _replay(options: argparse.Namespace) -> int:
             ReplayOptions(options.start, options.duration, options.video, not options.quiet),
         )  # fmt: skip
         _warn(recording.warnings)
+        _warn(_nothing_mapped(outcome.summary))
     if options.out is None:
         link_latest(folder)
     if outcome.interrupted:
@@ -244,6 +255,15 @@ def _truth(path: Path | None):  # type: ignore[no-untyped-def]
     from ratslam_ros.evaluation import read_tum
 
     return read_tum(path)
+
+
+def _nothing_mapped(summary: dict) -> list[str]:  # type: ignore[type-arg]
+    if not summary['odometry']:
+        return ['no odometry could be used, so the map is empty; try --visual-odometry, or more '
+                'of the recording']
+    if not summary['frames']:
+        return ['no image or template could be used, so the map is empty']
+    return []
 
 
 def _summary_text(summary: dict) -> str:  # type: ignore[type-arg]
@@ -272,7 +292,7 @@ def _demo(options: argparse.Namespace) -> int:
     if options.seeds is not None:
         print(run_seeds(range(options.seed, options.seed + options.seeds)))
         return DONE
-    folder = _results_folder(options, 'demo')
+    folder = _make(_results_folder(options, 'demo'))
     print(run_demo(options.seed, folder, progress=not options.quiet))
     if options.out is None:
         from ratslam_ros.results import link_latest
@@ -318,8 +338,7 @@ def _tune(options: argparse.Namespace) -> int:
             )
         _warm_up()
         proposal = propose(sample_frames(recording, selection.image_topic), config.local_view)
-        folder = _results_folder(options, f'{recording.name}-tune')
-        folder.mkdir(parents=True, exist_ok=True)
+        folder = _make(_results_folder(options, f'{recording.name}-tune'))
         path = plot_proposal(proposal, folder / 'tune.png')
         _warn(recording.warnings)
     print(f'{proposal.format()}\n{path}')

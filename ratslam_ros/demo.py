@@ -47,7 +47,6 @@ class DemoFigures:
 
 def run_demo(seed: int, folder: Path, progress: bool = True) -> str:
     """Simulate, replay, evaluate and draw; return the figures and the pictures' paths as text."""
-    folder.mkdir(parents=True, exist_ok=True)
     run, outcome, figures = _run(seed, folder, progress)
     pictures = [
         *draw_all(folder, run.truth),

@@ -287,7 +287,8 @@ def _frames(path: Path, counts: list[int]) -> Iterator[tuple[float, float, float
 
 
 def _read_if_there(path: Path) -> Trajectory | None:
-    return read_tum(path, MOST_POINTS) if path.exists() else None
+    there = path.exists() and path.stat().st_size > 0  # a run without odometry has no poses
+    return read_tum(path, MOST_POINTS) if there else None
 
 
 def _frame_change(source: Trajectory, target: Trajectory | None) -> Transform2D:

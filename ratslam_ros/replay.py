@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import queue
+import signal
 import sys
 import threading
 import time
@@ -75,6 +76,7 @@ def replay(
     interrupted = False
     try:
         with ExitStack() as stack:
+            interrupts = stack.enter_context(_Interrupts())
             if options.video is not None:
                 run.film = stack.enter_context(_Film(options.video, run.slam))
             events = recording.events(selection, options.start_s, options.duration_s)
@@ -83,7 +85,11 @@ def replay(
             for event, image in decoded:
                 run.feed(event, image)
                 bar.update()
+                if interrupts.seen:
+                    raise KeyboardInterrupt
     except KeyboardInterrupt:
+        if run.results is None:
+            raise  # nothing to write; earlier results in the folder stay
         interrupted = True
     except BaseException:
         # Whatever it is, what was mapped until then is not lost.
@@ -91,6 +97,38 @@ def replay(
             run.finish()
         raise
     return ReplayOutcome(run.finish(), interrupted)
+
+
+class _Interrupts:
+    """Keeps SIGINT and SIGTERM until a step is done, so that nothing is left half done.
+
+    Raised wherever they fall they could also come out of compiled code as an internal error. A
+    second one is raised at once, for a recording that gives no more events.
+    """
+
+    def __init__(self) -> None:
+        self.seen = False
+        self._before: dict[signal.Signals, Any] = {}
+
+    def __enter__(self) -> Self:
+        if threading.current_thread() is threading.main_thread():  # others cannot set signals
+            for number in (signal.SIGINT, signal.SIGTERM):
+                self._before[number] = signal.signal(number, self._note)
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _note(self, number: int, frame: object) -> None:
+        if self.seen:
+            raise KeyboardInterrupt
+        self.seen = True
 
 
 class _Run:

@@ -17,6 +17,7 @@ from helpers import ODOM_TOPIC, PERIOD_NS, START_NS, circles, write_bag
 
 from ratslam_ros import __version__
 from ratslam_ros.cli import main
+from ratslam_ros.core.ratslam import RatSLAM, Step
 from ratslam_ros.recordings import Event
 from ratslam_ros.recordings.bag import BagRecording
 
@@ -210,6 +211,37 @@ def test_an_output_that_cannot_be_written_is_told_in_one_line(
     assert '--out' in told(arguments, capfd)
 
 
+def test_tune_and_demo_tell_of_an_output_that_cannot_be_written(
+    here: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (here / 'file').write_text('')
+    bag = write_bag(here / 'circles', circles(5, 20))  # long enough to tune on
+    assert '--out' in told(['tune', str(bag), *SMALL, '--out', 'file'], capfd)
+    assert '--out' in told(['demo', '--out', 'file/below'], capfd)
+
+
+def test_a_replay_without_motion_says_so(
+    bag: Path, here: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """One image, and thus no visual odometry: no poses, and no error for that."""
+    arguments = ['replay', str(bag), *SMALL, '--visual-odometry', '--duration', '0.05']
+    assert main([*arguments, '--out', 'out', '--quiet']) == 0
+    assert 'warning: no odometry could be used' in capfd.readouterr().err
+    assert json.loads((here / 'out' / 'summary.json').read_text())['frames'] == 1
+    assert (here / 'out' / 'map.png').exists()
+
+
+def test_a_broken_video_is_told_in_one_line(here: Path) -> None:
+    """FFmpeg writes past Python, and reads how much once a process."""
+    (here / 'broken.mp4').write_bytes(b'nothing of a video' * 100)
+    done = subprocess.run(
+        [sys.executable, '-m', 'ratslam_ros', 'info', 'broken.mp4'],
+        capture_output=True, text=True, env={**os.environ, 'PYTHONPATH': str(REPOSITORY)},
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert len(done.stderr.splitlines()) == 1, done.stderr
+
+
 def test_plotting_a_folder_without_results_is_told_in_one_line(
     here: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -249,6 +281,42 @@ def test_an_interrupt_before_the_first_message_returns_130(
     monkeypatch.setattr(BagRecording, 'events', interrupted)
     assert main(['replay', str(bag), *SMALL, '--out', 'out', '--quiet']) == 130
     assert 'Traceback' not in capfd.readouterr().err
+
+
+def test_an_interrupt_before_the_first_result_keeps_those_of_an_earlier_run(
+    results: Path, bag: Path, here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(results, here / 'out')
+
+    def interrupted(*arguments: Any) -> Iterator[Event]:
+        raise KeyboardInterrupt
+        yield
+
+    monkeypatch.setattr(BagRecording, 'events', interrupted)
+    assert main(['replay', str(bag), *SMALL, '--out', 'out', '--quiet']) == 130
+    for name in WRITTEN:
+        assert (here / 'out' / name).read_bytes() == (results / name).read_bytes(), name
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_within_a_step_waits_for_its_end(
+    bag: Path, here: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals
+) -> None:
+    """A half-made step would be in the map and not in the files."""
+    calls = []
+
+    class Signalled(RatSLAM):
+        def image(self, *arguments: Any) -> list[Step]:
+            calls.append(1)
+            if len(calls) == 20:
+                signal.raise_signal(number)
+            return super().image(*arguments)
+
+    monkeypatch.setattr('ratslam_ros.replay.RatSLAM', Signalled)
+    assert main(['replay', str(bag), *SMALL, '--out', 'out', '--quiet']) == 130
+    assert len(calls) == 20
+    assert json.loads((here / 'out' / 'summary.json').read_text())['frames'] == 20
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 def test_sigterm_is_an_interrupt(

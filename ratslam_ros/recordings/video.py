@@ -3,6 +3,7 @@
 """A video as a recording: its frames, each at its own time."""
 
 import math
+import os
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
@@ -52,7 +53,7 @@ class Video(Recording):
             if not capture.grab():
                 raise UnusableInput(
                     f'{path} gives no frame: expected a video that OpenCV can decode; convert it, '
-                    f'for instance with "ffmpeg -i {path.name} {path.stem}.mp4"'
+                    f'for instance with "ffmpeg -i {path.name} converted.mp4"'
                 )
             if not frames:  # a stream whose length nobody knows before its end
                 frames = 1
@@ -90,12 +91,14 @@ class _Capture:
     """OpenCV's VideoCapture, with the errors of this project."""
 
     def __init__(self, path: Path) -> None:
+        # What FFmpeg finds wrong with a file is told in this project's own one line.
+        os.environ.setdefault('OPENCV_FFMPEG_LOGLEVEL', '-8')
         self._capture = cv2.VideoCapture(str(path))
         if not self._capture.isOpened():
             self._capture.release()
             raise UnusableInput(
                 f'{path} cannot be opened as a video: expected one that OpenCV can decode; '
-                f'convert it, for instance with "ffmpeg -i {path.name} {path.stem}.mp4"'
+                f'convert it, for instance with "ffmpeg -i {path.name} converted.mp4"'
             )
         rate = float(self._capture.get(cv2.CAP_PROP_FPS))
         self.rate_hz = rate if math.isfinite(rate) and 0.0 < rate <= 10_000.0 else 0.0
