@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import argparse
+import errno
 import signal
 import sys
 import threading
@@ -16,6 +17,8 @@ from typing import NoReturn
 from ratslam_ros import __version__
 from ratslam_ros.core.config import Config
 from ratslam_ros.errors import RatslamError, UnusableInput
+
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 DONE, INTERNAL_ERROR, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
 
@@ -35,9 +38,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         _say('ratslam: interrupted')
         return INTERRUPTED
+    except SystemError as error:
+        if not isinstance(error.__cause__, KeyboardInterrupt):  # one that fell in compiled code
+            raise
+        _say('ratslam: interrupted')
+        return INTERRUPTED
     except BrokenPipeError:  # as in `ratslam info X | head`
         sys.stderr.close()
         return DONE
+    except OSError as error:
+        if error.errno not in NO_ROOM:
+            raise
+        _say(f'ratslam: {error.strerror} while writing; make room, or give another --out')
+        return UNUSABLE
 
 
 def _interrupt(signal_number: int, frame: object) -> NoReturn:

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The command: what it writes, what it says and how it ends."""
 
+import errno
 import json
 import os
 import shutil
@@ -20,6 +21,7 @@ from ratslam_ros.cli import main
 from ratslam_ros.core.ratslam import RatSLAM, Step
 from ratslam_ros.recordings import Event
 from ratslam_ros.recordings.bag import BagRecording
+from ratslam_ros.results import Results
 
 REPOSITORY = Path(__file__).parents[1]
 SMALL = [
@@ -220,6 +222,17 @@ def test_tune_and_demo_tell_of_an_output_that_cannot_be_written(
     assert '--out' in told(['demo', '--out', 'file/below'], capfd)
 
 
+def test_a_full_disk_is_told_in_one_line(
+    bag: Path, here: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*arguments: Any) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Results, 'add', full)
+    line = told(['replay', str(bag), *SMALL, '--out', 'out', '--quiet'], capfd)
+    assert 'No space left' in line
+
+
 def test_a_replay_without_motion_says_so(
     bag: Path, here: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -317,6 +330,18 @@ def test_a_signal_within_a_step_waits_for_its_end(
     assert len(calls) == 20
     assert json.loads((here / 'out' / 'summary.json').read_text())['frames'] == 20
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_an_interrupt_that_falls_in_compiled_code_is_one(
+    here: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Python makes a SystemError of it, as Numba returns a result all the same."""
+    def interrupted(*arguments: Any, **options: Any) -> str:
+        raise SystemError('returned a result with an exception set') from KeyboardInterrupt()
+
+    monkeypatch.setattr('ratslam_ros.demo.run_demo', interrupted)
+    assert main(['demo', '--out', 'out']) == 130
+    assert capfd.readouterr().err == 'ratslam: interrupted\n'
 
 
 def test_sigterm_is_an_interrupt(
