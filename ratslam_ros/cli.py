@@ -153,17 +153,15 @@ def _add_out(parser: argparse.ArgumentParser, default: str) -> None:
 
 
 def _whole(text: str) -> int:
-    value = int(text)
-    if value < 0:
-        raise ValueError
-    return value
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f'{text!r} is not a whole number of 0 or more')
+    return int(text)
 
 
 def _positive(text: str) -> int:
-    value = _whole(text)
-    if value == 0:
-        raise ValueError
-    return value
+    if _whole(text) == 0:
+        raise argparse.ArgumentTypeError('0 is not a number of 1 or more')
+    return int(text)
 
 
 def _config(options: argparse.Namespace, default: str | None = None) -> Config:
@@ -246,12 +244,13 @@ def _replay(options: argparse.Namespace) -> int:
         )  # fmt: skip
         _warn(recording.warnings)
         _warn(_nothing_mapped(outcome.summary))
+        _warn(_much_lost(outcome.summary))
     if options.out is None:
         link_latest(folder)
+    pictures = draw_all(folder, truth, config.local_view.vt_match_threshold)
     if outcome.interrupted:
         _say(f'interrupted: the results so far are in {folder}')
         return INTERRUPTED
-    pictures = draw_all(folder, truth, config.local_view.vt_match_threshold)
     if not options.quiet:
         print(_summary_text(outcome.summary))
         if truth is not None:
@@ -268,6 +267,16 @@ def _truth(path: Path | None):  # type: ignore[no-untyped-def]
     from ratslam_ros.evaluation import read_tum
 
     return read_tum(path)
+
+
+def _much_lost(summary: dict) -> list[str]:  # type: ignore[type-arg]
+    lost = {key: summary[key] for key in ('dropped', 'late', 'refused') if summary[key]}
+    if sum(lost.values()) * 10 < summary['frames'] + summary['odometry']:
+        return []
+    told = ', '.join(f'{number} {key}' for key, number in lost.items())
+    return [f'many messages were not used ({told}): images that cannot be decoded are dropped, '
+            'stamps that do not increase refused, those behind the other streams by more than '
+            'pose_cells.max_lateness_s late'] if lost else []
 
 
 def _nothing_mapped(summary: dict) -> list[str]:  # type: ignore[type-arg]

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import shutil
 import statistics
 import tempfile
 from collections.abc import Iterable
@@ -107,7 +108,11 @@ def _run(
     if (folder / 'recording').exists():
         raise UnusableInput(f'{folder} holds a recording already; give another --out')
     config, _ = load_config(PRESET)
-    run = write_recording(folder / 'recording', seed)
+    try:
+        run = write_recording(folder / 'recording', seed)
+    except BaseException:
+        shutil.rmtree(folder / 'recording', ignore_errors=True)  # half a recording is none
+        raise
     with open_recording(run.recording) as recording:
         selection = recording.select()
         outcome = replay(

@@ -102,7 +102,7 @@ def draw_map(folder: str | Path, truth: str | Path | Trajectory | None = None,
                   color=BLACK, label='end', zorder=6)
     equal_axes(axes)
     axes.set_title(f'{_count(len(places_m), "experience")}, {_count(len(graph.links), "link")}, '
-                   f'{_count(len(closures), "loop closure")}', fontsize=11)
+                   f'{_count(len(closures), "closing link")}', fontsize=11)
     _legend_below(figure, axes)
     return save_figure(figure, folder / 'map.png')
 

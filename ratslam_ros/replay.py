@@ -29,7 +29,6 @@ from ratslam_ros.recordings import (
     OdometryEvent,
     Recording,
     Selection,
-    TemplateEvent,
     UndecodableImage,
 )
 from ratslam_ros.results import Results
@@ -92,9 +91,7 @@ def replay(
             raise  # nothing to write; earlier results in the folder stay
         interrupted = True
     except BaseException:
-        # Whatever it is, what was mapped until then is not lost.
-        if run.results is not None:
-            run.finish()
+        run.abandon()
         raise
     return ReplayOutcome(run.finish(), interrupted)
 
@@ -156,6 +153,7 @@ class _Run:
         self._config = config
         self._folder = folder
         self._dropped = 0
+        self._malformed: str | None = None
         self._start_s = time.perf_counter()
 
     def feed(self, event: Event, image: NDArray[np.uint8] | None) -> None:
@@ -169,16 +167,24 @@ class _Run:
                 self.film.keep(event)
             self._keep(self.slam.image(event.stamp_ns, image))
         else:
-            template = _template(event, self._recording)
-            self._dropped += template is None
-            if template is not None:
-                self._keep(self.slam.template(*template))
+            try:
+                stamp_ns, match, _ = decode_template(event.payload)
+            except MalformedMessage as error:
+                self._dropped += 1
+                if self._malformed is None:
+                    self._malformed = str(error)
+                return
+            self._keep(self.slam.template(stamp_ns, match))
 
     def finish(self) -> dict[str, Any]:
         """Process what still waits, write all files, return the summary."""
         self._keep(self.slam.finish())
         wall_s = self.elapsed_s
         results = self.results or Results(self._folder)
+        if self._malformed is not None:
+            self._recording.warnings.append(
+                f'{self._dropped} template messages were not used, the first: {self._malformed}'
+            )
         counts = self.slam.order.counts
         summary = {
             'frames': results.frames,
@@ -187,7 +193,7 @@ class _Run:
             'experiences': len(self.slam.experience_map),
             'links': self.slam.experience_map.link_count,
             'loop_closures': results.loop_closures,
-            'dropped': self._dropped,
+            'dropped': self._dropped + self._recording.skipped,
             'late': counts.late,
             'refused': counts.refused,
             'duration_s': round(self.span.duration_s, 3),
@@ -198,6 +204,15 @@ class _Run:
         results.finish(self.slam.experience_map, self._config, summary)
         self.results = results
         return summary
+
+    def abandon(self) -> None:
+        """End after an error: neither what was mapped is lost nor an earlier run's map."""
+        if self.results is None:
+            return
+        if (self._folder / 'map.json').exists():
+            self.results.discard()
+        else:
+            self.finish()
 
     @property
     def elapsed_s(self) -> float:
@@ -221,17 +236,6 @@ def _odometry(event: OdometryEvent) -> Odometry:
         Twist(event.linear_x, event.angular_z),
         Pose(event.x, event.y, event.heading_rad),
     )
-
-
-def _template(event: TemplateEvent, recording: Recording) -> tuple[int, Any] | None:
-    try:
-        stamp_ns, match, _ = decode_template(event.payload)
-    except MalformedMessage as error:
-        text = f'a template message was not used: {error}'
-        if text not in recording.warnings:
-            recording.warnings.append(text)
-        return None
-    return stamp_ns, match
 
 
 class _Span:

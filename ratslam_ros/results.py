@@ -29,7 +29,10 @@ _OFFSET = struct.Struct('<qqddd')
 
 
 class Results:
-    """Writes one run's files into a folder."""
+    """Writes one run's files into a folder; they take their names when the run is finished.
+
+    Until then they are called ``.part``, and whatever an earlier run left stays as it is.
+    """
 
     def __init__(self, folder: Path) -> None:
         """Open the files.
@@ -46,9 +49,9 @@ class Results:
         self._action_ns = 0
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            self._frames = _writer(folder / 'frames.csv')
-            self._trajectory = _writer(folder / 'trajectory.tum')
-            self._dead_reckoning = _writer(folder / 'dead_reckoning.tum')
+            self._frames = _writer(folder / 'frames.csv.part')
+            self._trajectory = _writer(folder / 'trajectory.tum.part')
+            self._dead_reckoning = _writer(folder / 'dead_reckoning.tum.part')
         except OSError as error:
             raise UnusableInput(
                 f'{folder} cannot be written to ({error.strerror}); give another --out'
@@ -90,22 +93,35 @@ class Results:
         self, experience_map: ExperienceMap, config: Config, summary: dict[str, Any]
     ) -> None:
         """Write the map, the final trajectory and the summary, and close all files."""
-        for file in (self._frames, self._trajectory, self._dead_reckoning):
+        self._write_final(experience_map)
+        for file in self._files:
             file.close()
+            os.replace(file.name, file.name.removesuffix('.part'))
         map_json = encode_map(self._action_ns, experience_map)
         _replace(self.folder / 'map.json', map_json)  # the bytes of experience_map/map
-        self._write_final(experience_map)
         _replace(self.folder / 'config.yaml', to_yaml(config))
         _replace(self.folder / 'summary.json', json.dumps(summary, indent=2) + '\n')
 
+    def discard(self) -> None:
+        """Remove what was written of this run."""
+        self._offsets.close()
+        for file in self._files:
+            file.close()
+            Path(file.name).unlink(missing_ok=True)
+
+    @property
+    def _files(self) -> tuple[IO[str], ...]:
+        return self._frames, self._trajectory, self._dead_reckoning
+
     def _write_final(self, experience_map: ExperienceMap) -> None:
         self._offsets.seek(0)
-        with _writer(self.folder / 'trajectory_final.tum') as file:
+        with _writer(self.folder / 'trajectory_final.tum.part') as file:
             while chunk := self._offsets.read(_OFFSET.size * 4096):
                 for stamp_ns, experience_id, x, y, heading in _OFFSET.iter_unpack(chunk):
                     base = experience_map.pose_of(experience_id)
                     file.write(tum_line(stamp_ns, composed(base, Pose(x, y, heading))))
         self._offsets.close()
+        os.replace(file.name, file.name.removesuffix('.part'))
 
 
 def tum_line(stamp_ns: int, pose: Pose) -> str:

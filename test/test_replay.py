@@ -335,7 +335,8 @@ def test_malformed_templates_are_dropped_counted_and_told(
     with open_recording(bag) as recording:
         outcome = replay(recording, recording.select(), CONFIG, tmp_path / 'results',
                          ReplayOptions(progress=False))  # fmt: skip
-        assert sum('template message was not used' in text for text in recording.warnings) == 3
+        assert recording.warnings[0].startswith('3 template messages were not used')
+        assert len(recording.warnings) == 1
     assert outcome.summary['dropped'] == 3
     assert bytes_of(tmp_path / 'results') == bytes_of(base)
 
@@ -434,3 +435,58 @@ def test_a_crop_outside_the_images_is_told(drive: list[Recorded], tmp_path: Path
     config = CONFIG.with_values({'local_view.image_crop_x_max': 1000})
     with pytest.raises(UnusableParameter, match='32 x 24 px'):
         run(write_bag(tmp_path / 'bag', drive[:10]), tmp_path / 'results', config=config)
+
+
+def test_an_image_smaller_than_the_template_later_on_is_one_that_cannot_be_used(
+    drive: list[Recorded], tmp_path: Path
+) -> None:
+    messages = list(drive)
+    at = next(i for i, m in enumerate(messages) if m[1] == IMAGE_TOPIC and i > 40)
+    log_ns, topic, kind, message = messages[at]
+    stamp_ns = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+    messages[at] = (log_ns, topic, kind, image_message(stamp_ns, picture(0, 2, 2)))
+    outcome = run(write_bag(tmp_path / 'bag', messages), tmp_path / 'results')
+    assert outcome.summary['frames'] == FRAMES
+    assert [row['template_id'] for row in rows(tmp_path / 'results')].count('-1') == 1
+
+
+def test_odometry_that_is_not_a_number_is_refused_and_counted(
+    drive: list[Recorded], tmp_path: Path
+) -> None:
+    stamp_ns = drive[20][0] - 1
+    message = odometry_message(stamp_ns, float('nan'), 0.0, Pose(0.0, 0.0, 0.0))
+    messages = [*drive[:20], (stamp_ns, ODOM_TOPIC, 'odometry', message), *drive[20:]]
+    summary = run(write_bag(tmp_path / 'bag', messages), tmp_path / 'results').summary
+    assert (summary['refused'], summary['dropped'], summary['late']) == (1, 0, 0)
+
+
+class _Failing:
+    """A recording whose events end in an error that is nobody's fault."""
+
+    def __init__(self, recording: Recording) -> None:
+        self._recording = recording
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._recording, name)
+
+    def events(self, *arguments: Any) -> Iterator[Event]:
+        for number, event in enumerate(self._recording.events(*arguments)):
+            if number == 60:
+                raise RuntimeError('the disk is gone')
+            yield event
+
+
+def test_an_error_loses_neither_what_was_mapped_nor_an_earlier_map(
+    drive: list[Recorded], tmp_path: Path
+) -> None:
+    bag = write_bag(tmp_path / 'bag', drive)
+    with pytest.raises(RuntimeError):
+        run(bag, tmp_path / 'new', recording_of=_Failing)
+    assert len(rows(tmp_path / 'new')) > 10
+    assert json.loads((tmp_path / 'new' / 'map.json').read_text())['experiences']
+    run(bag, tmp_path / 'old')
+    before = bytes_of(tmp_path / 'old')
+    with pytest.raises(RuntimeError):
+        run(bag, tmp_path / 'old', recording_of=_Failing)
+    assert bytes_of(tmp_path / 'old') == before
+    assert not list((tmp_path / 'old').glob('*.part'))

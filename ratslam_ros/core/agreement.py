@@ -20,6 +20,11 @@ MOST_CLAIMS = 64
 """However slowly the robot drives, no more are remembered; it bounds the work of a step."""
 
 
+TURN_WEIGHT = 0.25
+"""Way, in cells, that a turn by one plane stands for: a look-alike corner is one place, however
+many views it takes to turn there, but a robot that turns on the spot sees different places."""
+
+
 @dataclass(slots=True)
 class _Claim:
     template_id: int
@@ -55,7 +60,7 @@ class Agreement:
 
     def integrate(self, chord_cells: float, turn_planes: float) -> None:
         """Carry all claims along with one motion of the robot."""
-        self._travelled += abs(chord_cells)
+        self._travelled += abs(chord_cells) + TURN_WEIGHT * abs(turn_planes)
         for claim in self._claims:
             claim.place = self._torus.moved(claim.place, chord_cells, turn_planes)
 

@@ -186,7 +186,7 @@ class LocalViewParameters(Section):
         10, 'px', 1, 1024, 'Height of a template.', 'different places look alike',
         'pitching of the camera spoils recognition')  # fmt: skip
     vt_match_threshold: float = parameter(
-        0.03, 'mean difference, 0 to 1', 0.0, 1.0,
+        0.03, 'mean difference', 0.0, 1.0,
         'A view at most this different from a template is recognised as that template.',
         'known places are not recognised (ratslam tune proposes a value)',
         'different places are confused')  # fmt: skip
@@ -296,7 +296,7 @@ class PoseCellsParameters(OdometryInput):
     )  # fmt: skip
     pc_vt_agree_spacing: float = parameter(
         2.0, 'cells', 0.0, 1000.0,
-        'Way (and turn, in planes) between views that count as two that agree.',
+        'Way (and a quarter of the turn, in planes) between views that count as two that agree.',
         'places that look alike for a stretch bend the map', 'short revisits are not linked',
     )  # fmt: skip
     pc_vt_agree_recent: int = parameter(

@@ -23,6 +23,7 @@ from ratslam_ros.core.odometry import MotionFromOdometry, Odometry, Pose, moved
 from ratslam_ros.core.order import Released, StampOrder
 from ratslam_ros.core.pose_cells import MapAction, PoseCells
 from ratslam_ros.core.visual_odometry import VisualOdometry
+from ratslam_ros.errors import UnusableParameter
 
 Stopwatch = Callable[[str], AbstractContextManager[object]]
 
@@ -76,6 +77,7 @@ class RatSLAM:
         )
         self._motion = MotionFromOdometry(config.pose_cells.odom_source)
         self._image_ns: int | None = None
+        self._looked = False
         self._watch = stopwatch
 
     def image(self, stamp_ns: int, image: NDArray[np.uint8] | None) -> list[Step]:
@@ -86,6 +88,14 @@ class RatSLAM:
         self._image_ns = stamp_ns
         if image is None:
             return self.template(stamp_ns, UNDECODABLE)
+        try:
+            return self._look(stamp_ns, image)
+        except UnusableParameter:
+            if not self._looked:
+                raise  # the crop, window or template does not fit this camera
+            return self.template(stamp_ns, UNDECODABLE)  # one image unlike those before
+
+    def _look(self, stamp_ns: int, image: NDArray[np.uint8]) -> list[Step]:
         steps: list[Step] = []
         if self.visual_odometry is not None:
             with self._watch('visual_odometry'):
@@ -94,6 +104,7 @@ class RatSLAM:
                 steps += self.odometry(Odometry(stamp_ns, twist, Pose(0.0, 0.0, 0.0)))
         with self._watch('local_view'):
             match = self.local_view(image)
+        self._looked = True
         return steps + self.template(stamp_ns, match)
 
     def odometry(self, odometry: Odometry) -> list[Step]:

@@ -162,6 +162,7 @@ class BagRecording(Recording):
                     at_s = (message.log_ns - self.start_ns) / 1e9
                     reasons.setdefault(topic, f'the first at {at_s:.1f} s: {error}')
                     skipped[topic] += 1
+                    self.skipped += 1
                     continue
                 yield replace(event, stamp_ns=event.log_ns) if topic in unstamped else event
         finally:

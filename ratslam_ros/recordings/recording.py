@@ -29,6 +29,8 @@ class Recording(ABC):
         name = path.resolve().name
         self.name = name if path.is_dir() else Path(name.removesuffix('.zstd')).stem
         self._warnings = warnings or Warnings()
+        self.skipped = 0
+        """Messages that could not be decoded, among the events asked for so far."""
 
     @property
     def warnings(self) -> list[str]:

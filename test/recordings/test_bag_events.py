@@ -204,8 +204,9 @@ def test_messages_that_cannot_be_decoded_are_skipped_and_counted(tmp_path):
     messages[6] = (*messages[6][:3], odometry(START_NS, float('nan')))
     messages[9] = (*messages[9][:3], b'')
     with open_recording(write_mcap(tmp_path / 'r.mcap', messages)) as recording:
-        assert len(list(recording.events(recording.select()))) == 37
-        assert any(text.startswith('2 of the messages of /odom cannot be decoded and are skipped, '
+        assert len(list(recording.events(recording.select()))) == 38
+        assert recording.skipped == 2
+        assert any(text.startswith('1 of the messages of /odom cannot be decoded and are skipped, '
                                    'the first at 0.2 s') for text in recording.warnings)
         assert any(text.startswith('1 of the messages of /camera') for text in recording.warnings)
 
