@@ -21,6 +21,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 demo: $(RUN)
 	$(BIN)/ratslam demo
+	@echo "(the command is in $(BIN): source $(BIN)/activate)"
 
 test: $(DEV)
 	$(BIN)/python -m pytest $(PYTEST_ARGS)

@@ -4,16 +4,13 @@
 
 from __future__ import annotations
 
-import queue
 import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -23,6 +20,7 @@ from ratslam_ros.core.config import Config
 from ratslam_ros.core.odometry import Odometry, Pose, Twist
 from ratslam_ros.core.ratslam import RatSLAM, Step, ViewStep
 from ratslam_ros.messages import MalformedMessage, decode_template
+from ratslam_ros.read_ahead import ReadAhead
 from ratslam_ros.recordings import (
     Event,
     ImageEvent,
@@ -34,10 +32,6 @@ from ratslam_ros.recordings import (
 from ratslam_ros.results import Results
 from ratslam_ros.timing import StepTimes
 from ratslam_ros.video import MapVideo
-
-READ_AHEAD = 64  # events
-
-Decoded = tuple[Event, NDArray[np.uint8] | None]
 
 
 @dataclass(frozen=True)
@@ -79,7 +73,7 @@ def replay(
             if options.video is not None:
                 run.film = stack.enter_context(_Film(options.video, run.slam))
             events = recording.events(selection, options.start_s, options.duration_s)
-            decoded = stack.enter_context(_ReadAhead(events, run.times))
+            decoded = stack.enter_context(ReadAhead(events, run.times))
             bar = stack.enter_context(_Progress(recording, options, run))
             for event, image in decoded:
                 run.feed(event, image)
@@ -113,12 +107,7 @@ class _Interrupts:
                 self._before[number] = signal.signal(number, self._note)
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         for number, handler in self._before.items():
             signal.signal(number, handler)
 
@@ -255,74 +244,6 @@ class _Span:
         return 0.0 if self._first_ns is None else (self._last_ns - self._first_ns) * 1e-9
 
 
-class _ReadAhead:
-    """Reads and decodes on a second thread, in order, a few events ahead."""
-
-    def __init__(self, events: Iterator[Event], times: StepTimes) -> None:
-        self._events = events
-        self._times = times
-        self._queue: queue.Queue[list[Decoded] | BaseException | None] = queue.Queue(4)
-        self._stopped = threading.Event()
-        self._thread = threading.Thread(target=self._read, name='read ahead', daemon=True)
-        self._batch: Iterator[Decoded] = iter(())
-
-    def __enter__(self) -> Self:
-        self._thread.start()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._stopped.set()
-        while self._thread.is_alive():  # it may wait for room
-            try:
-                self._queue.get(timeout=0.05)
-            except queue.Empty:
-                continue
-
-    def __iter__(self) -> Self:
-        return self
-
-    def __next__(self) -> Decoded:
-        for item in self._batch:
-            return item
-        batch = self._queue.get()
-        if batch is None:
-            raise StopIteration
-        if isinstance(batch, BaseException):
-            raise batch
-        self._batch = iter(batch)
-        return next(self._batch)
-
-    def _read(self) -> None:
-        try:
-            batch: list[Decoded] = []
-            for event in self._events:
-                if self._stopped.is_set():
-                    return
-                batch.append((event, self._decode(event)))
-                if len(batch) == READ_AHEAD // 4:
-                    self._queue.put(batch)
-                    batch = []
-            if batch:
-                self._queue.put(batch)
-            self._queue.put(None)
-        except BaseException as error:
-            self._queue.put(error)
-
-    def _decode(self, event: Event) -> NDArray[np.uint8] | None:
-        if not isinstance(event, ImageEvent):
-            return None
-        try:
-            with self._times('decode'):
-                return event.grey()
-        except UndecodableImage:
-            return None
-
-
 class _Progress:
     """A progress bar with the figures that tell whether a map is coming about.
 
@@ -342,12 +263,7 @@ class _Progress:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: object, *_: object) -> None:
         if kind is None:
             self._next_s = 0.0
             self.update()
@@ -391,12 +307,7 @@ class _Film:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._video.close()
 
     def keep(self, event: ImageEvent) -> None:

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import math
 import time
-from types import TracebackType
 
 BINS_PER_OCTAVE = 16  # a bin is 4.4 % wide
 
@@ -47,12 +46,7 @@ class _Watch:
     def __enter__(self) -> None:
         self._start_s = time.perf_counter()
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._histogram.add(time.perf_counter() - self._start_s)
 
 

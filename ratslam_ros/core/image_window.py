@@ -21,6 +21,16 @@ class Window(NamedTuple):
     y_max: int
 
 
+def plain(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return the image as one writable stretch of memory, copied only where it is not.
+
+    Compiled code is made anew for each kind of array; so there is one kind.
+    """
+    if image.flags.c_contiguous and image.flags.writeable:
+        return image
+    return image.copy(order='C')
+
+
 def window_of(
     image: NDArray[np.uint8],
     name: str,

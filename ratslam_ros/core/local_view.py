@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ratslam_ros.core.angles import wrap
 from ratslam_ros.core.compiled import compiled
 from ratslam_ros.core.config import LocalViewParameters
-from ratslam_ros.core.image_window import Window, window_of
+from ratslam_ros.core.image_window import Window, plain, window_of
 from ratslam_ros.core.sad import LANES, sad_of_lanes
 
 Image = NDArray[np.uint8]
@@ -173,8 +173,8 @@ def make_view(image: Image, p: LocalViewParameters) -> Image:
     window = crop_window(image, p)
     view = np.empty((p.template_y_size, p.template_x_size), np.uint8)
     _make_view(
-        image[window.y_min : window.y_max, window.x_min : window.x_max],
-        p.vt_normalisation, p.vt_patch_normalise, p.vt_min_patch_normalisation_std, view,
+        plain(image), *window, p.vt_normalisation, p.vt_patch_normalise,
+        p.vt_min_patch_normalisation_std, view,
     )  # fmt: skip
     return view
 
@@ -192,10 +192,11 @@ def crop_window(image: Image, p: LocalViewParameters) -> Window:
 
 @compiled
 def _make_view(
-    crop: Image, normalise_to: float, patch_radius: int, min_std: float, view: Image
-) -> None:
-    """Fill ``view`` (h, w) from ``crop`` (H, W); sums are exact integers or in fixed order."""
-    height, width = crop.shape
+    image: Image, x_min: int, x_max: int, y_min: int, y_max: int,
+    normalise_to: float, patch_radius: int, min_std: float, view: Image,
+) -> None:  # fmt: skip
+    """Fill ``view`` (h, w) from a window of an image; sums are exact or in fixed order."""
+    height, width = y_max - y_min, x_max - x_min
     rows, columns = view.shape
     value = np.empty((rows, columns), np.float64)
     sums = np.empty(width, np.int64)
@@ -206,7 +207,7 @@ def _make_view(
             sums[x] = 0
         for y in range(top, bottom):
             for x in range(width):
-                sums[x] += crop[y, x]
+                sums[x] += image[y_min + y, x_min + x]
         for column in range(columns):
             left = column * width // columns
             right = (column + 1) * width // columns

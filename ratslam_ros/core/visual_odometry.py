@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.compiled import compiled
 from ratslam_ros.core.config import VisualOdometryParameters
-from ratslam_ros.core.image_window import Window, window_of
+from ratslam_ros.core.image_window import Window, plain, window_of
 from ratslam_ros.core.odometry import Twist
 
 Profile = NDArray[np.int64]
@@ -72,17 +72,18 @@ class VisualOdometry:
 
 def _profile_of(image: NDArray[np.uint8], window: Window) -> Profile:
     profile = np.zeros(window.x_max - window.x_min, np.int64)
-    _profile(image[window.y_min : window.y_max, window.x_min : window.x_max], profile)
+    _profile(plain(image), *window, profile)
     return profile
 
 
 @compiled
-def _profile(window: NDArray[np.uint8], profile: Profile) -> None:
-    """Add each column's sum to ``profile`` (w,)."""
-    height, width = window.shape
-    for y in range(height):
-        for x in range(width):
-            profile[x] += window[y, x]
+def _profile(
+    image: NDArray[np.uint8], x_min: int, x_max: int, y_min: int, y_max: int, profile: Profile
+) -> None:
+    """Add the sum of each of a window's columns to ``profile`` (w,)."""
+    for y in range(y_min, y_max):
+        for x in range(x_max - x_min):
+            profile[x] += image[y, x_min + x]
 
 
 @compiled

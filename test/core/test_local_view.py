@@ -391,3 +391,25 @@ def test_recent_templates_are_recognised_by_the_narrow_threshold_only() -> None:
     assert recent(far).is_new
     old = memory([base, picture(2, 4, 8), picture(3, 4, 8)], p)
     assert old(far).template_id == 0
+
+
+def test_no_kind_of_image_has_to_be_compiled_for() -> None:
+    """Crops, read-only buffers and every other stride would each compile again, mid-run."""
+    from ratslam_ros.core import local_view, visual_odometry
+    from ratslam_ros.core.config import VisualOdometryParameters
+
+    whole = np.random.default_rng(0).integers(0, 256, (40, 60), dtype=np.uint8)
+    frozen = whole.copy()
+    frozen.flags.writeable = False
+    size = {'template_x_size': 12, 'template_y_size': 8, 'vt_shift_match': 1}
+    views = [
+        local_view.make_view(image, LocalViewParameters(**size))
+        for image in (whole, frozen, np.asfortranarray(whole), np.repeat(whole, 2, 1)[:, ::2])
+    ]
+    assert all((view == views[0]).all() for view in views)
+    local_view.make_view(frozen, LocalViewParameters(**size, image_crop_x_min=5))
+    odometry = visual_odometry.VisualOdometry(VisualOdometryParameters(vrot_image_x_min=3))
+    odometry(0, whole)
+    odometry(1, frozen)
+    assert len(local_view._make_view.signatures) == 1
+    assert len(visual_odometry._profile.signatures) == 1
