@@ -141,8 +141,8 @@ class _Run:
         self._recording = recording
         self._config = config
         self._folder = folder
-        self._dropped = 0
-        self._malformed: str | None = None
+        self._malformed = 0
+        self._first_malformed = ''
         self._start_s = time.perf_counter()
 
     def feed(self, event: Event, image: NDArray[np.uint8] | None) -> None:
@@ -151,7 +151,6 @@ class _Run:
         if isinstance(event, OdometryEvent):
             self._keep(self.slam.odometry(_odometry(event)))
         elif isinstance(event, ImageEvent):
-            self._dropped += image is None
             if self.film is not None:
                 self.film.keep(event)
             self._keep(self.slam.image(event.stamp_ns, image))
@@ -159,9 +158,8 @@ class _Run:
             try:
                 stamp_ns, match, _ = decode_template(event.payload)
             except MalformedMessage as error:
-                self._dropped += 1
-                if self._malformed is None:
-                    self._malformed = str(error)
+                self._malformed += 1
+                self._first_malformed = self._first_malformed or str(error)
                 return
             self._keep(self.slam.template(stamp_ns, match))
 
@@ -170,9 +168,10 @@ class _Run:
         self._keep(self.slam.finish())
         wall_s = self.elapsed_s
         results = self.results or Results(self._folder)
-        if self._malformed is not None:
+        if self._malformed:
             self._recording.warnings.append(
-                f'{self._dropped} template messages were not used, the first: {self._malformed}'
+                f'{self._malformed} template messages were not used, the first: '
+                f'{self._first_malformed}'
             )
         counts = self.slam.order.counts
         summary = {
@@ -182,7 +181,7 @@ class _Run:
             'experiences': len(self.slam.experience_map),
             'links': self.slam.experience_map.link_count,
             'loop_closures': results.loop_closures,
-            'dropped': self._dropped + self._recording.skipped,
+            'dropped': results.without_view + self._malformed + self._recording.skipped,
             'late': counts.late,
             'refused': counts.refused,
             'duration_s': round(self.span.duration_s, 3),

@@ -15,6 +15,7 @@ from typing import IO, Any
 from ratslam_ros.config_files import to_yaml
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.experience_map import ExperienceMap, composed
+from ratslam_ros.core.local_view import NO_TEMPLATE
 from ratslam_ros.core.odometry import Pose
 from ratslam_ros.core.ratslam import OdometryStep, Step, ViewStep
 from ratslam_ros.errors import UnusableInput
@@ -46,6 +47,8 @@ class Results:
         self.templates = 0
         self.experiences = 0
         self.loop_closures = 0
+        self.without_view = 0
+        """Frames of template -1: images that could not be decoded or used."""
         self._action_ns = 0
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -77,6 +80,7 @@ class Results:
         match, action = step.match, step.action
         self.frames += 1
         self.templates += match.is_new
+        self.without_view += match.template_id == NO_TEMPLATE
         self._action_ns = step.stamp_ns
         if action.action == 'create':
             self.experiences += 1

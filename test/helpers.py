@@ -154,6 +154,13 @@ def _two_cells(place: float, circle: int) -> tuple[tuple[int, float], tuple[int,
 
 def plain_view(image: NDArray[np.uint8], p: LocalViewParameters) -> NDArray[np.uint8]:
     """Return the view of an image, step by step as algorithm.md has it."""
+    return np.floor(plain_brightness(image, p) + 0.5).astype(np.uint8)
+
+
+def plain_brightness(
+    image: NDArray[np.uint8], p: LocalViewParameters
+) -> NDArray[np.float64]:
+    """Return the view before it is rounded, 0 to 255."""
     x_max = image.shape[1] if p.image_crop_x_max < 0 else p.image_crop_x_max
     y_max = image.shape[0] if p.image_crop_y_max < 0 else p.image_crop_y_max
     crop = image[p.image_crop_y_min : y_max, p.image_crop_x_min : x_max].astype(np.float64)
@@ -177,7 +184,7 @@ def plain_view(image: NDArray[np.uint8], p: LocalViewParameters) -> NDArray[np.u
         plain = (std <= 1e-12) | (std < p.vt_min_patch_normalisation_std)
         z = ((v - mean) / np.where(plain, 1.0, std) + 3.0) / 6.0
         v = np.where(plain, 0.5, np.clip(z, 0.0, 1.0))
-    return np.floor(255.0 * v + 0.5).astype(np.uint8)
+    return 255.0 * v
 
 
 def plain_match(

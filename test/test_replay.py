@@ -448,6 +448,7 @@ def test_an_image_smaller_than_the_template_later_on_is_one_that_cannot_be_used(
     outcome = run(write_bag(tmp_path / 'bag', messages), tmp_path / 'results')
     assert outcome.summary['frames'] == FRAMES
     assert [row['template_id'] for row in rows(tmp_path / 'results')].count('-1') == 1
+    assert outcome.summary['dropped'] == 1
 
 
 def test_odometry_that_is_not_a_number_is_refused_and_counted(
@@ -490,3 +491,19 @@ def test_an_error_loses_neither_what_was_mapped_nor_an_earlier_map(
         run(bag, tmp_path / 'old', recording_of=_Failing)
     assert bytes_of(tmp_path / 'old') == before
     assert not list((tmp_path / 'old').glob('*.part'))
+
+
+def test_an_image_too_small_for_the_template_still_gives_its_motion(
+    drive: list[Recorded], tmp_path: Path
+) -> None:
+    """All images from one on are small: their visual odometry goes on."""
+    messages = []
+    for number, (log_ns, topic, kind, message) in enumerate(
+        m for m in drive if m[1] == IMAGE_TOPIC
+    ):
+        stamp_ns = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+        small = image_message(stamp_ns, picture(number, 2, 2))
+        messages.append((log_ns, topic, kind, small if number >= 40 else message))
+    summary = run(write_bag(tmp_path / 'bag', messages), tmp_path / 'results').summary
+    assert summary['dropped'] == FRAMES - 40
+    assert summary['odometry'] == FRAMES - 2  # none for the first image of each size

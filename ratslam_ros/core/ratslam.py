@@ -86,25 +86,22 @@ class RatSLAM:
             self.order.counts.refused += 1
             return []
         self._image_ns = stamp_ns
-        if image is None:
-            return self.template(stamp_ns, UNDECODABLE)
-        try:
-            return self._look(stamp_ns, image)
-        except UnusableParameter:
-            if not self._looked:
-                raise  # the crop, window or template does not fit this camera
-            return self.template(stamp_ns, UNDECODABLE)  # one image unlike those before
-
-    def _look(self, stamp_ns: int, image: NDArray[np.uint8]) -> list[Step]:
+        match, twist = UNDECODABLE, None
+        if image is not None:
+            try:
+                if self.visual_odometry is not None:
+                    with self._watch('visual_odometry'):
+                        twist = self.visual_odometry(stamp_ns, image)
+                with self._watch('local_view'):
+                    match = self.local_view(image)
+                self._looked = True
+            except UnusableParameter:
+                if not self._looked:
+                    raise  # the crop, window or template does not fit this camera
+                # else one image unlike those before: as one that could not be decoded
         steps: list[Step] = []
-        if self.visual_odometry is not None:
-            with self._watch('visual_odometry'):
-                twist = self.visual_odometry(stamp_ns, image)
-            if twist is not None:
-                steps += self.odometry(Odometry(stamp_ns, twist, Pose(0.0, 0.0, 0.0)))
-        with self._watch('local_view'):
-            match = self.local_view(image)
-        self._looked = True
+        if twist is not None:
+            steps = self.odometry(Odometry(stamp_ns, twist, Pose(0.0, 0.0, 0.0)))
         return steps + self.template(stamp_ns, match)
 
     def odometry(self, odometry: Odometry) -> list[Step]:
