@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import configparser
+import json
 import os
 import sys
 from collections.abc import Iterator, Mapping
@@ -17,6 +18,8 @@ from ratslam_ros.core.config import SECTIONS, Config, Value, section_of
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 
 PACKAGE = 'ratslam_ros'
+PART_OF = {'experience_map': 'goal_recall'}
+"""A section that another section's node reads: below that node in ROS's YAML, and after it."""
 
 
 def preset_folders() -> list[Path]:
@@ -94,9 +97,9 @@ def to_yaml(config: Config) -> str:
     """Return a whole configuration as a ROS 2 parameter file."""
     lines = []
     for section, values in config.values().items():
-        lines.append(f'/**/{section}:\n  ros__parameters:\n')
+        lines.append(_heading(section))
         for name, value in values.items():
-            lines.append(f'    {name}: {_written(value)}\n')
+            lines.append(f'{_indent(section)}{name}: {_written(value)}\n')
     return ''.join(lines)
 
 
@@ -107,11 +110,23 @@ def documented_yaml() -> str:
         'ratslam_ros/core/config.py by\n# `python -m ratslam_ros.parameter_docs`; do not edit.\n'
     ]
     for section, cls in SECTIONS.items():
-        lines.append(f'\n/**/{section}:\n  ros__parameters:\n')
+        lines.append(f'\n{_heading(section)}')
         for name, info, default in cls.parameters():
             unit = f'  # {info.unit}' if info.unit else ''
-            lines.append(f'    # {info.effect}\n    {name}: {_written(default)}{unit}\n')
+            indent = _indent(section)
+            lines.append(f'{indent}# {info.effect}\n{indent}{name}: {_written(default)}{unit}\n')
     return ''.join(lines)
+
+
+def _heading(section: str) -> str:
+    """Return what stands above a section's values; a node's own parts stand below the node."""
+    if section in PART_OF.values():
+        return f'    {section}:\n'
+    return f'/**/{section}:\n  ros__parameters:\n'
+
+
+def _indent(section: str) -> str:
+    return '      ' if section in PART_OF.values() else '    '
 
 
 def _written(value: Value) -> str:
@@ -119,7 +134,7 @@ def _written(value: Value) -> str:
         return 'true' if value else 'false'
     if isinstance(value, float) and 'e' in repr(value) and '.' not in repr(value):
         return repr(value).replace('e', '.0e')  # YAML takes 2e-05 for a text
-    return str(value)
+    return json.dumps(value) if isinstance(value, str) and not value.isalpha() else str(value)
 
 
 def _scalar(text: str) -> Value:
@@ -159,7 +174,11 @@ def _yaml_values(text: str) -> Iterator[tuple[str, Value]]:
         if not isinstance(section, Mapping):
             raise UnusableParameter(f'{name} is {section!r}; expected parameters below it')
         for item, value in section.items():
-            yield f'{name}.{item}', _read(value)
+            if isinstance(value, Mapping) and PART_OF.get(name) == item:
+                for inner, inner_value in value.items():
+                    yield f'{item}.{inner}', _read(inner_value)
+            elif item != 'use_sim_time':
+                yield f'{name}.{item}', _read(value)
 
 
 def _by_name(values: Mapping[Any, Any]) -> Iterator[tuple[str, Value]]:

@@ -15,10 +15,14 @@ from typing import Any
 
 from ratslam_ros.core.experience_map import ExperienceMap
 from ratslam_ros.core.local_view import ViewMatch
+from ratslam_ros.core.pose_cells import MapAction
+from ratslam_ros.core.torus import Place
 from ratslam_ros.errors import UnusableInput
 
 SCHEMA_VERSION = 1
 NS_PER_S = 1_000_000_000
+MOST_ID = 2**31 - 1
+MOST_CELLS = 100_000.0
 
 
 class MalformedMessage(UnusableInput):
@@ -55,14 +59,70 @@ def decode_template(payload: str) -> tuple[int, ViewMatch, int]:
         },
     )  # fmt: skip
     for key, low, high in (
-        ('id', -1, math.inf), ('error', -1.0, 1.0), ('relative_rad', -math.pi, math.pi),
+        ('id', -1, MOST_ID), ('error', -1.0, 1.0), ('relative_rad', -math.pi, math.pi),
+        ('memory', 0, math.inf),
     ):  # fmt: skip
-        if not low <= fields[key] <= high:
-            raise MalformedMessage(
-                f'local_view/template: {key} is {fields[key]}; expected {low:.4g} to {high:.4g}'
-            )
+        _check('local_view/template', key, fields[key], low, high)
     match = ViewMatch(fields['id'], fields['is_new'], fields['error'], fields['relative_rad'])
     return _stamp_ns(fields['stamp']), match, fields['memory']
+
+
+def encode_action(stamp_ns: int, sequence: int, action: MapAction, memory_ns: int) -> str:
+    """Return the payload of ``pose_cells/action``.
+
+    ``sequence`` counts all actions from 0, so that a lost one is noticed; ``memory_ns``: when the
+    first experience was made, 0 before.
+    """
+    return _dumps(
+        {
+            'schema_version': SCHEMA_VERSION,
+            'stamp': _stamp(stamp_ns),
+            'sequence': sequence,
+            'action': action.action,
+            'source_id': action.source_id,
+            'target_id': action.target_id,
+            'template_id': action.template_id,
+            'relative_rad': action.relative_rad,
+            'pc_x': action.place.x,
+            'pc_y': action.place.y,
+            'pc_theta': action.place.theta,
+            'memory': memory_ns,
+        }
+    )
+
+
+def decode_action(payload: str) -> tuple[int, int, MapAction, int]:
+    """Return (stamp_ns, sequence, action, memory_ns) of a ``pose_cells/action`` payload.
+
+    Raises:
+        MalformedMessage: it is not such a payload, to the last field.
+    """
+    name = 'pose_cells/action'
+    fields = _loads(
+        payload,
+        name,
+        {
+            'stamp': dict, 'sequence': int, 'action': str, 'source_id': int, 'target_id': int,
+            'template_id': int, 'relative_rad': float, 'pc_x': float, 'pc_y': float,
+            'pc_theta': float, 'memory': int,
+        },
+    )  # fmt: skip
+    kind = fields['action']
+    if kind not in ('create', 'link', 'set', 'none'):
+        raise MalformedMessage(f'{name}: action is {kind!r}; expected create, link, set or none')
+    least = -1 if kind == 'none' else 0
+    for key, low, high in (
+        ('sequence', 0, math.inf), ('source_id', -1, MOST_ID), ('target_id', least, MOST_ID),
+        ('template_id', least, MOST_ID), ('relative_rad', -math.pi, math.pi),
+        ('pc_x', 0.0, MOST_CELLS), ('pc_y', 0.0, MOST_CELLS), ('pc_theta', 0.0, MOST_CELLS),
+        ('memory', 0, math.inf),
+    ):  # fmt: skip
+        _check(name, key, fields[key], low, high)
+    action = MapAction(
+        kind, fields['source_id'], fields['target_id'], fields['template_id'],
+        fields['relative_rad'], Place(fields['pc_x'], fields['pc_y'], fields['pc_theta']),
+    )  # fmt: skip
+    return _stamp_ns(fields['stamp']), fields['sequence'], action, fields['memory']
 
 
 def encode_map(stamp_ns: int, experience_map: ExperienceMap) -> str:
@@ -73,7 +133,7 @@ def encode_map(stamp_ns: int, experience_map: ExperienceMap) -> str:
     return _dumps(
         {
             'schema_version': SCHEMA_VERSION,
-            'frame_id': 'map',
+            'frame_id': experience_map.frame_id,
             'stamp': _stamp(stamp_ns),
             'current_experience_id': experience_map.current_id,
             'experiences': [
@@ -104,6 +164,11 @@ def encode_map(stamp_ns: int, experience_map: ExperienceMap) -> str:
             ],
         }
     )
+
+
+def _check(name: str, key: str, value: float, low: float, high: float) -> None:
+    if not low <= value <= high:
+        raise MalformedMessage(f'{name}: {key} is {value}; expected {low:.4g} to {high:.4g}')
 
 
 def _dumps(value: Mapping[str, Any]) -> str:

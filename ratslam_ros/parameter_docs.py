@@ -81,13 +81,15 @@ def _entry(name: str, info: ParameterInfo, default: Value) -> str:
     facts = [f'default `{_shown(default)}`']
     if info.choices:
         facts.append('one of ' + ', '.join(f'`{choice}`' for choice in info.choices))
+    elif isinstance(default, str):
+        facts.append('any name')
     elif not isinstance(default, bool):
         facts.append(f'from {_shown(info.low)} to {_shown(info.high)}')
     if info.unit:
         facts.append(f'unit: {info.unit}')
     lines.append('- ' + '; '.join(facts))
     change, back = ('set it', 'leave it') if isinstance(default, bool) else ('raise', 'lower')
-    if info.choices:
+    if isinstance(default, str):
         lines += [f'- {advice}' for advice in (info.raise_if, info.lower_if) if advice]
     else:
         if info.raise_if:

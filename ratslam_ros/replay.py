@@ -173,7 +173,7 @@ class _Run:
                 f'{self._malformed} template messages were not used, the first: '
                 f'{self._first_malformed}'
             )
-        counts = self.slam.order.counts
+        counts = self.slam.counts
         summary = {
             'frames': results.frames,
             'odometry': results.odometry,

@@ -81,7 +81,9 @@ def test_core_compiles_strictly(path: Path) -> None:
 @pytest.mark.parametrize('path', files('recordings'), ids=ids)
 def test_recordings_know_nothing_of_ratslam(path: Path) -> None:
     for name in filter(own, imports(path)):
-        assert name.startswith(('ratslam_ros.recordings.', 'ratslam_ros.errors.'))
+        assert name.startswith(
+            ('ratslam_ros.recordings.', 'ratslam_ros.images.', 'ratslam_ros.errors.')
+        )
 
 
 def test_the_stand_in_for_rclpy_knows_nothing_of_ratslam() -> None:

@@ -75,8 +75,10 @@ def _checked(name: str, value: Any, default: Value, info: ParameterInfo) -> Valu
             return bool(value)
         raise UnusableParameter(f'{name} is {value!r}; expected true or false')
     if isinstance(default, str):
-        if isinstance(value, str) and value in info.choices:
+        if isinstance(value, str) and (value in info.choices or _is_name(value, info)):
             return value
+        if not info.choices:
+            raise UnusableParameter(f'{name} is {value!r}; expected a name without spaces')
         raise UnusableParameter(f'{name} is {value!r}; expected one of {", ".join(info.choices)}')
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise UnusableParameter(f'{name} is {value!r}; expected a number in {info.unit}')
@@ -89,11 +91,33 @@ def _checked(name: str, value: Any, default: Value, info: ParameterInfo) -> Valu
     return type(default)(value)
 
 
+def _is_name(value: str, info: ParameterInfo) -> bool:
+    return not info.choices and bool(value) and not any(c.isspace() for c in value)
+
+
 _CROP_MAX = 'px; -1: to the edge of the image'
 
 
 @dataclass(frozen=True)
-class OdometryInput(Section):
+class LiveInput(Section):
+    """What a node does about inputs that fall silent or begin again."""
+
+    watchdog_after_s: float = parameter(
+        5.0, 's', 0.1, 3600.0,
+        'Live only: after this long without an input, warn and tell who publishes it.',
+        'inputs are slower than this', 'a lost input should be told sooner')  # fmt: skip
+    on_jump_back: str = parameter(
+        'start_over', '', 0, 0,
+        'Live only: when stamps jump back (a recording played in a loop), forget everything, or '
+        'keep the map and go on as if the robot had been carried.',
+        'set to go_on to see known places again at the next turn of a loop',
+        'set to start_over to get the same map at each turn',
+        choices=('start_over', 'go_on'),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class OdometryInput(LiveInput):
     """How a section that takes odometry reads it, and how long it waits for slower streams."""
 
     odom_source: str = parameter(
@@ -117,7 +141,7 @@ class OdometryInput(Section):
 
 
 @dataclass(frozen=True)
-class VisualOdometryParameters(Section):
+class VisualOdometryParameters(LiveInput):
     """Speed and turn rate from the camera alone."""
 
     vtrans_image_x_min: int = parameter(
@@ -161,10 +185,27 @@ class VisualOdometryParameters(Section):
     vtrans_max: float = parameter(
         20.0, 'm/s', 0.0, 1000.0, 'Largest speed believed.', 'fast driving is cut off',
         'changes of light give bursts of speed')  # fmt: skip
+    fov_from_camera_info: bool = parameter(
+        True, '', 0, 1,
+        'Live only: take the field of view from the first camera_info, where there is a publisher '
+        'of it. Images wait for it.',
+        'the camera is calibrated', 'camera_info is wrong, or the map shall be that of a replay',
+    )  # fmt: skip
+    publish_tf: bool = parameter(
+        False, '', 0, 1, 'Live only: publish odom_frame -> base_frame on /tf.',
+        'nothing else publishes it', 'the robot publishes it')  # fmt: skip
+    odom_frame: str = parameter(
+        'odom', '', 0, 0, 'Live only: frame of the integrated pose.',
+        'set to the name that the robot uses', 'leave as it is where nothing else names it',
+    )  # fmt: skip
+    base_frame: str = parameter(
+        'base_link', '', 0, 0, 'Live only: frame of the robot.',
+        'set to the name that the robot uses', 'leave as it is where nothing else names it',
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
-class LocalViewParameters(Section):
+class LocalViewParameters(LiveInput):
     """What a view is reduced to, and when it counts as seen before."""
 
     image_crop_x_min: int = parameter(
@@ -334,6 +375,28 @@ class ExperienceMapParameters(OdometryInput):
         90.0, 'deg', -360.0, 360.0, 'Heading of the robot on the map at the start.',
         'the map should be turned counter-clockwise',
         'the map should be turned clockwise')  # fmt: skip
+    map_frame: str = parameter(
+        'map', '', 0, 0, 'Frame of the map, its poses and its routes.',
+        'set to a name of its own for each robot that shares a TF tree',
+        'leave as it is for a single robot',
+    )  # fmt: skip
+    odom_frame: str = parameter(
+        'odom', '', 0, 0, 'Live only: frame of the odometry; map_frame -> odom_frame is on /tf.',
+        'set to the name that the robot uses', 'leave as it is where nothing else names it',
+    )  # fmt: skip
+    base_frame: str = parameter(
+        'base_link', '', 0, 0, 'Live only: frame of the robot, in which a goal may be given.',
+        'set to the name that the robot uses', 'leave as it is where nothing else names it',
+    )  # fmt: skip
+    publish_tf: bool = parameter(
+        True, '', 0, 1, 'Live only: publish map_frame -> odom_frame on /tf.',
+        'RViz should show the robot on the map', 'something else locates the robot on the map',
+    )  # fmt: skip
+    map_period_s: float = parameter(
+        1.0, 's', 0.0, 3600.0,
+        'Live only: least time between two messages with the whole map; the last is always sent.',
+        'large maps take too much of the network', 'the map should be shown sooner',
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)

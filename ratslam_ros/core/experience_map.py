@@ -47,6 +47,8 @@ class ExperienceMap:
 
     def __init__(self, parameters: ExperienceMapParameters) -> None:
         self._p = parameters
+        self.mapping = True
+        """Whether links are made and the map relaxed; else the robot is only located on it."""
         self.origin = Pose(0.0, 0.0, wrap(math.radians(parameters.exp_initial_em_deg)))
         self._poses = np.empty((64, 3), np.float64)
         self._labels: list[tuple[int, Place]] = []
@@ -61,6 +63,11 @@ class ExperienceMap:
 
     def __len__(self) -> int:
         return len(self._labels)
+
+    @property
+    def frame_id(self) -> str:
+        """Name of the frame that the poses are in."""
+        return self._p.map_frame
 
     @property
     def link_count(self) -> int:
@@ -112,6 +119,8 @@ class ExperienceMap:
             action: create, link, set or none.
             behaviour: name of what the robot was doing, for the link.
         """
+        if not self.mapping and (action.action == 'create' or action.target_id >= len(self)):
+            return
         if action.action == 'none':
             self._relax()
             return
@@ -119,7 +128,7 @@ class ExperienceMap:
         if action.action == 'create':
             here = self.pose
             self._append(action, Pose(here.x_m, here.y_m, wrap(here.heading_rad - turned)))
-        if action.source_id != NO_EXPERIENCE:
+        if action.source_id != NO_EXPERIENCE and self.mapping:
             self._connect(action.source_id, action.target_id, turned, behaviour)
         self.current_id = action.target_id
         self.offset = Pose(0.0, 0.0, turned)
@@ -159,7 +168,7 @@ class ExperienceMap:
         self._notes[row] = (0.5 * (duration + self._duration_s), behaviour or known, count + 1)
 
     def _relax(self) -> None:
-        if self._notes:
+        if self._notes and self.mapping:
             _relax(
                 self._poses, self._ends, self._shapes, len(self._notes),
                 self._p.exp_correction, self._p.exp_loops,

@@ -28,7 +28,8 @@ NO_TEMPLATE = -1
 class ViewMatch:
     """Which template a view is.
 
-    ``template_id`` is -1 for an image that could not be decoded. ``error`` is the exact minimum
+    ``template_id`` is -1 for an image that could not be decoded, and for one that is unknown
+    while nothing is learned. ``error`` is the exact minimum
     over all templates known before this view, 0 to 1, and -1 where there were none.
     ``relative_rad`` is the heading now minus the heading at learning (panoramic only).
     """
@@ -47,6 +48,8 @@ class LocalView:
 
     def __init__(self, parameters: LocalViewParameters) -> None:
         self._p = parameters
+        self.mapping = True
+        """Whether unknown views are learned; else they are template -1."""
         self._height = parameters.template_y_size
         self._width = parameters.template_x_size
         self._rows = self._height - 2 * parameters.vt_shift_match_y
@@ -63,6 +66,9 @@ class LocalView:
         self._packed = np.empty((64, self._falls, self._width * self._rows), np.uint8)
         self._count = 0
         self._likely = 0
+
+    def __len__(self) -> int:
+        return self._count
 
     @property
     def templates(self) -> NDArray[np.uint8]:
@@ -93,11 +99,11 @@ class LocalView:
         """
         view = make_view(image, self._p)
         match = self.match(view)
-        if match is None:
-            return ViewMatch(self.learn(view), True, -1.0, 0.0)
-        recognised = self._recognised(view, match)
-        error = match[2] / self._full_sum
+        recognised = None if match is None else self._recognised(view, match)
+        error = -1.0 if match is None else match[2] / self._full_sum
         if recognised is None:
+            if not self.mapping:
+                return ViewMatch(NO_TEMPLATE, False, error, 0.0)
             return ViewMatch(self.learn(view), True, error, 0.0)
         template_id, offset, _ = recognised
         self._likely = template_id

@@ -64,6 +64,10 @@ class MotionFromOdometry:
         used = odometry.pose if self._from_pose else odometry.twist
         return all(math.isfinite(value) and abs(value) <= MOST for value in used)
 
+    def restart(self) -> None:
+        """Take the next message for the first one: what lies between is no motion."""
+        self._last = None
+
     def __call__(self, odometry: Odometry) -> Motion | None:
         """Return the motion since the message before; None for the first one.
 

@@ -13,6 +13,13 @@ from typing import Generic, NamedTuple, TypeVar
 
 Item = TypeVar('Item')
 
+LEAP_NS = 2_000_000_000
+"""A stamp this far ahead of its stream is doubted until others follow it."""
+JUMP_BACK_NS = 1_000_000_000
+"""Stamps further back than this may be those of a recording that begins again."""
+RUN = 10
+"""So many messages in a row show that time has leapt or jumped back, and not a stamp was wrong."""
+
 
 class Released(NamedTuple, Generic[Item]):
     """A message whose turn it is."""
@@ -30,6 +37,88 @@ class Counts:
     refused: int = 0
 
 
+class _Stream(Generic[Item]):
+    """Which messages of one stream are believed; this depends on that stream alone."""
+
+    def __init__(self) -> None:
+        self.refused = 0
+        self.last_ns: int | None = None
+        self.left_ns: int | None = None
+        """Where the stream was when another one began again, until it begins again as well."""
+        self.earlier: list[tuple[int, Item]] = []
+        """The newest messages, refused as too old, that would make a stream of their own."""
+        self._doubted: list[tuple[int, Item]] = []
+        self._widest_ns = 0
+
+    @property
+    def doubted(self) -> int:
+        """Number of messages that lie a leap ahead."""
+        return len(self._doubted)
+
+    def take(self, stamp_ns: int, item: Item) -> list[tuple[int, Item]]:
+        """Return the messages that this one makes believed, it among them or not."""
+        if self.last_ns is not None and stamp_ns <= self.last_ns:
+            self._refuse_old(stamp_ns, item)
+            return []
+        self.earlier.clear()
+        if not self._leaps(stamp_ns, self.last_ns):
+            first = self.last_ns is None and self._doubted and not self._leaps(
+                stamp_ns, self._doubted[0][0]
+            )
+            before = [self._believed(*message) for message in self._doubted] if first else []
+            self.refused += len(self._doubted) - len(before)
+            self._doubted = []
+            return [*before, self._believed(stamp_ns, item)]
+        before_ns = self._doubted[-1][0] if self._doubted else None
+        if before_ns is not None and (
+            stamp_ns <= before_ns or self._leaps(stamp_ns, before_ns, self._doubted[0][0])
+        ):
+            self._refuse_doubted()
+        self._doubted.append((stamp_ns, item))
+        return self.settle() if len(self._doubted) >= RUN else []
+
+    def settle(self) -> list[tuple[int, Item]]:
+        """Believe what follows a leap, if something does."""
+        if len(self._doubted) < 2:
+            self._refuse_doubted()
+        settled, self._doubted = self._doubted, []
+        return [self._believed(*message) for message in settled]
+
+    def restart(self, begins: bool) -> None:
+        """Take other stamps for the next ones: at once, or when they are nearer to the others'."""
+        self._refuse_doubted()
+        self.left_ns = None if begins else self.last_ns
+        self.last_ns = None
+        self.earlier = []
+
+    def _believed(self, stamp_ns: int, item: Item) -> tuple[int, Item]:
+        if self.last_ns is not None:
+            self._widest_ns = max(self._widest_ns, stamp_ns - self.last_ns)
+        self.last_ns = stamp_ns
+        return stamp_ns, item
+
+    def _leaps(self, stamp_ns: int, from_ns: int | None, first_ns: int | None = None) -> bool:
+        """Tell whether a stamp is too far ahead; a slow stream's usual steps are not."""
+        if from_ns is None:
+            return stamp_ns <= 0  # a header that was never filled in, unless others follow it
+        usual_ns = self._widest_ns
+        if first_ns is not None and self.last_ns is not None:
+            usual_ns = max(usual_ns, first_ns - self.last_ns)
+        return stamp_ns - from_ns > max(LEAP_NS, 2 * usual_ns)
+
+    def _refuse_doubted(self) -> None:
+        self.refused += len(self._doubted)
+        self._doubted = []
+
+    def _refuse_old(self, stamp_ns: int, item: Item) -> None:
+        self.refused += 1
+        assert self.last_ns is not None
+        if self.earlier and stamp_ns <= self.earlier[-1][0]:
+            self.earlier.clear()
+        if self.last_ns - stamp_ns > JUMP_BACK_NS:
+            self.earlier = [*self.earlier[1 - RUN :], (stamp_ns, item)]
+
+
 class StampOrder(Generic[Item]):
     """Merge streams in stamp order.
 
@@ -39,44 +128,92 @@ class StampOrder(Generic[Item]):
 
     def __init__(self, streams: tuple[str, ...], max_lateness_ns: int) -> None:
         """Prepare for streams; of equal stamps, those of the stream named first come first."""
-        self.counts = Counts()
         self._rank = {stream: rank for rank, stream in enumerate(streams)}
-        self._streams = streams
+        self._names = streams
         self._max_lateness_ns = max_lateness_ns
-        self._delivered_ns: list[int | None] = [None] * len(streams)
+        self._streams: list[_Stream[Item]] = [_Stream() for _ in streams]
+        self._late = 0
         self._newest_ns: int | None = None
         self._released: tuple[int, int] | None = None
         # No two keys are equal, so that items are never compared.
         self._held: list[tuple[int, int, Item]] = []
 
-    def push(self, stream: str, stamp_ns: int, item: Item) -> list[Released[Item]]:
-        """Take one message; return all messages whose turn has come, in order.
-
-        A stamp that does not increase within its stream is refused; one before the last released
-        message is late. Both are counted, and the message is dropped.
-        """
-        rank = self._rank[stream]
-        delivered_ns = self._delivered_ns[rank]
-        if delivered_ns is not None and stamp_ns <= delivered_ns:
-            self.counts.refused += 1
-            return []
-        self._delivered_ns[rank] = stamp_ns
-        if self._newest_ns is None or stamp_ns > self._newest_ns:
-            self._newest_ns = stamp_ns
-        if self._released is not None and (stamp_ns, rank) < self._released:
-            self.counts.late += 1
-        else:
-            heapq.heappush(self._held, (stamp_ns, rank, item))
-        return self._release()
-
-    def flush(self) -> list[Released[Item]]:
-        """Return all held messages, in order."""
-        return [self._pop() for _ in range(len(self._held))]
+    @property
+    def counts(self) -> Counts:
+        """What was late or refused so far."""
+        return Counts(self._late, sum(stream.refused for stream in self._streams))
 
     @property
     def held(self) -> int:
         """Number of messages that wait."""
-        return len(self._held)
+        return len(self._held) + sum(stream.doubted for stream in self._streams)
+
+    @property
+    def newest_ns(self) -> int | None:
+        """The newest stamp on any stream, None before the first."""
+        return self._newest_ns
+
+    def push(self, stream: str, stamp_ns: int, item: Item) -> list[Released[Item]]:
+        """Take one message; return all messages whose turn has come, in order.
+
+        A stamp that does not increase within its stream is refused, one that leaps ahead of it is
+        doubted until ``RUN`` messages have followed it, one before the last released message is
+        late. What is refused or late is counted and dropped.
+        """
+        rank = self._rank[stream]
+        if self._is_left_over(self._streams[rank], stamp_ns):
+            self._streams[rank].refused += 1
+            return []
+        for message in self._streams[rank].take(stamp_ns, item):
+            self._hold(rank, *message)
+        return self._release()
+
+    def flush(self) -> list[Released[Item]]:
+        """Return all held messages, in order; a single one that leaps ahead is refused."""
+        for rank, stream in enumerate(self._streams):
+            for message in stream.settle():
+                self._hold(rank, *message)
+        return [self._pop() for _ in range(len(self._held))]
+
+    @property
+    def jumped_back(self) -> bool:
+        """Whether a stream has begun again: ``RUN`` refused stamps in a row increase."""
+        return any(len(stream.earlier) >= RUN for stream in self._streams)
+
+    def restart(self) -> list[Released[Item]]:
+        """Begin again where a stream jumped back to; return the messages whose turn it then is.
+
+        What is held is dropped: ``flush`` first to keep it. Other streams follow when their
+        stamps are nearer to the new ones than to where they were.
+        """
+        runs = [s.earlier if len(s.earlier) >= RUN else [] for s in self._streams]
+        self._held.clear()
+        self._newest_ns = self._released = None
+        for stream, run in zip(self._streams, runs, strict=True):
+            stream.restart(bool(run))
+            stream.refused -= len(run)
+        out = []
+        for name, run in zip(self._names, runs, strict=True):
+            for message in run:
+                out += self.push(name, *message)
+        return out
+
+    def _is_left_over(self, stream: _Stream[Item], stamp_ns: int) -> bool:
+        """Tell a message from before the time jumped back, on a stream slower than another."""
+        if stream.left_ns is None or self._newest_ns is None:
+            return False
+        if abs(stamp_ns - stream.left_ns) < abs(stamp_ns - self._newest_ns):
+            return True
+        stream.left_ns = None
+        return False
+
+    def _hold(self, rank: int, stamp_ns: int, item: Item) -> None:
+        if self._newest_ns is None or stamp_ns > self._newest_ns:
+            self._newest_ns = stamp_ns
+        if self._released is not None and (stamp_ns, rank) < self._released:
+            self._late += 1
+        else:
+            heapq.heappush(self._held, (stamp_ns, rank, item))
 
     def _release(self) -> list[Released[Item]]:
         out = []
@@ -89,12 +226,12 @@ class StampOrder(Generic[Item]):
         if self._newest_ns - stamp_ns > self._max_lateness_ns:
             return True
         return all(
-            delivered_ns is not None and delivered_ns >= stamp_ns
-            for other, delivered_ns in enumerate(self._delivered_ns)
+            stream.last_ns is not None and stream.last_ns >= stamp_ns
+            for other, stream in enumerate(self._streams)
             if other != rank
         )
 
     def _pop(self) -> Released[Item]:
         stamp_ns, rank, item = heapq.heappop(self._held)
         self._released = (stamp_ns, rank)
-        return Released(stamp_ns, self._streams[rank], item)
+        return Released(stamp_ns, self._names[rank], item)

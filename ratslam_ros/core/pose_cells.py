@@ -61,6 +61,8 @@ class PoseCells:
 
     def __init__(self, parameters: PoseCellsParameters) -> None:
         p = self._p = parameters
+        self.mapping = True
+        """Whether views are tied to places and experiences made; else the robot is located."""
         self._torus = Torus(p.pc_dim_x, p.pc_dim_y, p.pc_dim_th)
         self._agreement = Agreement(
             self._torus,
@@ -86,6 +88,9 @@ class PoseCells:
         self._current = NO_EXPERIENCE
         self._since_current = Pose(0.0, 0.0, 0.0)
         self._stepped = False
+
+    def __len__(self) -> int:
+        return len(self._experiences)
 
     @property
     def current_experience(self) -> int:
@@ -131,6 +136,8 @@ class PoseCells:
         """Tie an unknown template to the peak; let a known one inject where it is tied to."""
         p = self._p
         memory = self._memories.get(template_id)
+        if memory is None and not self.mapping:
+            return
         if memory is None:
             here = Place(self.peak.x, self.peak.y, self.peak.theta - turned)
             self._memories[template_id] = _Memory(
@@ -176,6 +183,8 @@ class PoseCells:
     def _create(self, template_id: int, turned: float) -> Action:
         if self._current != NO_EXPERIENCE and self._at_rest():
             return 'none'  # never a second experience while the robot stands still
+        if not self.mapping:
+            return 'none'
         new = len(self._experiences)
         here = Place(self.peak.x, self.peak.y, (self.peak.theta - turned) % self._p.pc_dim_th)
         self._experiences.append((template_id, here))

@@ -20,7 +20,7 @@ from ratslam_ros.core.config import Config
 from ratslam_ros.core.experience_map import ExperienceMap
 from ratslam_ros.core.local_view import UNDECODABLE, LocalView, ViewMatch
 from ratslam_ros.core.odometry import MotionFromOdometry, Odometry, Pose, moved
-from ratslam_ros.core.order import Released, StampOrder
+from ratslam_ros.core.order import Counts, Released, StampOrder
 from ratslam_ros.core.pose_cells import MapAction, PoseCells
 from ratslam_ros.core.visual_odometry import VisualOdometry
 from ratslam_ros.errors import UnusableParameter
@@ -76,16 +76,25 @@ class RatSLAM:
             ('odometry', 'template'), round(config.pose_cells.max_lateness_s * 1e9)
         )
         self._motion = MotionFromOdometry(config.pose_cells.odom_source)
-        self._image_ns: int | None = None
+        self._images: StampOrder[NDArray[np.uint8] | None] = StampOrder(('image',), 0)
+        self._refused = 0
         self._looked = False
         self._watch = stopwatch
 
+    @property
+    def counts(self) -> Counts:
+        """What did not make it into the map."""
+        order, images = self.order.counts, self._images.counts
+        return Counts(order.late, order.refused + images.refused + self._refused)
+
     def image(self, stamp_ns: int, image: NDArray[np.uint8] | None) -> list[Step]:
         """Take one image, (H, W) uint8 grey, or None where it could not be decoded."""
-        if self._image_ns is not None and stamp_ns <= self._image_ns:
-            self.order.counts.refused += 1
-            return []
-        self._image_ns = stamp_ns
+        return self._look(self._images.push('image', stamp_ns, image))
+
+    def _look(self, images: Iterable[Released[NDArray[np.uint8] | None]]) -> list[Step]:
+        return [step for stamp_ns, _, image in images for step in self._see(stamp_ns, image)]
+
+    def _see(self, stamp_ns: int, image: NDArray[np.uint8] | None) -> list[Step]:
         match, twist = UNDECODABLE, None
         if image is not None:
             try:
@@ -110,7 +119,7 @@ class RatSLAM:
         One that is not finite is refused, and counted.
         """
         if not self._motion.accepts(odometry):
-            self.order.counts.refused += 1
+            self._refused += 1
             return []
         return self._process(self.order.push('odometry', odometry.stamp_ns, odometry))
 
@@ -120,11 +129,11 @@ class RatSLAM:
 
     def finish(self) -> list[Step]:
         """Process all that still waits."""
-        return self._process(self.order.flush())
+        return self._look(self._images.flush()) + self._process(self.order.flush())
 
     def _process(self, released: Iterable[Released[Odometry | ViewMatch]]) -> list[Step]:
         return [
-            self._move(item) if isinstance(item, Odometry) else self._see(stamp_ns, item)
+            self._move(item) if isinstance(item, Odometry) else self._act(stamp_ns, item)
             for stamp_ns, _, item in released
         ]
 
@@ -140,7 +149,7 @@ class RatSLAM:
             odometry.stamp_ns, at.pose, self.dead_reckoning, at.current_id, at.offset
         )
 
-    def _see(self, stamp_ns: int, match: ViewMatch) -> ViewStep:
+    def _act(self, stamp_ns: int, match: ViewMatch) -> ViewStep:
         with self._watch('pose_cells_view'):
             action = self.pose_cells.view(match)
         with self._watch('experience_map'):

@@ -6,9 +6,9 @@ Start with ``open_recording``; ``Recording.select`` chooses the topics and ``Rec
 yields what they tell. ``describe`` is what ``ratslam info`` shows.
 """
 
+from ratslam_ros.images import UndecodableImage
 from ratslam_ros.recordings.describe import Description, describe
 from ratslam_ros.recordings.events import Event, ImageEvent, OdometryEvent, TemplateEvent
-from ratslam_ros.recordings.images import UndecodableImage
 from ratslam_ros.recordings.opening import open_recording
 from ratslam_ros.recordings.recording import Recording
 from ratslam_ros.recordings.selection import Selection, Topic

@@ -10,6 +10,7 @@ from itertools import islice
 from pathlib import Path
 
 from ratslam_ros.errors import UnusableInput
+from ratslam_ros.images import image_of
 from ratslam_ros.recordings.decode import (
     STRING,
     UndecodableMessage,
@@ -20,7 +21,6 @@ from ratslam_ros.recordings.decode import (
 )
 from ratslam_ros.recordings.events import Event
 from ratslam_ros.recordings.files import Workspace
-from ratslam_ros.recordings.images import image_of
 from ratslam_ros.recordings.recording import Recording
 from ratslam_ros.recordings.selection import Selection, Topic
 from ratslam_ros.recordings.stream import (

@@ -10,8 +10,8 @@ from typing import Any
 import zstandard
 from rosbags.typesys import Stores, get_typestore
 
+from ratslam_ros.images import image_of
 from ratslam_ros.recordings.events import Event, ImageEvent, OdometryEvent, TemplateEvent
-from ratslam_ros.recordings.images import image_of
 from ratslam_ros.recordings.stream import Message
 
 RAW_IMAGE = 'sensor_msgs/msg/Image'

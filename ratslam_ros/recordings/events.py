@@ -4,7 +4,7 @@
 
 from dataclasses import dataclass
 
-from ratslam_ros.recordings.images import Image, Pixels
+from ratslam_ros.images import Image, Pixels
 
 
 @dataclass(frozen=True, slots=True)

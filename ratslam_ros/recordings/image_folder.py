@@ -20,8 +20,8 @@ from decimal import Decimal, InvalidOperation
 from pathlib import Path
 
 from ratslam_ros.errors import UnusableInput
+from ratslam_ros.images import EncodedImage
 from ratslam_ros.recordings.events import Event, ImageEvent, OdometryEvent
-from ratslam_ros.recordings.images import EncodedImage
 from ratslam_ros.recordings.recording import Recording
 from ratslam_ros.recordings.selection import IMAGE_FILES, TABLE, Selection, Topic
 

@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 
 from ratslam_ros.errors import UnusableInput
+from ratslam_ros.images import Frame, Pixels
 from ratslam_ros.recordings.events import Event, ImageEvent
-from ratslam_ros.recordings.images import Frame, Pixels
 from ratslam_ros.recordings.recording import Recording
 from ratslam_ros.recordings.selection import VIDEO, Selection, Topic
 

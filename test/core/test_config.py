@@ -49,7 +49,8 @@ def test_every_number_is_refused_outside_its_range(
     section: str, name: str, info: Any, default: Any
 ) -> None:
     if isinstance(default, (bool, str)):
-        for wrong in (7, 'nonsense', None, 2.5, [True]):
+        free = isinstance(default, str) and not info.choices
+        for wrong in (7, 'two words' if free else 'nonsense', None, 2.5, [True], ''):
             assert name in refused(f'{section}.{name}', wrong)
         return
     assert info.low <= default <= info.high
@@ -180,7 +181,10 @@ def test_every_name_is_found_in_its_section() -> None:
         found = section_of(name)
         assert found is not None
         assert name in dict.fromkeys(n for n, _, _ in SECTIONS[found].parameters())
-        assert found == section or name in ('odom_source', 'max_lateness_s', 'flush_after_s')
+        assert found == section or name in (
+            'odom_source', 'max_lateness_s', 'flush_after_s', 'watchdog_after_s', 'on_jump_back',
+            'publish_tf', 'odom_frame', 'base_frame',
+        )  # fmt: skip
     assert section_of('nonsense') is None
 
 

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ratslam_ros.core.order import Released, StampOrder
+from ratslam_ros.core.order import RUN, Released, StampOrder
 
 STREAMS = ('odometry', 'template')
 Arrivals = list[tuple[str, int]]
@@ -81,7 +81,7 @@ def test_every_interleaving_of_small_streams_gives_one_order(
 def arrivals_within(draw: st.DrawFn, bound: int) -> Arrivals:
     """Return any arrival of two increasing streams that keeps within the lateness bound."""
     queues = {
-        name: sorted(draw(st.sets(st.integers(0, 60), max_size=20))) for name in STREAMS
+        name: sorted(draw(st.sets(st.integers(1, 60), max_size=20))) for name in STREAMS
     }
     arrivals: Arrivals = []
     newest = -1
@@ -110,7 +110,7 @@ def test_any_arrival_within_the_bound_is_released_in_order_of_stamps(
 
 
 @given(
-    st.lists(st.tuples(st.sampled_from(STREAMS), st.integers(0, 40)), max_size=40),
+    st.lists(st.tuples(st.sampled_from(STREAMS), st.integers(1, 40)), max_size=40),
     st.integers(0, 20),
 )
 def test_whatever_arrives_is_released_in_order_or_counted(
@@ -222,9 +222,9 @@ def test_a_template_is_not_late_when_only_the_odometry_of_its_stamp_is_released(
 
 def test_exactly_the_bound_is_still_held() -> None:
     merger = order(10)
-    merger.push('odometry', 0, '')
-    assert merger.push('odometry', 10, '') == []
-    assert [r.stamp_ns for r in merger.push('odometry', 11, '')] == [0]
+    merger.push('odometry', 1, '')
+    assert merger.push('odometry', 11, '') == []
+    assert [r.stamp_ns for r in merger.push('odometry', 12, '')] == [1]
 
 
 def test_after_a_flush_order_goes_on() -> None:
@@ -243,3 +243,126 @@ def test_items_are_never_compared() -> None:
     merger: StampOrder[dict[str, int]] = StampOrder(STREAMS, 10)
     merger.push('odometry', 1, {})
     assert len(merger.push('template', 1, {})) == 2
+
+
+S = 1_000_000_000
+LATENESS_NS = 2 * S
+
+
+def single() -> StampOrder[int]:
+    return StampOrder(('image',), 0)
+
+
+def stamps_of(merger: StampOrder[int], stamps: list[int]) -> list[int]:
+    out = []
+    for stamp in stamps:
+        out += [r.stamp_ns for r in merger.push('image', stamp, stamp)]
+    return out
+
+
+def test_one_stamp_from_the_future_is_refused_and_nothing_else() -> None:
+    merger = single()
+    assert stamps_of(merger, [S, S + 1, 3600 * S, S + 2, S + 3]) == [S, S + 1, S + 2, S + 3]
+    assert (merger.counts.refused, merger.held) == (1, 0)
+
+
+def test_a_burst_of_stamps_from_the_future_is_refused() -> None:
+    merger = single()
+    future = [3600 * S + n for n in range(RUN - 1)]
+    assert stamps_of(merger, [S, *future]) == [S]
+    assert merger.held == RUN - 1
+    assert stamps_of(merger, [S + 1]) == [S + 1]
+    assert (merger.counts.refused, merger.held) == (RUN - 1, 0)
+
+
+def test_after_a_pause_all_is_believed_once_enough_has_followed() -> None:
+    merger = single()
+    later = [100 * S + n * S // 10 for n in range(RUN)]
+    assert stamps_of(merger, [S, *later[:-1]]) == [S]
+    assert stamps_of(merger, later[-1:]) == later
+    assert merger.counts.refused == 0
+
+
+def test_a_slow_stream_waits_only_until_its_step_is_known() -> None:
+    merger = single()
+    slow = [n * 5 * S for n in range(1, 2 * RUN)]
+    assert stamps_of(merger, slow[: RUN + 1]) == slow[: RUN + 1]
+    assert stamps_of(merger, slow[RUN + 1 : RUN + 2]) == slow[RUN + 1 : RUN + 2]
+    assert merger.counts.refused == 0
+
+
+def test_at_a_flush_a_single_leap_is_refused_and_a_followed_one_believed() -> None:
+    merger = single()
+    stamps_of(merger, [S, 9 * S])
+    assert merger.flush() == []
+    assert merger.counts.refused == 1
+    stamps_of(merger, [20 * S, 21 * S])
+    assert [r.stamp_ns for r in merger.flush()] == [20 * S, 21 * S]
+
+
+def test_a_stamp_of_zero_is_no_time_unless_the_recording_begins_there() -> None:
+    merger = single()
+    assert stamps_of(merger, [0, 1_700_000_000 * S]) == [1_700_000_000 * S]
+    assert merger.counts.refused == 1
+    assert stamps_of(merger, [0]) == []
+    video = single()
+    assert stamps_of(video, [0, S // 30, S // 15]) == [0, S // 30, S // 15]
+    assert video.counts.refused == 0
+
+
+def test_a_recording_that_begins_again_is_noticed_and_nothing_of_it_lost() -> None:
+    merger = single()
+    stamps_of(merger, [n * S for n in range(100, 120)])
+    again = [n * S // 2 for n in range(100, 100 + RUN)]
+    assert stamps_of(merger, again[:-1]) == []
+    assert not merger.jumped_back
+    assert stamps_of(merger, again[-1:]) == []
+    assert merger.jumped_back
+    assert [r.stamp_ns for r in merger.restart()] == again
+    assert (merger.jumped_back, merger.counts.refused) == (False, 0)
+
+
+def test_wrong_stamps_from_the_past_are_no_new_beginning() -> None:
+    merger = single()
+    stamps_of(merger, [100 * S])
+    stamps_of(merger, [n * S for n in range(60, 20, -1)])  # backwards
+    stamps_of(merger, [7 * S] * 40)
+    for n in range(40):  # another publisher that sends old ones in between
+        stamps_of(merger, [n * S, (101 + n) * S])
+    assert not merger.jumped_back
+    assert merger.counts.refused == 120
+
+
+def test_streams_that_hear_of_a_new_beginning_later_do_not_mix_old_and_new() -> None:
+    merger = order(LATENESS_NS)
+    for n in range(100, 110):
+        merger.push('odometry', n * S, 'old')
+        merger.push('template', n * S, 'old')
+    for n in range(RUN):
+        merger.push('odometry', n * S // 10 + 1, 'new')
+    assert merger.jumped_back
+    merger.flush()
+    out = merger.restart()
+    for n in range(110, 113):  # a slow local view still sends those of before
+        assert merger.push('template', n * S, 'old') == []
+    assert merger.counts.refused == 3
+    for n in range(RUN):
+        out += merger.push('template', n * S // 10 + 1, 'new')
+    out += merger.flush()
+    assert [r.item for r in out] == ['new'] * 2 * RUN
+    assert [r.stream for r in out] == [*STREAMS] * RUN
+    assert (merger.counts.refused, merger.counts.late) == (3, 0)
+
+
+@given(st.lists(st.integers(0, 200), max_size=60), st.integers(0, 200))
+def test_what_a_stream_believes_increases_and_the_rest_is_counted(
+    tens: list[int], flush_after: int
+) -> None:
+    merger = single()
+    out: list[int] = []
+    for number, ten in enumerate(tens):
+        out += stamps_of(merger, [ten * S // 4])
+        if number == flush_after:
+            out += [r.stamp_ns for r in merger.flush()]
+        assert len(out) + merger.held + merger.counts.refused == number + 1
+    assert out == sorted(set(out))

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from fabricate import compressed_image, picture, raw_image
 
+from ratslam_ros.images import EncodedImage, Frame, RawImage, image_of
 from ratslam_ros.recordings import UndecodableImage
-from ratslam_ros.recordings.images import EncodedImage, Frame, RawImage, image_of
 
 COLOUR = np.random.default_rng(7).integers(0, 256, (6, 8, 3), dtype=np.uint8)
 GREY = picture(3, 6, 8)
