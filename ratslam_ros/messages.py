@@ -128,7 +128,8 @@ def decode_action(payload: str) -> tuple[int, int, MapAction, int]:
 def encode_map(stamp_ns: int, experience_map: ExperienceMap) -> str:
     """Return the whole graph, for map.json and ``experience_map/map`` alike.
 
-    ``stamp_ns`` is that of the last action applied, 0 before the first.
+    ``stamp_ns`` is that of the last action applied, 0 before the first; an action without a
+    template is not.
     """
     return _dumps(
         {

@@ -81,7 +81,8 @@ class Results:
         self.frames += 1
         self.templates += match.is_new
         self.without_view += match.template_id == NO_TEMPLATE
-        self._action_ns = step.stamp_ns
+        if match.template_id != NO_TEMPLATE:
+            self._action_ns = step.stamp_ns
         if action.action == 'create':
             self.experiences += 1
         elif action.action != 'none' and (

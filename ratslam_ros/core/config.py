@@ -263,6 +263,13 @@ class LocalViewParameters(LiveInput):
         0.0, 'of brightness 0 to 1', 0.0, 1.0,
         'Patches with a deviation below this count as plain (0.5).',
         'noise in plain areas is blown up', 'faint texture should count')  # fmt: skip
+    image_transport: str = parameter(
+        'auto', '', 0, 0,
+        'Live only: subscribe to image (raw) or image/compressed; auto takes compressed where '
+        'nobody publishes raw images.',
+        'set to compressed to save the network', 'set to raw where the compression spoils views',
+        choices=('auto', 'raw', 'compressed'),
+    )  # fmt: skip
     vt_panoramic: bool = parameter(
         False, '', 0, 1, 'The camera sees the full circle: compare at every turn of the view.',
         'the camera is panoramic', 'the camera looks forward')  # fmt: skip
@@ -470,6 +477,15 @@ SECTIONS: dict[str, type[Section]] = {
     'experience_map': ExperienceMapParameters,
     'goal_recall': GoalRecallParameters,
 }
+
+SETTABLE = frozenset(
+    {
+        'watchdog_after_s', 'on_jump_back', 'flush_after_s', 'publish_tf', 'map_period_s',
+        'goal_tolerance_m',
+    }
+)  # fmt: skip
+"""What a node lets be set while it runs. All else decides what the map becomes: one map is made
+with one set of values."""
 
 
 def section_of(name: str) -> str | None:

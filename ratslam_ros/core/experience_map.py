@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ratslam_ros.core.angles import wrap
 from ratslam_ros.core.compiled import compiled
 from ratslam_ros.core.config import ExperienceMapParameters
+from ratslam_ros.core.local_view import NO_TEMPLATE
 from ratslam_ros.core.odometry import Motion, Pose, moved
 from ratslam_ros.core.pose_cells import NO_EXPERIENCE, MapAction
 from ratslam_ros.core.torus import Place
@@ -119,6 +120,8 @@ class ExperienceMap:
             action: create, link, set or none.
             behaviour: name of what the robot was doing, for the link.
         """
+        if action.template_id == NO_TEMPLATE:
+            return  # an image that nobody could see leaves the map as it is
         if not self.mapping and (action.action == 'create' or action.target_id >= len(self)):
             return
         if action.action == 'none':

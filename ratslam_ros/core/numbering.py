@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Numbering: ids of a neighbour that may have been restarted -> ids that stay."""
+"""Numbering: ids of a neighbour, which may be restarted -> ids that stay."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ NOTHING_LEARNED = 0
 
 
 class Numbering:
-    """Ids in order of their first appearance.
+    """Ids that stay, for those of a neighbour that counts what it has learned from 0.
 
-    A neighbour counts what it has learned from 0, and names its memory by the stamp of the first
-    thing learned. One with an empty memory counts from 0 again, and means other things by it:
-    whoever joined at the start and never lost a neighbour keeps that neighbour's numbers.
+    The neighbour names its memory by the stamp of the first thing learned. After a restart it
+    counts from 0 again, and means other things by it: those get numbers above all known ones.
+    Whoever never lost a neighbour has that neighbour's own numbers.
     """
 
     def __init__(self) -> None:
@@ -21,11 +21,8 @@ class Numbering:
         """The memory that the ids are of now."""
         self.forgotten = 0
         """How often the neighbour came back with another memory."""
-        self._own: dict[int, int] = {}
-        self._count = 0
-
-    def __len__(self) -> int:
-        return self._count
+        self._base = 0
+        self._end = 0
 
     def remember(self, memory_ns: int) -> bool:
         """Take the memory that a message names; return whether that is another one than before."""
@@ -34,7 +31,30 @@ class Numbering:
         another = self.memory_ns != NOTHING_LEARNED
         self.memory_ns = memory_ns
         self.forgotten += another
-        self._own.clear()
+        self._base = self._end
+        return another
+
+    def number(self, theirs: int) -> int:
+        """Return the number of an id of the present memory; negative ids stay as they are."""
+        if theirs < 0:
+            return theirs
+        own = self._base + theirs
+        self._end = max(self._end, own + 1)
+        return own
+
+
+class DenseNumbering(Numbering):
+    """Numbers without gaps, in order of first use: for whoever came late or missed some ids."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._own: dict[int, int] = {}
+
+    def remember(self, memory_ns: int) -> bool:
+        """Take the memory that a message names; return whether that is another one than before."""
+        another = super().remember(memory_ns)
+        if another:
+            self._own.clear()
         return another
 
     def knows(self, theirs: int) -> bool:
@@ -42,9 +62,9 @@ class Numbering:
         return theirs in self._own
 
     def number(self, theirs: int) -> int:
-        """Return the number of an id of the present memory, a new one where it has none."""
+        """Return the number of an id of the present memory, the next one where it has none."""
         own = self._own.get(theirs)
         if own is None:
-            own = self._own[theirs] = self._count
-            self._count += 1
+            own = self._own[theirs] = self._end
+            self._end += 1
         return own

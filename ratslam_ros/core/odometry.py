@@ -89,6 +89,16 @@ class MotionFromOdometry:
         return Motion(dt_s, chord / sinc(0.5 * turn), turn)
 
 
+def heading_of(x: float, y: float, z: float, w: float) -> float:
+    """Return the heading in rad that a quaternion means in the plane."""
+    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+
+def quaternion_of(heading_rad: float) -> tuple[float, float]:
+    """Return z and w of the quaternion that means a heading."""
+    return math.sin(0.5 * heading_rad), math.cos(0.5 * heading_rad)
+
+
 def sinc(x: float) -> float:
     """Return sin(x) / x, and 1 at 0."""
     return math.sin(x) / x if abs(x) > 1e-8 else 1.0

@@ -114,15 +114,15 @@ class PoseCells:
     def view(self, match: ViewMatch) -> MapAction:
         """Take one template message: associate or inject, and decide the map's action."""
         turned = match.relative_rad * self._torus.planes_per_rad
-        if match.template_id != NO_TEMPLATE:
-            self._recall(match.template_id, turned)
-        self._messages += 1
-        self._last_template = match.template_id
         source = self._current
         action: Action = 'none'
-        if match.template_id != NO_TEMPLATE and self._stepped:
-            self._stepped = False
-            action = self._decide(match.template_id, turned)
+        if match.template_id != NO_TEMPLATE:  # what nobody could see changes nothing
+            self._recall(match.template_id, turned)
+            self._messages += 1
+            self._last_template = match.template_id
+            if self._stepped:
+                self._stepped = False
+                action = self._decide(match.template_id, turned)
         place = self._experiences[self._current][1] if self._experiences else self.peak
         return MapAction(
             action, source, self._current, match.template_id, match.relative_rad, place

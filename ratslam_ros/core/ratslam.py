@@ -9,8 +9,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 
 import numpy as np
@@ -95,23 +95,25 @@ class RatSLAM:
         return [step for stamp_ns, _, image in images for step in self._see(stamp_ns, image)]
 
     def _see(self, stamp_ns: int, image: NDArray[np.uint8] | None) -> list[Step]:
-        match, twist = UNDECODABLE, None
+        match, odometry = UNDECODABLE, None
         if image is not None:
-            try:
-                if self.visual_odometry is not None:
-                    with self._watch('visual_odometry'):
-                        twist = self.visual_odometry(stamp_ns, image)
-                with self._watch('local_view'):
-                    match = self.local_view(image)
+            if self.visual_odometry is not None:
+                with self._fitting(), self._watch('visual_odometry'):
+                    odometry = self.visual_odometry(stamp_ns, image)
+            with self._fitting(), self._watch('local_view'):
+                match = self.local_view(image)
                 self._looked = True
-            except UnusableParameter:
-                if not self._looked:
-                    raise  # the crop, window or template does not fit this camera
-                # else one image unlike those before: as one that could not be decoded
-        steps: list[Step] = []
-        if twist is not None:
-            steps = self.odometry(Odometry(stamp_ns, twist, Pose(0.0, 0.0, 0.0)))
+        steps = [] if odometry is None else self.odometry(odometry)
         return steps + self.template(stamp_ns, match)
+
+    @contextmanager
+    def _fitting(self) -> Iterator[None]:
+        """Take an image unlike those before, that no window fits, for one without pixels."""
+        try:
+            yield
+        except UnusableParameter:
+            if not self._looked:
+                raise  # the crop, window or template does not fit this camera
 
     def odometry(self, odometry: Odometry) -> list[Step]:
         """Take one odometry message; return what it and those that waited for it led to.

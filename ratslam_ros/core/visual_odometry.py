@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Visual odometry: image -> Motion, from the shift and change of intensity profiles."""
+"""Visual odometry: image -> Odometry, from the shift and change of intensity profiles."""
 
 from __future__ import annotations
 
@@ -12,7 +12,15 @@ from numpy.typing import NDArray
 from ratslam_ros.core.compiled import compiled
 from ratslam_ros.core.config import VisualOdometryParameters
 from ratslam_ros.core.image_window import Window, plain, window_of
-from ratslam_ros.core.odometry import Twist
+from ratslam_ros.core.odometry import (
+    Motion,
+    Odometry,
+    Pose,
+    Twist,
+    heading_of,
+    moved,
+    quaternion_of,
+)
 
 Profile = NDArray[np.int64]
 """Sum of each column of a window: integers, so that ties are ties and not decided by rounding."""
@@ -26,9 +34,12 @@ class VisualOdometry:
     def __init__(self, parameters: VisualOdometryParameters) -> None:
         self._p = parameters
         self._last: tuple[int, tuple[int, ...], Profile, Profile] | None = None
+        self._pose = Pose(0.0, 0.0, 0.0)
 
-    def __call__(self, stamp_ns: int, image: NDArray[np.uint8]) -> Twist | None:
-        """Return the motion since the previous image; None for the first one.
+    def __call__(self, stamp_ns: int, image: NDArray[np.uint8]) -> Odometry | None:
+        """Return the motion since the previous image, and all motions together as a pose.
+
+        None for the first image, and where the size has changed.
 
         Args:
             stamp_ns: the image's stamp; stamps must increase.
@@ -50,7 +61,16 @@ class VisualOdometry:
         difference = least / (255.0 * (window.y_max - window.y_min))
         rad_per_px = p.camera_fov_deg / image.shape[1] * (math.pi / 180.0)
         speed_mps = difference * p.vtrans_scaling / (dt_s * p.camera_hz)
-        return Twist(min(speed_mps, p.vtrans_max), offset_px * rad_per_px / dt_s)
+        twist = Twist(min(speed_mps, p.vtrans_max), offset_px * rad_per_px / dt_s)
+        motion = Motion(dt_s, twist.linear_x_mps * dt_s, twist.angular_z_radps * dt_s)
+        self._pose = moved(self._pose, motion)
+        # The heading as a message's quaternion gives it back, so that live and offline agree.
+        heading_rad = heading_of(0.0, 0.0, *quaternion_of(self._pose.heading_rad))
+        return Odometry(stamp_ns, twist, self._pose._replace(heading_rad=heading_rad))
+
+    def restart(self) -> None:
+        """Take the next image for the first one; the pose stays."""
+        self._last = None
 
     def rotation_window(self, image: NDArray[np.uint8]) -> Window:
         """Return the window that the turn rate is measured in."""

@@ -311,6 +311,8 @@ def test_the_energy_is_that_of_the_formula_whatever_was_seen_before(
             raw = energy / 30.0 * (30.0 - math.exp(1.2 * decays[template_id]))
             expected = max(raw, 0.0)
         assert injected(pose_cells, template_id) == pytest.approx(expected, abs=1e-12)
+        if template_id == -1:
+            continue  # nothing was seen: nothing changes
         decays = {k: max(active, decay - restore) for k, decay in decays.items()}
         last = template_id
 
@@ -322,6 +324,9 @@ def test_a_view_seen_on_end_tires_and_recovers() -> None:
     assert energies[-1] == 0.0
     for _ in range(200):
         pose_cells.view(UNDECODABLE)
+    assert injected(pose_cells, 0) == 0.0  # only what is seen lets it recover
+    for _ in range(200):
+        pose_cells.view(seen(12))
     assert injected(pose_cells, 0) == pytest.approx(energies[0], abs=1e-12)
 
 
