@@ -17,6 +17,8 @@ from scipy.ndimage import convolve1d
 from ratslam_ros.core.config import LocalViewParameters, PoseCellsParameters
 from ratslam_ros.core.local_view import ViewMatch
 from ratslam_ros.core.odometry import Motion, Odometry, Pose, Twist
+from ratslam_ros.core.pose_cells import Action, MapAction
+from ratslam_ros.core.torus import Place
 
 START_NS = 1_700_000_000_000_000_000
 PERIOD_NS = 100_000_000
@@ -324,3 +326,11 @@ def template_text(stamp_ns: int, template_id: int, **changes: Any) -> str:
         'is_new': False, 'error': 0.01, 'relative_rad': 0.0, 'memory': START_NS,
     }  # fmt: skip
     return json.dumps({**fields, **changes})
+
+
+def circles_of_actions(places: int, laps: int) -> Iterator[tuple[int, MapAction]]:
+    """Yield sequence and action of a robot that goes round places that it knows in the end."""
+    for n in range(places * laps):
+        source = (n - 1) % places if n else -1
+        kind: Action = 'create' if n < places else 'link' if n == places else 'set'
+        yield n, MapAction(kind, source, n % places, n % places, 0.0, Place(1.0, 2.0, 3.0))

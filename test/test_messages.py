@@ -15,7 +15,14 @@ from ratslam_ros.core.experience_map import ExperienceMap
 from ratslam_ros.core.local_view import UNDECODABLE, ViewMatch
 from ratslam_ros.core.pose_cells import MapAction
 from ratslam_ros.core.torus import Place
-from ratslam_ros.messages import MalformedMessage, decode_template, encode_map, encode_template
+from ratslam_ros.messages import (
+    MalformedMessage,
+    decode_action,
+    decode_template,
+    encode_action,
+    encode_map,
+    encode_template,
+)
 
 KEYS = ['schema_version', 'stamp', 'id', 'is_new', 'error', 'relative_rad', 'memory']
 
@@ -138,6 +145,63 @@ def small_map() -> ExperienceMap:
     graph.integrate(ahead(2.0))
     graph.apply(MapAction('create', 0, 1, 6, 0.0, Place(2.0, 0.1, 35.9)), 'wänder')
     return graph
+
+# Actions
+
+ACTION_KEYS = [
+    'schema_version', 'stamp', 'sequence', 'action', 'source_id', 'target_id', 'template_id',
+    'relative_rad', 'pc_x', 'pc_y', 'pc_theta', 'memory',
+]  # fmt: skip
+ACTION = MapAction('link', 3, 4, 5, 0.5, Place(1.25, 2.5, 35.0))
+
+
+def action_text(**changed: Any) -> str:
+    return json.dumps(json.loads(encode_action(START_NS, 8, ACTION, 7)) | changed)
+
+
+@given(
+    st.integers(0, 2**32 * 10**9 - 1), st.integers(0, 2**53),
+    st.sampled_from(['create', 'link', 'set', 'none']), st.integers(-1, 10**6),
+    st.integers(0, 10**6), st.integers(0, 10**6), st.floats(-3.14, 3.14),
+    st.tuples(st.floats(0.0, 999.0), st.floats(0.0, 999.0), st.floats(0.0, 35.9)),
+    st.integers(0, 2**62),
+)  # fmt: skip
+def test_an_action_is_decoded_to_the_last_bit(
+    stamp_ns: int, sequence: int, kind: Any, source: int, target: int, template: int,
+    relative: float, place: tuple[float, float, float], memory: int,
+) -> None:  # fmt: skip
+    action = MapAction(kind, source, target, template, relative, Place(*place))
+    payload = encode_action(stamp_ns, sequence, action, memory)
+    assert decode_action(payload) == (stamp_ns, sequence, action, memory)
+
+
+def test_an_action_has_its_keys_in_order_and_nothing_else() -> None:
+    assert list(json.loads(encode_action(START_NS, 8, ACTION, 7))) == ACTION_KEYS
+
+
+def test_before_the_first_experience_there_are_actions_too() -> None:
+    none = MapAction('none', -1, -1, -1, 0.0, Place(0.0, 0.0, 0.0))
+    assert decode_action(encode_action(5, 0, none, 0)) == (5, 0, none, 0)
+
+
+@pytest.mark.parametrize(('key', 'value'), [
+    ('action', 'jump'), ('action', None), ('target_id', -1), ('template_id', -1),
+    ('source_id', -2), ('target_id', 2**31), ('sequence', -1), ('memory', -1), ('pc_x', -0.1),
+    ('pc_theta', 1e9), ('relative_rad', 4.0), ('source_id', 1.5), ('sequence', True),
+    ('pc_y', None), ('stamp', {'sec': 1}), ('schema_version', 2),
+])  # fmt: skip
+def test_an_action_that_does_not_fit_is_refused(key: str, value: Any) -> None:
+    with pytest.raises(MalformedMessage, match=key.split('_')[0]):
+        decode_action(action_text(**{key: value}))
+
+
+@pytest.mark.parametrize('key', ACTION_KEYS)
+def test_an_action_without_a_key_is_refused(key: str) -> None:
+    fields = json.loads(action_text())
+    del fields[key]
+    with pytest.raises(MalformedMessage):
+        decode_action(json.dumps(fields))
+
 
 
 def test_the_map_has_its_keys_in_the_documented_order() -> None:

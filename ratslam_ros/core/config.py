@@ -117,6 +117,19 @@ class LiveInput(Section):
 
 
 @dataclass(frozen=True)
+class ImageInput(LiveInput):
+    """Which images a node takes."""
+
+    image_transport: str = parameter(
+        'auto', '', 0, 0,
+        'Live only: subscribe to image (raw) or image/compressed; auto takes compressed where '
+        'nobody publishes raw images.',
+        'set to compressed to save the network', 'set to raw where the compression spoils views',
+        choices=('auto', 'raw', 'compressed'),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
 class OdometryInput(LiveInput):
     """How a section that takes odometry reads it, and how long it waits for slower streams."""
 
@@ -141,7 +154,7 @@ class OdometryInput(LiveInput):
 
 
 @dataclass(frozen=True)
-class VisualOdometryParameters(LiveInput):
+class VisualOdometryParameters(ImageInput):
     """Speed and turn rate from the camera alone."""
 
     vtrans_image_x_min: int = parameter(
@@ -205,7 +218,7 @@ class VisualOdometryParameters(LiveInput):
 
 
 @dataclass(frozen=True)
-class LocalViewParameters(LiveInput):
+class LocalViewParameters(ImageInput):
     """What a view is reduced to, and when it counts as seen before."""
 
     image_crop_x_min: int = parameter(
@@ -263,13 +276,6 @@ class LocalViewParameters(LiveInput):
         0.0, 'of brightness 0 to 1', 0.0, 1.0,
         'Patches with a deviation below this count as plain (0.5).',
         'noise in plain areas is blown up', 'faint texture should count')  # fmt: skip
-    image_transport: str = parameter(
-        'auto', '', 0, 0,
-        'Live only: subscribe to image (raw) or image/compressed; auto takes compressed where '
-        'nobody publishes raw images.',
-        'set to compressed to save the network', 'set to raw where the compression spoils views',
-        choices=('auto', 'raw', 'compressed'),
-    )  # fmt: skip
     vt_panoramic: bool = parameter(
         False, '', 0, 1, 'The camera sees the full circle: compare at every turn of the view.',
         'the camera is panoramic', 'the camera looks forward')  # fmt: skip

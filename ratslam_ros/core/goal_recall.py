@@ -76,8 +76,12 @@ class GoalRecall:
     def __init__(self, parameters: GoalRecallParameters) -> None:
         self._p = parameters
 
-    def temporal_map(self, experience_map: ExperienceMap) -> TemporalMap:
-        """Return the times from the current experience to all, over links in both directions.
+    def temporal_map(
+        self, experience_map: ExperienceMap, start_id: int | None = None
+    ) -> TemporalMap:
+        """Return the times from an experience to all, over links in both directions.
+
+        ``start_id``: where to start, None for the current experience.
 
         Raises:
             UnreachableGoal: the map is empty.
@@ -85,7 +89,7 @@ class GoalRecall:
         count = len(experience_map)
         if count == 0:
             raise UnreachableGoal('the map is empty; drive first')
-        start = experience_map.current_id
+        start = experience_map.current_id if start_id is None else start_id
         arrival_s, before = dijkstra(
             _durations(experience_map.links(), count), indices=start, return_predecessors=True
         )
@@ -95,20 +99,40 @@ class GoalRecall:
         """Return the quickest route to an experience; see ``TemporalMap.route_to``."""
         return self.temporal_map(experience_map).route_to(goal_id)
 
-    def route_to_place(
+    def nearest(
         self, experience_map: ExperienceMap, x_m: float, y_m: float, tolerance_m: float = 0.0
-    ) -> Route:
+    ) -> int:
+        """Return the experience that is nearest to a place on the map.
+
+        ``tolerance_m``: its greatest distance; 0: ``goal_tolerance_m``.
+
+        Raises:
+            UnreachableGoal: none is that near.
+        """
+        if len(experience_map) == 0:
+            raise UnreachableGoal('the map is empty; drive first')
+        poses = experience_map.poses
+        away_m = np.hypot(poses[:, 0] - x_m, poses[:, 1] - y_m)
+        nearest = int(np.argmin(away_m))
+        self._check_near(x_m, y_m, float(away_m[nearest]), tolerance_m)
+        return nearest
+
+    def route_to_place(
+        self, experience_map: ExperienceMap, x_m: float, y_m: float, tolerance_m: float = 0.0,
+        start_id: int | None = None,
+    ) -> Route:  # fmt: skip
         """Return the quickest route to the experience that is nearest to a place on the map.
 
         Args:
             experience_map: the graph, and where the robot is on it.
             x_m, y_m: the place.
             tolerance_m: greatest distance of the experience; 0: ``goal_tolerance_m``.
+            start_id: where to start, None for the current experience.
 
         Raises:
             UnreachableGoal: no experience that links lead to lies within the tolerance.
         """
-        times = self.temporal_map(experience_map)
+        times = self.temporal_map(experience_map, start_id)
         tolerance = tolerance_m or self._p.goal_tolerance_m
         poses = experience_map.poses
         away_m = np.hypot(poses[:, 0] - x_m, poses[:, 1] - y_m)
@@ -117,13 +141,17 @@ class GoalRecall:
         if reachable_m[goal] <= tolerance:
             return times.route_to(goal)
         nearest = int(np.argmin(away_m))
-        if away_m[nearest] <= tolerance:
-            return times.route_to(nearest)  # says that no link leads there
-        raise UnreachableGoal(
-            f'the nearest experience to ({x_m:g}, {y_m:g}) is {away_m[nearest]:.2f} m away; '
-            f'expected at most {tolerance:g} m: choose a place nearer to the map or raise '
-            'goal_recall.goal_tolerance_m'
-        )
+        self._check_near(x_m, y_m, float(away_m[nearest]), tolerance_m)
+        return times.route_to(nearest)  # says that no link leads there
+
+    def _check_near(self, x_m: float, y_m: float, away_m: float, tolerance_m: float) -> None:
+        tolerance = tolerance_m or self._p.goal_tolerance_m
+        if not away_m <= tolerance:
+            raise UnreachableGoal(
+                f'the nearest experience to ({x_m:g}, {y_m:g}) is {away_m:.2f} m away; '
+                f'expected at most {tolerance:g} m: choose a place nearer to the map or raise '
+                'goal_recall.goal_tolerance_m'
+            )
 
 
 def _durations(links: list[Link], count: int) -> csr_array:

@@ -153,6 +153,15 @@ class StampOrder(Generic[Item]):
         """The newest stamp on any stream, None before the first."""
         return self._newest_ns
 
+    def newest_of(self, stream: str) -> int | None:
+        """Return the newest stamp that is believed of a stream, None before the first."""
+        return self._streams[self._rank[stream]].last_ns
+
+    def waiting(self, stream: str) -> list[Item]:
+        """Return the messages of a stream that are held, in order."""
+        rank = self._rank[stream]
+        return [item for _, of, item in sorted(self._held, key=_key) if of == rank]
+
     def push(self, stream: str, stamp_ns: int, item: Item) -> list[Released[Item]]:
         """Take one message; return all messages whose turn has come, in order.
 
@@ -235,3 +244,7 @@ class StampOrder(Generic[Item]):
         stamp_ns, rank, item = heapq.heappop(self._held)
         self._released = (stamp_ns, rank)
         return Released(stamp_ns, self._names[rank], item)
+
+
+def _key(held: tuple[int, int, Item]) -> tuple[int, int]:
+    return held[0], held[1]

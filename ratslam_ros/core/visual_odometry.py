@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,6 +68,10 @@ class VisualOdometry:
         # The heading as a message's quaternion gives it back, so that live and offline agree.
         heading_rad = heading_of(0.0, 0.0, *quaternion_of(self._pose.heading_rad))
         return Odometry(stamp_ns, twist, self._pose._replace(heading_rad=heading_rad))
+
+    def set_field_of_view(self, camera_fov_deg: float) -> None:
+        """Use another field of view from the next image on."""
+        self._p = replace(self._p, camera_fov_deg=camera_fov_deg)
 
     def restart(self) -> None:
         """Take the next image for the first one; the pose stays."""

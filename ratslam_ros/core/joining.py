@@ -1,0 +1,59 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Joining: actions of pose cells that may know more or less than the map -> actions it can do."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from ratslam_ros.core.experience_map import ExperienceMap
+from ratslam_ros.core.numbering import DenseNumbering
+from ratslam_ros.core.pose_cells import MapAction
+
+
+class Joining:
+    """Applies actions to an experience map, whichever of the two was started first.
+
+    With both there from the start, and no action lost, every action is applied as it came.
+    """
+
+    def __init__(self, experience_map: ExperienceMap) -> None:
+        self._map = experience_map
+        self._numbering = DenseNumbering()
+        self.missed = 0
+        """Actions that were sent and never came, by their sequence."""
+        self.forgotten = 0
+        """How often the pose cells came back with an empty memory."""
+        self._next = 0
+        self.first_sequence: int | None = None
+        """The sequence of the first action that came; above 0 the map began late."""
+
+    def apply(self, action: MapAction, sequence: int, memory_ns: int, behaviour: str = '') -> None:
+        """Do what the pose cells decided, as far as the map knows what they mean.
+
+        An experience that the map does not know is made where the robot is. A link leads from
+        the experience that the map has as its current one: the motion was counted from there.
+        """
+        if self.first_sequence is None:
+            self.first_sequence = sequence
+        elif sequence < self._next:
+            self.forgotten += 1
+        else:
+            self.missed += sequence - self._next
+        self._next = sequence + 1
+        self._numbering.remember(memory_ns)
+        kind = action.action
+        if kind == 'none':
+            self._map.apply(action, behaviour)
+            return
+        if not self._numbering.knows(action.target_id):
+            if not self._map.mapping:
+                return
+            kind = 'create'
+        elif kind == 'create':
+            kind = 'link'
+        target = self._numbering.number(action.target_id)
+        source = self._map.current_id
+        self._map.apply(
+            replace(action, action=kind, source_id=source, target_id=target), behaviour
+        )

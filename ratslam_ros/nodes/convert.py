@@ -1,0 +1,83 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Between ROS messages and what core takes and gives."""
+
+from __future__ import annotations
+
+import array
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Point, Quaternion, TransformStamped
+from geometry_msgs.msg import Pose as PoseMessage
+from nav_msgs.msg import Odometry as OdometryMessage
+from numpy.typing import NDArray
+from sensor_msgs.msg import Image
+from std_msgs.msg import Header
+
+from ratslam_ros.core.odometry import Odometry, Pose, Twist, heading_of, quaternion_of
+from ratslam_ros.messages import NS_PER_S
+
+
+def stamp_ns(header: Header) -> int:
+    """Return a header's stamp in ns; one with 10^9 nanoseconds or more is none: 0."""
+    if header.stamp.nanosec >= NS_PER_S:
+        return 0
+    return int(header.stamp.sec) * NS_PER_S + int(header.stamp.nanosec)
+
+
+def time_of(stamp_ns: int) -> Time:
+    """Return a stamp as a message."""
+    return Time(sec=stamp_ns // NS_PER_S, nanosec=stamp_ns % NS_PER_S)
+
+
+def header_of(stamp_ns: int, frame_id: str) -> Header:
+    """Return a header."""
+    return Header(stamp=time_of(stamp_ns), frame_id=frame_id)
+
+
+def odometry_of(message: OdometryMessage) -> Odometry:
+    """Return what core takes of an odometry message."""
+    twist = message.twist.twist
+    return Odometry(
+        stamp_ns(message.header),
+        Twist(float(twist.linear.x), float(twist.angular.z)),
+        place_of(message.pose.pose),
+    )
+
+
+def place_of(message: PoseMessage) -> Pose:
+    """Return where a pose lies in the plane."""
+    q = message.orientation
+    heading_rad = heading_of(q.x, q.y, q.z, q.w)
+    return Pose(float(message.position.x), float(message.position.y), heading_rad)
+
+
+def pose_message(pose: Pose) -> PoseMessage:
+    """Return a place in the plane as a message."""
+    return PoseMessage(
+        position=Point(x=pose.x_m, y=pose.y_m, z=0.0), orientation=_orientation(pose)
+    )
+
+
+def transform(stamp_ns: int, parent: str, child: str, pose: Pose) -> TransformStamped:
+    """Return the transform of a frame that lies at a pose in its parent."""
+    message = TransformStamped(header=header_of(stamp_ns, parent), child_frame_id=child)
+    message.transform.translation.x = pose.x_m
+    message.transform.translation.y = pose.y_m
+    message.transform.rotation = _orientation(pose)
+    return message
+
+
+def grey_image(stamp_ns: int, frame_id: str, pixels: NDArray[np.uint8]) -> Image:
+    """Return (H, W) uint8 as a mono8 message."""
+    height, width = pixels.shape
+    return Image(
+        header=header_of(stamp_ns, frame_id), height=height, width=width, encoding='mono8',
+        is_bigendian=0, step=width, data=array.array('B', pixels.tobytes()),
+    )  # fmt: skip
+
+
+def _orientation(pose: Pose) -> Quaternion:
+    z, w = quaternion_of(pose.heading_rad)
+    return Quaternion(x=0.0, y=0.0, z=z, w=w)

@@ -1,0 +1,326 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Experience map as a node: odom, pose_cells/action -> map, pose, map -> odom; goal -> route."""
+
+from __future__ import annotations
+
+import copy
+import math
+import time
+from dataclasses import dataclass
+from typing import Any
+
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Odometry as OdometryMessage
+from nav_msgs.msg import Path
+from nav_msgs.srv import GetPlan
+from std_msgs.msg import String
+from tf2_msgs.msg import TFMessage
+from visualization_msgs.msg import MarkerArray
+
+from ratslam_ros.core.experience_map import ExperienceMap, composed
+from ratslam_ros.core.goal_recall import GoalRecall, Route, UnreachableGoal
+from ratslam_ros.core.joining import Joining
+from ratslam_ros.core.local_view import NO_TEMPLATE
+from ratslam_ros.core.odometry import MotionFromOdometry, Odometry, Pose, moved
+from ratslam_ros.core.pose_cells import MapAction
+from ratslam_ros.messages import MalformedMessage, decode_action, encode_map
+from ratslam_ros.nodes.convert import (
+    header_of,
+    odometry_of,
+    place_of,
+    pose_message,
+    time_of,
+    transform,
+)
+from ratslam_ros.nodes.markers import markers_of
+from ratslam_ros.nodes.node import FLUSH_CHECK_S, RatslamNode
+from ratslam_ros.nodes.qos import GOAL, LATCHED, STATE
+from ratslam_ros.nodes.run import run
+
+LARGEST_SHARE = 0.1
+"""Of one core, for sending the map: a large map is sent less often than map_period_s."""
+
+
+@dataclass(frozen=True, slots=True)
+class Action:
+    """An action message: what to do, its number, and the memory that its ids are of."""
+
+    action: MapAction
+    sequence: int
+    memory_ns: int
+
+
+class ExperienceMapNode(RatslamNode[Odometry | Action]):
+    """Publishes the map, where the robot is on it, and the way to a goal."""
+
+    SECTION = 'experience_map'
+    PARTS = ('goal_recall',)
+    MAPS = True
+
+    def __init__(self) -> None:
+        super().__init__(('odometry', 'action'))
+        self._map_publisher = self.create_publisher(String, 'experience_map/map', LATCHED)
+        self._markers = self.create_publisher(MarkerArray, 'experience_map/markers', LATCHED)
+        self._route_publisher = self.create_publisher(Path, 'experience_map/route', LATCHED)
+        self._pose_publisher = self.create_publisher(PoseStamped, 'experience_map/pose', STATE)
+        self._tf = self.create_publisher(TFMessage, '/tf', STATE)
+        self._reason = ''
+        self._next_map_s = 0.0
+        self._forget()
+        self.create_service(GetPlan, 'experience_map/recall_goal', self._on_recall_goal)
+        self.create_subscription(PoseStamped, 'goal_pose', self._on_goal, GOAL)
+        self._listen('odometry', {'odom': OdometryMessage}, self._on_odometry)
+        self._listen('action', {'pose_cells/action': String}, self._on_action)
+        self.create_timer(FLUSH_CHECK_S, self._tick, clock=self._steady)
+
+    def _forget(self) -> None:
+        self._core = ExperienceMap(self._section)
+        self._core.mapping = self._mapping
+        self._joining = Joining(self._core)
+        self._motion = MotionFromOdometry(self._section.odom_source)
+        self._action_ns = 0
+        self._changed = False
+        self._pose: Pose | None = None
+        self._odom_pose = Pose(0.0, 0.0, 0.0)
+        self._pose_ns = 0
+        self._goal: Pose | None = None
+        self._route_from: int | None = None
+
+    def _carried(self) -> None:
+        self._motion.restart()
+
+    def _set_mapping(self, mapping: bool) -> None:
+        self._core.mapping = mapping
+
+    def close(self) -> None:
+        """Process what still waits, and send the last map."""
+        super().close()
+        self._send_map()
+
+    # Inputs
+
+    def _on_odometry(self, message: OdometryMessage) -> None:
+        odometry = odometry_of(message)
+        if not self._motion.accepts(odometry):
+            self._refuse('odometry', f'{self._section.odom_source} is not finite: {odometry}')
+            return
+        self._push('odometry', odometry.stamp_ns, odometry)
+        if not self._paused:
+            self._locate(odometry)
+
+    def _on_action(self, message: String) -> None:
+        try:
+            stamp_ns, sequence, action, memory_ns = decode_action(message.data)
+        except MalformedMessage as error:
+            self._refuse('action', str(error))
+            return
+        self._push('action', stamp_ns, Action(action, sequence, memory_ns))
+
+    def _use(self, stamp_ns: int, stream: str, item: Odometry | Action) -> None:
+        if isinstance(item, Odometry):
+            motion = self._motion(item)
+            if motion is not None:
+                self._core.integrate(motion)
+            return
+        joining = self._joining
+        missed, forgotten = joining.missed, joining.forgotten
+        with self._diagnostics.times('experience_map'):
+            joining.apply(item.action, item.sequence, item.memory_ns)
+        if item.action.template_id != NO_TEMPLATE:
+            self._action_ns = stamp_ns
+            self._changed = True
+        self._diagnostics.drop(
+            'missed', f'{joining.missed - missed} actions of pose_cells never came: the map is '
+            'not the one of a replay', joining.missed - missed,
+        )  # fmt: skip
+        if joining.forgotten > forgotten:
+            self._miss('pose_cells has begun with an empty memory: the map goes on, but what was '
+                       'mapped before will not be recognised. To start over call '
+                       'experience_map/reset')  # fmt: skip
+        elif item.sequence > 0 and item.sequence == joining.first_sequence and not missed:
+            self._miss(f'this node came late: {item.sequence} actions of pose_cells were before '
+                       'it, and what was mapped then is missing. To start over call reset on all '
+                       'nodes')  # fmt: skip
+
+    def _miss(self, text: str) -> None:
+        if self._diagnostics.missing.get('action') != text:
+            self._diagnostics.missing['action'] = text
+            self.get_logger().warning(text)
+
+    # Where the robot is
+
+    def _locate(self, odometry: Odometry) -> None:
+        """Publish the pose at an odometry message, with the motion that the map waits with.
+
+        What is held is only added to what is published: it enters the map in its turn.
+        """
+        if odometry.stamp_ns != self._order.newest_of('odometry'):
+            return  # refused, late, or not yet believed
+        ahead = copy.copy(self._motion)
+        offset = self._core.offset
+        for held in self._order.waiting('odometry'):
+            assert isinstance(held, Odometry)
+            motion = ahead(held)
+            if motion is not None:
+                offset = moved(offset, motion)
+        self._pose = composed(self._core.pose_of(self._core.current_id), offset)
+        self._pose_ns, self._odom_pose = odometry.stamp_ns, odometry.pose
+        p = self._section
+        self._pose_publisher.publish(
+            PoseStamped(
+                header=header_of(odometry.stamp_ns, p.map_frame), pose=pose_message(self._pose)
+            )
+        )
+        if p.publish_tf and all(math.isfinite(value) for value in odometry.pose):
+            odom_on_map = composed(self._pose, inverse(odometry.pose))
+            self._tf.publish(TFMessage(transforms=[
+                transform(odometry.stamp_ns, p.map_frame, p.odom_frame, odom_on_map)
+            ]))  # fmt: skip
+
+    # The map
+
+    def _tick(self) -> None:
+        self._flush()
+        if self._changed and time.monotonic() >= self._next_map_s:
+            self._send_map()
+        self._follow_goal()
+
+    def _send_map(self) -> None:
+        """Send the whole map, if it has changed since."""
+        if not self._changed:
+            return
+        self._changed = False
+        start_s = time.monotonic()
+        self._map_publisher.publish(String(data=encode_map(self._action_ns, self._core)))
+        if self._markers.get_subscription_count() > 0:
+            self._markers.publish(markers_of(self._core, self._action_ns, self._section.map_frame))
+        took_s = time.monotonic() - start_s
+        self._next_map_s = start_s + max(self._section.map_period_s, took_s / LARGEST_SHARE)
+
+    # Goals
+
+    def _on_goal(self, message: PoseStamped) -> None:
+        try:
+            self._goal = self._on_map(message)
+        except UnreachableGoal as error:
+            self._no_route(str(error))
+            return
+        self._route_from = None
+        self._follow_goal()
+
+    def _follow_goal(self) -> None:
+        """Send the route to the goal again when the robot has come to another experience."""
+        if self._goal is None or self._route_from == self._core.current_id:
+            return
+        self._route_from = self._core.current_id
+        try:
+            route = self._recall.route_to_place(self._core, self._goal.x_m, self._goal.y_m)
+        except UnreachableGoal as error:
+            self._no_route(str(error))
+            return
+        self._reason = ''
+        self._route_publisher.publish(self._path(route))
+        if len(route.experience_ids) == 1:
+            self.get_logger().info(f'the goal is reached: experience {route.experience_ids[0]}')
+            self._goal = None
+
+    def _no_route(self, reason: str) -> None:
+        self._goal = None
+        self._reason = reason
+        self._diagnostics.warn('goal', f'no route: {reason}')
+        self._route_publisher.publish(self._path(None))
+
+    def _on_recall_goal(self, request: Any, response: Any) -> Any:
+        recall = self._recall
+        try:
+            start = None
+            if request.start.header.frame_id:
+                place = self._on_map(request.start)
+                start = recall.nearest(self._core, place.x_m, place.y_m)
+            goal = self._on_map(request.goal)
+            tolerance_m = float(request.tolerance)
+            if not 0.0 <= tolerance_m < math.inf:
+                raise UnreachableGoal(f'the tolerance is {tolerance_m}; expected 0 or more m')
+            route = recall.route_to_place(self._core, goal.x_m, goal.y_m, tolerance_m, start)
+        except UnreachableGoal as error:
+            self._reason = str(error)
+            self._diagnostics.warn('goal', f'no route: {error}')
+            response.plan = self._path(None)
+            return response
+        self._reason = ''
+        response.plan = self._path(route)
+        return response
+
+    @property
+    def _recall(self) -> GoalRecall:
+        return GoalRecall(self.config.goal_recall)
+
+    def _on_map(self, message: PoseStamped) -> Pose:
+        """Return a pose in the map's frame.
+
+        Raises:
+            UnreachableGoal: it is not finite, or its frame has no transform to the map.
+        """
+        p, frame = self._section, message.header.frame_id.lstrip('/')
+        pose = place_of(message.pose)
+        if not all(math.isfinite(value) for value in pose):
+            raise UnreachableGoal('its position or orientation is not finite')
+        if frame in ('', p.map_frame):
+            return pose
+        if self._pose is not None and frame == p.base_frame:
+            return composed(self._pose, pose)
+        if self._pose is not None and frame == p.odom_frame:
+            return composed(composed(self._pose, inverse(self._odom_pose)), pose)
+        known = f'{p.map_frame}, {p.odom_frame} or {p.base_frame}'
+        why = 'no odometry has come yet' if frame in known.split() else f'expected {known}'
+        raise UnreachableGoal(f'there is no transform from {frame!r} to {p.map_frame!r}: {why}')
+
+    def _path(self, route: Route | None) -> Path:
+        """Return a route from start to goal, headings along it; None: an empty path."""
+        frame = self._section.map_frame
+        path = Path(header=header_of(self._pose_ns, frame))
+        if route is None:
+            return path
+        places = [self._core.pose_of(i) for i in route.experience_ids]
+        for at, arrival_s in enumerate(route.arrival_s):
+            arrival_ns = self._pose_ns + round(arrival_s * 1e9)
+            pose = PoseStamped(pose=pose_message(_facing(places, at)))
+            pose.header.stamp, pose.header.frame_id = time_of(arrival_ns), frame
+            path.poses.append(pose)
+        return path
+
+    def _state(self) -> dict[str, Any]:
+        return {
+            'experiences': len(self._core),
+            'links': self._core.link_count,
+            'experience': self._core.current_id,
+            'goal': 'none' if self._goal is None else '{:.2f}, {:.2f}'.format(*self._goal),
+            'no_route_because': self._reason,
+        }
+
+
+def inverse(pose: Pose) -> Pose:
+    """Return where the origin lies as seen from a pose."""
+    c, s = math.cos(pose.heading_rad), math.sin(pose.heading_rad)
+    return Pose(
+        -c * pose.x_m - s * pose.y_m, s * pose.x_m - c * pose.y_m, -pose.heading_rad
+    )
+
+
+def _facing(places: list[Pose], at: int) -> Pose:
+    """Return a place of a route with the heading towards the next one."""
+    here = places[at]
+    for there in places[at + 1 :]:
+        if math.hypot(there.x_m - here.x_m, there.y_m - here.y_m) > 1e-6:
+            return here._replace(
+                heading_rad=math.atan2(there.y_m - here.y_m, there.x_m - here.x_m)
+            )
+    if at > 0:  # the goal: the heading of arrival
+        return here._replace(heading_rad=_facing(places, at - 1).heading_rad)
+    return here
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node until it is interrupted."""
+    return run(ExperienceMapNode, args=args)

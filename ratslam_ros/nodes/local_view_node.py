@@ -1,0 +1,91 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Local view as a node: image -> local_view/template."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from sensor_msgs.msg import Image
+from std_msgs.msg import String
+
+from ratslam_ros.core.local_view import UNDECODABLE, LocalView, ViewMatch, make_view
+from ratslam_ros.core.numbering import NOTHING_LEARNED
+from ratslam_ros.messages import encode_template
+from ratslam_ros.nodes.convert import grey_image
+from ratslam_ros.nodes.image_node import ImageNode
+from ratslam_ros.nodes.qos import RESULT, VIEW
+from ratslam_ros.nodes.run import run
+
+SHOWN_WIDTH_PX = 240
+"""Views are a few dozen pixels wide: they are shown enlarged."""
+
+
+class LocalViewNode(ImageNode):
+    """Publishes one template message for each image."""
+
+    SECTION = 'local_view'
+    MAPS = True
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._publisher = self.create_publisher(String, 'local_view/template', RESULT)
+        self._matched = self.create_publisher(Image, 'local_view/matched', VIEW)
+        self._forget()
+        self._listen_to_images()
+
+    def _forget(self) -> None:
+        self._core = LocalView(self._section)
+        self._core.mapping = self._mapping
+        self._memory_ns = NOTHING_LEARNED
+        self._last = UNDECODABLE
+
+    def _set_mapping(self, mapping: bool) -> None:
+        self._core.mapping = mapping
+
+    def _see(self, stamp_ns: int, image: NDArray[np.uint8], frame_id: str) -> None:
+        with self._diagnostics.times('local_view'):
+            match = self._core(image)
+        if match.is_new and self._memory_ns == NOTHING_LEARNED:
+            self._memory_ns = stamp_ns
+        self._publish(stamp_ns, match)
+        if self._matched.get_subscription_count() > 0:
+            self._show(stamp_ns, image, frame_id, match)
+
+    def _see_nothing(self, stamp_ns: int) -> None:
+        self._publish(stamp_ns, UNDECODABLE)
+
+    def _publish(self, stamp_ns: int, match: ViewMatch) -> None:
+        self._last = match
+        payload = encode_template(stamp_ns, match, self._memory_ns)
+        self._publisher.publish(String(data=payload))
+
+    def _show(
+        self, stamp_ns: int, image: NDArray[np.uint8], frame_id: str, match: ViewMatch
+    ) -> None:
+        """Publish the view as it was compared, above the template that it was found to be."""
+        view = make_view(image, self._section)
+        known = np.zeros_like(view)
+        if match.template_id >= 0:
+            known = self._core.template(match.template_id)
+        gap = np.full((1, view.shape[1]), 255, np.uint8)
+        both = np.concatenate([view, gap, known])
+        factor = max(SHOWN_WIDTH_PX // view.shape[1], 1)
+        self._matched.publish(
+            grey_image(stamp_ns, frame_id, both.repeat(factor, 0).repeat(factor, 1))
+        )
+
+    def _state(self) -> dict[str, Any]:
+        return {
+            **super()._state(),
+            'templates': len(self._core),
+            'template': self._last.template_id,
+            'match_error': round(self._last.error, 4),
+        }
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node until it is interrupted."""
+    return run(LocalViewNode, args=args)

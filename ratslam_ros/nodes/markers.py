@@ -1,0 +1,40 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The experience map as markers, for RViz and Foxglove."""
+
+from __future__ import annotations
+
+from geometry_msgs.msg import Point
+from std_msgs.msg import ColorRGBA
+from visualization_msgs.msg import Marker, MarkerArray
+
+from ratslam_ros.core.experience_map import ExperienceMap
+from ratslam_ros.nodes.convert import header_of
+
+PLACES = ColorRGBA(r=0.12, g=0.33, b=0.66, a=1.0)
+LINKS = ColorRGBA(r=0.45, g=0.6, b=0.8, a=1.0)
+CURRENT = ColorRGBA(r=0.9, g=0.3, b=0.1, a=1.0)
+
+
+def markers_of(experience_map: ExperienceMap, stamp_ns: int, frame_id: str) -> MarkerArray:
+    """Return the links as lines, the experiences as points, the current one as a ball."""
+    at = [Point(x=x, y=y, z=0.0) for x, y, _ in experience_map.poses.tolist()]
+    links = _marker(0, 'links', Marker.LINE_LIST, 0.05, LINKS)
+    for link in experience_map.links():
+        links.points.extend((at[link.source_id], at[link.target_id]))
+    places = _marker(0, 'experiences', Marker.SPHERE_LIST, 0.15, PLACES)
+    places.points.extend(at)
+    current = _marker(0, 'current', Marker.SPHERE_LIST, 0.4, CURRENT)
+    if experience_map.current_id >= 0:
+        current.points.append(at[experience_map.current_id])
+    markers = [links, places, current]
+    for marker in markers:
+        marker.header = header_of(stamp_ns, frame_id)
+    return MarkerArray(markers=markers)
+
+
+def _marker(number: int, namespace: str, kind: int, size_m: float, color: ColorRGBA) -> Marker:
+    marker = Marker(ns=namespace, id=number, type=kind, action=Marker.ADD, color=color)
+    marker.scale.x = marker.scale.y = marker.scale.z = size_m
+    marker.pose.orientation.w = 1.0
+    return marker

@@ -1,0 +1,127 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Declare a node's parameters from the dataclasses of core/config.py, and keep them checked."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from ratslam_ros.core.config import (
+    SECTIONS,
+    SETTABLE,
+    Config,
+    ParameterInfo,
+    Value,
+    section_of,
+)
+from ratslam_ros.errors import UnusableParameter
+
+OF_ROS = ('use_sim_time', 'start_type_description_service', 'qos_overrides')
+"""Parameters that every node has; what begins so is not ours."""
+
+
+class NodeParameters:
+    """A node's parameters: those of the section of its name, and of its parts.
+
+    The node must have been made with ``automatically_declare_parameters_from_overrides``: only
+    so can it tell what it was given and does not know.
+    """
+
+    def __init__(self, node: Node, section: str, *parts: str) -> None:
+        """Declare them all.
+
+        Args:
+            node: named anything; it may have been remapped.
+            section: whose parameters are declared by their names alone.
+            parts: sections whose parameters are declared as ``part.name``.
+
+        Raises:
+            UnusableParameter: one given is unknown, of the wrong type or out of range.
+        """
+        self._node = node
+        self._keys = {name: f'{section}.{name}' for name, _, _ in SECTIONS[section].parameters()}
+        for part in parts:
+            for name, _, _ in SECTIONS[part].parameters():
+                self._keys[f'{part}.{name}'] = f'{part}.{name}'
+        self._section = section
+        self.config = self._given()
+        values = self.config.values()
+        for name, key in self._keys.items():
+            of, _, short = key.partition('.')
+            if node.has_parameter(name):
+                node.undeclare_parameter(name)
+            descriptor = _descriptor(*_info(of, short))
+            node.declare_parameter(name, values[of][short], descriptor, ignore_override=True)
+        node.add_on_set_parameters_callback(self._set)
+
+    def _given(self) -> Config:
+        """Return the configuration that the command line and files ask for."""
+        values: dict[str, Value] = {}
+        for name, parameter in sorted(self._node.get_parameters_by_prefix('').items()):
+            if name.startswith(OF_ROS):
+                continue
+            key = self._keys.get(name, f'{self._section}.{name}')
+            # One file may hold what all nodes need: below /**, each takes its own.
+            of = section_of(name.rpartition('.')[2])
+            if name not in self._keys and of not in (None, self._section):
+                self._node.get_logger().info(f'{name} is a parameter of {of}; not used here')
+                self._node.undeclare_parameter(name)
+                continue
+            values[key] = parameter.value
+            if name not in self._keys:
+                Config().with_values({key: parameter.value})  # raises where it is no alias
+                self._node.undeclare_parameter(name)
+        return _with_values(Config(), values)
+
+    def _set(self, parameters: list[Parameter]) -> SetParametersResult:
+        """Take new values of parameters that may change while the node runs."""
+        values: dict[str, Any] = {
+            self._keys[p.name]: p.value for p in parameters if p.name in self._keys
+        }
+        try:
+            self.config = _with_values(self.config, values)
+        except UnusableParameter as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+
+def _with_values(config: Config, values: dict[str, Any]) -> Config:
+    """Set values; of what two nodes must agree on, a single node knows only its own half."""
+    for section, other in (('pose_cells', 'experience_map'), ('experience_map', 'pose_cells')):
+        if f'{section}.odom_source' in values:
+            values.setdefault(f'{other}.odom_source', values[f'{section}.odom_source'])
+    return config.with_values(values)
+
+
+def _info(section: str, name: str) -> tuple[ParameterInfo, Value, bool]:
+    for known, info, default in SECTIONS[section].parameters():
+        if known == name:
+            return info, default, name in SETTABLE
+    raise KeyError(name)
+
+
+def _descriptor(info: ParameterInfo, default: Value, settable: bool) -> ParameterDescriptor:
+    descriptor = ParameterDescriptor(
+        description=info.effect + (f' Unit: {info.unit}.' if info.unit else ''),
+        read_only=not settable,
+    )
+    if info.choices:
+        descriptor.additional_constraints = f'one of {", ".join(info.choices)}'
+    elif isinstance(default, float):
+        descriptor.floating_point_range = [
+            FloatingPointRange(from_value=float(info.low), to_value=float(info.high), step=0.0)
+        ]
+    elif isinstance(default, int) and not isinstance(default, bool):
+        descriptor.integer_range = [
+            IntegerRange(from_value=int(info.low), to_value=int(info.high), step=1)
+        ]
+    return descriptor

@@ -1,0 +1,147 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Pose cells as a node: odom, local_view/template -> pose_cells/action."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from nav_msgs.msg import Odometry as OdometryMessage
+from sensor_msgs.msg import Image
+from std_msgs.msg import String
+
+from ratslam_ros.core.local_view import NO_TEMPLATE, ViewMatch
+from ratslam_ros.core.numbering import NOTHING_LEARNED, Numbering
+from ratslam_ros.core.odometry import MotionFromOdometry, Odometry
+from ratslam_ros.core.pose_cells import PoseCells
+from ratslam_ros.messages import MalformedMessage, decode_template, encode_action
+from ratslam_ros.nodes.convert import grey_image, odometry_of
+from ratslam_ros.nodes.node import FLUSH_CHECK_S, RatslamNode
+from ratslam_ros.nodes.qos import RESULT, VIEW
+from ratslam_ros.nodes.run import run
+
+ACTIVITY_PERIOD_S = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Template:
+    """A template message: the match, and the memory that its id is of."""
+
+    match: ViewMatch
+    memory_ns: int
+
+
+class PoseCellsNode(RatslamNode[Odometry | Template]):
+    """Publishes one action for each template message."""
+
+    SECTION = 'pose_cells'
+    MAPS = True
+
+    def __init__(self) -> None:
+        super().__init__(('odometry', 'template'))
+        self._publisher = self.create_publisher(String, 'pose_cells/action', RESULT)
+        self._activity = self.create_publisher(Image, 'pose_cells/activity', VIEW)
+        self._shown_s = 0.0
+        self._forget()
+        self._listen('odometry', {'odom': OdometryMessage}, self._on_odometry)
+        self._listen('template', {'local_view/template': String}, self._on_template)
+        self.create_timer(FLUSH_CHECK_S, self._flush, clock=self._steady)
+
+    def _forget(self) -> None:
+        self._core = PoseCells(self._section)
+        self._core.mapping = self._mapping
+        self._motion = MotionFromOdometry(self._section.odom_source)
+        self._numbering = Numbering()
+        self._memory_ns = NOTHING_LEARNED
+        self._sequence = 0
+
+    def _carried(self) -> None:
+        self._motion.restart()
+
+    def _set_mapping(self, mapping: bool) -> None:
+        self._core.mapping = mapping
+
+    def _on_odometry(self, message: OdometryMessage) -> None:
+        odometry = odometry_of(message)
+        if not self._motion.accepts(odometry):
+            self._refuse('odometry', f'{self._section.odom_source} is not finite: {odometry}')
+            return
+        self._push('odometry', odometry.stamp_ns, odometry)
+
+    def _on_template(self, message: String) -> None:
+        try:
+            stamp_ns, match, memory_ns = decode_template(message.data)
+        except MalformedMessage as error:
+            self._refuse('template', str(error))
+            return
+        self._push('template', stamp_ns, Template(match, memory_ns))
+
+    def _use(self, stamp_ns: int, stream: str, item: Odometry | Template) -> None:
+        if isinstance(item, Odometry):
+            motion = self._motion(item)
+            if motion is not None:
+                with self._diagnostics.times('pose_cells'):
+                    self._core.integrate(motion)
+        else:
+            self._see(stamp_ns, item)
+        self._show(stamp_ns)
+
+    def _see(self, stamp_ns: int, template: Template) -> None:
+        self._notice_memory(stamp_ns, template)
+        number = self._numbering.number(template.match.template_id)
+        with self._diagnostics.times('pose_cells_view'):
+            action = self._core.view(replace(template.match, template_id=number))
+        if action.action == 'create' and self._memory_ns == NOTHING_LEARNED:
+            self._memory_ns = stamp_ns
+        payload = encode_action(stamp_ns, self._sequence, action, self._memory_ns)
+        self._sequence += 1
+        self._publisher.publish(String(data=payload))
+
+    def _notice_memory(self, stamp_ns: int, template: Template) -> None:
+        first = self._numbering.memory_ns == NOTHING_LEARNED
+        if self._numbering.remember(template.memory_ns):
+            self._diagnostics.missing['template'] = (
+                'local_view has begun with an empty memory: places seen before will not be '
+                'recognised; to start over as well call pose_cells/reset and experience_map/reset'
+            )
+            self.get_logger().warning(self._diagnostics.missing['template'])
+        elif first and template.match.template_id > NO_TEMPLATE and (
+            template.memory_ns < stamp_ns
+        ):
+            self._diagnostics.missing['template'] = (
+                'this node came late: local_view learned before it; places seen before are tied '
+                'to pose cells when they are seen again. To start over call reset on all nodes'
+            )
+            self.get_logger().warning(self._diagnostics.missing['template'])
+
+    def _show(self, stamp_ns: int) -> None:
+        """Publish the activity, over all headings, as seen from above with x to the right."""
+        now_s = time.monotonic()
+        if now_s - self._shown_s < ACTIVITY_PERIOD_S:
+            return
+        self._shown_s = now_s
+        if self._activity.get_subscription_count() == 0:
+            return
+        plane = self._core.activity().max(axis=0)[::-1]
+        largest = plane.max()
+        shown = np.sqrt(plane / largest) if largest > 0.0 else plane
+        self._activity.publish(
+            grey_image(stamp_ns, 'pose_cells', np.rint(255.0 * shown).astype(np.uint8))
+        )
+
+    def _state(self) -> dict[str, Any]:
+        peak = self._core.peak
+        return {
+            'experiences': len(self._core),
+            'experience': self._core.current_experience,
+            'peak': f'x {peak.x:.2f}, y {peak.y:.2f}, theta {peak.theta:.2f}',
+            'actions': self._sequence,
+        }
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node until it is interrupted."""
+    return run(PoseCellsNode, args=args)

@@ -1,0 +1,81 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Run nodes until they are interrupted, and end them cleanly."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
+
+from ratslam_ros.core.warm_up import warm_up
+from ratslam_ros.errors import RatslamError
+
+DONE, INTERNAL_ERROR, UNUSABLE = 0, 1, 2
+PROMPT_S = 0.1
+"""A signal is noticed within this time."""
+
+
+def run(*makers: Callable[[], Any], args: list[str] | None = None) -> int:
+    """Make nodes, spin them on one executor until SIGINT or SIGTERM; return the exit code.
+
+    0 after a signal, 1 after an error of the program's own, 2 where a parameter or argument
+    cannot be used.
+    """
+    stop = _Stop()
+    # Signals only end the loop below: nodes then still process what they hold, and send it.
+    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    nodes: list[Any] = []
+    try:
+        with stop:
+            warm_up()  # nothing is compiled when the first message comes
+            for make in makers:
+                nodes.append(make())
+            executor = SingleThreadedExecutor()
+            for node in nodes:
+                executor.add_node(node)
+            for node in nodes:
+                node.get_logger().info('ready')
+            while not stop.asked and rclpy.ok():
+                executor.spin_once(timeout_sec=PROMPT_S)
+                for node in nodes:
+                    if getattr(node, 'error', None) is not None:
+                        raise node.error
+            for node in nodes:
+                node.close()
+            executor.shutdown()
+    except RatslamError as error:
+        print(f'ratslam: {error}', file=sys.stderr, flush=True)
+        return UNUSABLE
+    finally:
+        for node in nodes:
+            node.destroy_node()
+        rclpy.try_shutdown()
+    return DONE
+
+
+class _Stop:
+    """Remembers the first SIGINT or SIGTERM; a second one ends the process at once."""
+
+    def __init__(self) -> None:
+        self.asked = False
+        self._before: dict[signal.Signals, Any] = {}
+
+    def __enter__(self) -> _Stop:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            self._before[number] = signal.signal(number, self._note)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, before in self._before.items():
+            signal.signal(number, before)
+
+    def _note(self, number: int, frame: object) -> None:
+        if self.asked:
+            raise KeyboardInterrupt
+        self.asked = True

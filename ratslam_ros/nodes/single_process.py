@@ -1,0 +1,31 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""All nodes in one process on one executor."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+from rclpy.utilities import remove_ros_args
+
+from ratslam_ros.nodes.experience_map_node import ExperienceMapNode
+from ratslam_ros.nodes.local_view_node import LocalViewNode
+from ratslam_ros.nodes.pose_cells_node import PoseCellsNode
+from ratslam_ros.nodes.run import run
+from ratslam_ros.nodes.visual_odometry_node import VisualOdometryNode
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run three nodes, or with --visual-odometry all four, until they are interrupted."""
+    parser = argparse.ArgumentParser(
+        prog='single_process', description='All nodes of RatSLAM in one process.'
+    )
+    parser.add_argument('--visual-odometry', action='store_true',
+                        help='odometry from the camera: publish odom')
+    given = sys.argv if args is None else ['single_process', *args]
+    options = parser.parse_args(remove_ros_args(given)[1:])
+    makers = [LocalViewNode, PoseCellsNode, ExperienceMapNode]
+    if options.visual_odometry:
+        makers.insert(0, VisualOdometryNode)
+    return run(*makers, args=args)

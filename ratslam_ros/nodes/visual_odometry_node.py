@@ -1,0 +1,134 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Visual odometry as a node: image -> odom."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from nav_msgs.msg import Odometry as OdometryMessage
+from numpy.typing import NDArray
+from sensor_msgs.msg import CameraInfo
+from tf2_msgs.msg import TFMessage
+
+from ratslam_ros.core.odometry import Odometry
+from ratslam_ros.core.visual_odometry import VisualOdometry
+from ratslam_ros.nodes.convert import header_of, pose_message, transform
+from ratslam_ros.nodes.image_node import ImageNode, Message
+from ratslam_ros.nodes.qos import RESULT, STATE, VIEW
+from ratslam_ros.nodes.run import run
+
+TWIST_VARIANCES = (0.05, 1e-9, 1e-9, 1e-9, 1e-9, 0.01)
+"""(m/s)^2 and (rad/s)^2 about x, y, z: poor in speed, better in turning, nothing else measured."""
+PER_METRE_M2, PER_RADIAN_RAD2 = 0.1, 0.02
+"""How the pose's variances grow with the way and the turn."""
+CAMERA_INFO_WAIT_S = 2.0
+
+
+class VisualOdometryNode(ImageNode):
+    """Publishes ``odom`` for each image but the first."""
+
+    SECTION = 'visual_odometry'
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._publisher = self.create_publisher(OdometryMessage, 'odom', RESULT)
+        self._tf = self.create_publisher(TFMessage, '/tf', STATE)
+        self._fov_deg: float | None = None
+        self._waiting: list[Message] = []
+        self._forget()
+        if self._section.fov_from_camera_info:
+            self.create_subscription(CameraInfo, 'camera_info', self._on_camera_info, VIEW)
+        self._listen_to_images()
+
+    def _forget(self) -> None:
+        parameters = self._section
+        if self._fov_deg is not None:
+            parameters = replace(parameters, camera_fov_deg=self._fov_deg)
+        self._core = VisualOdometry(parameters)
+        self._variances = [0.0, 0.0]
+        self._last_ns: int | None = None
+
+    def _carried(self) -> None:
+        self._core.restart()
+
+    def _look(self, message: Message) -> None:
+        """Wait for the field of view where somebody will tell it."""
+        with self._lock:
+            self._waiting.append(message)
+            if self._must_wait():
+                return
+            waiting, self._waiting = self._waiting, []
+            for waited in waiting:
+                super()._look(waited)
+
+    def _must_wait(self) -> bool:
+        if self._fov_deg is not None or not self._section.fov_from_camera_info:
+            return False
+        if self.count_publishers('camera_info') == 0:
+            return False
+        waited = [m.header.stamp.sec for m in (self._waiting[0], self._waiting[-1])]
+        if waited[1] - waited[0] <= CAMERA_INFO_WAIT_S:
+            return True
+        self._diagnostics.warn('camera_info', 'camera_info is silent: camera_fov_deg is used')
+        return False
+
+    def _on_camera_info(self, message: CameraInfo) -> None:
+        focal_px, width_px = float(message.k[0]), int(message.width)
+        if self._fov_deg is not None:
+            return
+        if not (math.isfinite(focal_px) and focal_px > 0.0 and width_px > 0):
+            self._diagnostics.warn(
+                'camera_info', f'camera_info has a focal length of {focal_px} px at a width of '
+                f'{width_px} px: the camera is not calibrated; camera_fov_deg is used'
+            )  # fmt: skip
+            return
+        with self._lock:
+            self._fov_deg = math.degrees(2.0 * math.atan(0.5 * width_px / focal_px))
+            self.get_logger().info(f'field of view from camera_info: {self._fov_deg:.2f} deg')
+            self._core.set_field_of_view(self._fov_deg)
+
+    def _see(self, stamp_ns: int, image: NDArray[np.uint8], frame_id: str) -> None:
+        with self._diagnostics.times('visual_odometry'):
+            odometry = self._core(stamp_ns, image)
+        if odometry is not None:
+            self._publish(odometry)
+        self._last_ns = stamp_ns
+
+    def _publish(self, odometry: Odometry) -> None:
+        p, twist = self._section, odometry.twist
+        if self._last_ns is not None:
+            dt_s = (odometry.stamp_ns - self._last_ns) * 1e-9
+            self._variances[0] += PER_METRE_M2 * abs(twist.linear_x_mps) * dt_s
+            self._variances[1] += PER_RADIAN_RAD2 * abs(twist.angular_z_radps) * dt_s
+        place_m2, heading_rad2 = self._variances
+        message = OdometryMessage(
+            header=header_of(odometry.stamp_ns, p.odom_frame), child_frame_id=p.base_frame
+        )
+        message.pose.pose = pose_message(odometry.pose)
+        message.pose.covariance = _diagonal(place_m2, place_m2, 1e-9, 1e-9, 1e-9, heading_rad2)
+        message.twist.twist.linear.x = twist.linear_x_mps
+        message.twist.twist.angular.z = twist.angular_z_radps
+        message.twist.covariance = _diagonal(*TWIST_VARIANCES)
+        self._publisher.publish(message)
+        if p.publish_tf:
+            frames = transform(odometry.stamp_ns, p.odom_frame, p.base_frame, odometry.pose)
+            self._tf.publish(TFMessage(transforms=[frames]))
+
+    def _state(self) -> dict[str, Any]:
+        fov_deg = self._fov_deg if self._fov_deg is not None else self._section.camera_fov_deg
+        source = 'camera_fov_deg' if self._fov_deg is None else 'camera_info'
+        return {**super()._state(), 'field_of_view': f'{fov_deg:.2f} deg ({source})'}
+
+
+def _diagonal(*variances: float) -> NDArray[np.float64]:
+    """Return a (6, 6) covariance as the (36,) of a message."""
+    return np.diag(variances).reshape(-1).astype(np.float64)
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node until it is interrupted."""
+    return run(VisualOdometryNode, args=args)
