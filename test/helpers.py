@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -334,3 +335,17 @@ def circles_of_actions(places: int, laps: int) -> Iterator[tuple[int, MapAction]
         source = (n - 1) % places if n else -1
         kind: Action = 'create' if n < places else 'link' if n == places else 'set'
         yield n, MapAction(kind, source, n % places, n % places, 0.0, Place(1.0, 2.0, 3.0))
+
+
+# Live
+
+
+def live_environment() -> dict[str, str]:
+    """Return what keeps a test's nodes to this machine and apart from those of other tests."""
+    domain = 1 + os.getpid() % 100
+    return {
+        'ROS_DOMAIN_ID': str(domain),
+        'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
+        'ROS_LOCALHOST_ONLY': '0',
+        'PYTHONUNBUFFERED': '1',
+    }

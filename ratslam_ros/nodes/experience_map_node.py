@@ -116,6 +116,9 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
             self._refuse('action', str(error))
             return
         self._push('action', stamp_ns, Action(action, sequence, memory_ns))
+        self._correct()
+        if self._changed and time.monotonic() >= self._next_map_s:
+            self._send_map()
 
     def _use(self, stamp_ns: int, stream: str, item: Odometry | Action) -> None:
         if isinstance(item, Odometry):
@@ -157,6 +160,17 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
         """
         if odometry.stamp_ns != self._order.newest_of('odometry'):
             return  # refused, late, or not yet believed
+        self._pose_ns, self._odom_pose = odometry.stamp_ns, odometry.pose
+        self._publish_pose(self._pose_ahead())
+        self._publish_tf()
+
+    def _correct(self) -> None:
+        """Publish the pose of the last odometry again where an action has changed it."""
+        if self._pose is not None and self._pose != (pose := self._pose_ahead()):
+            self._publish_pose(pose)
+
+    def _pose_ahead(self) -> Pose:
+        """Return where the robot is, the motion that is still held included."""
         ahead = copy.copy(self._motion)
         offset = self._core.offset
         for held in self._order.waiting('odometry'):
@@ -164,18 +178,20 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
             motion = ahead(held)
             if motion is not None:
                 offset = moved(offset, motion)
-        self._pose = composed(self._core.pose_of(self._core.current_id), offset)
-        self._pose_ns, self._odom_pose = odometry.stamp_ns, odometry.pose
+        return composed(self._core.pose_of(self._core.current_id), offset)
+
+    def _publish_pose(self, pose: Pose) -> None:
+        self._pose = pose
+        header = header_of(self._pose_ns, self._section.map_frame)
+        self._pose_publisher.publish(PoseStamped(header=header, pose=pose_message(pose)))
+
+    def _publish_tf(self) -> None:
         p = self._section
-        self._pose_publisher.publish(
-            PoseStamped(
-                header=header_of(odometry.stamp_ns, p.map_frame), pose=pose_message(self._pose)
-            )
-        )
-        if p.publish_tf and all(math.isfinite(value) for value in odometry.pose):
-            odom_on_map = composed(self._pose, inverse(odometry.pose))
+        assert self._pose is not None
+        if p.publish_tf and all(math.isfinite(value) for value in self._odom_pose):
+            odom_on_map = composed(self._pose, inverse(self._odom_pose))
             self._tf.publish(TFMessage(transforms=[
-                transform(odometry.stamp_ns, p.map_frame, p.odom_frame, odom_on_map)
+                transform(self._pose_ns, p.map_frame, p.odom_frame, odom_on_map)
             ]))  # fmt: skip
 
     # The map

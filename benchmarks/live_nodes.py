@@ -1,0 +1,247 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the live nodes cost: latency from image to map, and the share of a core each takes.
+
+    python benchmarks/live_nodes.py [--seconds 30] [--visual-odometry]
+
+Images of 640x480 (rgb8) at 30 Hz and odometry at 50 Hz are published from here, stamped when they
+are sent, to nodes that are processes of their own. It runs on whatever ``import rclpy`` gives:
+the real one in a shell where ROS 2 is set up, the stand-in elsewhere. Linux only.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+WIDTH, HEIGHT, IMAGE_HZ, ODOMETRY_HZ = 640, 480, 30.0, 50.0
+VIEWS = 90
+WARM_UP_S = 3.0
+TICKS_PER_S = os.sysconf('SC_CLK_TCK')
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description='Latency and CPU share of the live nodes.')
+    parser.add_argument('--seconds', type=float, default=30.0)
+    parser.add_argument('--visual-odometry', action='store_true',
+                        help='odometry from the camera: four nodes in place of three')
+    options = parser.parse_args()
+    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    os.environ.setdefault('ROS_DOMAIN_ID', '97')
+    sys.path.insert(0, str(ROOT))
+    from ratslam_ros.live import ros
+
+    ros.require()
+    names = ['local_view', 'pose_cells', 'experience_map']
+    if options.visual_odometry:
+        names.insert(0, 'visual_odometry')
+    with tempfile.TemporaryDirectory() as folder, ros.node('benchmark', ()) as node:
+        nodes = start(names, Path(folder))
+        try:
+            bench = Bench(node, options.visual_odometry)
+            bench.run(WARM_UP_S)
+            before = {name: cpu_s(process) for name, process in nodes.items()}
+            start_s = time.monotonic()
+            bench.forget()
+            bench.run(options.seconds)
+            took_s = time.monotonic() - start_s
+            after = {name: cpu_s(process) for name, process in nodes.items()}
+        finally:
+            for process in nodes.values():
+                process.send_signal(signal.SIGINT)
+            codes = {name: process.wait(20.0) for name, process in nodes.items()}
+    shares = {name: (after[name] - before[name]) / took_s for name in names}
+    print(report(bench, shares, codes))
+    return 0
+
+
+def start(names: list[str], folder: Path) -> dict[str, subprocess.Popen[bytes]]:
+    """Start the nodes and wait until they are ready."""
+    environment = {**os.environ, 'PYTHONPATH': os.pathsep.join(
+        [str(ROOT), os.environ.get('PYTHONPATH', '')]).rstrip(os.pathsep)}  # fmt: skip
+    nodes = {}
+    for name in names:
+        settings = ['-p', 'map_period_s:=0.0'] if name == 'experience_map' else []
+        with (folder / name).open('wb') as log:
+            nodes[name] = subprocess.Popen(
+                [sys.executable, '-m', 'ratslam_ros', 'run', name, '--ros-args', *settings],
+                env=environment, stdout=log, stderr=subprocess.STDOUT,
+            )  # fmt: skip
+    for name in names:
+        while 'ready' not in (folder / name).read_text():
+            assert nodes[name].poll() is None, (folder / name).read_text()
+            time.sleep(0.05)
+    return nodes
+
+
+class Bench:
+    """Publishes on time and notes when what came of it arrives."""
+
+    def __init__(self, node: Any, visual_odometry: bool) -> None:
+        from geometry_msgs.msg import PoseStamped
+        from nav_msgs.msg import Odometry
+        from sensor_msgs.msg import Image
+        from std_msgs.msg import String
+
+        from ratslam_ros.nodes.qos import INPUT, LATCHED, RESULT
+
+        self._node = node
+        self._images = node.create_publisher(Image, 'image', RESULT)
+        self._odometry = None
+        if not visual_odometry:
+            self._odometry = node.create_publisher(Odometry, 'odom', RESULT)
+        node.create_subscription(String, 'pose_cells/action', self._on_action, INPUT)
+        node.create_subscription(String, 'experience_map/map', self._on_map, LATCHED)
+        node.create_subscription(PoseStamped, 'experience_map/pose', self._on_pose, INPUT)
+        self._messages = [self._image(view) for view in range(VIEWS)]
+        self._sent_s: dict[int, float] = {}
+        self._acted: dict[int, float] = {}
+        self._applied: dict[int, float] = {}
+        self._poses: list[tuple[int, float]] = []
+        while self._images.get_subscription_count() < 1 + visual_odometry or (
+            self._odometry is not None and self._odometry.get_subscription_count() < 2
+        ):
+            self._spin(0.05)
+        self._spin(1.0)
+
+    def forget(self) -> None:
+        """Forget what was measured so far."""
+        for noted in (self._sent_s, self._acted, self._applied):
+            noted.clear()
+        self._poses.clear()
+
+    def run(self, duration_s: float) -> None:
+        """Publish for a while."""
+        start_s = time.monotonic()
+        image = odometry = 0
+        while (now_s := time.monotonic() - start_s) < duration_s:
+            if now_s >= image / IMAGE_HZ:
+                self._send_image(image)
+                image += 1
+            elif self._odometry is not None and now_s >= odometry / ODOMETRY_HZ:
+                self._send_odometry(odometry)
+                odometry += 1
+            else:
+                ahead_s = min(image / IMAGE_HZ, odometry / ODOMETRY_HZ) - now_s
+                self._spin(max(min(ahead_s, 0.001), 0.0))
+        self._spin(0.2)
+
+    def latencies_ms(self) -> dict[str, list[float]]:
+        """Return, for each image, how long its action, the map and the next pose took."""
+        found: dict[str, list[float]] = {'action': [], 'map': [], 'pose at odometry': []}
+        for stamp_ns, sent_s in self._sent_s.items():
+            if stamp_ns in self._acted:
+                found['action'].append(1e3 * (self._acted[stamp_ns] - sent_s))
+            applied_s = self._applied.get(stamp_ns)
+            if applied_s is None:
+                continue
+            found['map'].append(1e3 * (applied_s - sent_s))
+            after = [s for _, s in self._poses if s >= applied_s]
+            if after:
+                found['pose at odometry'].append(1e3 * (min(after) - sent_s))
+        return found
+
+    @property
+    def images(self) -> int:
+        """Number of images that were sent."""
+        return len(self._sent_s)
+
+    def _send_image(self, number: int) -> None:
+        from ratslam_ros.nodes.convert import time_of
+
+        message = self._messages[number % VIEWS]
+        stamp_ns = time.time_ns()
+        message.header.stamp = time_of(stamp_ns)
+        self._sent_s[stamp_ns] = time.monotonic()
+        self._images.publish(message)
+
+    def _send_odometry(self, number: int) -> None:
+        from nav_msgs.msg import Odometry
+
+        from ratslam_ros.nodes.convert import header_of
+
+        message = Odometry(header=header_of(time.time_ns(), 'odom'), child_frame_id='base_link')
+        message.twist.twist.linear.x = 1.0
+        message.twist.twist.angular.z = 2.0 * math.pi * IMAGE_HZ / VIEWS  # round, as the views are
+        message.pose.pose.orientation.w = 1.0
+        self._odometry.publish(message)  # type: ignore[union-attr]
+
+    def _image(self, view: int) -> Any:
+        """Return what a camera sees that turns in a room of noise, once round in all views."""
+        import array
+
+        from sensor_msgs.msg import Image
+
+        coarse = np.random.default_rng(1).integers(0, 256, (24, VIEWS, 3), dtype=np.uint8)
+        turned = np.roll(coarse, view, axis=1)[:, :32].repeat(20, 0).repeat(20, 1)
+        data = array.array('B', np.ascontiguousarray(turned).tobytes())
+        return Image(height=HEIGHT, width=WIDTH, encoding='rgb8', step=3 * WIDTH, data=data)
+
+    def _on_action(self, message: Any) -> None:
+        self._acted[stamp_of(message.data)] = time.monotonic()
+
+    def _on_map(self, message: Any) -> None:
+        # Only its stamp is wanted: a large map is not read as a whole.
+        at = message.data.index('"stamp"')
+        end = message.data.index('}', at) + 1
+        self._applied[stamp_of('{' + message.data[at:end] + '}')] = time.monotonic()
+
+    def _on_pose(self, message: Any) -> None:
+        stamp = message.header.stamp
+        self._poses.append((stamp.sec * 10**9 + stamp.nanosec, time.monotonic()))
+
+    def _spin(self, duration_s: float) -> None:
+        import rclpy
+
+        rclpy.spin_once(self._node, timeout_sec=duration_s)
+
+
+def stamp_of(payload: str) -> int:
+    stamp = json.loads(payload)['stamp']
+    return int(stamp['sec']) * 10**9 + int(stamp['nanosec'])
+
+
+def cpu_s(process: subprocess.Popen[bytes]) -> float:
+    """Return the processor time that a process has taken, all its threads together."""
+    fields = Path(f'/proc/{process.pid}/stat').read_text().rpartition(')')[2].split()
+    return (int(fields[11]) + int(fields[12])) / TICKS_PER_S
+
+
+def report(bench: Bench, shares: dict[str, float], codes: dict[str, int]) -> str:
+    import rclpy
+
+    real = 'standalone' not in (rclpy.__file__ or 'standalone')
+    lines = [
+        f'runtime: {"rclpy" if real else "stand-in"}, {bench.images} images of {WIDTH}x{HEIGHT} '
+        f'at {IMAGE_HZ:g} Hz, odometry at {ODOMETRY_HZ:g} Hz',
+        '',
+        '| from the image sent to | images | median ms | p99 ms | worst ms |',
+        '| --- | --- | --- | --- | --- |',
+    ]
+    for name, values in bench.latencies_ms().items():
+        if values:
+            lines.append(
+                f'| {name} | {len(values)} | {np.median(values):.1f} | '
+                f'{np.percentile(values, 99):.1f} | {max(values):.1f} |'
+            )
+    lines += ['', '| node | share of a core | exit code |', '| --- | --- | --- |']
+    for name, share in shares.items():
+        lines.append(f'| {name} | {100 * share:.1f} % | {codes[name]} |')
+    lines.append(f'| together | {100 * sum(shares.values()):.1f} % | |')
+    return '\n'.join(lines)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

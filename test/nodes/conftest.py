@@ -1,0 +1,127 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Nodes in this process, on rclpy where it is installed and on the stand-in elsewhere."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+from helpers import live_environment
+from ratslam_ros.standalone import StandaloneUnavailable, install
+
+os.environ.update(live_environment())
+try:
+    install()
+except StandaloneUnavailable as error:
+    collect_ignore_glob = ['test_*.py']
+    WHY = str(error)
+
+TIMEOUT_S = 20.0
+
+
+class World:
+    """Nodes under test, and one that talks to them, on one executor."""
+
+    def __init__(self, makers: tuple[Callable[[], Any], ...], arguments: tuple[str, ...]) -> None:
+        import rclpy
+        from rclpy.executors import SingleThreadedExecutor
+
+        rclpy.init(args=['--ros-args', *arguments] if arguments else [])
+        self.executor = SingleThreadedExecutor()
+        self.nodes = [make() for make in makers]
+        self.tester = rclpy.create_node('tester', use_global_arguments=False)
+        self.publishers: dict[str, Any] = {}
+        for node in (*self.nodes, self.tester):
+            self.executor.add_node(node)
+
+    def close(self) -> None:
+        import rclpy
+
+        for node in self.nodes:
+            node.close()
+        for node in (*self.nodes, self.tester):
+            self.executor.remove_node(node)
+            node.destroy_node()
+        self.executor.shutdown()
+        rclpy.try_shutdown()
+
+    def until(self, condition: Callable[[], Any], timeout_s: float = TIMEOUT_S) -> None:
+        """Spin until something holds."""
+        end_s = time.monotonic() + timeout_s
+        while not condition():
+            assert time.monotonic() < end_s, f'not within {timeout_s} s'
+            self.executor.spin_once(timeout_sec=0.02)
+
+    def spin(self, duration_s: float) -> None:
+        end_s = time.monotonic() + duration_s
+        while time.monotonic() < end_s:
+            self.executor.spin_once(timeout_sec=0.02)
+
+    def listen(self, kind: type, topic: str, qos: Any = None) -> list[Any]:
+        """Return a list that grows by the messages of a topic."""
+        from ratslam_ros.nodes.qos import INPUT
+
+        heard: list[Any] = []
+        self.tester.create_subscription(kind, topic, heard.append, qos or INPUT)
+        self.until(lambda: self.tester.count_publishers(topic) > 0)
+        return heard
+
+    def send(self, topic: str, message: Any) -> None:
+        """Publish a message, to somebody who listens."""
+        from ratslam_ros.nodes.qos import PLAYED
+
+        if topic not in self.publishers:
+            publisher = self.tester.create_publisher(type(message), topic, PLAYED)
+            self.until(lambda: publisher.get_subscription_count() > 0)
+            self.publishers[topic] = publisher
+        self.publishers[topic].publish(message)
+
+    def call(self, kind: type, name: str, **fields: Any) -> Any:
+        """Call a service and return the response."""
+        client = self.tester.create_client(kind, name)
+        self.until(client.service_is_ready)
+        future = client.call_async(kind.Request(**fields))  # type: ignore[attr-defined]
+        self.until(future.done)
+        self.tester.destroy_client(client)
+        return future.result()
+
+    def diagnostics(self) -> dict[str, dict[str, str]]:
+        """Return the next state of each node under test, by its name."""
+        from diagnostic_msgs.msg import DiagnosticArray
+
+        heard = self.listen(DiagnosticArray, '/diagnostics')
+        names = {node.get_name() for node in self.nodes}
+        found: dict[str, dict[str, str]] = {}
+        told = 0
+        while set(found) != names:
+            self.until(lambda told=told: len(heard) > told)
+            for status in heard[told].status:
+                values = {item.key: item.value for item in status.values}
+                level = status.level
+                number = level[0] if isinstance(level, bytes) else int(level)
+                found[status.name.rpartition(' ')[2].rpartition('/')[2]] = {
+                    **values, 'level': str(number), 'message': status.message
+                }  # fmt: skip
+            told += 1
+        return found
+
+
+@pytest.fixture
+def world() -> Iterator[Callable[..., World]]:
+    """Give what makes a world of nodes; ``arguments`` are what follows --ros-args."""
+    made: list[World] = []
+
+    def make(*makers: Callable[[], Any], arguments: tuple[str, ...] = ()) -> World:
+        made.append(World(makers, arguments))
+        return made[-1]
+
+    yield make
+    import rclpy
+
+    for one in made:
+        one.close()
+    rclpy.try_shutdown()

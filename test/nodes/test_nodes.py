@@ -1,0 +1,648 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Each node alone: what it takes, what it gives, and what it does with what is wrong."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import PERIOD_NS, START_NS, picture, template_text
+
+from ratslam_ros.core.config import Config
+from ratslam_ros.core.local_view import LocalView
+from ratslam_ros.messages import decode_action, decode_template
+
+S = 1_000_000_000
+SMALL = (
+    '-p', 'template_x_size:=16', '-p', 'template_y_size:=8', '-p', 'vt_shift_match:=2',
+)  # fmt: skip
+MakeWorld = Callable[..., Any]
+
+
+def image(stamp_ns: int, seed: int = 0, **changed: Any) -> Any:
+    from sensor_msgs.msg import Image
+
+    from ratslam_ros.nodes.convert import header_of
+
+    pixels = picture(seed, 24, 32)
+    fields = {
+        'header': header_of(stamp_ns, 'camera'), 'height': 24, 'width': 32, 'encoding': 'mono8',
+        'is_bigendian': 0, 'step': 32, 'data': pixels.tobytes(),
+    }  # fmt: skip
+    return Image(**{**fields, **changed})
+
+
+def odometry(stamp_ns: int, speed: float = 0.0, turn_rate: float = 0.0, x: float = 0.0) -> Any:
+    from nav_msgs.msg import Odometry
+
+    from ratslam_ros.nodes.convert import header_of
+
+    message = Odometry(header=header_of(stamp_ns, 'odom'), child_frame_id='base_link')
+    message.twist.twist.linear.x = speed
+    message.twist.twist.angular.z = turn_rate
+    message.pose.pose.position.x = x
+    message.pose.pose.orientation.w = 1.0
+    return message
+
+
+def string(text: str) -> Any:
+    from std_msgs.msg import String
+
+    return String(data=text)
+
+
+def action_text(stamp_ns: int, sequence: int, kind: str, source: int, target: int) -> str:
+    from ratslam_ros.core.pose_cells import MapAction
+    from ratslam_ros.core.torus import Place
+    from ratslam_ros.messages import encode_action
+
+    action = MapAction(kind, source, target, max(target, 0), 0.0, Place(1.0, 2.0, 3.0))  # type: ignore[arg-type]
+    return encode_action(stamp_ns, sequence, action, START_NS)
+
+
+# Local view
+
+
+def local_view(world: MakeWorld, *arguments: str) -> tuple[Any, list[Any]]:
+    from std_msgs.msg import String
+
+    from ratslam_ros.nodes.local_view_node import LocalViewNode
+
+    made = world(LocalViewNode, arguments=(*SMALL, *arguments))
+    return made, made.listen(String, 'local_view/template')
+
+
+def test_every_image_gives_a_template_message_and_the_same_as_core(world: MakeWorld) -> None:
+    made, heard = local_view(world)
+    core = LocalView(Config().with_values({
+        'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
+        'local_view.vt_shift_match': 2,
+    }).local_view)  # fmt: skip
+    seeds = [0, 1, 2, 1, 0, 3]
+    for n, seed in enumerate(seeds):
+        made.send('image', image(START_NS + n * PERIOD_NS, seed))
+    made.until(lambda: len(heard) == len(seeds))
+    for n, (seed, message) in enumerate(zip(seeds, heard, strict=True)):
+        stamp_ns, match, memory_ns = decode_template(message.data)
+        assert (stamp_ns, memory_ns) == (START_NS + n * PERIOD_NS, START_NS)
+        assert match == core(picture(seed, 24, 32))
+
+
+def test_images_that_are_wrong_are_counted_and_change_nothing(world: MakeWorld) -> None:
+    made, heard = local_view(world)
+    wrong = [
+        image(START_NS + 1, width=0, height=0, step=0, data=b''),
+        image(START_NS + 2, width=2**32 - 1, height=2**32 - 1, step=2**32 - 1),
+        image(START_NS + 3, encoding='nonsense'),
+        image(START_NS + 4, data=b'\x00' * 5),
+        image(0, 5), image(START_NS + 3600 * S, 6), image(START_NS - S, 7), image(5, 8),
+    ]  # fmt: skip
+    made.send('image', image(START_NS, 0))
+    for message in wrong:
+        made.send('image', message)
+    made.send('image', image(START_NS + PERIOD_NS, 1))
+    made.until(lambda: len(heard) >= 6)
+    made.spin(0.2)
+    found = [decode_template(message.data) for message in heard]
+    assert [match.template_id for _, match, _ in found] == [0, -1, -1, -1, -1, 1]
+    state = made.diagnostics()['local_view']
+    assert state['undecodable'] == '4'
+    assert state['refused'] == '4'
+    assert state['templates'] == '2'
+    assert state['level'] == '1'
+
+
+def test_compressed_images_do_as_well(world: MakeWorld) -> None:
+    import cv2
+    from sensor_msgs.msg import CompressedImage, Image
+
+    from ratslam_ros.nodes.convert import header_of
+    from ratslam_ros.nodes.qos import PLAYED
+
+    made, heard = local_view(world)
+    data = cv2.imencode('.png', picture(0, 24, 32))[1].tobytes()
+    for n in range(3):
+        header = header_of(START_NS + n * PERIOD_NS, '')
+        message = CompressedImage(header=header, format='png', data=data)
+        made.send('image/compressed', message)
+    made.until(lambda: len(heard) == 3)
+    # A raw camera that starts later is left alone: a stream stays the one that it is.
+    camera = made.tester.create_publisher(Image, 'image', PLAYED)
+    made.spin(1.5)
+    camera.publish(image(START_NS + 3 * PERIOD_NS, 9))
+    made.send('image/compressed',
+              CompressedImage(header=header_of(START_NS + 4 * PERIOD_NS, ''), format='png',
+                              data=data))  # fmt: skip
+    made.until(lambda: len(heard) == 4)
+    assert {decode_template(message.data)[1].template_id for message in heard} == {0}
+
+
+def test_the_matched_template_is_shown_to_who_looks(world: MakeWorld) -> None:
+    from sensor_msgs.msg import Image
+
+    made, heard = local_view(world)
+    shown = made.listen(Image, 'local_view/matched')
+    made.until(lambda: made.nodes[0].count_subscribers('local_view/matched') > 0)
+    made.spin(0.2)
+    made.send('image', image(START_NS))
+    made.until(lambda: shown and heard)
+    assert (shown[0].width, shown[0].height) == (240, 15 * (8 + 1 + 8))
+    assert shown[0].encoding == 'mono8'
+    pixels = np.frombuffer(shown[0].data, np.uint8).reshape(shown[0].height, 240)
+    assert np.array_equal(pixels[: 15 * 8], pixels[15 * 9 :])  # what was just learned
+
+
+def test_a_best_effort_camera_is_heard_too(world: MakeWorld) -> None:
+    from rclpy.qos import qos_profile_sensor_data
+    from sensor_msgs.msg import Image
+
+    made, heard = local_view(world)
+    camera = made.tester.create_publisher(Image, 'image', qos_profile_sensor_data)
+    made.until(lambda: camera.get_subscription_count() > 0)
+    camera.publish(image(START_NS))
+    made.until(lambda: heard)
+
+
+# Pose cells
+
+
+def pose_cells(world: MakeWorld, *arguments: str) -> tuple[Any, list[Any]]:
+    from std_msgs.msg import String
+
+    from ratslam_ros.nodes.pose_cells_node import PoseCellsNode
+
+    made = world(PoseCellsNode, arguments=arguments)
+    return made, made.listen(String, 'pose_cells/action')
+
+
+def test_every_template_gives_an_action_once_odometry_has_come_as_far(world: MakeWorld) -> None:
+    made, heard = pose_cells(world)
+    made.send('odom', odometry(START_NS))
+    made.send('local_view/template', string(template_text(START_NS + 5, 0)))
+    made.spin(0.2)
+    assert heard == []
+    made.send('odom', odometry(START_NS + 10, 1.0))
+    made.until(lambda: len(heard) == 1)
+    stamp_ns, sequence, action, memory_ns = decode_action(heard[0].data)
+    assert (stamp_ns, sequence, action.action, memory_ns) == (START_NS + 5, 0, 'none', 0)
+    made.send('local_view/template', string(template_text(START_NS + 15, 0)))
+    made.send('odom', odometry(START_NS + 20, 1.0))
+    made.until(lambda: len(heard) == 2)
+    stamp_ns, sequence, action, memory_ns = decode_action(heard[1].data)
+    assert (sequence, action.action, action.target_id) == (1, 'create', 0)
+    assert memory_ns == START_NS + 15
+
+
+def test_held_messages_are_released_when_all_inputs_fall_silent(world: MakeWorld) -> None:
+    made, heard = pose_cells(world, '-p', 'flush_after_s:=0.5')
+    made.send('odom', odometry(START_NS))
+    made.send('local_view/template', string(template_text(START_NS + 5, 0)))
+    made.until(lambda: len(heard) == 1)
+
+
+@pytest.mark.parametrize('payload', [
+    '', 'nonsense', '[]', '{}', template_text(START_NS + 7, -2),
+    template_text(START_NS + 7, 1)[:-2],
+    template_text(START_NS + 7, 1, error='NaN'), '[' * 5000,
+], ids=lambda text: text[:8])  # fmt: skip
+def test_a_wrong_template_is_refused_and_counted(world: MakeWorld, payload: str) -> None:
+    made, heard = pose_cells(world)
+    made.send('local_view/template', string(payload))
+    made.send('odom', odometry(START_NS))
+    made.send('local_view/template', string(template_text(START_NS + 5, 0)))
+    made.send('odom', odometry(START_NS + 10))
+    made.until(lambda: len(heard) == 1)
+    assert made.diagnostics()['pose_cells']['refused'] == '1'
+
+
+def test_wrong_odometry_is_refused_and_counted(world: MakeWorld) -> None:
+    made, heard = pose_cells(world)
+    made.send('odom', odometry(START_NS))
+    for n, (speed, turn_rate) in enumerate(
+        [(math.nan, 0.0), (math.inf, 0.0), (0.0, -math.inf), (1e300, 0.0)], 1
+    ):
+        made.send('odom', odometry(START_NS + n, speed, turn_rate))
+    made.send('odom', odometry(0, 1.0))
+    made.send('odom', odometry(START_NS - 5 * S, 1.0))
+    made.send('odom', odometry(START_NS + 3600 * S, 1.0))
+    made.send('local_view/template', string(template_text(START_NS + 5, 0)))
+    made.send('odom', odometry(START_NS + 10))
+    made.until(lambda: len(heard) == 1)
+    assert made.diagnostics()['pose_cells']['refused'] == '7'
+
+
+def test_a_local_view_that_was_there_before_or_restarts_is_noticed(world: MakeWorld) -> None:
+    made, heard = pose_cells(world)
+    made.send('odom', odometry(START_NS))
+    made.send('local_view/template', string(template_text(START_NS + 5, 57)))
+    made.send('odom', odometry(START_NS + 10, 1.0))
+    made.until(lambda: len(heard) == 1)
+    assert 'came late' in made.diagnostics()['pose_cells']['message']
+    made.send('local_view/template',
+              string(template_text(START_NS + 15, 0, memory=START_NS + 15)))  # fmt: skip
+    made.send('odom', odometry(START_NS + 20, 1.0))
+    made.until(lambda: len(heard) == 2)
+    assert decode_action(heard[1].data)[2].template_id == 58
+    assert 'empty memory' in made.diagnostics()['pose_cells']['message']
+
+
+def test_the_activity_is_shown_to_who_looks(world: MakeWorld) -> None:
+    from sensor_msgs.msg import Image
+
+    made, _ = pose_cells(world)
+    shown = made.listen(Image, 'pose_cells/activity')
+    for n in range(50):
+        made.send('odom', odometry(START_NS + n * PERIOD_NS, 0.1))
+        made.spin(0.05)
+        if shown:
+            break
+    pixels = np.frombuffer(shown[0].data, np.uint8).reshape(shown[0].height, shown[0].width)
+    assert pixels.shape == (21, 21)
+    assert pixels.max() == 255
+
+
+# Experience map
+
+
+def experience_map(world: MakeWorld, *arguments: str) -> tuple[Any, list[Any]]:
+    from std_msgs.msg import String
+
+    from ratslam_ros.nodes.experience_map_node import ExperienceMapNode
+    from ratslam_ros.nodes.qos import LATCHED
+
+    made = world(ExperienceMapNode, arguments=('-p', 'map_period_s:=0.05', *arguments))
+    return made, made.listen(String, 'experience_map/map', LATCHED)
+
+
+def drive_straight(made: Any, experiences: int = 5, first: int = 0) -> None:
+    """Send a drive of 1 m between experiences, along y of the map."""
+    for n in range(first, first + experiences):
+        made.send('odom', odometry(START_NS + n * S, 1.0 if n else 0.0, x=float(n)))
+        text = action_text(START_NS + n * S, n, 'create', n - 1, n)
+        made.send('pose_cells/action', string(text))
+    made.send('odom', odometry(START_NS + (first + experiences) * S, 0.0, x=99.0))
+
+
+def last_map(made: Any, heard: list[Any], experiences: int) -> dict[str, Any]:
+    def complete() -> bool:
+        return bool(heard) and len(json.loads(heard[-1].data)['experiences']) == experiences
+
+    made.until(complete)
+    return json.loads(heard[-1].data)  # type: ignore[no-any-return]
+
+
+def test_the_map_is_sent_and_the_robot_is_on_it(world: MakeWorld) -> None:
+    from geometry_msgs.msg import PoseStamped
+    from tf2_msgs.msg import TFMessage
+
+    made, heard = experience_map(world)
+    poses = made.listen(PoseStamped, 'experience_map/pose')
+    transforms = made.listen(TFMessage, '/tf')
+    drive_straight(made)
+    graph = last_map(made, heard, 5)
+    assert [e['y_m'] for e in graph['experiences']] == pytest.approx([0, 1, 2, 3, 4])
+    assert len(graph['links']) == 4
+    made.until(lambda: len(poses) == 6 and len(transforms) == 6)
+    assert [p.pose.position.y for p in poses] == pytest.approx([0, 1, 2, 3, 4, 4])
+    assert {p.header.frame_id for p in poses} == {'map'}
+    frames = transforms[2].transforms[0]
+    assert (frames.header.frame_id, frames.child_frame_id) == ('map', 'odom')
+    # The robot is 2 m along x of odom, and 2 m along y of the map: odom is turned by 90 degrees.
+    assert frames.transform.translation.x == pytest.approx(0.0, abs=1e-9)
+    assert frames.transform.rotation.z == pytest.approx(math.sqrt(0.5))
+
+
+def test_held_odometry_moves_the_pose_and_not_the_map(world: MakeWorld) -> None:
+    from geometry_msgs.msg import PoseStamped
+
+    made, _ = experience_map(world)
+    poses = made.listen(PoseStamped, 'experience_map/pose')
+    for n in range(5):
+        made.send('odom', odometry(START_NS + n * S // 10, 1.0))
+    made.until(lambda: len(poses) == 5)
+    assert poses[-1].pose.position.y == pytest.approx(0.4)
+    assert made.nodes[0]._core.offset.x_m == 0.0
+
+
+def test_whoever_comes_late_gets_the_last_map_at_once(world: MakeWorld) -> None:
+    from std_msgs.msg import String
+
+    from ratslam_ros.nodes.qos import LATCHED
+
+    made, heard = experience_map(world)
+    drive_straight(made)
+    last_map(made, heard, 5)
+    made.spin(0.3)
+    late = made.listen(String, 'experience_map/map', LATCHED)
+    made.until(lambda: late)
+    assert late[-1].data == heard[-1].data
+
+
+def test_markers_show_the_map(world: MakeWorld) -> None:
+    from visualization_msgs.msg import MarkerArray
+
+    from ratslam_ros.nodes.qos import LATCHED
+
+    made, heard = experience_map(world)
+    markers = made.listen(MarkerArray, 'experience_map/markers', LATCHED)
+    made.spin(0.2)
+    drive_straight(made)
+    last_map(made, heard, 5)
+    made.until(lambda: markers and len(markers[-1].markers[1].points) == 5)
+    links, places, current = markers[-1].markers
+    assert (len(links.points), len(places.points), len(current.points)) == (8, 5, 1)
+
+
+def goal(x: float, y: float, frame: str = 'map') -> Any:
+    from geometry_msgs.msg import PoseStamped
+
+    message = PoseStamped()
+    message.header.frame_id = frame
+    message.pose.position.x, message.pose.position.y = x, y
+    message.pose.orientation.w = 1.0
+    return message
+
+
+def test_recall_goal_answers_with_the_way(world: MakeWorld) -> None:
+    from nav_msgs.srv import GetPlan
+
+    made, heard = experience_map(world)
+    drive_straight(made)
+    last_map(made, heard, 5)
+    name = 'experience_map/recall_goal'
+    path = made.call(GetPlan, name, goal=goal(0.1, 1.0)).plan
+    assert path.header.frame_id == 'map'
+    assert [p.pose.position.y for p in path.poses] == pytest.approx([4, 3, 2, 1])
+    last = START_NS + 5 * S
+    stamps = [p.header.stamp.sec * S + p.header.stamp.nanosec for p in path.poses]
+    assert stamps == [last, last + S, last + 2 * S, last + 3 * S]
+    headings = [math.atan2(p.pose.orientation.z, p.pose.orientation.w) * 2 for p in path.poses]
+    assert headings == pytest.approx([-math.pi / 2] * 4)
+    other = made.call(GetPlan, name, start=goal(0.0, 0.1), goal=goal(0.0, 2.0)).plan
+    assert [p.pose.position.y for p in other.poses] == pytest.approx([0, 1, 2])
+    # The robot stands at (0, 4) and looks along y: 2 m behind it is (0, 2).
+    behind = made.call(GetPlan, name, goal=goal(-2.0, 0.0, 'base_link')).plan
+    assert behind.poses[-1].pose.position.y == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize(('place', 'tolerance', 'reason'), [
+    ((50.0, 1.0, 'map'), 0.0, 'away'), ((0.0, 1.0, 'mars'), 0.0, 'mars'),
+    ((math.nan, 1.0, 'map'), 0.0, 'finite'), ((0.9, 1.0, 'map'), 0.5, 'away'),
+    ((0.0, 1.0, 'map'), -1.0, 'tolerance'), ((0.0, 1.0, 'map'), math.nan, 'tolerance'),
+])  # fmt: skip
+def test_where_there_is_no_route_the_path_is_empty_and_the_reason_told(
+    world: MakeWorld, place: tuple[float, float, str], tolerance: float, reason: str
+) -> None:
+    from nav_msgs.srv import GetPlan
+
+    made, heard = experience_map(world)
+    drive_straight(made)
+    last_map(made, heard, 5)
+    before = heard[-1].data
+    answer = made.call(
+        GetPlan, 'experience_map/recall_goal', goal=goal(*place), tolerance=tolerance
+    )
+    assert list(answer.plan.poses) == []
+    assert reason in made.diagnostics()['experience_map']['no_route_because']
+    assert heard[-1].data == before
+
+
+def test_an_empty_map_has_no_routes(world: MakeWorld) -> None:
+    from nav_msgs.srv import GetPlan
+
+    made, _ = experience_map(world)
+    answer = made.call(GetPlan, 'experience_map/recall_goal', goal=goal(0.0, 1.0))
+    assert list(answer.plan.poses) == []
+    assert 'empty' in made.diagnostics()['experience_map']['no_route_because']
+
+
+def test_a_goal_from_rviz_gives_a_route_that_follows_the_robot(world: MakeWorld) -> None:
+    from nav_msgs.msg import Path
+
+    from ratslam_ros.nodes.qos import LATCHED
+
+    made, heard = experience_map(world)
+    routes = made.listen(Path, 'experience_map/route', LATCHED)
+    drive_straight(made)
+    last_map(made, heard, 5)
+    made.send('goal_pose', goal(0.0, 0.0))
+    made.until(lambda: routes)
+    assert len(routes[-1].poses) == 5
+    text = action_text(START_NS + 6 * S, 5, 'link', 4, 2)
+    made.send('odom', odometry(START_NS + 6 * S))
+    made.send('pose_cells/action', string(text))
+    made.send('odom', odometry(START_NS + 7 * S))
+    made.until(lambda: len(routes[-1].poses) == 3)
+    made.send('goal_pose', goal(500.0, 0.0))
+    made.until(lambda: len(routes[-1].poses) == 0)
+
+
+def test_an_action_that_never_came_is_counted(world: MakeWorld) -> None:
+    made, heard = experience_map(world)
+    drive_straight(made, 3)
+    made.send('pose_cells/action', string(action_text(START_NS + 3 * S, 4, 'create', 3, 4)))
+    made.send('odom', odometry(START_NS + 4 * S))
+    last_map(made, heard, 4)
+    assert made.diagnostics()['experience_map']['missed'] == '1'
+
+
+def test_a_map_that_begins_late_joins_in_and_says_so(world: MakeWorld) -> None:
+    made, heard = experience_map(world)
+    for n in range(3):
+        made.send('odom', odometry(START_NS + n * S, 1.0))
+        text = action_text(START_NS + n * S, 40 + n, 'create', 20 + n, 21 + n)
+        made.send('pose_cells/action', string(text))
+    made.send('odom', odometry(START_NS + 3 * S))
+    graph = last_map(made, heard, 3)
+    assert [e['id'] for e in graph['experiences']] == [0, 1, 2]
+    assert 'came late: 40 actions' in made.diagnostics()['experience_map']['message']
+
+
+def test_wrong_actions_are_refused_and_the_map_stays(world: MakeWorld) -> None:
+    made, heard = experience_map(world)
+    drive_straight(made)
+    last_map(made, heard, 5)
+    made.spin(0.2)
+    before = heard[-1].data
+    stamp = START_NS + 5 * S
+    good = action_text(stamp + 1, 5, 'create', 4, 5)
+    wrong = [
+        'nonsense', '{}', good.replace('create', 'jump'),
+        good.replace('"target_id":5', '"target_id":-1'),
+        action_text(0, 5, 'create', 4, 5), action_text(START_NS, 5, 'create', 4, 5),
+        action_text(stamp + 3600 * S, 5, 'create', 4, 5),
+    ]  # fmt: skip
+    for text in wrong:
+        made.send('pose_cells/action', string(text))
+    made.spin(0.5)
+    assert heard[-1].data == before
+    assert made.diagnostics()['experience_map']['refused'] == '6'  # one is still doubted
+    made.send('pose_cells/action', string(good))
+    made.send('odom', odometry(stamp + 2))
+    last_map(made, heard, 6)
+    assert made.diagnostics()['experience_map']['refused'] == '7'
+
+
+def test_reset_forgets_and_pause_ignores(world: MakeWorld) -> None:
+    from std_srvs.srv import SetBool, Trigger
+
+    made, heard = experience_map(world)
+    drive_straight(made)
+    last_map(made, heard, 5)
+    assert made.call(SetBool, 'experience_map/pause', data=True).success
+    drive_straight(made, 2, first=7)
+    made.spin(0.3)
+    assert len(json.loads(heard[-1].data)['experiences']) == 5
+    assert made.call(SetBool, 'experience_map/pause', data=False).success
+    assert made.call(Trigger, 'experience_map/reset').success
+    drive_straight(made, 3)
+    assert [e['y_m'] for e in last_map(made, heard, 3)['experiences']] == pytest.approx([0, 1, 2])
+
+
+def test_while_only_localising_the_map_stays_as_it_is(world: MakeWorld) -> None:
+    from std_srvs.srv import SetBool
+
+    made, heard = experience_map(world)
+    drive_straight(made)
+    before = last_map(made, heard, 5)
+    assert made.call(SetBool, 'experience_map/mapping', data=False).success
+    made.send('odom', odometry(START_NS + 6 * S, 1.0))
+    made.send('pose_cells/action', string(action_text(START_NS + 6 * S, 5, 'create', 4, 5)))
+    made.send('odom', odometry(START_NS + 7 * S, 1.0))
+    made.send('pose_cells/action', string(action_text(START_NS + 7 * S, 6, 'link', 5, 1)))
+    made.send('odom', odometry(START_NS + 8 * S, 0.0))
+    made.until(lambda: json.loads(heard[-1].data)['current_experience_id'] == 1)
+    after = json.loads(heard[-1].data)
+    assert after['experiences'] == before['experiences']
+    assert after['links'] == before['links']
+
+
+# Visual odometry
+
+
+def test_visual_odometry_gives_what_core_gives_and_a_whole_tree(world: MakeWorld) -> None:
+    from nav_msgs.msg import Odometry
+    from tf2_msgs.msg import TFMessage
+
+    from ratslam_ros.core.visual_odometry import VisualOdometry
+    from ratslam_ros.nodes.convert import odometry_of
+    from ratslam_ros.nodes.visual_odometry_node import VisualOdometryNode
+
+    made = world(VisualOdometryNode, arguments=('-p', 'publish_tf:=true'))
+    heard = made.listen(Odometry, 'odom')
+    transforms = made.listen(TFMessage, '/tf')
+    core = VisualOdometry(Config().visual_odometry)
+    expected = []
+    for n in range(5):
+        stamp_ns = START_NS + n * PERIOD_NS
+        made.send('image', image(stamp_ns, n))
+        expected.append(core(stamp_ns, picture(n, 24, 32)))
+    made.until(lambda: len(heard) == len(transforms) == 4)
+    assert [odometry_of(message) for message in heard] == expected[1:]
+    frame = transforms[-1].transforms[0]
+    assert (frame.header.frame_id, frame.child_frame_id) == ('odom', 'base_link')
+    assert frame.header.stamp == heard[-1].header.stamp
+    variances = [message.pose.covariance[0] for message in heard]
+    assert variances == sorted(variances)
+    assert all(variance > 0.0 for variance in variances)
+
+
+def test_the_field_of_view_comes_from_camera_info(world: MakeWorld) -> None:
+    from nav_msgs.msg import Odometry
+    from sensor_msgs.msg import CameraInfo
+
+    from ratslam_ros.nodes.visual_odometry_node import VisualOdometryNode
+
+    made = world(VisualOdometryNode)
+    heard = made.listen(Odometry, 'odom')
+    info = CameraInfo(width=32, height=24)
+    info.k[0] = 16.0  # half the width: 90 degrees
+    publisher = made.tester.create_publisher(CameraInfo, 'camera_info', 1)
+    made.until(lambda: made.nodes[0].count_publishers('camera_info') > 0)
+    made.until(lambda: publisher.get_subscription_count() > 0)
+    for n in range(3):
+        made.send('image', image(START_NS + n * PERIOD_NS, n))
+    made.spin(0.3)
+    assert heard == []  # they wait: somebody will tell
+    publisher.publish(info)
+    made.spin(0.2)
+    made.send('image', image(START_NS + 3 * PERIOD_NS, 3))
+    made.until(lambda: len(heard) == 3)
+    assert made.diagnostics()['visual_odometry']['field_of_view'] == '90.00 deg (camera_info)'
+
+
+# All of them
+
+
+def test_a_recording_that_begins_again_starts_over_or_goes_on(world: MakeWorld) -> None:
+    from std_msgs.msg import String
+
+    from ratslam_ros.nodes.local_view_node import LocalViewNode
+
+    for choice, templates in (('start_over', 12), ('go_on', 20)):
+        made = world(LocalViewNode, arguments=(*SMALL, '-p', f'on_jump_back:={choice}'))
+        heard = made.listen(String, 'local_view/template')
+        for n in range(20):
+            made.send('image', image(START_NS + n * PERIOD_NS, n))
+        made.until(lambda heard=heard: len(heard) == 20)
+        for n in range(12):
+            made.send('image', image(START_NS - 60 * S + n * PERIOD_NS, n))
+        made.until(lambda heard=heard: len(heard) == 32)
+        state = made.diagnostics()['local_view']
+        assert (state['templates'], state['refused']) == (str(templates), '0')
+        made.close()
+
+
+@pytest.mark.parametrize(('argument', 'word'), [
+    ('vt_match_treshold:=0.1', 'vt_match_threshold'),
+    ('vt_match_threshold:=7.0', 'vt_match_threshold'),
+    ('template_x_size:=many', 'template_x_size'), ('vt_panoramic:=3', 'vt_panoramic'),
+    ('vt_shift_match:=40', 'vt_shift_match'),
+])  # fmt: skip
+def test_an_impossible_parameter_stops_the_node_with_one_line(
+    world: MakeWorld, argument: str, word: str
+) -> None:
+    from ratslam_ros.errors import UnusableParameter
+    from ratslam_ros.nodes.local_view_node import LocalViewNode
+
+    with pytest.raises(UnusableParameter, match=word):
+        world(LocalViewNode, arguments=('-p', argument))
+
+
+def test_parameters_are_described_and_only_some_may_change(world: MakeWorld) -> None:
+    from rclpy.parameter import Parameter
+
+    from ratslam_ros.nodes.experience_map_node import ExperienceMapNode
+
+    made = world(ExperienceMapNode, arguments=('-p', 'max_lateness_s:=5', '-p', 'exp_loops:=3'))
+    node = made.nodes[0]
+    assert node.get_parameter('max_lateness_s').value == 5.0
+    assert node.get_parameter('exp_loops').value == 3
+    assert node.get_parameter('goal_recall.goal_tolerance_m').value == 0.5
+    described = node.describe_parameter('exp_correction')
+    assert described.read_only
+    assert (described.floating_point_range[0].from_value,
+            described.floating_point_range[0].to_value) == (0.0, 0.5)  # fmt: skip
+    assert 'error' in described.description
+    [result] = node.set_parameters([Parameter('exp_loops', value=7)])
+    assert not result.successful
+    [result] = node.set_parameters([Parameter('goal_recall.goal_tolerance_m', value=2.0)])
+    assert result.successful
+    assert node.config.goal_recall.goal_tolerance_m == 2.0
+    [result] = node.set_parameters([Parameter('map_period_s', value=-2.0)])
+    assert not result.successful
+
+
+def test_silence_is_told_with_topic_type_and_publishers(world: MakeWorld) -> None:
+    made, _ = pose_cells(world, '-p', 'watchdog_after_s:=0.5')
+    made.send('odom', odometry(START_NS))
+    made.spin(2.5)
+    text = made.diagnostics()['pose_cells']['message']
+    assert 'no ' in text
+    assert 'publishers on' in text
+    assert '/odom' in text or '/local_view/template' in text
