@@ -346,6 +346,8 @@ def live_environment() -> dict[str, str]:
     return {
         'ROS_DOMAIN_ID': str(domain),
         'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
-        'ROS_LOCALHOST_ONLY': '0',
         'PYTHONUNBUFFERED': '1',
+        'PYTHONPATH': os.pathsep.join(
+            filter(None, [str(Path(__file__).parents[1]), os.environ.get('PYTHONPATH')])
+        ),
     }

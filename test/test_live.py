@@ -53,7 +53,7 @@ class Live:
 
         self.folder = folder
         folder.mkdir(exist_ok=True)
-        self.environment = {**os.environ, **live_environment(), 'PYTHONPATH': str(ROOT)}
+        self.environment = {**os.environ, **live_environment()}
         domain = (int(self.environment['ROS_DOMAIN_ID']) + offset) % 100 + 1
         self.environment['ROS_DOMAIN_ID'] = str(domain)
         self.parameters = folder / 'parameters.yaml'
@@ -131,7 +131,7 @@ def offline(recording: Path, folder: Path, settings: dict[str, Any], *arguments:
     given = [item for key, value in settings.items() for item in ('--set', f'{key}={value}')]
     subprocess.run(
         ratslam('replay', str(recording), '--out', str(folder), '--quiet', *given, *arguments),
-        check=True, cwd=ROOT, env={**os.environ, 'PYTHONPATH': str(ROOT)},
+        check=True, cwd=ROOT, env={**os.environ, **live_environment()},
     )  # fmt: skip
     return (folder / 'map.json').read_text()
 

@@ -2,7 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Packaging: what several files say, they say alike; colcon and pip find what they need."""
 
+import ast
 import re
+import sys
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
@@ -10,6 +12,8 @@ import pytest
 import yaml
 
 from ratslam_ros import __version__
+from ratslam_ros.live import entry
+from ratslam_ros.live.run import NODES
 
 ROOT = Path(__file__).resolve().parents[1]
 SETUP = (ROOT / 'setup.py').read_text('utf-8')
@@ -18,6 +22,7 @@ LICENCE = 'Apache-2.0'
 
 # What rosdep and the Python package index call the same thing; None: not in the distribution.
 ROSDEP = {
+    'cyclonedds': None,
     'lz4': None,
     'matplotlib': 'python3-matplotlib',
     'mcap': None,
@@ -86,6 +91,54 @@ def test_package_xml_and_setup_py_need_the_same():
     comment = (ROOT / 'package.xml').read_text('utf-8')
     for name, key in ROSDEP.items():
         assert key is not None or re.search(rf'\b{name}\b', comment), f'{name}: say how to get it'
+
+
+def ros_imports() -> set[str]:
+    """Return the ROS packages that the code imports."""
+    folders = ('ratslam_ros/nodes', 'ratslam_ros/live', 'launch')
+    found = set()
+    for path in [path for folder in folders for path in (ROOT / folder).rglob('*.py')]:
+        for node in ast.walk(ast.parse(path.read_text('utf-8'))):
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            names += [str(node.module)] if isinstance(node, ast.ImportFrom) else []
+            found |= {name.split('.')[0] for name in names}
+    ours = {'ratslam_ros', 'numpy', 'yaml', 'tqdm', *sys.stdlib_module_names}
+    return found - ours
+
+
+def test_package_xml_names_every_ros_package_that_is_imported():
+    known = {element.text for element in PACKAGE.iter('exec_depend')}
+    assert {name for name in known if not name.startswith('python3-')} == ros_imports()
+
+
+def test_linux_on_arm_installs_without_cyclonedds():
+    """There are no wheels of it, and all but the live commands without ROS works."""
+    marker = re.search(r"'cyclonedds[^;]*; ([^']*)'", SETUP)
+    assert marker is not None
+    fits = compile(marker[1], 'setup.py', 'eval')
+    for machine, system, wanted in (
+        ('x86_64', 'linux', True), ('aarch64', 'linux', False), ('armv7l', 'linux', False),
+        ('arm64', 'darwin', True), ('AMD64', 'win32', True),
+    ):  # fmt: skip
+        assert eval(fits, {'platform_machine': machine, 'sys_platform': system}) == wanted
+
+
+def test_everything_that_ros_looks_for_is_installed():
+    for folder, ending in (
+        ('config', '*.yaml'), ('launch', '*.launch.py'), ('rviz', '*.rviz'),
+        ('foxglove', '*.json'),
+    ):  # fmt: skip
+        assert f"installed('{folder}', '{ending}')" in SETUP
+        assert {path for path in (ROOT / folder).iterdir() if path.is_file()} == set(
+            (ROOT / folder).glob(ending)
+        )
+
+
+def test_every_node_has_a_command():
+    block = SETUP[SETUP.index('NODES = ') :].partition('\n')[0]
+    assert re.findall(r"'(\w+)'", block) == list(NODES)
+    for node in NODES:
+        assert callable(getattr(entry, node))
 
 
 def test_oldest_numpy_is_that_of_jazzy():

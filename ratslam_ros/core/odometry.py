@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from ratslam_ros.core.angles import wrap
@@ -36,6 +36,14 @@ class Odometry:
     stamp_ns: int
     twist: Twist
     pose: Pose
+
+    def as_received(self) -> Odometry:
+        """Return it with the heading that a receiver reads from the message's quaternion.
+
+        It may differ in the last bit; live and offline must agree to that as well.
+        """
+        heading_rad = heading_of(0.0, 0.0, *quaternion_of(self.pose.heading_rad))
+        return replace(self, pose=self.pose._replace(heading_rad=heading_rad))
 
 
 @dataclass(frozen=True, slots=True)

@@ -103,7 +103,7 @@ class RatSLAM:
             with self._fitting(), self._watch('local_view'):
                 match = self.local_view(image)
                 self._looked = True
-        steps = [] if odometry is None else self.odometry(odometry)
+        steps = [] if odometry is None else self.odometry(odometry.as_received())
         return steps + self.template(stamp_ns, match)
 
     @contextmanager

@@ -13,15 +13,7 @@ from numpy.typing import NDArray
 from ratslam_ros.core.compiled import compiled
 from ratslam_ros.core.config import VisualOdometryParameters
 from ratslam_ros.core.image_window import Window, plain, window_of
-from ratslam_ros.core.odometry import (
-    Motion,
-    Odometry,
-    Pose,
-    Twist,
-    heading_of,
-    moved,
-    quaternion_of,
-)
+from ratslam_ros.core.odometry import Motion, Odometry, Pose, Twist, moved
 
 Profile = NDArray[np.int64]
 """Sum of each column of a window: integers, so that ties are ties and not decided by rounding."""
@@ -65,9 +57,7 @@ class VisualOdometry:
         twist = Twist(min(speed_mps, p.vtrans_max), offset_px * rad_per_px / dt_s)
         motion = Motion(dt_s, twist.linear_x_mps * dt_s, twist.angular_z_radps * dt_s)
         self._pose = moved(self._pose, motion)
-        # The heading as a message's quaternion gives it back, so that live and offline agree.
-        heading_rad = heading_of(0.0, 0.0, *quaternion_of(self._pose.heading_rad))
-        return Odometry(stamp_ns, twist, self._pose._replace(heading_rad=heading_rad))
+        return Odometry(stamp_ns, twist, self._pose)
 
     def set_field_of_view(self, camera_fov_deg: float) -> None:
         """Use another field of view from the next image on."""

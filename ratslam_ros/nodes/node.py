@@ -39,7 +39,7 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
 
     def __init__(self, streams: tuple[str, ...]) -> None:
         super().__init__(self.SECTION, automatically_declare_parameters_from_overrides=True)
-        self._parameters = NodeParameters(self, self.SECTION, *self.PARTS)
+        self._checked = NodeParameters(self, self.SECTION, *self.PARTS)
         self._diagnostics = Diagnostics(self)
         self._inputs: list[Input] = []
         self._streams = streams
@@ -60,7 +60,7 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
     @property
     def config(self) -> Config:
         """All parameters; those of other nodes have their defaults."""
-        return self._parameters.config
+        return self._checked.config
 
     @property
     def _section(self) -> Any:

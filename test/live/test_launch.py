@@ -1,0 +1,183 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""ratslam launch: the command lines of the nodes, and their end."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+import yaml
+
+from ratslam_ros.core.config import Config
+from ratslam_ros.live import launch as module
+from ratslam_ros.live.launch import (
+    LaunchOptions,
+    launch,
+    nodes,
+    remappings,
+    ros_arguments,
+    supervise,
+)
+
+ROOT = Path(__file__).parents[2]
+FILE = Path('/somewhere/parameters.yaml')
+ENDS = 'signal.signal(signal.SIGINT, lambda *_: sys.exit(0))'
+REFUSES = 'signal.signal(signal.SIGINT, signal.SIG_IGN)'
+
+
+def python(code: str) -> list[str]:
+    return [sys.executable, '-c', code]
+
+
+def test_odometry_comes_from_the_robot_unless_asked_for() -> None:
+    others = ['local_view', 'pose_cells', 'experience_map']
+    assert list(nodes(False, False)) == others
+    assert list(nodes(True, False)) == ['visual_odometry', *others]
+    assert nodes(False, True) == {'single_process': []}
+    assert nodes(True, True) == {'single_process': ['--visual-odometry']}
+
+
+def test_by_default_nothing_is_said_but_the_parameters() -> None:
+    assert ros_arguments(LaunchOptions(), FILE) == ['--params-file', str(FILE)]
+
+
+def test_all_options_reach_the_nodes() -> None:
+    options = LaunchOptions(
+        use_sim_time=True, namespace='robot', image_topic='/cam/image_raw', odom_topic='/wheels',
+        log_level='debug',
+    )  # fmt: skip
+    assert ros_arguments(options, FILE) == [
+        '--params-file', str(FILE), '-p', 'use_sim_time:=true', '-r', '__ns:=/robot',
+        '-r', 'image:=/cam/image_raw', '-r', 'image/compressed:=/cam/image_raw/compressed',
+        '-r', 'odom:=/wheels', '--log-level', 'debug',
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize('given', ['/cam/image', '/cam/image/compressed'])
+def test_either_name_of_a_camera_will_do(given: str) -> None:
+    assert remappings(given, '') == [
+        ('image', '/cam/image'), ('image/compressed', '/cam/image/compressed'),
+    ]  # fmt: skip
+
+
+def test_the_nodes_get_all_parameters_in_one_file(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: dict[str, list[str]] = {}
+
+    def look(commands: dict[str, list[str]]) -> int:
+        seen.update(commands)
+        values = yaml.safe_load(Path(commands['pose_cells'][-1]).read_text('utf-8'))
+        assert values['/**/pose_cells']['ros__parameters']['pc_dim_x'] == 31
+        return 0
+
+    monkeypatch.setattr(module, 'supervise', look)
+    config = Config().with_values({'pose_cells.pc_dim_x': 31})
+    assert launch(config, LaunchOptions(visual_odometry=True)) == 0
+    assert list(seen) == ['visual_odometry', 'local_view', 'pose_cells', 'experience_map']
+    command = seen['local_view']
+    assert command[:6] == [sys.executable, '-m', 'ratslam_ros', 'run', 'local_view', '--ros-args']
+    assert not Path(command[-1]).exists()  # nothing is left behind
+
+
+def child(ready: Path, answer: str) -> list[str]:
+    """Return a command that writes its number when it can be interrupted."""
+    told = f'open({str(ready)!r}, "w").write(str(os.getpid()))'
+    return python(f'import os, signal, sys, time\n{answer}\n{told}\ntime.sleep(60)')
+
+
+@contextmanager
+def interrupts(*ready: Path, times: int = 1) -> Iterator[None]:
+    """Send this process SIGINT when all children are ready."""
+
+    def send() -> None:
+        wait_for(lambda: all(path.exists() for path in ready))
+        for _ in range(times):
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(0.2)
+
+    thread = threading.Thread(target=send)
+    thread.start()
+    yield
+    thread.join()
+
+
+def test_an_interrupt_ends_all_and_is_no_failure(tmp_path: Path, capfd) -> None:
+    a, b = tmp_path / 'a', tmp_path / 'b'
+    with interrupts(a, b):
+        assert supervise({'a': child(a, ENDS), 'b': child(b, ENDS)}) == 0
+    assert capfd.readouterr() == ('', '')
+
+
+def test_a_second_interrupt_kills(tmp_path: Path, capfd) -> None:
+    a, b = tmp_path / 'a', tmp_path / 'b'
+    with interrupts(a, b, times=2):
+        assert supervise({'a': child(a, ENDS), 'b': child(b, REFUSES)}) == 1
+    assert 'killing b' in capfd.readouterr().err
+
+
+def test_one_that_does_not_end_in_time_is_killed(tmp_path: Path, capfd) -> None:
+    a = tmp_path / 'a'
+    with interrupts(a):
+        assert supervise({'a': child(a, REFUSES)}, grace_s=0.3) == 1
+    assert 'killing a' in capfd.readouterr().err
+
+
+def test_one_that_dies_is_named_and_ends_the_others(tmp_path: Path, capfd) -> None:
+    a = child(tmp_path / 'a', ENDS)
+    assert supervise({'a': a, 'b': python('raise SystemExit(3)')}) == 1
+    assert 'b ended with code 3; ending a' in capfd.readouterr().err
+
+
+def test_one_that_is_killed_is_named_with_its_signal(tmp_path: Path, capfd) -> None:
+    code = 'import os, signal; os.kill(os.getpid(), signal.SIGKILL)'
+    assert supervise({'a': python(code), 'b': child(tmp_path / 'b', ENDS)}) == 1
+    assert 'a was ended by SIGKILL; ending b' in capfd.readouterr().err
+
+
+def test_one_alone_that_ends_is_told_too(capfd) -> None:
+    assert supervise({'a': python('pass')}) == 1
+    assert capfd.readouterr().err == 'ratslam launch: a ended with code 0\n'
+
+
+def test_a_command_that_is_not_there_leaves_none_running(tmp_path: Path) -> None:
+    before = signal.getsignal(signal.SIGINT)
+    with pytest.raises(FileNotFoundError):
+        supervise({'a': child(tmp_path / 'a', ENDS), 'b': ['/no/such/command']})
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+@pytest.mark.skipif(sys.platform != 'linux', reason='only Linux tells children')
+def test_children_end_with_a_parent_that_is_killed(tmp_path: Path) -> None:
+    pid = tmp_path / 'pid'
+    code = (
+        'from ratslam_ros.live.launch import supervise\n'
+        f'supervise({{"a": {child(pid, "signal.SIGTERM")!r}}})\n'
+    )
+    parent = subprocess.Popen(python(code), cwd=ROOT, env={**os.environ, 'PYTHONPATH': str(ROOT)})
+    try:
+        wait_for(lambda: pid.exists() and pid.read_text())
+    finally:
+        parent.kill()
+        parent.wait()
+    wait_for(lambda: not alive(int(pid.read_text())))
+
+
+def wait_for(condition):  # type: ignore[no-untyped-def]
+    end_s = time.monotonic() + 10.0
+    while not (found := condition()):
+        assert time.monotonic() < end_s
+        time.sleep(0.02)
+    return found
+
+
+def alive(pid: int) -> bool:
+    try:
+        return Path(f'/proc/{pid}/stat').read_text().split(')')[-1].split()[0] != 'Z'
+    except OSError:
+        return False

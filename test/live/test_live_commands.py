@@ -1,0 +1,115 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The live commands: their arguments, and what they say to wrong ones."""
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from ratslam_ros.cli import _parser, main
+from ratslam_ros.live import entry
+from ratslam_ros.live.run import NODES
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(autouse=True)
+def signals() -> Iterator[None]:
+    """Leave the signals of the test run as they were."""
+    before = signal.getsignal(signal.SIGTERM)
+    yield
+    signal.signal(signal.SIGTERM, before)
+
+
+def test_all_after_the_node_is_the_nodes() -> None:
+    rest = ['--ros-args', '-p', 'use_sim_time:=true', '-r', '__ns:=/a', '--log-level', 'debug']
+    options = _parser().parse_args(['run', 'pose_cells', *rest])
+    assert (options.node, options.arguments) == ('pose_cells', rest)
+
+
+def test_all_after_ros_args_is_for_ros() -> None:
+    rest = ['-r', 'image:=/camera/image', '-r', '__ns:=/a', '--log-level', 'debug']
+    for words in (['play', 'bag'], ['call', 'a', 'b', '{}', '--timeout', '3'], ['echo', 'x']):
+        options = _parser().parse_args([*words, '--ros-args', *rest])
+        assert options.ros_args == rest
+    assert _parser().parse_args(['call', 'a', 'b', '--ros-args', *rest]).values == ''
+    assert _parser().parse_args(['play', 'bag']).ros_args == []
+
+
+def test_launch_understands_its_options() -> None:
+    options = _parser().parse_args(
+        [
+            'launch', '--config', 'irat', '--set', 'local_view.vt_shift_match=3',
+            '--single-process', '--visual-odometry', '--use-sim-time', '--namespace', 'a',
+            '--image-topic', '/i', '--odom-topic', '/o', '--log-level', 'debug',
+        ]
+    )  # fmt: skip
+    assert (options.namespace, options.image_topic, options.odom_topic) == ('a', '/i', '/o')
+    assert options.single_process and options.visual_odometry and options.use_sim_time
+
+
+@pytest.mark.parametrize(
+    ('words', 'told'),
+    [
+        (['run', 'pose_cell'], ['pose_cell', *NODES]),
+        (['run'], ['NODE']),
+        (['launch', '--config', 'nowhere'], ['nowhere', 'irat']),
+        (['launch', '--set', 'pose_cells.pc_dim_x=0'], ['pc_dim_x', 'expected']),
+        (['launch', '--set', 'pose_cells.pc_dim'], ['section.name=value']),
+        (['play', '/no/such/recording'], ['/no/such/recording', 'does not exist']),
+        (['call', 'a'], ['TYPE']),
+        (['echo'], ['TOPIC']),
+        (['echo', 'a', '--timeout', 'soon'], ['--timeout', 'soon']),
+    ],
+    ids=lambda value: ' '.join(value) if isinstance(value, list) else None,
+)
+def test_wrong_input_is_answered_with_one_line(words, told, capfd) -> None:
+    assert main(words) == 2
+    out, err = capfd.readouterr()
+    assert out == '' and err.startswith('ratslam: ') and err.count('\n') == 1
+    assert all(word in err for word in told)
+
+
+def python(code: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, '-c', code], capture_output=True, text=True, check=False, timeout=60,
+        cwd=ROOT, env={**os.environ, 'PYTHONPATH': str(ROOT)},
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize('node', NODES)
+def test_a_node_without_ros_says_what_to_use(node: str, monkeypatch, capfd) -> None:
+    monkeypatch.setattr(entry, 'find_spec', lambda name: None)
+    assert getattr(entry, node)() == 2
+    err = capfd.readouterr().err
+    assert f'"ratslam run {node}"' in err and err.count('\n') == 1
+
+
+def test_without_rclpy_and_cyclonedds_one_line_says_so() -> None:
+    run = python(
+        'import sys\n'
+        'sys.modules["rclpy"] = sys.modules["cyclonedds"] = None\n'
+        'from ratslam_ros.cli import main\n'
+        'sys.exit(main(["run", "pose_cells"]))\n'
+    )
+    assert run.returncode == 2, run.stderr
+    assert run.stderr.count('\n') == 1 and 'cyclonedds' in run.stderr
+
+
+def test_the_commands_start_quickly() -> None:
+    """A node and the launch load neither the reader of recordings nor what draws."""
+    run = python(
+        'import sys\n'
+        'import ratslam_ros.cli, ratslam_ros.live.run, ratslam_ros.live.launch\n'
+        'import ratslam_ros.live.ros\n'
+        'print(*sorted(sys.modules))\n'
+    )
+    assert run.returncode == 0, run.stderr
+    assert not {'matplotlib', 'rosbags', 'cv2', 'numpy', 'numba', 'rclpy'} & set(
+        run.stdout.split()
+    )
