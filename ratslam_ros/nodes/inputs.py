@@ -15,6 +15,9 @@ from rclpy.qos import ReliabilityPolicy
 from ratslam_ros.nodes.diagnostics import Diagnostics
 from ratslam_ros.nodes.qos import INPUT, INPUT_BEST_EFFORT
 
+QUIET_S = 0.5
+"""After this long without a message a subscription may be made anew."""
+
 
 class Input:
     """One stream, on one of several topics: reliable wherever every publisher offers it."""
@@ -60,7 +63,9 @@ class Input:
                 self._unsubscribe(topic)
                 continue
             less = self._offers_less(topic)
-            if topic not in self._subscriptions or less != self._best_effort[topic]:
+            # One that receives is left alone: another could miss messages and not know.
+            changed = less != self._best_effort.get(topic) and self.silent_s() > QUIET_S
+            if topic not in self._subscriptions or changed:
                 self._unsubscribe(topic)
                 self._subscribe(topic, less)
         now_s = time.monotonic()
