@@ -30,8 +30,9 @@ page = pytest.mark.parametrize('path', PAGES, ids=lambda path: path.name)
 def commands(text: str) -> list[str]:
     """Return the ratslam commands in code blocks."""
     blocks = re.findall(r'```sh\n(.*?)```', text, re.DOTALL)
+    blocks = [block.replace('\\\n', ' ') for block in blocks]
     lines = [line.strip() for block in blocks for line in block.splitlines()]
-    return [line for line in lines if line.startswith('ratslam ')]
+    return [re.split(r'\s[#>]\s', line)[0] for line in lines if line.startswith('ratslam ')]
 
 
 @pytest.mark.parametrize('path', documents(), ids=str)

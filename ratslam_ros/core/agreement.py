@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 
+from ratslam_ros.core.state import State
 from ratslam_ros.core.torus import Place, Torus
 
 MOST_CLAIMS = 64
@@ -57,6 +58,24 @@ class Agreement:
         self._slot_began = 0.0
         self._travelled = 0.0
         self._claims: deque[_Claim] = deque(maxlen=MOST_CLAIMS)
+
+    def state(self) -> State:
+        """Return all claims, for ``restore``."""
+        return {
+            'slot': self._slot,
+            'slot_began': self._slot_began,
+            'travelled': self._travelled,
+            'claims': [[c.template_id, *c.place, c.travelled, c.slot] for c in self._claims],
+        }
+
+    def restore(self, state: State) -> None:
+        """Take what ``state`` gave."""
+        self._slot = state['slot']
+        self._slot_began = state['slot_began']
+        self._travelled = state['travelled']
+        self._claims.clear()
+        for template_id, x, y, theta, travelled, slot in state['claims']:
+            self._claims.append(_Claim(template_id, Place(x, y, theta), travelled, slot))
 
     def integrate(self, chord_cells: float, turn_planes: float) -> None:
         """Carry all claims along with one motion of the robot."""

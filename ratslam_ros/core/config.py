@@ -130,7 +130,19 @@ class ImageInput(LiveInput):
 
 
 @dataclass(frozen=True)
-class OdometryInput(LiveInput):
+class Memory(LiveInput):
+    """Where a node keeps what it has learned."""
+
+    memory_folder: str = parameter(
+        '~/.ros/ratslam', '', 0, 0,
+        'Live only: where the services save and load keep the memory, a file a node.',
+        'set to a folder for each place that the robot works in',
+        'leave as it is for a single robot in a single place',
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class OdometryInput(Memory):
     """How a section that takes odometry reads it, and how long it waits for slower streams."""
 
     odom_source: str = parameter(
@@ -218,7 +230,7 @@ class VisualOdometryParameters(ImageInput):
 
 
 @dataclass(frozen=True)
-class LocalViewParameters(ImageInput):
+class LocalViewParameters(ImageInput, Memory):
     """What a view is reduced to, and when it counts as seen before."""
 
     image_crop_x_min: int = parameter(
@@ -487,7 +499,7 @@ SECTIONS: dict[str, type[Section]] = {
 SETTABLE = frozenset(
     {
         'watchdog_after_s', 'on_jump_back', 'flush_after_s', 'publish_tf', 'map_period_s',
-        'goal_tolerance_m',
+        'goal_tolerance_m', 'memory_folder',
     }
 )  # fmt: skip
 """What a node lets be set while it runs. All else decides what the map becomes: one map is made

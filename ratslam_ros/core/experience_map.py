@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.local_view import NO_TEMPLATE
 from ratslam_ros.core.odometry import Motion, Pose, moved
 from ratslam_ros.core.pose_cells import NO_EXPERIENCE, MapAction
+from ratslam_ros.core.state import State
 from ratslam_ros.core.torus import Place
 
 
@@ -108,6 +110,32 @@ class ExperienceMap:
             links.append(Link(source, target, distance, heading, facing, *note))
         return links
 
+    def state(self) -> State:
+        """Return the whole map, and where the robot is on it, for ``restore``."""
+        links = len(self._notes)
+        return {
+            'poses': self.poses,
+            'labels': [[template, *place] for template, place in self._labels],
+            'ends': self._ends[:links].copy(),
+            'shapes': self._shapes[:links].copy(),
+            'notes': [list(note) for note in self._notes],
+            'current': self.current_id,
+            'offset': list(self.offset),
+            'duration_s': self._duration_s,
+        }
+
+    def restore(self, state: State) -> None:
+        """Take what ``state`` gave for the present map, which must be empty."""
+        self._poses = _with_room(state['poses'])
+        self._labels = [(t, Place(x, y, theta)) for t, x, y, theta in state['labels']]
+        self._ends = _with_room(state['ends'])
+        self._shapes = _with_room(state['shapes'])
+        self._notes = [(duration, name, count) for duration, name, count in state['notes']]
+        self._row = {(i, j): row for row, (i, j) in enumerate(state['ends'].tolist())}
+        self.current_id = state['current']
+        self.offset = Pose(*state['offset'])
+        self._duration_s = state['duration_s']
+
     def integrate(self, motion: Motion) -> None:
         """Add one motion to the way since the current experience, in that experience's frame."""
         self.offset = moved(self.offset, motion)
@@ -186,6 +214,13 @@ def composed(base: Pose, offset: Pose) -> Pose:
         base.y_m + s * offset.x_m + c * offset.y_m,
         wrap(base.heading_rad + offset.heading_rad),
     )
+
+
+def _with_room(rows: NDArray[Any]) -> NDArray[Any]:
+    """Return an array of at least 64 rows that begins with the given ones."""
+    room = np.empty((max(64, len(rows)), rows.shape[1]), rows.dtype)
+    room[: len(rows)] = rows
+    return room
 
 
 @compiled

@@ -9,6 +9,7 @@ from dataclasses import replace
 from ratslam_ros.core.experience_map import ExperienceMap
 from ratslam_ros.core.numbering import DenseNumbering
 from ratslam_ros.core.pose_cells import MapAction
+from ratslam_ros.core.state import State
 
 
 class Joining:
@@ -28,6 +29,19 @@ class Joining:
         self.first_sequence: int | None = None
         """The sequence of the first action that came; above 0 the map began late."""
 
+    def state(self) -> State:
+        """Return which actions came so far, for ``restore``."""
+        return {
+            'missed': self.missed, 'forgotten': self.forgotten, 'next': self._next,
+            'first_sequence': self.first_sequence, 'numbering': self._numbering.state(),
+        }  # fmt: skip
+
+    def restore(self, state: State) -> None:
+        """Take what ``state`` gave."""
+        self.missed, self.forgotten = state['missed'], state['forgotten']
+        self._next, self.first_sequence = state['next'], state['first_sequence']
+        self._numbering.restore(state['numbering'])
+
     def apply(self, action: MapAction, sequence: int, memory_ns: int, behaviour: str = '') -> None:
         """Do what the pose cells decided, as far as the map knows what they mean.
 
@@ -36,8 +50,9 @@ class Joining:
         """
         if self.first_sequence is None:
             self.first_sequence = sequence
-        elif sequence < self._next:
+        elif sequence < self._next:  # restarted, or with a memory from before the map's own
             self.forgotten += 1
+            self._numbering.forget()
         else:
             self.missed += sequence - self._next
         self._next = sequence + 1

@@ -15,6 +15,8 @@ from ratslam_ros.core.compiled import compiled
 from ratslam_ros.core.config import LocalViewParameters
 from ratslam_ros.core.image_window import Window, plain, window_of
 from ratslam_ros.core.sad import LANES, sad_of_lanes
+from ratslam_ros.core.state import State
+from ratslam_ros.errors import UnusableInput
 
 Image = NDArray[np.uint8]
 Values = NDArray[np.float64]
@@ -133,6 +135,27 @@ class LocalView:
         self._likely = self._count
         self._count += 1
         return self._likely
+
+    def state(self) -> State:
+        """Return all that was learned, for ``restore``."""
+        return {'templates': self.templates, 'likely': self._likely}
+
+    def restore(self, state: State) -> None:
+        """Take what ``state`` gave for the present memory, which must be empty.
+
+        Raises:
+            UnusableInput: it is of templates of another size.
+        """
+        templates = state['templates']
+        if templates.dtype != np.uint8 or templates.shape[1:] != (self._height, self._width):
+            raise UnusableInput(
+                f'the templates are {templates.shape[1:]} of {templates.dtype}; expected '
+                f'{(self._height, self._width)} of uint8: template_y_size and template_x_size '
+                'must be those of the run that saved'
+            )
+        for view in templates:
+            self.learn(view)
+        self._likely = int(state['likely'])
 
     def match(self, view: Image) -> Match | None:
         """Return (template id, offset, SAD) of the best match, None where nothing is learned.

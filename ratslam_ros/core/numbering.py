@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from ratslam_ros.core.state import State
+
 NOTHING_LEARNED = 0
 """The memory stamp of who has learned nothing yet."""
 
@@ -34,6 +36,18 @@ class Numbering:
         self._base = self._end
         return another
 
+    def state(self) -> State:
+        """Return all numbers, for ``restore``."""
+        return {
+            'memory_ns': self.memory_ns, 'forgotten': self.forgotten, 'base': self._base,
+            'end': self._end,
+        }  # fmt: skip
+
+    def restore(self, state: State) -> None:
+        """Take what ``state`` gave."""
+        self.memory_ns, self.forgotten = state['memory_ns'], state['forgotten']
+        self._base, self._end = state['base'], state['end']
+
     def number(self, theirs: int) -> int:
         """Return the number of an id of the present memory; negative ids stay as they are."""
         if theirs < 0:
@@ -54,8 +68,21 @@ class DenseNumbering(Numbering):
         """Take the memory that a message names; return whether that is another one than before."""
         another = super().remember(memory_ns)
         if another:
-            self._own.clear()
+            self.forget()
         return another
+
+    def forget(self) -> None:
+        """Take all ids for those of other things from now on."""
+        self._own.clear()
+
+    def state(self) -> State:
+        """Return all numbers, for ``restore``."""
+        return {**super().state(), 'own': [list(pair) for pair in self._own.items()]}
+
+    def restore(self, state: State) -> None:
+        """Take what ``state`` gave."""
+        super().restore(state)
+        self._own = {theirs: own for theirs, own in state['own']}
 
     def knows(self, theirs: int) -> bool:
         """Tell whether an id of the present memory has a number."""

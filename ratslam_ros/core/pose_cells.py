@@ -12,11 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.agreement import Agreement
-from ratslam_ros.core.attractor import Network, kernel
+from ratslam_ros.core.attractor import Network, Packet, kernel
 from ratslam_ros.core.config import PoseCellsParameters
 from ratslam_ros.core.local_view import NO_TEMPLATE, ViewMatch
 from ratslam_ros.core.odometry import Motion, Pose, moved
+from ratslam_ros.core.state import State
 from ratslam_ros.core.torus import Place, Torus
+from ratslam_ros.errors import UnusableInput
 
 Action = Literal['create', 'link', 'set', 'none']
 
@@ -100,6 +102,52 @@ class PoseCells:
     def activity(self) -> NDArray[np.float64]:
         """Return all activity, (n_theta, n_y, n_x), for viewers."""
         return self._network.dense(self._packets)
+
+    def state(self) -> State:
+        """Return all activity and all that was learned, for ``restore``."""
+        return {
+            'dims': [self._p.pc_dim_x, self._p.pc_dim_y, self._p.pc_dim_th],
+            'packets': [packet._asdict() for packet in self._packets],
+            'memories': [
+                [template, *m.place, m.order, m.decay, m.message]
+                for template, m in self._memories.items()
+            ],
+            'messages': self._messages,
+            'last_template': self._last_template,
+            'experiences': [[template, *place] for template, place in self._experiences],
+            'transitions': sorted(map(list, self._transitions)),
+            'current': self._current,
+            'since_current': list(self._since_current),
+            'stepped': self._stepped,
+            'agreement': self._agreement.state(),
+        }
+
+    def restore(self, state: State) -> None:
+        """Take what ``state`` gave for the present memory, which must be empty.
+
+        Raises:
+            UnusableInput: it is of pose cells of other extents.
+        """
+        dims = [self._p.pc_dim_x, self._p.pc_dim_y, self._p.pc_dim_th]
+        if state['dims'] != dims:
+            raise UnusableInput(
+                f'the pose cells are {state["dims"]}; expected {dims}: pc_dim_x, pc_dim_y and '
+                'pc_dim_th must be those of the run that saved'
+            )
+        self._packets = [Packet(**packet) for packet in state['packets']]
+        self.peak = self._decoded()
+        for template, x, y, theta, order, decay, message in state['memories']:
+            self._memories[template] = _Memory(Place(x, y, theta), order, decay, message)
+        self._messages = state['messages']
+        self._last_template = state['last_template']
+        for number, (template, x, y, theta) in enumerate(state['experiences']):
+            self._experiences.append((template, Place(x, y, theta)))
+            self._of_template.setdefault(template, []).append(number)
+        self._transitions = {(source, target) for source, target in state['transitions']}
+        self._current = state['current']
+        self._since_current = Pose(*state['since_current'])
+        self._stepped = state['stepped']
+        self._agreement.restore(state['agreement'])
 
     def integrate(self, motion: Motion) -> None:
         """Let the network compete once and follow one motion."""

@@ -24,6 +24,7 @@ from ratslam_ros.core.joining import Joining
 from ratslam_ros.core.local_view import NO_TEMPLATE
 from ratslam_ros.core.odometry import MotionFromOdometry, Odometry, Pose, moved
 from ratslam_ros.core.pose_cells import MapAction
+from ratslam_ros.core.state import State
 from ratslam_ros.messages import MalformedMessage, decode_action, encode_map
 from ratslam_ros.nodes.convert import (
     header_of,
@@ -92,6 +93,25 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
 
     def _set_mapping(self, mapping: bool) -> None:
         self._core.mapping = mapping
+
+    def _learned(self) -> State:
+        return {
+            'action_ns': self._action_ns,
+            'joining': self._joining.state(),
+            'core': self._core.state(),
+        }
+
+    def _restore(self, state: State) -> None:
+        core = ExperienceMap(self._section)
+        core.restore(state['core'])
+        joining = Joining(core)
+        joining.restore(state['joining'])
+        self._action_ns = int(state['action_ns'])
+        self._core, self._joining = core, joining
+        self._core.mapping = self._mapping
+        self._motion.restart()
+        self._goal = None
+        self._changed = True
 
     def close(self) -> None:
         """Process what still waits, and send the last map."""

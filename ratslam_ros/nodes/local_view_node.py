@@ -13,6 +13,7 @@ from std_msgs.msg import String
 
 from ratslam_ros.core.local_view import UNDECODABLE, LocalView, ViewMatch, make_view
 from ratslam_ros.core.numbering import NOTHING_LEARNED
+from ratslam_ros.core.state import State
 from ratslam_ros.messages import encode_template
 from ratslam_ros.nodes.convert import grey_image
 from ratslam_ros.nodes.image_node import ImageNode
@@ -44,6 +45,16 @@ class LocalViewNode(ImageNode):
 
     def _set_mapping(self, mapping: bool) -> None:
         self._core.mapping = mapping
+
+    def _learned(self) -> State:
+        return {'memory_ns': self._memory_ns, 'core': self._core.state()}
+
+    def _restore(self, state: State) -> None:
+        core = LocalView(self._section)
+        core.restore(state['core'])
+        self._memory_ns = int(state['memory_ns'])
+        self._core = core
+        self._core.mapping = self._mapping
 
     def _see(self, stamp_ns: int, image: NDArray[np.uint8], frame_id: str) -> None:
         with self._diagnostics.times('local_view'):

@@ -6,14 +6,18 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterable
+from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
+from ratslam_ros import memory_files
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.order import Counts, Released, StampOrder
+from ratslam_ros.core.state import State
+from ratslam_ros.errors import RatslamError
 from ratslam_ros.nodes.diagnostics import Diagnostics
 from ratslam_ros.nodes.inputs import Input
 from ratslam_ros.nodes.parameters import NodeParameters
@@ -56,6 +60,8 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
         self.create_service(SetBool, f'{self.SECTION}/pause', self._on_pause)
         if self.MAPS:
             self.create_service(SetBool, f'{self.SECTION}/mapping', self._on_mapping)
+            self.create_service(Trigger, f'{self.SECTION}/save', self._on_save)
+            self.create_service(Trigger, f'{self.SECTION}/load', self._on_load)
 
     @property
     def config(self) -> Config:
@@ -178,9 +184,7 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
             self._counted = Counts()
             self._forget()
         self._diagnostics.missing.clear()
-        response.success, response.message = True, f'{self.SECTION} has an empty memory'
-        self.get_logger().info(response.message)
-        return response
+        return self._answer(response, True, f'{self.SECTION} has an empty memory')
 
     def _on_pause(self, request: Any, response: Any) -> Any:
         with self._lock:
@@ -189,22 +193,62 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
             elif self._paused and not request.data:
                 self._carried()
             self._paused = bool(request.data)
-        response.success = True
-        response.message = f'{self.SECTION} is {"paused" if self._paused else "running"}'
-        self.get_logger().info(response.message)
-        return response
+        state = 'paused' if self._paused else 'running'
+        return self._answer(response, True, f'{self.SECTION} is {state}')
 
     def _on_mapping(self, request: Any, response: Any) -> Any:
         with self._lock:
             self._mapping = bool(request.data)
             self._set_mapping(self._mapping)
-        response.success = True
-        response.message = f'{self.SECTION} ' + (
-            'learns' if self._mapping else 'learns nothing more: localisation only'
-        )
-        self.get_logger().info(response.message)
+        state = 'learns' if self._mapping else 'learns nothing more: localisation only'
+        return self._answer(response, True, f'{self.SECTION} {state}')
+
+    def _on_save(self, request: Any, response: Any) -> Any:
+        try:
+            with self._lock:
+                self._process(self._order.flush())
+                memory_files.save(self._memory_path, self.SECTION, self._learned())
+        except RatslamError as error:
+            return self._answer(response, False, str(error))
+        return self._answer(response, True, f'saved to {self._memory_path}')
+
+    def _on_load(self, request: Any, response: Any) -> Any:
+        try:
+            state = memory_files.load(self._memory_path, self.SECTION)
+            with self._lock:
+                self._restore(state)
+                self._order = self._new_order()
+                self._counted = Counts()
+        except RatslamError as error:
+            return self._answer(response, False, str(error))
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            return self._answer(response, False, f'{self._memory_path} does not fit: {error!r}')
+        self._diagnostics.missing.clear()
+        return self._answer(response, True, f'loaded from {self._memory_path}')
+
+    def _answer(self, response: Any, success: bool, text: str) -> Any:
+        if success:
+            self.get_logger().info(text)
+        else:
+            self.get_logger().error(text)
+        response.success, response.message = success, text
         return response
+
+    @property
+    def _memory_path(self) -> Path:
+        name = self.get_fully_qualified_name().lstrip('/').replace('/', '.')
+        return Path(self._section.memory_folder).expanduser() / f'{name}.npz'
+
+    # What nodes that map do
 
     def _set_mapping(self, mapping: bool) -> None:
         """Switch learning on or off."""
+        raise NotImplementedError
+
+    def _learned(self) -> State:
+        """Return all that was learned."""
+        raise NotImplementedError
+
+    def _restore(self, state: State) -> None:
+        """Take what ``_learned`` gave in place of what is known; all of it, or raise."""
         raise NotImplementedError

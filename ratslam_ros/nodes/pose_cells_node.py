@@ -17,6 +17,7 @@ from ratslam_ros.core.local_view import NO_TEMPLATE, ViewMatch
 from ratslam_ros.core.numbering import NOTHING_LEARNED, Numbering
 from ratslam_ros.core.odometry import MotionFromOdometry, Odometry
 from ratslam_ros.core.pose_cells import PoseCells
+from ratslam_ros.core.state import State
 from ratslam_ros.messages import MalformedMessage, decode_template, encode_action
 from ratslam_ros.nodes.convert import grey_image, odometry_of
 from ratslam_ros.nodes.node import FLUSH_CHECK_S, RatslamNode
@@ -63,6 +64,23 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
 
     def _set_mapping(self, mapping: bool) -> None:
         self._core.mapping = mapping
+
+    def _learned(self) -> State:
+        return {
+            'memory_ns': self._memory_ns,
+            'sequence': self._sequence,
+            'numbering': self._numbering.state(),
+            'core': self._core.state(),
+        }
+
+    def _restore(self, state: State) -> None:
+        core, numbering = PoseCells(self._section), Numbering()
+        core.restore(state['core'])
+        numbering.restore(state['numbering'])
+        self._memory_ns, self._sequence = int(state['memory_ns']), int(state['sequence'])
+        self._core, self._numbering = core, numbering
+        self._core.mapping = self._mapping
+        self._motion.restart()
 
     def _on_odometry(self, message: OdometryMessage) -> None:
         odometry = odometry_of(message)

@@ -184,6 +184,7 @@ def test_every_name_is_found_in_its_section() -> None:
         assert found == section or name in (
             'odom_source', 'max_lateness_s', 'flush_after_s', 'watchdog_after_s', 'on_jump_back',
             'publish_tf', 'odom_frame', 'base_frame', 'image_transport',
+            'memory_folder',
         )  # fmt: skip
     assert section_of('nonsense') is None
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -520,6 +521,35 @@ def test_while_only_localising_the_map_stays_as_it_is(world: MakeWorld) -> None:
     after = json.loads(heard[-1].data)
     assert after['experiences'] == before['experiences']
     assert after['links'] == before['links']
+
+
+def test_what_was_saved_is_loaded_and_a_wrong_file_changes_nothing(
+    world: MakeWorld, tmp_path: Path
+) -> None:
+    from std_srvs.srv import Trigger
+
+    folder = ('-p', f'memory_folder:={tmp_path}')
+    made, heard = experience_map(world, *folder)
+    answer = made.call(Trigger, 'experience_map/load')
+    assert not answer.success
+    assert 'does not exist' in answer.message
+    drive_straight(made)
+    last_map(made, heard, 5)
+    assert made.call(Trigger, 'experience_map/save').success
+    before = heard[-1].data
+    assert made.call(Trigger, 'experience_map/reset').success
+    assert made.call(Trigger, 'experience_map/load').success
+    made.until(lambda: heard[-1].data == before)
+    [file] = tmp_path.iterdir()
+    assert file.name == 'experience_map.npz'
+    file.write_bytes(file.read_bytes()[:-100])
+    assert not made.call(Trigger, 'experience_map/load').success
+    made.send('odom', odometry(START_NS + 7 * S, 1.0))
+    made.send('odom', odometry(START_NS + 8 * S, 1.0))
+    made.send('pose_cells/action', string(action_text(START_NS + 8 * S, 5, 'create', 4, 5)))
+    made.send('odom', odometry(START_NS + 9 * S, 0.0))
+    graph = last_map(made, heard, 6)
+    assert graph['experiences'][5]['y_m'] == pytest.approx(5.0)
 
 
 # Visual odometry
