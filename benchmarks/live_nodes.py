@@ -222,7 +222,7 @@ def cpu_s(process: subprocess.Popen[bytes]) -> float:
 def report(bench: Bench, shares: dict[str, float], codes: dict[str, int]) -> str:
     import rclpy
 
-    real = 'standalone' not in (rclpy.__file__ or 'standalone')
+    real = getattr(rclpy, '__file__', None) is not None
     lines = [
         f'runtime: {"rclpy" if real else "stand-in"}, {bench.images} images of {WIDTH}x{HEIGHT} '
         f'at {IMAGE_HZ:g} Hz, odometry at {ODOMETRY_HZ:g} Hz',

@@ -13,6 +13,9 @@ from ratslam_ros.core.angles import wrap
 MOST = 1e9
 """No robot is this fast (m/s, rad/s) or this far off (m); such a message is refused."""
 
+LONGEST_GAP_S = 60.0
+"""After a longer time without odometry nobody knows where the robot went: that is no motion."""
+
 
 class Twist(NamedTuple):
     """Forward speed and turn rate, counter-clockwise positive."""
@@ -77,7 +80,7 @@ class MotionFromOdometry:
         self._last = None
 
     def __call__(self, odometry: Odometry) -> Motion | None:
-        """Return the motion since the message before; None for the first one.
+        """Return the motion since the message before; None for the first one, or after a gap.
 
         Twist n acts over (t[n-1], t[n]]. From poses: the arc that joins the two poses, seen in
         the robot's frame. Algorithm.md, Odometry input.
@@ -86,6 +89,8 @@ class MotionFromOdometry:
         if last is None:
             return None
         dt_s = (odometry.stamp_ns - last.stamp_ns) * 1e-9
+        if dt_s > LONGEST_GAP_S:
+            return None
         if not self._from_pose:
             v, w = odometry.twist
             return Motion(dt_s, v * dt_s, w * dt_s)

@@ -113,3 +113,12 @@ def test_driving_back_is_negative_from_poses_as_well() -> None:
     motion = motion_of(Odometry(1, Twist(0.0, 0.0), back))
     assert motion is not None
     assert motion.distance_m == pytest.approx(-0.5)
+
+
+@pytest.mark.parametrize('source', ['twist', 'pose'])
+def test_after_a_minute_without_odometry_nothing_is_known_of_the_motion(source: str) -> None:
+    motion_from = MotionFromOdometry(source)
+    assert motion_from(twist(START_NS, 1.0)) is None
+    assert motion_from(twist(START_NS + 60 * 10**9, 1.0)) is not None
+    assert motion_from(twist(START_NS + 121 * 10**9, 1.0)) is None
+    assert motion_from(twist(START_NS + 122 * 10**9, 1.0)) is not None
