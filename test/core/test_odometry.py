@@ -118,7 +118,7 @@ def test_driving_back_is_negative_from_poses_as_well() -> None:
 @pytest.mark.parametrize('source', ['twist', 'pose'])
 def test_after_a_minute_without_odometry_nothing_is_known_of_the_motion(source: str) -> None:
     motion_from = MotionFromOdometry(source)
-    assert motion_from(twist(START_NS, 1.0)) is None
-    assert motion_from(twist(START_NS + 60 * 10**9, 1.0)) is not None
-    assert motion_from(twist(START_NS + 121 * 10**9, 1.0)) is None
-    assert motion_from(twist(START_NS + 122 * 10**9, 1.0)) is not None
+    assert motion_from(twist(SECOND, 1.0)) is None
+    assert motion_from(twist(SECOND + 60 * 10**9, 1.0)) is not None
+    assert motion_from(twist(SECOND + 121 * 10**9, 1.0)) is None
+    assert motion_from(twist(SECOND + 122 * 10**9, 1.0)) is not None

@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 from helpers import live_environment
+
 from ratslam_ros.standalone import StandaloneUnavailable, install
 
 os.environ.update(live_environment())
