@@ -25,6 +25,9 @@ def installed(folder: str, *patterns: str) -> tuple[str, list[str]]:
     return f'share/{NAME}/{folder}', [path.relative_to(HERE).as_posix() for path in files]
 
 
+# ros2 run NODE; a machine without ROS is told of "ratslam run NODE".
+NODES = ['visual_odometry', 'local_view', 'pose_cells', 'experience_map', 'single_process']
+
 TEST = ['hypothesis>=6.90', 'pytest>=8.0']
 
 setup(
@@ -44,11 +47,16 @@ setup(
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
         installed('config', '*.yaml'),
+        installed('foxglove', '*.json'),
         installed('launch', '*.launch.py'),
+        installed('rviz', '*.rviz'),
     ],
     zip_safe=False,
     python_requires='>=3.11',
     install_requires=[
+        # Only for the live commands where there is no ROS. On Linux there are wheels for x86_64
+        # alone, and another machine is to install all the rest.
+        'cyclonedds>=11.0,<11.1; platform_machine == "x86_64" or sys_platform != "linux"',
         'lz4>=4.0',
         'matplotlib>=3.8',
         'mcap>=1.1',
@@ -65,5 +73,10 @@ setup(
         'test': TEST,  # by this name colcon knows that pytest runs the tests
         'dev': [*TEST, 'mypy>=1.8', 'ruff>=0.4', 'types-PyYAML', 'types-tqdm'],
     },
-    entry_points={'console_scripts': [f'ratslam = {NAME}.cli:main']},
+    entry_points={
+        'console_scripts': [
+            f'ratslam = {NAME}.cli:main',
+            *[f'{node} = {NAME}.live.entry:{node}' for node in NODES],
+        ]
+    },
 )

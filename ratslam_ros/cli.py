@@ -1,18 +1,19 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The ratslam command: info, replay, demo, evaluate, plot, tune."""
+"""The ratslam command: info, replay, demo, evaluate, plot, tune; live run, launch, play, ..."""
 
 from __future__ import annotations
 
 import argparse
 import errno
+import math
 import signal
 import sys
 import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from ratslam_ros import __version__
 from ratslam_ros.core.config import Config
@@ -21,6 +22,7 @@ from ratslam_ros.errors import RatslamError, UnusableInput
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 DONE, INTERNAL_ERROR, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
+NO_ANSWER = 1
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -120,7 +122,79 @@ def _parser() -> argparse.ArgumentParser:
     _add_topics(tune)
     _add_out(tune, 'results/NAME-tune-TIME')
     tune.set_defaults(run=_tune)
+
+    _add_live(commands)
     return parser
+
+
+def _add_live(commands: Any) -> None:
+    """Add the commands that talk to others, over ROS 2 or over the stand-in for it."""
+    from ratslam_ros.live.run import NODES
+
+    run = commands.add_parser('run', help='run one node')
+    run.add_argument('node', metavar='NODE', help=f'one of {", ".join(NODES)}')
+    run.add_argument('arguments', nargs=argparse.REMAINDER, metavar='--ros-args ...',
+                     help="the node's own, such as --ros-args -p use_sim_time:=true")
+    run.set_defaults(run=_run)
+
+    launch = commands.add_parser('launch', help='run all nodes, each in its own process')
+    _add_config(launch)
+    launch.add_argument('--visual-odometry', action='store_true',
+                        help='odometry from the camera; without it the robot publishes odom')
+    launch.add_argument('--single-process', action='store_true', help='all nodes in one process')
+    launch.add_argument('--use-sim-time', action='store_true',
+                        help='time from /clock, as ratslam play --clock publishes it')
+    launch.add_argument('--namespace', default='', metavar='NS')
+    launch.add_argument('--image-topic', default='', metavar='T',
+                        help="the camera's topic, raw or .../compressed (default: image)")
+    launch.add_argument('--odom-topic', default='', metavar='T',
+                        help='the odometry (default: odom)')
+    launch.add_argument('--log-level', default='', metavar='L',
+                        help='debug, info, warn, error or fatal')
+    launch.set_defaults(run=_launch)
+
+    play = commands.add_parser('play', help='publish a recording, in place of a robot')
+    _add_recording(play)
+    play.add_argument('--rate', type=float, default=1.0, metavar='R',
+                      help='speed; 0: as fast as possible (default: 1)')
+    play.add_argument('--clock', action='store_true',
+                      help="publish the recording's time on /clock")
+    play.add_argument('--loop', action='store_true', help='again and again')
+    play.add_argument('--lockstep', action='store_true',
+                      help='wait until each image has been acted on')
+    _add_span(play)
+    _add_topics(play)
+    play.add_argument('--visual-odometry', action='store_true',
+                      help='publish no odometry, even where there is some')
+    play.add_argument('--wait', type=float, default=10.0, metavar='S',
+                      help='wait this long for subscribers at the start (default: 10)')
+    play.add_argument('--quiet', action='store_true', help='no progress bar, no summary')
+    _add_ros(play)
+    play.set_defaults(run=_play)
+
+    call = commands.add_parser('call', help='call a service')
+    call.add_argument('service', metavar='SERVICE')
+    call.add_argument('type', metavar='TYPE', help='such as std_srvs/srv/Trigger')
+    call.add_argument('values', metavar='YAML', nargs='?', default='',
+                      help='the request, such as "{data: true}"')
+    call.add_argument('--timeout', type=float, default=10.0, metavar='S', help='(default: 10)')
+    _add_ros(call)
+    call.set_defaults(run=_call)
+
+    echo = commands.add_parser('echo', help='print the messages of a topic')
+    echo.add_argument('topic', metavar='TOPIC')
+    echo.add_argument('type', metavar='TYPE', nargs='?', help='(default: found by the topic)')
+    echo.add_argument('--once', action='store_true', help='one message, and end')
+    echo.add_argument('--field', metavar='NAME', help='print just this field, such as pose.pose')
+    echo.add_argument('--timeout', type=float, default=math.inf, metavar='S',
+                      help='end after so long without a message (default: never)')
+    _add_ros(echo)
+    echo.set_defaults(run=_echo)
+
+
+def _add_ros(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument('--ros-args', nargs=argparse.REMAINDER, default=[], metavar='...',
+                        help='all that follows is for ROS: -r image:=/camera/image, -r __ns:=/b')
 
 
 def _add_recording(parser: argparse.ArgumentParser) -> None:
@@ -364,4 +438,94 @@ def _tune(options: argparse.Namespace) -> int:
         path = plot_proposal(proposal, folder / 'tune.png')
         _warn(recording.warnings)
     print(f'{proposal.format()}\n{path}')
+    return DONE
+
+
+def _run(options: argparse.Namespace) -> int:
+    from ratslam_ros.live.run import run
+
+    return run(options.node, options.arguments)
+
+
+def _launch(options: argparse.Namespace) -> int:
+    from ratslam_ros.live.launch import LaunchOptions, launch
+
+    return launch(
+        _config(options),
+        LaunchOptions(
+            visual_odometry=options.visual_odometry,
+            single_process=options.single_process,
+            use_sim_time=options.use_sim_time,
+            namespace=options.namespace,
+            image_topic=options.image_topic,
+            odom_topic=options.odom_topic,
+            log_level=options.log_level,
+        ),
+    )
+
+
+def _play(options: argparse.Namespace) -> int:
+    from ratslam_ros.live import ros
+    from ratslam_ros.recordings import open_recording
+
+    with open_recording(options.recording, images_rate_hz=options.images_rate) as recording:
+        selection = recording.select(
+            options.image_topic, options.odom_topic, options.visual_odometry
+        )
+        ros.require()
+        from ratslam_ros.live.player import PlayOptions, play
+
+        if not options.quiet:
+            for notice in selection.notices:
+                _say(notice)
+        told = play(
+            recording,
+            selection,
+            PlayOptions(
+                rate=options.rate,
+                clock=options.clock,
+                loop=options.loop,
+                lockstep=options.lockstep,
+                start_s=options.start,
+                duration_s=options.duration,
+                wait_s=options.wait,
+                progress=not options.quiet,
+            ),
+            options.ros_args,
+        )
+    if not options.quiet:
+        print(told)
+    return DONE
+
+
+def _call(options: argparse.Namespace) -> int:
+    from ratslam_ros.live import ros
+
+    ros.require()
+    from ratslam_ros.live.call import call
+
+    try:
+        print(call(options.service, options.type, options.values, options.timeout,
+                   options.ros_args))
+    except ros.Silence as silence:
+        _say(f'ratslam: {silence}')
+        return NO_ANSWER
+    return DONE
+
+
+def _echo(options: argparse.Namespace) -> int:
+    from ratslam_ros.live import ros
+
+    ros.require()
+    from ratslam_ros.live.echo import EchoOptions, echo
+
+    try:
+        echo(
+            options.topic,
+            EchoOptions(options.type, options.once, options.field, options.timeout),
+            options.ros_args,
+        )
+    except ros.Silence as silence:
+        _say(f'ratslam: {silence}')
+        return NO_ANSWER
     return DONE

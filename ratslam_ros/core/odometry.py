@@ -13,7 +13,7 @@ from ratslam_ros.core.angles import wrap
 MOST = 1e9
 """No robot is this fast (m/s, rad/s) or this far off (m); such a message is refused."""
 
-LONGEST_GAP_S = 60.0
+LONGEST_GAP_NS = 60_000_000_000
 """After a longer time without odometry nobody knows where the robot went: that is no motion."""
 
 
@@ -89,7 +89,7 @@ class MotionFromOdometry:
         if last is None:
             return None
         dt_s = (odometry.stamp_ns - last.stamp_ns) * 1e-9
-        if dt_s > LONGEST_GAP_S:
+        if odometry.stamp_ns - last.stamp_ns > LONGEST_GAP_NS:
             return None
         if not self._from_pose:
             v, w = odometry.twist

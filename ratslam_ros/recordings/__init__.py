@@ -8,7 +8,13 @@ yields what they tell. ``describe`` is what ``ratslam info`` shows.
 
 from ratslam_ros.images import UndecodableImage
 from ratslam_ros.recordings.describe import Description, describe
-from ratslam_ros.recordings.events import Event, ImageEvent, OdometryEvent, TemplateEvent
+from ratslam_ros.recordings.events import (
+    Event,
+    ImageEvent,
+    OdometryEvent,
+    Orientation,
+    TemplateEvent,
+)
 from ratslam_ros.recordings.opening import open_recording
 from ratslam_ros.recordings.recording import Recording
 from ratslam_ros.recordings.selection import Selection, Topic
@@ -18,6 +24,7 @@ __all__ = [
     'Event',
     'ImageEvent',
     'OdometryEvent',
+    'Orientation',
     'Recording',
     'Selection',
     'TemplateEvent',

@@ -4,14 +4,19 @@
 
 import functools
 import json
-import math
 from typing import Any
 
 import zstandard
 from rosbags.typesys import Stores, get_typestore
 
 from ratslam_ros.images import image_of
-from ratslam_ros.recordings.events import Event, ImageEvent, OdometryEvent, TemplateEvent
+from ratslam_ros.recordings.events import (
+    Event,
+    ImageEvent,
+    OdometryEvent,
+    Orientation,
+    TemplateEvent,
+)
 from ratslam_ros.recordings.stream import Message
 
 RAW_IMAGE = 'sensor_msgs/msg/Image'
@@ -79,15 +84,16 @@ def template(payload: str, log_ns: int) -> TemplateEvent:
 def _odometry(content: Any, log_ns: int) -> OdometryEvent:
     pose, twist = content.pose.pose, content.twist.twist
     q = pose.orientation
-    values = (
+    # Numbers that are not finite are passed on: only whoever uses them knows which are needed.
+    return OdometryEvent(
+        _stamp(content),
+        log_ns,
         float(twist.linear.x),
         float(twist.angular.z),
         float(pose.position.x),
         float(pose.position.y),
-        math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z)),
+        Orientation(float(q.x), float(q.y), float(q.z), float(q.w)),
     )
-    # Numbers that are not finite are passed on: only whoever uses them knows which are needed.
-    return OdometryEvent(_stamp(content), log_ns, *values)
 
 
 def _stamp(content: Any) -> int:

@@ -2,7 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a recording tells, one event at a time."""
 
+import math
 from dataclasses import dataclass
+from typing import NamedTuple, Self
 
 from ratslam_ros.images import Image, Pixels
 
@@ -28,9 +30,29 @@ class ImageEvent:
         return self.image.bgr()
 
 
+class Orientation(NamedTuple):
+    """A quaternion as in messages, kept as it is: a heading read again is then the same."""
+
+    x: float
+    y: float
+    z: float
+    w: float
+
+    @classmethod
+    def of_heading(cls, heading_rad: float) -> Self:
+        """Return a turn about the vertical."""
+        return cls(0.0, 0.0, math.sin(heading_rad / 2.0), math.cos(heading_rad / 2.0))
+
+    @property
+    def heading_rad(self) -> float:
+        """The turn about the vertical, counter-clockwise from x."""
+        x, y, z, w = self
+        return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+
 @dataclass(frozen=True, slots=True)
 class OdometryEvent:
-    """A motion in m/s and rad/s, and a pose in m and rad, as the odometry believes it."""
+    """A motion in m/s and rad/s, and a pose in m, as the odometry believes it."""
 
     stamp_ns: int
     log_ns: int
@@ -38,7 +60,12 @@ class OdometryEvent:
     angular_z: float
     x: float
     y: float
-    heading_rad: float
+    orientation: Orientation
+
+    @property
+    def heading_rad(self) -> float:
+        """The heading of the pose, counter-clockwise from x."""
+        return self.orientation.heading_rad
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,7 +21,7 @@ from pathlib import Path
 
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.images import EncodedImage
-from ratslam_ros.recordings.events import Event, ImageEvent, OdometryEvent
+from ratslam_ros.recordings.events import Event, ImageEvent, OdometryEvent, Orientation
 from ratslam_ros.recordings.recording import Recording
 from ratslam_ros.recordings.selection import IMAGE_FILES, TABLE, Selection, Topic
 
@@ -132,7 +132,8 @@ class ImageFolder(Recording):
             if not start_ns <= row.stamp_ns < stop_ns:
                 continue
             if row.motion is not None and selection.odom_topic:
-                yield OdometryEvent(row.stamp_ns, row.stamp_ns, *row.motion, x, y, heading)
+                turned = Orientation.of_heading(heading)
+                yield OdometryEvent(row.stamp_ns, row.stamp_ns, *row.motion, x, y, turned)
             if row.image is not None and selection.image_topic:
                 yield ImageEvent(row.stamp_ns, row.stamp_ns, self._load(row.image))
 

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from processes import wait_for
 
 from ratslam_ros.core.config import Config
 from ratslam_ros.live import launch as module
@@ -166,14 +167,6 @@ def test_children_end_with_a_parent_that_is_killed(tmp_path: Path) -> None:
         parent.kill()
         parent.wait()
     wait_for(lambda: not alive(int(pid.read_text())))
-
-
-def wait_for(condition):  # type: ignore[no-untyped-def]
-    end_s = time.monotonic() + 10.0
-    while not (found := condition()):
-        assert time.monotonic() < end_s
-        time.sleep(0.02)
-    return found
 
 
 def alive(pid: int) -> bool:
