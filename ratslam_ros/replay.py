@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.odometry import Odometry, Pose, Twist
 from ratslam_ros.core.ratslam import RatSLAM, Step, ViewStep
+from ratslam_ros.core.visual_odometry import field_of_view_deg
 from ratslam_ros.messages import MalformedMessage, decode_template
 from ratslam_ros.read_ahead import ReadAhead
 from ratslam_ros.recordings import (
@@ -129,9 +130,12 @@ class _Run:
         options: ReplayOptions,
     ) -> None:
         self.times = StepTimes()
+        visual_odometry = selection.odom_topic is None and selection.image_topic is not None
+        if visual_odometry:
+            config = _calibrated(config, recording, selection)
         self.slam = RatSLAM(
             config,
-            visual_odometry=selection.odom_topic is None and selection.image_topic is not None,
+            visual_odometry=visual_odometry,
             stopwatch=self.times,
         )
         # Opened at the first result: what is refused before leaves no files behind.
@@ -224,6 +228,14 @@ def _odometry(event: OdometryEvent) -> Odometry:
         Twist(event.linear_x, event.angular_z),
         Pose(event.x, event.y, event.heading_rad),
     )
+
+
+def _calibrated(config: Config, recording: Recording, selection: Selection) -> Config:
+    """Take the field of view from the recording, as visual_odometry takes it from camera_info."""
+    camera = recording.calibration(selection)
+    if camera is None or not config.visual_odometry.fov_from_camera_info:
+        return config
+    return config.with_values({'visual_odometry.camera_fov_deg': field_of_view_deg(*camera)})
 
 
 class _Span:

@@ -212,9 +212,9 @@ class VisualOdometryParameters(ImageInput):
         'changes of light give bursts of speed')  # fmt: skip
     fov_from_camera_info: bool = parameter(
         True, '', 0, 1,
-        'Live only: take the field of view from the first camera_info, where there is a publisher '
-        'of it. Images wait for it.',
-        'the camera is calibrated', 'camera_info is wrong, or the map shall be that of a replay',
+        'Take the field of view from camera_info, where it is recorded or published. Live, images '
+        'wait for the first one.',
+        'the camera is calibrated', 'camera_info is wrong',
     )  # fmt: skip
     publish_tf: bool = parameter(
         False, '', 0, 1, 'Live only: publish odom_frame -> base_frame on /tf.',

@@ -21,6 +21,11 @@ Profile = NDArray[np.int64]
 MAX_SHIFT_PX = 39
 
 
+def field_of_view_deg(focal_px: float, width_px: int) -> float:
+    """Return the horizontal field of view of a pinhole camera."""
+    return math.degrees(2.0 * math.atan(0.5 * width_px / focal_px))
+
+
 class VisualOdometry:
     """Turn rate from the shift of the view, speed from how much it changed."""
 

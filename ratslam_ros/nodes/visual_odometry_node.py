@@ -15,7 +15,7 @@ from sensor_msgs.msg import CameraInfo
 from tf2_msgs.msg import TFMessage
 
 from ratslam_ros.core.odometry import Odometry
-from ratslam_ros.core.visual_odometry import VisualOdometry
+from ratslam_ros.core.visual_odometry import VisualOdometry, field_of_view_deg
 from ratslam_ros.nodes.convert import header_of, pose_message, transform
 from ratslam_ros.nodes.image_node import ImageNode, Message
 from ratslam_ros.nodes.qos import RESULT, STATE, VIEW
@@ -87,7 +87,7 @@ class VisualOdometryNode(ImageNode):
             )  # fmt: skip
             return
         with self._lock:
-            self._fov_deg = math.degrees(2.0 * math.atan(0.5 * width_px / focal_px))
+            self._fov_deg = field_of_view_deg(focal_px, width_px)
             self.get_logger().info(f'field of view from camera_info: {self._fov_deg:.2f} deg')
             self._core.set_field_of_view(self._fov_deg)
 

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A recording made of files with ROS messages, whatever their format."""
 
+import math
 from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
@@ -19,10 +20,10 @@ from ratslam_ros.recordings.decode import (
     normal_type,
     unreadable,
 )
-from ratslam_ros.recordings.events import Event
+from ratslam_ros.recordings.events import Calibration, Event
 from ratslam_ros.recordings.files import Workspace
 from ratslam_ros.recordings.recording import Recording
-from ratslam_ros.recordings.selection import Selection, Topic
+from ratslam_ros.recordings.selection import CAMERA_INFO, Selection, Topic, camera_info_of
 from ratslam_ros.recordings.stream import (
     Channel,
     Message,
@@ -92,6 +93,26 @@ class BagRecording(Recording):
             except UndecodableMessage:
                 continue
         return False
+
+    def calibration(self, selection: Selection) -> Calibration | None:
+        """Return what the first usable camera_info beside the images says, None without one."""
+        if selection.image_topic is None:
+            return None
+        name = camera_info_of(selection.image_topic)
+        for topic in self.topics:
+            if (topic.name, topic.type, topic.readable) != (name, CAMERA_INFO, None):
+                continue
+            for message in islice(self._messages({name}), _PEEK):
+                try:
+                    content = decode(message)
+                except UndecodableMessage:
+                    continue
+                # ROS 1 has capital letters here.
+                k = content.k if hasattr(content, 'k') else content.K
+                found = Calibration(float(k[0]), int(content.width))
+                if math.isfinite(found.focal_px) and found.focal_px > 0.0 and found.width_px > 0:
+                    return found
+        return None
 
     def close(self) -> None:
         """Let go of the files, and of the temporary copies of compressed ones."""

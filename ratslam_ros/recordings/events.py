@@ -78,3 +78,10 @@ class TemplateEvent:
 
 
 Event = ImageEvent | OdometryEvent | TemplateEvent
+
+
+class Calibration(NamedTuple):
+    """A camera's focal length along x and its image's width, both in px."""
+
+    focal_px: float
+    width_px: int

@@ -9,7 +9,7 @@ from types import TracebackType
 from typing import Self
 
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.recordings.events import Event
+from ratslam_ros.recordings.events import Calibration, Event
 from ratslam_ros.recordings.selection import Selection, Topic, select
 from ratslam_ros.recordings.stream import Warnings
 
@@ -67,6 +67,10 @@ class Recording(ABC):
         if duration_s is not None and duration_s < length_s:
             stop_ns = min(stop_ns, start_ns + round(duration_s * 1e9))
         return self._events(selection, start_ns, stop_ns)
+
+    def calibration(self, selection: Selection) -> Calibration | None:
+        """Return what is recorded of the camera of the selected images, None if nothing is."""
+        return None
 
     def is_depth(self, topic: Topic) -> bool:
         """Tell a depth image topic, by its first message, from one of a camera."""

@@ -17,6 +17,7 @@ VIDEO, IMAGE_FILES, TABLE = 'video', 'image files', 'table'  # what is not a mes
 IMAGE_TYPES = frozenset({RAW_IMAGE, COMPRESSED_IMAGE, VIDEO, IMAGE_FILES})
 ODOMETRY_TYPES = frozenset({ODOMETRY, TABLE})
 TEMPLATE_NAME = 'local_view/template'
+CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,6 +104,11 @@ def select(
         template.name if template else None,
         tuple(notices),
     )
+
+
+def camera_info_of(image_topic: str) -> str:
+    """Return where a camera's driver publishes camera_info: beside the raw images."""
+    return f'{image_topic.removesuffix("/compressed").rpartition("/")[0]}/camera_info'
 
 
 def image_candidates(recording: Recording) -> list[Topic]:
