@@ -1,0 +1,579 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""All that touches Cyclone DDS, its private layer among it.
+
+Samples are raw CDR. Whatever may block goes through ctypes, which releases the interpreter's lock.
+"""
+
+from __future__ import annotations
+
+import ctypes as ct
+import os
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from functools import cache
+from typing import Any, NamedTuple
+
+from cyclonedds import _clayer
+from cyclonedds.builtin import (
+    BuiltinDataReader,
+    BuiltinTopicDcpsParticipant,
+    BuiltinTopicDcpsPublication,
+    BuiltinTopicDcpsSubscription,
+)
+from cyclonedds.builtin_types import cqos_to_qos, endpoint_constructor
+from cyclonedds.core import DDSException, InstanceState, SampleState, ViewState
+from cyclonedds.domain import Domain, DomainParticipant
+from cyclonedds.idl import make_idl_struct, types
+from cyclonedds.internal import DDS, dds_c_t
+from cyclonedds.qos import Policy, Qos, _CQos
+from cyclonedds.topic import Topic
+
+from ratslam_ros.standalone.exceptions import RCLError
+from ratslam_ros.standalone.types import Field, fields_of, type_hash
+
+idl: Any = types  # generic in a way of its own
+INFINITE_NS = 2**63 - 1
+SERVICE_HEADER = 16
+_ANY = SampleState.Any | ViewState.Any | InstanceState.Any
+
+_STATUSES = {
+    'sample_lost': (1 << 5, dds_c_t.sample_lost_status),
+    'requested_incompatible_qos': (1 << 4, dds_c_t.requested_incompatible_qos_status),
+    'subscription_matched': (1 << 12, dds_c_t.subscription_matched_status),
+    'offered_incompatible_qos': (1 << 3, dds_c_t.offered_incompatible_qos_status),
+    'publication_matched': (1 << 11, dds_c_t.publication_matched_status),
+}
+"""What may happen to an endpoint: bit in masks, and what is told of it."""
+
+
+class _Sample(ct.Structure):
+    """What the library's own topics take as a sample: serialised bytes."""
+
+    _fields_ = (('data', ct.c_void_p), ('size', ct.c_size_t))
+
+
+def _c(name: str, *arguments: Any) -> Callable[..., int]:
+    """Return a C function whose prototype is ours alone; one that fails raises."""
+    function = ct.CFUNCTYPE(ct.c_int32, *arguments)((name, DDS._dll_handle))
+
+    def call(*values: Any) -> int:
+        result = function(*values)
+        if result < 0:
+            raise RCLError(f'{name}: {DDSException(result)}')
+        return int(result)
+
+    return call
+
+
+_entity = ct.c_int32
+_delete = _c('dds_delete', _entity)
+_write = _c('dds_write', _entity, ct.c_void_p)
+_wait_for_acks = ct.CFUNCTYPE(ct.c_int32, _entity, ct.c_int64)(
+    ('dds_wait_for_acks', DDS._dll_handle)
+)
+_create_reader = _c('dds_create_reader', _entity, _entity, ct.c_void_p, ct.c_void_p)
+_create_writer = _c('dds_create_writer', _entity, _entity, ct.c_void_p, ct.c_void_p)
+_create_condition = _c('dds_create_readcondition', _entity, ct.c_uint32)
+_create_guard = _c('dds_create_guardcondition', _entity)
+_set_guard = _c('dds_set_guardcondition', _entity, ct.c_bool)
+_take_guard = _c('dds_take_guardcondition', _entity, ct.c_void_p)
+_create_waitset = _c('dds_create_waitset', _entity)
+_attach = _c('dds_waitset_attach', _entity, _entity, ct.c_ssize_t)
+_detach = _c('dds_waitset_detach', _entity, _entity)
+_wait = _c('dds_waitset_wait', _entity, ct.c_void_p, ct.c_size_t, ct.c_int64)
+_set_mask = _c('dds_set_status_mask', _entity, ct.c_uint32)
+_handle = _c('dds_get_instance_handle', _entity, ct.c_void_p)
+_guid = _c('dds_get_guid', _entity, ct.c_void_p)
+_matched_readers = _c('dds_get_matched_subscriptions', _entity, ct.c_void_p, ct.c_size_t)
+_matched_writers = _c('dds_get_matched_publications', _entity, ct.c_void_p, ct.c_size_t)
+_get_status = {name: _c(f'dds_get_{name}_status', _entity, ct.c_void_p) for name in _STATUSES}
+
+
+# Types
+
+
+@cache
+def _idl_struct(name: str, in_service: bool) -> Any:
+    """Return a message type as the library describes types to others (XTypes)."""
+    package, kind, short = name.split('/')
+    fields: dict[str, Any] = {}
+    if in_service:
+        fields = {'client_id': idl.uint64, 'sequence_number': idl.int64}
+    for field in fields_of(name):
+        fields[field.name] = _idl_type(field)
+    if not fields_of(name):
+        fields['structure_needs_at_least_one_member'] = idl.uint8
+    return make_idl_struct(f'{short}_', f'{package}.{kind}.dds_.{short}_', fields)
+
+
+def _idl_type(field: Field) -> Any:
+    one: Any
+    if field.is_message:
+        one = _idl_struct(field.base, False)
+    elif field.base == 'string':
+        one = idl.bounded_str[field.bound] if field.bound else str
+    elif field.base == 'bool':
+        one = bool
+    else:
+        one = getattr(idl, {'char': 'uint8'}.get(field.base, field.base))
+    if field.size is None:
+        return one
+    if field.is_fixed:
+        return idl.array[one, field.size]
+    return idl.sequence[one, field.size] if field.size else idl.sequence[one]
+
+
+# Quality of service
+
+
+class EndpointQos(NamedTuple):
+    """What ROS asks of an endpoint; ``depth`` None keeps all."""
+
+    depth: int | None
+    reliable: bool
+    transient_local: bool
+    lifespan_ns: int | None = None
+
+
+def _policies(qos: EndpointQos, user_data: str) -> Qos:
+    history = Policy.History.KeepAll if qos.depth is None else Policy.History.KeepLast(qos.depth)
+    policies: list[Any] = [
+        Policy.WriterDataLifecycle(autodispose=False),
+        history,
+        Policy.Reliability.Reliable(INFINITE_NS)
+        if qos.reliable
+        else Policy.Reliability.BestEffort,
+        Policy.DataRepresentation(use_cdrv0_representation=True, use_xcdrv2_representation=False),
+        Policy.Userdata(user_data.encode()),
+    ]
+    if qos.transient_local:
+        # What is kept for late joiners is set apart from what is kept until it is acknowledged.
+        policies += [
+            Policy.Durability.TransientLocal,
+            Policy.DurabilityService(0, history, -1, -1, -1),
+        ]
+    if qos.lifespan_ns is not None:
+        policies.append(Policy.Lifespan(qos.lifespan_ns))
+    return Qos(*policies)
+
+
+def _endpoint_qos(qos: Qos) -> EndpointQos:
+    history, lifespan = qos[Policy.History], qos[Policy.Lifespan]
+    return EndpointQos(
+        getattr(history, 'depth', None) if history is not None else 1,
+        qos[Policy.Reliability] != Policy.Reliability.BestEffort,
+        qos[Policy.Durability] == Policy.Durability.TransientLocal,
+        lifespan.lifespan if lifespan is not None and lifespan.lifespan < INFINITE_NS else None,
+    )
+
+
+def user_value(data: str, key: str) -> str:
+    """Return one value of USER_DATA, '' where it is not there."""
+    for part in data.split(';'):
+        name, equals, value = part.partition('=')
+        if equals and name == key:
+            return value
+    return ''
+
+
+def _user_data(qos: Qos) -> str:
+    policy = qos[Policy.Userdata]
+    return bytes(policy.data).decode(errors='replace') if policy is not None else ''
+
+
+# Entities
+
+
+class Entity:
+    """Something with a handle, deleted once."""
+
+    def __init__(self, reference: int) -> None:
+        self.reference = reference
+        self._lock = threading.Lock()
+        self._alive = True
+
+    def close(self) -> None:
+        """Delete it; a second time does nothing."""
+        with self._lock:
+            alive, self._alive = self._alive, False
+        if alive:
+            _delete(self.reference)
+
+    @property
+    def gid(self) -> bytes:
+        """Globally unique identifier, 16 bytes."""
+        out = (ct.c_uint8 * 16)()
+        _guid(self.reference, out)
+        return bytes(out)
+
+    @property
+    def handle(self) -> int:
+        """Instance handle, unsigned."""
+        out = ct.c_uint64()
+        _handle(self.reference, ct.byref(out))
+        return out.value
+
+
+class Guard(Entity):
+    """A condition that any thread may set."""
+
+    def __init__(self, participant: Participant) -> None:
+        super().__init__(_create_guard(participant.reference))
+
+    def set(self) -> None:
+        """End the wait of whoever waits, now or at the next time."""
+        with self._lock:
+            if self._alive:
+                _set_guard(self.reference, True)
+
+    def take(self) -> None:
+        """Reset it."""
+        _take_guard(self.reference, ct.byref(ct.c_bool()))
+
+
+class Happened(NamedTuple):
+    """Change of a status."""
+
+    total: int
+    total_change: int
+    current: int
+    current_change: int
+    policy: int
+
+
+class Endpoint(Entity):
+    """A reader or writer."""
+
+    def __init__(self, reference: int, name: str) -> None:
+        super().__init__(reference)
+        self.name = name
+        _set_mask(reference, 0)
+
+    def watch(self, *statuses: str) -> None:
+        """Let a waitset that this is attached to wake up at changes of statuses."""
+        _set_mask(self.reference, sum(_STATUSES[status][0] for status in statuses))
+
+    def take_status(self, status: str) -> Happened:
+        """Return what changed since the last time."""
+        out = _STATUSES[status][1]()
+        _get_status[status](self.reference, ct.byref(out))
+        return Happened(
+            out.total_count,
+            out.total_count_change,
+            getattr(out, 'current_count', 0),
+            getattr(out, 'current_count_change', 0),
+            getattr(out, 'last_policy_id', 0),
+        )
+
+    def _matched(self, function: Callable[..., int]) -> list[int]:
+        room = 16
+        while True:
+            out = (ct.c_uint64 * room)()
+            found = function(self.reference, out, room)
+            if found <= room:
+                return list(out[:found])
+            room = found
+
+
+class Writer(Endpoint):
+    """Writes serialised samples, from any thread."""
+
+    def write(self, data: bytearray) -> None:
+        """Write a sample, four bytes of header and a length that is a multiple of 4.
+
+        Blocks while a reliable reader that keeps all cannot take more.
+        """
+        start = ct.c_uint8.from_buffer(data)
+        sample = _Sample(ct.addressof(start), len(data))
+        _write(self.reference, ct.byref(sample))
+
+    def wait_for_acks(self, timeout_ns: int) -> bool:
+        """Wait until all is acknowledged; return whether that came about in time."""
+        result = _wait_for_acks(self.reference, timeout_ns)
+        if result == DDSException.DDS_RETCODE_TIMEOUT:
+            return False
+        if result < 0:
+            raise RCLError(f'dds_wait_for_acks: {DDSException(result)}')
+        return True
+
+    @property
+    def matched(self) -> list[int]:
+        """Handles of the readers that it writes to."""
+        return self._matched(_matched_readers)
+
+    def user_data_of(self, handle: int) -> str | None:
+        """Return what a matched reader tells of itself, None where it is gone."""
+        found = _clayer.ddspy_get_matched_subscription_data(
+            self.reference, handle, endpoint_constructor, cqos_to_qos
+        )
+        return None if found is None else _user_data(found.qos)
+
+
+class Taken(NamedTuple):
+    """A sample and where it comes from."""
+
+    data: bytes
+    source_timestamp_ns: int
+    publication_handle: int
+
+
+class Reader(Endpoint):
+    """Takes serialised samples."""
+
+    def __init__(self, reference: int, name: str) -> None:
+        super().__init__(reference, name)
+        self.condition = _create_condition(reference, _ANY)
+
+    def take(self) -> Taken | None:
+        """Return the oldest sample, None if there is none."""
+        while self._alive:
+            taken = _clayer.ddspy_take(self.reference, _ANY, 1)
+            if isinstance(taken, int):
+                if self._alive:
+                    raise RCLError(f'dds_take: {DDSException(taken)}')
+                break
+            if not taken:
+                break
+            data, info = taken[0]
+            if info.valid_data:
+                return Taken(data, info.source_timestamp, info.publication_handle)
+        return None
+
+    @property
+    def matched(self) -> list[int]:
+        """Handles of the writers that it reads from."""
+        return self._matched(_matched_writers)
+
+    def user_data_of(self, handle: int) -> str | None:
+        """Return what a matched writer tells of itself, None where it is gone."""
+        found = _clayer.ddspy_get_matched_publication_data(
+            self.reference, handle, endpoint_constructor, cqos_to_qos
+        )
+        return None if found is None else _user_data(found.qos)
+
+
+class WaitSet(Entity):
+    """Waits for many things at once."""
+
+    def __init__(self, participant: Participant) -> None:
+        super().__init__(_create_waitset(participant.reference))
+        self._attached: set[int] = set()
+
+    def attach(self, reference: int) -> None:
+        """Wait for a condition, or for an endpoint's statuses as well."""
+        _attach(self.reference, reference, reference)
+        self._attached.add(reference)
+
+    def detach(self, reference: int) -> None:
+        """Wait for it no longer; it may have been deleted."""
+        self._attached.discard(reference)
+        with suppress(RCLError):
+            _detach(self.reference, reference)
+
+    def wait(self, timeout_ns: int) -> set[int]:
+        """Return the references of what was triggered, none after the timeout."""
+        room = len(self._attached) + 1
+        out = (ct.c_ssize_t * room)()
+        found = _wait(self.reference, out, room, timeout_ns)
+        return set(out[: min(found, room)])
+
+
+class Discovered(NamedTuple):
+    """An endpoint that somebody has."""
+
+    gid: bytes
+    topic: str
+    type: str
+    qos: EndpointQos
+    user_data: str
+
+
+class Participant(Entity):
+    """One process in one domain."""
+
+    def __init__(self, domain_id: int) -> None:
+        self.domain_id = domain_id
+        self._domain = _enter_domain(domain_id)
+        try:
+            self._participant = DomainParticipant(domain_id, Qos(Policy.Userdata(b'enclave=/;')))
+        except DDSException as error:
+            _leave_domain(domain_id)
+            raise RCLError(f'no participant in domain {domain_id}: {error}') from None
+        super().__init__(self._participant._ref)
+        self._topics: dict[str, Any] = {}
+        self._services = 0
+        self._graph_lock = threading.Lock()
+        self._builtin = {
+            kind: BuiltinDataReader(self._participant, topic)
+            for kind, topic in (
+                ('participant', BuiltinTopicDcpsParticipant),
+                ('writer', BuiltinTopicDcpsPublication),
+                ('reader', BuiltinTopicDcpsSubscription),
+            )
+        }
+        self._found: dict[str, dict[bytes, Any]] = {kind: {} for kind in self._builtin}
+
+    def writer(
+        self, topic: str, kind: str, qos: EndpointQos, role: str = '', in_service: bool = False
+    ) -> Writer:
+        """Return a new writer; ``role`` is what USER_DATA says besides the type's hash."""
+        return Writer(self._endpoint(_create_writer, topic, kind, qos, role, in_service), topic)
+
+    def reader(
+        self, topic: str, kind: str, qos: EndpointQos, role: str = '', in_service: bool = False
+    ) -> Reader:
+        """Return a new reader; see ``writer``."""
+        return Reader(self._endpoint(_create_reader, topic, kind, qos, role, in_service), topic)
+
+    def service_id(self) -> str:
+        """Return a new name for the two endpoints of a service or client."""
+        with self._lock:
+            self._services += 1
+            number = self._services
+        return '.'.join(f'{byte:x}' for byte in self.gid[:12] + number.to_bytes(4, 'big'))
+
+    def endpoints(self, kind: str) -> list[Discovered]:
+        """Return all ``writer`` or ``reader`` endpoints in the domain."""
+        with self._graph_lock:
+            self._update(kind)
+            return list(self._found[kind].values())
+
+    def participants(self) -> set[bytes]:
+        """Return the first twelve bytes of the gid of all that are in the domain."""
+        with self._graph_lock:
+            self._update('participant')
+            return {gid[:12] for gid in self._found['participant']}
+
+    def close(self) -> None:
+        """Delete it with all that belongs to it."""
+        if not self._alive:
+            return
+        self._alive = False
+        with self._graph_lock:
+            for reader in self._builtin.values():
+                reader.__del__()
+            self._builtin.clear()
+        for topic in self._topics.values():
+            topic.__del__()
+        self._participant.__del__()
+        _leave_domain(self.domain_id)
+
+    def _endpoint(
+        self,
+        create: Callable[..., int],
+        topic: str,
+        kind: str,
+        qos: EndpointQos,
+        role: str,
+        in_service: bool,
+    ) -> int:
+        user_data = f'{role}typehash={type_hash(kind)};'
+        cqos = _CQos.qos_to_cqos(_policies(qos, user_data))
+        try:
+            return create(self.reference, self._topic(topic, kind, in_service), cqos, None)
+        finally:
+            _CQos.cqos_destroy(cqos)  # type: ignore[no-untyped-call]
+
+    def _topic(self, name: str, kind: str, in_service: bool) -> int:
+        # One object a name and type: the library would make a new description every time.
+        key = f'{name} {kind}'
+        with self._lock:
+            if key not in self._topics:
+                try:
+                    self._topics[key] = Topic(
+                        self._participant, name, _idl_struct(kind, in_service)
+                    )
+                except DDSException as error:
+                    raise RCLError(f'topic {name} of type {kind}: {error}') from None
+            return int(self._topics[key]._ref)
+
+    def _update(self, kind: str) -> None:
+        reader, found = self._builtin.get(kind), self._found[kind]
+        while reader is not None and (samples := reader.take(N=100)):
+            for sample in samples:
+                gid, info = sample.key.bytes, sample.sample_info
+                if not info.valid_data or info.instance_state != InstanceState.Alive:
+                    found.pop(gid, None)
+                elif kind == 'participant':
+                    found[gid] = True
+                else:
+                    found[gid] = Discovered(
+                        gid,
+                        sample.topic_name,
+                        sample.type_name,
+                        _endpoint_qos(sample.qos),
+                        _user_data(sample.qos),
+                    )
+
+
+# Domains
+
+_domains: dict[int, tuple[Any, int]] = {}
+_domains_lock = threading.Lock()
+
+
+def _enter_domain(domain_id: int) -> Any:
+    """Configure a domain unless this process has done so before."""
+    with _domains_lock:
+        domain, users = _domains.get(domain_id, (None, 0))
+        if domain is None:
+            try:
+                domain = Domain(domain_id, _configuration())
+            except DDSException as error:
+                raise RCLError(f'domain {domain_id} cannot be entered: {error}') from None
+        _domains[domain_id] = domain, users + 1
+        return domain
+
+
+def _leave_domain(domain_id: int) -> None:
+    with _domains_lock:
+        domain, users = _domains.pop(domain_id)
+        if users > 1:
+            _domains[domain_id] = domain, users - 1
+        else:
+            domain.__del__()
+
+
+def _configuration() -> str:
+    """Return Cyclone's configuration for what ROS's environment variables ask for.
+
+    Raises:
+        ValueError: a variable has a value that ROS does not know.
+    """
+    reach = os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE') or 'SUBNET'
+    if os.environ.get('ROS_LOCALHOST_ONLY') == '1':
+        reach = 'LOCALHOST'
+    if reach not in ('SUBNET', 'LOCALHOST', 'OFF', 'SYSTEM_DEFAULT'):
+        raise ValueError(
+            f'ROS_AUTOMATIC_DISCOVERY_RANGE={reach}: expected SUBNET, LOCALHOST, OFF or '
+            'SYSTEM_DEFAULT'
+        )
+    general = discovery = ''
+    peers = [peer for peer in os.environ.get('ROS_STATIC_PEERS', '').split(';') if peer]
+    if reach == 'LOCALHOST':
+        peers.insert(0, '127.0.0.1')
+    if reach in ('LOCALHOST', 'OFF'):
+        general = '<AllowMulticast>false</AllowMulticast>'
+    if peers == ['127.0.0.1']:
+        general += '<Interfaces><NetworkInterface address="127.0.0.1"/></Interfaces>'
+    if reach == 'OFF':
+        discovery = (
+            f'<ParticipantIndex>none</ParticipantIndex><Tag>ros_discovery_off_{os.getpid()}</Tag>'
+        )
+    elif peers and reach != 'SYSTEM_DEFAULT':
+        addresses = ''.join(f'<Peer address="{peer}"/>' for peer in peers)
+        discovery = (
+            '<ParticipantIndex>auto</ParticipantIndex>'
+            '<MaxAutoParticipantIndex>120</MaxAutoParticipantIndex>'
+            f'<Peers>{addresses}</Peers>'
+        )
+    # A reader that was killed must not keep each of a node's writers waiting for a second.
+    linger = '<WriterLingerDuration>0.3 s</WriterLingerDuration>'
+    xml = (
+        f'<CycloneDDS><Domain><General>{general}</General><Discovery>{discovery}</Discovery>'
+        f'<Internal>{linger}</Internal></Domain></CycloneDDS>'
+    )
+    own = os.environ.get('CYCLONEDDS_URI', '')
+    return f'{xml},{own}' if own else xml

@@ -1,0 +1,234 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Loggers that write what ROS's write, to standard error and /rosout."""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+import time
+from collections.abc import Callable
+from enum import IntEnum
+from typing import Any
+
+
+class LoggingSeverity(IntEnum):
+    """How bad it is."""
+
+    UNSET = 0
+    DEBUG = 10
+    INFO = 20
+    WARN = 30
+    ERROR = 40
+    FATAL = 50
+
+
+class Record:
+    """What is logged, and from where."""
+
+    __slots__ = ('file', 'function', 'level', 'line', 'name', 'stamp_ns', 'text')
+
+    def __init__(self, name: str, level: LoggingSeverity, text: str, frame: Any) -> None:
+        self.name, self.level, self.text = name, level, text
+        self.stamp_ns = time.time_ns()
+        self.file, self.line = frame.f_code.co_filename, frame.f_lineno
+        self.function = frame.f_code.co_name
+
+
+_lock = threading.RLock()
+_levels: dict[str, LoggingSeverity] = {}
+_default = LoggingSeverity.INFO
+_to_stderr = True
+_publishers: dict[str, Callable[[Record], None]] = {}
+_seen: dict[tuple[str, int, str], tuple[int, int]] = {}
+_FORMAT = '[{severity}] [{time}] [{name}]: {message}'
+
+
+class RcutilsLogger:
+    """A logger; dots in its name make it a child of another."""
+
+    def __init__(self, name: str = '') -> None:
+        self.name = name
+
+    def get_child(self, name: str) -> RcutilsLogger:
+        """Return the logger below this one."""
+        if not name:
+            raise ValueError('Child logger name must not be empty.')
+        return RcutilsLogger(f'{self.name}.{name}' if self.name else name)
+
+    def set_level(self, level: int) -> None:
+        """Log only what is at least so bad."""
+        set_logger_level(self.name, level)
+
+    def get_effective_level(self) -> LoggingSeverity:
+        """Return its level, or that of the nearest parent that has one."""
+        return get_logger_effective_level(self.name)
+
+    def is_enabled_for(self, severity: int) -> bool:
+        """Tell whether something so bad is logged."""
+        return severity >= self.get_effective_level()
+
+    def debug(self, message: object, **filters: Any) -> bool:
+        """Log what helps to find mistakes."""
+        return self._log(message, LoggingSeverity.DEBUG, filters)
+
+    def info(self, message: object, **filters: Any) -> bool:
+        """Log what is good to know."""
+        return self._log(message, LoggingSeverity.INFO, filters)
+
+    def warning(self, message: object, **filters: Any) -> bool:
+        """Log what may be wrong."""
+        return self._log(message, LoggingSeverity.WARN, filters)
+
+    def warn(self, message: object, **filters: Any) -> bool:
+        """Log what may be wrong."""
+        return self._log(message, LoggingSeverity.WARN, filters)
+
+    def error(self, message: object, **filters: Any) -> bool:
+        """Log what went wrong."""
+        return self._log(message, LoggingSeverity.ERROR, filters)
+
+    def fatal(self, message: object, **filters: Any) -> bool:
+        """Log what ends the program."""
+        return self._log(message, LoggingSeverity.FATAL, filters)
+
+    def log(self, message: object, severity: int, **filters: Any) -> bool:
+        """Log something; return False where a filter kept it back.
+
+        Filters: ``throttle_duration_sec``, ``once`` and ``skip_first``, all counted for the line
+        of code that logs.
+        """
+        return self._log(message, LoggingSeverity(severity), filters)
+
+    def _log(self, message: object, severity: LoggingSeverity, filters: dict[str, Any]) -> bool:
+        if severity < self.get_effective_level():
+            return False
+        frame = sys._getframe(2)
+        if filters and not self._passes(frame, filters):
+            return False
+        record = Record(filters.get('name', self.name), severity, str(message), frame)
+        if _to_stderr:
+            _print(record)
+        with _lock:
+            publish = _publisher(record.name)
+        if publish is not None:
+            publish(record)
+        return True
+
+    def _passes(self, frame: Any, filters: dict[str, Any]) -> bool:
+        unknown = set(filters) - {
+            'throttle_duration_sec', 'throttle_time_source_type', 'once', 'skip_first', 'name'
+        }  # fmt: skip
+        if unknown:
+            raise TypeError(f'unknown logging arguments: {", ".join(sorted(unknown))}')
+        place = (frame.f_code.co_filename, frame.f_lineno, self.name)
+        source = filters.get('throttle_time_source_type')
+        now_ns = time.monotonic_ns() if source is None else source.now().nanoseconds
+        with _lock:
+            calls, logged_ns = _seen.get(place, (0, -1))
+            passes = not (filters.get('skip_first') and calls == 0)
+            if filters.get('once') and logged_ns >= 0:
+                passes = False
+            throttle_s = filters.get('throttle_duration_sec')
+            if throttle_s and logged_ns >= 0 and now_ns - logged_ns < throttle_s * 1e9:
+                passes = False
+            _seen[place] = (calls + 1, now_ns if passes else logged_ns)
+        return passes
+
+
+def get_logger(name: str) -> RcutilsLogger:
+    """Return the logger of a name."""
+    if not name:
+        raise ValueError('Logger name must not be empty.')
+    return RcutilsLogger(name)
+
+
+def set_logger_level(name: str, level: int, detailed_error: bool = False) -> None:
+    """Let a logger and its children log only what is at least so bad; UNSET undoes it."""
+    global _default
+    if name:
+        _levels[name] = LoggingSeverity(level)
+    else:
+        _default = LoggingSeverity(level)
+
+
+def get_logger_level(name: str) -> LoggingSeverity:
+    """Return the level that was set for a logger itself."""
+    return _levels.get(name, LoggingSeverity.UNSET)
+
+
+def get_logger_effective_level(name: str) -> LoggingSeverity:
+    """Return a logger's level, or that of the nearest parent that has one."""
+    while name:
+        level = _levels.get(name, LoggingSeverity.UNSET)
+        if level != LoggingSeverity.UNSET:
+            return level
+        name = name.rpartition('.')[0]
+    return _default
+
+
+def get_logging_severity_from_string(log_severity: str) -> LoggingSeverity:
+    """Return the severity of a name, in any case.
+
+    Raises:
+        RuntimeError: there is none of that name.
+    """
+    try:
+        return LoggingSeverity[log_severity.upper()]
+    except KeyError:
+        raise RuntimeError(f'unknown severity {log_severity!r}') from None
+
+
+def configure(levels: list[tuple[str, LoggingSeverity]], to_stderr: bool) -> None:
+    """Set what the command line says about logging."""
+    global _to_stderr
+    _to_stderr = to_stderr
+    for name, level in levels:
+        set_logger_level(name, level)
+
+
+def reset() -> None:
+    """Forget all levels and filters."""
+    global _default, _to_stderr
+    _default, _to_stderr = LoggingSeverity.INFO, True
+    _levels.clear()
+    _seen.clear()
+
+
+def publish_with(name: str, publish: Callable[[Record], None] | None) -> None:
+    """Have a logger and its children publish what they log, None: no longer."""
+    with _lock:
+        if publish is None:
+            _publishers.pop(name, None)
+        else:
+            _publishers[name] = publish
+
+
+def _publisher(name: str) -> Callable[[Record], None] | None:
+    while name:
+        if name in _publishers:
+            return _publishers[name]
+        name = name.rpartition('.')[0]
+    return None
+
+
+def _print(record: Record) -> None:
+    sec, nanosec = divmod(record.stamp_ns, 1_000_000_000)
+    line = os.environ.get('RCUTILS_CONSOLE_OUTPUT_FORMAT', _FORMAT)
+    for key, value in {
+        'severity': record.level.name,
+        'time': f'{sec}.{nanosec:09d}',
+        'time_as_nanoseconds': record.stamp_ns,
+        'name': record.name,
+        'function_name': record.function,
+        'file_name': record.file,
+        'line_number': record.line,
+        'message': record.text,
+    }.items():
+        line = line.replace(f'{{{key}}}', str(value))
+    try:
+        sys.stderr.write(line + '\n')
+        sys.stderr.flush()
+    except (OSError, ValueError):
+        pass  # nobody is there to read it

@@ -1,0 +1,177 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The modules that the stand-in offers in place of ROS's, made when they are imported."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from importlib.abc import Loader, MetaPathFinder
+from importlib.machinery import ModuleSpec
+from types import ModuleType
+from typing import Any
+
+from ratslam_ros.standalone import types
+
+HERE = 'ratslam_ros.standalone'
+_EXECUTORS = (
+    'Executor', 'ExternalShutdownException', 'MultiThreadedExecutor', 'ShutdownException',
+    'SingleThreadedExecutor', 'TimeoutException',
+)  # fmt: skip
+_SIGNALS = (
+    'SignalHandlerOptions', 'get_current_signal_handlers_options', 'install_signal_handlers',
+    'uninstall_signal_handlers',
+)  # fmt: skip
+
+OFFERED: dict[str, dict[str, Sequence[str]]] = {
+    'rclpy': {
+        'api': (
+            'create_node', 'get_global_executor', 'get_rmw_implementation_identifier', 'init',
+            'ok', 'shutdown', 'spin', 'spin_once', 'spin_until_future_complete', 'try_shutdown',
+        ),
+        'context': ('Context', 'get_default_context', 'SignalHandlerOptions'),
+        'node': ('Node',),
+        'task': ('Future',),
+    },
+    'rclpy._rclpy_pybind11': {
+        'exceptions': (
+            'InvalidHandle', 'RCLError', 'RCLInvalidROSArgsError', 'UnknownROSArgsError',
+        ),
+        'node': ('NodeNameNonExistentError',),
+    },
+    'rclpy.callback_groups': {
+        'endpoints': ('CallbackGroup', 'MutuallyExclusiveCallbackGroup', 'ReentrantCallbackGroup'),
+    },
+    'rclpy.client': {'endpoints': ('Client',)},
+    'rclpy.clock': {
+        'clock': (
+            'Clock', 'ClockChange', 'ClockType', 'JumpHandle', 'JumpThreshold', 'ROSClock',
+            'TimeJump',
+        ),
+    },
+    'rclpy.clock_type': {'clock': ('ClockType',)},
+    'rclpy.constants': {'clock': ('S_TO_NS',)},
+    'rclpy.context': {'context': ('Context',)},
+    'rclpy.duration': {'clock': ('Duration',)},
+    'rclpy.event_handler': {'events': ()},
+    'rclpy.exceptions': {'exceptions': ()},
+    'rclpy.executors': {'executors': _EXECUTORS},
+    'rclpy.guard_condition': {'endpoints': ('GuardCondition',)},
+    'rclpy.logging': {
+        'logging': (
+            'LoggingSeverity', 'get_logger', 'get_logger_effective_level', 'get_logger_level',
+            'get_logging_severity_from_string', 'set_logger_level',
+        ),
+    },
+    'rclpy.node': {
+        'node': ('Node', 'NodeNameNonExistentError'),
+        'parameters': ('Parameter',),
+    },
+    'rclpy.parameter': {'parameters': ('Parameter', 'parameter_value_to_python')},
+    'rclpy.publisher': {'endpoints': ('Publisher',)},
+    'rclpy.qos': {'qos': ()},
+    'rclpy.qos_event': {'events': ()},
+    'rclpy.serialization': {'api': ('deserialize_message', 'serialize_message')},
+    'rclpy.service': {'endpoints': ('Service',)},
+    'rclpy.signals': {'context': _SIGNALS},
+    'rclpy.subscription': {'endpoints': ('Subscription',)},
+    'rclpy.task': {'task': ()},
+    'rclpy.time': {'clock': ('Time',)},
+    'rclpy.timer': {'endpoints': ('Timer',)},
+    'rclpy.topic_endpoint_info': {'graph': ('TopicEndpointInfo', 'TopicEndpointTypeEnum')},
+    'rclpy.type_hash': {'graph': ('TypeHash',)},
+    'rclpy.utilities': {
+        'api': ('get_rmw_implementation_identifier', 'ok', 'remove_ros_args', 'shutdown',
+                'try_shutdown'),
+        'context': ('get_default_context',),
+    },
+    'rosidl_runtime_py': {
+        'introspection': (
+            'message_to_csv', 'message_to_ordereddict', 'message_to_yaml', 'set_message_fields',
+        ),
+    },
+    'rosidl_runtime_py.convert': {
+        'introspection': ('message_to_csv', 'message_to_ordereddict', 'message_to_yaml'),
+    },
+    'rosidl_runtime_py.set_message': {'introspection': ('set_message_fields',)},
+    'rosidl_runtime_py.utilities': {'api': ('get_message', 'get_service')},
+}  # fmt: skip
+"""Names by module of ours, none meaning all of them, for each module that is offered."""
+
+
+class NotOffered(NotImplementedError, ImportError):  # noqa: N818
+    """A part of rclpy that the stand-in does not have."""
+
+
+class Finder(MetaPathFinder, Loader):
+    """Finds rclpy, rosidl_runtime_py and message packages; asked after all others."""
+
+    def find_spec(
+        self, fullname: str, path: Any = None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        """Return how a module is made, None where it is none of ours."""
+        top, _, rest = fullname.partition('.')
+        is_package = False
+        if top in ('rclpy', 'rosidl_runtime_py'):
+            if fullname not in OFFERED:
+                raise NotOffered(
+                    f'{fullname} is not offered by the stand-in for rclpy; install ROS 2 for it'
+                )
+            is_package = not rest
+        elif top in types.packages() and rest in ('', 'msg', 'srv'):
+            is_package = not rest
+        else:
+            return None
+        return ModuleSpec(fullname, self, is_package=is_package)
+
+    def create_module(self, spec: ModuleSpec) -> ModuleType:
+        """Return the module, empty."""
+        return _Module(spec.name, 'Made by the stand-in for rclpy.')
+
+    def exec_module(self, module: ModuleType) -> None:
+        """Put into the module what is made at once."""
+        for part, names in OFFERED.get(module.__name__, {}).items():
+            source = import_module(f'{HERE}.{part}')
+            public = names or [
+                name
+                for name, value in vars(source).items()
+                if not name.startswith('_') and _is_own(value, source)
+            ]
+            for name in public:
+                setattr(module, name, getattr(source, name))
+
+
+class _Module(ModuleType):
+    """A module that makes message classes when they are asked for, and says what it lacks."""
+
+    def __getattr__(self, name: str) -> Any:
+        package, _, kind = self.__name__.partition('.')
+        if not name.startswith('__') and package in types.packages():
+            make = types.service_class if kind == 'srv' else types.message_class
+            if kind and name in types.names_in(package, kind):
+                made = make(f'{package}/{kind}/{name}')
+                setattr(self, name, made)
+                return made
+        raise AttributeError(
+            f'module {self.__name__!r} of the stand-in for rclpy has no attribute {name!r}'
+        )
+
+    def __dir__(self) -> list[str]:
+        package, _, kind = self.__name__.partition('.')
+        made = types.names_in(package, kind) if kind in ('msg', 'srv') else []
+        return sorted({*vars(self), *made})
+
+
+def _is_own(value: Any, source: ModuleType) -> bool:
+    """Tell what a module defines from what it imports."""
+    return not isinstance(value, ModuleType) and getattr(value, '__module__', source.__name__) in (
+        source.__name__,
+        None,
+    )
+
+
+def serve() -> None:
+    """Offer the modules to whoever imports them from now on."""
+    if not any(isinstance(finder, Finder) for finder in sys.meta_path):
+        sys.meta_path.append(Finder())

@@ -1,0 +1,617 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Nodes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+from ratslam_ros.standalone import graph, logging, names
+from ratslam_ros.standalone.arguments import Names, overrides, parse
+from ratslam_ros.standalone.clock import Clock, ROSClock, Time
+from ratslam_ros.standalone.context import Context, get_default_context
+from ratslam_ros.standalone.dds import EndpointQos
+from ratslam_ros.standalone.endpoints import (
+    CallbackGroup,
+    Client,
+    GuardCondition,
+    Publisher,
+    Service,
+    Subscription,
+    Timer,
+    callable_with,
+)
+from ratslam_ros.standalone.exceptions import NotInitializedException
+from ratslam_ros.standalone.graph import NamesAndTypes, NodeName, TopicEndpointInfo
+from ratslam_ros.standalone.handle import NodeHandle
+from ratslam_ros.standalone.parameters import Parameter, Parameters, offer_services
+from ratslam_ros.standalone.qos import (
+    DurabilityPolicy,
+    QoSProfile,
+    ReliabilityPolicy,
+    qos_profile_parameter_events,
+    qos_profile_parameters,
+    qos_profile_services_default,
+    to_profile,
+)
+from ratslam_ros.standalone.types import message_class
+
+_ROSOUT = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+_ROSOUT_DDS = EndpointQos(1000, True, True, lifespan_ns=10_000_000_000)
+_CLOCK = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+USE_SIM_TIME = 'use_sim_time'
+
+
+class NodeNameNonExistentError(RuntimeError):
+    """There is no node of that name."""
+
+
+class Node:
+    """Something with a name that publishes, subscribes, and offers services."""
+
+    def __init__(
+        self,
+        node_name: str,
+        *,
+        context: Context | None = None,
+        cli_args: Sequence[str] | None = None,
+        namespace: str | None = None,
+        use_global_arguments: bool = True,
+        enable_rosout: bool = True,
+        start_parameter_services: bool = True,
+        parameter_overrides: Sequence[Parameter] | None = None,
+        allow_undeclared_parameters: bool = False,
+        automatically_declare_parameters_from_overrides: bool = False,
+        enable_logger_service: bool = False,
+    ) -> None:
+        if enable_logger_service:
+            raise NotImplementedError('the stand-in for rclpy does not offer logger services')
+        context = get_default_context() if context is None else context
+        if not context.ok():
+            raise NotInitializedException('cannot create node')
+        own = [parse(['--ros-args', *_without_start(cli_args)])] if cli_args else []
+        given = [context.arguments] if use_global_arguments else []
+        self.__handle = NodeHandle(context, Names(node_name, namespace or '/', [*own, *given]))
+        self.__clock = ROSClock()
+        self.__clock_subscription: Subscription | None = None
+        self.__events = self.create_publisher(
+            message_class('rcl_interfaces/msg/ParameterEvent'),
+            '/parameter_events',
+            qos_profile_parameter_events,
+        )
+        full_name = self.get_fully_qualified_name()
+        values = overrides(full_name, [*given, *own])
+        values |= {parameter.name: parameter.value for parameter in parameter_overrides or ()}
+        self.__parameters = Parameters(
+            full_name, values, allow_undeclared_parameters, self.__tell_change
+        )
+        if automatically_declare_parameters_from_overrides:
+            self.declare_parameters('', [(n, v) for n, v in values.items()], ignore_override=True)
+        if not self.has_parameter(USE_SIM_TIME):
+            self.declare_parameter(USE_SIM_TIME, False)
+        self.__follow_clock(self.get_parameter(USE_SIM_TIME).value)
+        self.add_on_set_parameters_callback(self.__on_use_sim_time)
+        if start_parameter_services:
+            offer_services(self, self.__parameters, qos_profile_parameters)
+        if enable_rosout and context.arguments.to_rosout:
+            self.__publish_logs()
+
+    # What it is
+
+    @property
+    def context(self) -> Context:
+        """The context that it lives in."""
+        return self.__handle.context
+
+    @property
+    def default_callback_group(self) -> CallbackGroup:
+        """The group of callbacks without one of their own."""
+        return self.__handle.default_callback_group
+
+    @property
+    def handle(self) -> NodeHandle:
+        """What is behind it."""
+        return self.__handle
+
+    @property
+    def executor(self) -> Any:
+        """The executor that runs its callbacks, None if there is none."""
+        return self.__handle.executor
+
+    @executor.setter
+    def executor(self, new_executor: Any) -> None:
+        before, self.__handle.executor = self.__handle.executor, new_executor
+        if before is not None and before is not new_executor:
+            before.remove_node(self)
+        if new_executor is not None:
+            new_executor.add_node(self)
+
+    def get_name(self) -> str:
+        """Return its name, without namespace."""
+        return self.__handle.names.node
+
+    def get_namespace(self) -> str:
+        """Return its namespace."""
+        return self.__handle.names.namespace
+
+    def get_fully_qualified_name(self) -> str:
+        """Return its name in its namespace."""
+        return self.__handle.names.full
+
+    def get_clock(self) -> Clock:
+        """Return its clock, which follows /clock with use_sim_time."""
+        return self.__clock
+
+    def get_logger(self) -> logging.RcutilsLogger:
+        """Return its logger."""
+        return self.__handle.logger
+
+    def resolve_topic_name(self, topic: str, *, only_expand: bool = False) -> str:
+        """Return the full name of a topic, remapped unless told otherwise."""
+        return self.__handle.names.resolve(topic, only_expand=only_expand)
+
+    def resolve_service_name(self, service: str, *, only_expand: bool = False) -> str:
+        """Return the full name of a service, remapped unless told otherwise."""
+        return self.__handle.names.resolve(service, is_service=True, only_expand=only_expand)
+
+    # What it has
+
+    def create_publisher(
+        self,
+        msg_type: Any,
+        topic: str,
+        qos_profile: QoSProfile | int,
+        *,
+        callback_group: CallbackGroup | None = None,
+        event_callbacks: Any = None,
+        qos_overriding_options: None = None,
+        publisher_class: None = None,
+    ) -> Publisher:
+        """Create a publisher.
+
+        Raises:
+            InvalidTopicNameException: ROS does not allow the name.
+            NotImplementedError: the profile asks for what is not offered.
+        """
+        _refuse(qos_overriding_options=qos_overriding_options, publisher_class=publisher_class)
+        _check_message_type(msg_type)
+        qos = to_profile(qos_profile)
+        return self.__handle.add(
+            Publisher(self.__handle, msg_type, topic, qos, event_callbacks, callback_group)
+        )
+
+    def create_subscription(
+        self,
+        msg_type: Any,
+        topic: str,
+        callback: Callable[..., Any],
+        qos_profile: QoSProfile | int,
+        *,
+        callback_group: CallbackGroup | None = None,
+        event_callbacks: Any = None,
+        qos_overriding_options: None = None,
+        raw: bool = False,
+    ) -> Subscription:
+        """Create a subscription; its callback takes the message, and if it can, a dict of times.
+
+        Raises:
+            InvalidTopicNameException: ROS does not allow the name.
+            NotImplementedError: the profile asks for what is not offered.
+        """
+        _refuse(qos_overriding_options=qos_overriding_options)
+        _check_message_type(msg_type)
+        made = Subscription(
+            self.__handle,
+            msg_type,
+            topic,
+            callback,
+            to_profile(qos_profile),
+            event_callbacks,
+            callback_group,
+            raw,
+        )
+        return self.__handle.add(made)
+
+    def create_service(
+        self,
+        srv_type: Any,
+        srv_name: str,
+        callback: Callable[[Any, Any], Any],
+        *,
+        qos_profile: QoSProfile = qos_profile_services_default,
+        callback_group: CallbackGroup | None = None,
+    ) -> Service:
+        """Create a service; its callback takes a request and an empty response, and returns one.
+
+        Raises:
+            InvalidServiceNameException: ROS does not allow the name.
+        """
+        _check_service_type(srv_type)
+        return self.__handle.add(
+            Service(self.__handle, srv_type, srv_name, callback, qos_profile, callback_group)
+        )
+
+    def create_client(
+        self,
+        srv_type: Any,
+        srv_name: str,
+        *,
+        qos_profile: QoSProfile = qos_profile_services_default,
+        callback_group: CallbackGroup | None = None,
+    ) -> Client:
+        """Create a client of a service.
+
+        Raises:
+            InvalidServiceNameException: ROS does not allow the name.
+        """
+        _check_service_type(srv_type)
+        return self.__handle.add(
+            Client(self.__handle, srv_type, srv_name, qos_profile, callback_group)
+        )
+
+    def create_timer(
+        self,
+        timer_period_sec: float,
+        callback: Callable[[], Any] | None,
+        callback_group: CallbackGroup | None = None,
+        clock: Clock | None = None,
+        autostart: bool = True,
+    ) -> Timer:
+        """Call something every so often, by the node's clock or another one."""
+        if callback is not None:
+            callable_with(callback, 0)
+        period_ns = int(float(timer_period_sec) * 1e9)
+        clock = self.__clock if clock is None else clock
+        return self.__handle.add(
+            Timer(self.__handle, callback, period_ns, clock, callback_group, autostart)
+        )
+
+    def create_guard_condition(
+        self, callback: Callable[[], Any], callback_group: CallbackGroup | None = None
+    ) -> GuardCondition:
+        """Let other threads have something called in the one that spins."""
+        callable_with(callback, 0)
+        return self.__handle.add(GuardCondition(self.__handle, callback, callback_group))
+
+    @property
+    def publishers(self) -> Iterator[Publisher]:
+        """Its publishers."""
+        return self.__handle.parts(Publisher)
+
+    @property
+    def subscriptions(self) -> Iterator[Subscription]:
+        """Its subscriptions."""
+        return self.__handle.parts(Subscription)
+
+    @property
+    def services(self) -> Iterator[Service]:
+        """Its services."""
+        return self.__handle.parts(Service)
+
+    @property
+    def clients(self) -> Iterator[Client]:
+        """Its clients of services."""
+        return self.__handle.parts(Client)
+
+    @property
+    def timers(self) -> Iterator[Timer]:
+        """Its timers."""
+        return self.__handle.parts(Timer)
+
+    @property
+    def guards(self) -> Iterator[GuardCondition]:
+        """Its guard conditions."""
+        return self.__handle.parts(GuardCondition)
+
+    def destroy_publisher(self, publisher: Publisher) -> bool:
+        """Take back a publisher; return whether it was there."""
+        return self.__handle.discard(publisher)
+
+    def destroy_subscription(self, subscription: Subscription) -> bool:
+        """Take back a subscription; return whether it was there."""
+        return self.__handle.discard(subscription)
+
+    def destroy_service(self, service: Service) -> bool:
+        """Take back a service; return whether it was there."""
+        return self.__handle.discard(service)
+
+    def destroy_client(self, client: Client) -> bool:
+        """Take back a client; return whether it was there."""
+        return self.__handle.discard(client)
+
+    def destroy_timer(self, timer: Timer) -> bool:
+        """Take back a timer; return whether it was there."""
+        return self.__handle.discard(timer)
+
+    def destroy_guard_condition(self, guard: GuardCondition) -> bool:
+        """Take back a guard condition; return whether it was there."""
+        return self.__handle.discard(guard)
+
+    def destroy_node(self) -> None:
+        """Take back everything, and the node itself; a second time does nothing."""
+        if self.executor is not None:
+            self.executor.remove_node(self)
+        self.__handle.close()
+
+    def __enter__(self) -> Node:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.destroy_node()
+
+    # Logs and time
+
+    def __publish_logs(self) -> None:
+        kind = message_class('rcl_interfaces/msg/Log')
+        publisher = Publisher(self.__handle, kind, '/rosout', _ROSOUT, None, None, qos=_ROSOUT_DDS)
+        self.__handle.add(publisher)
+
+        def publish(record: logging.Record) -> None:
+            if not self.__handle.context.ok():
+                return
+            stamp = Time(nanoseconds=record.stamp_ns).to_msg()
+            publisher.publish(
+                kind(
+                    stamp=stamp,
+                    level=int(record.level),
+                    name=record.name,
+                    msg=record.text,
+                    file=record.file,
+                    function=record.function,
+                    line=record.line,
+                )
+            )
+
+        logging.publish_with(self.__handle.logger.name, publish)
+
+    def __follow_clock(self, enabled: Any) -> None:
+        if not isinstance(enabled, bool):
+            self.__handle.logger.error(
+                f'Invalid type for parameter {USE_SIM_TIME!r}: should be bool'
+            )
+            return
+        self.__clock._set_ros_time_is_active(enabled)
+        if enabled and self.__clock_subscription is None:
+            self.__clock_subscription = self.create_subscription(
+                message_class('rosgraph_msgs/msg/Clock'),
+                '/clock',
+                lambda message: self.__clock.set_ros_time_override(Time.from_msg(message.clock)),
+                _CLOCK,
+            )
+        elif not enabled and self.__clock_subscription is not None:
+            self.destroy_subscription(self.__clock_subscription)
+            self.__clock_subscription = None
+
+    def __on_use_sim_time(self, parameters: list[Parameter]) -> Any:
+        result = message_class('rcl_interfaces/msg/SetParametersResult')(successful=True)
+        for parameter in parameters:
+            if parameter.name == USE_SIM_TIME:
+                if parameter.type_ == Parameter.Type.BOOL:
+                    self.__follow_clock(parameter.value)
+                else:
+                    result.successful = False
+                    result.reason = f'{USE_SIM_TIME} parameter set to something besides a bool'
+        return result
+
+    # Parameters
+
+    def declare_parameter(
+        self,
+        name: str,
+        value: Any = None,
+        descriptor: Any = None,
+        ignore_override: bool = False,
+    ) -> Parameter:
+        """Declare a parameter with its default (or type); return it with the value it has.
+
+        Raises:
+            ParameterAlreadyDeclaredException, InvalidParameterException,
+            InvalidParameterTypeException, InvalidParameterValueException: see their names.
+        """
+        return self.__parameters.declare('', [(name, value, descriptor)], ignore_override)[0]
+
+    def declare_parameters(
+        self, namespace: str, parameters: Sequence[Sequence[Any]], ignore_override: bool = False
+    ) -> list[Parameter]:
+        """Declare parameters, each a name and maybe a default (or type) and a descriptor."""
+        return self.__parameters.declare(namespace, parameters, ignore_override)
+
+    def undeclare_parameter(self, name: str) -> None:
+        """Forget a parameter."""
+        self.__parameters.undeclare(name)
+
+    def has_parameter(self, name: str) -> bool:
+        """Tell whether a parameter is declared."""
+        return self.__parameters.has(name)
+
+    def get_parameter(self, name: str) -> Parameter:
+        """Return a parameter; raises ParameterNotDeclaredException."""
+        return self.__parameters.get(name)
+
+    def get_parameters(self, names: Sequence[str]) -> list[Parameter]:
+        """Return parameters; raises ParameterNotDeclaredException."""
+        return [self.__parameters.get(name) for name in names]
+
+    def get_parameter_or(self, name: str, alternative_value: Parameter | None = None) -> Parameter:
+        """Return a parameter, or another one where it has no value."""
+        return self.__parameters.get_or(name, alternative_value)
+
+    def get_parameter_type(self, name: str) -> Any:
+        """Return the number of a parameter's type; raises ParameterNotDeclaredException."""
+        return self.__parameters.get(name).type_.value
+
+    def get_parameter_types(self, names: Sequence[str]) -> list[Any]:
+        """Return the numbers of parameters' types; raises ParameterNotDeclaredException."""
+        return [self.get_parameter_type(name) for name in names]
+
+    def get_parameters_by_prefix(self, prefix: str) -> dict[str, Parameter]:
+        """Return the parameters whose names begin so, by the rest of their names."""
+        return self.__parameters.by_prefix(prefix)
+
+    def set_parameters(self, parameter_list: Sequence[Parameter]) -> list[Any]:
+        """Set parameters one by one; return a result for each."""
+        return [self.__parameters.set([parameter]) for parameter in parameter_list]
+
+    def set_parameters_atomically(self, parameter_list: Sequence[Parameter]) -> Any:
+        """Set all parameters or none; return the result."""
+        return self.__parameters.set(parameter_list)
+
+    def list_parameters(self, prefixes: Sequence[str], depth: int) -> Any:
+        """Return the names below prefixes, no deeper than so many dots."""
+        return self.__parameters.list(prefixes, depth)
+
+    def describe_parameter(self, name: str) -> Any:
+        """Return a parameter's descriptor; raises ParameterNotDeclaredException."""
+        return self.__parameters.describe(name)
+
+    def describe_parameters(self, names: Sequence[str]) -> list[Any]:
+        """Return parameters' descriptors; raises ParameterNotDeclaredException."""
+        return [self.__parameters.describe(name) for name in names]
+
+    def add_pre_set_parameters_callback(self, callback: Callable[..., Any]) -> None:
+        """Let a function change what is to be set."""
+        self.__parameters.pre_callbacks.insert(0, callback)
+
+    def add_on_set_parameters_callback(self, callback: Callable[..., Any]) -> None:
+        """Let a function refuse what is to be set; the newest one is asked first."""
+        self.__parameters.callbacks.insert(0, callback)
+
+    def add_post_set_parameters_callback(self, callback: Callable[..., Any]) -> None:
+        """Tell a function of what was set."""
+        self.__parameters.post_callbacks.insert(0, callback)
+
+    def remove_pre_set_parameters_callback(self, callback: Callable[..., Any]) -> None:
+        """Undo ``add_pre_set_parameters_callback``."""
+        self.__parameters.pre_callbacks.remove(callback)
+
+    def remove_on_set_parameters_callback(self, callback: Callable[..., Any]) -> None:
+        """Undo ``add_on_set_parameters_callback``."""
+        self.__parameters.callbacks.remove(callback)
+
+    def remove_post_set_parameters_callback(self, callback: Callable[..., Any]) -> None:
+        """Undo ``add_post_set_parameters_callback``."""
+        self.__parameters.post_callbacks.remove(callback)
+
+    def __tell_change(self, event: Any) -> None:
+        event.stamp = self.__clock.now().to_msg()
+        if self.__handle.is_open:
+            self.__events.publish(event)
+
+    # The graph
+
+    def get_node_names(self) -> list[str]:
+        """Return the names of all nodes."""
+        return [node.name for node in self.__handle.context.graph.nodes()]
+
+    def get_fully_qualified_node_names(self) -> list[str]:
+        """Return the full names of all nodes."""
+        return [
+            names.join(node.namespace, node.name) for node in self.__handle.context.graph.nodes()
+        ]
+
+    def get_node_names_and_namespaces(self) -> list[tuple[str, str]]:
+        """Return the names and namespaces of all nodes."""
+        return [(name, namespace) for name, namespace in self.__handle.context.graph.nodes()]
+
+    def get_topic_names_and_types(self, no_demangle: bool = False) -> NamesAndTypes:
+        """Return all topics and their types."""
+        return self.__handle.context.graph.topics(no_demangle)
+
+    def get_service_names_and_types(self) -> NamesAndTypes:
+        """Return all services and their types."""
+        return self.__handle.context.graph.services()
+
+    def get_publisher_names_and_types_by_node(
+        self, node_name: str, node_namespace: str, no_demangle: bool = False
+    ) -> NamesAndTypes:
+        """Return what a node publishes."""
+        return self.__by_node(node_name, node_namespace, 'writer', graph.topic_of)
+
+    def get_subscriber_names_and_types_by_node(
+        self, node_name: str, node_namespace: str, no_demangle: bool = False
+    ) -> NamesAndTypes:
+        """Return what a node subscribes to."""
+        return self.__by_node(node_name, node_namespace, 'reader', graph.topic_of)
+
+    def get_service_names_and_types_by_node(
+        self, node_name: str, node_namespace: str
+    ) -> NamesAndTypes:
+        """Return what services a node offers."""
+        return self.__by_node(
+            node_name, node_namespace, 'reader', lambda found: graph.service_of(found, 'Request')
+        )
+
+    def get_client_names_and_types_by_node(
+        self, node_name: str, node_namespace: str
+    ) -> NamesAndTypes:
+        """Return what services a node may call."""
+        return self.__by_node(
+            node_name, node_namespace, 'reader', lambda found: graph.service_of(found, 'Reply')
+        )
+
+    def count_publishers(self, topic_name: str) -> int:
+        """Return how many publishers a topic has."""
+        return self.__handle.context.graph.count(
+            f'rt{self.resolve_topic_name(topic_name)}', 'writer'
+        )
+
+    def count_subscribers(self, topic_name: str) -> int:
+        """Return how many subscriptions a topic has."""
+        return self.__handle.context.graph.count(
+            f'rt{self.resolve_topic_name(topic_name)}', 'reader'
+        )
+
+    def count_services(self, service_name: str) -> int:
+        """Return how many nodes offer a service."""
+        name = self.resolve_service_name(service_name)
+        return self.__handle.context.graph.count(f'rq{name}Request', 'reader')
+
+    def count_clients(self, service_name: str) -> int:
+        """Return how many nodes may call a service."""
+        name = self.resolve_service_name(service_name)
+        return self.__handle.context.graph.count(f'rr{name}Reply', 'reader')
+
+    def get_publishers_info_by_topic(
+        self, topic_name: str, no_mangle: bool = False
+    ) -> list[TopicEndpointInfo]:
+        """Return who publishes a topic, and how."""
+        return self.__endpoints(topic_name, no_mangle, 'writer')
+
+    def get_subscriptions_info_by_topic(
+        self, topic_name: str, no_mangle: bool = False
+    ) -> list[TopicEndpointInfo]:
+        """Return who subscribes to a topic, and how."""
+        return self.__endpoints(topic_name, no_mangle, 'reader')
+
+    def __endpoints(self, topic: str, no_mangle: bool, kind: str) -> list[TopicEndpointInfo]:
+        name = topic if no_mangle else f'rt{self.resolve_topic_name(topic)}'
+        return self.__handle.context.graph.endpoints(name, kind)
+
+    def __by_node(self, name: str, namespace: str, kind: str, name_of: Any) -> NamesAndTypes:
+        found = self.__handle.context.graph.of_node(NodeName(name, namespace), kind, name_of)
+        if found is None:
+            raise NodeNameNonExistentError(
+                f"cannot get names and types for nonexistent node: '{name}' in '{namespace}'"
+            )
+        return found
+
+
+def _without_start(args: Sequence[str]) -> list[str]:
+    return list(args[1:]) if args and args[0] == '--ros-args' else list(args)
+
+
+def _refuse(**options: Any) -> None:
+    for name, value in options.items():
+        if value is not None:
+            raise NotImplementedError(f'the stand-in for rclpy does not offer {name}')
+
+
+def _check_message_type(msg_type: Any) -> None:
+    if not hasattr(msg_type, '__msgtype__'):
+        raise TypeError(f'{msg_type!r}: expected a message type such as std_msgs.msg.String')
+
+
+def _check_service_type(srv_type: Any) -> None:
+    if not hasattr(srv_type, '__srvtype__'):
+        raise TypeError(f'{srv_type!r}: expected a service type such as std_srvs.srv.Trigger')

@@ -1,0 +1,102 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The graph, as a node sees itself and others."""
+
+OTHER = """
+import rclpy
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+rclpy.init(args=[])
+node = rclpy.create_node('other', namespace='/far')
+qos = QoSProfile(depth=3, reliability=ReliabilityPolicy.BEST_EFFORT)
+publisher = node.create_publisher(String, 'chat', qos)
+node.create_subscription(String, '/near', print, 1)
+node.create_service(Trigger, 'do', lambda q, r: r)
+print('ready')
+input()
+node.destroy_publisher(publisher)
+print('gone')
+input()
+node.destroy_node()
+rclpy.shutdown()
+"""
+
+
+def test_another_process_comes_and_goes(ros, m, child) -> None:
+    from rclpy.qos import ReliabilityPolicy
+
+    node = ros.node('near')
+    other = child(OTHER)
+    assert other.stdout.readline() == 'ready\n', other.stderr.read()
+    ros.until(lambda: ('other', '/far') in node.get_node_names_and_namespaces())
+    ros.until(lambda: node.count_publishers('/far/chat') == 1)
+    info = node.get_publishers_info_by_topic('/far/chat')[0]
+    assert (info.node_name, info.node_namespace) == ('other', '/far')
+    assert info.topic_type == 'std_msgs/msg/String' and len(info.endpoint_gid) == 16
+    assert info.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
+    assert info.endpoint_type.name == 'PUBLISHER'
+    assert ('/far/do', ['std_srvs/srv/Trigger']) in node.get_service_names_and_types()
+    assert ('/far/chat', ['std_msgs/msg/String']) in node.get_topic_names_and_types()
+    assert ('/far/do', ['std_srvs/srv/Trigger']) in node.get_service_names_and_types_by_node(
+        'other', '/far'
+    )
+    assert ('/far/chat', ['std_msgs/msg/String']) in node.get_publisher_names_and_types_by_node(
+        'other', '/far'
+    )
+    ros.until(lambda: node.get_subscriptions_info_by_topic('/near'))
+    assert ('/near', ['std_msgs/msg/String']) in node.get_subscriber_names_and_types_by_node(
+        'other', '/far'
+    )
+    other.stdin.write('\n')
+    other.stdin.flush()
+    assert other.stdout.readline() == 'gone\n'
+    ros.until(lambda: node.count_publishers('/far/chat') == 0)
+    assert node.get_publishers_info_by_topic('/far/chat') == []
+    other.stdin.write('\n')
+    other.stdin.flush()
+    assert other.wait(20.0) == 0
+    ros.until(lambda: ('other', '/far') not in node.get_node_names_and_namespaces())
+
+
+def test_a_node_sees_itself(ros, m) -> None:
+    node = ros.node('self', namespace='/ns')
+    publisher = node.create_publisher(m.String, 'chat', 7)
+    node.create_subscription(m.String, 'chat', print, 1)
+    node.create_client(m.Trigger, 'asked')
+    ros.until(lambda: node.count_publishers('chat') == node.count_subscribers('/ns/chat') == 1)
+    ros.until(lambda: 'self' in node.get_node_names())
+    assert ('self', '/ns') in node.get_node_names_and_namespaces()
+    assert '/ns/self' in node.get_fully_qualified_node_names()
+    info = ros.until(lambda: node.get_publishers_info_by_topic('chat'))[0]
+    assert (info.node_name, info.node_namespace) == ('self', '/ns')
+    assert info.qos_profile.depth == 7
+    assert ('/ns/asked', ['std_srvs/srv/Trigger']) in node.get_client_names_and_types_by_node(
+        'self', '/ns'
+    )
+    assert publisher in node.publishers
+    assert node.destroy_publisher(publisher)
+    assert not node.destroy_publisher(publisher)
+    ros.until(lambda: node.count_publishers('chat') == 0)
+    assert publisher not in node.publishers
+
+
+def test_two_nodes_of_one_process_are_told_apart(ros, m) -> None:
+    a, b = ros.node('a'), ros.node('b')
+    a.create_publisher(m.String, 'chat', 1)
+    b.create_publisher(m.String, 'chat', 1)
+    ros.until(lambda: len(a.get_publishers_info_by_topic('/chat')) == 2)
+    ros.until(
+        lambda: {info.node_name for info in a.get_publishers_info_by_topic('/chat')} == {'a', 'b'}
+    )
+    b.destroy_node()
+    ros.until(lambda: [i.node_name for i in a.get_publishers_info_by_topic('/chat')] == ['a'])
+    ros.until(lambda: a.get_node_names() == ['a'])
+
+
+def test_types_that_differ_are_listed_both(ros, m) -> None:
+    node = ros.node()
+    node.create_publisher(m.String, 'mixed', 1)
+    node.create_subscription(m.Int32, 'mixed', print, 1)
+    wanted = ('/mixed', ['std_msgs/msg/Int32', 'std_msgs/msg/String'])
+    ros.until(lambda: wanted in [(n, sorted(t)) for n, t in node.get_topic_names_and_types()])

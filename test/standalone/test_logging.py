@@ -1,0 +1,87 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Logging: what is written where, and what filters keep back."""
+
+import re
+
+import pytest
+
+LOG = """
+import rclpy
+from rclpy.logging import LoggingSeverity, get_logger
+rclpy.init(args=ARGS)
+node = rclpy.create_node('talker', namespace='/a')
+logger = node.get_logger()
+logger.debug('hidden')
+logger.info('shown')
+logger.warning('warned')
+logger.warn('warned too')
+logger.error('wrong')
+logger.fatal('worse')
+logger.get_child('part').info('of a part')
+for i in range(3):
+    logger.info(f'throttled {i}', throttle_duration_sec=60.0)
+    logger.info(f'once {i}', once=True)
+    logger.info(f'later {i}', skip_first=True)
+logger.set_level(LoggingSeverity.ERROR)
+logger.info('too little')
+assert not logger.is_enabled_for(LoggingSeverity.WARN)
+assert logger.get_effective_level() == LoggingSeverity.ERROR
+get_logger('free').info('without a node')
+node.destroy_node()
+rclpy.shutdown()
+"""
+
+
+def lines(child, *args: str) -> list[tuple[str, str, str]]:
+    process = child(LOG.replace('ARGS', repr(['prog', *args])))
+    _, err = process.communicate(timeout=60.0)
+    assert process.returncode == 0, err
+    found = re.findall(r'^\[(\w+)\] \[\d+\.\d{9}\] \[([\w.]+)\]: (.*)$', err, re.MULTILINE)
+    assert len(found) == err.count('\n')
+    return found
+
+
+def test_lines_look_as_in_ros(child) -> None:
+    assert lines(child) == [
+        ('INFO', 'a.talker', 'shown'),
+        ('WARN', 'a.talker', 'warned'),
+        ('WARN', 'a.talker', 'warned too'),
+        ('ERROR', 'a.talker', 'wrong'),
+        ('FATAL', 'a.talker', 'worse'),
+        ('INFO', 'a.talker.part', 'of a part'),
+        ('INFO', 'a.talker', 'throttled 0'),
+        ('INFO', 'a.talker', 'once 0'),
+        ('INFO', 'a.talker', 'later 1'),
+        ('INFO', 'a.talker', 'later 2'),
+        ('INFO', 'free', 'without a node'),
+    ]
+
+
+def test_the_command_line_sets_levels(child) -> None:
+    found = lines(child, '--ros-args', '--log-level', 'error')
+    assert {level for level, _, _ in found} == {'ERROR', 'FATAL'}
+    found = lines(child, '--ros-args', '--log-level', 'a.talker:=warn')
+    assert {level for level, name, _ in found if name == 'a.talker'} == {'WARN', 'ERROR', 'FATAL'}
+    assert ('INFO', 'free', 'without a node') in found
+
+
+def test_logs_are_published(ros) -> None:
+    from rcl_interfaces.msg import Log
+    from rclpy.qos import DurabilityPolicy, QoSProfile
+
+    node, got = ros.node('talker'), []
+    node.get_logger().warning('careful')
+    late = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    ros.node('listener').create_subscription(Log, '/rosout', got.append, late)
+    ros.until(lambda: [log for log in got if log.msg == 'careful'])
+    log = next(log for log in got if log.msg == 'careful')
+    assert (log.name, log.level) == ('talker', 30) and log.stamp.sec > 0
+    assert log.function == 'test_logs_are_published' and log.line > 0
+
+
+def test_a_logger_needs_a_name() -> None:
+    from rclpy.logging import get_logger
+
+    with pytest.raises(ValueError):
+        get_logger('')

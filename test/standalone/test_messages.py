@@ -1,0 +1,173 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Message classes, and messages as YAML."""
+
+import array
+
+import numpy as np
+import pytest
+import yaml
+
+
+def test_fields_have_defaults(m) -> None:
+    odometry = m.Odometry()
+    assert odometry.header.stamp.sec == 0 and odometry.header.frame_id == ''
+    assert odometry.pose.pose.orientation.w == 1.0 and odometry.pose.pose.position.x == 0.0
+    assert len(odometry.pose.covariance) == 36 and odometry.child_frame_id == ''
+    image = m.Image()
+    assert len(image.data) == 0 and image.is_bigendian == 0
+    assert m.GetPlan.Response().plan.poses == []
+    from sensor_msgs.msg import NavSatStatus
+
+    assert NavSatStatus().status == -2
+
+
+def test_messages_can_be_written_and_compared(m) -> None:
+    header = m.Header(frame_id='map')
+    header.stamp.sec = 5
+    pose = m.PoseStamped(header=header)
+    pose.pose.position = m.Point(x=1.0, y=2.0, z=3.0)
+    other = m.PoseStamped()
+    assert pose != other and pose != 'pose'
+    other.header.frame_id, other.header.stamp.sec = 'map', 5
+    other.pose.position.x, other.pose.position.y, other.pose.position.z = 1.0, 2.0, 3.0
+    assert pose == other
+    assert 'frame_id=' in repr(pose) and repr(pose).startswith('geometry_msgs.msg.PoseStamped(')
+    assert m.Image(data=array.array('B', b'ab')) == m.Image(data=array.array('B', b'ab'))
+    assert m.Image(data=array.array('B', b'ab')) != m.Image(data=array.array('B', b'ac'))
+    assert m.Header() is not m.Header() and m.Header().stamp is not m.Header().stamp
+
+
+def test_what_is_no_field_cannot_be_set(m) -> None:
+    with pytest.raises(AttributeError):
+        m.String().dta = 'x'
+
+
+def test_constants_and_bytes() -> None:
+    from diagnostic_msgs.msg import DiagnosticStatus
+    from rclpy.serialization import deserialize_message, serialize_message
+    from visualization_msgs.msg import Marker
+
+    assert (Marker.LINE_LIST, Marker.ADD) == (5, 0)
+    assert DiagnosticStatus.WARN == b'\x01' and DiagnosticStatus().level == b'\x00'
+    status = DiagnosticStatus(level=DiagnosticStatus.STALE, name='x')
+    assert deserialize_message(serialize_message(status), DiagnosticStatus) == status
+
+
+def test_fields_and_their_types(m) -> None:
+    assert m.Image.get_fields_and_field_types() == {
+        'header': 'std_msgs/Header', 'height': 'uint32', 'width': 'uint32', 'encoding': 'string',
+        'is_bigendian': 'uint8', 'step': 'uint32', 'data': 'sequence<uint8>',
+    }  # fmt: skip
+    assert m.Odometry().get_fields_and_field_types()['pose'] == 'geometry_msgs/PoseWithCovariance'
+    from geometry_msgs.msg import PoseArray, PoseWithCovariance
+    from rcl_interfaces.msg import IntegerRange, ParameterDescriptor
+
+    assert PoseArray.get_fields_and_field_types()['poses'] == 'sequence<geometry_msgs/Pose>'
+    assert PoseWithCovariance.get_fields_and_field_types()['covariance'] == 'double[36]'
+    assert IntegerRange.get_fields_and_field_types()['step'] == 'uint64'
+    assert ParameterDescriptor.get_fields_and_field_types()['integer_range'] == (
+        'sequence<rcl_interfaces/IntegerRange, 1>'
+    )
+    assert m.SetBool.Request.get_fields_and_field_types() == {'data': 'boolean'}
+    assert m.Empty.Request.get_fields_and_field_types() == {}
+
+
+@pytest.mark.parametrize(
+    'data',
+    [b'\x01\x02\x03', array.array('B', [1, 2, 3]), np.array([1, 2, 3], np.uint8), [1, 2, 3]],
+    ids=lambda data: type(data).__name__,
+)
+def test_bytes_can_be_given_in_many_ways(m, data) -> None:
+    from rclpy.serialization import deserialize_message, serialize_message
+
+    message = deserialize_message(serialize_message(m.Image(data=data)), m.Image)
+    assert bytes(message.data) == b'\x01\x02\x03'
+    assert np.frombuffer(message.data, np.uint8).tolist() == [1, 2, 3]
+    image = m.Image()
+    image.data = data
+    assert image.data == message.data == array.array('B', [1, 2, 3])
+    with pytest.raises((TypeError, OverflowError)):
+        image.data = [1, 300]
+
+
+def test_every_kind_of_field_survives() -> None:
+    from rcl_interfaces.msg import ParameterValue
+    from rclpy.serialization import deserialize_message, serialize_message
+    from sensor_msgs.msg import CameraInfo, LaserScan, PointField
+    from tf2_msgs.msg import TFMessage
+
+    value = ParameterValue(
+        type=3, bool_value=True, integer_value=-(2**63), double_value=0.1, string_value='ü€',
+        byte_array_value=[b'\x01', b'\xff'], bool_array_value=[True, False],
+        integer_array_value=[1, -2], double_array_value=[0.5], string_array_value=['', 'ß'],
+    )  # fmt: skip
+    info = CameraInfo(height=2, d=[0.1, 0.2], k=np.arange(9.0), distortion_model='plumb_bob')
+    scan = LaserScan(ranges=[0.5, float('inf')], angle_min=-1.5)
+    transforms = TFMessage()
+    for name in 'ab':
+        from geometry_msgs.msg import TransformStamped
+
+        transforms.transforms.append(TransformStamped(child_frame_id=name))
+    for message in (value, info, scan, transforms, PointField(count=3)):
+        copy = deserialize_message(serialize_message(message), type(message))
+        assert copy == message
+    again = deserialize_message(serialize_message(value), ParameterValue)
+    assert list(again.byte_array_value) == [b'\x01', b'\xff']
+    assert list(again.string_array_value) == ['', 'ß']
+
+
+def test_types_by_name() -> None:
+    from rosidl_runtime_py.utilities import get_message, get_service
+    from std_msgs.msg import String
+    from std_srvs.srv import Trigger
+
+    assert get_message('std_msgs/msg/String') is String
+    assert get_service('std_srvs/srv/Trigger') is Trigger
+    with pytest.raises((ValueError, ImportError, AttributeError)):
+        get_message('std_msgs/msg/Nothing')
+    with pytest.raises((ValueError, ImportError, AttributeError)):
+        get_service('nothing')
+
+
+def test_messages_as_yaml_and_back(m) -> None:
+    from rosidl_runtime_py import message_to_ordereddict, message_to_yaml, set_message_fields
+
+    odometry = m.Odometry(child_frame_id='base ü')
+    odometry.header.stamp.sec, odometry.pose.pose.position.x = 4, 2.5
+    odometry.pose.covariance[3] = 0.5
+    text = message_to_yaml(odometry)
+    assert 'base ü' in text and text.startswith('header:\n  stamp:\n    sec: 4\n')
+    again = m.Odometry()
+    set_message_fields(again, yaml.safe_load(text))
+    assert again == odometry
+    tree = message_to_ordereddict(odometry)
+    assert list(tree) == ['header', 'child_frame_id', 'pose', 'twist']
+    assert tree['pose']['pose']['position']['x'] == 2.5
+    plan = m.GetPlan.Request()
+    set_message_fields(plan, {'goal': {'pose': {'position': {'x': 1, 'y': 2.0}}}, 'tolerance': 1})
+    assert plan.goal.pose.position == m.Point(x=1.0, y=2.0) and plan.tolerance == 1.0
+    assert isinstance(plan.goal.pose.position.x, float)
+    with pytest.raises(AttributeError):
+        set_message_fields(plan, {'gaol': {}})
+    with pytest.raises((TypeError, ValueError)):
+        set_message_fields(plan, {'tolerance': 'far'})
+
+
+def test_long_values_are_cut_off(m) -> None:
+    from rosidl_runtime_py import message_to_yaml
+
+    image = m.Image(data=bytes(1000), encoding='x' * 50)
+    short = message_to_yaml(image, truncate_length=8)
+    assert 'xxxxxxxx...' in short and short.count('- 0') == 8
+    assert len(message_to_yaml(image, no_arr=True)) < 400
+    assert 'string length: <50>' in message_to_yaml(image, no_str=True)
+
+
+def test_lists_of_messages_from_plain_values() -> None:
+    from nav_msgs.msg import Path
+    from rosidl_runtime_py import set_message_fields
+
+    path = Path()
+    set_message_fields(path, {'poses': [{'header': {'frame_id': 'a'}}, {}]})
+    assert [pose.header.frame_id for pose in path.poses] == ['a', '']

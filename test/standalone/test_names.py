@@ -1,0 +1,112 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Names, remapping, and arguments that are wrong."""
+
+from pathlib import Path
+
+import pytest
+
+
+def test_names_in_full(ros, m) -> None:
+    node = ros.node('n', namespace='/a/b')
+    assert node.get_name() == 'n' and node.get_namespace() == '/a/b'
+    assert node.get_fully_qualified_name() == '/a/b/n'
+    assert node.resolve_topic_name('x') == '/a/b/x'
+    assert node.resolve_topic_name('/x') == '/x'
+    assert node.resolve_topic_name('~/x') == '/a/b/n/x'
+    assert node.resolve_service_name('x/y') == '/a/b/x/y'
+    publisher = node.create_publisher(m.String, '~/x', 1)
+    assert publisher.topic_name == '/a/b/n/x'
+    assert ros.node('root').get_namespace() == '/'
+
+
+def test_rules_of_the_command_line(make_ros, m) -> None:
+    ros = make_ros(
+        '--ros-args', '-r', '__ns:=/robot', '-r', '__node:=renamed', '-r', 'image:=/camera/image',
+        '--remap', 'odom:=wheels', '-r', '~/private:=public', '-r', 'rosservice://s:=service',
+    )  # fmt: skip
+    node = ros.node('given', namespace='/elsewhere')
+    assert node.get_fully_qualified_name() == '/robot/renamed'
+    assert node.resolve_topic_name('image') == '/camera/image'
+    assert node.resolve_topic_name('/robot/image') == '/camera/image'
+    assert node.resolve_topic_name('/image') == '/image'
+    assert node.resolve_topic_name('odom') == '/robot/wheels'
+    assert node.resolve_topic_name('~/private') == '/robot/public'
+    assert node.resolve_topic_name('s') == '/robot/s'
+    assert node.resolve_service_name('s') == '/robot/service'
+    assert node.resolve_topic_name('image', only_expand=True) == '/robot/image'
+    assert node.create_publisher(m.String, 'image', 1).topic_name == '/camera/image'
+
+
+def test_rules_for_one_node(make_ros) -> None:
+    ros = make_ros('--ros-args', '-r', 'a:x:=y', '-r', 'b:__ns:=/b')
+    a, b = ros.node('a'), ros.node('b')
+    assert (a.resolve_topic_name('x'), b.resolve_topic_name('x')) == ('/y', '/b/x')
+
+
+def test_arguments_of_one_node(make_ros) -> None:
+    ros = make_ros('--ros-args', '-r', 'x:=global', '-p', 'p:=1')
+    node = ros.node('n', cli_args=['--ros-args', '-r', 'x:=own', '-p', 'p:=2'])
+    assert node.resolve_topic_name('x') == '/own' and node.declare_parameter('p', 0).value == 2
+    alone = ros.node('m', use_global_arguments=False)
+    assert alone.resolve_topic_name('x') == '/x' and alone.declare_parameter('p', 0).value == 0
+
+
+def test_names_that_ros_does_not_allow(ros, m) -> None:
+    from rclpy.exceptions import (
+        InvalidNamespaceException,
+        InvalidNodeNameException,
+        InvalidServiceNameException,
+        InvalidTopicNameException,
+    )
+
+    node = ros.node()
+    for topic in ('', 'a//b', '1a', 'a b', 'a-b', 'a/', '{nothing}', 'x' * 300):
+        with pytest.raises((InvalidTopicNameException, ValueError)):
+            node.create_publisher(m.String, topic, 1)
+    with pytest.raises(InvalidServiceNameException):
+        node.create_client(m.Trigger, 'a b')
+    with pytest.raises(InvalidNodeNameException):
+        ros.node('a/b')
+    with pytest.raises(InvalidNamespaceException):
+        ros.node('a', namespace='/a b')
+
+
+@pytest.mark.parametrize(
+    'words',
+    [
+        ['--unknown'], ['-r', 'nothing'], ['-p', 'a'], ['--log-level', 'loud'],
+        ['--params-file', '/no/such/file.yaml'], ['-r'], ['-r', '__node:=a/b'],
+    ],
+    ids=' '.join,
+)  # fmt: skip
+def test_wrong_arguments_raise(words: list[str]) -> None:
+    import rclpy
+
+    with pytest.raises(RuntimeError):
+        rclpy.init(args=['prog', '--ros-args', *words])
+    assert not rclpy.ok()
+
+
+def test_arguments_that_are_accepted(make_ros) -> None:
+    make_ros(
+        'prog', '-x', '--unknown', '--ros-args', '--log-level', 'info', '--log-level', 'a.b:=warn',
+        '--disable-rosout-logs', '--enable-stdout-logs', '--disable-external-lib-logs', '--',
+        '--unknown', '--ros-args', '-p', 'a:=1',
+    )  # fmt: skip
+
+
+def test_what_is_not_for_ros() -> None:
+    from rclpy.utilities import remove_ros_args
+
+    words = ['prog', '-x', '--ros-args', '-p', 'a:=1', '--', 'rest', '--ros-args', '-r', 'a:=b']
+    assert remove_ros_args(words) == ['prog', '-x', 'rest']
+
+
+def test_a_broken_file_is_refused(tmp_path: Path) -> None:
+    import rclpy
+
+    path = tmp_path / 'broken.yaml'
+    path.write_text('a: [1, {', encoding='utf-8')
+    with pytest.raises(RuntimeError):
+        rclpy.init(args=['--ros-args', '--params-file', str(path)])

@@ -1,0 +1,251 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters: files, command lines, ranges, callbacks, and the services that show them."""
+
+from pathlib import Path
+
+import pytest
+
+
+def test_values_come_from_the_command_line_and_files(make_ros, tmp_path: Path) -> None:
+    path = tmp_path / 'parameters.yaml'
+    path.write_text(
+        """
+/**:
+  ros__parameters: {everywhere: 1, last: a}
+/**/robot_node:
+  ros__parameters: {wild: true}
+/robot/robot_node:
+  ros__parameters:
+    nested: {deep: {er: 2.5}}
+    list: [1, 2, 3]
+    words: ['a', 'b c']
+/robot/other:
+  ros__parameters: {wrong: 1}
+/robot:
+  robot_node:
+    ros__parameters: {below: 'x'}
+""",
+        encoding='utf-8',
+    )
+    ros = make_ros(
+        'prog', '--ros-args', '--params-file', str(path), '-p', 'last:=b', '-p', 'n:=-4',
+        '-p', 'x:=1e-3', '-p', 'on:=true', '-p', 'flag:=[true, false]',
+        '-p', 'robot_node:text:=hi there', '--', 'unrelated',
+    )  # fmt: skip
+    node = ros.node(
+        'robot_node', namespace='robot', automatically_declare_parameters_from_overrides=True
+    )
+    names = node.list_parameters([], 0).names
+    values = {name: node.get_parameter(name).value for name in names}
+    values.pop('use_sim_time')
+    values.pop('start_type_description_service', None)
+    assert list(values.pop('list')) == [1, 2, 3]
+    assert list(values.pop('words')) == ['a', 'b c']
+    assert list(values.pop('flag')) == [True, False]
+    assert values == {
+        'everywhere': 1, 'last': 'b', 'wild': True, 'nested.deep.er': 2.5, 'below': 'x', 'n': -4,
+        'x': 1e-3, 'on': True,
+    }  # fmt: skip
+
+
+def test_what_is_given_counts_more_than_the_default(make_ros) -> None:
+    ros = make_ros('--ros-args', '-p', 'a:=5', '-p', 'b:=6')
+    node = ros.node()
+    assert node.declare_parameter('a', 1).value == 5
+    assert node.declare_parameter('b', 1, ignore_override=True).value == 1
+    assert node.declare_parameter('c', 'text').value == 'text'
+    assert node.get_parameter('a').value == 5
+    assert {p.name: p.value for p in node.get_parameters(['b', 'c'])} == {'b': 1, 'c': 'text'}
+    assert node.has_parameter('a') and not node.has_parameter('d')
+    assert {'a', 'b', 'c', 'use_sim_time'} <= set(node.get_parameters_by_prefix(''))
+
+
+def test_parameters_of_the_constructor_count_most(make_ros) -> None:
+    from rclpy.parameter import Parameter
+
+    ros = make_ros('--ros-args', '-p', 'a:=5')
+    node = ros.node(parameter_overrides=[Parameter('a', value=7)])
+    assert node.declare_parameter('a', 1).value == 7
+
+
+def test_each_kind_of_value(ros) -> None:
+    from rclpy.parameter import Parameter
+
+    node = ros.node()
+    for name, value, kind in (
+        ('b', True, Parameter.Type.BOOL),
+        ('i', 3, Parameter.Type.INTEGER),
+        ('d', 0.5, Parameter.Type.DOUBLE),
+        ('s', 'x', Parameter.Type.STRING),
+        ('bs', [True, False], Parameter.Type.BOOL_ARRAY),
+        ('is', [1, 2], Parameter.Type.INTEGER_ARRAY),
+        ('ds', [0.5], Parameter.Type.DOUBLE_ARRAY),
+        ('ss', ['a'], Parameter.Type.STRING_ARRAY),
+    ):
+        parameter = node.declare_parameter(name, value)
+        assert (parameter.type_, parameter.value) == (kind, value)
+        message = parameter.to_parameter_msg()
+        again = Parameter.from_parameter_msg(message).value
+        assert (list(again) if isinstance(value, list) else again) == value
+    with pytest.raises(TypeError):
+        Parameter('x', value={'a': 1})
+    with pytest.raises(ValueError, match='do not agree'):
+        Parameter('x', Parameter.Type.INTEGER, 'text')
+
+
+def test_what_is_wrong_is_told(make_ros) -> None:
+    from rclpy.exceptions import (
+        InvalidParameterTypeException,
+        ParameterAlreadyDeclaredException,
+        ParameterNotDeclaredException,
+        ParameterUninitializedException,
+    )
+    from rclpy.parameter import Parameter
+
+    node = make_ros('--ros-args', '-p', 'kind:=text').node()
+    node.declare_parameter('a', 1)
+    with pytest.raises(ParameterAlreadyDeclaredException):
+        node.declare_parameter('a', 2)
+    with pytest.raises(ParameterNotDeclaredException):
+        node.get_parameter('nowhere')
+    with pytest.raises(ParameterNotDeclaredException):
+        node.set_parameters([Parameter('nowhere', value=1)])
+    with pytest.raises(InvalidParameterTypeException):
+        node.declare_parameter('kind', 1)
+    node.declare_parameter('later', Parameter.Type.INTEGER)
+    with pytest.raises(ParameterUninitializedException):
+        node.get_parameter('later')
+    assert node.set_parameters([Parameter('later', value=3)])[0].successful
+    assert node.get_parameter('later').value == 3
+
+
+def descriptor(**fields):
+    from rcl_interfaces.msg import ParameterDescriptor
+
+    return ParameterDescriptor(**fields)
+
+
+def test_descriptors_are_enforced(ros) -> None:
+    from rcl_interfaces.msg import FloatingPointRange, IntegerRange
+    from rclpy.exceptions import InvalidParameterValueException, ParameterImmutableException
+    from rclpy.parameter import Parameter
+
+    node = ros.node()
+    integers = IntegerRange(from_value=0, to_value=10, step=2)
+    floats = FloatingPointRange(from_value=0.0, to_value=1.0, step=0.0)
+    node.declare_parameter('i', 4, descriptor(integer_range=[integers], description='even'))
+    node.declare_parameter('d', 0.5, descriptor(floating_point_range=[floats]))
+    node.declare_parameter('fixed', 1, descriptor(read_only=True))
+    node.declare_parameter('any', 1, descriptor(dynamic_typing=True))
+    node.declare_parameter('typed', 1)
+
+    def set_to(name, value):
+        return node.set_parameters([Parameter(name, value=value)])[0]
+
+    assert set_to('i', 10).successful and not set_to('i', 5).successful
+    assert not set_to('i', 12).successful and node.get_parameter('i').value == 10
+    assert set_to('d', 1.0).successful and not set_to('d', 1.5).successful
+    assert not set_to('fixed', 2).successful and 'read-only' in set_to('fixed', 2).reason
+    assert set_to('any', 'text').successful and not set_to('typed', 'text').successful
+    assert not set_to('typed', 1.0).successful
+    described = node.describe_parameter('i')
+    assert (described.name, described.description, described.type) == ('i', 'even', 2)
+    with pytest.raises(InvalidParameterValueException):
+        node.declare_parameter('wrong', 3, descriptor(integer_range=[integers]))
+    with pytest.raises(ParameterImmutableException):
+        node.undeclare_parameter('fixed')
+    node.undeclare_parameter('i')
+    assert not node.has_parameter('i')
+
+
+def test_callbacks_may_refuse_and_are_told(ros) -> None:
+    from rcl_interfaces.msg import SetParametersResult
+    from rclpy.parameter import Parameter
+
+    node, told = ros.node(), []
+    node.declare_parameter('a', 1)
+    node.declare_parameter('b', 1)
+
+    def judge(parameters):
+        return SetParametersResult(successful=all(p.value < 5 for p in parameters), reason='big')
+
+    node.add_on_set_parameters_callback(judge)
+    node.add_post_set_parameters_callback(lambda ps: told.append([p.name for p in ps]))
+    both = [Parameter('a', value=2), Parameter('b', value=9)]
+    result = node.set_parameters_atomically(both)
+    assert (result.successful, result.reason) == (False, 'big')
+    assert node.get_parameter('a').value == 1
+    assert [r.successful for r in node.set_parameters(both)] == [True, False]
+    assert told == [['a']]
+    node.remove_on_set_parameters_callback(judge)
+    assert node.set_parameters_atomically(both).successful
+    assert node.get_parameter('b').value == 9
+
+
+def test_undeclared_ones_may_be_allowed(ros) -> None:
+    from rclpy.parameter import Parameter
+
+    node = ros.node(allow_undeclared_parameters=True)
+    assert node.get_parameter('x').value is None
+    assert node.set_parameters([Parameter('x', value=1)])[0].successful
+    assert node.get_parameter('x').value == 1
+    assert node.get_parameter_or('y', Parameter('y', value=2)).value == 2
+
+
+def test_other_nodes_see_and_set_them(ros) -> None:
+    from rcl_interfaces.msg import Parameter, ParameterEvent, ParameterValue
+    from rcl_interfaces.srv import (
+        DescribeParameters,
+        GetParameters,
+        GetParameterTypes,
+        ListParameters,
+        SetParameters,
+        SetParametersAtomically,
+    )
+
+    node, other, events = ros.node('node'), ros.node('other'), []
+    node.declare_parameter('a', 1)
+    node.declare_parameter('deep.b', 'text', descriptor(read_only=True, description='why'))
+
+    def note(event):
+        if event.node == '/node':
+            events.append(event)
+
+    other.create_subscription(ParameterEvent, '/parameter_events', note, 10)
+    ros.until(lambda: other.count_publishers('/parameter_events') == 2)
+    ros.spin()
+
+    def ask(kind, name, **fields):
+        return ros.call(other.create_client(kind, f'/node/{name}'), kind.Request(**fields))
+
+    listed = ask(ListParameters, 'list_parameters').result
+    assert {'a', 'deep.b', 'use_sim_time'} <= set(listed.names) and 'deep' in listed.prefixes
+    assert ask(ListParameters, 'list_parameters', prefixes=['deep']).result.names == ['deep.b']
+    values = ask(GetParameters, 'get_parameters', names=['a', 'deep.b']).values
+    assert (values[0].integer_value, values[1].string_value) == (1, 'text')
+    assert list(ask(GetParameters, 'get_parameters', names=['nowhere']).values) == []
+    assert list(ask(GetParameterTypes, 'get_parameter_types', names=['a', 'deep.b']).types) == [
+        2,
+        4,
+    ]
+    described = ask(DescribeParameters, 'describe_parameters', names=['deep.b']).descriptors[0]
+    assert (described.name, described.description, described.read_only) == ('deep.b', 'why', True)
+    new = Parameter(name='a', value=ParameterValue(type=2, integer_value=5))
+    wrong = Parameter(name='deep.b', value=ParameterValue(type=4, string_value='x'))
+    unknown = Parameter(name='nowhere', value=ParameterValue(type=4, string_value='x'))
+    results = ask(SetParameters, 'set_parameters', parameters=[new, wrong, unknown]).results
+    assert [result.successful for result in results] == [True, False, False]
+    assert node.get_parameter('a').value == 5
+    changed = ros.until(lambda: [e for e in events if e.changed_parameters])[0]
+    assert changed.changed_parameters[0].value.integer_value == 5
+    assert changed.stamp.sec > 0
+    result = ask(
+        SetParametersAtomically, 'set_parameters_atomically', parameters=[new, wrong]
+    ).result
+    assert not result.successful and result.reason
+
+
+def test_a_node_may_go_without_services(ros) -> None:
+    node = ros.node('quiet', start_parameter_services=False, enable_rosout=False)
+    assert not [service for service in node.services if 'parameter' in service.srv_name]

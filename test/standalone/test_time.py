@@ -1,0 +1,186 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Timers, clocks, and time that somebody else makes."""
+
+import threading
+import time
+
+import pytest
+
+
+def test_a_timer_calls_again_and_again_until_it_is_cancelled(ros) -> None:
+    node, called = ros.node(), []
+    timer = node.create_timer(0.01, lambda: called.append(time.monotonic()))
+    ros.until(lambda: len(called) >= 5)
+    assert called[4] - called[0] >= 0.03
+    timer.cancel()
+    assert timer.is_canceled()
+    number = len(called)
+    ros.spin(0.05)
+    assert len(called) == number
+    timer.reset()
+    assert not timer.is_canceled() and timer.time_until_next_call() <= 10_000_000
+    ros.until(lambda: len(called) > number)
+    node.destroy_timer(timer)
+    assert list(node.timers) == []
+
+
+def test_missed_periods_are_left_out(ros) -> None:
+    node, called = ros.node(), []
+    node.create_timer(0.02, lambda: called.append(1))
+    time.sleep(0.3)
+    ros.executor.spin_once(timeout_sec=0.0)
+    ros.executor.spin_once(timeout_sec=0.0)
+    assert len(called) <= 2
+
+
+def test_spinning_once_runs_one_callback_or_waits(ros) -> None:
+    node, called = ros.node(), []
+    start_s = time.monotonic()
+    ros.executor.spin_once(timeout_sec=0.2)
+    assert time.monotonic() - start_s < 10.0
+    node.create_timer(0.0, lambda: called.append(1))
+    ros.executor.spin_once(timeout_sec=5.0)
+    assert called == [1]
+
+
+def test_an_exception_in_a_callback_comes_out(ros) -> None:
+    node = ros.node()
+
+    def fail() -> None:
+        raise ZeroDivisionError
+
+    node.create_timer(0.01, fail)
+    with pytest.raises(ZeroDivisionError):
+        ros.until(lambda: False)
+
+
+def test_times_and_durations() -> None:
+    from builtin_interfaces.msg import Time as TimeMessage
+    from rclpy.clock import Clock, ClockType
+    from rclpy.duration import Duration
+    from rclpy.time import Time
+
+    time_ = Time(seconds=2, nanoseconds=5)
+    assert time_.nanoseconds == 2_000_000_005 and time_.seconds_nanoseconds() == (2, 5)
+    assert time_ + Duration(seconds=1.5) == Time(nanoseconds=3_500_000_005)
+    assert time_ - Time(seconds=1) == Duration(nanoseconds=1_000_000_005)
+    assert time_ - Duration(seconds=2) == Time(nanoseconds=5)
+    assert time_.to_msg() == TimeMessage(sec=2, nanosec=5)
+    assert Time.from_msg(TimeMessage(sec=3)).nanoseconds == 3_000_000_000
+    assert Duration(seconds=1) > Duration(nanoseconds=1)
+    assert Duration(seconds=1.25).to_msg().nanosec == 250_000_000
+    with pytest.raises(TypeError):
+        assert time_ < Time(clock_type=ClockType.ROS_TIME)
+    steady = Clock(clock_type=ClockType.STEADY_TIME)
+    assert steady.now() <= steady.now() and steady.clock_type == ClockType.STEADY_TIME
+    assert abs(Clock().now().nanoseconds - time.time_ns()) < 10e9
+
+
+class Player:
+    """Publishes /clock."""
+
+    def __init__(self, ros) -> None:
+        from rosgraph_msgs.msg import Clock
+
+        self._clock = Clock
+        self._publisher = ros.node('player').create_publisher(Clock, '/clock', 10)
+
+    def say(self, seconds: float) -> None:
+        message = self._clock()
+        message.clock.sec = int(seconds)
+        message.clock.nanosec = round(seconds % 1 * 1e9)
+        self._publisher.publish(message)
+
+    def ready(self) -> bool:
+        return self._publisher.get_subscription_count() > 0
+
+
+def now_s(node) -> float:
+    return node.get_clock().now().nanoseconds / 1e9
+
+
+def test_a_node_can_follow_simulated_time(make_ros) -> None:
+    from rclpy.clock import Clock, ClockType, JumpThreshold
+    from rclpy.duration import Duration
+
+    ros = make_ros('--ros-args', '-p', 'use_sim_time:=true')
+    node, called, steady, jumps = ros.node(), [], [], []
+    player = Player(ros)
+    assert now_s(node) == 0.0 and node.get_clock().ros_time_is_active
+    node.create_timer(1.0, lambda: called.append(now_s(node)))
+    node.create_timer(
+        0.02, lambda: steady.append(1), clock=Clock(clock_type=ClockType.STEADY_TIME)
+    )
+    threshold = JumpThreshold(
+        min_forward=Duration(seconds=50), min_backward=Duration(nanoseconds=-1)
+    )
+    before = []
+    handle = node.get_clock().create_jump_callback(
+        threshold, pre_callback=lambda: before.append(1), post_callback=jumps.append
+    )
+    ros.until(player.ready)
+    ros.spin(0.1)
+    assert called == [] and steady
+    player.say(10.0)
+    ros.until(lambda: now_s(node) == 10.0)
+    ros.until(lambda: called == [10.0])
+    player.say(10.5)
+    ros.until(lambda: now_s(node) == 10.5)
+    ros.spin(0.05)
+    assert called == [10.0] and jumps == []
+    player.say(11.2)
+    ros.until(lambda: called == [10.0, 11.2])
+    player.say(100.0)
+    ros.until(lambda: len(jumps) == 1)
+    assert jumps[0].delta.nanoseconds == 88_800_000_000 and before == [1]
+    ros.until(lambda: called == [10.0, 11.2, 100.0])
+    player.say(3.0)
+    ros.until(lambda: len(jumps) == 2)
+    assert jumps[1].delta.nanoseconds == -97_000_000_000
+    player.say(4.5)
+    ros.until(lambda: called == [10.0, 11.2, 100.0, 4.5])
+    handle.unregister()
+    player.say(1.0)
+    ros.until(lambda: now_s(node) == 1.0)
+    assert len(jumps) == 2
+
+
+def test_simulated_time_can_be_switched_on_and_off(ros) -> None:
+    from rclpy.clock import ClockChange, JumpThreshold
+    from rclpy.parameter import Parameter
+
+    node, jumps = ros.node(), []
+    threshold = JumpThreshold(min_forward=None, min_backward=None, on_clock_change=True)
+    handle = node.get_clock().create_jump_callback(threshold, post_callback=jumps.append)
+    assert now_s(node) > 1e9
+    node.set_parameters([Parameter('use_sim_time', value=True)])
+    assert now_s(node) < 1e9
+    node.set_parameters([Parameter('use_sim_time', value=False)])
+    assert now_s(node) > 1e9
+    assert [jump.clock_change for jump in jumps] == [
+        ClockChange.ROS_TIME_ACTIVATED, ClockChange.ROS_TIME_DEACTIVATED,
+    ]  # fmt: skip
+    handle.unregister()
+
+
+def test_thresholds_that_say_nothing_are_refused() -> None:
+    from rclpy.clock import JumpThreshold
+    from rclpy.duration import Duration
+
+    with pytest.raises(ValueError):
+        JumpThreshold(min_forward=Duration(seconds=-1), min_backward=None)
+    with pytest.raises(ValueError):
+        JumpThreshold(min_forward=None, min_backward=Duration(seconds=1))
+    with pytest.raises(ValueError):
+        JumpThreshold(min_forward=None, min_backward=None, on_clock_change=False)
+
+
+def test_another_thread_can_wake_the_one_that_spins(ros) -> None:
+    node, called = ros.node(), []
+    guard = node.create_guard_condition(lambda: called.append(threading.current_thread()))
+    thread = threading.Thread(target=guard.trigger)
+    thread.start()
+    ros.until(lambda: called)
+    thread.join()
+    assert called == [threading.current_thread()]
