@@ -1,0 +1,136 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The nodes of RatSLAM, on the topics of a robot, and RViz if it is asked for."""
+
+import shutil
+import tempfile
+from pathlib import Path
+
+from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
+from launch.actions import (
+    DeclareLaunchArgument,
+    LogInfo,
+    OpaqueFunction,
+    RegisterEventHandler,
+    Shutdown,
+)
+from launch.event_handlers import OnShutdown
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+
+from launch import LaunchContext, LaunchDescription, LaunchDescriptionEntity
+from ratslam_ros.config_files import load_config, to_yaml
+from ratslam_ros.errors import RatslamError
+from ratslam_ros.live.launch import nodes, remappings
+
+YES_OR_NO = ['true', 'false']
+
+ARGUMENTS = [
+    DeclareLaunchArgument(
+        'config', default_value='default',
+        description='the parameters: name of a preset, a YAML file, or an INI file of OpenRatSLAM',
+    ),
+    DeclareLaunchArgument(
+        'namespace', default_value='', description='namespace of the nodes and their topics'),
+    DeclareLaunchArgument(
+        'use_sim_time', default_value='false', choices=YES_OR_NO,
+        description='take the time from /clock'),
+    DeclareLaunchArgument(
+        'visual_odometry', default_value='false', choices=YES_OR_NO,
+        description='odometry from the camera; false: the robot publishes it'),
+    DeclareLaunchArgument(
+        'single_process', default_value='false', choices=YES_OR_NO,
+        description='all nodes in one process; false: one process each'),
+    DeclareLaunchArgument(
+        'image_topic', default_value='image',
+        description="the camera's topic, raw or .../compressed; the other one is derived from it"),
+    DeclareLaunchArgument(
+        'odom_topic', default_value='odom', description='the odometry, nav_msgs/Odometry'),
+    DeclareLaunchArgument(
+        'image_transport', default_value='', choices=['', 'auto', 'raw', 'compressed'],
+        description='which images to take (empty: as the parameters say, auto if they do not)'),
+    DeclareLaunchArgument(
+        'publish_tf', default_value='', choices=['', *YES_OR_NO],
+        description='publish the transform from map to odom (empty: as the parameters say)'),
+    DeclareLaunchArgument(
+        'rviz', default_value='false', choices=YES_OR_NO,
+        description='show everything in RViz; its layout is that of the root namespace'),
+    DeclareLaunchArgument(
+        'log_level', default_value='info', choices=['debug', 'info', 'warn', 'error', 'fatal'],
+        description='least severity of what the nodes log'),
+]  # fmt: skip
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Return what is launched; every argument has a description (--show-args)."""
+    return LaunchDescription([*ARGUMENTS, OpaqueFunction(function=_start)])
+
+
+def _start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
+    def given(name: str) -> str:
+        return LaunchConfiguration(name).perform(context)
+
+    text, notices = _parameters(
+        given('config'), given('image_transport'), given('publish_tf')
+    )
+    folder = Path(tempfile.mkdtemp(prefix='ratslam-'))
+    parameters = folder / 'parameters.yaml'
+    parameters.write_text(text, encoding='utf-8')
+    use_sim_time = given('use_sim_time') == 'true'
+    started = [
+        Node(
+            package='ratslam_ros',
+            executable=name,
+            namespace=given('namespace'),
+            arguments=own,
+            parameters=[str(parameters), {'use_sim_time': use_sim_time}],
+            remappings=remappings(given('image_topic'), given('odom_topic')),
+            ros_arguments=['--log-level', given('log_level')],
+            output='screen',
+            # The others are of no use without it, and could only map a part of the way.
+            on_exit=Shutdown(reason=f'{name} has ended'),
+        )
+        for name, own in nodes(
+            given('visual_odometry') == 'true', given('single_process') == 'true'
+        ).items()
+    ]
+    forget = OnShutdown(on_shutdown=lambda event, context: shutil.rmtree(folder, True))
+    viewer = _rviz(use_sim_time) if given('rviz') == 'true' else []
+    told = [LogInfo(msg=notice) for notice in notices]
+    return [*told, RegisterEventHandler(forget), *started, *viewer]
+
+
+def _parameters(config: str, image_transport: str, publish_tf: str) -> tuple[str, list[str]]:
+    """Return all parameters as one file for all nodes, and what is to be told of them."""
+    try:
+        values, notices = load_config(config)
+        changes: dict[str, str | bool] = {}
+        if image_transport:
+            changes['visual_odometry.image_transport'] = image_transport
+            changes['local_view.image_transport'] = image_transport
+        if publish_tf:
+            changes['experience_map.publish_tf'] = publish_tf == 'true'
+        return to_yaml(values.with_values(changes)), notices
+    except RatslamError as error:
+        raise RuntimeError(str(error)) from None  # launch shows it in one line
+
+
+def _rviz(use_sim_time: bool) -> list[LaunchDescriptionEntity]:
+    try:
+        get_package_share_directory('rviz2')
+    except PackageNotFoundError:
+        return [
+            LogInfo(
+                msg='rviz:=true, but rviz2 is not installed (sudo apt install ros-jazzy-rviz2); '
+                'going on without it'
+            )
+        ]
+    layout = Path(get_package_share_directory('ratslam_ros')) / 'rviz' / 'ratslam.rviz'
+    return [
+        Node(
+            package='rviz2',
+            executable='rviz2',
+            arguments=['-d', str(layout)],
+            parameters=[{'use_sim_time': use_sim_time}],
+        )
+    ]

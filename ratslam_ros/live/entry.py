@@ -1,0 +1,50 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What `ros2 run ratslam_ros NODE` starts: a node where ROS 2 is, else a word of advice."""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+from importlib.util import find_spec
+
+from ratslam_ros.live.run import NODES
+
+
+def _main(node: str) -> int:
+    if find_spec('rclpy') is None:
+        print(
+            f'{node}: rclpy is not installed; source ROS 2 (source /opt/ros/jazzy/setup.bash), or '
+            f'use "ratslam run {node}", which runs without ROS',
+            file=sys.stderr,
+        )
+        return 2
+    try:
+        return int(import_module(f'ratslam_ros.nodes.{NODES[node]}').main())
+    except KeyboardInterrupt:  # while it was starting
+        return 0
+
+
+def visual_odometry() -> int:
+    """Run visual_odometry."""
+    return _main('visual_odometry')
+
+
+def local_view() -> int:
+    """Run local_view."""
+    return _main('local_view')
+
+
+def pose_cells() -> int:
+    """Run pose_cells."""
+    return _main('pose_cells')
+
+
+def experience_map() -> int:
+    """Run experience_map."""
+    return _main('experience_map')
+
+
+def single_process() -> int:
+    """Run all nodes in one process."""
+    return _main('single_process')

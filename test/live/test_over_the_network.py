@@ -1,0 +1,194 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""play, echo and call as processes that talk over DDS."""
+
+import json
+import signal
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers import (
+    ODOM_TOPIC,
+    PERIOD_NS,
+    START_NS,
+    TEMPLATE_TOPIC,
+    circles,
+    image_message,
+    odometry_message,
+    string_message,
+    template_text,
+    write_bag,
+)
+from processes import Commands
+
+from ratslam_ros.core.odometry import Pose
+
+TEMPLATES = 40
+SERVER = """
+import rclpy
+from std_srvs.srv import SetBool
+from std_msgs.msg import String
+from ratslam_ros.nodes.qos import LATCHED
+rclpy.init()
+node = rclpy.create_node('server')
+def answer(request, response):
+    response.success, response.message = request.data, 'heard'
+    return response
+node.create_service(SetBool, 'robot/switch', answer)
+publisher = node.create_publisher(String, 'kept', LATCHED)
+publisher.publish(String(data='{"kept": "ö"}'))
+print('ready', flush=True)
+rclpy.spin(node)
+"""
+
+
+@pytest.fixture(scope='module')
+def templates(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a recording of templates and odometry, 4 s long."""
+    messages = []
+    for i in range(TEMPLATES):
+        stamp_ns = START_NS + i * PERIOD_NS
+        odometry = odometry_message(stamp_ns, 1.0, 0.1, Pose(0.0, 0.0, 0.0))
+        messages.append((stamp_ns, ODOM_TOPIC, 'odometry', odometry))
+        text = string_message(template_text(stamp_ns, i))
+        messages.append((stamp_ns + 1000, TEMPLATE_TOPIC, 'string', text))
+    return write_bag(tmp_path_factory.mktemp('recordings') / 'templates', messages)
+
+
+@pytest.fixture(scope='module')
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_bag(tmp_path_factory.mktemp('recordings') / 'circles', circles(1, 20))
+
+
+def test_what_is_played_is_heard_complete_and_in_order(
+    commands: Commands, templates: Path
+) -> None:
+    heard = commands.start(
+        'echo', 'local_view/template', 'std_msgs/msg/String', '--field', 'data', '--timeout', '8'
+    )
+    moved = commands.start('echo', 'odom', 'nav_msgs/msg/Odometry', '--once')
+    code, out, err = commands.run('play', str(templates), '--rate', '10')
+    assert code == 0, err
+    assert f'{TEMPLATES} templates and {TEMPLATES} odometry messages over 3.9 s' in out
+    heard.send_signal(signal.SIGINT)
+    lines = heard.communicate(timeout=20)[0].splitlines()
+    assert lines == [template_text(START_NS + i * PERIOD_NS, i) for i in range(TEMPLATES)]
+    assert heard.returncode == 130
+    shown = moved.communicate(timeout=20)[0]
+    assert 'frame_id: odom' in shown and 'child_frame_id: base_link' in shown
+    assert shown.endswith('---\n') and moved.returncode == 0
+
+
+def test_the_clock_runs_between_messages(commands: Commands, tmp_path: Path) -> None:
+    stamps = [START_NS, START_NS + 2 * 10**9]
+    sparse = write_bag(
+        tmp_path / 'sparse',
+        [(s, '/image', 'image', image_message(s, np.zeros((4, 4), np.uint8))) for s in stamps],
+    )
+    heard = commands.start('echo', '/clock', 'rosgraph_msgs/msg/Clock', '--field', 'clock')
+    images = commands.start('echo', 'image', 'sensor_msgs/msg/Image', '--field', 'header.stamp')
+    code, _, err = commands.run('play', str(sparse), '--clock', '--rate', '1')
+    assert code == 0, err
+    for process in (heard, images):
+        process.send_signal(signal.SIGINT)
+    told = heard.communicate(timeout=20)[0].split()
+    numbers = [int(word) for word in told if word.isdecimal()]
+    times_ns = [sec * 10**9 + ns for sec, ns in zip(numbers[::2], numbers[1::2], strict=True)]
+    assert times_ns == sorted(times_ns)
+    assert times_ns[0] >= START_NS and times_ns[-1] == stamps[-1]
+    assert len(times_ns) >= 2 * 40
+    assert images.communicate(timeout=20)[0].count('sec: 17000000') == 2
+
+
+def test_nobody_to_play_to_is_said(commands: Commands, bag: Path) -> None:
+    code, out, err = commands.run('play', str(bag), '--wait', '0.5')
+    assert (code, out) == (2, '')
+    assert 'nobody listens to /image or /odom' in err or 'nobody listens to /odom or /image' in err
+
+
+def test_lockstep_needs_somebody_to_keep_step_with(commands: Commands, bag: Path) -> None:
+    commands.start('echo', 'image', 'sensor_msgs/msg/Image')
+    commands.start('echo', 'odom', 'nav_msgs/msg/Odometry')
+    code, _, err = commands.run('play', str(bag), '--lockstep', '--wait', '3', '--quiet')
+    assert code == 2 and '/pose_cells/action' in err.splitlines()[-1]
+
+
+def test_an_interrupt_ends_playing_at_once(commands: Commands, bag: Path) -> None:
+    player = commands.start('play', str(bag), '--wait', '0', '--rate', '0.01', '--clock')
+    time.sleep(2.0)
+    start_s = time.monotonic()
+    player.send_signal(signal.SIGINT)
+    _, err = player.communicate(timeout=20)
+    assert player.returncode == 130 and time.monotonic() - start_s < 2.0
+    assert 'Traceback' not in err and err.rstrip().endswith('ratslam: interrupted')
+
+
+@pytest.mark.parametrize(
+    ('words', 'told'),
+    [
+        (['--rate', '-1'], '--rate -1'),
+        (['--rate', 'nan'], '--rate nan'),
+        (['--wait', '-1'], '--wait -1'),
+        (['--start', '1e6', '--wait', '0'], 'the start at 1e+06 s'),
+        (['--image-topic', '/odom'], '--image-topic /odom'),
+        (['--ros-args', '-r', 'nonsense'], 'nonsense'),
+    ],
+)
+def test_wrong_options_of_play_end_in_one_line(commands, bag, words, told) -> None:
+    code, out, err = commands.run('play', str(bag), '--quiet', *words)
+    assert (code, out) == (2, '')
+    assert err.startswith('ratslam: ') and err.count('\n') == 1 and told in err
+
+
+def test_services_and_latched_topics(commands: Commands) -> None:
+    commands.start_python(SERVER)
+    kind = 'std_srvs/srv/SetBool'
+    assert commands.run('call', 'robot/switch', kind, '{data: true}') == (
+        0, 'success: true\nmessage: heard\n', '',
+    )  # fmt: skip
+    assert commands.run('call', 'switch', kind, '--ros-args', '-r', '__ns:=/robot')[:2] == (
+        0, 'success: false\nmessage: heard\n',
+    )  # fmt: skip
+    assert commands.run('echo', 'kept', '--once', '--field', 'data') == (
+        0, '{"kept": "ö"}\n', '',
+    )  # fmt: skip
+    code, _, err = commands.run('call', 'robot/swich', kind, '--timeout', '1')
+    assert code == 2 and 'nobody offers /robot/swich' in err and '/robot/switch' in err
+    code, _, err = commands.run('echo', 'kept', '--field', 'dat', '--once')
+    assert code == 2 and "'dat'" in err and 'data' in err
+    code, _, err = commands.run('echo', 'kept', 'sensor_msgs/msg/Image', '--timeout', '2')
+    assert code == 2 and 'std_msgs/msg/String' in err
+
+
+def test_silence_is_an_answer_too(commands: Commands) -> None:
+    code, _, err = commands.run('echo', 'nothing', 'std_msgs/msg/String', '--timeout', '0.5')
+    assert code == 1 and '/nothing' in err and 'ROS_DOMAIN_ID' in err
+    code, _, err = commands.run('echo', 'nothing', '--timeout', '0.5')
+    assert code == 2 and '/nothing does not exist' in err
+
+
+@pytest.mark.parametrize(
+    ('words', 'told'),
+    [
+        (['call', 'x', 'std_srvs/srv/Nothing'], 'std_srvs/srv/Nothing'),
+        (['call', 'x', 'nonsense'], 'nonsense'),
+        (['call', 'x', 'std_srvs/srv/SetBool', '{date: true}'], 'data'),
+        (['call', 'x', 'std_srvs/srv/SetBool', '{data: soon}'], 'soon'),
+        (['call', 'x', 'std_srvs/srv/SetBool', '{data: '], 'YAML'),
+        (['call', 'x', 'std_srvs/srv/SetBool', 'true'], 'expected fields'),
+        (['echo', 'x', 'std_msgs/msg/Nothing'], 'std_msgs/msg/Nothing'),
+        (['echo', 'x', 'nonsense'], 'nonsense'),
+    ],
+)
+def test_wrong_words_to_call_and_echo_end_in_one_line(commands, words, told) -> None:
+    code, out, err = commands.run(*words)
+    assert (code, out) == (2, '')
+    assert err.startswith('ratslam: ') and err.count('\n') == 1 and told in err
+
+
+def test_json_is_printed_as_it_was_sent(commands: Commands, templates: Path) -> None:
+    heard = commands.start('echo', 'local_view/template', '--field', 'data', '--once')
+    assert commands.run('play', str(templates), '--rate', '0', '--wait', '5', '--quiet')[0] == 0
+    assert json.loads(heard.communicate(timeout=20)[0])['id'] == 0
