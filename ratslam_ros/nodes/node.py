@@ -43,7 +43,11 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
 
     def __init__(self, streams: tuple[str, ...]) -> None:
         super().__init__(self.SECTION, automatically_declare_parameters_from_overrides=True)
-        self._checked = NodeParameters(self, self.SECTION, *self.PARTS)
+        try:
+            self._checked = NodeParameters(self, self.SECTION, *self.PARTS)
+        except BaseException:
+            self.destroy_node()  # nobody else has it yet
+            raise
         self._diagnostics = Diagnostics(self)
         self._inputs: list[Input] = []
         self._streams = streams

@@ -7,6 +7,7 @@ Samples are raw CDR. Whatever may block goes through ctypes, which releases the 
 
 from __future__ import annotations
 
+import contextlib
 import ctypes as ct
 import os
 import threading
@@ -199,7 +200,8 @@ class Entity:
         with self._lock:
             alive, self._alive = self._alive, False
         if alive:
-            _delete(self.reference)
+            with contextlib.suppress(RCLError):  # what it belongs to may be gone, and it too
+                _delete(self.reference)
 
     @property
     def gid(self) -> bytes:

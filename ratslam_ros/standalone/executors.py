@@ -42,6 +42,7 @@ class SingleThreadedExecutor:
         self._jobs: deque[tuple[Any, Callable[[], bool]]] = deque()
         self._attached: dict[int, tuple[Any, Source]] = {}
         self._stale = True
+        self._woken = self._waiting = False
         self._is_shutdown = False
         participant = self.context.participant
         self._guard: Guard | None = Guard(participant)
@@ -128,9 +129,11 @@ class SingleThreadedExecutor:
 
     def wake(self) -> None:
         """End the wait of the thread that spins; any thread may."""
-        with self._lock:
-            if self._guard is not None:
-                self._guard.set()
+        self._woken = True
+        if self._waiting:  # else it looks at what was said above before it waits
+            with self._lock:
+                if self._guard is not None:
+                    self._guard.set()
 
     def change(self) -> None:
         """Look anew at what there is to wait for."""
@@ -187,6 +190,7 @@ class SingleThreadedExecutor:
 
     def _wait(self, left_s: float | None) -> bool:
         """Wait for a short time, and find what is ready; return whether anything is."""
+        self._woken = False
         self._attach()
         timers = [(node, timer) for node in self.get_nodes() for timer in node.handle.parts(Timer)]
         waits = [wait for _, timer in timers if (wait := timer.wait_ns()) is not None]
@@ -196,14 +200,17 @@ class SingleThreadedExecutor:
             waitset, guard = self._waitset, self._guard
         if waitset is None or guard is None:
             raise ExternalShutdownException()
+        self._waiting = True
         try:
-            triggered = waitset.wait(min([_LONGEST_WAIT_NS, *waits]))
+            triggered = waitset.wait(0 if self._woken else min([_LONGEST_WAIT_NS, *waits]))
             if guard.reference in triggered:
                 guard.take()
         except RCLError:
             if self._waitset is None or not self.context.ok():
                 raise ExternalShutdownException() from None
             raise
+        finally:
+            self._waiting = False
         if not self.context.ok():
             raise ExternalShutdownException()
         for node, timer in timers:

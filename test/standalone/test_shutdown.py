@@ -6,7 +6,7 @@ import signal
 import time
 
 import pytest
-from conftest import IS_STAND_IN
+from contract import IS_STAND_IN
 
 SPIN = """
 import sys

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import IS_STAND_IN, ROOT
+from contract import IS_STAND_IN, ROOT
 
 pytestmark = pytest.mark.skipif(not IS_STAND_IN, reason='the real rclpy is installed')
 
