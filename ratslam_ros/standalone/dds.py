@@ -7,7 +7,6 @@ Samples are raw CDR. Whatever may block goes through ctypes, which releases the 
 
 from __future__ import annotations
 
-import contextlib
 import ctypes as ct
 import os
 import threading
@@ -200,7 +199,7 @@ class Entity:
         with self._lock:
             alive, self._alive = self._alive, False
         if alive:
-            with contextlib.suppress(RCLError):  # what it belongs to may be gone, and it too
+            with suppress(RCLError):  # what it belongs to may be gone, and it too
                 _delete(self.reference)
 
     @property
