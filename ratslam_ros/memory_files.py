@@ -35,11 +35,12 @@ def save(path: Path, part: str, state: State) -> None:
         {'format': FORMAT, 'part': part, 'state': _without_arrays(state, arrays)},
         allow_nan=False,
     )
+    entries: dict[str, Any] = {CONTENT: np.array(content), **arrays}
     fresh = path.with_name(f'.{path.name}.{os.getpid()}')
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with fresh.open('wb') as file:
-            np.savez_compressed(file, **{CONTENT: np.array(content)}, **arrays)
+            np.savez_compressed(file, **entries)
             file.flush()
             os.fsync(file.fileno())  # else a power cut could leave an empty file of that name
         fresh.replace(path)

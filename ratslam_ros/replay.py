@@ -235,7 +235,8 @@ def _calibrated(config: Config, recording: Recording, selection: Selection) -> C
     camera = recording.calibration(selection)
     if camera is None or not config.visual_odometry.fov_from_camera_info:
         return config
-    return config.with_values({'visual_odometry.camera_fov_deg': field_of_view_deg(*camera)})
+    fov_deg = field_of_view_deg(camera.focal_px, camera.width_px)
+    return config.with_values({'visual_odometry.camera_fov_deg': fov_deg})
 
 
 class _Span:

@@ -237,6 +237,7 @@ TYPES = {
     'compressed': 'sensor_msgs/msg/CompressedImage',
     'odometry': 'nav_msgs/msg/Odometry',
     'string': 'std_msgs/msg/String',
+    'camera_info': 'sensor_msgs/msg/CameraInfo',
 }
 Recorded = tuple[int, str, str, Any]
 """Time of the recording in ns, topic, kind and message."""
@@ -300,6 +301,17 @@ def odometry_message(stamp_ns: int, speed: float, turn_rate: float, pose: Pose) 
         types['geometry_msgs/msg/PoseWithCovariance'](place, np.zeros(36)),
         types['geometry_msgs/msg/TwistWithCovariance'](motion, np.zeros(36)),
     )
+
+
+def camera_info_message(stamp_ns: int, focal_px: float) -> Any:
+    """Return the calibration of a camera of 32x24."""
+    store = _store()
+    k = np.zeros(9)
+    k[0] = focal_px
+    return store.types[TYPES['camera_info']](
+        _header(store, stamp_ns), 24, 32, 'plumb_bob', np.zeros(5), k, np.zeros(9), np.zeros(12),
+        0, 0, store.types['sensor_msgs/msg/RegionOfInterest'](0, 0, 0, 0, False),
+    )  # fmt: skip
 
 
 def string_message(text: str) -> Any:

@@ -18,6 +18,7 @@ from typing import Any, Self
 import pytest
 from helpers import (
     START_NS,
+    camera_info_message,
     circles,
     live_environment,
     write_bag,
@@ -205,9 +206,13 @@ def test_one_process_under_load_in_lockstep_makes_the_same_map(
 def test_the_camera_alone_makes_the_same_map_live_and_offline(
     live: Live, bag: Path, tmp_path: Path
 ) -> None:
-    expected = offline(bag, tmp_path / 'visual', SMALL, '--visual-odometry')
+    """The field of view comes from the recorded camera_info in both."""
+    info = START_NS, '/camera/camera_info', 'camera_info', camera_info_message(START_NS, 16.0)
+    calibrated = write_bag(tmp_path / 'calibrated', [info, *circles(4, 30)])
+    expected = offline(calibrated, tmp_path / 'visual', SMALL, '--visual-odometry')
+    assert expected != offline(bag, tmp_path / 'other', SMALL, '--visual-odometry')
     live.start('visual_odometry', *THREE)
-    live.run('play', str(bag), '--rate', '5', '--quiet', '--visual-odometry')
+    live.run('play', str(calibrated), '--rate', '5', '--quiet', '--visual-odometry')
     assert live.settled_map(expected) == expected, live.logs()
     assert set(live.stop().values()) == {0}
 

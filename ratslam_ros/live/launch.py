@@ -59,6 +59,9 @@ def remappings(image_topic: str, odom_topic: str) -> list[tuple[str, str]]:
     if image_topic:
         raw = image_topic.removesuffix('/compressed')
         found += [('image', raw), ('image/compressed', f'{raw}/compressed')]
+        folder, slash, _ = raw.rpartition('/')
+        if slash:  # where a driver publishes it: beside the images
+            found.append(('camera_info', f'{folder}/camera_info'))
     if odom_topic:
         found.append(('odom', odom_topic))
     return found

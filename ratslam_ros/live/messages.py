@@ -10,7 +10,7 @@ from typing import Any
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Quaternion
 from nav_msgs.msg import Odometry
-from sensor_msgs.msg import CompressedImage, Image
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Header, String
 
 from ratslam_ros.errors import UnusableInput
@@ -37,6 +37,23 @@ def message_of(event: Event) -> Any:
     if isinstance(event, OdometryEvent):
         return _odometry(event)
     return String(data=event.payload)
+
+
+def camera_info(recorded: Any, header: Header) -> CameraInfo:
+    """Return what a recording says of its camera, with the header of an image."""
+    fields = {
+        name: [float(v) for v in getattr(recorded, name, getattr(recorded, name.upper(), ()))]
+        for name in ('d', 'k', 'r', 'p')  # capital letters in ROS 1
+    }
+    return CameraInfo(
+        header=header,
+        height=int(recorded.height),
+        width=int(recorded.width),
+        distortion_model=str(recorded.distortion_model),
+        binning_x=int(recorded.binning_x),
+        binning_y=int(recorded.binning_y),
+        **fields,
+    )
 
 
 def _image(event: ImageEvent) -> Image | CompressedImage:

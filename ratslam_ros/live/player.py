@@ -20,21 +20,22 @@ from nav_msgs.msg import Odometry
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import CompressedImage, Image
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import String
 
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.live import graph, ros
 from ratslam_ros.live.ahead import Ahead
 from ratslam_ros.live.lockstep import Lockstep
-from ratslam_ros.live.messages import message_of, time_message
+from ratslam_ros.live.messages import camera_info, message_of, time_message
 from ratslam_ros.live.pacing import Pacing
 from ratslam_ros.nodes.qos import INPUT, PLAYED
-from ratslam_ros.recordings import Event, OdometryEvent, Recording, Selection
+from ratslam_ros.recordings import Event, ImageEvent, OdometryEvent, Recording, Selection
 from ratslam_ros.recordings.decode import COMPRESSED_IMAGE, ODOMETRY, RAW_IMAGE, STRING
 from ratslam_ros.recordings.selection import IMAGE_FILES, TABLE, VIDEO
 
 ODOM, ACTION, TEMPLATE = 'odom', 'pose_cells/action', 'local_view/template'
+CAMERA_INFO = 'camera_info'
 TOPICS = {Image: 'image', CompressedImage: 'image/compressed', Odometry: ODOM, String: TEMPLATE}
 """Where messages of each type are published."""
 PLAYED_AS = {
@@ -132,6 +133,10 @@ class _Player:
         self._publishers = {
             TOPICS[kind]: node.create_publisher(kind, TOPICS[kind], PLAYED) for kind in kinds
         }
+        self._calibration = recording.calibration(selection)
+        self._camera_info = (
+            node.create_publisher(CameraInfo, CAMERA_INFO, PLAYED) if self._calibration else None
+        )
         self._clock = node.create_publisher(Clock, '/clock', CLOCK) if options.clock else None
         self._actions = (
             _Actions(node, selection.odom_topic is not None) if options.lockstep else None
@@ -225,6 +230,9 @@ class _Player:
         topic = TOPICS[type(message)]
         if self._actions is not None:
             self._actions.published(event)
+        if self._camera_info is not None and isinstance(event, ImageEvent):
+            assert self._calibration is not None
+            self._camera_info.publish(camera_info(self._calibration.message, message.header))
         self._publishers[topic].publish(message)
         self._counts[topic] += 1
 

@@ -109,7 +109,7 @@ class BagRecording(Recording):
                     continue
                 # ROS 1 has capital letters here.
                 k = content.k if hasattr(content, 'k') else content.K
-                found = Calibration(float(k[0]), int(content.width))
+                found = Calibration(float(k[0]), int(content.width), content)
                 if math.isfinite(found.focal_px) and found.focal_px > 0.0 and found.width_px > 0:
                     return found
         return None

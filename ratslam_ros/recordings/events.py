@@ -4,7 +4,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 from ratslam_ros.images import Image, Pixels
 
@@ -81,7 +81,9 @@ Event = ImageEvent | OdometryEvent | TemplateEvent
 
 
 class Calibration(NamedTuple):
-    """A camera's focal length along x and its image's width, both in px."""
+    """A camera's focal length along x and its image's width, both in px, and all that is known."""
 
     focal_px: float
     width_px: int
+    message: Any
+    """The sensor_msgs/CameraInfo as rosbags has it."""

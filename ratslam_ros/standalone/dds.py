@@ -13,7 +13,7 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any, Generic, NamedTuple, TypeVar
 
 from cyclonedds import _clayer
 from cyclonedds.builtin import (
@@ -34,6 +34,8 @@ from ratslam_ros.standalone.exceptions import RCLError
 from ratslam_ros.standalone.types import Field, fields_of, type_hash
 
 idl: Any = types  # generic in a way of its own
+Value = TypeVar('Value')
+
 INFINITE_NS = 2**63 - 1
 SERVICE_HEADER = 16
 _ANY = SampleState.Any | ViewState.Any | InstanceState.Any
@@ -54,9 +56,21 @@ class _Sample(ct.Structure):
     _fields_ = (('data', ct.c_void_p), ('size', ct.c_size_t))
 
 
+class _Bytes(ct.Structure):
+    """A piece of memory."""
+
+    _fields_ = (('data', ct.c_void_p), ('size', ct.c_size_t))
+
+
+def _plain_c(name: str, result: Any, *arguments: Any) -> Callable[..., Any]:
+    """Return a C function whose prototype is ours alone."""
+    made: Callable[..., Any] = ct.CFUNCTYPE(result, *arguments)((name, DDS._dll_handle))
+    return made
+
+
 def _c(name: str, *arguments: Any) -> Callable[..., int]:
-    """Return a C function whose prototype is ours alone; one that fails raises."""
-    function = ct.CFUNCTYPE(ct.c_int32, *arguments)((name, DDS._dll_handle))
+    """Return a C function that raises where it returns an error."""
+    function = _plain_c(name, ct.c_int32, *arguments)
 
     def call(*values: Any) -> int:
         result = function(*values)
@@ -70,9 +84,15 @@ def _c(name: str, *arguments: Any) -> Callable[..., int]:
 _entity = ct.c_int32
 _delete = _c('dds_delete', _entity)
 _write = _c('dds_write', _entity, ct.c_void_p)
-_wait_for_acks = ct.CFUNCTYPE(ct.c_int32, _entity, ct.c_int64)(
-    ('dds_wait_for_acks', DDS._dll_handle)
+_wait_for_acks = _plain_c('dds_wait_for_acks', ct.c_int32, _entity, ct.c_int64)
+_take = _c('dds_takecdr', _entity, ct.c_void_p, ct.c_uint32, ct.c_void_p, ct.c_uint32)
+# A sample as the reader holds it: its bytes can be looked at with no copy, until it is let go.
+_sample_size = _plain_c('ddsi_serdata_size', ct.c_uint32, ct.c_void_p)
+_sample_bytes = _plain_c(
+    'ddsi_serdata_to_ser_ref', ct.c_void_p, ct.c_void_p, ct.c_size_t, ct.c_size_t, ct.c_void_p
 )
+_let_bytes_go = _plain_c('ddsi_serdata_to_ser_unref', None, ct.c_void_p, ct.c_void_p)
+_let_sample_go = _plain_c('ddsi_serdata_unref', None, ct.c_void_p)
 _create_reader = _c('dds_create_reader', _entity, _entity, ct.c_void_p, ct.c_void_p)
 _create_writer = _c('dds_create_writer', _entity, _entity, ct.c_void_p, ct.c_void_p)
 _create_condition = _c('dds_create_readcondition', _entity, ct.c_uint32)
@@ -312,10 +332,10 @@ class Writer(Endpoint):
         return None if found is None else _user_data(found.qos)
 
 
-class Taken(NamedTuple):
-    """A sample and where it comes from."""
+class Taken(NamedTuple, Generic[Value]):
+    """What a sample was made into, and where it comes from."""
 
-    data: bytes
+    value: Value
     source_timestamp_ns: int
     publication_handle: int
 
@@ -327,19 +347,26 @@ class Reader(Endpoint):
         super().__init__(reference, name)
         self.condition = _create_condition(reference, _ANY)
 
-    def take(self) -> Taken | None:
-        """Return the oldest sample, None if there is none."""
+    def take(self, use: Callable[[memoryview], Value]) -> Taken[Value] | None:
+        """Take the oldest sample, and return what ``use`` makes of it; None if there is none.
+
+        What ``use`` returns or raises must not refer to the memory that it is given.
+        """
+        sample, info = ct.c_void_p(), dds_c_t.sample_info()
         while self._alive:
-            taken = _clayer.ddspy_take(self.reference, _ANY, 1)
-            if isinstance(taken, int):
+            try:
+                if not _take(self.reference, ct.byref(sample), 1, ct.byref(info), _ANY):
+                    break
+            except RCLError:
                 if self._alive:
-                    raise RCLError(f'dds_take: {DDSException(taken)}')
+                    raise
                 break
-            if not taken:
-                break
-            data, info = taken[0]
-            if info.valid_data:
-                return Taken(data, info.source_timestamp, info.publication_handle)
+            try:
+                if info.valid_data:
+                    value = _used(sample, use)
+                    return Taken(value, info.source_timestamp, info.publication_handle)
+            finally:
+                _let_sample_go(sample)
         return None
 
     @property
@@ -353,6 +380,15 @@ class Reader(Endpoint):
             self.reference, handle, endpoint_constructor, cqos_to_qos
         )
         return None if found is None else _user_data(found.qos)
+
+
+def _used(sample: ct.c_void_p, use: Callable[[memoryview], Value]) -> Value:
+    found = _Bytes()
+    held = _sample_bytes(sample, 0, _sample_size(sample), ct.byref(found))
+    try:
+        return use(memoryview((ct.c_uint8 * found.size).from_address(found.data)).cast('B'))
+    finally:
+        _let_bytes_go(held, ct.byref(found))
 
 
 class WaitSet(Entity):

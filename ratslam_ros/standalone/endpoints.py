@@ -18,11 +18,13 @@ from ratslam_ros.standalone.events import Events
 from ratslam_ros.standalone.exceptions import InvalidHandle, RCLError
 from ratslam_ros.standalone.qos import QoSProfile, to_dds
 from ratslam_ros.standalone.task import Future
-from ratslam_ros.standalone.types import decode, encode
+from ratslam_ros.standalone.types import decode_or_none, encode
 
 _CLIENT_READER_S = 0.1
 """How long a reply waits until its receiver is known; after that nobody would get it."""
 _POLL_S = 0.01
+_CDR_HEADER = 4
+_UNREADABLE = 'what came is left out, as it is no'
 
 
 class Source(NamedTuple):
@@ -206,26 +208,31 @@ class Subscription(NodePart):
         )
         self._events = Events(self._reader, callbacks, node.logger, self.topic_name)
 
-    def take(self) -> tuple[Any, dict[str, int]] | None:
-        """Return the next message and when it was sent and taken, None if there is none."""
-        taken = self._reader.take()
-        if taken is None:
-            return None
-        info = {
-            'source_timestamp': taken.source_timestamp_ns,
-            'received_timestamp': time.time_ns(),
-            'publication_sequence_number': 0,
-            'reception_sequence_number': 0,
-        }
-        return (taken.data if self.raw else decode(taken.data, self.msg_type)), info
-
     def execute(self) -> bool:
         """Give the next message to the callback; return whether there was one."""
-        taken = self.take()
+        taken = self._reader.take(self._read)
         if taken is None or self._closed:
             return False
-        self.callback(*taken) if self._wants_info else self.callback(taken[0])
+        if taken.value is None:
+            self._node.logger.error(
+                f'{self.topic_name}: {_UNREADABLE} {self.msg_type.__msgtype__}'
+            )
+        elif self._wants_info:
+            self.callback(
+                taken.value,
+                {
+                    'source_timestamp': taken.source_timestamp_ns,
+                    'received_timestamp': time.time_ns(),
+                    'publication_sequence_number': None,
+                    'reception_sequence_number': None,
+                },
+            )
+        else:
+            self.callback(taken.value)
         return True
+
+    def _read(self, data: memoryview) -> Any:
+        return bytes(data) if self.raw else decode_or_none(data, self.msg_type)
 
     def get_publisher_count(self) -> int:
         """Return how many publishers it takes from."""
@@ -294,15 +301,24 @@ class _Correlated(NodePart):
         self._reader.close()
         self._writer.close()
 
+    def _take(self, kind: Any) -> Any:
+        """Take the next message, with the client and number in front of it."""
+
+        def read(data: memoryview) -> tuple[int, int, Any]:
+            if len(data) < _CDR_HEADER + SERVICE_HEADER:
+                return 0, 0, None
+            client_id, number = struct.unpack_from('<Qq' if data[1] else '>Qq', data, _CDR_HEADER)
+            return client_id, number, decode_or_none(data, kind, SERVICE_HEADER)
+
+        taken = self._reader.take(read)
+        if taken is not None and taken.value[2] is None:
+            self._node.logger.error(f'{self.service_name}: {_UNREADABLE} {kind.__msgtype__}')
+        return None if self._closed else taken
+
     def _send(self, message: Any, client_id: int, number: int) -> None:
         data = encode(message, SERVICE_HEADER)
-        struct.pack_into('<Qq', data, 4, client_id, number)
+        struct.pack_into('<Qq', data, _CDR_HEADER, client_id, number)
         self._writer.write(data)
-
-
-def _header(data: bytes) -> tuple[int, int]:
-    client_id, number = struct.unpack_from('<Qq' if data[1] else '>Qq', data, 4)
-    return client_id, number
 
 
 class RequestId(NamedTuple):
@@ -331,14 +347,13 @@ class Service(_Correlated):
 
     def execute(self) -> bool:
         """Answer the next request; return whether there was one."""
-        taken = self._reader.take()
-        if taken is None or self._closed:
+        taken = self._take(self.srv_type.Request)
+        if taken is None:
             return False
-        if len(taken.data) < 4 + SERVICE_HEADER:
-            return True
-        request = decode(taken.data, self.srv_type.Request, SERVICE_HEADER)
-        response = self.callback(request, self.srv_type.Response())
-        self.send_response(response, RequestId(*_header(taken.data), taken.publication_handle))
+        client_id, number, request = taken.value
+        if request is not None:
+            response = self.callback(request, self.srv_type.Response())
+            self.send_response(response, RequestId(client_id, number, taken.publication_handle))
         return True
 
     def send_response(self, response: Any, header: RequestId) -> None:
@@ -424,17 +439,15 @@ class Client(_Correlated):
 
     def execute(self) -> bool:
         """Take the next answer; return whether there was one."""
-        taken = self._reader.take()
-        if taken is None or self._closed:
+        taken = self._take(self.srv_type.Response)
+        if taken is None:
             return False
-        if len(taken.data) < 4 + SERVICE_HEADER:
-            return True
-        client_id, number = _header(taken.data)  # every client gets every answer
-        if client_id == self._id:
+        client_id, number, response = taken.value
+        if client_id == self._id and response is not None:  # every client gets every answer
             with self._lock:
                 future = self._pending.get(number)
             if future is not None:
-                future.set_result(decode(taken.data, self.srv_type.Response, SERVICE_HEADER))
+                future.set_result(response)
         return True
 
     def service_is_ready(self) -> bool:

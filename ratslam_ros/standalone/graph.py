@@ -16,7 +16,7 @@ import numpy as np
 from ratslam_ros.standalone import names
 from ratslam_ros.standalone.dds import Discovered, EndpointQos, Participant, user_value
 from ratslam_ros.standalone.qos import QoSProfile, from_dds
-from ratslam_ros.standalone.types import decode, encode, message_class
+from ratslam_ros.standalone.types import decode_or_none, encode, message_class
 
 _TOPIC = 'ros_discovery_info'
 _INFO = 'rmw_dds_common/msg/ParticipantEntitiesInfo'
@@ -207,12 +207,10 @@ class Graph:
 
     def _told(self) -> list[Any]:
         with self._lock:
-            while (taken := self._reader.take()) is not None:
-                try:
-                    told = decode(taken.data, message_class(_INFO))
-                except ValueError:
-                    continue
-                self._nodes[bytes(told.gid.data)[:12]] = told
+            kind = message_class(_INFO)
+            while taken := self._reader.take(lambda data: decode_or_none(data, kind)):
+                if taken.value is not None:
+                    self._nodes[bytes(taken.value.gid.data)[:12]] = taken.value
             present = self._participant.participants()
             for gone in set(self._nodes) - present:
                 del self._nodes[gone]

@@ -430,6 +430,8 @@ def encode(message: Message, room: int = 0) -> bytearray:
 def decode(data: bytes | memoryview, kind: type[Message], room: int = 0) -> Any:
     """Return the message that CDR holds; see ``encode``.
 
+    Nothing of the message refers to the bytes.
+
     Raises:
         ValueError: the bytes are no such message.
     """
@@ -444,3 +446,11 @@ def decode(data: bytes | memoryview, kind: type[Message], room: int = 0) -> Any:
     except (SerdeError, ValueError, struct.error) as error:
         raise ValueError(f'{name} cannot be deserialised: {error}') from error
     return message
+
+
+def decode_or_none(data: memoryview, kind: type[Message], room: int = 0) -> Any:
+    """Return the message that CDR holds, None where it is no such message; see ``decode``."""
+    try:
+        return decode(data, kind, room)
+    except ValueError:
+        return None

@@ -57,7 +57,7 @@ def test_all_options_reach_the_nodes() -> None:
     assert ros_arguments(options, FILE) == [
         '--params-file', str(FILE), '-p', 'use_sim_time:=true', '-r', '__ns:=/robot',
         '-r', 'image:=/cam/image_raw', '-r', 'image/compressed:=/cam/image_raw/compressed',
-        '-r', 'odom:=/wheels', '--log-level', 'debug',
+        '-r', 'camera_info:=/cam/camera_info', '-r', 'odom:=/wheels', '--log-level', 'debug',
     ]  # fmt: skip
 
 
@@ -65,6 +65,7 @@ def test_all_options_reach_the_nodes() -> None:
 def test_either_name_of_a_camera_will_do(given: str) -> None:
     assert remappings(given, '') == [
         ('image', '/cam/image'), ('image/compressed', '/cam/image/compressed'),
+        ('camera_info', '/cam/camera_info'),
     ]  # fmt: skip
 
 

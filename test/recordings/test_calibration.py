@@ -11,40 +11,32 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import PERIOD_NS, START_NS, image_message, picture
-from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
+from helpers import (
+    PERIOD_NS,
+    START_NS,
+    Recorded,
+    camera_info_message,
+    image_message,
+    picture,
+    write_bag,
+)
 
 from ratslam_ros.core.config import Config
 from ratslam_ros.recordings import open_recording
 from ratslam_ros.replay import ReplayOptions, replay
 
-IMAGE, INFO = 'sensor_msgs/msg/Image', 'sensor_msgs/msg/CameraInfo'
-
-
-def info(store: Any, focal_px: float) -> Any:
-    types = store.types
-    time = types['builtin_interfaces/msg/Time'](*divmod(START_NS, 10**9))
-    k = np.zeros(9)
-    k[0] = focal_px
-    return types[INFO](
-        types['std_msgs/msg/Header'](time, 'camera'), 24, 32, '', np.zeros(0), k, np.zeros(9),
-        np.zeros(12), 0, 0, types['sensor_msgs/msg/RegionOfInterest'](0, 0, 0, 0, False),
-    )  # fmt: skip
-
 
 def write(folder: Path, infos: dict[str, float]) -> Path:
     """Write a bag of images, with camera_info on topics of its own."""
-    store = get_typestore(Stores.ROS2_JAZZY)
-    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        for topic, focal_px in infos.items():
-            connection = writer.add_connection(topic, INFO, typestore=store)
-            writer.write(connection, START_NS, store.serialize_cdr(info(store, focal_px), INFO))
-        connection = writer.add_connection('/camera/image_raw', IMAGE, typestore=store)
-        for stamp_ns, pixels in images():
-            message = image_message(stamp_ns, pixels)
-            writer.write(connection, stamp_ns, store.serialize_cdr(message, IMAGE))
-    return folder
+    first: list[Recorded] = [
+        (START_NS, topic, 'camera_info', camera_info_message(START_NS, focal_px))
+        for topic, focal_px in infos.items()
+    ]
+    seen: list[Recorded] = [
+        (stamp_ns, '/camera/image_raw', 'image', image_message(stamp_ns, pixels))
+        for stamp_ns, pixels in images()
+    ]
+    return write_bag(folder, first + seen)
 
 
 def images() -> Iterator[tuple[int, Any]]:
@@ -71,7 +63,7 @@ def test_calibration_is_that_of_the_images_camera(
     bag = write(tmp_path / 'bag', infos)
     with open_recording(bag) as recording:
         found = recording.calibration(recording.select())
-    assert found == (None if fov_deg is None else (16.0, 32))
+    assert (found and found[:2]) == (None if fov_deg is None else (16.0, 32))
     turned = final_heading(bag, tmp_path / 'a')
     expected = final_heading(
         bag, tmp_path / 'b', camera_fov_deg=fov_deg or 50.0, fov_from_camera_info=False
