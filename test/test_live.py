@@ -217,7 +217,6 @@ def test_the_camera_alone_makes_the_same_map_live_and_offline(
     assert set(live.stop().values()) == {0}
 
 
-@pytest.mark.long
 def test_a_loop_starts_over_and_makes_the_same_map_again(
     live: Live, bag: Path, expected: str
 ) -> None:
@@ -230,7 +229,6 @@ def test_a_loop_starts_over_and_makes_the_same_map_again(
     assert live.logs().count('starting over') == 3
 
 
-@pytest.mark.long
 def test_without_pose_cells_the_map_stands_still_and_one_that_comes_back_is_noticed(
     live: Live, bag: Path, expected: str
 ) -> None:
@@ -264,7 +262,6 @@ def test_an_impossible_parameter_ends_a_node_with_one_line(live: Live) -> None:
     assert 'Traceback' not in done.stderr
 
 
-@pytest.mark.long
 def test_launch_starts_all_and_ends_all(live: Live, bag: Path, expected: str) -> None:
     settings = [item for key, value in SMALL.items() for item in ('--set', f'{key}={value}')]
     with live.log('launch').open('wb') as log:
@@ -328,7 +325,6 @@ with ros.node('vandal', ()) as node:
 """
 
 
-@pytest.mark.long
 def test_wrong_input_on_every_topic_changes_nothing(
     live: Live, bag: Path, expected: str
 ) -> None:
@@ -352,7 +348,6 @@ def test_wrong_input_on_every_topic_changes_nothing(
     assert set(live.stop().values()) == {0}
 
 
-@pytest.mark.long
 def test_a_simulated_robot_is_mapped_live_as_offline(tmp_path: Path) -> None:
     from ratslam_ros.simulator.recording import write_recording
 
@@ -379,7 +374,6 @@ def preset(name: str) -> dict[str, Any]:
     } | {'pose_cells.max_lateness_s': 5.0, 'experience_map.max_lateness_s': 5.0}  # fmt: skip
 
 
-@pytest.mark.long
 @pytest.mark.skipif(not RC_CAR.exists(), reason='the recording rc_car_loops is not here')
 def test_a_real_recording_at_ten_times_speed_makes_the_map_of_a_replay(tmp_path: Path) -> None:
     settings = preset('rc_car')
