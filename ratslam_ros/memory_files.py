@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import json
 import os
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -70,7 +69,9 @@ def load(path: Path, part: str) -> State:
         raise UnusableInput(
             f'{path} does not exist; call save first, or set memory_folder'
         ) from None
-    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+    except UnusableInput:
+        raise
+    except Exception as error:  # zip, zlib and NumPy meet arbitrary bytes
         raise UnusableInput(f'{path} is damaged or no such file ({error})') from None
     assert isinstance(state, dict)
     return state

@@ -22,6 +22,7 @@ from ratslam_ros.errors import UnusableInput
 SCHEMA_VERSION = 1
 NS_PER_S = 1_000_000_000
 MOST_ID = 2**31 - 1
+MOST_COUNT = 2**63 - 1
 MOST_CELLS = 100_000.0
 
 
@@ -60,7 +61,7 @@ def decode_template(payload: str) -> tuple[int, ViewMatch, int]:
     )  # fmt: skip
     for key, low, high in (
         ('id', -1, MOST_ID), ('error', -1.0, 1.0), ('relative_rad', -math.pi, math.pi),
-        ('memory', 0, math.inf),
+        ('memory', 0, MOST_COUNT),
     ):  # fmt: skip
         _check('local_view/template', key, fields[key], low, high)
     match = ViewMatch(fields['id'], fields['is_new'], fields['error'], fields['relative_rad'])
@@ -112,10 +113,10 @@ def decode_action(payload: str) -> tuple[int, int, MapAction, int]:
         raise MalformedMessage(f'{name}: action is {kind!r}; expected create, link, set or none')
     least = -1 if kind == 'none' else 0
     for key, low, high in (
-        ('sequence', 0, math.inf), ('source_id', -1, MOST_ID), ('target_id', least, MOST_ID),
+        ('sequence', 0, MOST_COUNT), ('source_id', -1, MOST_ID), ('target_id', least, MOST_ID),
         ('template_id', least, MOST_ID), ('relative_rad', -math.pi, math.pi),
         ('pc_x', 0.0, MOST_CELLS), ('pc_y', 0.0, MOST_CELLS), ('pc_theta', 0.0, MOST_CELLS),
-        ('memory', 0, math.inf),
+        ('memory', 0, MOST_COUNT),
     ):  # fmt: skip
         _check(name, key, fields[key], low, high)
     action = MapAction(
@@ -210,10 +211,10 @@ def _stamp_ns(stamp: Mapping[str, Any]) -> int:
     if (
         type(sec) is not int
         or type(nanosec) is not int
-        or not 0 <= sec < 2**32
+        or not 0 <= sec < 2**31
         or not 0 <= nanosec < NS_PER_S
     ):
         raise MalformedMessage(
-            f'stamp is {dict(stamp)!r}; expected integers, sec below 2^32 and nanosec below 10^9'
+            f'stamp is {dict(stamp)!r}; expected integers, sec below 2^31 and nanosec below 10^9'
         )
     return sec * NS_PER_S + nanosec

@@ -106,6 +106,12 @@ class LiveInput(Section):
         5.0, 's', 0.1, 3600.0,
         'Live only: after this long without an input, warn and tell who publishes it.',
         'inputs are slower than this', 'a lost input should be told sooner')  # fmt: skip
+    flush_after_s: float = parameter(
+        2.0, 's', 0.0, 600.0,
+        'Live only: with no input for this long, all held messages are processed.',
+        'inputs pause for longer than this and late messages are counted after the pause',
+        'the last messages of a recording should reach the map sooner',
+    )  # fmt: skip
     on_jump_back: str = parameter(
         'start_over', '', 0, 0,
         'Live only: when stamps jump back (a recording played in a loop), forget everything, or '
@@ -156,12 +162,6 @@ class OdometryInput(Memory):
         2.0, 's', 0.0, 600.0,
         'A message waits for the other streams at most until a stamp this much newer is seen.',
         'messages are counted as late', 'the map lags too long behind a camera that fell silent',
-    )  # fmt: skip
-    flush_after_s: float = parameter(
-        2.0, 's', 0.0, 600.0,
-        'Live only: with no input for this long, all held messages are processed.',
-        'inputs pause for longer than this and late messages are counted after the pause',
-        'the last messages of a recording should reach the map sooner',
     )  # fmt: skip
 
 

@@ -22,7 +22,7 @@ class Joining:
         self._map = experience_map
         self._numbering = DenseNumbering()
         self.missed = 0
-        """Actions that were sent and never came, by their sequence."""
+        """Actions that were sent and never came, by their sequence, those before it began too."""
         self.forgotten = 0
         """How often the pose cells came back with an empty memory."""
         self._next = 0
@@ -49,7 +49,7 @@ class Joining:
         the experience that the map has as its current one: the motion was counted from there.
         """
         if self.first_sequence is None:
-            self.first_sequence = sequence
+            self.first_sequence = self.missed = sequence
         elif sequence < self._next:  # restarted, or with a memory from before the map's own
             self.forgotten += 1
             self._numbering.forget()

@@ -36,6 +36,15 @@ class Numbering:
         self._base = self._end
         return another
 
+    def forget(self) -> None:
+        """Take all ids for those of other things from now on."""
+        self._base = self._end
+        self.forgotten += 1
+
+    def was_used(self, theirs: int) -> bool:
+        """Tell whether an id of the present memory, or one above it, has been numbered."""
+        return self._base + theirs < self._end
+
     def state(self) -> State:
         """Return all numbers, for ``restore``."""
         return {
@@ -68,11 +77,12 @@ class DenseNumbering(Numbering):
         """Take the memory that a message names; return whether that is another one than before."""
         another = super().remember(memory_ns)
         if another:
-            self.forget()
+            self._own.clear()
         return another
 
     def forget(self) -> None:
         """Take all ids for those of other things from now on."""
+        super().forget()
         self._own.clear()
 
     def state(self) -> State:

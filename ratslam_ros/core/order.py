@@ -17,8 +17,9 @@ LEAP_NS = 2_000_000_000
 """A stamp this far ahead of its stream is doubted until others follow it."""
 JUMP_BACK_NS = 1_000_000_000
 """Stamps further back than this may be those of a recording that begins again."""
-RUN = 10
-"""So many messages in a row show that time has leapt or jumped back, and not a stamp was wrong."""
+RUN, SHORT_RUN, SHORT_RUN_NS = 10, 3, 1_000_000_000
+"""So many messages in a row show that time has leapt or jumped back, and not a stamp was wrong;
+fewer if they span some time, for slow cameras."""
 
 
 class Released(NamedTuple, Generic[Item]):
@@ -35,6 +36,8 @@ class Counts:
 
     late: int = 0
     refused: int = 0
+    gaps: int = 0
+    """Leaps that were believed: a pause of the source, or messages that were lost unseen."""
 
 
 class _Stream(Generic[Item]):
@@ -42,6 +45,7 @@ class _Stream(Generic[Item]):
 
     def __init__(self) -> None:
         self.refused = 0
+        self.gaps = 0
         self.last_ns: int | None = None
         self.left_ns: int | None = None
         """Where the stream was when another one began again, until it begins again as well."""
@@ -75,14 +79,22 @@ class _Stream(Generic[Item]):
         ):
             self._refuse_doubted()
         self._doubted.append((stamp_ns, item))
-        return self.settle() if len(self._doubted) >= RUN else []
+        return self.settle() if _is_run(self._doubted) else []
 
     def settle(self) -> list[tuple[int, Item]]:
         """Believe what follows a leap, if something does."""
         if len(self._doubted) < 2:
             self._refuse_doubted()
+        self.gaps += bool(self._doubted) and self.last_ns is not None
         settled, self._doubted = self._doubted, []
         return [self._believed(*message) for message in settled]
+
+    def is_near(self, begin_ns: int) -> bool:
+        """Tell whether the refused stamps lie nearer to a new beginning than to the old end."""
+        if not self.earlier or self.last_ns is None:
+            return False
+        last_ns = self.earlier[-1][0]
+        return _is_run(self.earlier) or abs(last_ns - begin_ns) < abs(last_ns - self.last_ns)
 
     def restart(self, begins: bool) -> None:
         """Take other stamps for the next ones: at once, or when they are nearer to the others'."""
@@ -141,7 +153,11 @@ class StampOrder(Generic[Item]):
     @property
     def counts(self) -> Counts:
         """What was late or refused so far."""
-        return Counts(self._late, sum(stream.refused for stream in self._streams))
+        return Counts(
+            self._late,
+            sum(stream.refused for stream in self._streams),
+            sum(stream.gaps for stream in self._streams),
+        )
 
     @property
     def held(self) -> int:
@@ -166,7 +182,7 @@ class StampOrder(Generic[Item]):
         """Take one message; return all messages whose turn has come, in order.
 
         A stamp that does not increase within its stream is refused, one that leaps ahead of it is
-        doubted until ``RUN`` messages have followed it, one before the last released message is
+        doubted until a run of messages has followed it, one before the last released message is
         late. What is refused or late is counted and dropped.
         """
         rank = self._rank[stream]
@@ -186,16 +202,19 @@ class StampOrder(Generic[Item]):
 
     @property
     def jumped_back(self) -> bool:
-        """Whether a stream has begun again: ``RUN`` refused stamps in a row increase."""
-        return any(len(stream.earlier) >= RUN for stream in self._streams)
+        """Whether a stream has begun again: a run of refused stamps increases."""
+        return any(_is_run(stream.earlier) for stream in self._streams)
 
     def restart(self) -> list[Released[Item]]:
         """Begin again where a stream jumped back to; return the messages whose turn it then is.
 
-        What is held is dropped: ``flush`` first to keep it. Other streams follow when their
-        stamps are nearer to the new ones than to where they were.
+        What is held is dropped and counted: ``flush`` first to keep it. Other streams follow when
+        their stamps are nearer to the new ones than to where they were.
         """
-        runs = [s.earlier if len(s.earlier) >= RUN else [] for s in self._streams]
+        begin_ns = next(s.earlier[0][0] for s in self._streams if _is_run(s.earlier))
+        runs = [s.earlier if s.is_near(begin_ns) else [] for s in self._streams]
+        for _, rank, _ in self._held:
+            self._streams[rank].refused += 1
         self._held.clear()
         self._newest_ns = self._released = None
         for stream, run in zip(self._streams, runs, strict=True):
@@ -248,3 +267,10 @@ class StampOrder(Generic[Item]):
 
 def _key(held: tuple[int, int, Item]) -> tuple[int, int]:
     return held[0], held[1]
+
+
+def _is_run(messages: list[tuple[int, Item]]) -> bool:
+    count = len(messages)
+    return count >= RUN or (
+        count >= SHORT_RUN and messages[-1][0] - messages[0][0] >= SHORT_RUN_NS
+    )

@@ -68,6 +68,9 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
         self._tf = self.create_publisher(TFMessage, '/tf', STATE)
         self._reason = ''
         self._next_map_s = 0.0
+        self._goal: Pose | None = None
+        self._sent = self._routed = False
+        self._viewers = self._pose_ns = 0
         self._forget()
         self.create_service(GetPlan, 'experience_map/recall_goal', self._on_recall_goal)
         self.create_subscription(PoseStamped, 'goal_pose', self._on_goal, GOAL)
@@ -81,11 +84,11 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
         self._joining = Joining(self._core)
         self._motion = MotionFromOdometry(self._section.odom_source)
         self._action_ns = 0
-        self._changed = False
+        self._changed = self._sent  # whoever has the old map is told that it is no more
+        self._end_route()
         self._pose: Pose | None = None
         self._odom_pose = Pose(0.0, 0.0, 0.0)
         self._pose_ns = 0
-        self._goal: Pose | None = None
         self._route_from: int | None = None
 
     def _carried(self) -> None:
@@ -110,7 +113,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
         self._core, self._joining = core, joining
         self._core.mapping = self._mapping
         self._motion.restart()
-        self._goal = None
+        self._end_route()
         self._changed = True
 
     def close(self) -> None:
@@ -220,19 +223,26 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
         self._flush()
         if self._changed and time.monotonic() >= self._next_map_s:
             self._send_map()
+        viewers = self._markers.get_subscription_count()
+        if viewers > self._viewers and self._sent:
+            self._send_markers()
+        self._viewers = viewers
         self._follow_goal()
 
     def _send_map(self) -> None:
         """Send the whole map, if it has changed since."""
         if not self._changed:
             return
-        self._changed = False
+        self._changed, self._sent = False, True
         start_s = time.monotonic()
         self._map_publisher.publish(String(data=encode_map(self._action_ns, self._core)))
-        if self._markers.get_subscription_count() > 0:
-            self._markers.publish(markers_of(self._core, self._action_ns, self._section.map_frame))
+        if self._viewers > 0:
+            self._send_markers()
         took_s = time.monotonic() - start_s
         self._next_map_s = start_s + max(self._section.map_period_s, took_s / LARGEST_SHARE)
+
+    def _send_markers(self) -> None:
+        self._markers.publish(markers_of(self._core, self._action_ns, self._section.map_frame))
 
     # Goals
 
@@ -257,15 +267,23 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
             return
         self._reason = ''
         self._route_publisher.publish(self._path(route))
+        self._routed = True
         if len(route.experience_ids) == 1:
             self.get_logger().info(f'the goal is reached: experience {route.experience_ids[0]}')
             self._goal = None
 
     def _no_route(self, reason: str) -> None:
-        self._goal = None
         self._reason = reason
         self._diagnostics.warn('goal', f'no route: {reason}')
-        self._route_publisher.publish(self._path(None))
+        self._routed = True  # the answer to a goal, if only that there is no way
+        self._end_route()
+
+    def _end_route(self) -> None:
+        """Forget the goal, and tell those who have a route to it."""
+        self._goal = None
+        if self._routed:
+            self._route_publisher.publish(self._path(None))
+            self._routed = False
 
     def _on_recall_goal(self, request: Any, response: Any) -> Any:
         recall = self._recall

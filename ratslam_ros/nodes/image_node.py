@@ -10,12 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from sensor_msgs.msg import CompressedImage, Image
 
-from ratslam_ros.core.order import Counts
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.images import UndecodableImage, image_of
 from ratslam_ros.nodes.backlog import Backlog
 from ratslam_ros.nodes.convert import stamp_ns
-from ratslam_ros.nodes.node import RatslamNode
+from ratslam_ros.nodes.node import FLUSH_CHECK_S, RatslamNode
 
 Message = Any
 """A sensor_msgs Image or CompressedImage."""
@@ -38,10 +37,13 @@ class ImageNode(RatslamNode[Message]):
             wanted = 'image' if transport == 'raw' else 'image/compressed'
             topics = {wanted: topics[wanted]}
         self._listen('image', topics, self._on_image)
+        self.create_timer(FLUSH_CHECK_S, self._flush, clock=self._steady)
 
     def close(self) -> None:
         """Process the image in hand, and stop."""
-        self._diagnostics.counts['dropped'] += self._backlog.close()
+        dropped = self._backlog.close() + self._drop_waiting()
+        if dropped:
+            self.get_logger().warning(f'{dropped} images were not looked at before the end')
         super().close()
 
     def _on_image(self, message: Message) -> None:
@@ -78,7 +80,9 @@ class ImageNode(RatslamNode[Message]):
     def _state(self) -> dict[str, Any]:
         return {'backlog': len(self._backlog)}
 
-    def _on_reset(self, request: Any, response: Any) -> Any:
-        self._backlog.clear()
-        self._counted = Counts()
-        return super()._on_reset(request, response)
+    def _flush(self) -> None:
+        if len(self._backlog) == 0:
+            super()._flush()
+
+    def _drop_waiting(self) -> int:
+        return self._backlog.clear()

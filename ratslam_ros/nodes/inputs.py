@@ -107,16 +107,19 @@ class Input:
 
     def _wanted(self) -> list[str]:
         """Return the topics to listen to: the one in use, else all that might be."""
-        if self._used is not None and self._node.count_publishers(self._used) > 0:
+        if self._used is not None and self._publisher_count(self._used) > 0:
             return [self._used]
         return list(self._topics)
 
     def _uses(self, topic: str) -> bool:
         """Tell whether messages of a topic count: not where they come on a better one as well."""
         if topic != self._used and len(self._wanted()) == len(self._topics):
-            offered = [t for t in self._topics if self._node.count_publishers(t) > 0]
+            offered = [t for t in self._topics if self._publisher_count(t) > 0]
             self._used = offered[0] if offered else topic
         return topic == self._used
+
+    def _publisher_count(self, topic: str) -> int:
+        return publisher_count(self._node, topic)
 
     def _offers_less(self, topic: str) -> bool:
         name = self._node.resolve_topic_name(topic)
@@ -154,6 +157,11 @@ class Input:
             'network or this machine is too slow, or the publisher is best effort',
             event.total_count_change,
         )
+
+
+def publisher_count(node: Node, topic: str) -> int:
+    """Return how many publish a topic; rclpy does not remap the names that it counts by."""
+    return int(node.count_publishers(node.resolve_topic_name(topic)))
 
 
 def _type_name(kind: type) -> str:

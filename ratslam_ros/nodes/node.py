@@ -91,6 +91,10 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
         """Begin with an empty memory."""
         raise NotImplementedError
 
+    def _drop_waiting(self) -> int:
+        """Drop what has come and waits outside of the order; return how much that was."""
+        return 0
+
     def _carried(self) -> None:
         """Go on with the memory, after a time in which nobody watched the odometry."""
 
@@ -127,19 +131,21 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
 
     def _flush(self) -> None:
         """Process what waits, if nothing has come for a while."""
-        if self._order.held and all(
-            put.silent_s() >= self._section.flush_after_s for put in self._inputs
-        ):
-            self._process(self._order.flush())
-            self._count('its inputs', self._order.newest_ns or 0)
+        silent = all(put.silent_s() >= self._section.flush_after_s for put in self._inputs)
+        if silent and self._order.held:
+            with self._lock:
+                self._process(self._order.flush())
+                self._count('its inputs', self._order.newest_ns or 0)
 
     def _jump_back(self, stream: str, stamp_ns: int) -> None:
+        self._diagnostics.counts['jumps_back'] += 1
         if self._section.on_jump_back == 'start_over':
             self.get_logger().warning(
                 f'the stamps of {stream} have jumped back: starting over with an empty memory '
                 '(on_jump_back)'
             )
             self._forget()
+            self._diagnostics.missing.clear()
         else:
             self.get_logger().warning(
                 f'the stamps of {stream} have jumped back: going on with what is known '
@@ -164,6 +170,11 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
             f'{at} or before it was refused: stamps must increase, and not leap',
             now.refused - before.refused,
         )
+        self._diagnostics.drop(
+            'gaps',
+            f'{stream} has a gap before {stamp_ns * 1e-9:.3f} s: it paused, or messages were lost',
+            now.gaps - before.gaps,
+        )
         if now.refused < before.refused:  # a jump back made them believed after all
             self._diagnostics.counts['refused'] += now.refused - before.refused
 
@@ -184,10 +195,11 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
 
     def _on_reset(self, request: Any, response: Any) -> Any:
         with self._lock:
+            self._drop_waiting()
             self._order = self._new_order()
             self._counted = Counts()
             self._forget()
-        self._diagnostics.missing.clear()
+            self._diagnostics.missing.clear()
         return self._answer(response, True, f'{self.SECTION} has an empty memory')
 
     def _on_pause(self, request: Any, response: Any) -> Any:
@@ -225,7 +237,7 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
                 self._counted = Counts()
         except RatslamError as error:
             return self._answer(response, False, str(error))
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
+        except Exception as error:  # whatever was in the file: the node goes on as it was
             return self._answer(response, False, f'{self._memory_path} does not fit: {error!r}')
         self._diagnostics.missing.clear()
         return self._answer(response, True, f'loaded from {self._memory_path}')

@@ -120,6 +120,16 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
 
     def _notice_memory(self, stamp_ns: int, template: Template) -> None:
         first = self._numbering.memory_ns == NOTHING_LEARNED
+        match = template.match
+        if match.is_new and not first and template.memory_ns == self._numbering.memory_ns and (
+            self._numbering.was_used(match.template_id)
+        ):
+            self._numbering.forget()
+            self._diagnostics.missing['template'] = (
+                'local_view has gone back to an earlier memory: its ids mean other views now, so '
+                'places seen before will not be recognised; load or reset all nodes together'
+            )
+            self.get_logger().warning(self._diagnostics.missing['template'])
         if self._numbering.remember(template.memory_ns):
             self._diagnostics.missing['template'] = (
                 'local_view has begun with an empty memory: places seen before will not be '
@@ -129,6 +139,7 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
         elif first and template.match.template_id > NO_TEMPLATE and (
             template.memory_ns < stamp_ns
         ):
+            self._diagnostics.counts['missed'] += match.template_id + 1
             self._diagnostics.missing['template'] = (
                 'this node came late: local_view learned before it; places seen before are tied '
                 'to pose cells when they are seen again. To start over call reset on all nodes'

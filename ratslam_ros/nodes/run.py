@@ -29,7 +29,11 @@ def run(*makers: Callable[[], Any], args: list[str] | None = None) -> int:
     """
     stop = _Stop()
     # Signals only end the loop below: nodes then still process what they hold, and send it.
-    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    except Exception as error:  # rclpy has several kinds, and tells the arguments
+        print(f'ratslam: {" ".join(str(error).split())[:300]}', file=sys.stderr, flush=True)
+        return UNUSABLE
     nodes: list[Any] = []
     try:
         with stop:

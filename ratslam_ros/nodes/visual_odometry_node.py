@@ -5,12 +5,14 @@
 from __future__ import annotations
 
 import math
+import time
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from nav_msgs.msg import Odometry as OdometryMessage
 from numpy.typing import NDArray
+from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo
 from tf2_msgs.msg import TFMessage
 
@@ -18,7 +20,8 @@ from ratslam_ros.core.odometry import Odometry
 from ratslam_ros.core.visual_odometry import VisualOdometry, field_of_view_deg
 from ratslam_ros.nodes.convert import header_of, pose_message, transform
 from ratslam_ros.nodes.image_node import ImageNode, Message
-from ratslam_ros.nodes.qos import RESULT, STATE, VIEW
+from ratslam_ros.nodes.inputs import publisher_count
+from ratslam_ros.nodes.qos import RESULT, STATE
 from ratslam_ros.nodes.run import run
 
 TWIST_VARIANCES = (0.05, 1e-9, 1e-9, 1e-9, 1e-9, 0.01)
@@ -39,9 +42,12 @@ class VisualOdometryNode(ImageNode):
         self._tf = self.create_publisher(TFMessage, '/tf', STATE)
         self._fov_deg: float | None = None
         self._waiting: list[Message] = []
+        self._wait_until_s = math.inf
         self._forget()
         if self._section.fov_from_camera_info:
-            self.create_subscription(CameraInfo, 'camera_info', self._on_camera_info, VIEW)
+            self.create_subscription(
+                CameraInfo, 'camera_info', self._on_camera_info, qos_profile_sensor_data
+            )
         self._listen_to_images()
 
     def _forget(self) -> None:
@@ -68,13 +74,20 @@ class VisualOdometryNode(ImageNode):
     def _must_wait(self) -> bool:
         if self._fov_deg is not None or not self._section.fov_from_camera_info:
             return False
-        if self.count_publishers('camera_info') == 0:
+        if publisher_count(self, 'camera_info') == 0:
             return False
-        waited = [m.header.stamp.sec for m in (self._waiting[0], self._waiting[-1])]
-        if waited[1] - waited[0] <= CAMERA_INFO_WAIT_S:
+        if self._wait_until_s == math.inf:
+            self._wait_until_s = time.monotonic() + CAMERA_INFO_WAIT_S
+        if time.monotonic() < self._wait_until_s:
             return True
-        self._diagnostics.warn('camera_info', 'camera_info is silent: camera_fov_deg is used')
+        self._diagnostics.warn(
+            'camera_info', 'camera_info tells no focal length: camera_fov_deg is used'
+        )
         return False
+
+    def _drop_waiting(self) -> int:
+        waiting, self._waiting = self._waiting, []
+        return len(waiting) + super()._drop_waiting()
 
     def _on_camera_info(self, message: CameraInfo) -> None:
         focal_px, width_px = float(message.k[0]), int(message.width)
@@ -85,6 +98,7 @@ class VisualOdometryNode(ImageNode):
                 'camera_info', f'camera_info has a focal length of {focal_px} px at a width of '
                 f'{width_px} px: the camera is not calibrated; camera_fov_deg is used'
             )  # fmt: skip
+            self._wait_until_s = -math.inf
             return
         with self._lock:
             self._fov_deg = field_of_view_deg(focal_px, width_px)

@@ -52,7 +52,7 @@ def test_a_map_that_begins_late_makes_what_it_does_not_know() -> None:
     actions = list(circles_of_actions(5, 3))
     drive(graph, joining, actions[7:])
     assert len(graph) == 5
-    assert joining.first_sequence == 7
+    assert joining.first_sequence == joining.missed == 7
     assert [link.source_id for link in graph.links()] == [0, 1, 2, 3, 4]
     assert all(link.distance_m == pytest.approx(STEP_M) for link in graph.links())
 

@@ -143,6 +143,33 @@ def test_compressed_images_do_as_well(world: MakeWorld) -> None:
     assert {decode_template(message.data)[1].template_id for message in heard} == {0}
 
 
+def test_of_a_camera_with_both_the_raw_images_are_taken_whatever_it_is_called(
+    world: MakeWorld,
+) -> None:
+    import cv2
+    from sensor_msgs.msg import CompressedImage
+
+    from ratslam_ros.nodes.convert import header_of
+
+    made, heard = local_view(
+        world, '-r', 'image:=/cam/image_raw',
+        '-r', 'image/compressed:=/cam/image_raw/compressed',
+    )  # fmt: skip
+    data = cv2.imencode('.jpg', picture(0, 24, 32))[1].tobytes()
+    packed = CompressedImage(header=header_of(START_NS, ''), format='jpeg', data=data)
+    made.send('/cam/image_raw/compressed', packed)
+    made.until(lambda: len(heard) == 1)
+    for n in range(1, 6):  # the stream stays the one that it is
+        packed.header = header_of(START_NS + n * PERIOD_NS, '')
+        made.send('/cam/image_raw/compressed', packed)
+        made.send('/cam/image_raw', image(START_NS + n * PERIOD_NS, n))
+    made.until(lambda: len(heard) == 6)
+    made.spin(0.2)
+    state = made.diagnostics()['local_view']
+    assert 'refused' not in state or state['refused'] == '0'
+    assert state['templates'] == '1'
+
+
 def test_the_matched_template_is_shown_to_who_looks(world: MakeWorld) -> None:
     from sensor_msgs.msg import Image
 
@@ -167,6 +194,16 @@ def test_a_best_effort_camera_is_heard_too(world: MakeWorld) -> None:
     made.until(lambda: camera.get_subscription_count() > 0)
     camera.publish(image(START_NS))
     made.until(lambda: heard)
+
+
+def test_the_last_images_after_a_pause_are_looked_at_when_no_more_come(world: MakeWorld) -> None:
+    made, heard = local_view(world, '-p', 'flush_after_s:=0.3')
+    for n in range(3):
+        made.send('image', image(START_NS + n * PERIOD_NS, n))
+    for n in range(2):
+        made.send('image', image(START_NS + 5 * S + n * PERIOD_NS, n))
+    made.until(lambda: len(heard) == 5)
+    assert made.diagnostics()['local_view']['gaps'] == '1'
 
 
 # Pose cells
@@ -250,6 +287,20 @@ def test_a_local_view_that_was_there_before_or_restarts_is_noticed(world: MakeWo
     made.until(lambda: len(heard) == 2)
     assert decode_action(heard[1].data)[2].template_id == 58
     assert 'empty memory' in made.diagnostics()['pose_cells']['message']
+
+
+def test_a_local_view_that_loads_an_older_memory_is_noticed(world: MakeWorld) -> None:
+    made, heard = pose_cells(world)
+    for n, number in enumerate((0, 1, 2, 1)):
+        stamp = START_NS + n * PERIOD_NS
+        made.send('odom', odometry(stamp, 10.0))
+        new = n == 0 or (n, number) in ((1, 1), (2, 2), (3, 1))
+        made.send('local_view/template', string(template_text(stamp, number, is_new=new)))
+    made.send('odom', odometry(START_NS + S))
+    made.until(lambda: len(heard) == 4)
+    numbers = [decode_action(message.data)[2].template_id for message in heard]
+    assert numbers == [0, 1, 2, 4]
+    assert 'earlier memory' in made.diagnostics()['pose_cells']['message']
 
 
 def test_the_activity_is_shown_to_who_looks(world: MakeWorld) -> None:
@@ -355,7 +406,9 @@ def test_markers_show_the_map(world: MakeWorld) -> None:
     drive_straight(made)
     last_map(made, heard, 5)
     made.until(lambda: markers and len(markers[-1].markers[1].points) == 5)
-    links, places, current = markers[-1].markers
+    late = made.listen(MarkerArray, 'experience_map/markers', LATCHED)
+    made.until(lambda: late)
+    links, places, current = late[-1].markers
     assert (len(links.points), len(places.points), len(current.points)) == (8, 5, 1)
 
 
@@ -501,6 +554,7 @@ def test_reset_forgets_and_pause_ignores(world: MakeWorld) -> None:
     assert len(json.loads(heard[-1].data)['experiences']) == 5
     assert made.call(SetBool, 'experience_map/pause', data=False).success
     assert made.call(Trigger, 'experience_map/reset').success
+    made.until(lambda: json.loads(heard[-1].data)['experiences'] == [])
     drive_straight(made, 3)
     assert [e['y_m'] for e in last_map(made, heard, 3)['experiences']] == pytest.approx([0, 1, 2])
 
@@ -606,6 +660,29 @@ def test_the_field_of_view_comes_from_camera_info(world: MakeWorld) -> None:
     made.send('image', image(START_NS + 3 * PERIOD_NS, 3))
     made.until(lambda: len(heard) == 3)
     assert made.diagnostics()['visual_odometry']['field_of_view'] == '90.00 deg (camera_info)'
+
+
+@pytest.mark.parametrize('calibrated', [False, None])
+def test_a_camera_info_that_tells_nothing_is_not_waited_for_for_ever(
+    world: MakeWorld, calibrated: bool | None
+) -> None:
+    from nav_msgs.msg import Odometry
+    from sensor_msgs.msg import CameraInfo
+
+    from ratslam_ros.nodes.visual_odometry_node import VisualOdometryNode
+
+    made = world(VisualOdometryNode)
+    heard = made.listen(Odometry, 'odom')
+    publisher = made.tester.create_publisher(CameraInfo, 'camera_info', 1)
+    made.until(lambda: publisher.get_subscription_count() > 0)
+    if calibrated is False:
+        publisher.publish(CameraInfo(width=32, height=24))
+        made.spin(0.2)
+    made.send('image', image(START_NS, 0))
+    made.spin(0.2 if calibrated is False else 2.2)
+    for n in range(1, 4):
+        made.send('image', image(START_NS + n * PERIOD_NS, n))
+        made.until(lambda n=n: len(heard) == n)
 
 
 # All of them
