@@ -125,8 +125,10 @@ class _Stream(Generic[Item]):
     def _refuse_old(self, stamp_ns: int, item: Item) -> None:
         self.refused += 1
         assert self.last_ns is not None
-        if self.earlier and stamp_ns <= self.earlier[-1][0]:
-            self.earlier.clear()
+        if self.earlier and (
+            stamp_ns <= self.earlier[-1][0] or self._leaps(stamp_ns, self.earlier[-1][0])
+        ):
+            self.earlier.clear()  # no stream goes on so
         if self.last_ns - stamp_ns > JUMP_BACK_NS:
             self.earlier = [*self.earlier[1 - RUN :], (stamp_ns, item)]
 
