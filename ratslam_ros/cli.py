@@ -448,8 +448,10 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _launch(options: argparse.Namespace) -> int:
+    from ratslam_ros.live import ros
     from ratslam_ros.live.launch import LaunchOptions, launch
 
+    ros.look()
     return launch(
         _config(options),
         LaunchOptions(

@@ -188,7 +188,8 @@ def test_before_the_first_experience_there_are_actions_too() -> None:
 @pytest.mark.parametrize(('key', 'value'), [
     ('action', 'jump'), ('action', None), ('target_id', -1), ('template_id', -1),
     ('source_id', -2), ('target_id', 2**31), ('sequence', -1), ('memory', -1),
-    ('sequence', 10**4000), ('memory', 2**63), ('stamp', {'sec': 2**31, 'nanosec': 0}), ('pc_x', -0.1),
+    ('sequence', 10**4000), ('memory', 2**63), ('stamp', {'sec': 2**31, 'nanosec': 0}),
+    ('pc_x', -0.1),
     ('pc_theta', 1e9), ('relative_rad', 4.0), ('source_id', 1.5), ('sequence', True),
     ('pc_y', None), ('stamp', {'sec': 1}), ('schema_version', 2),
 ])  # fmt: skip

@@ -33,9 +33,10 @@ def call(
         client = node.create_client(service_type, name)
         end_s = time.monotonic() + timeout_s
         if not client.wait_for_service(timeout_sec=timeout_s):
+            node.destroy_client(client)  # which is in the graph too
             kinds = dict(node.get_service_names_and_types()).get(name)
-            if kinds and kind not in kinds:
-                raise UnusableInput(f'{name} is of type {", ".join(kinds)}: expected {kind}')
+            if kinds:
+                raise UnusableInput(f'{name} is of type {", ".join(kinds)}, not {kind}')
             raise UnusableInput(f'nobody offers {name} ({graph.services(node)})')
         future = client.call_async(request)
         while not future.done():

@@ -150,7 +150,9 @@ def _watch(
             _end(processes, left, number)
             kill_at_s = time.monotonic() + grace_s
         time.sleep(POLL_S)
-    bad = [name for name, process in processes.items() if process.wait() or not asked]
+    # One that was still starting may end by the signal itself.
+    fine = (0, *(-number for number in _Signals.NUMBERS)) if asked else ()
+    bad = [name for name, process in processes.items() if process.wait() not in fine]
     if bad and not failed:
         _say(_how(processes, bad))
     return 1 if bad or failed else 0
@@ -181,13 +183,15 @@ def _say(text: str) -> None:
 class _Signals:
     """Notes the signals that ask for an end, in place of acting on them."""
 
+    NUMBERS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
     def __init__(self) -> None:
         self.seen = 0
         self.last = signal.SIGINT
         self._before: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> Self:
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        for number in self.NUMBERS:
             self._before[number] = signal.signal(number, self._note)
         return self
 

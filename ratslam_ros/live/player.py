@@ -59,6 +59,7 @@ ACTION_S = 10.0
 SPREAD_S = 0.05
 AHEAD_NS = 1_000_000_000  # the half of max_lateness_s, as it is by default
 POLL_S = 0.002
+PATIENCE_S = 30.0
 ACKNOWLEDGED_S = 10.0
 PROGRESS_S = 0.1
 
@@ -157,10 +158,11 @@ class _Player:
                 '(ratslam launch), in the same namespace and with the same ROS_DOMAIN_ID, or wait '
                 'longer with --wait'
             )
-        if self._actions is not None and not self._node.count_publishers(ACTION):
+        action = self._node.resolve_topic_name(ACTION)
+        if self._actions is not None and not self._node.count_publishers(action):
             raise UnusableInput(
-                f'--lockstep waits for {self._node.resolve_topic_name(ACTION)}, which nobody '
-                'publishes: start pose_cells, or leave out --lockstep'
+                f'--lockstep waits for {action}, which nobody publishes: start pose_cells, or '
+                'leave out --lockstep'
             )
         if missing:
             _say(f'warning: going on without {", ".join(missing)}')
@@ -232,8 +234,8 @@ class _Player:
             self._actions.published(event)
         if self._camera_info is not None and isinstance(event, ImageEvent):
             assert self._calibration is not None
-            self._camera_info.publish(camera_info(self._calibration.message, message.header))
-        self._publishers[topic].publish(message)
+            send(self._camera_info, camera_info(self._calibration.message, message.header))
+        send(self._publishers[topic], message)
         self._counts[topic] += 1
 
     def _missing(self) -> list[str]:
@@ -251,9 +253,9 @@ class _Player:
         if seen & OWN_NODES or self._actions is not None:
             for topic in OWN_TOPICS:
                 full = node.resolve_topic_name(topic)
-                if not node.count_publishers(topic):
+                if not node.count_publishers(full):
                     missing.append(f'a publisher of {full}')
-                if not node.count_subscribers(topic) - (
+                if not node.count_subscribers(full) - (
                     topic == ACTION and self._actions is not None
                 ):
                     missing.append(f'a subscriber of {full}')
@@ -308,7 +310,7 @@ class _Actions:
             rclpy.spin_once(self._node, timeout_sec=0.1)
             if time.monotonic() < end_s:
                 continue
-            if not self._node.count_publishers(ACTION):
+            if not self._node.count_publishers(self._node.resolve_topic_name(ACTION)):
                 raise UnusableInput('--lockstep: pose_cells is gone; start the nodes again')
             if not self.missed:
                 _say(
@@ -396,6 +398,26 @@ class _Progress:
             )
         self._bar.n = min(done_s, self._total_s)
         self._bar.refresh()
+
+
+def send(publisher: Any, message: Any, patience_s: float = PATIENCE_S) -> None:
+    """Publish, however slow the subscribers are.
+
+    Fast DDS waits for them for a tenth of a second only, and then refuses the message.
+    """
+    end_s = time.monotonic() + patience_s
+    while True:
+        try:
+            publisher.publish(message)
+        except RuntimeError as error:
+            if time.monotonic() > end_s:
+                raise UnusableInput(
+                    f'{publisher.topic_name}: nothing can be published for {patience_s:g} s '
+                    f'({error}); look for a subscriber that hangs'
+                ) from None
+            time.sleep(POLL_S)
+        else:
+            return
 
 
 def _listeners(publisher: Any) -> int:

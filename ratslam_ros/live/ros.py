@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from importlib.util import find_spec
 from typing import Any
 
 from ratslam_ros.errors import UnusableInput
@@ -27,6 +28,12 @@ def require() -> None:
         install()
     except StandaloneUnavailable as error:
         raise UnusableInput(str(error)) from None
+
+
+def look() -> None:
+    """Say early, and quickly, what ``require`` would say; raises as it does."""
+    if find_spec('rclpy') is None and find_spec('cyclonedds') is None:
+        require()
 
 
 @contextmanager

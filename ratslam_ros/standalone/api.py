@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from ratslam_ros.standalone import arguments
@@ -43,7 +43,8 @@ def init(
     try:
         context.init(args, domain_id=domain_id)
     except BaseException:
-        uninstall_signal_handlers()
+        if not context.ok():
+            uninstall_signal_handlers()
         raise
     return context
 
@@ -124,11 +125,6 @@ def remove_ros_args(args: Sequence[str] | None = None) -> list[str]:
     return arguments.remove_ros_args(sys.argv if args is None else args)
 
 
-def get_rmw_implementation_identifier() -> str:
-    """Return what messages travel by."""
-    return 'rmw_cyclonedds_cpp'
-
-
 def serialize_message(message: Any) -> bytes:
     """Return a message as CDR."""
     return bytes(encode(message))
@@ -156,6 +152,3 @@ def _imported(identifier: str, kind: str) -> Any:
     if len(parts) not in (2, 3) or not all(parts) or (len(parts) == 3 and parts[1] != kind):
         raise ValueError(f'{identifier!r}: expected package/{kind}/Name')
     return getattr(import_module(f'{parts[0]}.{kind}'), parts[-1])
-
-
-Callback = Callable[..., Any]

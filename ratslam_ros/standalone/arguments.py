@@ -291,7 +291,6 @@ def _loader() -> Any:
             f'tag:yaml.org,2002:{tag}', re.compile(f'^(?:{regex})$'), None
         )
     Loader.add_constructor(
-        'tag:yaml.org,2002:bool',
-        lambda _, node: node.value[:2].lower() in ('y', 'ye', 'tr', 'on'),
+        'tag:yaml.org,2002:bool', lambda _, node: node.value[:2].lower() in ('y', 'ye', 'tr', 'on')
     )
     return Loader

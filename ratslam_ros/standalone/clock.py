@@ -266,25 +266,6 @@ class Clock:
         self._jumps[id(handle)] = handle
         return handle
 
-    def sleep_until(self, until: Time, context: Any = None) -> bool:
-        """Wait; return whether it is that time, and not shutdown or a change of the clock."""
-        from ratslam_ros.standalone.context import get_default_context
-
-        context = get_default_context() if context is None else context
-        if until.clock_type != self.clock_type:
-            raise ValueError("until's clock type does not match this clock's type")
-        simulated = self.is_simulated
-        while context.ok() and self.is_simulated == simulated:
-            left_ns = until.nanoseconds - self.now_ns()
-            if left_ns <= 0:
-                return True
-            time.sleep(min(left_ns * 1e-9, 0.01))
-        return False
-
-    def sleep_for(self, rel_time: Duration, context: Any = None) -> bool:
-        """Wait for so long; see ``sleep_until``."""
-        return self.sleep_until(self.now() + rel_time, context)
-
 
 class ROSClock(Clock):
     """System time, or what /clock says."""

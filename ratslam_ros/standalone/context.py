@@ -64,7 +64,11 @@ class Context:
                 logging.configure(self.arguments.levels, self.arguments.to_stderr)
             self.close()
             self._participant = Participant(_domain_id() if domain_id is None else domain_id)
-            self._graph = Graph(self._participant)
+            try:
+                self._graph = Graph(self._participant)
+            except BaseException:
+                self.close()
+                raise
             self._ok = True
         _contexts.add(self)
 
@@ -131,15 +135,6 @@ class Context:
         if participant is not None:
             participant.close()
 
-    def __enter__(self) -> Context:
-        if not self._ok:
-            self.init()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.try_shutdown()
-        self.end()
-
 
 _contexts: weakref.WeakSet[Context] = weakref.WeakSet()
 _default = Context()
@@ -192,16 +187,6 @@ def uninstall_signal_handlers() -> None:
         if signal.getsignal(number) is _on_signal:
             signal.signal(number, handler)
         del _before[number]
-
-
-def get_current_signal_handlers_options() -> SignalHandlerOptions:
-    """Return which signals shut down."""
-    options = SignalHandlerOptions.NO
-    if signal.SIGINT in _before:
-        options |= SignalHandlerOptions.SIGINT
-    if signal.SIGTERM in _before:
-        options |= SignalHandlerOptions.SIGTERM
-    return options
 
 
 def _on_signal(number: int, frame: Any) -> None:

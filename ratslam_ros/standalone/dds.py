@@ -38,6 +38,7 @@ Value = TypeVar('Value')
 
 INFINITE_NS = 2**63 - 1
 SERVICE_HEADER = 16
+_ROUND_NS = 100_000_000
 _ANY = SampleState.Any | ViewState.Any | InstanceState.Any
 
 _STATUSES = {
@@ -81,9 +82,16 @@ def _c(name: str, *arguments: Any) -> Callable[..., int]:
     return call
 
 
+def _done(name: str, result: int) -> bool:
+    """Return False where C says that the time was over; another error raises."""
+    if result < 0 and result != DDSException.DDS_RETCODE_TIMEOUT:
+        raise RCLError(f'{name}: {DDSException(result)}')
+    return result >= 0
+
+
 _entity = ct.c_int32
 _delete = _c('dds_delete', _entity)
-_write = _c('dds_write', _entity, ct.c_void_p)
+_write = _plain_c('dds_write', ct.c_int32, _entity, ct.c_void_p)
 _wait_for_acks = _plain_c('dds_wait_for_acks', ct.c_int32, _entity, ct.c_int64)
 _take = _c('dds_takecdr', _entity, ct.c_void_p, ct.c_uint32, ct.c_void_p, ct.c_uint32)
 # A sample as the reader holds it: its bytes can be looked at with no copy, until it is let go.
@@ -162,9 +170,7 @@ def _policies(qos: EndpointQos, user_data: str) -> Qos:
     policies: list[Any] = [
         Policy.WriterDataLifecycle(autodispose=False),
         history,
-        Policy.Reliability.Reliable(INFINITE_NS)
-        if qos.reliable
-        else Policy.Reliability.BestEffort,
+        Policy.Reliability.Reliable(_ROUND_NS) if qos.reliable else Policy.Reliability.BestEffort,
         Policy.DataRepresentation(use_cdrv0_representation=True, use_xcdrv2_representation=False),
         Policy.Userdata(user_data.encode()),
     ]
@@ -211,7 +217,7 @@ class Entity:
 
     def __init__(self, reference: int) -> None:
         self.reference = reference
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()  # a signal's handler may come in between
         self._alive = True
 
     def close(self) -> None:
@@ -308,16 +314,18 @@ class Writer(Endpoint):
         """
         start = ct.c_uint8.from_buffer(data)
         sample = _Sample(ct.addressof(start), len(data))
-        _write(self.reference, ct.byref(sample))
+        while not _done('dds_write', _write(self.reference, ct.byref(sample))):
+            pass  # in rounds, so that an interrupt is noticed
 
     def wait_for_acks(self, timeout_ns: int) -> bool:
         """Wait until all is acknowledged; return whether that came about in time."""
-        result = _wait_for_acks(self.reference, timeout_ns)
-        if result == DDSException.DDS_RETCODE_TIMEOUT:
-            return False
-        if result < 0:
-            raise RCLError(f'dds_wait_for_acks: {DDSException(result)}')
-        return True
+        while True:
+            round_ns = min(_ROUND_NS, timeout_ns)
+            if _done('dds_wait_for_acks', _wait_for_acks(self.reference, round_ns)):
+                return True
+            timeout_ns -= round_ns
+            if timeout_ns <= 0:
+                return False
 
     @property
     def matched(self) -> list[int]:

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from ratslam_ros.standalone.clock import Clock, ClockChange, Duration, TimeJump
-from ratslam_ros.standalone.dds import INFINITE_NS, SERVICE_HEADER, Guard, Writer, user_value
+from ratslam_ros.standalone.dds import INFINITE_NS, SERVICE_HEADER, Writer, user_value
 from ratslam_ros.standalone.events import Events
 from ratslam_ros.standalone.exceptions import InvalidHandle, RCLError
 from ratslam_ros.standalone.qos import QoSProfile, to_dds
@@ -70,12 +70,6 @@ class NodePart:
         """Take it from its node."""
         self._node.discard(self)
 
-    def __enter__(self) -> Any:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.destroy()
-
     def _check_alive(self) -> None:
         if self._closed:
             raise InvalidHandle('cannot use it because destruction was requested')
@@ -131,11 +125,6 @@ class Publisher(NodePart):
         )
         self._events = Events(self._writer, callbacks, node.logger, self.topic_name)
 
-    @property
-    def logger_name(self) -> str:
-        """Name of the node's logger."""
-        return str(self._node.logger.name)
-
     def publish(self, msg: Any) -> None:
         """Send a message, or its CDR as bytes.
 
@@ -163,9 +152,6 @@ class Publisher(NodePart):
         self._check_alive()
         timeout_ns = timeout.nanoseconds if timeout.nanoseconds >= 0 else INFINITE_NS
         return self._writer.wait_for_acks(timeout_ns)
-
-    def assert_liveliness(self) -> None:
-        """Say that it is alive; DDS does so by itself."""
 
     def sources(self) -> list[Source]:
         """Return what to wait for."""
@@ -516,10 +502,6 @@ class Timer(NodePart):
         self._canceled = False
         self._node.wake()
 
-    def time_since_last_call(self) -> int:
-        """Return for how long it was not called, in ns of its clock."""
-        return self.clock.now_ns() - self._last_ns
-
     def time_until_next_call(self) -> int | None:
         """Return when it is to be called, in ns of its clock; None if never."""
         return None if self._canceled else self._next_ns - self.clock.now_ns()
@@ -563,33 +545,3 @@ class Timer(NodePart):
         """Let go of the clock."""
         self._closed = True
         self.clock.timers.discard(self)
-
-
-class GuardCondition(NodePart):
-    """Calls something in the spinning thread when another one asks for it."""
-
-    def __init__(
-        self, node: Any, callback: Callable[[], Any], callback_group: CallbackGroup | None
-    ) -> None:
-        super().__init__(node, callback_group)
-        self.callback = callback
-        self._guard = Guard(node.context.participant)
-
-    def trigger(self) -> None:
-        """Ask for a call."""
-        self._guard.set()
-
-    def execute(self) -> bool:
-        """Call back."""
-        self._guard.take()
-        self.callback()
-        return True
-
-    def sources(self) -> list[Source]:
-        """Return what to wait for."""
-        return [Source(self._guard.reference, self.execute)]
-
-    def close(self) -> None:
-        """Let go of what DDS holds."""
-        self._closed = True
-        self._guard.close()

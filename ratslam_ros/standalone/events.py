@@ -22,9 +22,6 @@ class MessageLostInfo:
     total_count_change: int
 
 
-QoSMessageLostInfo = MessageLostInfo
-
-
 @dataclass
 class IncompatibleQosInfo:
     """Others on the topic whose quality of service does not fit."""
@@ -32,9 +29,6 @@ class IncompatibleQosInfo:
     total_count: int
     total_count_change: int
     last_policy_kind: QoSPolicyKind
-
-
-QoSRequestedIncompatibleQoSInfo = QoSOfferedIncompatibleQoSInfo = IncompatibleQosInfo
 
 
 @dataclass
@@ -45,9 +39,6 @@ class MatchedInfo:
     total_count_change: int
     current_count: int
     current_count_change: int
-
-
-QoSSubscriptionMatchedInfo = QoSPublisherMatchedInfo = MatchedInfo
 
 
 class _EventCallbacks:

@@ -24,14 +24,6 @@ class ExternalShutdownException(Exception):  # noqa: N818
     """The context was shut down while an executor waited."""
 
 
-class ShutdownException(Exception):  # noqa: N818
-    """The executor was shut down."""
-
-
-class TimeoutException(Exception):  # noqa: N818
-    """Nothing happened in time."""
-
-
 class SingleThreadedExecutor:
     """Runs the callbacks of nodes in the thread that spins."""
 
@@ -104,29 +96,6 @@ class SingleThreadedExecutor:
             if end_s is not None and time.monotonic() >= end_s:
                 return
 
-    def spin_once_until_future_complete(
-        self, future: Future, timeout_sec: float | None = None
-    ) -> None:
-        """Run one callback, unless the future is done before there is one."""
-        future.add_done_callback(lambda _: self.wake())
-        self._spin_once(timeout_sec, future.done)
-
-    def create_task(self, callback: Callable[..., Any], *args: Any, **kwargs: Any) -> Future:
-        """Run a function in the thread that spins; return its result to come."""
-        future = Future()
-
-        def run() -> bool:
-            try:
-                future.set_result(callback(*args, **kwargs))
-            except Exception as error:
-                future.set_exception(error)
-            return True
-
-        with self._lock:
-            self._jobs.append((None, run))
-        self.wake()
-        return future
-
     def wake(self) -> None:
         """End the wait of the thread that spins; any thread may."""
         self._woken = True
@@ -184,7 +153,7 @@ class SingleThreadedExecutor:
         """Run what is ready, the first that has anything to do."""
         while self._jobs:
             node, run = self._jobs.popleft()
-            if (node is None or node in self._nodes) and run():
+            if node in self._nodes and run():
                 return True
         return False
 

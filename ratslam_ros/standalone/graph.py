@@ -7,14 +7,14 @@ from __future__ import annotations
 import re
 import threading
 from collections import defaultdict
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from enum import IntEnum
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ratslam_ros.standalone import names
-from ratslam_ros.standalone.dds import Discovered, EndpointQos, Participant, user_value
+from ratslam_ros.standalone.dds import Discovered, EndpointQos, Participant
 from ratslam_ros.standalone.qos import QoSProfile, from_dds
 from ratslam_ros.standalone.types import decode_or_none, encode, message_class
 
@@ -40,29 +40,15 @@ class TopicEndpointTypeEnum(IntEnum):
     SUBSCRIPTION = 2
 
 
-class TypeHash(NamedTuple):
-    """By which two types can be told apart."""
-
-    version: int
-    value: bytes
-
-    def __str__(self) -> str:
-        return f'RIHS{self.version:02}_{self.value.hex()}' if self.version > 0 else 'INVALID'
-
-
 class TopicEndpointInfo(NamedTuple):
     """A publisher or subscription, and whose it is."""
 
     node_name: str
     node_namespace: str
     topic_type: str
-    topic_type_hash: TypeHash
     endpoint_type: TopicEndpointTypeEnum
     endpoint_gid: list[int]
     qos_profile: QoSProfile
-
-    def __str__(self) -> str:
-        return '\n'.join(f'{name}: {value}' for name, value in self._asdict().items())
 
 
 class Graph:
@@ -158,23 +144,7 @@ class Graph:
 
     def services(self) -> NamesAndTypes:
         """Return all services and their types."""
-        return _listed(
-            map(_service_of, [*self._all('reader'), *self._all('writer')]),
-        )
-
-    def of_node(
-        self, node: NodeName, kind: str, name_of: Callable[[Discovered], tuple[str | None, str]]
-    ) -> NamesAndTypes | None:
-        """Return what a node's endpoints are; None if there is no such node."""
-        gids: set[bytes] | None = None
-        for told in self._told():
-            for info in told.node_entities_info_seq:
-                if (info.node_name, info.node_namespace) == node:
-                    sequence = info.reader_gid_seq if kind == 'reader' else info.writer_gid_seq
-                    gids = (gids or set()) | {bytes(gid.data) for gid in sequence}
-        if gids is None:
-            return None
-        return _listed(name_of(found) for found in self._all(kind) if found.gid in gids)
+        return _listed(map(_service_of, [*self._all('reader'), *self._all('writer')]))
 
     def endpoints(self, topic: str, kind: str) -> list[TopicEndpointInfo]:
         """Return the endpoints on a topic of DDS."""
@@ -193,7 +163,6 @@ class Graph:
             TopicEndpointInfo(
                 *owners.get(found.gid, (UNKNOWN_NAME, UNKNOWN_NAMESPACE)),
                 names.type_from_dds(found.type),
-                _hash(found.user_data),
                 endpoint_type,
                 list(found.gid),
                 from_dds(found.qos),
@@ -217,17 +186,6 @@ class Graph:
             return list(self._nodes.values())
 
 
-def topic_of(found: Discovered) -> tuple[str | None, str]:
-    """Return the topic and type of an endpoint; no name where it is none of ROS."""
-    return names.topic_from_dds(found.topic), _type_of(found)
-
-
-def service_of(found: Discovered, half: str) -> tuple[str | None, str]:
-    """Return the service of an endpoint that is ``half`` (Request, Reply) of one."""
-    service = names.service_from_dds(found.topic)
-    return _service_of(found) if service is not None and service[1] == half else (None, '')
-
-
 def _service_of(found: Discovered) -> tuple[str | None, str]:
     service = names.service_from_dds(found.topic)
     return service[0] if service else None, re.sub('_(Request|Response)$', '', _type_of(found))
@@ -235,11 +193,6 @@ def _service_of(found: Discovered) -> tuple[str | None, str]:
 
 def _type_of(found: Discovered) -> str:
     return names.type_from_dds(found.type)
-
-
-def _hash(user_data: str) -> TypeHash:
-    found = re.fullmatch(r'RIHS(\d\d)_([0-9a-f]{64})', user_value(user_data, 'typehash'))
-    return TypeHash(int(found[1]), bytes.fromhex(found[2])) if found else TypeHash(-1, bytes(32))
 
 
 def _gid(gid: bytes) -> Any:

@@ -55,24 +55,6 @@ def message_to_yaml(
     )
 
 
-def message_to_csv(
-    msg: Message, *, truncate_length: int | None = None, no_arr: bool = False, no_str: bool = False
-) -> str:
-    """Return a message's values with commas between them."""
-
-    def leaves(value: Any) -> list[str]:
-        if isinstance(value, Mapping):
-            return [leaf for item in value.values() for leaf in leaves(item)]
-        if isinstance(value, list):
-            return [leaf for item in value for leaf in leaves(item)]
-        return [str(value)]
-
-    tree = message_to_ordereddict(
-        msg, truncate_length=truncate_length, no_arr=no_arr, no_str=no_str
-    )
-    return ','.join(leaves(tree))
-
-
 def set_message_fields(
     msg: Message,
     values: Mapping[str, Any],

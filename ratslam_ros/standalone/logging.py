@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 import threading
 import time
@@ -42,7 +41,6 @@ _default = LoggingSeverity.INFO
 _to_stderr = True
 _publishers: dict[str, Callable[[Record], None]] = {}
 _seen: dict[tuple[str, int, str], tuple[int, int]] = {}
-_FORMAT = '[{severity}] [{time}] [{name}]: {message}'
 
 
 class RcutilsLogger:
@@ -215,18 +213,7 @@ def _publisher(name: str) -> Callable[[Record], None] | None:
 
 def _print(record: Record) -> None:
     sec, nanosec = divmod(record.stamp_ns, 1_000_000_000)
-    line = os.environ.get('RCUTILS_CONSOLE_OUTPUT_FORMAT', _FORMAT)
-    for key, value in {
-        'severity': record.level.name,
-        'time': f'{sec}.{nanosec:09d}',
-        'time_as_nanoseconds': record.stamp_ns,
-        'name': record.name,
-        'function_name': record.function,
-        'file_name': record.file,
-        'line_number': record.line,
-        'message': record.text,
-    }.items():
-        line = line.replace(f'{{{key}}}', str(value))
+    line = f'[{record.level.name}] [{sec}.{nanosec:09d}] [{record.name}]: {record.text}'
     try:
         sys.stderr.write(line + '\n')
         sys.stderr.flush()

@@ -16,19 +16,18 @@ from ratslam_ros.standalone import types
 
 HERE = 'ratslam_ros.standalone'
 _EXECUTORS = (
-    'Executor', 'ExternalShutdownException', 'MultiThreadedExecutor', 'ShutdownException',
-    'SingleThreadedExecutor', 'TimeoutException',
+    'Executor', 'ExternalShutdownException', 'MultiThreadedExecutor',
+    'SingleThreadedExecutor',
 )  # fmt: skip
 _SIGNALS = (
-    'SignalHandlerOptions', 'get_current_signal_handlers_options', 'install_signal_handlers',
-    'uninstall_signal_handlers',
+    'SignalHandlerOptions', 'install_signal_handlers', 'uninstall_signal_handlers',
 )  # fmt: skip
 
 OFFERED: dict[str, dict[str, Sequence[str]]] = {
     'rclpy': {
         'api': (
-            'create_node', 'get_global_executor', 'get_rmw_implementation_identifier', 'init',
-            'ok', 'shutdown', 'spin', 'spin_once', 'spin_until_future_complete', 'try_shutdown',
+            'create_node', 'get_global_executor', 'init', 'ok',
+            'shutdown', 'spin', 'spin_once', 'spin_until_future_complete', 'try_shutdown',
         ),
         'context': ('Context', 'get_default_context', 'SignalHandlerOptions'),
         'node': ('Node',),
@@ -38,7 +37,6 @@ OFFERED: dict[str, dict[str, Sequence[str]]] = {
         'exceptions': (
             'InvalidHandle', 'RCLError', 'RCLInvalidROSArgsError', 'UnknownROSArgsError',
         ),
-        'node': ('NodeNameNonExistentError',),
     },
     'rclpy.callback_groups': {
         'endpoints': ('CallbackGroup', 'MutuallyExclusiveCallbackGroup', 'ReentrantCallbackGroup'),
@@ -57,7 +55,6 @@ OFFERED: dict[str, dict[str, Sequence[str]]] = {
     'rclpy.event_handler': {'events': ()},
     'rclpy.exceptions': {'exceptions': ()},
     'rclpy.executors': {'executors': _EXECUTORS},
-    'rclpy.guard_condition': {'endpoints': ('GuardCondition',)},
     'rclpy.logging': {
         'logging': (
             'LoggingSeverity', 'get_logger', 'get_logger_effective_level', 'get_logger_level',
@@ -65,13 +62,12 @@ OFFERED: dict[str, dict[str, Sequence[str]]] = {
         ),
     },
     'rclpy.node': {
-        'node': ('Node', 'NodeNameNonExistentError'),
+        'node': ('Node',),
         'parameters': ('Parameter',),
     },
     'rclpy.parameter': {'parameters': ('Parameter', 'parameter_value_to_python')},
     'rclpy.publisher': {'endpoints': ('Publisher',)},
     'rclpy.qos': {'qos': ()},
-    'rclpy.qos_event': {'events': ()},
     'rclpy.serialization': {'api': ('deserialize_message', 'serialize_message')},
     'rclpy.service': {'endpoints': ('Service',)},
     'rclpy.signals': {'context': _SIGNALS},
@@ -80,19 +76,18 @@ OFFERED: dict[str, dict[str, Sequence[str]]] = {
     'rclpy.time': {'clock': ('Time',)},
     'rclpy.timer': {'endpoints': ('Timer',)},
     'rclpy.topic_endpoint_info': {'graph': ('TopicEndpointInfo', 'TopicEndpointTypeEnum')},
-    'rclpy.type_hash': {'graph': ('TypeHash',)},
     'rclpy.utilities': {
-        'api': ('get_rmw_implementation_identifier', 'ok', 'remove_ros_args', 'shutdown',
+        'api': ('ok', 'remove_ros_args', 'shutdown',
                 'try_shutdown'),
         'context': ('get_default_context',),
     },
     'rosidl_runtime_py': {
         'introspection': (
-            'message_to_csv', 'message_to_ordereddict', 'message_to_yaml', 'set_message_fields',
+            'message_to_ordereddict', 'message_to_yaml', 'set_message_fields',
         ),
     },
     'rosidl_runtime_py.convert': {
-        'introspection': ('message_to_csv', 'message_to_ordereddict', 'message_to_yaml'),
+        'introspection': ('message_to_ordereddict', 'message_to_yaml'),
     },
     'rosidl_runtime_py.set_message': {'introspection': ('set_message_fields',)},
     'rosidl_runtime_py.utilities': {'api': ('get_message', 'get_service')},
@@ -147,6 +142,8 @@ class _Module(ModuleType):
 
     def __getattr__(self, name: str) -> Any:
         package, _, kind = self.__name__.partition('.')
+        if f'{self.__name__}.{name}' in OFFERED:
+            return import_module(f'{self.__name__}.{name}')
         if not name.startswith('__') and package in types.packages():
             make = types.service_class if kind == 'srv' else types.message_class
             if kind and name in types.names_in(package, kind):

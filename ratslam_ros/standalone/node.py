@@ -7,15 +7,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
-from ratslam_ros.standalone import graph, logging, names
-from ratslam_ros.standalone.arguments import Names, overrides, parse
+from ratslam_ros.standalone import logging
+from ratslam_ros.standalone.arguments import Arguments, Names, overrides, parse
 from ratslam_ros.standalone.clock import Clock, ROSClock, Time
 from ratslam_ros.standalone.context import Context, get_default_context
 from ratslam_ros.standalone.dds import EndpointQos
 from ratslam_ros.standalone.endpoints import (
     CallbackGroup,
     Client,
-    GuardCondition,
+    NodePart,
     Publisher,
     Service,
     Subscription,
@@ -23,7 +23,7 @@ from ratslam_ros.standalone.endpoints import (
     callable_with,
 )
 from ratslam_ros.standalone.exceptions import NotInitializedException
-from ratslam_ros.standalone.graph import NamesAndTypes, NodeName, TopicEndpointInfo
+from ratslam_ros.standalone.graph import NamesAndTypes, TopicEndpointInfo
 from ratslam_ros.standalone.handle import NodeHandle
 from ratslam_ros.standalone.parameters import Parameter, Parameters, offer_services
 from ratslam_ros.standalone.qos import (
@@ -41,10 +41,6 @@ _ROSOUT = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _ROSOUT_DDS = EndpointQos(1000, True, True, lifespan_ns=10_000_000_000)
 _CLOCK = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 USE_SIM_TIME = 'use_sim_time'
-
-
-class NodeNameNonExistentError(RuntimeError):
-    """There is no node of that name."""
 
 
 class Node:
@@ -75,27 +71,43 @@ class Node:
         self.__handle = NodeHandle(context, Names(node_name, namespace or '/', [*own, *given]))
         self.__clock = ROSClock()
         self.__clock_subscription: Subscription | None = None
+        try:
+            self.__prepare(
+                {parameter.name: parameter.value for parameter in parameter_overrides or ()},
+                [*given, *own],
+                allow_undeclared_parameters,
+                automatically_declare_parameters_from_overrides,
+            )
+            if start_parameter_services:
+                offer_services(self, self.__parameters, qos_profile_parameters)
+            if enable_rosout and context.arguments.to_rosout:
+                self.__publish_logs()
+        except BaseException:
+            self.__handle.close()  # a node that cannot be made leaves nothing behind
+            raise
+
+    def __prepare(
+        self,
+        parameters: dict[str, Any],
+        arguments: Sequence[Arguments],
+        allow_undeclared: bool,
+        declare_all: bool,
+    ) -> None:
+        """Set up parameters and time; ``parameters`` count more than those of ``arguments``."""
         self.__events = self.create_publisher(
             message_class('rcl_interfaces/msg/ParameterEvent'),
             '/parameter_events',
             qos_profile_parameter_events,
         )
         full_name = self.get_fully_qualified_name()
-        values = overrides(full_name, [*given, *own])
-        values |= {parameter.name: parameter.value for parameter in parameter_overrides or ()}
-        self.__parameters = Parameters(
-            full_name, values, allow_undeclared_parameters, self.__tell_change
-        )
-        if automatically_declare_parameters_from_overrides:
+        values = overrides(full_name, arguments) | parameters
+        self.__parameters = Parameters(full_name, values, allow_undeclared, self.__tell_change)
+        if declare_all:
             self.declare_parameters('', [(n, v) for n, v in values.items()], ignore_override=True)
         if not self.has_parameter(USE_SIM_TIME):
             self.declare_parameter(USE_SIM_TIME, False)
         self.__follow_clock(self.get_parameter(USE_SIM_TIME).value)
         self.add_on_set_parameters_callback(self.__on_use_sim_time)
-        if start_parameter_services:
-            offer_services(self, self.__parameters, qos_profile_parameters)
-        if enable_rosout and context.arguments.to_rosout:
-            self.__publish_logs()
 
     # What it is
 
@@ -267,13 +279,6 @@ class Node:
             Timer(self.__handle, callback, period_ns, clock, callback_group, autostart)
         )
 
-    def create_guard_condition(
-        self, callback: Callable[[], Any], callback_group: CallbackGroup | None = None
-    ) -> GuardCondition:
-        """Let other threads have something called in the one that spins."""
-        callable_with(callback, 0)
-        return self.__handle.add(GuardCondition(self.__handle, callback, callback_group))
-
     @property
     def publishers(self) -> Iterator[Publisher]:
         """Its publishers."""
@@ -299,46 +304,18 @@ class Node:
         """Its timers."""
         return self.__handle.parts(Timer)
 
-    @property
-    def guards(self) -> Iterator[GuardCondition]:
-        """Its guard conditions."""
-        return self.__handle.parts(GuardCondition)
+    def destroy_publisher(self, part: NodePart) -> bool:
+        """Take back a publisher, or another part; return whether it was there."""
+        return self.__handle.discard(part)
 
-    def destroy_publisher(self, publisher: Publisher) -> bool:
-        """Take back a publisher; return whether it was there."""
-        return self.__handle.discard(publisher)
-
-    def destroy_subscription(self, subscription: Subscription) -> bool:
-        """Take back a subscription; return whether it was there."""
-        return self.__handle.discard(subscription)
-
-    def destroy_service(self, service: Service) -> bool:
-        """Take back a service; return whether it was there."""
-        return self.__handle.discard(service)
-
-    def destroy_client(self, client: Client) -> bool:
-        """Take back a client; return whether it was there."""
-        return self.__handle.discard(client)
-
-    def destroy_timer(self, timer: Timer) -> bool:
-        """Take back a timer; return whether it was there."""
-        return self.__handle.discard(timer)
-
-    def destroy_guard_condition(self, guard: GuardCondition) -> bool:
-        """Take back a guard condition; return whether it was there."""
-        return self.__handle.discard(guard)
+    destroy_subscription = destroy_service = destroy_client = destroy_publisher
+    destroy_timer = destroy_publisher
 
     def destroy_node(self) -> None:
         """Take back everything, and the node itself; a second time does nothing."""
         if self.executor is not None:
             self.executor.remove_node(self)
         self.__handle.close()
-
-    def __enter__(self) -> Node:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.destroy_node()
 
     # Logs and time
 
@@ -397,11 +374,7 @@ class Node:
     # Parameters
 
     def declare_parameter(
-        self,
-        name: str,
-        value: Any = None,
-        descriptor: Any = None,
-        ignore_override: bool = False,
+        self, name: str, value: Any = None, descriptor: Any = None, ignore_override: bool = False
     ) -> Parameter:
         """Declare a parameter with its default (or type); return it with the value it has.
 
@@ -437,14 +410,6 @@ class Node:
         """Return a parameter, or another one where it has no value."""
         return self.__parameters.get_or(name, alternative_value)
 
-    def get_parameter_type(self, name: str) -> Any:
-        """Return the number of a parameter's type; raises ParameterNotDeclaredException."""
-        return self.__parameters.get(name).type_.value
-
-    def get_parameter_types(self, names: Sequence[str]) -> list[Any]:
-        """Return the numbers of parameters' types; raises ParameterNotDeclaredException."""
-        return [self.get_parameter_type(name) for name in names]
-
     def get_parameters_by_prefix(self, prefix: str) -> dict[str, Parameter]:
         """Return the parameters whose names begin so, by the rest of their names."""
         return self.__parameters.by_prefix(prefix)
@@ -469,10 +434,6 @@ class Node:
         """Return parameters' descriptors; raises ParameterNotDeclaredException."""
         return [self.__parameters.describe(name) for name in names]
 
-    def add_pre_set_parameters_callback(self, callback: Callable[..., Any]) -> None:
-        """Let a function change what is to be set."""
-        self.__parameters.pre_callbacks.insert(0, callback)
-
     def add_on_set_parameters_callback(self, callback: Callable[..., Any]) -> None:
         """Let a function refuse what is to be set; the newest one is asked first."""
         self.__parameters.callbacks.insert(0, callback)
@@ -480,10 +441,6 @@ class Node:
     def add_post_set_parameters_callback(self, callback: Callable[..., Any]) -> None:
         """Tell a function of what was set."""
         self.__parameters.post_callbacks.insert(0, callback)
-
-    def remove_pre_set_parameters_callback(self, callback: Callable[..., Any]) -> None:
-        """Undo ``add_pre_set_parameters_callback``."""
-        self.__parameters.pre_callbacks.remove(callback)
 
     def remove_on_set_parameters_callback(self, callback: Callable[..., Any]) -> None:
         """Undo ``add_on_set_parameters_callback``."""
@@ -504,12 +461,6 @@ class Node:
         """Return the names of all nodes."""
         return [node.name for node in self.__handle.context.graph.nodes()]
 
-    def get_fully_qualified_node_names(self) -> list[str]:
-        """Return the full names of all nodes."""
-        return [
-            names.join(node.namespace, node.name) for node in self.__handle.context.graph.nodes()
-        ]
-
     def get_node_names_and_namespaces(self) -> list[tuple[str, str]]:
         """Return the names and namespaces of all nodes."""
         return [(name, namespace) for name, namespace in self.__handle.context.graph.nodes()]
@@ -522,34 +473,6 @@ class Node:
         """Return all services and their types."""
         return self.__handle.context.graph.services()
 
-    def get_publisher_names_and_types_by_node(
-        self, node_name: str, node_namespace: str, no_demangle: bool = False
-    ) -> NamesAndTypes:
-        """Return what a node publishes."""
-        return self.__by_node(node_name, node_namespace, 'writer', graph.topic_of)
-
-    def get_subscriber_names_and_types_by_node(
-        self, node_name: str, node_namespace: str, no_demangle: bool = False
-    ) -> NamesAndTypes:
-        """Return what a node subscribes to."""
-        return self.__by_node(node_name, node_namespace, 'reader', graph.topic_of)
-
-    def get_service_names_and_types_by_node(
-        self, node_name: str, node_namespace: str
-    ) -> NamesAndTypes:
-        """Return what services a node offers."""
-        return self.__by_node(
-            node_name, node_namespace, 'reader', lambda found: graph.service_of(found, 'Request')
-        )
-
-    def get_client_names_and_types_by_node(
-        self, node_name: str, node_namespace: str
-    ) -> NamesAndTypes:
-        """Return what services a node may call."""
-        return self.__by_node(
-            node_name, node_namespace, 'reader', lambda found: graph.service_of(found, 'Reply')
-        )
-
     def count_publishers(self, topic_name: str) -> int:
         """Return how many publishers a topic has."""
         return self.__handle.context.graph.count(
@@ -561,16 +484,6 @@ class Node:
         return self.__handle.context.graph.count(
             f'rt{self.resolve_topic_name(topic_name)}', 'reader'
         )
-
-    def count_services(self, service_name: str) -> int:
-        """Return how many nodes offer a service."""
-        name = self.resolve_service_name(service_name)
-        return self.__handle.context.graph.count(f'rq{name}Request', 'reader')
-
-    def count_clients(self, service_name: str) -> int:
-        """Return how many nodes may call a service."""
-        name = self.resolve_service_name(service_name)
-        return self.__handle.context.graph.count(f'rr{name}Reply', 'reader')
 
     def get_publishers_info_by_topic(
         self, topic_name: str, no_mangle: bool = False
@@ -587,14 +500,6 @@ class Node:
     def __endpoints(self, topic: str, no_mangle: bool, kind: str) -> list[TopicEndpointInfo]:
         name = topic if no_mangle else f'rt{self.resolve_topic_name(topic)}'
         return self.__handle.context.graph.endpoints(name, kind)
-
-    def __by_node(self, name: str, namespace: str, kind: str, name_of: Any) -> NamesAndTypes:
-        found = self.__handle.context.graph.of_node(NodeName(name, namespace), kind, name_of)
-        if found is None:
-            raise NodeNameNonExistentError(
-                f"cannot get names and types for nonexistent node: '{name}' in '{namespace}'"
-            )
-        return found
 
 
 def _without_start(args: Sequence[str]) -> list[str]:

@@ -157,17 +157,13 @@ class Parameters:
         self._values: dict[str, Parameter] = {}
         self._descriptors: dict[str, Any] = {}
         self._lock = threading.RLock()
-        self.pre_callbacks: list[Callable[[list[Parameter]], list[Parameter]]] = []
         self.callbacks: list[Callable[[list[Parameter]], Any]] = []
         self.post_callbacks: list[Callable[[list[Parameter]], None]] = []
 
     # Declaring
 
     def declare(
-        self,
-        namespace: str,
-        parameters: Iterable[Sequence[Any]],
-        ignore_override: bool = False,
+        self, namespace: str, parameters: Iterable[Sequence[Any]], ignore_override: bool = False
     ) -> list[Parameter]:
         """Declare parameters, each a name and maybe a default (or type) and a descriptor.
 
@@ -308,10 +304,6 @@ class Parameters:
         Raises:
             ParameterNotDeclaredException: one is unknown, and must not be.
         """
-        for callback in self.pre_callbacks:
-            parameters = callback(list(parameters))
-        if self.pre_callbacks and not parameters:
-            return _message('SetParametersResult', reason='parameter list cannot be empty')
         unknown = [parameter.name for parameter in parameters if not self.has(parameter.name)]
         if unknown and not self._allow_undeclared:
             raise ParameterNotDeclaredException(unknown)

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from enum import Enum, IntEnum
-from typing import Any, NamedTuple
 
 from ratslam_ros.standalone.clock import Duration
 from ratslam_ros.standalone.dds import EndpointQos
@@ -52,26 +51,7 @@ def qos_policy_name_from_kind(policy_kind: int) -> str:
     return QoSPolicyKind(policy_kind).name
 
 
-class _Policy(IntEnum):
-    """A policy, with names for command lines."""
-
-    @classmethod
-    def short_keys(cls) -> list[str]:
-        """Return all names in lower case."""
-        return [name.lower() for name in cls.__members__]
-
-    @classmethod
-    def get_from_short_key(cls, name: str) -> int:
-        """Return the value that a name stands for, in any case."""
-        return cls[name.upper()].value
-
-    @property
-    def short_key(self) -> str:
-        """The name in lower case."""
-        return self.name.lower()
-
-
-class HistoryPolicy(_Policy):
+class HistoryPolicy(IntEnum):
     """How many messages are kept."""
 
     SYSTEM_DEFAULT = 0
@@ -80,7 +60,7 @@ class HistoryPolicy(_Policy):
     UNKNOWN = 3
 
 
-class ReliabilityPolicy(_Policy):
+class ReliabilityPolicy(IntEnum):
     """Whether lost messages are sent again."""
 
     SYSTEM_DEFAULT = 0
@@ -90,7 +70,7 @@ class ReliabilityPolicy(_Policy):
     BEST_AVAILABLE = 4
 
 
-class DurabilityPolicy(_Policy):
+class DurabilityPolicy(IntEnum):
     """Whether who comes late gets earlier messages."""
 
     SYSTEM_DEFAULT = 0
@@ -100,7 +80,7 @@ class DurabilityPolicy(_Policy):
     BEST_AVAILABLE = 4
 
 
-class LivelinessPolicy(_Policy):
+class LivelinessPolicy(IntEnum):
     """Who says that a publisher is alive."""
 
     SYSTEM_DEFAULT = 0
@@ -197,44 +177,6 @@ class QoSPresetProfiles(Enum):
     PARAMETERS = qos_profile_parameters
     PARAMETER_EVENTS = qos_profile_parameter_events
 
-    @classmethod
-    def short_keys(cls) -> list[str]:
-        """Return all names in lower case."""
-        return [name.lower() for name in cls.__members__]
-
-    @classmethod
-    def get_from_short_key(cls, name: str) -> QoSProfile:
-        """Return the profile that a name stands for, in any case."""
-        return cls[name.upper()].value
-
-
-class QoSCompatibility(IntEnum):
-    """Whether two endpoints can talk."""
-
-    OK = 0
-    WARNING = 1
-    ERROR = 2
-
-
-class _Compatible(NamedTuple):
-    compatibility: QoSCompatibility
-    reason: str
-
-
-def qos_check_compatible(
-    publisher_qos: QoSProfile, subscription_qos: QoSProfile
-) -> tuple[QoSCompatibility, str]:
-    """Return whether a subscription gets what a publisher sends, and if not why."""
-    offered, wanted = to_dds(publisher_qos), to_dds(subscription_qos)
-    reasons = []
-    if wanted.reliable and not offered.reliable:
-        reasons.append('ERROR: Best effort publisher and reliable subscription;')
-    if wanted.transient_local and not offered.transient_local:
-        reasons.append('ERROR: Volatile publisher and transient local subscription;')
-    return _Compatible(
-        QoSCompatibility.ERROR if reasons else QoSCompatibility.OK, ''.join(reasons)
-    )
-
 
 def to_profile(qos: QoSProfile | int) -> QoSProfile:
     """Return the profile that a depth stands for."""
@@ -284,9 +226,3 @@ def from_dds(qos: EndpointQos) -> QoSProfile:
         liveliness=LivelinessPolicy.AUTOMATIC,
         liveliness_lease_duration=_FOREVER,
     )
-
-
-def __getattr__(name: str) -> Any:
-    if name in ('qos_profile_best_available', 'qos_profile_action_status_default'):
-        raise NotImplementedError(f'the stand-in for rclpy does not offer {name}')
-    raise AttributeError(name)

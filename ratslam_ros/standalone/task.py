@@ -80,9 +80,3 @@ class Future:
                 callback(self)
             except Exception:
                 traceback.print_exc(file=sys.stderr)
-
-
-def __getattr__(name: str) -> Any:
-    if name == 'Task':
-        raise NotImplementedError('the stand-in for rclpy does not offer tasks')
-    raise AttributeError(name)

@@ -4,11 +4,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import signal
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from helpers import live_environment
 from processes import Commands
+
+from ratslam_ros.cli import main
 
 
 @pytest.fixture(scope='session')
@@ -28,3 +32,20 @@ def commands(ros: None, tmp_path: Path) -> Iterator[Commands]:
     running = Commands(tmp_path)
     yield running
     running.close()
+
+
+@pytest.fixture
+def here(
+    ros: None, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> Iterator[Callable[..., tuple[int, str, str]]]:
+    """Run a command in this process; return its exit code, output and errors."""
+    for name, value in live_environment().items():
+        monkeypatch.setenv(name, value)
+    before = signal.getsignal(signal.SIGTERM)
+
+    def run(*words: str) -> tuple[int, str, str]:
+        code = main(words)
+        return code, *capfd.readouterr()
+
+    yield run
+    signal.signal(signal.SIGTERM, before)

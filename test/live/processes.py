@@ -22,7 +22,8 @@ class Commands:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._running: list[subprocess.Popen[str]] = []
-        self.environment = {**os.environ, **live_environment(), 'PYTHONPATH': str(ROOT)}
+        path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get('PYTHONPATH')])])
+        self.environment = {**os.environ, **live_environment(), 'PYTHONPATH': path}
 
     def start(self, *words: str) -> subprocess.Popen[str]:
         """Start a command; its output is read with ``communicate``."""

@@ -116,6 +116,12 @@ def test_an_interrupt_ends_all_and_is_no_failure(tmp_path: Path, capfd) -> None:
     assert capfd.readouterr() == ('', '')
 
 
+def test_one_that_was_interrupted_while_starting_is_no_failure(tmp_path: Path) -> None:
+    a = tmp_path / 'a'
+    with interrupts(a):
+        assert supervise({'a': child(a, 'signal.signal(signal.SIGINT, signal.SIG_DFL)')}) == 0
+
+
 def test_a_second_interrupt_kills(tmp_path: Path, capfd) -> None:
     a, b = tmp_path / 'a', tmp_path / 'b'
     with interrupts(a, b, times=2):

@@ -90,12 +90,18 @@ def test_a_node_without_ros_says_what_to_use(node: str, monkeypatch, capfd) -> N
     assert f'"ratslam run {node}"' in err and err.count('\n') == 1
 
 
-def test_without_rclpy_and_cyclonedds_one_line_says_so() -> None:
+@pytest.mark.parametrize(
+    'words',
+    [['run', 'pose_cells'], ['launch'], ['echo', 'x'], ['call', 'x', 'std_srvs/srv/Trigger']],
+    ids=lambda words: words[0],
+)
+def test_without_rclpy_and_cyclonedds_one_line_says_so(words: list[str]) -> None:
     run = python(
-        'import sys\n'
+        'import importlib.util, sys\n'
         'sys.modules["rclpy"] = sys.modules["cyclonedds"] = None\n'
+        'importlib.util.find_spec = lambda name: None\n'
         'from ratslam_ros.cli import main\n'
-        'sys.exit(main(["run", "pose_cells"]))\n'
+        f'sys.exit(main({words}))\n'
     )
     assert run.returncode == 2, run.stderr
     assert run.stderr.count('\n') == 1 and 'cyclonedds' in run.stderr

@@ -249,3 +249,11 @@ def test_other_nodes_see_and_set_them(ros) -> None:
 def test_a_node_may_go_without_services(ros) -> None:
     node = ros.node('quiet', start_parameter_services=False, enable_rosout=False)
     assert not [service for service in node.services if 'parameter' in service.srv_name]
+
+
+def test_a_node_that_cannot_be_made_leaves_nothing_behind(make_ros) -> None:
+    ros = make_ros('--ros-args', '-p', 'use_sim_time:=perhaps')
+    with pytest.raises(Exception, match='use_sim_time'):
+        ros.node('wrong')
+    watcher = ros.node('watcher', use_global_arguments=False)
+    ros.until(lambda: watcher.get_node_names() == ['watcher'])

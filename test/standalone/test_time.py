@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Timers, clocks, and time that somebody else makes."""
 
-import threading
 import time
 
 import pytest
@@ -174,13 +173,3 @@ def test_thresholds_that_say_nothing_are_refused() -> None:
         JumpThreshold(min_forward=None, min_backward=Duration(seconds=1))
     with pytest.raises(ValueError):
         JumpThreshold(min_forward=None, min_backward=None, on_clock_change=False)
-
-
-def test_another_thread_can_wake_the_one_that_spins(ros) -> None:
-    node, called = ros.node(), []
-    guard = node.create_guard_condition(lambda: called.append(threading.current_thread()))
-    thread = threading.Thread(target=guard.trigger)
-    thread.start()
-    ros.until(lambda: called)
-    thread.join()
-    assert called == [threading.current_thread()]
