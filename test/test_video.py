@@ -3,7 +3,6 @@
 """The video: what is composed, what is written, what is refused."""
 
 import math
-import time
 
 import cv2
 import numpy as np
@@ -131,12 +130,3 @@ def test_sizes_and_rates_out_of_range_are_refused(tmp_path):
     for fps in (0.0, -1.0, math.nan, math.inf):
         with pytest.raises(UnusableParameter, match='frame rate'):
             MapVideo(tmp_path / 'run.mp4', fps)
-
-
-def test_a_frame_takes_little_time():
-    known, cells = places(2000), one_cell(36, 40, 100, (9, 5, 10))
-    compose((1280, 720), CAMERA, VIEW, cells, known, (0.0, 0.0, 0.0))
-    start = time.process_time()
-    for _ in range(10):
-        compose((1280, 720), CAMERA, VIEW, cells, known, (0.0, 0.0, 0.0))
-    assert (time.process_time() - start) / 10 < 0.05

@@ -46,6 +46,7 @@ _NO_FIELDS = 'structure_needs_at_least_one_member'
 _WIRE = '_wire_'
 _HELD = '_held_'
 _HEADER = 4
+_PADDED = 4
 
 
 class Field(NamedTuple):
@@ -419,7 +420,7 @@ def encode(message: Message, room: int = 0) -> bytearray:
         _checkers[name](message)
         codec = _codec().get_msgdef(name)
         size = codec.getsize_cdr(0, message, _codec())
-        out = bytearray((_HEADER + room + size + 3) & ~3)
+        out = bytearray(-(-(_HEADER + room + size) // _PADDED) * _PADDED)
         out[1] = 1  # little-endian
         codec.serialize_cdr_le(memoryview(out)[_HEADER + room :], 0, message, _codec())
     except (AttributeError, ValueError, SerdeError, struct.error) as error:
@@ -441,10 +442,13 @@ def decode(data: bytes | memoryview, kind: type[Message], room: int = 0) -> Any:
     if len(view) < _HEADER + room or view[0] != 0 or view[1] > 1:
         raise ValueError(f'{name}: unknown encoding {bytes(view[:_HEADER]).hex()}')
     read = codec.deserialize_cdr_le if view[1] else codec.deserialize_cdr_be
+    body = view[_HEADER + room :]
     try:
-        message, _ = read(view[_HEADER + room :], 0, codec.cls, _codec())
+        message, end = read(body, 0, codec.cls, _codec())
     except (SerdeError, ValueError, struct.error) as error:
         raise ValueError(f'{name} cannot be deserialised: {error}') from error
+    if not 0 <= len(body) - end < _PADDED:
+        raise ValueError(f'{name} cannot be deserialised: {end} bytes of {len(body)} are used')
     return message
 
 

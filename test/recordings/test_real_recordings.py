@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recordings that this project did not make; skipped where they are not there."""
 
-import time
 
 import pytest
 
@@ -13,9 +12,7 @@ from ratslam_ros.recordings import ImageEvent, OdometryEvent, describe, open_rec
 def test_rc_car_loops(data):
     with open_recording(data / 'rc_car_loops') as recording:
         selection = recording.select()
-        begin = time.process_time()
         events = list(recording.events(selection))
-        assert time.process_time() - begin < 2.0  # 0.15 s; the bound is for slow machines
         assert sum(isinstance(event, ImageEvent) for event in events) == 1964
         assert sum(isinstance(event, OdometryEvent) for event in events) == 1964
         assert events[1].grey().shape == (120, 160)
