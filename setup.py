@@ -64,7 +64,7 @@ setup(
         'numpy>=1.26',
         'opencv-python-headless>=4.8',
         'pyyaml>=6.0.1',
-        'rosbags>=0.10.11',
+        'rosbags>=0.11',
         'scipy>=1.11.4',
         'tqdm>=4.64',
         'zstandard>=0.22',

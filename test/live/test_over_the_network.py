@@ -108,7 +108,15 @@ def test_nobody_to_play_to_is_said(here, bag: Path) -> None:
 
 
 def test_lockstep_needs_somebody_to_keep_step_with(commands: Commands, here, bag: Path) -> None:
-    commands.start('echo', 'odom', 'nav_msgs/msg/Odometry')
+    commands.start_python(
+        'import rclpy\n'
+        'from nav_msgs.msg import Odometry\n'
+        'rclpy.init()\n'
+        'node = rclpy.create_node("listener")\n'
+        'node.create_subscription(Odometry, "odom", lambda message: None, 10)\n'
+        'print("ready", flush=True)\n'
+        'rclpy.spin(node)\n'
+    )
     code, _, err = here('play', str(bag), '--lockstep', '--wait', '2', '--quiet')
     assert code == 2 and '/pose_cells/action' in err.splitlines()[-1]
 
