@@ -7,6 +7,7 @@ All arguments of ratslam.launch.py are arguments of this file too.
 
 from pathlib import Path
 
+from launch import LaunchContext, LaunchDescription, LaunchDescriptionEntity
 from launch.actions import (
     DeclareLaunchArgument,
     IncludeLaunchDescription,
@@ -19,7 +20,6 @@ from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
-from launch import LaunchContext, LaunchDescription, LaunchDescriptionEntity
 from ratslam_ros.live.launch import remappings
 
 YES_OR_NO = ['true', 'false']

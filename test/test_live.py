@@ -15,12 +15,14 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Self
 
+import cv2
 import pytest
 from helpers import (
     START_NS,
     camera_info_message,
     circles,
     live_environment,
+    picture,
     write_bag,
 )
 
@@ -215,6 +217,20 @@ def test_the_camera_alone_makes_the_same_map_live_and_offline(
     live.run('play', str(calibrated), '--rate', '5', '--quiet', '--visual-odometry')
     assert live.settled_map(expected) == expected, live.logs()
     assert set(live.stop().values()) == {0}
+
+
+def test_a_folder_of_images_whose_stamps_begin_at_0_makes_the_same_map(
+    live: Live, tmp_path: Path
+) -> None:
+    folder = tmp_path / 'images'
+    folder.mkdir()
+    for n in range(60):
+        cv2.imwrite(str(folder / f'{n:03d}.png'), picture(n % 20, 24, 32))
+    expected = offline(folder, tmp_path / 'folder', SMALL)
+    assert json.loads(expected)['experiences']
+    live.start('visual_odometry', *THREE)
+    live.run('play', str(folder), '--rate', '3', '--quiet')
+    assert live.settled_map(expected) == expected, live.logs()
 
 
 def test_a_loop_starts_over_and_makes_the_same_map_again(

@@ -8,6 +8,8 @@ from ratslam_ros.core.state import State
 
 NOTHING_LEARNED = 0
 """The memory stamp of who has learned nothing yet."""
+FIRST_MEMORY = 1
+"""The least that is one: the stamps of a video begin at 0."""
 
 
 class Numbering:

@@ -12,7 +12,7 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
 from ratslam_ros.core.local_view import UNDECODABLE, LocalView, ViewMatch, make_view
-from ratslam_ros.core.numbering import NOTHING_LEARNED
+from ratslam_ros.core.numbering import FIRST_MEMORY, NOTHING_LEARNED
 from ratslam_ros.core.state import State
 from ratslam_ros.messages import encode_template
 from ratslam_ros.nodes.convert import grey_image
@@ -60,7 +60,7 @@ class LocalViewNode(ImageNode):
         with self._diagnostics.times('local_view'):
             match = self._core(image)
         if match.is_new and self._memory_ns == NOTHING_LEARNED:
-            self._memory_ns = stamp_ns
+            self._memory_ns = max(stamp_ns, FIRST_MEMORY)
         self._publish(stamp_ns, match)
         if self._matched.get_subscription_count() > 0:
             self._show(stamp_ns, image, frame_id, match)

@@ -80,7 +80,10 @@ class NodeParameters:
             if name not in self._keys:
                 Config().with_values({key: parameter.value})  # raises where it is no alias
                 self._node.undeclare_parameter(name)
-        return _with_values(Config(), values)
+        # What sets several parameters goes first: one that is named itself counts.
+        own = set(self._keys.values())
+        ordered = dict(sorted(values.items(), key=lambda item: item[0] in own))
+        return _with_values(Config(), ordered)
 
     def _set(self, parameters: list[Parameter]) -> SetParametersResult:
         """Take new values of parameters that may change while the node runs."""

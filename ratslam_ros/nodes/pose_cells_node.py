@@ -14,7 +14,7 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
 from ratslam_ros.core.local_view import NO_TEMPLATE, ViewMatch
-from ratslam_ros.core.numbering import NOTHING_LEARNED, Numbering
+from ratslam_ros.core.numbering import FIRST_MEMORY, NOTHING_LEARNED, Numbering
 from ratslam_ros.core.odometry import MotionFromOdometry, Odometry
 from ratslam_ros.core.pose_cells import PoseCells
 from ratslam_ros.core.state import State
@@ -113,7 +113,7 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
         with self._diagnostics.times('pose_cells_view'):
             action = self._core.view(replace(template.match, template_id=number))
         if action.action == 'create' and self._memory_ns == NOTHING_LEARNED:
-            self._memory_ns = stamp_ns
+            self._memory_ns = max(stamp_ns, FIRST_MEMORY)
         payload = encode_action(stamp_ns, self._sequence, action, self._memory_ns)
         self._sequence += 1
         self._publisher.publish(String(data=payload))

@@ -196,6 +196,25 @@ def test_a_best_effort_camera_is_heard_too(world: MakeWorld) -> None:
     made.until(lambda: heard)
 
 
+def test_the_memory_of_a_video_that_begins_at_0_has_a_name(world: MakeWorld) -> None:
+    made, heard = local_view(world)
+    for n in range(3):
+        made.send('image', image(n * PERIOD_NS, n))
+    made.until(lambda: len(heard) == 3)
+    found = [decode_template(message.data) for message in heard]
+    assert [(stamp_ns, memory_ns) for stamp_ns, _, memory_ns in found] == [
+        (0, 1), (PERIOD_NS, 1), (2 * PERIOD_NS, 1),
+    ]  # fmt: skip
+
+
+def test_a_parameter_that_is_named_counts_more_than_one_that_sets_several(
+    world: MakeWorld,
+) -> None:
+    made, _ = pose_cells(world, '-p', 'pc_dim_x:=31', '-p', 'pc_dim_xy:=11')
+    p = made.nodes[0].config.pose_cells
+    assert (p.pc_dim_x, p.pc_dim_y) == (31, 11)
+
+
 def test_the_last_images_after_a_pause_are_looked_at_when_no_more_come(world: MakeWorld) -> None:
     made, heard = local_view(world, '-p', 'flush_after_s:=0.3')
     for n in range(3):
