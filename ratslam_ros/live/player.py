@@ -18,7 +18,6 @@ from typing import Any, Self
 import rclpy
 from nav_msgs.msg import Odometry
 from rclpy.duration import Duration
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import String
@@ -29,7 +28,7 @@ from ratslam_ros.live.ahead import Ahead
 from ratslam_ros.live.lockstep import Lockstep
 from ratslam_ros.live.messages import camera_info, message_of, time_message
 from ratslam_ros.live.pacing import Pacing
-from ratslam_ros.nodes.qos import INPUT, PLAYED
+from ratslam_ros.nodes.qos import CLOCK, INPUT, PLAYED
 from ratslam_ros.recordings import Event, ImageEvent, OdometryEvent, Recording, Selection
 from ratslam_ros.recordings.decode import COMPRESSED_IMAGE, ODOMETRY, RAW_IMAGE, STRING
 from ratslam_ros.recordings.selection import IMAGE_FILES, TABLE, VIDEO
@@ -62,14 +61,6 @@ POLL_S = 0.002
 PATIENCE_S = 30.0
 ACKNOWLEDGED_S = 10.0
 PROGRESS_S = 0.1
-
-CLOCK = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=1,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.VOLATILE,
-)
-"""The recording's time: only the newest says anything, and nobody may miss the last one."""
 
 
 @dataclass(frozen=True)

@@ -71,3 +71,11 @@ PLAYED = QoSProfile(
     durability=DurabilityPolicy.VOLATILE,
 )
 """A recording that is played: the player waits for slow readers in place of losing messages."""
+
+CLOCK = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.VOLATILE,
+)
+"""A recording's time: only the newest says anything, and nobody may miss the last one."""
