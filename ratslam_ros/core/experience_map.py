@@ -57,7 +57,10 @@ class ExperienceMap:
         self._labels: list[tuple[int, Place]] = []
         self._ends = np.empty((64, 2), np.int64)
         self._shapes = np.empty((64, 3), np.float64)
-        self._notes: list[tuple[float, str, int]] = []
+        self._durations_s = np.empty(64, np.float64)
+        self._notes: list[tuple[str, int]] = []
+        self.links_version = 0
+        """Grows with every change of a link; what is computed from the links holds until then."""
         self._row: dict[tuple[int, int], int] = {}
         self.current_id = NO_EXPERIENCE
         self.offset = Pose(0.0, 0.0, 0.0)
@@ -76,6 +79,16 @@ class ExperienceMap:
     def link_count(self) -> int:
         """Number of links."""
         return len(self._notes)
+
+    @property
+    def link_ends(self) -> NDArray[np.int64]:
+        """(links, 2) source and target of every link; a view, not to be changed or kept."""
+        return self._ends[: len(self._notes)]
+
+    @property
+    def link_durations_s(self) -> NDArray[np.float64]:
+        """(links,) duration of every link; a view, not to be changed or kept."""
+        return self._durations_s[: len(self._notes)]
 
     @property
     def poses(self) -> NDArray[np.float64]:
@@ -107,7 +120,8 @@ class ExperienceMap:
         for row, note in enumerate(self._notes):
             source, target = self._ends[row].tolist()
             distance, heading, facing = self._shapes[row].tolist()
-            links.append(Link(source, target, distance, heading, facing, *note))
+            duration = float(self._durations_s[row])
+            links.append(Link(source, target, distance, heading, facing, duration, *note))
         return links
 
     def state(self) -> State:
@@ -118,7 +132,10 @@ class ExperienceMap:
             'labels': [[template, *place] for template, place in self._labels],
             'ends': self._ends[:links].copy(),
             'shapes': self._shapes[:links].copy(),
-            'notes': [list(note) for note in self._notes],
+            'notes': [
+                [duration, *note]
+                for duration, note in zip(self.link_durations_s.tolist(), self._notes, strict=True)
+            ],
             'current': self.current_id,
             'offset': list(self.offset),
             'duration_s': self._duration_s,
@@ -130,7 +147,9 @@ class ExperienceMap:
         self._labels = [(t, Place(x, y, theta)) for t, x, y, theta in state['labels']]
         self._ends = _with_room(state['ends'])
         self._shapes = _with_room(state['shapes'])
-        self._notes = [(duration, name, count) for duration, name, count in state['notes']]
+        self._durations_s = _with_room(np.array([duration for duration, *_ in state['notes']]))
+        self._notes = [(name, count) for _, name, count in state['notes']]
+        self.links_version += 1
         self._row = {(i, j): row for row, (i, j) in enumerate(state['ends'].tolist())}
         self.current_id = state['current']
         self.offset = Pose(*state['offset'])
@@ -179,15 +198,18 @@ class ExperienceMap:
         heading = math.atan2(self.offset.y_m, self.offset.x_m)
         facing = wrap(self.offset.heading_rad - turned)
         row = self._row.get((source, target))
+        self.links_version += 1
         if row is None:
             row = len(self._notes)
             if row == len(self._ends):
                 self._ends = np.concatenate([self._ends, np.empty_like(self._ends)])
                 self._shapes = np.concatenate([self._shapes, np.empty_like(self._shapes)])
+                self._durations_s = np.concatenate([self._durations_s, self._durations_s])
             self._row[source, target] = row
             self._ends[row] = source, target
             self._shapes[row] = distance, heading, facing
-            self._notes.append((self._duration_s, behaviour, 1))
+            self._durations_s[row] = self._duration_s
+            self._notes.append((behaviour, 1))
             return
         old_distance, old_heading, old_facing = self._shapes[row].tolist()
         self._shapes[row] = (
@@ -195,8 +217,9 @@ class ExperienceMap:
             wrap(old_heading + 0.5 * wrap(heading - old_heading)),
             wrap(old_facing + 0.5 * wrap(facing - old_facing)),
         )
-        duration, known, count = self._notes[row]
-        self._notes[row] = (0.5 * (duration + self._duration_s), behaviour or known, count + 1)
+        self._durations_s[row] = 0.5 * (self._durations_s[row] + self._duration_s)
+        known, count = self._notes[row]
+        self._notes[row] = (behaviour or known, count + 1)
 
     def _relax(self) -> None:
         if self._notes and self.mapping:
@@ -218,7 +241,7 @@ def composed(base: Pose, offset: Pose) -> Pose:
 
 def _with_room(rows: NDArray[Any]) -> NDArray[Any]:
     """Return an array of at least 64 rows that begins with the given ones."""
-    room = np.empty((max(64, len(rows)), rows.shape[1]), rows.dtype)
+    room = np.empty((max(64, len(rows)), *rows.shape[1:]), rows.dtype)
     room[: len(rows)] = rows
     return room
 
