@@ -291,6 +291,11 @@ class LocalViewParameters(ImageInput, Memory):
     vt_panoramic: bool = parameter(
         False, '', 0, 1, 'The camera sees the full circle: compare at every turn of the view.',
         'the camera is panoramic', 'the camera looks forward')  # fmt: skip
+    vt_exact_error: bool = parameter(
+        True, '', 0, 1, 'Find the least error of an unknown view too; else it is told as -1.',
+        'you look at how near unknown views came to the threshold',
+        'there are hundreds of thousands of templates: only the error of unknown views is lost'
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
         super().__post_init__()

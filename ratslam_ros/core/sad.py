@@ -2,53 +2,154 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sums of absolute differences of bytes, as the one machine instruction that they are.
 
-LLVM knows the pattern below on every processor (psadbw, uabdl and their like); left to itself it
-widens each byte to 32 bits first, which is several times slower. Integers: the result is exact.
+x86 processors have psadbw for it, in the widest registers that they offer; everywhere else LLVM
+is given the pattern that it knows (uabdl and its like on ARM). Left to itself it widens each byte
+to 32 bits first, which is several times slower. Integers: the result is exact.
 """
 
 from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
+from numpy.typing import NDArray
 
-LANES = 32
-"""Bytes that are compared at once."""
+PIECE = 64
+"""Bytes are compared in pieces of this many; whatever is compared has room for whole pieces."""
+
+STRAIGHT_PIECES = 10
+
+_PSADBW = {
+    64: 'llvm.x86.avx512.psad.bw.512',
+    32: 'llvm.x86.avx2.psad.bw',
+    16: 'llvm.x86.sse2.psad.bw',
+}
+_PATTERN_WIDTH = 32
 
 
-@intrinsic
-def sad_of_lanes(typing: Any, a: Any, at_a: Any, b: Any, at_b: Any) -> Any:
-    """Return the sum of |a[at_a + k] - b[at_b + k]| for k below LANES, int64.
+def pieces_of(length: int) -> tuple[int, NDArray[np.uint8]]:
+    """Return how many pieces hold ``length`` bytes, and (PIECE,) uint8 255 where the last does."""
+    pieces = max(-(-length // PIECE), 1)
+    inside = np.arange(PIECE) < length - (pieces - 1) * PIECE
+    return pieces, inside.astype(np.uint8) * np.uint8(255)
 
-    ``a`` and ``b``: contiguous (n,) uint8. Nothing checks the bounds.
-    """
-    signature = types.int64(a, types.intp, b, types.intp)
 
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        bytes_type = ir.VectorType(ir.IntType(8), LANES)
-        wide_type = ir.VectorType(ir.IntType(32), LANES)
-        zero = ir.Constant(wide_type, [0] * LANES)
+def register_bytes(context: Any) -> int:
+    """Return the width of the widest psadbw that code is compiled for; 0: none."""
+    triple, _, features = context.codegen().magic_tuple()
+    if not triple.startswith('x86_64'):
+        return 0
+    available = features.split(',')
+    return 64 if '+avx512bw' in available else 32 if '+avx2' in available else 16
 
-        def load(kind: Any, array: Any, index: Any) -> Any:
-            data = context.make_array(kind)(context, builder, array).data
-            pointer = builder.bitcast(builder.gep(data, [index]), bytes_type.as_pointer())
-            loaded = builder.load(pointer)
-            loaded.align = 1
-            return builder.zext(loaded, wide_type)
 
-        first = load(signature.args[0], arguments[0], arguments[1])
-        second = load(signature.args[2], arguments[2], arguments[3])
-        difference = builder.sub(first, second)
-        is_negative = builder.icmp_signed('<', difference, zero)
-        absolute = builder.select(is_negative, builder.sub(zero, difference), difference)
-        add_up = cgutils.get_or_insert_function(
-            builder.module,
-            ir.FunctionType(ir.IntType(32), [wide_type]),
-            f'llvm.vector.reduce.add.v{LANES}i32',
+def sad_by(width_bytes: int | None) -> Any:
+    """Return ``sad`` for registers of a width; 0: by LLVM's pattern; None: by the processor."""
+
+    @intrinsic
+    def sad_of(
+        typing: Any, a: Any, at_a: Any, b: Any, at_b: Any, pieces: Any, inside: Any
+    ) -> Any:
+        signature = types.int64(a, types.intp, b, types.intp, types.intp, inside)
+
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            width = register_bytes(context) if width_bytes is None else width_bytes
+            step, total_type, difference = _difference(builder, width)
+            bytes_type = ir.VectorType(ir.IntType(8), step)
+
+            def pointer(array: int, index: Any) -> Any:
+                kind = signature.args[array]
+                data = context.make_array(kind)(context, builder, arguments[array]).data
+                return builder.gep(data, [index])
+
+            def load(base: Any, offset: Any) -> Any:
+                at = builder.bitcast(builder.gep(base, [offset]), bytes_type.as_pointer())
+                loaded = builder.load(at)
+                loaded.align = 1
+                return loaded
+
+            first = pointer(0, arguments[1])
+            second = pointer(2, arguments[3])
+            mask = pointer(5, ir.IntType(64)(0))
+            total = cgutils.alloca_once_value(builder, ir.Constant(total_type, None))
+
+            def add_piece(at: Any, masked: bool) -> None:
+                for part in range(0, PIECE, step):
+                    offset = builder.add(at, at.type(part))
+                    x, y = load(first, offset), load(second, offset)
+                    if masked:
+                        bits = load(mask, at.type(part))
+                        x, y = builder.and_(x, bits), builder.and_(y, bits)
+                    builder.store(builder.add(builder.load(total), difference(x, y)), total)
+
+            # Straight code for each usual number of pieces: in a loop so short, the loop itself
+            # would take as long as what is in it.
+            count = arguments[4]
+            done = builder.append_basic_block('sad.done')
+            many = builder.append_basic_block('sad.many')
+            switch = builder.switch(count, many)
+            for pieces in range(1, STRAIGHT_PIECES + 1):
+                block = builder.append_basic_block(f'sad.{pieces}')
+                switch.add_case(count.type(pieces), block)
+                with builder.goto_block(block):
+                    for number in range(pieces):
+                        add_piece(count.type(number * PIECE), masked=number == pieces - 1)
+                    builder.branch(done)
+            builder.position_at_end(many)
+            last = builder.sub(count, count.type(1))
+            with cgutils.for_range(builder, last) as loop:
+                add_piece(builder.mul(loop.index, count.type(PIECE)), masked=False)
+            add_piece(builder.mul(last, count.type(PIECE)), masked=True)
+            builder.branch(done)
+            builder.position_at_end(done)
+            return _sum_of_lanes(builder, builder.load(total))
+
+        return signature, generate
+
+    return sad_of
+
+
+def _difference(builder: Any, width: int) -> tuple[int, Any, Any]:
+    """Return bytes at once, type of their differences' sum, and what emits that sum."""
+    if width:
+        bytes_type = ir.VectorType(ir.IntType(8), width)
+        lanes_type = ir.VectorType(ir.IntType(64), width // 8)
+        psadbw = cgutils.get_or_insert_function(
+            builder.module, ir.FunctionType(lanes_type, [bytes_type] * 2), _PSADBW[width]
         )
-        return builder.zext(builder.call(add_up, [absolute]), ir.IntType(64))
+        return width, lanes_type, lambda x, y: builder.call(psadbw, [x, y])
+    wide_type = ir.VectorType(ir.IntType(32), _PATTERN_WIDTH)
+    zero = ir.Constant(wide_type, None)
 
-    return signature, generate
+    def by_pattern(x: Any, y: Any) -> Any:
+        d = builder.sub(builder.zext(x, wide_type), builder.zext(y, wide_type))
+        absolute = builder.select(
+            builder.icmp_signed('<', d, zero), builder.sub(zero, d), d
+        )
+        return builder.zext(_sum_of_lanes(builder, absolute), ir.IntType(64))
+
+    return _PATTERN_WIDTH, ir.IntType(64), by_pattern
+
+
+def _sum_of_lanes(builder: Any, vector: Any) -> Any:
+    if not isinstance(vector.type, ir.VectorType):
+        return vector
+    kind = vector.type
+    add_up = cgutils.get_or_insert_function(
+        builder.module,
+        ir.FunctionType(kind.element, [kind]),
+        f'llvm.vector.reduce.add.v{kind.count}{kind.element}',
+    )
+    return builder.call(add_up, [vector])
+
+
+sad = sad_by(None)
+"""``sad(a, at_a, b, at_b, pieces, inside)``: the sum of |a[at_a + k] - b[at_b + k]|, int64.
+
+``a``, ``b``: contiguous (n,) uint8 with room for whole pieces; ``pieces``, ``inside``: what
+``pieces_of`` gave for the number of bytes to compare. Nothing checks the bounds.
+"""

@@ -208,18 +208,6 @@ def test_matches_are_those_of_the_definition_ties_included(
         assert local_view.match(view) == plain_match(templates, view, p)
 
 
-@pytest.mark.parametrize('panoramic', [False, True])
-def test_the_result_does_not_depend_on_what_was_seen_before(panoramic: bool) -> None:
-    """The search begins with the likely template; among equals the lowest id still wins."""
-    p = parameters(vt_panoramic=panoramic, vt_match_threshold=1.0)
-    twins = [picture(1, 4, 8), picture(2, 4, 8), picture(1, 4, 8), picture(2, 4, 8)]
-    local_view = memory(twins, p)
-    for likely in range(4):
-        local_view._likely = likely
-        assert local_view.match(picture(1, 4, 8)) == (0, 0 if panoramic else 1, 0)
-        assert local_view.match(picture(2, 4, 8)) == (1, 0 if panoramic else 1, 0)
-
-
 def test_among_constant_views_ties_go_to_the_lowest_id_and_offset() -> None:
     flat = [np.full((4, 8), value, np.uint8) for value in (90, 100, 110, 100)]
     for panoramic in (False, True):
