@@ -395,11 +395,21 @@ class PoseCellsParameters(OdometryInput):
 class ExperienceMapParameters(OdometryInput):
     """The graph of experiences, and how it is relaxed."""
 
+    exp_relaxation: str = parameter(
+        'solve', '', 0, 0,
+        'Solve for the poses at which all links are in balance, or go towards them by sweeps from '
+        'link to link, exp_loops after each action, as OpenRatSLAM does.',
+        'leave at solve', 'set to sweep to compare with OpenRatSLAM',
+        choices=('solve', 'sweep'),
+    )  # fmt: skip
     exp_correction: float = parameter(
-        0.5, 'share of the error', 0.0, 0.5, "Share of a link's error that each end takes.",
+        0.5, 'share of the error', 0.0, 0.5,
+        "Share of a link's error that each end takes in a sweep; 0: the map is not relaxed.",
         'loops close too slowly', 'the map is restless')  # fmt: skip
     exp_loops: int = parameter(
-        10, 'sweeps', 0, 10_000, 'Relaxation sweeps over all links after each action.',
+        10, 'sweeps', 0, 10_000,
+        'Sweeps over all links after each action, if exp_relaxation is sweep; 0: the map is not '
+        'relaxed.',
         'loops close too slowly', 'large maps cost too much')  # fmt: skip
     exp_initial_em_deg: float = parameter(
         90.0, 'deg', -360.0, 360.0, 'Heading of the robot on the map at the start.',

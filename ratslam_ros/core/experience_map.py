@@ -17,8 +17,16 @@ from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.local_view import NO_TEMPLATE
 from ratslam_ros.core.odometry import Motion, Pose, moved
 from ratslam_ros.core.pose_cells import NO_EXPERIENCE, MapAction
+from ratslam_ros.core.relaxation import Relaxation
 from ratslam_ros.core.state import State
 from ratslam_ros.core.torus import Place
+
+STEPS_PER_ACTION = 2000
+"""Links that an action may relax, on average; what a map does not need is saved up for the next
+change. Larger maps are relaxed once in several actions, so that the cost of one stays the same."""
+
+STEPS_PER_LINK = 12
+"""Steps of planning a link, before it has been tried."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +70,10 @@ class ExperienceMap:
         self.links_version = 0
         """Grows with every change of a link; what is computed from the links holds until then."""
         self._row: dict[tuple[int, int], int] = {}
+        self._plan: Relaxation | None = None
+        self._plan_holds = False
+        self._is_settled = True
+        self._saved_steps = 0
         self.current_id = NO_EXPERIENCE
         self.offset = Pose(0.0, 0.0, 0.0)
         """Motion since the current experience, in its frame; before the first, since the start."""
@@ -139,6 +151,10 @@ class ExperienceMap:
             'current': self.current_id,
             'offset': list(self.offset),
             'duration_s': self._duration_s,
+            'relaxation': [
+                0 if self._plan is None else self._plan.links,
+                self._plan_holds, self._is_settled, self._saved_steps,
+            ],
         }
 
     def restore(self, state: State) -> None:
@@ -154,6 +170,9 @@ class ExperienceMap:
         self.current_id = state['current']
         self.offset = Pose(*state['offset'])
         self._duration_s = state['duration_s']
+        planned, self._plan_holds, self._is_settled, self._saved_steps = state['relaxation']
+        if planned > 0:
+            self._plan = Relaxation(state['ends'][:planned], len(self))
 
     def integrate(self, motion: Motion) -> None:
         """Add one motion to the way since the current experience, in that experience's frame."""
@@ -179,7 +198,8 @@ class ExperienceMap:
             here = self.pose
             self._append(action, Pose(here.x_m, here.y_m, wrap(here.heading_rad - turned)))
         if action.source_id != NO_EXPERIENCE and self.mapping:
-            self._connect(action.source_id, action.target_id, turned, behaviour)
+            leaf = action.action == 'create'
+            self._connect(action.source_id, action.target_id, turned, behaviour, leaf)
         self.current_id = action.target_id
         self.offset = Pose(0.0, 0.0, turned)
         self._duration_s = 0.0
@@ -192,7 +212,9 @@ class ExperienceMap:
         self._poses[n] = pose
         self._labels.append((action.template_id, action.place))
 
-    def _connect(self, source: int, target: int, turned: float, behaviour: str) -> None:
+    def _connect(
+        self, source: int, target: int, turned: float, behaviour: str, leaf: bool
+    ) -> None:
         """Make or average the link; seed 000 equation (6) in polar form."""
         distance = math.hypot(self.offset.x_m, self.offset.y_m)
         heading = math.atan2(self.offset.y_m, self.offset.x_m)
@@ -210,7 +232,10 @@ class ExperienceMap:
             self._shapes[row] = distance, heading, facing
             self._durations_s[row] = self._duration_s
             self._notes.append((behaviour, 1))
+            if not leaf:  # one that hangs by its only link is where that says
+                self._is_settled = self._plan_holds = False
             return
+        self._is_settled = False
         old_distance, old_heading, old_facing = self._shapes[row].tolist()
         self._shapes[row] = (
             0.5 * (old_distance + distance),
@@ -222,11 +247,33 @@ class ExperienceMap:
         self._notes[row] = (behaviour or known, count + 1)
 
     def _relax(self) -> None:
-        if self._notes and self.mapping:
-            _relax(
+        p = self._p
+        if not self._notes or not self.mapping or p.exp_loops == 0 or p.exp_correction == 0.0:
+            return
+        if p.exp_relaxation == 'sweep':
+            _sweep(
                 self._poses, self._ends, self._shapes, len(self._notes),
-                self._p.exp_correction, self._p.exp_loops,
+                p.exp_correction, p.exp_loops,
             )  # fmt: skip
+            return
+        cost = len(self._notes)
+        if not self._plan_holds:
+            work = STEPS_PER_LINK * cost if self._plan is None else self._plan.work
+            cost += work // 3
+        self._saved_steps = min(self._saved_steps + STEPS_PER_ACTION, cost)
+        if self._is_settled or self._saved_steps < cost:
+            return
+        self._saved_steps = 0
+        self.settle()
+
+    def settle(self) -> None:
+        """Move all experiences to the fixed point of relaxation, whatever it costs."""
+        links = len(self._notes)
+        if self._plan is None or not self._plan_holds:
+            self._plan = Relaxation(self._ends[:links], len(self))
+            self._plan_holds = True
+        self._plan.relax(self._poses[: len(self)], self._ends[:links], self._shapes[:links])
+        self._is_settled = True
 
 
 def composed(base: Pose, offset: Pose) -> Pose:
@@ -247,7 +294,7 @@ def _with_room(rows: NDArray[Any]) -> NDArray[Any]:
 
 
 @compiled
-def _relax(
+def _sweep(
     poses: NDArray[np.float64], ends: NDArray[np.int64], shapes: NDArray[np.float64],
     links: int, correction: float, sweeps: int,
 ) -> None:  # fmt: skip

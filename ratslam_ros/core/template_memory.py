@@ -267,7 +267,7 @@ def _blocks(
             left = columns[BLOCK_COLUMNS * pair + phase]
             right = columns[BLOCK_COLUMNS * pair + phase + 1]
             for group in range(groups):
-                total = 0
+                total = np.int64(0)
                 for row in range(edges[group], edges[group + 1]):
                     value = np.int64(left[row]) + np.int64(right[row])
                     total += value if signs[row] > 0 else 510 - value
