@@ -5,19 +5,27 @@
 from __future__ import annotations
 
 import math
+from array import array
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import dijkstra
 
+from ratslam_ros.core.compiled import compiled
 from ratslam_ros.core.config import GoalRecallParameters
-from ratslam_ros.core.experience_map import ExperienceMap, Link
+from ratslam_ros.core.experience_map import ExperienceMap
 from ratslam_ros.errors import RatslamError
+
+if TYPE_CHECKING:  # SciPy takes long to load: it is loaded where the first route is asked for
+    from scipy.sparse import csr_array
 
 SHORTEST_S = 1e-9
 """A link's least duration: a graph's edge of length 0 would be no edge."""
+
+EXPERIENCES_PER_CHANGE = 1000
+"""A goal's tree is computed anew after one change of a link for so many experiences of the map."""
 
 
 class UnreachableGoal(RatslamError):  # noqa: N818 - the errors' names say what they are
@@ -53,28 +61,23 @@ class TemporalMap:
         Raises:
             UnreachableGoal: there is no such experience, or no link leads to it.
         """
-        count = len(self.arrival_s)
-        if not 0 <= goal_id < count:
-            raise UnreachableGoal(
-                f'there is no experience {goal_id}; expected 0 to {count - 1}'
-            )
+        _check_known(goal_id, len(self.arrival_s))
         if not math.isfinite(self.arrival_s[goal_id]):
-            raise UnreachableGoal(
-                f'no link leads from experience {self.start_id} to {goal_id}; drive between '
-                'their parts of the map first'
-            )
-        ids = [goal_id]
-        while ids[-1] != self.start_id:
-            ids.append(int(self.before[ids[-1]]))
-        ids.reverse()
-        return Route(tuple(ids), tuple(self.arrival_s[ids].tolist()))
+            raise _unlinked(self.start_id, goal_id)
+        ids = _chain(self.before, goal_id, len(self.before))[::-1]
+        return Route(tuple(ids.tolist()), tuple(self.arrival_s[ids].tolist()))
 
 
 class GoalRecall:
-    """Finds routes over an experience map."""
+    """Finds routes over an experience map; keeps what it computed on it until links change."""
 
     def __init__(self, parameters: GoalRecallParameters) -> None:
-        self._p = parameters
+        self.parameters = parameters
+        """They may be replaced at any time."""
+        self._durations: WeakKeyDictionary[ExperienceMap, tuple[tuple[int, int], csr_array]] = (
+            WeakKeyDictionary()
+        )
+        self._tree: GoalTree | None = None
 
     def temporal_map(
         self, experience_map: ExperienceMap, start_id: int | None = None
@@ -86,13 +89,16 @@ class GoalRecall:
         Raises:
             UnreachableGoal: the map is empty.
         """
-        count = len(experience_map)
-        if count == 0:
+        if len(experience_map) == 0:
             raise UnreachableGoal('the map is empty; drive first')
         start = experience_map.current_id if start_id is None else start_id
-        arrival_s, before = dijkstra(
-            _durations(experience_map.links(), count), indices=start, return_predecessors=True
-        )
+        changes = experience_map.links_version, len(experience_map)
+        known = self._durations.get(experience_map)
+        if known is None or known[0] != changes:
+            known = self._durations[experience_map] = changes, durations(experience_map)
+        from scipy.sparse.csgraph import dijkstra
+
+        arrival_s, before = dijkstra(known[1], indices=start, return_predecessors=True)
         return TemporalMap(start, arrival_s, before)
 
     def route_to(self, experience_map: ExperienceMap, goal_id: int) -> Route:
@@ -133,19 +139,49 @@ class GoalRecall:
             UnreachableGoal: no experience that links lead to lies within the tolerance.
         """
         times = self.temporal_map(experience_map, start_id)
-        tolerance = tolerance_m or self._p.goal_tolerance_m
+        reachable = np.isfinite(times.arrival_s)
+        return times.route_to(self._goal_at(experience_map, reachable, x_m, y_m, tolerance_m))
+
+    def follow(self, experience_map: ExperienceMap, x_m: float, y_m: float) -> Route:
+        """Return the route to a place again and again while the robot drives.
+
+        As ``route_to_place`` from the current experience, but the ways to the goal are kept from
+        one call to the next; see ``GoalTree`` for how exact they are on a large map.
+
+        Raises:
+            UnreachableGoal: no experience that links lead to lies within ``goal_tolerance_m``.
+        """
+        tree = self._tree
+        if tree is not None and tree.experience_map is not experience_map:
+            tree = None
+        if tree is not None and math.isfinite(tree.remaining_s()):
+            reachable = tree.reachable()
+        else:
+            reachable = np.isfinite(self.temporal_map(experience_map).arrival_s)
+        goal = self._goal_at(experience_map, reachable, x_m, y_m)
+        if tree is None or tree.goal_id != goal:
+            tree = self._tree = GoalTree(self, experience_map, goal)
+        return tree.route()
+
+    def _goal_at(
+        self, experience_map: ExperienceMap, reachable: NDArray[np.bool_], x_m: float, y_m: float,
+        tolerance_m: float = 0.0,
+    ) -> int:  # fmt: skip
+        """Return the nearest of the reachable experiences; if none is near, of all that are."""
         poses = experience_map.poses
         away_m = np.hypot(poses[:, 0] - x_m, poses[:, 1] - y_m)
-        reachable_m = np.where(np.isfinite(times.arrival_s), away_m, np.inf)
-        goal = int(np.argmin(reachable_m))
-        if reachable_m[goal] <= tolerance:
-            return times.route_to(goal)
-        nearest = int(np.argmin(away_m))
-        self._check_near(x_m, y_m, float(away_m[nearest]), tolerance_m)
-        return times.route_to(nearest)  # says that no link leads there
+        goal = int(np.argmin(np.where(reachable, away_m, np.inf)))
+        if not (reachable[goal] and away_m[goal] <= (tolerance_m or self._tolerance_m)):
+            goal = int(np.argmin(away_m))
+            self._check_near(x_m, y_m, float(away_m[goal]), tolerance_m)
+        return goal
+
+    @property
+    def _tolerance_m(self) -> float:
+        return self.parameters.goal_tolerance_m
 
     def _check_near(self, x_m: float, y_m: float, away_m: float, tolerance_m: float) -> None:
-        tolerance = tolerance_m or self._p.goal_tolerance_m
+        tolerance = tolerance_m or self._tolerance_m
         if not away_m <= tolerance:
             raise UnreachableGoal(
                 f'the nearest experience to ({x_m:g}, {y_m:g}) is {away_m:.2f} m away; '
@@ -154,13 +190,173 @@ class GoalRecall:
             )
 
 
-def _durations(links: list[Link], count: int) -> csr_array:
-    """Return (count, count) seconds between linked experiences, the quicker way for both ways."""
-    quickest: dict[tuple[int, int], float] = {}
-    for link in links:
-        for ends in ((link.source_id, link.target_id), (link.target_id, link.source_id)):
-            known = quickest.get(ends, math.inf)
-            quickest[ends] = max(min(link.duration_s, known), SHORTEST_S)
-    rows = [source for source, _ in quickest]
-    columns = [target for _, target in quickest]
-    return csr_array((list(quickest.values()), (rows, columns)), shape=(count, count))
+class GoalTree:
+    """The quickest ways to one goal from all experiences, kept while the robot drives.
+
+    It follows the map whenever it is asked. A new experience that one link ties to a known one is
+    appended, and a new link that shortens no way is passed over; the tree stays exact. Any other
+    change of a link, by averaging too, makes it stale: its ways exist, but may take another time
+    than it says, or be the quickest no more. A stale tree is computed anew
+
+    - once ``EXPERIENCES_PER_CHANGE`` times the changes of links since it was computed are at
+      least the experiences of the map: at every change on a map of up to 1,000, at every 50th on
+      one of 50,000. The cost of an action so does not grow with the map;
+    - at once where a new link joins experiences that were not on it, which can happen only as
+      often as the map falls into parts.
+    """
+
+    def __init__(self, recall: GoalRecall, experience_map: ExperienceMap, goal_id: int) -> None:
+        """Compute the ways to an experience.
+
+        Raises:
+            UnreachableGoal: there is no such experience.
+        """
+        _check_known(goal_id, len(experience_map))
+        self.experience_map = experience_map
+        self.goal_id = goal_id
+        self._recall = recall
+        self._compute()
+
+    def exact(self) -> bool:
+        """Return whether the ways are the quickest over the links as they are now."""
+        self._follow()
+        return not self._stale
+
+    def remaining_s(self, start_id: int | None = None) -> float:
+        """Return the time to the goal in s, infinite where no link leads.
+
+        ``start_id``: where to start, None for the current experience.
+
+        Raises:
+            UnreachableGoal: there is no such experience.
+        """
+        self._follow()
+        return self._remaining_s[self._start(start_id)]
+
+    def reachable(self) -> NDArray[np.bool_]:
+        """Return (n,) whether links lead from an experience to the goal."""
+        self._follow()
+        return np.isfinite(np.frombuffer(self._remaining_s))
+
+    def route(self, start_id: int | None = None, most: int | None = None) -> Route:
+        """Read the way to the goal, or the beginning of it.
+
+        Args:
+            start_id: where to start, None for the current experience.
+            most: number of experiences that suffice, 1 or more; None for the whole way.
+
+        Raises:
+            UnreachableGoal: there is no such experience, or no link leads from it.
+        """
+        self._follow()
+        start = self._start(start_id)
+        remaining_s = self._remaining_s[start]
+        if not math.isfinite(remaining_s):
+            raise _unlinked(start, self.goal_id)
+        count = len(self._next)
+        ids = _chain(np.frombuffer(self._next, np.int32), start, count if most is None else most)
+        arrival_s = remaining_s - np.frombuffer(self._remaining_s)[ids]
+        return Route(tuple(ids.tolist()), tuple(arrival_s.tolist()))
+
+    def _start(self, start_id: int | None) -> int:
+        start = self.experience_map.current_id if start_id is None else start_id
+        _check_known(start, len(self._next))
+        return start
+
+    def _compute(self) -> None:
+        """Compute all ways anew; links count for both directions, so they begin at the goal."""
+        times = self._recall.temporal_map(self.experience_map, self.goal_id)
+        # Arrays that grow. Their memory is only lent to NumPy: while it is they cannot.
+        self._remaining_s = array('d', times.arrival_s.tobytes())
+        self._next = array('i', times.before.tobytes())
+        self._links = self.experience_map.link_count
+        self._computed = self._version = self.experience_map.links_version
+        self._linked = int(self.experience_map.link_ends.max(initial=-1)) + 1
+        self._stale = False
+
+    def _follow(self) -> None:
+        """Bring the tree up to the links of the map, as the class describes."""
+        graph = self.experience_map
+        new = len(graph) - len(self._next)
+        self._remaining_s.extend([math.inf] * new)
+        self._next.extend([-1] * new)
+        if graph.links_version == self._version:
+            return
+        links = slice(self._links, graph.link_count)
+        # Every change either made a link or averaged one.
+        if graph.links_version - self._version > links.stop - links.start:
+            self._stale = True
+        self._links, self._version = graph.link_count, graph.links_version
+        seconds = np.maximum(graph.link_durations_s[links], SHORTEST_S).tolist()
+        joined = False
+        for (a, b), duration_s in zip(graph.link_ends[links].tolist(), seconds, strict=True):
+            joined |= self._add(a, b, duration_s)
+        changes = self._version - self._computed
+        if joined or (self._stale and changes * EXPERIENCES_PER_CHANGE >= len(graph)):
+            self._compute()
+
+    def _add(self, a: int, b: int, duration_s: float) -> bool:
+        """Take a new link over; return whether it joins a part of the map that is not known."""
+        near, far = (a, b) if self._remaining_s[a] <= self._remaining_s[b] else (b, a)
+        new = far >= self._linked  # ids count up: no link has led to it before
+        self._linked = max(self._linked, a + 1, b + 1)
+        known_s, through_s = self._remaining_s[far], self._remaining_s[near] + duration_s
+        if through_s >= known_s:  # also where both are infinite
+            return False
+        if new:
+            self._remaining_s[far], self._next[far] = through_s, near
+            return False
+        self._stale = True
+        return math.isinf(known_s)
+
+
+def durations(experience_map: ExperienceMap) -> csr_array:
+    """Return (n, n) seconds between linked experiences, the quickest link for both directions.
+
+    It is as SciPy computes on it, which then converts nothing: float64 and int32, rows in order.
+    """
+    count = len(experience_map)
+    sources, targets = experience_map.link_ends.T
+    columns = np.concatenate([targets, sources])
+    places = np.concatenate([sources, targets]) * count + columns
+    order = np.argsort(places, kind='stable')  # the quick one where most is in order already
+    places = places[order]
+    first = np.flatnonzero(np.diff(places, prepend=-1))
+    seconds = np.tile(np.maximum(experience_map.link_durations_s, SHORTEST_S), 2)[order]
+    row_ends = np.cumsum(np.bincount(places[first] // count, minlength=count))
+    from scipy.sparse import csr_array
+
+    return csr_array(
+        (
+            np.minimum.reduceat(seconds, first),
+            columns[order[first]].astype(np.int32),
+            np.concatenate([[0], row_ends]).astype(np.int32),
+        ),
+        shape=(count, count),
+    )
+
+
+def _check_known(experience_id: int, count: int) -> None:
+    if not 0 <= experience_id < count:
+        raise UnreachableGoal(
+            f'there is no experience {experience_id}; expected 0 to {count - 1}'
+        )
+
+
+def _unlinked(start_id: int, goal_id: int) -> UnreachableGoal:
+    return UnreachableGoal(
+        f'no link leads from experience {start_id} to {goal_id}; drive between their parts of '
+        'the map first'
+    )
+
+
+@compiled
+def _chain(before: NDArray[np.int32], last: int, most: int) -> NDArray[np.int32]:
+    """Return an experience, the one before it and so on, at most so many of them."""
+    ids = np.empty(min(most, len(before)), np.int32)
+    count = 0
+    while last >= 0 and count < len(ids):
+        ids[count] = last
+        last = before[last]
+        count += 1
+    return ids[:count]

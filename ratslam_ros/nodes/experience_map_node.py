@@ -82,6 +82,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
         self._core = ExperienceMap(self._section)
         self._core.mapping = self._mapping
         self._joining = Joining(self._core)
+        self._goal_recall = GoalRecall(self.config.goal_recall)
         self._motion = MotionFromOdometry(self._section.odom_source)
         self._action_ns = 0
         self._changed = self._sent  # whoever has the old map is told that it is no more
@@ -261,7 +262,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
             return
         self._route_from = self._core.current_id
         try:
-            route = self._recall.route_to_place(self._core, self._goal.x_m, self._goal.y_m)
+            route = self._recall.follow(self._core, self._goal.x_m, self._goal.y_m)
         except UnreachableGoal as error:
             self._no_route(str(error))
             return
@@ -308,7 +309,8 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
 
     @property
     def _recall(self) -> GoalRecall:
-        return GoalRecall(self.config.goal_recall)
+        self._goal_recall.parameters = self.config.goal_recall  # may change while it runs
+        return self._goal_recall
 
     def _on_map(self, message: PoseStamped) -> Pose:
         """Return a pose in the map's frame.

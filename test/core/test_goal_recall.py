@@ -10,9 +10,18 @@ import math
 import numpy as np
 import pytest
 
+from ratslam_ros.core import goal_recall
 from ratslam_ros.core.config import ExperienceMapParameters, GoalRecallParameters
 from ratslam_ros.core.experience_map import ExperienceMap
-from ratslam_ros.core.goal_recall import GoalRecall, UnreachableGoal
+from ratslam_ros.core.goal_recall import (
+    SHORTEST_S,
+    GoalRecall,
+    GoalTree,
+    Route,
+    TemporalMap,
+    UnreachableGoal,
+    durations,
+)
 from ratslam_ros.core.odometry import Motion
 from ratslam_ros.core.pose_cells import MapAction
 from ratslam_ros.core.torus import Place
@@ -116,3 +125,220 @@ def test_a_goal_is_found_however_many_unreachable_experiences_are_nearer() -> No
     island = graph.poses[20]
     assert np.hypot(*(island[:2] - [2.0, 0.0])) < 1e-9
     assert RECALL.route_to_place(graph, 2.0, 0.1).experience_ids == (2, 1)
+
+
+# What is kept between calls
+
+
+def wander(graph: ExperienceMap, rng: np.random.Generator, islands: bool = False) -> None:
+    """Do any one action; some durations are below the least one, some links lead to themselves."""
+    new = len(graph) == 0 or rng.uniform() < 0.3
+    target = len(graph) if new else int(rng.integers(0, len(graph)))
+    if islands and rng.uniform() < 0.3:
+        graph.integrate(Motion(1.0, 1.0, 0.0))
+        graph.apply(MapAction('create' if new else 'set', -1, target, target, 0.0, NOWHERE))
+        return
+    go(graph, target, float(rng.choice([0.0, rng.uniform(0.5, 9.0)], p=[0.1, 0.9])))
+
+
+def link_times(graph: ExperienceMap) -> dict[tuple[int, int], float]:
+    """Return the quickest link either way between all experiences that have one."""
+    times: dict[tuple[int, int], float] = {}
+    for link in graph.links():
+        for ends in ((link.source_id, link.target_id), (link.target_id, link.source_id)):
+            times[ends] = max(min(link.duration_s, times.get(ends, math.inf)), SHORTEST_S)
+    return times
+
+
+def times_to(graph: ExperienceMap, goal: int) -> list[float]:
+    """Return the least times to a goal, by trying all links until nothing gets quicker."""
+    best = [math.inf] * len(graph)
+    best[goal] = 0.0
+    links = link_times(graph)
+    for _ in range(len(graph)):
+        for (a, b), seconds in links.items():
+            best[a] = min(best[a], best[b] + seconds)
+    return best
+
+
+def assert_leads(graph: ExperienceMap, route: Route, start: int, goal: int) -> None:
+    assert (route.experience_ids[0], route.experience_ids[-1]) == (start, goal)
+    assert set(itertools.pairwise(route.experience_ids)) <= set(link_times(graph))
+
+
+class Counting(GoalRecall):
+    """Counts how often all is computed."""
+
+    def __init__(self) -> None:
+        super().__init__(GoalRecallParameters())
+        self.computed = 0
+
+    def temporal_map(self, graph: ExperienceMap, start_id: int | None = None) -> TemporalMap:
+        self.computed += 1
+        return super().temporal_map(graph, start_id)
+
+
+@pytest.mark.parametrize('seed', range(5))
+def test_durations_are_those_of_the_quickest_link_either_way(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    graph = ExperienceMap(ExperienceMapParameters())
+    for _ in range(60):
+        wander(graph, rng, islands=True)
+        matrix = durations(graph)
+        assert dict(zip(zip(*matrix.nonzero(), strict=True), matrix.data, strict=True)) == (
+            link_times(graph)
+        )
+    types = (matrix.data.dtype, matrix.indices.dtype, matrix.indptr.dtype)
+    assert types == (np.float64, np.int32, np.int32)
+    assert matrix.has_canonical_format
+
+
+def test_an_experience_without_links_is_a_goal_for_itself_only() -> None:
+    graph = line(1)
+    assert durations(graph).nnz == 0
+    assert RECALL.route_to(graph, 0).experience_ids == (0,)
+    assert GoalTree(RECALL, graph, 0).route().experience_ids == (0,)
+
+
+def test_changes_of_the_map_are_seen() -> None:
+    graph, other = line(4), line(2)
+    assert RECALL.route_to(graph, 0).arrival_s[-1] == pytest.approx(6.0)
+    assert RECALL.route_to(other, 0).arrival_s[-1] == pytest.approx(2.0)
+    go(graph, 0, 4.0)
+    assert RECALL.route_to(graph, 3).arrival_s == pytest.approx((0.0, 4.0))
+    graph.current_id = 3
+    go(graph, 0, 2.0)  # averaged
+    assert RECALL.route_to(graph, 3).arrival_s == pytest.approx((0.0, 3.0))
+    graph.apply(MapAction('create', -1, 4, 4, 0.0, NOWHERE))  # changes no link
+    with pytest.raises(UnreachableGoal, match='no link leads from experience 4 to 0'):
+        RECALL.route_to(graph, 0)
+
+
+def test_a_long_route_is_read_back() -> None:
+    graph = line(12000)
+    ids = tuple(range(11999, -1, -1))
+    route = RECALL.route_to(graph, 0)
+    assert route.experience_ids == ids
+    assert type(route.experience_ids[0]) is int
+    assert type(route.arrival_s[0]) is float
+    assert GoalTree(RECALL, graph, 0).route().experience_ids == ids
+
+
+@pytest.mark.parametrize('islands', [False, True])
+@pytest.mark.parametrize('seed', range(6))
+@pytest.mark.parametrize('per_change', [0, 5, 2000])
+def test_a_tree_that_says_so_is_exact_and_any_leads_to_its_goal(
+    monkeypatch: pytest.MonkeyPatch, seed: int, islands: bool, per_change: int
+) -> None:
+    monkeypatch.setattr(goal_recall, 'EXPERIENCES_PER_CHANGE', per_change)
+    rng = np.random.default_rng(seed)
+    graph = line(3)
+    tree = GoalTree(RECALL, graph, 1)
+    exact = []
+    for _ in range(50):
+        for _ in range(rng.integers(1, 4)):
+            wander(graph, rng, islands)
+        times = times_to(graph, 1)
+        exact.append(tree.exact())
+        assert tree.reachable().tolist() == [math.isfinite(time) for time in times]
+        for start, time in enumerate(times):
+            if exact[-1]:
+                assert tree.remaining_s(start) == pytest.approx(time)
+            if math.isfinite(time):
+                route = tree.route(start)
+                assert_leads(graph, route, start, 1)
+                assert route.arrival_s[-1] == pytest.approx(tree.remaining_s(start))
+                assert tree.route(start, 2).experience_ids == route.experience_ids[:2]
+            else:
+                with pytest.raises(UnreachableGoal, match=f'from experience {start} to 1'):
+                    tree.route(start)
+    assert all(exact) == (per_change == 2000)
+
+
+def test_new_experiences_and_links_that_are_no_short_cut_leave_a_tree_exact() -> None:
+    graph, recall = line(3), Counting()
+    tree = GoalTree(recall, graph, 0)
+    for target in range(3, 40):
+        go(graph, target, 2.0)
+        assert tree.remaining_s() == pytest.approx(2.0 * target)
+    go(graph, 20, 50.0)
+    assert tree.remaining_s() == pytest.approx(40.0)
+    assert (tree.exact(), recall.computed) == (True, 1)
+    go(graph, 10, 3.0)
+    go(graph, 40, 1.0)
+    assert tree.remaining_s(20) == pytest.approx(23.0)
+    assert tree.remaining_s() == pytest.approx(21.0)
+    assert (tree.exact(), recall.computed) == (True, 2)
+
+
+def test_a_large_stale_tree_is_computed_anew_after_a_number_of_changes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(goal_recall, 'EXPERIENCES_PER_CHANGE', 2)
+    graph, recall = line(20), Counting()
+    tree = GoalTree(recall, graph, 0)
+    computed, times = [], []
+    for change in range(20):
+        go(graph, (0, 19)[change % 2], 1.0)  # at once a short cut, and again and again
+        times.append(tree.remaining_s(19))
+        computed.append(recall.computed)
+    assert computed == [1] * 9 + [2] * 10 + [3]
+    assert times == pytest.approx([38.0] * 9 + [1.0] * 11)
+
+
+def test_a_joined_part_of_the_map_is_on_the_tree_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(goal_recall, 'EXPERIENCES_PER_CHANGE', 0)
+    graph, recall = line(3), Counting()
+    tree = GoalTree(recall, graph, 0)
+    graph.apply(MapAction('create', -1, 3, 3, 0.0, NOWHERE))
+    for target in (4, 5, 4, 5):
+        go(graph, target, 1.0)
+        assert tree.remaining_s() == math.inf
+    assert recall.computed == 1
+    go(graph, 2, 1.0)
+    assert tree.remaining_s(3) == pytest.approx(7.0)
+    assert recall.computed == 2
+
+
+def test_a_tree_knows_no_goal_and_no_start_that_is_not_on_the_map() -> None:
+    graph = line(3)
+    with pytest.raises(UnreachableGoal, match='there is no experience 3; expected 0 to 2'):
+        GoalTree(RECALL, graph, 3)
+    with pytest.raises(UnreachableGoal, match='there is no experience -1'):
+        GoalTree(RECALL, graph, 2).route(-1)
+
+
+@pytest.mark.parametrize('seed', range(4))
+def test_following_gives_the_routes_that_asking_anew_gives(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    recall = GoalRecall(GoalRecallParameters(goal_tolerance_m=2.0))
+    for graph in (line(5), line(6)):
+        for _ in range(60):
+            wander(graph, rng, islands=True)
+            try:
+                asked = RECALL.route_to_place(graph, 2.1, 0.0, 2.0)
+            except UnreachableGoal as error:
+                with pytest.raises(UnreachableGoal) as caught:
+                    recall.follow(graph, 2.1, 0.0)
+                assert str(caught.value) == str(error)
+                continue
+            route = recall.follow(graph, 2.1, 0.0)
+            assert route.arrival_s[-1] == pytest.approx(asked.arrival_s[-1])
+            assert_leads(graph, route, graph.current_id, asked.experience_ids[-1])
+
+
+def test_following_computes_only_where_it_must() -> None:
+    recall = Counting()
+    with pytest.raises(UnreachableGoal, match='the map is empty'):
+        recall.follow(ExperienceMap(ExperienceMapParameters()), 1.0, 0.0)
+    graph, recall = line(5), Counting()
+    assert recall.follow(graph, 1.0, 0.0).experience_ids == (4, 3, 2, 1, 0)
+    computed = recall.computed
+    for target in range(5, 30):
+        go(graph, target, 2.0)
+        assert recall.follow(graph, 1.0, 0.0).arrival_s[-1] == pytest.approx(2.0 * target)
+    assert recall.computed == computed
+    with pytest.raises(UnreachableGoal, match=r'1\.00 m away'):
+        recall.follow(graph, 1.0, 1.0)
+    recall.parameters = GoalRecallParameters(goal_tolerance_m=1.5)
+    assert recall.follow(graph, 1.0, 1.0).experience_ids[-1] == 0
