@@ -4,26 +4,91 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import numpy as np
+from numpy.typing import NDArray
 
+from ratslam_ros.core.angles import wrap
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.local_view import ViewMatch
-from ratslam_ros.core.odometry import Odometry, Pose, Twist
-from ratslam_ros.core.ratslam import RatSLAM
+from ratslam_ros.core.experience_map import ExperienceMap
+from ratslam_ros.core.local_view import LocalView, ViewMatch
+from ratslam_ros.core.odometry import Motion, MotionFromOdometry, Odometry, Pose, Twist
+from ratslam_ros.core.pose_cells import Action, MapAction, PoseCells
+from ratslam_ros.core.torus import Place
+from ratslam_ros.core.visual_odometry import VisualOdometry
+
+_SMALL = {
+    'local_view.template_x_size': 4, 'local_view.template_y_size': 2,
+    'local_view.vt_shift_match': 1, 'local_view.vt_patch_normalise': 1,
+    'pose_cells.pc_vt_agree_views': 0,
+}  # fmt: skip
+_MOTION = Motion(1.0, 1.0, 0.1)
 
 
-def warm_up() -> None:
-    """Run a small map through every compiled function; takes a while only where none is cached."""
-    config = Config().with_values(
-        {'local_view.template_x_size': 4, 'local_view.template_y_size': 2,
-         'local_view.vt_shift_match': 1, 'local_view.vt_patch_normalise': 1,
-         'pose_cells.pc_vt_agree_views': 0}
-    )  # fmt: skip
-    slam = RatSLAM(config, visual_odometry=True)
-    for frame in range(3):
-        slam.image(frame, np.full((4, 8), 60 * frame, np.uint8))
-    slam = RatSLAM(config)
-    for n in range(30):
-        slam.odometry(Odometry(n * 10**9, Twist(1.0, 0.1), Pose(0.0, 0.0, 0.0)))
-        slam.template(n * 10**9 + 1, ViewMatch(n % 15, n < 15, 0.0, 0.0))
-    slam.pose_cells.activity()
+def warm_up(*parts: str) -> None:
+    """Run a little of everything through every compiled function; slow where none is cached.
+
+    ``parts``: the parts that will run, called as their sections of parameters; none given: all
+    that make a map, so all but ``goal_recall``.
+    """
+    config = Config().with_values(_SMALL)
+    wrap(0.0)  # all parts have angles
+    for part in parts or _MAPPING:
+        _PARTS[part](config)
+
+
+def _images() -> list[NDArray[np.uint8]]:
+    return [np.full((4, 8), 60 * frame, np.uint8) for frame in range(3)]
+
+
+def _visual_odometry(config: Config) -> None:
+    visual_odometry = VisualOdometry(config.visual_odometry)
+    for frame, image in enumerate(_images()):
+        visual_odometry(frame, image)
+
+
+def _local_view(config: Config) -> None:
+    local_view = LocalView(config.local_view)
+    for image in _images():
+        local_view(image)
+
+
+def _pose_cells(config: Config) -> None:
+    motion_from = MotionFromOdometry(config.pose_cells.odom_source)
+    pose_cells = PoseCells(config.pose_cells)
+    for n in range(30):  # twice the same way: the second time activity is injected
+        motion_from(Odometry(n * 10**9, Twist(1.0, 0.1), Pose(0.0, 0.0, 0.0)))
+        pose_cells.integrate(_MOTION)
+        pose_cells.view(ViewMatch(n % 15, n < 15, 0.0, 0.0))
+    pose_cells.activity()
+
+
+def _experience_map(config: Config) -> ExperienceMap:
+    for relaxation in ('sweep', 'solve'):
+        parameters = replace(config.experience_map, exp_relaxation=relaxation)
+        experience_map = ExperienceMap(parameters)
+        for n in (0, 1, 2, 0):
+            experience_map.integrate(_MOTION)
+            kind: Action = 'create' if n == len(experience_map) else 'link'
+            source = experience_map.current_id
+            experience_map.apply(MapAction(kind, source, n, n, 0.0, Place(0.0, 0.0, 0.0)))
+    return experience_map
+
+
+def _goal_recall(config: Config) -> None:
+    from ratslam_ros.core.goal_recall import GoalRecall  # takes long: it needs SciPy
+
+    recall, experience_map = GoalRecall(config.goal_recall), _experience_map(config)
+    recall.route_to(experience_map, 1)
+    recall.follow(experience_map, *experience_map.pose_of(1)[:2])
+
+
+_MAPPING: dict[str, Callable[[Config], object]] = {
+    'visual_odometry': _visual_odometry,
+    'local_view': _local_view,
+    'pose_cells': _pose_cells,
+    'experience_map': _experience_map,
+}
+_PARTS = {**_MAPPING, 'goal_recall': _goal_recall}

@@ -9,6 +9,7 @@ from importlib import import_module
 from importlib.util import find_spec
 
 from ratslam_ros.live.run import NODES
+from ratslam_ros.quick_start import quick_start
 
 
 def _main(node: str) -> int:
@@ -20,7 +21,8 @@ def _main(node: str) -> int:
         )
         return 2
     try:
-        return int(import_module(f'ratslam_ros.nodes.{NODES[node]}').main())
+        with quick_start():
+            return int(import_module(f'ratslam_ros.nodes.{NODES[node]}').main())
     except KeyboardInterrupt:  # while it was starting
         return 0
 

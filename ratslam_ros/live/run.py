@@ -9,6 +9,7 @@ from importlib import import_module
 
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.live import ros
+from ratslam_ros.quick_start import quick_start
 
 NODES = {
     'visual_odometry': 'visual_odometry_node',
@@ -32,8 +33,9 @@ def run(node: str, arguments: Sequence[str] = ()) -> int:
     if node not in NODES:
         raise UnusableInput(f'there is no node {node!r}: expected one of {", ".join(NODES)}')
     try:
-        ros.require()
-        module = import_module(f'ratslam_ros.nodes.{NODES[node]}')
-        return int(module.main(list(arguments)))
+        with quick_start():
+            ros.require()
+            module = import_module(f'ratslam_ros.nodes.{NODES[node]}')
+            return int(module.main(list(arguments)))
     except KeyboardInterrupt:  # also while it was starting
         return 0

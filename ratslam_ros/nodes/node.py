@@ -37,7 +37,7 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
     SECTION: str
     """Name of the node, of its parameters and of the topics it publishes."""
     PARTS: tuple[str, ...] = ()
-    """Other sections of parameters that the node reads."""
+    """Other sections of parameters that the node reads: what it can do besides."""
     MAPS = False
     """Whether the node learns, so that this can be switched off."""
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import signal
 import sys
-from collections.abc import Callable
+import threading
 from typing import Any
 
 import rclpy
@@ -15,13 +15,15 @@ from rclpy.signals import SignalHandlerOptions
 
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.errors import RatslamError
+from ratslam_ros.nodes.node import RatslamNode
+from ratslam_ros.quick_start import import_numba, settle
 
 DONE, INTERNAL_ERROR, UNUSABLE = 0, 1, 2
 PROMPT_S = 0.1
 """A signal is noticed within this time."""
 
 
-def run(*makers: Callable[[], Any], args: list[str] | None = None) -> int:
+def run(*kinds: type[RatslamNode[Any]], args: list[str] | None = None) -> int:
     """Make nodes, spin them on one executor until SIGINT or SIGTERM; return the exit code.
 
     0 after a signal, 1 after an error of the program's own, 2 where a parameter or argument
@@ -37,14 +39,20 @@ def run(*makers: Callable[[], Any], args: list[str] | None = None) -> int:
     nodes: list[Any] = []
     try:
         with stop:
-            warm_up()  # nothing is compiled when the first message comes
-            for make in makers:
-                nodes.append(make())
+            import_numba()
+            # Nothing is compiled or loaded when the first message comes.
+            warm_up(*(kind.SECTION for kind in kinds))
+            for kind in kinds:
+                nodes.append(kind())  # type: ignore[call-arg]  # all of ours need no arguments
             executor = SingleThreadedExecutor()
             for node in nodes:
                 executor.add_node(node)
+            settle()
             for node in nodes:
                 node.get_logger().info('ready')
+            for part in {part for kind in kinds for part in kind.PARTS}:
+                # No stream of messages needs it, and its imports take long: beside the first ones.
+                threading.Thread(target=warm_up, args=(part,)).start()
             while not stop.asked and rclpy.ok():
                 executor.spin_once(timeout_sec=PROMPT_S)
                 for node in nodes:

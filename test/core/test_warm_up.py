@@ -1,0 +1,129 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Warming up: afterwards nothing is compiled or loaded, whatever comes."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+
+BEFORE = """
+import sys
+import numpy as np
+from numba.core.dispatcher import Dispatcher
+from ratslam_ros.core.config import Config
+from ratslam_ros.core.experience_map import ExperienceMap
+from ratslam_ros.core.goal_recall import GoalRecall
+from ratslam_ros.core.local_view import LocalView, ViewMatch
+from ratslam_ros.core.odometry import Motion, MotionFromOdometry, Odometry, Pose, Twist
+from ratslam_ros.core.pose_cells import PoseCells
+from ratslam_ros.core.ratslam import RatSLAM
+from ratslam_ros.core.visual_odometry import VisualOdometry
+from ratslam_ros.core.warm_up import warm_up
+
+def loaded():
+    return {
+        (function.py_func.__qualname__, str(signature))
+        for module in list(sys.modules.values())
+        if getattr(module, '__name__', '').startswith('ratslam_ros')
+        for function in vars(module).values() if isinstance(function, Dispatcher)
+        for signature in function.signatures
+    }
+
+def images():
+    views = np.random.default_rng(0).integers(0, 256, (90, 60, 80), np.uint8)
+    views.flags.writeable = False  # as in a message
+    return [views[n % 80] for n in range(160)]
+
+config = Config()
+warm_up(*sys.argv[1:])
+before = loaded()
+assert before
+"""
+
+VISUAL_ODOMETRY = """
+visual_odometry = VisualOdometry(config.visual_odometry)
+for n, image in enumerate(images()):
+    visual_odometry(n * 10**8, image)
+"""
+
+LOCAL_VIEW = """
+for changed in (
+    {}, {'vt_panoramic': True}, {'vt_normalisation': 0.5}, {'vt_patch_normalise': 2},
+    {'vt_step_match': 2}, {'vt_recent_templates': 5}, {'vt_shift_match_y': 1},
+):
+    local_view = LocalView(
+        config.with_values({f'local_view.{k}': v for k, v in changed.items()}).local_view
+    )
+    for image in images():
+        local_view(image)
+    again = LocalView(local_view._p)
+    again.restore(local_view.state())
+    again(images()[0])
+"""
+
+POSE_CELLS = """
+pose_cells = PoseCells(config.pose_cells)
+motion_from = MotionFromOdometry('twist')
+for n in range(300):
+    motion = motion_from(Odometry(n * 10**8, Twist(0.5, 0.3), Pose(0.0, 0.0, 0.0)))
+    if motion is not None:
+        pose_cells.integrate(motion)
+    if n % 3 == 0:
+        pose_cells.view(ViewMatch(n % 120, n < 120, 0.1, 0.0))
+pose_cells.activity()
+again = PoseCells(config.pose_cells)
+again.restore(pose_cells.state())
+again.integrate(motion)
+"""
+
+EXPERIENCE_MAP = """
+slam = RatSLAM(config)
+warm_up('pose_cells')  # which tells the map what to do
+before = loaded()
+for n in range(300):
+    slam.odometry(Odometry(n * 10**8, Twist(0.5, 0.3), Pose(0.0, 0.0, 0.0)))
+    if n % 3 == 0:
+        slam.template(n * 10**8 + 1, ViewMatch(n % 120, n < 120, 0.1, 0.0))
+slam.finish()
+graph = slam.experience_map
+assert len(graph) > 20
+again = ExperienceMap(config.experience_map)
+again.restore(graph.state())
+again.integrate(Motion(1.0, 1.0, 0.1))
+"""
+
+GOAL_RECALL = (
+    EXPERIENCE_MAP
+    + """
+GoalRecall(config.goal_recall).route_to(graph, 0)
+GoalRecall(config.goal_recall).route_to_place(graph, 0.0, 0.0, 50.0)
+"""
+)
+
+ALL = VISUAL_ODOMETRY + LOCAL_VIEW + POSE_CELLS + EXPERIENCE_MAP
+
+
+@pytest.mark.parametrize(
+    ('parts', 'code'),
+    [
+        ('visual_odometry', VISUAL_ODOMETRY),
+        ('local_view', LOCAL_VIEW),
+        ('pose_cells', POSE_CELLS),
+        ('experience_map', EXPERIENCE_MAP),
+        ('experience_map goal_recall', GOAL_RECALL),
+        ('', ALL),
+    ],
+)
+def test_nothing_is_compiled_or_loaded_after_a_part_was_warmed_up(parts: str, code: str) -> None:
+    after = 'new = loaded() - before\nassert not new, new\n'
+    run = subprocess.run(
+        [sys.executable, '-c', BEFORE + code + after, *parts.split()],
+        cwd=ROOT, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert run.returncode == 0, run.stderr
