@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ratslam_ros.core.attractor_kernels import compete, decode, extent, join, mass, move
+from ratslam_ros.core.attractor_kernels import compete, decode, extent, join, mass, move, tighten
 
 Cells = NDArray[np.float64]
 Box = NDArray[np.int64]
@@ -108,7 +108,9 @@ class Network:
 
     def peak(self, packets: list[Packet]) -> tuple[float, float, float]:
         """Return theta, y and x, in cells, of the largest cell, refined by the +-3 box around."""
-        largest = max(packets, key=lambda p: float(p.cells.max()))
+        largest = packets[0]
+        if len(packets) > 1:
+            largest = max(packets, key=lambda p: float(p.cells.max()))
         theta, y, x = decode(largest.cells, largest.box, largest.frame, self.dims)
         return theta, y, x
 
@@ -142,8 +144,10 @@ class Network:
 
     def _trimmed(self, packet: Packet) -> list[Packet]:
         """Cut a packet down to its active cells, and in two where it has fallen apart."""
-        extents = extent(packet.cells)
-        cells, box = packet.cells, packet.box
+        is_tight, cells, box = tighten(packet.cells, packet.box, self.dims, self._reach)
+        if is_tight:
+            return [Packet(cells, box, packet.frame)]
+        extents = extent(cells)
         for axis in range(3):
             first, last, gap_start, gap = extents[axis]
             n = cells.shape[axis]

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ratslam_ros.core.compiled import compiled
 
 Cells = NDArray[np.float64]
+Reals = NDArray[np.float64]
 Box = NDArray[np.int64]
 Frame = NDArray[np.float64]
 Dims = NDArray[np.int64]
@@ -32,13 +33,20 @@ def mass(cells: Cells) -> float:
 def extent(cells: Cells) -> NDArray[np.int64]:
     """Return (3, 4), an axis a row: first and last active slice, start, length of longest gap."""
     out = np.zeros((3, 4), np.int64)
+    n_t, n_y, n_x = cells.shape
+    slices = np.zeros((3, max(n_t, n_y, n_x)), np.bool_)
+    for t in range(n_t):
+        for y in range(n_y):
+            any_x = False
+            for x in range(n_x):
+                if cells[t, y, x] != 0.0:
+                    slices[2, x] = True
+                    any_x = True
+            if any_x:
+                slices[0, t] = True
+                slices[1, y] = True
     for axis in range(3):
-        used = np.zeros(cells.shape[axis], np.bool_)
-        for t in range(cells.shape[0]):
-            for y in range(cells.shape[1]):
-                for x in range(cells.shape[2]):
-                    if cells[t, y, x] != 0.0:
-                        used[t if axis == 0 else (y if axis == 1 else x)] = True
+        used = slices[axis, : cells.shape[axis]]
         first = -1
         last = -1
         for i in range(used.shape[0]):
@@ -52,6 +60,30 @@ def extent(cells: Cells) -> NDArray[np.int64]:
         out[axis, 0] = first
         out[axis, 1] = last
     return out
+
+
+@compiled
+def tighten(cells: Cells, old_box: Box, dims: Dims, reach: int) -> tuple[bool, Cells, Box]:
+    """Cut a packet down to its active cells; the first is False, and nothing cut, if that is more.
+
+    It is more where an axis is whole, or where the packet may have fallen apart.
+    """
+    box = old_box.copy()
+    for axis in range(3):
+        if cells.shape[axis] == dims[axis]:
+            return False, cells, old_box
+    extents = extent(cells)
+    for axis in range(3):
+        if extents[axis, 3] > reach:
+            return False, cells, old_box
+        box[axis] += extents[axis, 0]
+        box[3 + axis] = extents[axis, 1] + 1 - extents[axis, 0]
+    out = np.empty((box[3], box[4], box[5]))
+    for t in range(box[3]):
+        for y in range(box[4]):
+            for x in range(box[5]):
+                out[t, y, x] = cells[t + extents[0, 0], y + extents[1, 0], x + extents[2, 0]]
+    return True, out, box
 
 
 @compiled
@@ -101,6 +133,85 @@ def _spread(a: Cells, w: Cells, n_t: int, n_y: int, n_x: int, dims: Dims) -> Cel
 
 
 @compiled
+def _add_taps(
+    flat: Reals, at: int, step: int, w: Reals, first: int, last: int, out: Reals, to: int, n: int
+) -> None:
+    """Add w[k] * flat[at - k * step + i] to out[to + i], i below n, for each k in its order."""
+    target = out[to : to + n]
+    k = first
+    while k + 4 <= last:  # four at once: the result is read and written less often
+        w_0, w_1, w_2, w_3 = w[k], w[k + 1], w[k + 2], w[k + 3]
+        a_0 = flat[at - k * step :]
+        a_1 = flat[at - (k + 1) * step :]
+        a_2 = flat[at - (k + 2) * step :]
+        a_3 = flat[at - (k + 3) * step :]
+        for i in range(n):
+            target[i] = (((target[i] + w_0 * a_0[i]) + w_1 * a_1[i]) + w_2 * a_2[i]) + w_3 * a_3[i]
+        k += 4
+    while k < last:
+        weight = w[k]
+        source = flat[at - k * step :]
+        for i in range(n):
+            target[i] += weight * source[i]
+        k += 1
+
+
+@compiled
+def _spread_apart(a: Cells, w: Reals, first: Box, size: Box) -> Cells:
+    """Convolve with the cube of ``w`` where no axis is whole; the part that begins at ``first``.
+
+    The result is that of ``_spread``, cell for cell; its rows may be longer, by cells that mean
+    nothing. Zeros lie between planes and between rows, so that whatever an axis adds up lies in
+    long stretches of memory.
+    """
+    around = w.shape[0] - 1
+    radius = around // 2
+    n_t, n_y, n_x = size
+    # The cells that the result draws on, and how far each axis' first tap is from them.
+    low = np.empty(3, np.int64)
+    high = np.empty(3, np.int64)
+    for axis in range(3):
+        low[axis] = max(0, first[axis] - radius)
+        high[axis] = min(a.shape[axis], first[axis] + size[axis] + radius)
+    l_t, l_y, l_x = high - low
+    to_t, to_y, to_x = low - first + radius
+
+    inner = np.empty(l_t * l_y * l_x)
+    at = 0
+    for t in range(low[0], high[0]):
+        for y in range(low[1], high[1]):
+            for x in range(low[2], high[2]):
+                inner[at] = a[t, y, x]
+                at += 1
+
+    plane = (n_y + around) * l_x
+    along_t = np.zeros(n_t * plane)
+    for t in range(n_t):
+        middle = t + around - to_t  # the plane that the first tap takes
+        _add_taps(
+            inner, middle * l_y * l_x, l_y * l_x, w, max(0, middle - l_t + 1),
+            min(w.shape[0], middle + 1), along_t, t * plane + to_y * l_x, l_y * l_x,
+        )  # fmt: skip
+
+    along_y = np.zeros(n_y * l_x)
+    width = n_x + around - min(to_x, n_x + around - to_x - l_x)  # zeros serve two rows
+    rows = np.zeros(n_t * n_y * width + 2 * around)
+    for t in range(n_t):
+        along_y[:] = 0.0
+        _add_taps(
+            along_t, t * plane + around * l_x, l_x, w, 0, w.shape[0], along_y, 0, n_y * l_x
+        )
+        for y in range(n_y):
+            row = (t * n_y + y) * width + to_x
+            for x in range(l_x):
+                rows[row + x] = along_y[y * l_x + x]
+
+    along_x = np.zeros(n_t * n_y * width)
+    _add_taps(rows, around, 1, w, 0, w.shape[0], along_x, 0, n_t * n_y * width)
+    return along_x.reshape((n_t, n_y, width))
+
+
+@compiled
 def compete(
     packet: Cells, old_box: Box, dims: Dims, w_e: Cells, w_i: Cells, cutoff: float
 ) -> tuple[Cells, Box, float]:
@@ -108,13 +219,17 @@ def compete(
     box = old_box.copy()
     r_e = w_e.shape[0] // 2
     r_i = w_i.shape[0] // 2
+    apart = True
     for axis in range(3):
         # The axis is whole where the packet's two ends would meet behind the torus.
         if box[3 + axis] + 2 * r_e + r_i >= dims[axis]:
             box[3 + axis] = dims[axis]
+            apart = False
         else:
             box[axis] -= r_e
             box[3 + axis] += 2 * r_e
+    if apart:
+        return _compete_apart(packet, box, w_e, w_i, cutoff)
     excited = _spread(packet, w_e, box[3], box[4], box[5], dims)
     inhibited = _spread(excited, w_i, box[3], box[4], box[5], dims)
     total = 0.0
@@ -125,6 +240,53 @@ def compete(
                 excited[t, y, x] = p
                 total += p
     return excited, box, total
+
+
+@compiled
+def _compete_apart(
+    packet: Cells, box: Box, w_e: Cells, w_i: Cells, cutoff: float
+) -> tuple[Cells, Box, float]:
+    """Compete in a box that is whole on no axis; only where enough is excited to survive."""
+    r_e = w_e.shape[0] // 2
+    n_t, n_y, n_x = box[3], box[4], box[5]
+    excited = _spread_apart(packet, w_e, np.full(3, -r_e), box[3:])
+    low = np.array([n_t, n_y, n_x])
+    high = np.zeros(3, np.int64)
+    for t in range(n_t):
+        for y in range(n_y):
+            row = excited[t, y]
+            most = 0.0
+            for x in range(n_x):
+                most = max(most, row[x])
+            if most > cutoff:  # inhibition only takes away
+                low[0] = min(low[0], t)
+                high[0] = t + 1
+                low[1] = min(low[1], y)
+                high[1] = max(high[1], y + 1)
+                begin = 0
+                while row[begin] <= cutoff:
+                    begin += 1
+                end = n_x
+                while row[end - 1] <= cutoff:
+                    end -= 1
+                low[2] = min(low[2], begin)
+                high[2] = max(high[2], end)
+    if high[0] == 0:
+        return np.zeros((1, 1, 1)), box, 0.0
+    size = high - low
+    inhibited = _spread_apart(excited[:, :, :n_x], w_i, low, size)
+    left = np.empty((size[0], size[1], size[2]))
+    total = 0.0
+    for t in range(size[0]):
+        for y in range(size[1]):
+            for x in range(size[2]):
+                e = excited[t + low[0], y + low[1], x + low[2]]
+                p = max(e - inhibited[t, y, x] - cutoff, 0.0)
+                left[t, y, x] = p
+                total += p
+    box[:3] += low
+    box[3:] = size
+    return left, box, total
 
 
 @compiled
