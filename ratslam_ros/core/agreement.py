@@ -11,9 +11,12 @@ moved between them.
 
 from __future__ import annotations
 
-from collections import deque
-from dataclasses import dataclass
+import math
 
+import numpy as np
+from numpy.typing import NDArray
+
+from ratslam_ros.core.compiled import compiled
 from ratslam_ros.core.state import State
 from ratslam_ros.core.torus import Place, Torus
 
@@ -24,14 +27,6 @@ MOST_CLAIMS = 64
 TURN_WEIGHT = 0.25
 """Way, in cells, that a turn by one plane stands for: a look-alike corner is one place, however
 many views it takes to turn there, but a robot that turns on the spot sees different places."""
-
-
-@dataclass(slots=True)
-class _Claim:
-    template_id: int
-    place: Place
-    travelled: float
-    slot: int
 
 
 class Agreement:
@@ -57,7 +52,16 @@ class Agreement:
         self._slot = 0
         self._slot_began = 0.0
         self._travelled = 0.0
-        self._claims: deque[_Claim] = deque(maxlen=MOST_CLAIMS)
+        # The oldest first: where each claims to be, how far the robot had travelled, and of which
+        # view and slot it is.
+        self._places = np.empty((MOST_CLAIMS, 3))
+        self._made_at = np.empty(MOST_CLAIMS)
+        self._template_ids = np.empty(MOST_CLAIMS, np.int64)
+        self._slots = np.empty(MOST_CLAIMS, np.int64)
+        self._count = 0
+
+    def __len__(self) -> int:
+        return self._count
 
     def state(self) -> State:
         """Return all claims, for ``restore``."""
@@ -65,7 +69,11 @@ class Agreement:
             'slot': self._slot,
             'slot_began': self._slot_began,
             'travelled': self._travelled,
-            'claims': [[c.template_id, *c.place, c.travelled, c.slot] for c in self._claims],
+            'claims': [
+                [int(self._template_ids[i]), *self._places[i].tolist(),
+                 float(self._made_at[i]), int(self._slots[i])]
+                for i in range(self._count)
+            ],
         }
 
     def restore(self, state: State) -> None:
@@ -73,15 +81,16 @@ class Agreement:
         self._slot = state['slot']
         self._slot_began = state['slot_began']
         self._travelled = state['travelled']
-        self._claims.clear()
+        self._count = 0
         for template_id, x, y, theta, travelled, slot in state['claims']:
-            self._claims.append(_Claim(template_id, Place(x, y, theta), travelled, slot))
+            self._append(template_id, Place(x, y, theta), travelled, slot)
 
     def integrate(self, chord_cells: float, turn_planes: float) -> None:
         """Carry all claims along with one motion of the robot."""
         self._travelled += abs(chord_cells) + TURN_WEIGHT * abs(turn_planes)
-        for claim in self._claims:
-            claim.place = self._torus.moved(claim.place, chord_cells, turn_planes)
+        _carry(
+            self._places, self._count, chord_cells, turn_planes, self._torus.planes_per_rad
+        )
 
     def weigh(self, template_id: int, place: Place, believed: Place) -> float:
         """Take a recognised view's claim; return the factor for the energy that it injects.
@@ -93,9 +102,9 @@ class Agreement:
         """
         if self._views == 0.0:
             return 1.0
-        if not self._claims or self._claims[-1].template_id != template_id:
+        if self._count == 0 or self._template_ids[self._count - 1] != template_id:
             self._remember(template_id, place)
-        claimed = self._claims[-1].place
+        claimed = Place(*self._places[self._count - 1].tolist())
         support = self._supporters(claimed)
         if self._torus.distance(claimed, believed) > self._radius:
             support -= self._supporters(believed)
@@ -106,19 +115,67 @@ class Agreement:
         if self._travelled - self._slot_began >= self._spacing:
             self._slot += 1
             self._slot_began = self._travelled
-        self._claims.append(_Claim(template_id, place, self._travelled, self._slot))
-        while self._claims[0].slot <= self._slot - self._recent:
-            self._claims.popleft()
+        self._append(template_id, place, self._travelled, self._slot)
+        while self._slots[0] <= self._slot - self._recent:
+            self._forget_oldest()
+
+    def _append(self, template_id: int, place: Place, travelled: float, slot: int) -> None:
+        if self._count == MOST_CLAIMS:
+            self._forget_oldest()
+        i = self._count
+        self._places[i] = place
+        self._made_at[i] = travelled
+        self._template_ids[i] = template_id
+        self._slots[i] = slot
+        self._count += 1
+
+    def _forget_oldest(self) -> None:
+        for of_claims in (self._places, self._made_at, self._template_ids, self._slots):
+            of_claims[: self._count - 1] = of_claims[1 : self._count]
+        self._count -= 1
 
     def _supporters(self, place: Place) -> int:
         """Return how many claims lie near a place, made at least a spacing apart."""
-        count = 0
-        last = -self._spacing
-        for claim in self._claims:
-            if (
-                claim.travelled - last >= self._spacing
-                and self._torus.distance(claim.place, place) <= self._radius
-            ):
-                count += 1
-                last = claim.travelled
-        return count
+        torus = self._torus
+        return int(
+            _supporters(
+                self._places, self._made_at, self._count, place.x, place.y, place.theta,
+                torus.n_x, torus.n_y, torus.n_theta, self._radius, self._spacing,
+            )  # fmt: skip
+        )
+
+
+@compiled
+def _carry(
+    places: NDArray[np.float64], count: int, chord: float, turn: float, planes_per_rad: float
+) -> None:
+    """Move places as ``Torus.moved`` does."""
+    for i in range(count):
+        direction = (places[i, 2] + 0.5 * turn) / planes_per_rad
+        places[i, 0] += chord * math.cos(direction)
+        places[i, 1] += chord * math.sin(direction)
+        places[i, 2] += turn
+
+
+@compiled
+def _supporters(
+    places: NDArray[np.float64], made_at: NDArray[np.float64], count: int,
+    x: float, y: float, theta: float, n_x: int, n_y: int, n_theta: int,
+    radius: float, spacing: float,
+) -> int:  # fmt: skip
+    """Count claims within a radius, as ``Torus.distance`` has it, made a spacing apart."""
+    found = 0
+    last = -spacing
+    for i in range(count):
+        if made_at[i] - last < spacing:
+            continue
+        d_x = abs(places[i, 0] - x) % n_x
+        d_y = abs(places[i, 1] - y) % n_y
+        d_theta = abs(places[i, 2] - theta) % n_theta
+        d_x = min(d_x, n_x - d_x)
+        d_y = min(d_y, n_y - d_y)
+        d_theta = min(d_theta, n_theta - d_theta)
+        if math.sqrt(d_x * d_x + d_y * d_y + d_theta * d_theta) <= radius:
+            found += 1
+            last = made_at[i]
+    return found

@@ -22,7 +22,6 @@ from ratslam_ros.core.visual_odometry import VisualOdometry
 _SMALL = {
     'local_view.template_x_size': 4, 'local_view.template_y_size': 2,
     'local_view.vt_shift_match': 1, 'local_view.vt_patch_normalise': 1,
-    'pose_cells.pc_vt_agree_views': 0,
 }  # fmt: skip
 _MOTION = Motion(1.0, 1.0, 0.1)
 
@@ -57,11 +56,12 @@ def _local_view(config: Config) -> None:
 
 def _pose_cells(config: Config) -> None:
     motion_from = MotionFromOdometry(config.pose_cells.odom_source)
-    pose_cells = PoseCells(config.pose_cells)
-    for n in range(30):  # twice the same way: the second time activity is injected
-        motion_from(Odometry(n * 10**9, Twist(1.0, 0.1), Pose(0.0, 0.0, 0.0)))
-        pose_cells.integrate(_MOTION)
-        pose_cells.view(ViewMatch(n % 15, n < 15, 0.0, 0.0))
+    for views in (0.0, 1.0):  # with none that need agree, all that is known injects
+        pose_cells = PoseCells(replace(config.pose_cells, pc_vt_agree_views=views))
+        for n in range(30):  # twice the same way: the second time activity is injected
+            motion_from(Odometry(n * 10**9, Twist(1.0, 0.1), Pose(0.0, 0.0, 0.0)))
+            pose_cells.integrate(_MOTION)
+            pose_cells.view(ViewMatch(n % 15, n < 15, 0.0, 0.0))
     pose_cells.activity()
 
 

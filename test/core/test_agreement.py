@@ -79,4 +79,4 @@ def test_what_is_remembered_is_bounded() -> None:
     for n in range(10 * MOST_CLAIMS):
         claims.weigh(n, Place(n % 7, n % 5, math.pi), THERE)
         claims.integrate(1e-6, 0.0)
-    assert len(claims._claims) == MOST_CLAIMS
+    assert len(claims) == MOST_CLAIMS
