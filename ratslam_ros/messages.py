@@ -10,8 +10,12 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from operator import is_not
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from ratslam_ros.core.experience_map import ExperienceMap
 from ratslam_ros.core.local_view import ViewMatch
@@ -126,46 +130,128 @@ def decode_action(payload: str) -> tuple[int, int, MapAction, int]:
     return _stamp_ns(fields['stamp']), fields['sequence'], action, fields['memory']
 
 
-def encode_map(stamp_ns: int, experience_map: ExperienceMap) -> str:
+def encode_map(
+    stamp_ns: int, experience_map: ExperienceMap, map_text: MapText | None = None
+) -> str:
     """Return the whole graph, for map.json and ``experience_map/map`` alike.
 
-    ``stamp_ns`` is that of the last action applied, 0 before the first; an action without a
-    template is not.
+    Args:
+        stamp_ns: that of the last action applied, 0 before the first; an action without a
+            template is not.
+        experience_map: the graph.
+        map_text: what is left from the last call, to be quick; it does not change the result.
+
+    Raises:
+        ValueError: a number of the graph is not finite.
     """
-    return _dumps(
+    experiences, links = (map_text or MapText()).of(experience_map)
+    head = _dumps(
         {
             'schema_version': SCHEMA_VERSION,
             'frame_id': experience_map.frame_id,
             'stamp': _stamp(stamp_ns),
             'current_experience_id': experience_map.current_id,
-            'experiences': [
-                {
-                    'id': e.id,
-                    'template_id': e.template_id,
-                    'x_m': e.pose.x_m,
-                    'y_m': e.pose.y_m,
-                    'heading_rad': e.pose.heading_rad,
-                    'pc_x': e.place.x,
-                    'pc_y': e.place.y,
-                    'pc_theta': e.place.theta,
-                }
-                for e in experience_map.experiences()
-            ],
-            'links': [
-                {
-                    'source_id': link.source_id,
-                    'target_id': link.target_id,
-                    'distance_m': link.distance_m,
-                    'heading_rad': link.heading_rad,
-                    'facing_rad': link.facing_rad,
-                    'duration_s': link.duration_s,
-                    'behaviour': link.behaviour,
-                    'count': link.count,
-                }
-                for link in experience_map.links()
-            ],
         }
     )
+    return f'{head[:-1]},"experiences":[{",".join(experiences)}],"links":[{",".join(links)}]}}'
+
+
+class MapText:
+    """The JSON of a map's experiences and links, kept to write only anew what has changed.
+
+    All is compared with what its text was made of, so that any map may come next. Nothing here
+    makes an object for every item that the garbage collector would have to look through.
+    """
+
+    def __init__(self) -> None:
+        self._places = _Texts()
+        self._experiences = _Texts()
+        self._links = _Texts()
+
+    def of(self, experience_map: ExperienceMap) -> tuple[list[str], list[str]]:
+        """Return the text of every experience and of every link."""
+        return self._experiences_of(experience_map), self._links_of(experience_map)
+
+    def _experiences_of(self, experience_map: ExperienceMap) -> list[str]:
+        labels, poses = experience_map.labels, experience_map.poses
+
+        def write_places(rows: list[int]) -> list[str]:
+            axes = (_numbers([labels[row][1][axis] for row in rows]) for axis in range(3))
+            return [
+                f',"pc_x":{x},"pc_y":{y},"pc_theta":{theta}'
+                for x, y, theta in zip(*axes, strict=True)
+            ]
+
+        # Kept for themselves: a relaxation moves all poses, and no place in the pose cells.
+        places = self._places.update(labels, poses[:, :0], write_places)
+
+        def write(rows: list[int]) -> list[str]:
+            axes = map(_numbers, poses[rows].T.tolist())
+            return [
+                f'{{"id":{row},"template_id":{labels[row][0]},"x_m":{x},"y_m":{y},'
+                f'"heading_rad":{heading}{places[row]}}}'
+                for row, x, y, heading in zip(rows, *axes, strict=True)
+            ]
+
+        return self._experiences.update(labels, poses, write)
+
+    def _links_of(self, experience_map: ExperienceMap) -> list[str]:
+        ends, notes = experience_map.link_ends, experience_map.link_notes
+        lengths = np.column_stack([experience_map.link_shapes, experience_map.link_durations_s])
+
+        def write(rows: list[int]) -> list[str]:
+            behaviours = {name: _dumps(name) for name in {notes[row][0] for row in rows}}
+            columns = *ends[rows].T.tolist(), *map(_numbers, lengths[rows].T.tolist())
+            return [
+                f'{{"source_id":{source},"target_id":{target},"distance_m":{distance},'
+                f'"heading_rad":{heading},"facing_rad":{facing},"duration_s":{duration},'
+                f'"behaviour":{behaviours[notes[row][0]]},"count":{notes[row][1]}}}'
+                for row, source, target, distance, heading, facing, duration in zip(
+                    rows, *columns, strict=True
+                )
+            ]
+
+        return self._links.update(notes, np.column_stack([ends, lengths]), write)
+
+
+class _Texts:
+    """A list of texts, each kept until what it was made of is something else."""
+
+    def __init__(self) -> None:
+        self._things: list[object] = []
+        self._bits = np.empty((0, 0), np.int64)
+        self._texts: list[str] = []
+
+    def update(
+        self,
+        things: Sequence[object],
+        numbers: NDArray[np.float64],
+        write: Callable[[list[int]], list[str]],
+    ) -> list[str]:
+        """Return a text for every row.
+
+        Args:
+            things: what cannot be changed, only replaced: compared by identity, which is quick.
+            numbers: (things, any) what else the texts are made of.
+            write: returns the texts of some rows.
+        """
+        bits = numbers.view(np.int64)  # 0.0 and -0.0 are equal, and their texts are not
+        kept = min(len(things), len(self._things))
+        stale = np.ones(len(things), np.bool_)
+        replaced = np.fromiter(map(is_not, things, self._things), np.bool_, kept)
+        stale[:kept] = replaced | (bits[:kept] != self._bits[:kept]).any(axis=1)
+        rows = np.flatnonzero(stale).tolist()
+        texts = self._texts[:kept] + [''] * (len(things) - kept)
+        if rows:
+            for row, text in zip(rows, write(rows), strict=True):
+                texts[row] = text
+        self._things, self._bits, self._texts = list(things), bits, texts
+        return texts
+
+
+def _numbers(values: list[float]) -> list[str]:
+    """Return numbers as JSON writes them; all at once, as a call takes as long as a number."""
+    return _dumps(values)[1:-1].split(',')
 
 
 def _check(name: str, key: str, value: float, low: float, high: float) -> None:
@@ -173,7 +259,7 @@ def _check(name: str, key: str, value: float, low: float, high: float) -> None:
         raise MalformedMessage(f'{name}: {key} is {value}; expected {low:.4g} to {high:.4g}')
 
 
-def _dumps(value: Mapping[str, Any]) -> str:
+def _dumps(value: Any) -> str:
     return json.dumps(value, allow_nan=False, separators=(',', ':'))
 
 

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -101,6 +102,21 @@ class ExperienceMap:
     def link_durations_s(self) -> NDArray[np.float64]:
         """(links,) duration of every link; a view, not to be changed or kept."""
         return self._durations_s[: len(self._notes)]
+
+    @property
+    def link_shapes(self) -> NDArray[np.float64]:
+        """(links, 3) distance, heading and facing of every link; a view, not to be changed."""
+        return self._shapes[: len(self._notes)]
+
+    @property
+    def link_notes(self) -> Sequence[tuple[str, int]]:
+        """Behaviour and count of every link; not to be changed or kept."""
+        return self._notes
+
+    @property
+    def labels(self) -> Sequence[tuple[int, Place]]:
+        """Template and place in the pose cells of every experience; not to be changed or kept."""
+        return self._labels
 
     @property
     def poses(self) -> NDArray[np.float64]:

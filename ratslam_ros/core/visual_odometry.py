@@ -19,6 +19,8 @@ Profile = NDArray[np.int64]
 """Sum of each column of a window: integers, so that ties are ties and not decided by rounding."""
 
 MAX_SHIFT_PX = 39
+BAND_ROWS = 257
+"""So many rows add up to 65535 at most: four times as many columns at once as in 64 bits."""
 
 
 def field_of_view_deg(focal_px: float, width_px: int) -> float:
@@ -33,6 +35,8 @@ class VisualOdometry:
         self._p = parameters
         self._last: tuple[int, tuple[int, ...], Profile, Profile] | None = None
         self._pose = Pose(0.0, 0.0, 0.0)
+        self._shape: tuple[int, ...] = ()
+        self._windows: tuple[Window, Window]
 
     def __call__(self, stamp_ns: int, image: NDArray[np.uint8]) -> Odometry | None:
         """Return the motion since the previous image, and all motions together as a pose.
@@ -47,9 +51,13 @@ class VisualOdometry:
             UnusableParameter: a window lies outside the image.
         """
         p = self._p
-        window = self.translation_window(image)
-        rotation = _profile_of(image, self.rotation_window(image))
-        translation = _profile_of(image, window)
+        if self._shape != image.shape:
+            self._windows = self.rotation_window(image), self.translation_window(image)
+            self._shape = image.shape
+        pixels = plain(image)
+        window = self._windows[1]
+        rotation = _profile_of(pixels, self._windows[0])
+        translation = _profile_of(pixels, window)
         last, self._last = self._last, (stamp_ns, image.shape, rotation, translation)
         if last is None or last[1] != image.shape:
             return None  # of another image size there is nothing to compare with
@@ -92,7 +100,7 @@ class VisualOdometry:
 
 def _profile_of(image: NDArray[np.uint8], window: Window) -> Profile:
     profile = np.zeros(window.x_max - window.x_min, np.int64)
-    _profile(plain(image), *window, profile)
+    _profile(image, *window, profile)
     return profile
 
 
@@ -101,9 +109,16 @@ def _profile(
     image: NDArray[np.uint8], x_min: int, x_max: int, y_min: int, y_max: int, profile: Profile
 ) -> None:
     """Add the sum of each of a window's columns to ``profile`` (w,)."""
-    for y in range(y_min, y_max):
-        for x in range(x_max - x_min):
-            profile[x] += image[y, x_min + x]
+    width = x_max - x_min
+    band = np.empty(width, np.uint16)
+    for top in range(y_min, y_max, BAND_ROWS):
+        band[:] = 0
+        for y in range(top, min(top + BAND_ROWS, y_max)):
+            row = image[y, x_min:x_max]
+            for x in range(width):
+                band[x] += row[x]
+        for x in range(width):
+            profile[x] += band[x]
 
 
 @compiled

@@ -25,7 +25,7 @@ from ratslam_ros.core.local_view import NO_TEMPLATE
 from ratslam_ros.core.odometry import MotionFromOdometry, Odometry, Pose, moved
 from ratslam_ros.core.pose_cells import MapAction
 from ratslam_ros.core.state import State
-from ratslam_ros.messages import MalformedMessage, decode_action, encode_map
+from ratslam_ros.messages import MalformedMessage, MapText, decode_action, encode_map
 from ratslam_ros.nodes.convert import (
     header_of,
     odometry_of,
@@ -81,6 +81,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
     def _forget(self) -> None:
         self._core = ExperienceMap(self._section)
         self._core.mapping = self._mapping
+        self._map_text = MapText()
         self._joining = Joining(self._core)
         self._goal_recall = GoalRecall(self.config.goal_recall)
         self._motion = MotionFromOdometry(self._section.odom_source)
@@ -112,6 +113,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
         joining.restore(state['joining'])
         self._action_ns = int(state['action_ns'])
         self._core, self._joining = core, joining
+        self._map_text = MapText()
         self._core.mapping = self._mapping
         self._motion.restart()
         self._end_route()
@@ -236,7 +238,8 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
             return
         self._changed, self._sent = False, True
         start_s = time.monotonic()
-        self._map_publisher.publish(String(data=encode_map(self._action_ns, self._core)))
+        text = encode_map(self._action_ns, self._core, self._map_text)
+        self._map_publisher.publish(String(data=text))
         if self._viewers > 0:
             self._send_markers()
         took_s = time.monotonic() - start_s
