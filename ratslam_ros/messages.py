@@ -153,23 +153,27 @@ def encode_map(
             'current_experience_id': experience_map.current_id,
         }
     )
-    return f'{head[:-1]},"experiences":[{",".join(experiences)}],"links":[{",".join(links)}]}}'
+    # One join: copying megabytes takes longer than finding out what to write anew.
+    return ''.join([head[:-1], ',"experiences":[', *experiences, '],"links":[', *links, ']}'])
 
 
 class MapText:
     """The JSON of a map's experiences and links, kept to write only anew what has changed.
 
-    All is compared with what its text was made of, so that any map may come next. Nothing here
-    makes an object for every item that the garbage collector would have to look through.
+    All is compared with what its text was made of, so that any map may come next. No container
+    is kept for an item: the garbage collector would look through them all.
     """
 
     def __init__(self) -> None:
-        self._places = _Texts()
-        self._experiences = _Texts()
-        self._links = _Texts()
+        self._places = _Texts(numbers=0)
+        self._experiences = _Texts(numbers=3)
+        self._links = _Texts(numbers=6)
 
     def of(self, experience_map: ExperienceMap) -> tuple[list[str], list[str]]:
-        """Return the text of every experience and of every link."""
+        """Return the text of every experience and of every link, a comma before all but the first.
+
+        Both are valid until the next call, and not to be changed.
+        """
         return self._experiences_of(experience_map), self._links_of(experience_map)
 
     def _experiences_of(self, experience_map: ExperienceMap) -> list[str]:
@@ -188,8 +192,8 @@ class MapText:
         def write(rows: list[int]) -> list[str]:
             axes = map(_numbers, poses[rows].T.tolist())
             return [
-                f'{{"id":{row},"template_id":{labels[row][0]},"x_m":{x},"y_m":{y},'
-                f'"heading_rad":{heading}{places[row]}}}'
+                f'{"," if row else ""}{{"id":{row},"template_id":{labels[row][0]},'
+                f'"x_m":{x},"y_m":{y},"heading_rad":{heading}{places[row]}}}'
                 for row, x, y, heading in zip(rows, *axes, strict=True)
             ]
 
@@ -203,9 +207,10 @@ class MapText:
             behaviours = {name: _dumps(name) for name in {notes[row][0] for row in rows}}
             columns = *ends[rows].T.tolist(), *map(_numbers, lengths[rows].T.tolist())
             return [
-                f'{{"source_id":{source},"target_id":{target},"distance_m":{distance},'
-                f'"heading_rad":{heading},"facing_rad":{facing},"duration_s":{duration},'
-                f'"behaviour":{behaviours[notes[row][0]]},"count":{notes[row][1]}}}'
+                f'{"," if row else ""}{{"source_id":{source},"target_id":{target},'
+                f'"distance_m":{distance},"heading_rad":{heading},"facing_rad":{facing},'
+                f'"duration_s":{duration},"behaviour":{behaviours[notes[row][0]]},'
+                f'"count":{notes[row][1]}}}'
                 for row, source, target, distance, heading, facing, duration in zip(
                     rows, *columns, strict=True
                 )
@@ -217,9 +222,9 @@ class MapText:
 class _Texts:
     """A list of texts, each kept until what it was made of is something else."""
 
-    def __init__(self) -> None:
+    def __init__(self, numbers: int) -> None:
         self._things: list[object] = []
-        self._bits = np.empty((0, 0), np.int64)
+        self._bits = np.empty((0, numbers), np.int64)
         self._texts: list[str] = []
 
     def update(
@@ -232,21 +237,22 @@ class _Texts:
 
         Args:
             things: what cannot be changed, only replaced: compared by identity, which is quick.
-            numbers: (things, any) what else the texts are made of.
+            numbers: (things, as many as were said) what else the texts are made of.
             write: returns the texts of some rows.
         """
         bits = numbers.view(np.int64)  # 0.0 and -0.0 are equal, and their texts are not
         kept = min(len(things), len(self._things))
         stale = np.ones(len(things), np.bool_)
-        replaced = np.fromiter(map(is_not, things, self._things), np.bool_, kept)
-        stale[:kept] = replaced | (bits[:kept] != self._bits[:kept]).any(axis=1)
+        stale[:kept] = np.fromiter(map(is_not, things, self._things), np.bool_, kept)
+        stale[:kept] |= (bits[:kept] != self._bits[:kept]).any(axis=1)
         rows = np.flatnonzero(stale).tolist()
-        texts = self._texts[:kept] + [''] * (len(things) - kept)
-        if rows:
-            for row, text in zip(rows, write(rows), strict=True):
-                texts[row] = text
-        self._things, self._bits, self._texts = list(things), bits, texts
-        return texts
+        texts = write(rows) if rows else []
+        self._bits = bits
+        self._things[kept:] = things[kept:]
+        self._texts[kept:] = [''] * (len(things) - kept)
+        for row, text in zip(rows, texts, strict=True):
+            self._things[row], self._texts[row] = things[row], text
+        return self._texts
 
 
 def _numbers(values: list[float]) -> list[str]:

@@ -3,6 +3,8 @@
 """Payloads: equal content gives equal bytes, and what does not fit is refused whole."""
 
 import json
+import math
+import random
 from typing import Any
 
 import pytest
@@ -10,6 +12,7 @@ from helpers import START_NS, ahead, template_text, turning
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ratslam_ros import messages
 from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.experience_map import ExperienceMap
 from ratslam_ros.core.local_view import UNDECODABLE, ViewMatch
@@ -17,6 +20,7 @@ from ratslam_ros.core.pose_cells import MapAction
 from ratslam_ros.core.torus import Place
 from ratslam_ros.messages import (
     MalformedMessage,
+    MapText,
     decode_action,
     decode_template,
     encode_action,
@@ -147,6 +151,50 @@ def small_map() -> ExperienceMap:
     graph.apply(MapAction('create', 0, 1, 6, 0.0, Place(2.0, 0.1, 35.9)), 'wänder')
     return graph
 
+
+def plain_json(stamp_ns: int, graph: ExperienceMap) -> str:
+    """The map's text in the plainest way: what ``encode_map`` gives is to be the same."""
+    content = {
+        'schema_version': 1,
+        'frame_id': graph.frame_id,
+        'stamp': {'sec': stamp_ns // 10**9, 'nanosec': stamp_ns % 10**9},
+        'current_experience_id': graph.current_id,
+        'experiences': [
+            {
+                'id': e.id,
+                'template_id': e.template_id,
+                'x_m': e.pose.x_m,
+                'y_m': e.pose.y_m,
+                'heading_rad': e.pose.heading_rad,
+                'pc_x': e.place.x,
+                'pc_y': e.place.y,
+                'pc_theta': e.place.theta,
+            }
+            for e in graph.experiences()
+        ],
+        'links': [
+            {
+                'source_id': link.source_id,
+                'target_id': link.target_id,
+                'distance_m': link.distance_m,
+                'heading_rad': link.heading_rad,
+                'facing_rad': link.facing_rad,
+                'duration_s': link.duration_s,
+                'behaviour': link.behaviour,
+                'count': link.count,
+            }
+            for link in graph.links()
+        ],
+    }
+    return json.dumps(content, allow_nan=False, separators=(',', ':'))
+
+
+def check_text(graph: ExperienceMap, kept: MapText) -> None:
+    text = plain_json(START_NS, graph)
+    assert encode_map(START_NS, graph, kept) == text
+    assert encode_map(START_NS, graph) == text
+
+
 # Actions
 
 ACTION_KEYS = [
@@ -254,3 +302,132 @@ def test_no_map_with_nan_is_ever_written() -> None:
     graph._poses[1, 0] = float('nan')
     with pytest.raises(ValueError, match='JSON'):
         encode_map(0, graph)
+
+
+NAMES = ['', 'wander', 'wänder', '環境', 'say "go"\\\n', '%s{0}', '\U0001f916', '\x00\x7f']
+ODD = [0.0, -0.0, 1e-7, 1e-5, 0.1, 3.0, 1e15, 1e16, 1e22, 2.0**53, 5e-324, 1.7976931348623157e308]
+PARAMETERS = [
+    ExperienceMapParameters(map_frame='kärte"1"'),
+    ExperienceMapParameters(exp_relaxation='sweep'),
+    ExperienceMapParameters(exp_loops=0),
+]
+
+
+@pytest.mark.parametrize('seed', range(6))
+def test_a_kept_text_follows_the_map_whatever_happens_to_it(seed: int) -> None:
+    rng = random.Random(seed)
+    parameters = PARAMETERS[seed % len(PARAMETERS)]
+    graph, kept = ExperienceMap(parameters), MapText()
+    check_text(graph, kept)
+    for step in range(150):
+        graph.integrate(turning(rng.uniform(-2.0, 2.0)))
+        graph.integrate(ahead(rng.choice([0.0, rng.uniform(0.0, 3.0)])))
+        known, here = len(graph), graph.current_id
+        place = Place(rng.uniform(0.0, 30.0), rng.choice([0.0, 7.0]), rng.uniform(0.0, 36.0))
+        if known < 3 or rng.random() < 0.5:
+            action = MapAction('create', here, known, step, rng.uniform(-0.1, 0.1), place)
+        elif rng.random() < 0.3:
+            action = MapAction('set', -1, rng.randrange(known), step, 0.0, place)
+        else:  # few targets, so that links are averaged
+            target = (here + rng.randrange(1, 3)) % known
+            action = MapAction('link', here, target, step, rng.uniform(-0.1, 0.1), place)
+        graph.apply(action, rng.choice(NAMES))
+        if rng.random() < 0.1:
+            graph.settle()
+        if rng.random() < 0.1:
+            state, graph = graph.state(), ExperienceMap(parameters)
+            graph.restore(state)
+        if rng.random() < 0.5:  # else several changes come at once
+            check_text(graph, kept)
+    assert len({count for _, count in graph.link_notes}) > 2
+    check_text(graph, kept)
+
+
+@given(st.lists(
+    st.tuples(st.integers(0, 13), st.sampled_from(ODD) | st.floats(allow_nan=False,
+                                                                   allow_infinity=False)),
+    max_size=20,
+))  # fmt: skip
+def test_every_number_is_written_as_json_does(changes: list[tuple[int, float]]) -> None:
+    graph, kept = small_map(), MapText()
+    check_text(graph, kept)
+    for at, value in changes:
+        value = math.copysign(value, (-1) ** at)
+        if at < 6:
+            graph._poses[divmod(at, 3)] = value
+        elif at < 9:
+            graph._shapes[0, at - 6] = value
+        elif at == 9:
+            graph._durations_s[0] = value
+        else:
+            graph._labels[at % 2] = at, Place(value, at, -value)  # a whole number stays one
+        check_text(graph, kept)
+
+
+@pytest.mark.parametrize('name', NAMES)
+def test_a_behaviour_is_written_as_json_does(name: str) -> None:
+    graph, kept = small_map(), MapText()
+    for count in (1, 10**6):
+        graph._notes[0] = name, count
+        check_text(graph, kept)
+
+
+def test_zero_is_told_from_minus_zero() -> None:
+    graph, kept = small_map(), MapText()
+    for zero in (0.0, -0.0, 0.0):
+        graph._poses[1, 1] = graph._shapes[0, 1] = zero
+        graph._labels[1] = 6, Place(2.0, zero, 35.9)
+        check_text(graph, kept)
+
+
+def test_a_kept_text_is_never_that_of_another_map() -> None:
+    kept, empty, other = MapText(), ExperienceMap(PARAMETERS[2]), small_map()
+    other._labels[1] = 6, Place(2.0, -0.0, 35.9)
+    larger = small_map()
+    larger.integrate(ahead(1.0))
+    larger.apply(MapAction('create', 1, 2, 7, 0.0, Place(3.0, 0.0, 0.0)), 'wander')
+    for graph in (small_map(), other, empty, larger, small_map(), empty, other, larger):
+        check_text(graph, kept)
+
+
+@pytest.mark.parametrize('value', [math.nan, math.inf])
+def test_what_could_not_be_written_is_not_kept(value: float) -> None:
+    graph, kept = small_map(), MapText()
+    check_text(graph, kept)
+    for numbers in (graph._poses, graph._shapes):
+        numbers[0, 0] = value
+        for _ in range(2):
+            with pytest.raises(ValueError, match='JSON'):
+                encode_map(0, graph, kept)
+        numbers[0, 0] = 2.5
+        check_text(graph, kept)
+
+
+def test_only_what_has_changed_is_written_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    graph, kept = small_map(), MapText()
+    written = 0
+    plain = messages._numbers
+
+    def numbers(values: list[float]) -> list[str]:
+        nonlocal written
+        written += len(values)
+        return plain(values)
+
+    def written_now() -> int:
+        nonlocal written
+        written = 0
+        encode_map(0, graph, kept)
+        return written
+
+    monkeypatch.setattr(messages, '_numbers', numbers)
+    assert written_now() == 2 * 6 + 4
+    assert written_now() == 0
+    graph._poses[:2, 0] += 1.0
+    assert written_now() == 2 * 3
+    graph.integrate(ahead(1.0))
+    graph.apply(MapAction('create', 1, 2, 7, 0.0, Place(3.0, 0.0, 0.0)))
+    assert written_now() == 6 + 4
+    graph.apply(MapAction('set', -1, 0, 4, 0.0, Place(1.0, 2.0, 3.5)))
+    graph.integrate(ahead(1.0))
+    graph.apply(MapAction('link', 0, 1, 6, 0.0, Place(2.0, 0.1, 35.9)))
+    assert written_now() == 4

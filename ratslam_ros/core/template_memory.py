@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The templates and the exact search among them, which looks at few of them in full.
 
-Beside each template lie the sums of its blocks, two columns wide and three or four rows high. The
+Beside each template lie the sums of its blocks, two columns wide and two or three rows high. The
 difference of two blocks' sums is at most the sum of their pixels' differences, so the blocks tell
-a least SAD for every offset, at an eighth of the work; only a template whose least could still win
+a least SAD for every offset, at a quarter of the work; only a template whose least could still win
 is compared pixel by pixel. The result is that of comparing all of them.
 
 Templates lie in blocks of memory that never move: to learn one costs the same at any size, and no
@@ -27,7 +27,7 @@ Places = NDArray[np.int64]
 SHELF_BYTES = 1 << 24
 LARGEST_SAD = 2**31 - 1
 BLOCK_COLUMNS = 2
-BLOCK_ROWS = 4
+BLOCK_ROWS = 3
 """Blocks have at most this many rows. Found on noise, simulated and real views: smaller blocks
 bound the SAD better, larger ones are fewer."""
 
@@ -91,8 +91,6 @@ class TemplateMemory:
         most_rows = int(np.diff(self._edges).max())
         self._divisor = BLOCK_COLUMNS * most_rows
         pairs = columns // BLOCK_COLUMNS
-        budget = -(-pairs * groups // PIECE) * PIECE
-        pairs = min(pairs, max(budget // groups, 1))
         self._compared = pairs * groups
         # A block's sum is rounded down to a byte: two may be this much nearer than their sums.
         self._slack = (self._divisor - 1) * self._compared
@@ -112,7 +110,9 @@ class TemplateMemory:
             in_query = 0 * falls + (moves if panoramic else still)
             stride = self._falls * fall_size
             whole = -(-stride // PIECE) * PIECE
-            if 8 * (whole - stride) <= stride:  # loads that do not straddle are worth an eighth
+            # Templates that are always read from their first pixel on are worth a little room, so
+            # that no load straddles two lines of the cache.
+            if panoramic and 8 * (whole - stride) <= stride:
                 stride = whole
             return _Layer(stride, in_template.ravel(), in_query.ravel(), *pieces_of(length))
 

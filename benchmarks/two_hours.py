@@ -1,0 +1,454 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Two hours live at 30 Hz, simulated and as fast as possible: does anything slow down?
+
+    python benchmarks/two_hours.py [--hours 2] [--seed 1] [--out results/benchmarks]
+
+A robot with a camera of 160x120 at 30 Hz and wheel odometry at 50 Hz drives about a warehouse
+(`town.py` in small), half of the time where it was before, so that its memory keeps growing. The
+nodes are the live ones, all in this process on one executor, over real DDS, on whatever
+`import rclpy` gives. They get each image and its odometry in the order of the stamps, and the next
+image only when the map has taken this one. What is measured is all that one image causes: sending
+it, transport, the three nodes, and the map message, sent as often in simulated time as it would be
+live. Rendering the images is not measured. Nobody listens to the map or its markers. Linux only.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import math
+import os
+import resource
+import sys
+import tempfile
+import time
+from array import array
+from collections import defaultdict
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import cv2
+import matplotlib
+import numpy as np
+from numpy.typing import NDArray
+from town import At, Camera, Laps, Town, drive, resident_mb
+
+matplotlib.use('Agg')
+import matplotlib.pyplot as plt
+
+ROOT = Path(__file__).resolve().parents[1]
+WIDTH, HEIGHT, IMAGE_HZ, ODOMETRY_HZ = 160, 120, 30, 50
+STEPS_HZ = 150  # both rates divide it
+BUDGET_MS = 1e3 / IMAGE_HZ
+MINUTE = 60 * IMAGE_HZ
+START_S = 1000
+WAREHOUSE = Town(
+    lot_m=1.2, block=8, eye_m=0.6, fov_deg=60.0, lane_m=0.0, corner_m=0.8, columns=0,
+    speed_mps=1.0, turning_mps=0.5, brake_mps2=0.5, sway_m=0.05, light=0.1, known=20.0,
+)  # fmt: skip
+SETTINGS = {
+    'local_view.vt_normalisation': 0.4,
+    'local_view.vt_match_threshold': 0.02,
+    'pose_cells.pc_dim_xy': 50,
+    'pose_cells.pc_cell_x_size': 0.25,
+    'pose_cells.exp_delta_pc_threshold': 1.0,
+}
+"""Where the robot differs from the defaults."""
+ODOMETRY_NOISE = 0.02
+GROUPS = {
+    'local view': ('decode', 'local_view'),
+    'pose cells': ('pose_cells', 'pose_cells_view'),
+    'experience map': ('experience_map',),
+    'map message': ('map',),
+}
+"""The parts that are shown, and the stopwatches that are in them; the rest is transport."""
+
+
+class NodeLaps(Laps):
+    """The stopwatch that the nodes are given in place of their own."""
+
+    def summary_ms(self) -> dict[str, dict[str, float]]:
+        """Return nothing: the diagnostics tell no times here."""
+        return {}
+
+    def timed(self, step: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        """Return a function that is measured."""
+
+        def measured(*args: Any) -> Any:
+            with self(step):
+                return function(*args)
+
+        return measured
+
+    def collection(self, phase: str, info: dict[str, int]) -> None:
+        """Measure Python's full garbage collections: one of gc.callbacks."""
+        if info['generation'] < 2:
+            return
+        if phase == 'start':
+            self._since_s = time.perf_counter()
+        else:
+            self.s['collection'].append(time.perf_counter() - self._since_s)
+
+
+class SimulatedClock:
+    """Stands for the module ``time`` in the node of the map: simulated time, work included."""
+
+    def __init__(self) -> None:
+        self.at_s = 0.0
+        self.work_since_s: float | None = None
+
+    def monotonic(self) -> float:
+        """Return the time of the newest message, and what has been worked since."""
+        since_s = self.work_since_s
+        return self.at_s + (0.0 if since_s is None else time.perf_counter() - since_s)
+
+
+class Bench:
+    """The three nodes, and the robot that sends to them."""
+
+    def __init__(self, seed: int) -> None:
+        import rclpy
+        from nav_msgs.msg import Odometry
+        from rclpy.executors import SingleThreadedExecutor
+        from sensor_msgs.msg import Image
+
+        from ratslam_ros import messages
+        from ratslam_ros.nodes import experience_map_node
+        from ratslam_ros.nodes.local_view_node import LocalViewNode
+        from ratslam_ros.nodes.pose_cells_node import PoseCellsNode
+        from ratslam_ros.nodes.qos import RESULT
+
+        self.laps = NodeLaps()
+        self._clock = SimulatedClock()
+        experience_map_node.time = self._clock
+        experience_map_node.encode_map = self._encode(messages.encode_map)
+        self.local_view = LocalViewNode()
+        self.pose_cells = PoseCellsNode()
+        self.map = experience_map_node.ExperienceMapNode()
+        self.map._send_map = self.laps.timed('map', self.map._send_map)
+        self._nodes = self.local_view, self.pose_cells, self.map
+        self._robot = rclpy.create_node('robot', use_global_arguments=False)
+        self._executor = SingleThreadedExecutor()
+        for node in (*self._nodes, self._robot):
+            self._executor.add_node(node)
+        for node in self._nodes:
+            node._diagnostics.times = self.laps
+        self._images = self._robot.create_publisher(Image, 'image', RESULT)
+        self._odometry = self._robot.create_publisher(Odometry, 'odom', RESULT)
+        self._spin_until(
+            lambda: self._images.get_subscription_count() == 1
+            and self._odometry.get_subscription_count() == 2
+            and all(node.count_publishers(topic) for node, topic in (
+                (self.pose_cells, 'local_view/template'), (self.map, 'pose_cells/action')))
+        )  # fmt: skip
+        self._camera = Camera(WAREHOUSE, seed, WIDTH, HEIGHT)
+        self._rng = np.random.default_rng((seed, 2))
+        self._frame = np.empty((HEIGHT, WIDTH, 3), np.uint8)
+        self._taken: defaultdict[str, int] = defaultdict(int)
+        self.times_s: defaultdict[str, array[float]] = defaultdict(lambda: array('d'))
+        self.sizes: list[tuple[int, int, int, float]] = []
+        """Templates, experiences, links and resident memory in MB at the end of every minute."""
+        self.maps: list[tuple[float, int]] = []
+        """Simulated time and experiences of every map message."""
+        self.known = 0
+        """Images of where the robot was before."""
+        self._busy_s = 0.0
+        self.cpu_s = 0.0
+        """Processor time of all the work: less than the wall time where others take the cores."""
+
+    def run(self, images: int, seed: int) -> None:
+        """Send so many images, and the odometry up to each."""
+        waiting = None
+        odometry_ns = 0
+        for step, at in enumerate(drive(WAREHOUSE, seed, 1.0 / STEPS_HZ)):
+            stamp_ns = START_S * 10**9 + step * 10**9 // STEPS_HZ
+            self._clock.at_s = stamp_ns * 1e-9
+            if step % (STEPS_HZ // ODOMETRY_HZ) == 0:
+                self._work(self._odometry.publish, self._odometry_message(stamp_ns, at))
+                odometry_ns = stamp_ns
+            if step % (STEPS_HZ // IMAGE_HZ) == 0:
+                message = self._image_message(stamp_ns, at)
+                self._work(self._images.publish, message)
+                waiting = stamp_ns
+                self.known += at.times_before > 0
+            if waiting is not None and odometry_ns >= waiting:
+                self._work(self._settle, waiting, odometry_ns)
+                self._note()
+                waiting = None
+                if len(self.times_s['all']) == images:
+                    return
+
+    def close(self) -> None:
+        """End the nodes."""
+        for node in self._nodes:
+            node.close()
+        for node in (*self._nodes, self._robot):
+            self._executor.remove_node(node)
+            node.destroy_node()
+        self._executor.shutdown()
+
+    @property
+    def lost(self) -> dict[str, int]:
+        """What the nodes did not use, by reason."""
+        return {
+            f'{node.get_name()} {reason}': number
+            for node in self._nodes
+            for reason, number in node._diagnostics.counts.items()
+            if number
+        }
+
+    def _encode(self, encode_map: Callable[..., str]) -> Callable[..., str]:
+        """Measure building the map message, and within it the JSON."""
+        from ratslam_ros import messages
+
+        plain = messages._dumps
+
+        def dumps(value: Mapping[str, Any]) -> str:
+            with self.laps('map, JSON' if 'experiences' in value else 'JSON'):
+                return plain(value)
+
+        messages._dumps = dumps
+        return self.laps.timed('map, encoding', encode_map)
+
+    def _work(self, do: Callable[..., Any], *args: Any) -> None:
+        """Do what counts as work of this image."""
+        start_s = self._clock.work_since_s = time.perf_counter()
+        cpu_s = time.process_time()
+        do(*args)
+        self.cpu_s += time.process_time() - cpu_s
+        self._busy_s += time.perf_counter() - start_s
+        self._clock.work_since_s = None
+
+    def _settle(self, image_ns: int, odometry_ns: int) -> None:
+        """Wait until all nodes have done all that these messages cause."""
+        self._spin_until(
+            lambda: self.map._action_ns >= image_ns
+            and (self.map._order.newest_of('odometry') or 0) >= odometry_ns
+            and (self.pose_cells._order.newest_of('odometry') or 0) >= odometry_ns
+        )
+
+    def _spin_until(self, condition: Callable[[], bool]) -> None:
+        end_s = time.monotonic() + 60.0
+        while not condition():
+            self._executor.spin_once(timeout_sec=0.1)
+            if time.monotonic() > end_s:
+                sys.exit(f'the nodes are stuck; not used: {self.lost}; {self.local_view.error}')
+
+    def _note(self) -> None:
+        """Take down what the last image took, by stopwatch."""
+        times = self.times_s
+        times['all'].append(self._busy_s)
+        self._busy_s = 0.0
+        for group, steps in GROUPS.items():
+            times[group].append(sum(self._since_last(step) for step in steps))
+        times['JSON'].append(self._since_last('JSON') + self._since_last('map, JSON'))
+        while len(self.maps) < len(self.laps.s['map, encoding']):
+            self.maps.append((self._clock.at_s - START_S, len(self.map._core)))
+        if len(times['all']) % MINUTE == 0:
+            core = self.map._core
+            self.sizes.append(
+                (len(self.local_view._core), len(core), core.link_count, resident_mb())
+            )
+
+    def _since_last(self, step: str) -> float:
+        done = self.laps.s[step]
+        before, self._taken[step] = self._taken[step], len(done)
+        return sum(done[before:])
+
+    def _odometry_message(self, stamp_ns: int, at: At) -> Any:
+        from nav_msgs.msg import Odometry
+
+        from ratslam_ros.nodes.convert import header_of
+
+        message = Odometry(header=header_of(stamp_ns, 'odom'), child_frame_id='base_link')
+        slip = 1.0 + ODOMETRY_NOISE * self._rng.standard_normal(2)
+        message.twist.twist.linear.x = at.speed_mps * slip[0]
+        message.twist.twist.angular.z = at.turn_radps * slip[1]
+        message.pose.pose.orientation.w = 1.0
+        return message
+
+    def _image_message(self, stamp_ns: int, at: At) -> Any:
+        from ratslam_ros.nodes.convert import grey_image
+
+        self._camera.take(at, stamp_ns * 1e-9, self._frame)
+        return grey_image(stamp_ns, 'camera', cv2.cvtColor(self._frame, cv2.COLOR_BGR2GRAY))
+
+
+def lags_ms(all_ms: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return how long after each image the map has it, where images come on time and wait."""
+    lag_ms = np.empty_like(all_ms)
+    waits = 0.0
+    for i, took in enumerate(all_ms):
+        lag_ms[i] = waits + took
+        waits = max(lag_ms[i] - BUDGET_MS, 0.0)
+    return lag_ms
+
+
+def parts_ms(bench: Bench) -> dict[str, NDArray[np.float64]]:
+    """Return the times of every image, by part; those of the map message where one was sent."""
+    parts = {name: np.array(times) * 1e3 for name, times in bench.times_s.items()}
+    parts['transport and rest'] = parts['all'] - sum(parts[name] for name in GROUPS)
+    parts['all'] = parts.pop('all')
+    return parts
+
+
+def report(bench: Bench) -> str:
+    parts = parts_ms(bench)
+    images = len(parts['all'])
+    ten = max(min(10 * MINUTE, images // 2), 1)
+    minutes = ten / MINUTE
+    core = bench.map._core
+    lines = [
+        f'{images} images of {WIDTH}x{HEIGHT} at {IMAGE_HZ} Hz, odometry at {ODOMETRY_HZ} Hz: '
+        f'{images / MINUTE / 60:.2f} h simulated, {parts["all"].sum() / 1e3:.0f} s of work '
+        f'({bench.cpu_s:.0f} s of processor)',
+        'defaults but ' + ', '.join(f'{key}={value}' for key, value in SETTINGS.items()),
+        f'{bench.known / images:.0%} of the images where the robot was before; at the end '
+        f'{len(bench.local_view._core)} templates, {len(core)} experiences, '
+        f'{core.link_count} links; not used: {bench.lost or "nothing"}',
+        f'ms an image               median, first {minutes:.3g} min   last {minutes:.3g} min'
+        '   ratio     p99   worst',
+    ]
+    for name, times_ms in parts.items():
+        sent = times_ms > 0.0 if name == 'map message' else np.full(images, True)
+        first, last = (np.median(part[there]) if there.any() else math.nan for part, there in (
+            (times_ms[:ten], sent[:ten]), (times_ms[-ten:], sent[-ten:])))  # fmt: skip
+        lines.append(
+            f'  {name:34} {first:8.3f}        {last:8.3f}   {last / first:5.2f} '
+            f'{np.percentile(times_ms[sent], 99):7.2f} {times_ms[sent].max():7.1f}'
+        )
+    lag_ms = lags_ms(parts['all'])
+    over = np.mean(parts['all'] > BUDGET_MS)
+    lines += [
+        '  (map message: only images with which one was sent; JSON: of all messages, within the '
+        'others)',
+        f'over the budget of {BUDGET_MS:.1f} ms   {over:.2%} of the images; were they to come on '
+        f'time and wait: the map is behind by {np.median(lag_ms):.1f} ms (median), '
+        f'{np.percentile(lag_ms, 99):.1f} ms (p99), {lag_ms.max():.0f} ms (worst)',
+        f'share of a core          {parts["all"][:ten].mean() / BUDGET_MS:.1%} at first, '
+        f'{parts["all"][-ten:].mean() / BUDGET_MS:.1%} in the end',
+        *map_lines(bench),
+    ]
+    collections_ms = 1e3 * np.array(bench.laps.s['collection'] or [0.0])
+    lines.append(
+        f'garbage collection       {len(bench.laps.s["collection"])} full ones, worst '
+        f'{collections_ms.max():.0f} ms: they are in the worst times above'
+    )
+    peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    if bench.sizes:
+        first_mb, last_mb = bench.sizes[0][3], bench.sizes[-1][3]
+        lines.append(
+            f'memory                   peak {peak_mb:.0f} MB; {first_mb:.0f} MB after a minute, '
+            f'{last_mb:.0f} MB in the end'
+        )
+    return '\n'.join(lines)
+
+
+def map_parts_ms(bench: Bench) -> dict[str, NDArray[np.float64]]:
+    """Return the times of every map message: its objects, their JSON, sending it."""
+    count = len(bench.maps)
+    encoding, in_json = (
+        np.array(bench.laps.s[step])[:count] * 1e3 for step in ('map, encoding', 'map, JSON')
+    )
+    whole = np.array([s for s in bench.times_s['map message'] if s > 0.0])[:count] * 1e3
+    return {
+        'building Python objects': encoding - in_json,
+        'JSON': in_json,
+        'sending (CDR, DDS)': whole - encoding,
+    }
+
+
+def map_lines(bench: Bench) -> list[str]:
+    """Return what the map message costs, over the number of experiences."""
+    experiences = np.array([count for _, count in bench.maps])
+    last = experiences > 0.9 * experiences[-1]
+    lines = [f'map message: {len(bench.maps)} sent; with {experiences[-1]} experiences']
+    for name, times_ms in map_parts_ms(bench).items():
+        slope = 1e3 * np.sum(times_ms * experiences) / np.sum(experiences.astype(float) ** 2)
+        lines.append(
+            f'  {name:24} {np.median(times_ms[last]):7.2f} ms, {slope:.2f} ms per 1000 experiences'
+        )
+    return lines
+
+
+def plot(bench: Bench, path: Path) -> None:
+    figure, (times, maps, sizes) = plt.subplots(3, 1, figsize=(9, 13), layout='constrained')
+    window = MINUTE if len(bench.times_s['all']) >= 5 * MINUTE else MINUTE // 6
+    for name, times_ms in parts_ms(bench).items():
+        windows = [times_ms[i : i + window] for i in range(0, len(times_ms), window)]
+        if name == 'map message':
+            windows = [part[part > 0.0] for part in windows]
+        windows = [part if len(part) else np.array([math.nan]) for part in windows]
+        minute = (np.arange(len(windows)) + 0.5) * window / MINUTE
+        (line,) = times.plot(minute, [np.median(part) for part in windows], label=name)
+        p99 = [np.percentile(part, 99) for part in windows]
+        times.plot(minute, p99, color=line.get_color(), linestyle=':')
+    times.axhline(BUDGET_MS, color='grey', linestyle='--', label=f'{BUDGET_MS:.0f} ms')
+    of = 'a minute' if window == MINUTE else '10 s'
+    times.set(xlabel='simulated time, min', yscale='log',
+              ylabel=f'ms an image, over {of}: median, p99 dotted')  # fmt: skip
+    times.legend(ncols=2)
+    experiences = [count for _, count in bench.maps]
+    for name, times_ms in map_parts_ms(bench).items():
+        maps.plot(experiences, times_ms, '.', markersize=2, label=name)
+    maps.axhline(BUDGET_MS, color='grey', linestyle='--')
+    most = max(np.percentile(values, 99.5) for values in map_parts_ms(bench).values())
+    maps.set(xlabel='experiences', ylabel='ms a map message', ylim=(0.0, 1.3 * most))
+    maps.legend()
+    minute = np.arange(len(bench.sizes)) + 1
+    for i, name in enumerate(('templates', 'experiences', 'links')):
+        sizes.plot(minute, [size[i] for size in bench.sizes], label=name)
+    sizes.set(xlabel='simulated time, min', ylabel='number')
+    sizes.legend(loc='upper left')
+    memory = sizes.twinx()
+    resident = [size[3] for size in bench.sizes]
+    memory.plot(minute, resident, color='grey', label='memory')
+    memory.set(ylabel='resident memory, MB', ylim=(0.0, 1.2 * max(resident, default=1.0)))
+    memory.legend(loc='lower right')
+    figure.savefig(path, dpi=100)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument('--hours', type=float, default=2.0)
+    parser.add_argument('--seed', type=int, default=1)
+    parser.add_argument('--out', type=Path, default=ROOT / 'results' / 'benchmarks')
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    os.environ.setdefault('ROS_DOMAIN_ID', '96')
+    from ratslam_ros.config_files import to_yaml
+    from ratslam_ros.core.config import Config
+    from ratslam_ros.core.warm_up import warm_up
+    from ratslam_ros.live import ros
+
+    ros.require()
+    import rclpy
+
+    warm_up()
+    with tempfile.TemporaryDirectory() as folder:
+        parameters = Path(folder) / 'warehouse.yaml'
+        parameters.write_text(to_yaml(Config().with_values(SETTINGS)))
+        rclpy.init(args=['--ros-args', '--params-file', str(parameters)])
+        try:
+            bench = Bench(options.seed)
+            try:
+                gc.collect()
+                gc.freeze()  # as the nodes do when they are ready
+                gc.callbacks.append(bench.laps.collection)
+                bench.run(round(options.hours * 60 * MINUTE), options.seed)
+                print(report(bench))
+            finally:
+                bench.close()
+        finally:
+            rclpy.try_shutdown()
+    path = options.out / 'two_hours.png'
+    plot(bench, path)
+    print(f'plotted to {path}')
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())
