@@ -25,7 +25,7 @@ import tempfile
 import time
 from array import array
 from collections import defaultdict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -200,16 +200,7 @@ class Bench:
         }
 
     def _encode(self, encode_map: Callable[..., str]) -> Callable[..., str]:
-        """Measure building the map message, and within it the JSON."""
-        from ratslam_ros import messages
-
-        plain = messages._dumps
-
-        def dumps(value: Mapping[str, Any]) -> str:
-            with self.laps('map, JSON' if 'experiences' in value else 'JSON'):
-                return plain(value)
-
-        messages._dumps = dumps
+        """Measure writing the map message."""
         return self.laps.timed('map, encoding', encode_map)
 
     def _work(self, do: Callable[..., Any], *args: Any) -> None:
@@ -243,7 +234,6 @@ class Bench:
         self._busy_s = 0.0
         for group, steps in GROUPS.items():
             times[group].append(sum(self._since_last(step) for step in steps))
-        times['JSON'].append(self._since_last('JSON') + self._since_last('map, JSON'))
         while len(self.maps) < len(self.laps.s['map, encoding']):
             self.maps.append((self._clock.at_s - START_S, len(self.map._core)))
         if len(times['all']) % MINUTE == 0:
@@ -322,8 +312,7 @@ def report(bench: Bench) -> str:
     lag_ms = lags_ms(parts['all'])
     over = np.mean(parts['all'] > BUDGET_MS)
     lines += [
-        '  (map message: only images with which one was sent; JSON: of all messages, within the '
-        'others)',
+        '  (map message: only images with which one was sent)',
         f'over the budget of {BUDGET_MS:.1f} ms   {over:.2%} of the images; were they to come on '
         f'time and wait: the map is behind by {np.median(lag_ms):.1f} ms (median), '
         f'{np.percentile(lag_ms, 99):.1f} ms (p99), {lag_ms.max():.0f} ms (worst)',
@@ -347,17 +336,11 @@ def report(bench: Bench) -> str:
 
 
 def map_parts_ms(bench: Bench) -> dict[str, NDArray[np.float64]]:
-    """Return the times of every map message: its objects, their JSON, sending it."""
+    """Return the times of every map message: writing its text, sending it."""
     count = len(bench.maps)
-    encoding, in_json = (
-        np.array(bench.laps.s[step])[:count] * 1e3 for step in ('map, encoding', 'map, JSON')
-    )
+    encoding = np.array(bench.laps.s['map, encoding'])[:count] * 1e3
     whole = np.array([s for s in bench.times_s['map message'] if s > 0.0])[:count] * 1e3
-    return {
-        'building Python objects': encoding - in_json,
-        'JSON': in_json,
-        'sending (CDR, DDS)': whole - encoding,
-    }
+    return {'writing the text': encoding, 'sending (CDR, DDS)': whole - encoding}
 
 
 def map_lines(bench: Bench) -> list[str]:

@@ -20,8 +20,8 @@ def markers_of(experience_map: ExperienceMap, stamp_ns: int, frame_id: str) -> M
     """Return the links as lines, the experiences as points, the current one as a ball."""
     at = [Point(x=x, y=y, z=0.0) for x, y, _ in experience_map.poses.tolist()]
     links = _marker(0, 'links', Marker.LINE_LIST, 0.05, LINKS)
-    for link in experience_map.links():
-        links.points.extend((at[link.source_id], at[link.target_id]))
+    for source, target in experience_map.link_ends.tolist():
+        links.points.extend((at[source], at[target]))
     places = _marker(0, 'experiences', Marker.SPHERE_LIST, 0.15, PLACES)
     places.points.extend(at)
     current = _marker(0, 'current', Marker.SPHERE_LIST, 0.4, CURRENT)
