@@ -137,12 +137,11 @@ class Agreement:
     def _supporters(self, place: Place) -> int:
         """Return how many claims lie near a place, made at least a spacing apart."""
         torus = self._torus
-        return int(
-            _supporters(
-                self._places, self._made_at, self._count, place.x, place.y, place.theta,
-                torus.n_x, torus.n_y, torus.n_theta, self._radius, self._spacing,
-            )  # fmt: skip
-        )
+        count = _supporters(
+            self._places, self._made_at, self._count, place.x, place.y, place.theta,
+            torus.n_x, torus.n_y, torus.n_theta, self._radius, self._spacing,
+        )  # fmt: skip
+        return int(count)
 
 
 @compiled
