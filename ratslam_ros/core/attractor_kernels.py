@@ -358,8 +358,9 @@ def move(
     still = 0 if chord != 0.0 else 1
     grow = np.empty(3, np.int64)
     grow[0] = 1 if turn != 0.0 else 0
-    grow[1] = math.ceil(reach_y) + 1 - still
-    grow[2] = math.ceil(reach_x) + 1 - still
+    # A packet of one plane moves with its mean; what rounding leaves of that is no cell.
+    grow[1] = math.ceil(reach_y - 1e-9) + 1 - still
+    grow[2] = math.ceil(reach_x - 1e-9) + 1 - still
     for axis in range(3):
         if box[3 + axis] + 2 * grow[axis] >= dims[axis]:
             box[3 + axis] = dims[axis]

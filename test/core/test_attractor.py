@@ -249,3 +249,12 @@ def test_the_peak_is_decoded_as_population_vectors_of_the_box(
         assert np.abs(around(np.array(found) - expected, ring)).max() < 1e-9
         assert all(0.0 <= value < n for value, n in zip(found, dims, strict=True))
         packets = net.step(packets, 0.0, 0.0)
+
+
+@pytest.mark.parametrize('energy', [0.1, 0.2, 0.3, 0.4, 0.6, 0.9])
+def test_how_far_a_packet_grows_is_not_a_matter_of_rounding(energy: float) -> None:
+    """One heading plane moves with its mean: the boxes stay apart, whatever they hold."""
+    network = Network((36, 41, 41), kernel(1, 1.0), kernel(1, 1.0), 0.0)
+    packets = network.inject([], 1.0, 10.0, 10.0, energy)
+    packets = network.inject(packets, 1.0, 10.0, 14.0, energy)
+    assert len(network.step(packets, 1.0, 0.0)) == 2

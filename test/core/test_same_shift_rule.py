@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import suppress
 from functools import cache
 from typing import NamedTuple
 
@@ -34,6 +33,7 @@ references that begin 1e-15 apart are up to 1e-12 apart after 200 steps, 1e-9 af
 TOLERANCE = 1e-9
 PEAK_TOLERANCE = 1e-6
 PEAK_EVERY = 4
+"""Steps."""
 
 
 class World(NamedTuple):
@@ -53,10 +53,10 @@ WORLDS = [
     World((12, 16, 20), *SMALL, 0.002),
     World((36, 12, 14), *WIDE, 0.00002),
     World((30, 8, 10), *SMALL, 0.001),
-    World((36, 7, 9), *SMALL, 0.0005),
+    World((28, 7, 6), *SMALL, 0.0005),
     World((8, 9, 40), *WIDE, 0.001),
-    World((8, 9, 40), *SMALL, 0.0005),
-    World((5, 36, 8), *SMALL, 0.001),
+    World((6, 5, 36), *SMALL, 0.0005),
+    World((5, 30, 8), *SMALL, 0.001),
     World((40, 6, 5), *WIDE, 0.0002),
     World((7, 5, 8), *WIDE, 0.0002),
     World((5, 3, 30), *SMALL, 0.0005),
@@ -93,8 +93,8 @@ class Reference:
         middle = np.array([n // 2 for n in self.dims])
         self.packets = [self._point(middle, 1.0, np.zeros(3))]
 
-    def step(self, chord: float, turn: float, more: tuple[int, int] = (0, 0)) -> None:
-        """Compete, normalise, move; ``more``: see ``stepped``."""
+    def step(self, chord: float, turn: float) -> None:
+        """Compete, normalise, move."""
         competed = []
         total = 0.0
         for p in self.packets:
@@ -118,7 +118,7 @@ class Reference:
             competed = self.packets
             total = sum(float(p.cells.sum()) for p in competed)
         self.packets = [
-            self._moved(p._replace(cells=p.cells / total), chord, turn, more) for p in competed
+            self._moved(p._replace(cells=p.cells / total), chord, turn) for p in competed
         ]
         self._merge()
 
@@ -137,7 +137,7 @@ class Reference:
         cells[tuple(at % self.dims)] = energy
         return Whole(cells, frame, tuple((int(i), 1) for i in at))
 
-    def _moved(self, p: Whole, chord: float, turn: float, more: tuple[int, int]) -> Whole:
+    def _moved(self, p: Whole, chord: float, turn: float) -> Whole:
         n_t = self.dims[0]
         headings = (np.arange(n_t) + p.frame[0] + 0.5 * turn) * (2.0 * math.pi / n_t)
         directions = np.array([np.sin(headings), np.cos(headings)])  # y, x
@@ -147,12 +147,9 @@ class Reference:
         ways = chord * (directions - mean[:, None])
 
         first, length = p.arcs[0]
-        if length > 1:
-            spanned = np.abs(ways[:, np.arange(first, first + length) % n_t]).max(1)
-        else:  # a single plane's way is the mean way
-            spanned = np.array(more)
-            self.seen['single planes'] += chord != 0.0
-        grow = [int(turn != 0.0), *(math.ceil(way) + int(chord != 0.0) for way in spanned)]
+        spanned = np.abs(ways[:, np.arange(first, first + length) % n_t]).max(1)
+        # What is nothing but for rounding does not count as a cell.
+        grow = [int(turn != 0.0), *(math.ceil(way - 1e-9) + int(chord != 0.0) for way in spanned)]
         arcs = [grown(arc, by, n)
                 for arc, by, n in zip(p.arcs, grow, self.dims, strict=True)]
 
@@ -160,12 +157,12 @@ class Reference:
         if chord != 0.0:
             whole, *weights = taps(ways, ahead[:, None])
             along_y, along_x = (
-                shifts(whole[i], [w[i] for w in weights], self.dims[1 + i]) for i in range(2)
+                shifts(whole[i], [w[i] for w in weights], self.dims[1 + i], back=i == 1)
+                for i in range(2)
             )
-            cells = along_y @ cells @ along_x.swapaxes(1, 2)
+            cells = along_y @ cells @ along_x
         if turn != 0.0:
-            whole, *weights = taps(np.zeros(1), np.array(turn))
-            cells = (shifts(whole, weights, n_t)[0] @ cells.reshape(n_t, -1)).reshape(self.dims)
+            cells = (turned(turn, n_t) @ cells.reshape(n_t, -1)).reshape(self.dims)
 
         frame = p.frame + np.array([turn, *ahead])
         whole = np.floor(frame + 0.5).astype(int)
@@ -273,12 +270,24 @@ def taps(shift: Reals, spread_as: Reals) -> tuple[NDArray[np.int64], Reals, Real
     return whole, before, 1.0 - second, after
 
 
-def shifts(whole: NDArray[np.int64], weights: list[Reals], n: int) -> Reals:
-    """Return matrices that shift a circle of ``n`` cells with ``taps``, one for each of them."""
+def shifts(
+    whole: NDArray[np.int64], weights: list[Reals], n: int, *, back: bool = False
+) -> Reals:
+    """Return matrices that shift a circle of ``n`` cells with ``taps``, one for each of them.
+
+    ``back``: for rows, from behind; else for columns.
+    """
     by = np.zeros((len(whole), n))
     for k, w in zip((-1, 0, 1), weights, strict=True):
         by[np.arange(len(whole)), (whole + k) % n] += w
-    return by[:, differences(n)]
+    return np.take(by, differences(n).T if back else differences(n), 1)
+
+
+@cache
+def turned(turn: float, n: int) -> Reals:
+    """Return the matrix that spreads planes as a turn does; the frame has turned already."""
+    whole, *weights = taps(np.zeros(1), np.array(turn))
+    return shifts(whole, weights, n)[0]
 
 
 @cache
@@ -343,35 +352,6 @@ def compare_peak(net: Network, packets: list[Packet], ref: Reference, where: str
     assert off <= PEAK_TOLERANCE, f'{where}: peak'
 
 
-def stepped(
-    ref: Reference, chord: float, turn: float, packets: list[Packet], where: str
-) -> None:
-    """Step the reference and compare.
-
-    How far a packet grows is rounded up from how far a plane's way is from the mean way. Of a
-    packet of a single plane that is nothing, or in ``move`` as little as rounding made it, which
-    counts as a cell. It has a say only in whether the packet is joined to another in this step.
-    """
-    before, seen = ref.packets, ref.seen.copy()
-    ref.step(chord, turn)
-    try:
-        compare(packets, ref, where)
-        return
-    except AssertionError:
-        if ref.seen['single planes'] == seen['single planes']:
-            raise
-        strictly = ref.packets, ref.seen
-    for more in ((0, 1), (1, 0), (1, 1)):
-        ref.packets, ref.seen = before, seen.copy()
-        ref.step(chord, turn, more)
-        with suppress(AssertionError):
-            compare(packets, ref, where)
-            ref.seen['decided by rounding'] += 1
-            return
-    ref.packets, ref.seen = strictly
-    compare(packets, ref, where)
-
-
 class Injections:
     """Where and how much: bursts at a place near a packet, across the torus, or anywhere."""
 
@@ -427,16 +407,17 @@ def run(world: World, seed: int) -> Counter[str]:
             packets = net.inject(packets, *place.tolist(), energy)
             ref.inject(place, energy)
         packets = net.step(packets, chord, turn)
-        stepped(ref, chord, turn, packets, where)
+        ref.step(chord, turn)
+        compare(packets, ref, where)
         if step % PEAK_EVERY == 0:
             compare_peak(net, packets, ref, where)
-        note(ref)
+            note_arcs(ref)
+        ref.seen['steps'] += 1
+        ref.seen['steps with several'] += len(packets) > 1
     return ref.seen
 
 
-def note(ref: Reference) -> None:
-    ref.seen['steps'] += 1
-    ref.seen['steps with several'] += len(ref.packets) > 1
+def note_arcs(ref: Reference) -> None:
     for axis, n in enumerate(ref.dims):
         arcs = [(first % n, length) for first, length in (p.arcs[axis] for p in ref.packets)]
         ref.seen[f'whole on {axis}'] += any(length == n for _, length in arcs)
@@ -459,6 +440,5 @@ def test_these_runs_have_seen_all_that_can_happen() -> None:
         'splits': 100, 'circles opened': 300, 'peaks': 2_000,
     }  # fmt: skip
     for axis in range(3):
-        least |= {f'whole on {axis}': 500, f'over the end of {axis}': 500}
+        least |= {f'whole on {axis}': 200, f'over the end of {axis}': 200}
     assert {what: seen[what] for what, count in least.items() if seen[what] < count} == {}
-    assert seen['decided by rounding'] <= 20
