@@ -71,7 +71,9 @@ setup(
     ],
     extras_require={
         'test': TEST,  # by this name colcon knows that pytest runs the tests
-        'dev': [*TEST, 'mypy>=1.8', 'pytest-xdist>=3.5', 'ruff>=0.4', 'types-PyYAML', 'types-tqdm'],
+        'dev': [
+            *TEST, 'mypy>=1.8', 'pytest-xdist>=3.5', 'ruff>=0.4', 'types-PyYAML', 'types-tqdm',
+        ],
     },
     entry_points={
         'console_scripts': [
