@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from helpers import live_environment
 
+from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.standalone import StandaloneUnavailable, install
 
 os.environ.update(live_environment())
@@ -109,6 +110,13 @@ class World:
                 }  # fmt: skip
             told += 1
         return found
+
+
+@pytest.fixture(scope='session', autouse=True)
+def warm() -> None:
+    """Compile before the clock of any test runs, as nodes do before they are ready."""
+    warm_up()
+    warm_up('goal_recall')
 
 
 @pytest.fixture
