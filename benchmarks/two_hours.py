@@ -372,7 +372,7 @@ def plot(bench: Bench, path: Path) -> None:
     of = 'a minute' if window == MINUTE else '10 s'
     times.set(xlabel='simulated time, min', yscale='log',
               ylabel=f'ms an image, over {of}: median, p99 dotted')  # fmt: skip
-    times.legend(ncols=2)
+    times.legend(ncols=4, loc='lower left', bbox_to_anchor=(0.0, 1.0))  # above the curves
     experiences = [count for _, count in bench.maps]
     for name, times_ms in map_parts_ms(bench).items():
         maps.plot(experiences, times_ms, '.', markersize=2, label=name)

@@ -7,8 +7,8 @@ difference of two blocks' sums is at most the sum of their pixels' differences, 
 a least SAD for every offset, at a quarter of the work; only a template whose least could still win
 is compared pixel by pixel. The result is that of comparing all of them.
 
-Templates lie in blocks of memory that never move: to learn one costs the same at any size, and no
-memory waits for more.
+Templates lie on shelves, stretches of memory that never move: to learn one costs the same at any
+size, and little memory waits for more.
 """
 
 from __future__ import annotations
@@ -25,6 +25,8 @@ Bytes = NDArray[np.uint8]
 Places = NDArray[np.int64]
 
 SHELF_BYTES = 1 << 24
+"""Room that is made at once for templates; the system lends it as it is filled."""
+
 LARGEST_SAD = 2**31 - 1
 BLOCK_COLUMNS = 2
 BLOCK_ROWS = 3
@@ -59,7 +61,7 @@ class _Layer(NamedTuple):
 
 
 class TemplateMemory:
-    """Views of one size, column by column, each once for every vertical offset."""
+    """Views of one size, uint8, column by column, each once for every vertical offset."""
 
     def __init__(
         self, width: int, height: int, shift_x: int, shift_y: int, step: int, *,
@@ -103,7 +105,8 @@ class TemplateMemory:
         still = np.zeros_like(turns)
         per_phase = (width + (width if panoramic else 0)) // BLOCK_COLUMNS * groups
         block_turns = turns % 2 * per_phase + turns // 2 * groups
-        fall_pixels, fall_blocks = width * rows, 2 * (width // BLOCK_COLUMNS) * groups
+        self._fall_pixels = width * rows
+        self._fall_blocks = 2 * (width // BLOCK_COLUMNS) * groups
 
         def layer(fall_size: int, moves: Places, length: int) -> _Layer:
             in_template = falls * fall_size + (still if panoramic else moves)
@@ -116,8 +119,8 @@ class TemplateMemory:
                 stride = whole
             return _Layer(stride, in_template.ravel(), in_query.ravel(), *pieces_of(length))
 
-        self._fine = layer(fall_pixels, turns * rows, columns * rows)
-        self._coarse = layer(fall_blocks, block_turns, self._compared)
+        self._fine = layer(self._fall_pixels, turns * rows, columns * rows)
+        self._coarse = layer(self._fall_blocks, block_turns, self._compared)
         self._shelves: list[_Shelf] = []
         self._per_shelf = max(SHELF_BYTES // (self._fine.stride + self._coarse.stride), 1)
         self._count = 0
@@ -134,9 +137,8 @@ class TemplateMemory:
         """Return one template: (height, width) uint8, a copy."""
         shelf, row = divmod(template_id, self._per_shelf)
         at = row * self._fine.stride
-        size = self._falls * self._width * self._rows
-        falls = self._shelves[shelf].pixels[at : at + size]
-        falls = falls.reshape(self._falls, self._width, self._rows)
+        pixels = self._shelves[shelf].pixels[at : at + self._falls * self._fall_pixels]
+        falls = pixels.reshape(self._falls, self._width, self._rows)
         out = np.empty((self._height, self._width), np.uint8)
         for fall in range(self._falls):
             out[fall : fall + self._rows] = falls[fall].T
@@ -161,8 +163,7 @@ class TemplateMemory:
                 )
             )
         shelf = self._shelves[number]
-        fine = self._width * self._rows
-        coarse = 2 * (self._width // BLOCK_COLUMNS) * (len(self._edges) - 1)
+        fine, coarse = self._fall_pixels, self._fall_blocks
         for fall in range(self._falls):
             columns = np.ascontiguousarray(view[fall : fall + self._rows].T)
             at = row * self._fine.stride + fall * fine
