@@ -11,8 +11,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from ratslam_ros.simulator.rays import EAST, SOUTH, WEST, cast, cast_at_discs
 from ratslam_ros.simulator.textures import TEXELS_PER_M, WALL_HEIGHT_M
-from ratslam_ros.simulator.world import EAST, NORTH, SOUTH, WEST, World
+from ratslam_ros.simulator.world import PERSON_HEIGHT_M, PERSON_RADIUS_M, World
 
 FLOOR_TILE_M = 0.7
 # Lamps hang on a grid through the middle of the floor; in the office, over the corridors.
@@ -62,12 +63,13 @@ class Camera:
         self._exposure = keep * self._exposure + spread * self._rng.standard_normal()
         image = np.empty((options.height, options.width), np.uint8)
         _render(
-            world.plan.solid,
+            world.solid,
             world.plan.cell_m,
             world.panel,
             world.panel_u_m,
             world.library.textures,
             world.light,
+            world.people,
             x_m,
             y_m,
             heading_rad,
@@ -79,29 +81,6 @@ class Camera:
             image,
         )
         return image
-
-
-@njit(cache=True)
-def _cast(solid, cell_m, x_m, y_m, ray_x, ray_y):  # type: ignore[no-untyped-def]
-    """Walk a ray through the grid; returns its length in units of the ray, the cell and side."""
-    column, row = int(x_m / cell_m), int(y_m / cell_m)
-    step_x, step_y = (1 if ray_x > 0 else -1), (1 if ray_y > 0 else -1)
-    far = 1e12
-    gap_x = cell_m / abs(ray_x) if ray_x != 0 else far
-    gap_y = cell_m / abs(ray_y) if ray_y != 0 else far
-    next_x = ((column + (step_x > 0)) * cell_m - x_m) / ray_x if ray_x != 0 else far
-    next_y = ((row + (step_y > 0)) * cell_m - y_m) / ray_y if ray_y != 0 else far
-    while True:
-        if next_x < next_y:
-            length, side = next_x, (WEST if step_x > 0 else EAST)
-            next_x += gap_x
-            column += step_x
-        else:
-            length, side = next_y, (SOUTH if step_y > 0 else NORTH)
-            next_y += gap_y
-            row += step_y
-        if solid[row, column]:
-            return length, row, column, side
 
 
 @njit(cache=True)
@@ -134,8 +113,8 @@ def _noise(key, pixel):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _render(  # type: ignore[no-untyped-def]
-    solid, cell_m, panel, panel_u_m, textures, light, x_m, y_m, heading_rad, focal_px,
-    camera_height_m, gain, noise_grey, key, image,
+    solid, cell_m, panel, panel_u_m, textures, light, people, x_m, y_m, heading_rad,
+    focal_px, camera_height_m, gain, noise_grey, key, image,
 ):  # fmt: skip
     height, width = image.shape
     n_levels, _, n_u, n_v = textures.shape
@@ -146,7 +125,7 @@ def _render(  # type: ignore[no-untyped-def]
         # which is what perspective needs.
         left = (width / 2 - i - 0.5) / focal_px
         ray_x, ray_y = forward_x - left * forward_y, forward_y + left * forward_x
-        depth_m, row, column, side = _cast(solid, cell_m, x_m, y_m, ray_x, ray_y)
+        depth_m, row, column, side = cast(solid, cell_m, x_m, y_m, ray_x, ray_y)
         hit_x, hit_y = x_m + depth_m * ray_x, y_m + depth_m * ray_y
         # How far along the side, from its left end as the viewer sees it.
         if side == WEST:
@@ -169,10 +148,27 @@ def _render(  # type: ignore[no-untyped-def]
         # Walls along x are a little darker: it makes corners visible.
         wall_lit = 1.0 if side in (WEST, EAST) else 0.88
         wall_lit *= _light_at(light, hit_x / cell_m, hit_y / cell_m) / (1.0 + 0.03 * depth_m)
+        person_m, person = cast_at_discs(people, PERSON_RADIUS_M, x_m, y_m, ray_x, ray_y)
+        if person_m < depth_m:
+            # Clothes run once round the body, their middle in front.
+            out_x = x_m + person_m * ray_x - people[person, 0]
+            out_y = y_m + person_m * ray_y - people[person, 1]
+            round_rad = (math.atan2(out_y, out_x) - people[person, 2]) % math.tau
+            around = (round_rad / math.tau + 0.5) % 1.0
+            cloth = textures[0, int(people[person, 3]), int(around * n_u)]
+            person_lit = _light_at(light, people[person, 0] / cell_m, people[person, 1] / cell_m)
+            # Darker towards the outline, as round things are.
+            facing = -(out_x * ray_x + out_y * ray_y) / (
+                PERSON_RADIUS_M * math.hypot(ray_x, ray_y)
+            )
+            person_lit *= (0.6 + 0.4 * facing) / (1.0 + 0.03 * person_m)
         for j in range(height):
             up = (height / 2 - j - 0.5) / focal_px
             z_m = camera_height_m + up * depth_m
-            if z_m < 0.0:
+            person_z_m = camera_height_m + up * person_m if person_m < depth_m else -1.0
+            if 0.0 <= person_z_m < PERSON_HEIGHT_M:
+                shade = cloth[int(person_z_m * TEXELS_PER_M)] * person_lit
+            elif z_m < 0.0:
                 floor_m = -camera_height_m / up
                 floor_x, floor_y = x_m + floor_m * ray_x, y_m + floor_m * ray_y
                 shade = 0.42 * _light_at(light, floor_x / cell_m, floor_y / cell_m)

@@ -130,7 +130,7 @@ def tum_line(stamp_ns: int, pose: Pose) -> str:
 class _Messages:
     """Makes ROS messages of samples."""
 
-    def __init__(self, camera: CameraOptions) -> None:
+    def __init__(self, camera: CameraOptions | None) -> None:
         self.store = get_typestore(Stores.ROS2_JAZZY)
         self._types = self.store.types
         self._camera = camera
@@ -166,6 +166,7 @@ class _Messages:
 
     def camera_info(self, stamp_ns: int) -> Any:
         camera = self._camera
+        assert camera is not None  # it has taken an image
         focal, centre_x, centre_y = camera.focal_px, camera.width / 2, camera.height / 2
         return self._make(
             _TOPICS[CAMERA_INFO_TOPIC],

@@ -38,11 +38,15 @@ class RobotOptions:
     wheel_radius_error: how much the two wheels differ, as a share; the sign is drawn for each run
     wheel_base_error: how wrong the distance between the wheels is, as a share; likewise
     slip_m: random slip of each wheel, standard deviation after one metre; grows with the root
+    body_radius_m: the body is round, seen from above
     """
 
     wheel_radius_m: float = 0.0825
     wheel_base_m: float = 0.33
     encoder_counts_per_turn: int = 2000
+    body_radius_m: float = 0.22
+    max_speed_mps: float = 1.6
+    max_turn_rate_radps: float = 5.2
     max_acceleration_mps2: float = 0.4
     max_turn_acceleration_radps2: float = 1.5
     wheel_radius_error: float = 0.0022
@@ -81,6 +85,8 @@ class Robot:
 
     def command(self, speed_mps: float, turn_rate_radps: float, duration_s: float) -> None:
         """Change speed towards a command as far as the motors can in this time."""
+        speed_mps = _clamp(speed_mps, self._options.max_speed_mps)
+        turn_rate_radps = _clamp(turn_rate_radps, self._options.max_turn_rate_radps)
         most_mps = self._options.max_acceleration_mps2 * duration_s
         most_radps = self._options.max_turn_acceleration_radps2 * duration_s
         self.speed_mps += _clamp(speed_mps - self.speed_mps, most_mps)

@@ -24,10 +24,15 @@ class PanelLibrary:
     textures: (BLUR_LEVELS, n_panels, n_u, n_v) float32 in 0..1; u from left to right as seen by
         someone facing the wall, v from the floor up; level k is averaged over 2^k texels along u
     house_style: the panels that repeat along every wall built in the house style
+    on_walls: the first so many panels hang on walls, the others are for what comes and goes
+    cardboard: the panel of obstacles; clothes: those of people, once round the body
     """
 
     textures: NDArray[np.float32]
     house_style: tuple[int, ...]
+    on_walls: int = 1
+    cardboard: int = 0
+    clothes: tuple[int, ...] = (0,)
 
 
 def paint_library(rng: np.random.Generator) -> PanelLibrary:
@@ -51,9 +56,15 @@ def paint_library(rng: np.random.Generator) -> PanelLibrary:
     panels += [_bookshelf(rng, wall_shade) for _ in range(3)]
     panels += [_cabinets(rng, wall_shade) for _ in range(3)]
     panels += [_plant(rng, wall_shade) for _ in range(2)]
+    on_walls = len(panels)
+    # From a stream of its own: walls look the same whether or not anybody walks past them.
+    (tailoring,) = rng.spawn(1)
+    panels += [_cardboard()]
+    panels += [_clothes(tailoring) for _ in range(6)]
     sharp = np.stack([np.clip(panel, 0.0, 1.0) for panel in panels])
     textures = np.stack([_blur(sharp, level) for level in range(BLUR_LEVELS)])
-    return PanelLibrary(textures, house_style)
+    clothes = tuple(range(on_walls + 1, len(panels)))
+    return PanelLibrary(textures, house_style, on_walls, on_walls, clothes)
 
 
 def _blur(panels: NDArray[np.float32], level: int) -> NDArray[np.float32]:
@@ -187,4 +198,32 @@ def _plant(rng: np.random.Generator, wall_shade: float) -> Panel:
     for _ in range(60):
         x_m, y_m = rng.normal(0.72, 0.17), rng.normal(1.05, 0.25)
         _fill(panel, x_m, x_m + 0.1, y_m, y_m + 0.12, rng.uniform(0.08, 0.4))
+    return panel
+
+
+def _cardboard() -> Panel:
+    """Two stacked boxes, taped along the middle, with a label."""
+    panel = _wall(0.55)
+    for low_m in (0.0, 1.25):
+        _fill(panel, 0.0, PANEL_WIDTH_M, low_m, low_m + 0.03, 0.25)
+        _fill(panel, 0.0, PANEL_WIDTH_M, low_m + 0.58, low_m + 0.66, 0.75)
+        _fill(panel, 0.2, 0.55, low_m + 0.2, low_m + 0.42, 0.95)
+        _fill(panel, 0.8, 1.1, low_m + 0.8, low_m + 1.1, 0.3)
+    _fill(panel, 0.0, 0.03, 0.0, WALL_HEIGHT_M, 0.25)
+    return panel
+
+
+def _clothes(rng: np.random.Generator) -> Panel:
+    """Shoes, trousers, shirt with an open jacket, and a head; the front is in the middle."""
+    panel = _wall(rng.uniform(0.1, 0.9))
+    trousers, jacket, hair = rng.uniform(0.05, 0.6), rng.uniform(0.1, 0.9), rng.uniform(0.05, 0.5)
+    _fill(panel, 0.0, PANEL_WIDTH_M, 0.0, 0.1, 0.05)
+    _fill(panel, 0.0, PANEL_WIDTH_M, 0.1, 0.9, trousers)
+    for seam_m in (0.0, PANEL_WIDTH_M / 2):
+        _fill(panel, seam_m, seam_m + 0.05, 0.1, 0.8, trousers * 0.4)
+    open_m = rng.uniform(0.0, 0.2)
+    _fill(panel, 0.0, PANEL_WIDTH_M / 2 - open_m, 0.85, 1.45, jacket)
+    _fill(panel, PANEL_WIDTH_M / 2 + open_m, PANEL_WIDTH_M, 0.85, 1.45, jacket)
+    _fill(panel, 0.0, PANEL_WIDTH_M, 1.45, WALL_HEIGHT_M, hair)
+    _fill(panel, 0.4, 1.0, 1.48, 1.68, rng.uniform(0.5, 0.8))
     return panel

@@ -4,16 +4,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ratslam_ros.errors import UnusableInput
 from ratslam_ros.simulator.floor_plan import FloorPlan
+from ratslam_ros.simulator.rays import EAST, NORTH, SOUTH, WEST
 from ratslam_ros.simulator.textures import PANEL_WIDTH_M, PanelLibrary, paint_library
 
-# Sides of a wall cell, named by where the viewer stands.
-WEST, EAST, SOUTH, NORTH = range(4)
+PERSON_RADIUS_M, PERSON_HEIGHT_M = 0.25, 1.75
+
 _STEPS = {WEST: (0, -1), EAST: (0, 1), SOUTH: (-1, 0), NORTH: (1, 0)}
 
 
@@ -25,20 +27,25 @@ class WorldOptions:
         which repeats the same few panels: such places look alike, however far apart they are
     corner_m: what still counts as at a corner, from the middle of the corridor
     light_spread: how much the lighting differs from place to place, as a share
+    light_change: how much it drifts with time besides, as a share; 0: it stays as it is
     """
 
     aliasing: float = 1.0
     corner_m: float = 1.8
     light_spread: float = 0.15
+    light_change: float = 0.0
 
 
-@dataclass(frozen=True)
+@dataclass
 class World:
-    """Everything that a sensor can see.
+    """Everything that a sensor can see, as it is at the moment.
 
-    panel: (n_y, n_x, 4) int16, the panel on each side of each wall cell
+    panel: (n_y, n_x, 4) int16, the panel on each side of each solid cell
     panel_u_m: (n_y, n_x, 4) float32, where on its panel the cell's side begins, from its left
     light: (n_y, n_x) float32, brightness of each cell, about 1
+    solid: (n_y, n_x) bool, walls and obstacles
+    people: (n, 4) float64, x_m, y_m, the direction each faces, the panel each is clothed in
+    obstacles: name -> the cells it stands on, (k, 2) row, column
     """
 
     plan: FloorPlan
@@ -46,6 +53,52 @@ class World:
     panel: NDArray[np.int16]
     panel_u_m: NDArray[np.float32]
     light: NDArray[np.float32]
+    solid: NDArray[np.bool_] = field(init=False)
+    people: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 4)))
+    obstacles: dict[str, NDArray[np.intp]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.solid = self.plan.solid.copy()
+
+    def obstacle_cells(
+        self, x_m: float, y_m: float, width_m: float, depth_m: float
+    ) -> NDArray[np.intp]:
+        """Find the free cells, (k, 2) row, column, whose middles lie in a rectangle around x, y.
+
+        Raises UnusableInput where there are none.
+        """
+        rows, columns = np.nonzero(~self.solid)
+        dx = np.abs((columns + 0.5) * self.plan.cell_m - x_m)
+        dy = np.abs((rows + 0.5) * self.plan.cell_m - y_m)
+        within = (dx <= width_m / 2) & (dy <= depth_m / 2)
+        if not within.any():
+            raise UnusableInput(
+                f'an obstacle of {width_m:g} x {depth_m:g} m at ({x_m:g}, {y_m:g}) covers no free '
+                f'cell: cells are {self.plan.cell_m:g} m, make it larger or move it'
+            )
+        return np.stack([rows[within], columns[within]], axis=1)
+
+    def put(self, name: str, cells: NDArray[np.intp]) -> None:
+        """Put up an obstacle of cardboard, from the floor to the ceiling."""
+        if name in self.obstacles:
+            raise UnusableInput(f'there is an obstacle {name!r} already: take it away first')
+        rows, columns = cells.T
+        self.solid[rows, columns] = True
+        self.panel[rows, columns] = self.library.cardboard
+        # Where along a panel: boxes stand side by side, each as wide as its cells allow.
+        for side, (_, step_x) in _STEPS.items():
+            along = rows if step_x else columns
+            along = -along if side in (WEST, NORTH) else along
+            self.panel_u_m[rows, columns, side] = (along * self.plan.cell_m) % PANEL_WIDTH_M
+        self.obstacles[name] = cells
+
+    def take(self, name: str) -> None:
+        """Take an obstacle away."""
+        if name not in self.obstacles:
+            known = ', '.join(self.obstacles) or 'none'
+            raise UnusableInput(f'there is no obstacle {name!r} to take away (there are: {known})')
+        rows, columns = self.obstacles.pop(name).T
+        self.solid[rows, columns] = False
 
 
 def build_world(
@@ -94,7 +147,7 @@ def _walls(solid: NDArray[np.bool_]) -> list[tuple[int, list[tuple[int, int]]]]:
 
 def _panels_along(length_m: float, library: PanelLibrary, rng: np.random.Generator) -> list[int]:
     """Draw panels for a wall, never the same twice running."""
-    n_panels = library.textures.shape[1]
+    n_panels = library.on_walls
     chosen = [int(rng.integers(n_panels))]
     for _ in range(int(length_m / PANEL_WIDTH_M) + 1):
         chosen.append((chosen[-1] + int(rng.integers(1, n_panels))) % n_panels)
