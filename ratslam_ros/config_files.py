@@ -18,7 +18,7 @@ from ratslam_ros.core.config import SECTIONS, Config, Value, section_of
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 
 PACKAGE = 'ratslam_ros'
-PART_OF = {'experience_map': 'goal_recall'}
+PART_OF = {'pose_cells': 'goal_memory', 'experience_map': 'goal_recall'}
 """A section that another section's node reads: below that node in ROS's YAML, and after it."""
 
 

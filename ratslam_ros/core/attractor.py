@@ -122,6 +122,35 @@ class Network:
             whole = _joined(whole, packet, dims)
         return np.roll(whole.cells, tuple(whole.box[:3]), (0, 1, 2))
 
+    def projected(self, packets: list[Packet]) -> tuple[NDArray[np.int64], Cells]:
+        """Return the activity summed over theta where there is any, on the torus' lattice.
+
+        Returns:
+            (n,) cells of the (y, x) plane, y * n_x + x, ascending, and (n,) their activity.
+        """
+        n_y, n_x = int(self.dims[1]), int(self.dims[2])
+        cells: list[NDArray[np.int64]] = []
+        shares: list[Cells] = []
+        for packet in packets:
+            # Onto the lattice by bilinear weights: as in ``dense``, but for the plane alone.
+            plane = packet.cells.sum(axis=0)
+            for axis, along in enumerate(packet.frame[1:]):
+                part = float(along) % 1.0
+                zero = np.zeros_like(plane.take([0], axis))
+                plane = np.concatenate([plane, zero], axis) * (1.0 - part) + part * (
+                    np.concatenate([zero, plane], axis)
+                )
+            low_y, low_x = np.floor(packet.frame[1:]).astype(np.int64) + packet.box[1:3]
+            y = (low_y + np.arange(plane.shape[0])) % n_y
+            x = (low_x + np.arange(plane.shape[1])) % n_x
+            active = plane > 0.0
+            cells.append((y[:, None] * n_x + x)[active])
+            shares.append(plane[active])
+        found, at = np.unique(np.concatenate(cells), return_inverse=True)
+        activity = np.zeros(len(found))
+        np.add.at(activity, at, np.concatenate(shares))
+        return found, activity
+
     def _within_reach(self, a: Packet, b: Packet) -> bool:
         for axis in range(3):
             n = self.dims[axis]

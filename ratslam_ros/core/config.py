@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Self
 
+from ratslam_ros.core.goal_memory_config import GoalMemoryParameters
 from ratslam_ros.core.section import ParameterInfo, Section, Value, parameter
 from ratslam_ros.errors import UnusableParameter
 
@@ -382,6 +383,7 @@ class Config:
     visual_odometry: VisualOdometryParameters = field(default_factory=VisualOdometryParameters)
     local_view: LocalViewParameters = field(default_factory=LocalViewParameters)
     pose_cells: PoseCellsParameters = field(default_factory=PoseCellsParameters)
+    goal_memory: GoalMemoryParameters = field(default_factory=GoalMemoryParameters)
     experience_map: ExperienceMapParameters = field(default_factory=ExperienceMapParameters)
     goal_recall: GoalRecallParameters = field(default_factory=GoalRecallParameters)
 
@@ -433,6 +435,7 @@ SECTIONS: dict[str, type[Section]] = {
     'visual_odometry': VisualOdometryParameters,
     'local_view': LocalViewParameters,
     'pose_cells': PoseCellsParameters,
+    'goal_memory': GoalMemoryParameters,
     'experience_map': ExperienceMapParameters,
     'goal_recall': GoalRecallParameters,
 }

@@ -103,6 +103,13 @@ class PoseCells:
         """Return all activity, (n_theta, n_y, n_x), for viewers."""
         return self._network.dense(self._packets)
 
+    def projected(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Return the cells (n,) of the (y, x) plane, y * n_x + x, and their activity over theta.
+
+        Only those with activity, ascending; the goal memory learns from them.
+        """
+        return self._network.projected(self._packets)
+
     def state(self) -> State:
         """Return all activity and all that was learned, for ``restore``."""
         return {

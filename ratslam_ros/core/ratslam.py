@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.experience_map import ExperienceMap
+from ratslam_ros.core.goal_memory import GoalMemory
 from ratslam_ros.core.local_view import UNDECODABLE, LocalView, ViewMatch
 from ratslam_ros.core.odometry import MotionFromOdometry, Odometry, Pose, moved
 from ratslam_ros.core.order import Counts, Released, StampOrder
@@ -71,6 +72,10 @@ class RatSLAM:
         self.local_view = LocalView(config.local_view)
         self.pose_cells = PoseCells(config.pose_cells)
         self.experience_map = ExperienceMap(config.experience_map)
+        self.goal_memory: GoalMemory | None = None
+        """Learns beside the map, where ``goal_memory.goal_memory`` is set."""
+        if config.goal_memory.goal_memory:
+            self.goal_memory = GoalMemory(config.goal_memory, config.pose_cells)
         self.dead_reckoning = self.experience_map.origin
         self.order: StampOrder[Odometry | ViewMatch] = StampOrder(
             ('odometry', 'template'), round(config.pose_cells.max_lateness_s * 1e9)
@@ -144,6 +149,9 @@ class RatSLAM:
         if motion is not None:
             with self._watch('pose_cells'):
                 self.pose_cells.integrate(motion)
+            if self.goal_memory is not None:
+                with self._watch('goal_memory'):
+                    self.goal_memory.integrate(motion, self.pose_cells)
             self.experience_map.integrate(motion)
             self.dead_reckoning = moved(self.dead_reckoning, motion)
         at = self.experience_map
