@@ -1,0 +1,132 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Goal follower: scan, route -> Command; of the ways on, the one closest to the route."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ratslam_ros.core.local_movement import Behaviour, LocalMovement, Option, Scan
+from ratslam_ros.core.movement_config import GoalFollowerParameters
+
+SAMPLES = 8
+"""Points of a way on that are compared with the route."""
+
+TURN_COST = 0.5
+"""Of the compared length: a way on further from the route than this (some 60 degrees off) loses
+against turning to the route on the spot."""
+
+FACING_RAD = math.radians(25.0)
+"""Turning ends when the route is this close to straight ahead."""
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """What the robot shall do, and the behaviour that says so.
+
+    ``failed``: the behaviour was tried for ``try_timeout_s`` and led nowhere; ``ahead_rad``: the
+    direction in which it was tried, in the robot's frame.
+    """
+
+    speed_mps: float
+    turn_rate_radps: float
+    behaviour: Behaviour
+    failed: bool = False
+    ahead_rad: float = 0.0
+
+
+class GoalFollower:
+    """Behaviour arbitration (seed 000, section IV.C), and what keeps the robot from harm."""
+
+    def __init__(self, parameters: GoalFollowerParameters) -> None:
+        self._p = parameters
+        self._turning = False
+        self._tried_since_ns: int | None = None
+
+    def __call__(self, scan: Scan, route: NDArray[np.float64]) -> Command:
+        """Choose a way on and return how to take it.
+
+        ``route``: (n, 2) m, in the robot's frame, from the robot's place on it to the goal.
+        """
+        p = self._p
+        movement = LocalMovement(p, scan)
+        ahead = _resampled(route, p.route_ahead_m)
+        length_m = float(ahead[-1, 2])
+        bearing_rad = _bearing(ahead)
+        best = min(
+            movement.options(), key=lambda option: _cost_m(option, ahead), default=None
+        )  # fmt: skip
+        fits = best is not None and _cost_m(best, ahead) <= TURN_COST * length_m
+        aside = abs(bearing_rad) > (FACING_RAD if self._turning else 2 * FACING_RAD)
+        if best is not None and fits and not (self._turning and aside):
+            self._turning, self._tried_since_ns = False, None
+            return drive(movement, best, p, most_mps=_approach_mps(route, p))
+        if aside:
+            self._turning, self._tried_since_ns = True, None
+            return turn(bearing_rad, p)
+        self._turning = False
+        return self._blocked(scan.stamp_ns, bearing_rad)
+
+    def _blocked(self, stamp_ns: int, bearing_rad: float) -> Command:
+        """Face the route and wait: people go away, closed doors do not."""
+        if self._tried_since_ns is None:
+            self._tried_since_ns = stamp_ns
+        failed = stamp_ns - self._tried_since_ns >= self._p.try_timeout_s * 1e9
+        if failed:
+            self._tried_since_ns = stamp_ns
+        return Command(
+            0.0, 0.5 * bearing_rad * self._p.turn_rate_radps, 'centreline', failed, bearing_rad
+        )
+
+
+def drive(
+    movement: LocalMovement, option: Option, p: GoalFollowerParameters, most_mps: float = math.inf
+) -> Command:
+    """Return how to take a way on: towards it, as fast as what is ahead allows."""
+    turn_rate = max(-p.turn_rate_radps, min(2.0 * option.heading_rad, p.turn_rate_radps))
+    # Ahead counts what the body will reach, whichever way it is about to turn.
+    gap_m = min(movement.open_m(0.0, p.robot_radius_m), option.open_m) - p.stop_distance_m
+    speed = p.speed_mps * max(math.cos(1.5 * option.heading_rad), 0.0)
+    speed = min(speed, most_mps, math.sqrt(2.0 * p.braking_mps2 * max(gap_m, 0.0)))
+    if abs(option.heading_rad) > math.pi / 3:
+        speed = 0.0
+    return Command(speed, turn_rate, option.behaviour, ahead_rad=option.heading_rad)
+
+
+def turn(bearing_rad: float, p: GoalFollowerParameters) -> Command:
+    """Return how to turn on the spot, slower towards the end."""
+    rate = max(-p.turn_rate_radps, min(1.5 * bearing_rad, p.turn_rate_radps))
+    return Command(0.0, rate, 'turn', ahead_rad=bearing_rad)
+
+
+def _approach_mps(route: NDArray[np.float64], p: GoalFollowerParameters) -> float:
+    """Return the speed from which the robot can stop at the end of the route."""
+    left_m = float(np.hypot(*np.diff(route, axis=0).T).sum()) + math.hypot(*route[0].tolist())
+    return 0.1 + math.sqrt(2.0 * p.braking_mps2 * left_m)
+
+
+def _resampled(route: NDArray[np.float64], length_m: float) -> NDArray[np.float64]:
+    """Return (SAMPLES, 3) x, y and way along the beginning of a route, from the robot on."""
+    points = np.concatenate([np.zeros((1, 2)), route])
+    along_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
+    at_m = np.linspace(0.0, min(length_m, max(float(along_m[-1]), 0.05)), SAMPLES + 1)[1:]
+    x, y = (np.interp(at_m, along_m, points[:, axis]) for axis in (0, 1))
+    return np.stack([x, y, at_m], axis=1)
+
+
+def _bearing(ahead: NDArray[np.float64]) -> float:
+    """Return the direction of the route's beginning, from its middle point on average."""
+    x, y = ahead[:, :2].mean(axis=0).tolist()
+    return math.atan2(y, x)
+
+
+def _cost_m(option: Option, ahead: NDArray[np.float64]) -> float:
+    """Return how far a way on is from the route on average, at the same distances driven."""
+    reach_m = np.minimum(ahead[:, 2], option.open_m)
+    x = reach_m * math.cos(option.heading_rad) - ahead[:, 0]
+    y = reach_m * math.sin(option.heading_rad) - ahead[:, 1]
+    return float(np.hypot(x, y).mean())
