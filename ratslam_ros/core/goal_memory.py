@@ -71,6 +71,8 @@ class GoalMemory:
         self._links: dict[int, int] = {}
         self._ends = array('i')
         self._mu_s = array('d')
+        self._observations = 0
+        self._recalled: tuple[Place, int, TemporalArray] | None = None
         self.carried()
 
     def __len__(self) -> int:
@@ -118,6 +120,7 @@ class GoalMemory:
         before, self._before = self._before, now
         if before is None:
             return
+        self._observations += 1
         products: dict[tuple[int, int], float] = {}
         for i, share_before in before.items():
             for j, share_now in now.items():
@@ -169,11 +172,17 @@ class GoalMemory:
     def recall(self, goal: Place) -> TemporalArray:
         """Return the times to a goal, from wherever links lead to it.
 
-        The goal stands for the nearest linked cell within the search radius.
+        The goal stands for the nearest linked cell within the search radius. Asked again for the
+        same goal, what was computed is returned until something more was learned.
 
         Raises:
             UnreachableGoal: there is none.
         """
+        if self._recalled is None or self._recalled[:2] != (goal, self._observations):
+            self._recalled = goal, self._observations, self._compute(goal)
+        return self._recalled[2]
+
+    def _compute(self, goal: Place) -> TemporalArray:
         known = [cell for _, _, _, cell in self._around(goal) if cell in self._numbers]
         if not known:
             raise UnreachableGoal(
@@ -347,4 +356,5 @@ class GoalMemory:
         self._ends = array('i', state['ends'].astype(np.int32).tobytes())
         self._mu_s = array('d', state['mu_s'].astype(np.float64).tobytes())
         self.goals = {name: Place(*place) for name, place in state['goals'].items()}
+        self._recalled = None
         self.carried()
