@@ -43,6 +43,7 @@ setup(
     license='Apache-2.0',
     keywords=['SLAM', 'RatSLAM', 'ROS 2', 'robotics', 'mapping', 'place recognition'],
     packages=find_packages(include=[NAME, f'{NAME}.*']),
+    package_data={f'{NAME}.simulator': ['plans/*.txt']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),

@@ -1,11 +1,16 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Floor plans as text: what is wall, what is free, and the named places that a tour visits."""
+"""Floor plans, drawn as text or pictures: what is wall, what is free, and the named places."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from importlib.resources import files
+from pathlib import Path
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -36,7 +41,10 @@ OFFICE_CELL_M = 0.7
 # ahead recognises a place only in the direction in which it learned it.
 OFFICE_START, OFFICE_CIRCUIT = 'E', 'BCDAEFDAE'
 
-WALL = '#'
+WALL, FREE = '#', '. '
+# Pixels at least as bright as this, of 0..255, are free.
+LIGHT = 128
+_PLANS = files('ratslam_ros') / 'simulator' / 'plans'
 
 
 @dataclass(frozen=True)
@@ -45,18 +53,23 @@ class FloorPlan:
 
     solid: (n_y, n_x) bool, True where there is wall; row 0 is the southernmost
     cell_m: side of a cell
-    places: letter -> (x_m, y_m), the centre of the cell that carries the letter
+    places: name -> (x_m, y_m); in a text, the centre of the cell that carries the letter
     """
 
     solid: NDArray[np.bool_]
     cell_m: float
     places: dict[str, tuple[float, float]]
+    name: str = ''
 
     @property
     def size_m(self) -> tuple[float, float]:
         """Width along x and depth along y."""
         n_y, n_x = self.solid.shape
         return n_x * self.cell_m, n_y * self.cell_m
+
+    def is_solid(self, x_m: float, y_m: float) -> bool:
+        """Whether there is wall at a point within the plan."""
+        return bool(self.solid[int(y_m / self.cell_m), int(x_m / self.cell_m)])
 
     def clearance_m(self, x_m: float, y_m: float) -> float:
         """Distance from a point to the nearest wall, 0 inside one."""
@@ -67,28 +80,146 @@ class FloorPlan:
         return float(np.sqrt(np.min(dx * dx + dy * dy)))
 
 
-def parse_floor_plan(text: str, cell_m: float) -> FloorPlan:
-    """Read a plan drawn with `#` for wall, letters for named places and anything else for free.
+def parse_floor_plan(text: str, cell_m: float | None = None, name: str = '') -> FloorPlan:
+    """Read a plan drawn with `#` for wall, `.` or space for free and letters for named places.
 
-    The first line is the north side. The outer cells must be wall, so that no ray leaves the plan.
+    Lines such as `cell_m: 0.25` and `name: a house` may come first. The drawing's first line is
+    the north side. The outer cells must be wall, so that no ray leaves the plan. Raises
+    UnusableInput, which names the line.
     """
-    lines = text.strip('\n').splitlines()
-    if len({len(line) for line in lines}) != 1:
-        raise UnusableInput(
-            'the lines of a floor plan must be equally long, '
-            f'these have {sorted({len(line) for line in lines})} characters'
-        )
-    grid = np.array([list(line) for line in reversed(lines)])
-    solid = grid == WALL
-    if not (solid[0].all() and solid[-1].all() and solid[:, 0].all() and solid[:, -1].all()):
-        raise UnusableInput('a floor plan must be closed: draw # all around its edge')
-    places = {
-        str(grid[row, column]): ((column + 0.5) * cell_m, (row + 0.5) * cell_m)
-        for row, column in np.argwhere(np.char.isalpha(grid)).tolist()
-    }
-    return FloorPlan(solid, cell_m, places)
+    lines = [line.rstrip() for line in text.splitlines()]
+    first = 0
+    while first < len(lines) and not lines[first].startswith(WALL):
+        key, colon, value = lines[first].partition(':')
+        if key.strip() == 'cell_m' and colon:
+            cell_m = _length(value, first + 1)
+        elif key.strip() == 'name' and colon:
+            name = value.strip()
+        elif lines[first]:
+            raise UnusableInput(
+                f'line {first + 1} of a floor plan is {lines[first]!r}: expected '
+                '"cell_m: METRES", "name: TEXT" or the first line of the drawing, which is all #'
+            )
+        first += 1
+    while lines and not lines[-1]:
+        lines.pop()
+    drawing = lines[first:]
+    if cell_m is None:
+        raise UnusableInput('a floor plan must say how large a cell is: begin with "cell_m: 0.25"')
+    if len(drawing) < 3 or len(drawing[0]) < 3:
+        raise UnusableInput('a floor plan needs a drawing: at least 3 lines of 3 characters')
+    places: dict[str, tuple[float, float]] = {}
+    for index, line in enumerate(drawing):
+        number = first + index + 1
+        if len(line) != len(drawing[0]):
+            raise UnusableInput(
+                f'the lines of a floor plan must be equally long: line {number} has {len(line)} '
+                f'characters, line {first + 1} has {len(drawing[0])}'
+            )
+        for column, character in enumerate(line):
+            if character.isalpha():
+                if character in places:
+                    raise UnusableInput(
+                        f'line {number} of a floor plan names place {character!r}, which a line '
+                        'before it has named: choose another letter'
+                    )
+                places[character] = (
+                    (column + 0.5) * cell_m,
+                    (len(drawing) - index - 0.5) * cell_m,
+                )
+            elif character not in (WALL, *FREE):
+                raise UnusableInput(
+                    f'line {number} of a floor plan has {character!r}: draw walls with #, free '
+                    'floor with . or space, named places with letters'
+                )
+    grid = np.array([list(line) for line in reversed(drawing)])
+    return _closed(FloorPlan(grid == WALL, cell_m, places, name))
+
+
+def load_floor_plan(
+    plan: str | Path,
+    cell_m: float | None = None,
+    places: Mapping[str, tuple[float, float]] | None = None,
+) -> FloorPlan:
+    """Load a shipped plan by its name, or one's own from a text file or a PNG picture.
+
+    cell_m: metres for each pixel of a picture; for a text that does not say it, for each cell
+    places: named places, x_m, y_m, besides those that a text names; (0, 0) is the picture's
+        lower left corner
+    A picture is dark where there is wall and light where there is none. Raises UnusableInput.
+    """
+    path = Path(plan)
+    if path.suffix.lower() == '.png':
+        loaded = _from_picture(path, cell_m)
+    elif str(plan) == 'office':
+        loaded = office()
+    elif str(plan) in shipped_plans():
+        loaded = parse_floor_plan((_PLANS / f'{plan}.txt').read_text('utf-8'))
+    else:
+        try:
+            text = path.read_text('utf-8')
+        except (OSError, UnicodeDecodeError) as error:
+            raise UnusableInput(
+                f'cannot read the floor plan {str(plan)!r} ({error}): give a text file, a .png or '
+                f'one of {", ".join(shipped_plans())}'
+            ) from None
+        try:
+            loaded = parse_floor_plan(text, cell_m, path.stem)
+        except UnusableInput as error:
+            raise UnusableInput(f'{path}: {error}') from None
+    if places:
+        loaded = replace(loaded, places={**loaded.places, **places})
+    for name, (x_m, y_m) in loaded.places.items():
+        width_m, depth_m = loaded.size_m
+        if not (0.0 < x_m < width_m and 0.0 < y_m < depth_m) or loaded.is_solid(x_m, y_m):
+            raise UnusableInput(
+                f'{plan}: place {name!r} at ({x_m:g}, {y_m:g}) is not on the free floor, which '
+                f'is within {width_m:g} x {depth_m:g} m'
+            )
+    return loaded
+
+
+def shipped_plans() -> list[str]:
+    """List the names of the plans that come with this package."""
+    files = [path.name for path in _PLANS.iterdir()]
+    return sorted(['office', *(name[:-4] for name in files if name.endswith('.txt'))])
 
 
 def office() -> FloorPlan:
     """Return the built-in office floor."""
-    return parse_floor_plan(OFFICE, OFFICE_CELL_M)
+    return parse_floor_plan(OFFICE, OFFICE_CELL_M, 'office')
+
+
+def _from_picture(path: Path, cell_m: float | None) -> FloorPlan:
+    if cell_m is None:
+        raise UnusableInput(f'{path}: say how many metres a pixel of the picture is (cell_m)')
+    _require_length(cell_m, 'metres for each pixel')
+    picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    if picture is None:
+        raise UnusableInput(f'cannot read {path} as a picture: give a PNG file')
+    return _closed(FloorPlan(picture[::-1] < LIGHT, cell_m, {}, path.stem))
+
+
+def _closed(plan: FloorPlan) -> FloorPlan:
+    solid = plan.solid
+    if not (solid[0].all() and solid[-1].all() and solid[:, 0].all() and solid[:, -1].all()):
+        raise UnusableInput(
+            'a floor plan must be closed: draw # (in a picture: dark pixels) all around its edge'
+        )
+    return plan
+
+
+def _length(value: str, line: int) -> float:
+    try:
+        length_m = float(value)
+    except ValueError:
+        length_m = math.nan
+    _require_length(length_m, f'cell_m in line {line} of a floor plan', value.strip())
+    return length_m
+
+
+def _require_length(length_m: float, what: str, seen: str | None = None) -> None:
+    if not 0.0 < length_m < math.inf:
+        raise UnusableInput(
+            f'{what} must be a positive number of metres, not {seen or length_m}'
+        )

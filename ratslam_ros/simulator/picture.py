@@ -1,23 +1,73 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A picture of a simulated run: the floor from above, where the robot went and what it saw."""
+"""Pictures of simulated runs: the floor from above, where robots went and what they saw."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ratslam_ros.pictures import GREEN, VERMILLION, new_figure, save_figure
+from ratslam_ros.pictures import BLUE, GREEN, VERMILLION, new_figure, save_figure
 from ratslam_ros.simulator.camera import Camera, CameraOptions
+from ratslam_ros.simulator.floor_plan import FloorPlan
 from ratslam_ros.simulator.recording import SimulatedRun
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 VIEWS = 4
+# A rectangle: x_m, y_m of its middle, width_m along x, depth_m along y.
+Rectangle = tuple[float, float, float, float]
+# Okabe and Ito's, as in the other pictures.
+TRAJECTORY_COLOURS = (GREEN, VERMILLION, BLUE, '#E69F00', '#CC79A7', '#56B4E9')
+
+
+def draw_plan(
+    plan: FloorPlan,
+    path: str | Path,
+    trajectories: Mapping[str, NDArray[np.float64]] | None = None,
+    obstacles: Sequence[Rectangle] = (),
+    title: str | None = None,
+) -> Path:
+    """Draw a floor plan with its named places, ways over it and obstacles; needs no display.
+
+    trajectories: label -> (n, 2 or more), x_m and y_m first; NaN interrupts a line
+    """
+    width_m, depth_m = plan.size_m
+    # As large as the plan's form wants, with room for the labels of the axes.
+    figure = new_figure(11.0, min(max(10.0 * depth_m / width_m + 1.6, 4.0), 11.0))
+    axes = figure.add_subplot()
+    draw_floor(axes, plan, obstacles)
+    for index, (label, positions) in enumerate((trajectories or {}).items()):
+        colour = TRAJECTORY_COLOURS[index % len(TRAJECTORY_COLOURS)]
+        axes.plot(positions[:, 0], positions[:, 1], color=colour, linewidth=1.3, label=label)
+        axes.plot(*positions[0, :2], 'o', color=colour, markersize=5)
+    axes.set_title(plan.name if title is None else title)
+    if trajectories:
+        figure.legend(loc='outside lower center', ncols=4, frameon=False)
+    return save_figure(figure, path)
+
+
+def draw_floor(axes: Axes, plan: FloorPlan, obstacles: Sequence[Rectangle] = ()) -> None:
+    """Draw walls, the names of places and obstacles, in metres, into a picture of one's own."""
+    from matplotlib.patches import Rectangle as Patch
+
+    _draw_walls(axes, plan)
+    for name, (x_m, y_m) in plan.places.items():
+        axes.text(
+            x_m, y_m, name, ha='center', va='center', zorder=5,
+            bbox={'boxstyle': 'circle,pad=0.15', 'facecolor': 'white', 'linewidth': 0.6},
+        )  # fmt: skip
+    for x_m, y_m, width_m, depth_m in obstacles:
+        corner = (x_m - width_m / 2, y_m - depth_m / 2)
+        axes.add_patch(Patch(corner, width_m, depth_m, color=VERMILLION, alpha=0.6, zorder=4))
+    axes.set_aspect('equal')
+    axes.set_xlabel('x (m)')
+    axes.set_ylabel('y (m)')
 
 
 def draw_run(run: SimulatedRun, path: str | Path) -> Path:
@@ -44,17 +94,7 @@ def draw_run(run: SimulatedRun, path: str | Path) -> Path:
 
 
 def _draw_floor(axes: Axes, run: SimulatedRun) -> None:
-    plan = run.world.plan
-    width_m, depth_m = plan.size_m
-    axes.imshow(
-        np.where(plan.solid, 0.77, np.nan),
-        origin='lower',
-        extent=(0.0, width_m, 0.0, depth_m),
-        cmap='gray',
-        vmin=0.0,
-        vmax=1.0,
-        interpolation='nearest',
-    )
+    _draw_walls(axes, run.world.plan)
     believed = _from_true_start(run.odometry_pose, run.truth_pose[0])
     axes.plot(*believed.T, color=VERMILLION, linewidth=1.0, label='dead reckoning')
     axes.plot(*run.truth_pose[:, :2].T, color=GREEN, linewidth=1.6, label='truth')
@@ -65,6 +105,19 @@ def _draw_floor(axes: Axes, run: SimulatedRun) -> None:
     axes.set_ylabel('y (m)')
     axes.set_title(f'Simulated office: {run.duration_s:.0f} s, {run.images} images')
     axes.legend(loc='upper right')
+
+
+def _draw_walls(axes: Axes, plan: FloorPlan) -> None:
+    width_m, depth_m = plan.size_m
+    axes.imshow(
+        np.where(plan.solid, 0.77, np.nan),
+        origin='lower',
+        extent=(0.0, width_m, 0.0, depth_m),
+        cmap='gray',
+        vmin=0.0,
+        vmax=1.0,
+        interpolation='nearest',
+    )
 
 
 def _from_true_start(

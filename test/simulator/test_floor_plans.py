@@ -1,0 +1,173 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+from itertools import pairwise
+
+import cv2
+import numpy as np
+import pytest
+from scipy.ndimage import label
+
+from ratslam_ros.errors import UnusableInput
+from ratslam_ros.simulator.bodies import room_for
+from ratslam_ros.simulator.floor_plan import (
+    OFFICE,
+    OFFICE_CELL_M,
+    load_floor_plan,
+    office,
+    parse_floor_plan,
+    shipped_plans,
+)
+
+UNIVERSITY, OBSTACLE = 'university_floor', 'obstacle_loop'
+RING = 'SabcdefgS'
+
+
+def way_m(plan, names):
+    return sum(
+        np.hypot(*np.subtract(plan.places[b], plan.places[a])) for a, b in pairwise(names)
+    )
+
+
+def along(plan, names, step_m=0.1):
+    """Points every so often along straight lines from place to place."""
+    for a, b in pairwise(names):
+        start, end = np.array(plan.places[a]), np.array(plan.places[b])
+        for share in np.arange(0.0, 1.0, step_m / np.hypot(*(end - start))):
+            yield start + share * (end - start)
+
+
+def test_shipped_plans_are_found_by_name():
+    assert shipped_plans() == [OBSTACLE, 'office', UNIVERSITY]
+    assert np.array_equal(load_floor_plan('office').solid, office().solid)
+
+
+@pytest.mark.parametrize('name', [UNIVERSITY, OBSTACLE])
+def test_everything_is_reachable_by_a_robot_of_30_cm_radius(name):
+    plan = load_floor_plan(name)
+    room = room_for(plan.solid, plan.cell_m, 0.3)
+    areas, count = label(room)
+    assert count == 1
+    for name, (x_m, y_m) in plan.places.items():
+        assert areas[int(y_m / plan.cell_m), int(x_m / plan.cell_m)] == 1, name
+        assert plan.clearance_m(x_m, y_m) >= 0.6, name
+    # What the middle of the robot does not reach is corners and niches, not rooms.
+    beyond = label(~plan.solid & ~cv2.dilate(room.astype(np.uint8), np.ones((5, 5))).astype(bool))
+    assert max(np.bincount(beyond[0].ravel())[1:], default=0) <= 4
+
+
+def test_university_floor_has_a_ring_of_122_m():
+    plan = load_floor_plan(UNIVERSITY)
+    assert plan.size_m == pytest.approx((46.0, 22.0), abs=1.0)
+    assert way_m(plan, RING) == pytest.approx(122.0, abs=1.0)
+    # The straight lines are the middle of the corridor: wall on both sides of all but crossings.
+    clearances_m = [plan.clearance_m(x_m, y_m) for x_m, y_m in along(plan, RING)]
+    assert min(clearances_m) > 0.65
+    assert np.median(clearances_m) == pytest.approx(0.98)
+    assert max(clearances_m) < 1.5
+    # It is a ring: cut anywhere it hangs together, cut in two places it does not.
+    solid = plan.solid.copy()
+    for count, name in ((1, 'e'), (2, 'a')):
+        x_m, y_m = plan.places[name]
+        row, column = int(y_m / plan.cell_m), int(x_m / plan.cell_m)
+        solid[row - 6 : row + 7, column - 6 : column + 7] = True
+        assert label(~solid)[1] == count
+
+
+def test_university_floor_has_rooms_on_both_sides_of_its_ring():
+    plan = load_floor_plan(UNIVERSITY)
+    solid = plan.solid.copy()
+    for x_m, y_m in along(plan, RING, plan.cell_m / 2):
+        row, column = int(y_m / plan.cell_m), int(x_m / plan.cell_m)
+        solid[row - 4 : row + 5, column - 4 : column + 5] = True
+    corners = np.array([plan.places[name] for name in RING], np.float32)
+    rooms = {True: 0, False: 0}
+    areas, count = label(~solid)
+    for area in range(1, count + 1):
+        cells = np.argwhere(areas == area)
+        if len(cells) * plan.cell_m**2 > 9.0:
+            y_m, x_m = (cells[0] + 0.5) * plan.cell_m
+            inside = cv2.pointPolygonTest(corners, (float(x_m), float(y_m)), False) > 0
+            rooms[inside] += 1
+    assert rooms[True] >= 5
+    assert rooms[False] >= 5
+
+
+def test_obstacle_loop_has_a_short_way_and_a_long_one():
+    plan = load_floor_plan(OBSTACLE)
+    assert way_m(plan, 'SXG') == pytest.approx(12.0, abs=0.5)
+    assert 30.0 < way_m(plan, 'GbcS') < 40.0
+    x_m, y_m = plan.places['X']
+    assert x_m == pytest.approx((plan.places['S'][0] + plan.places['G'][0]) / 2, abs=plan.cell_m)
+    assert min(plan.clearance_m(x, y) for x, y in along(plan, 'SGbcS')) > 0.65
+    assert y_m == plan.places['S'][1] == plan.places['G'][1]
+
+
+def write_picture(plan, path):
+    cv2.imwrite(str(path), np.where(plan.solid, 30, 240).astype(np.uint8)[::-1])
+    return path
+
+
+def test_picture_of_a_plan_is_the_same_plan(tmp_path):
+    plan = office()
+    picture = write_picture(plan, tmp_path / 'office.png')
+    loaded = load_floor_plan(picture, cell_m=plan.cell_m, places=plan.places)
+    assert np.array_equal(loaded.solid, plan.solid)
+    assert (loaded.cell_m, loaded.places) == (plan.cell_m, plan.places)
+
+
+def test_text_file_says_its_own_size(tmp_path):
+    path = tmp_path / 'mine.txt'
+    path.write_text(f'name: mine\ncell_m: {OFFICE_CELL_M}\n\n{OFFICE.strip()}\n\n')
+    plan = load_floor_plan(path)
+    assert np.array_equal(plan.solid, office().solid)
+    assert (plan.name, plan.cell_m, plan.places) == ('mine', OFFICE_CELL_M, office().places)
+
+
+@pytest.mark.parametrize(
+    ('text', 'message'),
+    [
+        ('cell_m: 1\n####\n#.##\n#..#\n###', 'line 5 has 3 characters, line 2 has 4'),
+        ('cell_m: 1\n####\n#.x,\n####', "line 3 .*','"),
+        ('cell_m: 1\n#####\n#A.A#\n#####', "line 3 .*'A'"),
+        ('cell_m: 0\n###\n#.#\n###', "line 1 .*'?0"),
+        ('cell_m: wide\n###\n#.#\n###', 'line 1 .*wide'),
+        ('cells: 1\n###\n#.#\n###', "line 1 .*'cells: 1'"),
+        ('cell_m: 1\n###\n#..\n###', 'closed'),
+        ('cell_m: 1\n', 'drawing'),
+        ('###\n#.#\n###', 'cell_m'),
+    ],
+)
+def test_bad_text_is_refused_with_its_line(text, message, tmp_path):
+    path = tmp_path / 'plan.txt'
+    path.write_text(text)
+    with pytest.raises(UnusableInput, match=message) as refused:
+        load_floor_plan(path)
+    assert str(path) in str(refused.value)
+
+
+def test_bad_files_are_refused(tmp_path):
+    picture = write_picture(office(), tmp_path / 'plan.png')
+    with pytest.raises(UnusableInput, match='metres a pixel'):
+        load_floor_plan(picture)
+    with pytest.raises(UnusableInput, match='positive'):
+        load_floor_plan(picture, cell_m=-1.0)
+    with pytest.raises(UnusableInput, match='not on the free floor'):
+        load_floor_plan(picture, cell_m=0.7, places={'A': (0.1, 0.1)})
+    with pytest.raises(UnusableInput, match='not on the free floor'):
+        load_floor_plan(picture, cell_m=0.7, places={'A': (50.0, 1.0)})
+    open_plan = tmp_path / 'open.png'
+    cv2.imwrite(str(open_plan), np.full((9, 9), 255, np.uint8))
+    with pytest.raises(UnusableInput, match='closed'):
+        load_floor_plan(open_plan, cell_m=0.1)
+    (tmp_path / 'none.png').write_bytes(b'no picture')
+    with pytest.raises(UnusableInput, match='as a picture'):
+        load_floor_plan(tmp_path / 'none.png', cell_m=0.1)
+    with pytest.raises(UnusableInput, match=r'no_such_plan.*office'):
+        load_floor_plan('no_such_plan')
+    (tmp_path / 'binary.txt').write_bytes(bytes(range(128, 256)))
+    with pytest.raises(UnusableInput, match=r'binary\.txt'):
+        load_floor_plan(tmp_path / 'binary.txt')
+
+
+def test_drawing_may_be_read_without_a_header():
+    assert parse_floor_plan('###\n#.#\n###', cell_m=2.0).size_m == (6.0, 6.0)
