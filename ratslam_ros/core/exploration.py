@@ -15,13 +15,21 @@ from ratslam_ros.core.local_movement import Behaviour, LocalMovement, Option, Sc
 from ratslam_ros.core.movement_config import GoalFollowerParameters
 from ratslam_ros.core.odometry import Pose
 
-Phase = Literal['on', 'turn_back', 'back', 'turn_again', 'again']
+Phase = Literal['on', 'turn_back', 'back', 'turn_again', 'again', 'turn_off', 'off']
+
+_TURNS: dict[Phase, Phase] = {'turn_back': 'back', 'turn_again': 'again', 'turn_off': 'off'}
+
+ARRIVED_RAD = math.radians(10.0)
+"""A turn is done when so much is left."""
 
 WALL_M = 1.0
 """A wall nearer than this is one that can be followed."""
 
 SEEK_AFTER_RAD = math.radians(300.0)
 """So much turned without a wall beside: there is none here. Go straight on to the next."""
+
+ISLAND_RAD = math.radians(450.0)
+"""So far round to the left in all: the wall is that of an island, as of a table. Leave it."""
 
 STUCK_S = 15.0
 """A phase of the look back that takes longer is given up: somebody stands in the way."""
@@ -34,69 +42,79 @@ class Exploration:
         """``rng``: draws after which looks the robot goes on along the other wall."""
         self._p = parameters
         self._rng = rng
-        self._pose: Pose | None = None
-        self._phase: Phase = 'on'
-        self._begin(0)
-        self._target_rad = 0.0
-        self._turn_without_wall = 0.0
-        self._seeking = False
+        self.restart()
 
-    def _begin(self, stamp_ns: int) -> None:
+    def _begin(self, stamp_ns: int, phase: Phase, target_rad: float = 0.0) -> None:
+        if phase in ('turn_off', 'off'):
+            self._round_rad = 0.0
+        self._phase, self._target_rad = phase, target_rad
         self._driven_m = self._turned_rad = 0.0
         self._since_ns = stamp_ns
 
     def restart(self) -> None:
         """Begin with following the wall, after something else has moved the robot."""
-        self._phase, self._pose, self._seeking = 'on', None, False
-        self._turn_without_wall = 0.0
-        self._begin(0)
+        self._pose: Pose | None = None
+        self._seeking = False
+        self._turn_without_wall = self._round_rad = 0.0
+        self._begin(0, 'on')
 
     def __call__(self, scan: Scan, pose: Pose) -> Command:
         """Return how to move on.
 
         ``pose``: by odometry alone; only its changes count.
         """
-        p = self._p
         self._account(scan.stamp_ns, pose)
-        movement = LocalMovement(p, scan)
-        stuck = scan.stamp_ns - self._since_ns > STUCK_S * 1e9
-        if self._phase == 'on':
-            looked = (
-                self._driven_m >= p.look_back_every_m
-                or (abs(self._turned_rad) >= math.radians(p.look_back_turn_deg)
-                and self._driven_m >= p.look_back_m)
-            )
-            if looked:
-                self._turn_round(scan.stamp_ns, pose, 'turn_back')
-        elif self._phase in ('turn_back', 'turn_again'):
-            left_rad = wrap(self._target_rad - pose.heading_rad)
-            if abs(left_rad) > math.radians(10.0) and not stuck:
-                return turn(left_rad, p)
-            if self._phase == 'turn_again':
-                self._phase = 'again'
-            else:
-                on = self._rng.random() < p.change_wall_share
-                self._phase = 'on' if on else 'back'
-            self._begin(scan.stamp_ns)
-        elif self._phase == 'back' and (self._driven_m >= p.look_back_m or stuck):
-            self._turn_round(scan.stamp_ns, pose, 'turn_again')
-        elif self._phase == 'again' and (self._driven_m >= p.look_back_m or stuck):
-            self._phase = 'on'
-            self._begin(scan.stamp_ns)
-        if self._phase in ('turn_back', 'turn_again'):
-            return turn(wrap(self._target_rad - pose.heading_rad), p)
+        movement = LocalMovement(self._p, scan)
+        self._phase_over(scan.stamp_ns, pose, movement)
+        if self._phase in _TURNS:
+            return turn(self._left_rad(pose), self._p)
+        if self._phase == 'off':
+            return drive(movement, Option('centreline', 0.0, movement.open_m(0.0)), self._p)
         return self._along_wall(movement, 'right_wall' if self._phase == 'back' else 'left_wall')
 
-    def _turn_round(self, stamp_ns: int, pose: Pose, phase: Phase) -> None:
-        self._phase = phase
-        self._target_rad = wrap(pose.heading_rad + math.pi)
-        self._begin(stamp_ns)
+    def _phase_over(self, stamp_ns: int, pose: Pose, movement: LocalMovement) -> None:
+        """Go over to the next phase where the present one is done."""
+        p = self._p
+        stuck = stamp_ns - self._since_ns > STUCK_S * 1e9
+        back = self._driven_m >= p.look_back_m or stuck
+        if self._phase == 'on':
+            turned = abs(self._turned_rad) >= math.radians(p.look_back_turn_deg)
+            if self._round_rad > ISLAND_RAD:
+                self._begin(stamp_ns, 'turn_off', pose.heading_rad - math.pi / 2)
+            elif self._driven_m >= p.look_back_every_m * (0.5 if turned else 1.0):
+                self._begin(stamp_ns, 'turn_back', pose.heading_rad + math.pi)
+        elif self._phase in _TURNS:
+            if abs(self._left_rad(pose)) < ARRIVED_RAD or stuck:
+                following = _TURNS[self._phase]
+                if following == 'back' and self._rng.random() < p.change_wall_share:
+                    following = 'on'
+                    self._round_rad = 0.0
+                self._begin(stamp_ns, following)
+        elif self._phase == 'back' and back:
+            self._begin(stamp_ns, 'turn_again', pose.heading_rad + math.pi)
+        elif self._phase == 'again':
+            if back:
+                self._begin(stamp_ns, 'on')
+        elif movement.open_m(0.0) < p.wall_look_ahead_m or stuck:
+            self._begin(stamp_ns, 'on')
+
+    def _left_rad(self, pose: Pose) -> float:
+        """Return what is left of a turn: to the right first, and back the same way.
+
+        So both turns' errors of odometry cancel out, and the robot looks away from the wall.
+        """
+        left_rad = wrap(self._target_rad - pose.heading_rad)
+        if self._phase == 'turn_again':
+            return left_rad if left_rad > -math.pi / 2 else left_rad + math.tau
+        return left_rad if left_rad < math.pi / 2 else left_rad - math.tau
 
     def _account(self, stamp_ns: int, pose: Pose) -> None:
         if self._pose is not None:
             self._driven_m += math.hypot(pose.x_m - self._pose.x_m, pose.y_m - self._pose.y_m)
             turned = wrap(pose.heading_rad - self._pose.heading_rad)
             self._turned_rad += turned
+            if self._phase == 'on':
+                self._round_rad += turned
             self._turn_without_wall += abs(turned)
         else:
             self._since_ns = stamp_ns

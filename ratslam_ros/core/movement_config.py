@@ -27,10 +27,10 @@ class GoalFollowerParameters(Section):
         0.8, 'm', 0.05, 10.0, 'A way along a wall must be open this far.',
         'the robot swings while it follows a wall', 'it cuts across small recesses')  # fmt: skip
     speed_mps: float = parameter(
-        0.5, 'm/s', 0.01, 10.0, 'Speed where the way is straight and open.',
+        0.6, 'm/s', 0.01, 10.0, 'Speed where the way is straight and open.',
         'the robot could safely be faster', 'it is late to stop, or images blur')  # fmt: skip
     turn_rate_radps: float = parameter(
-        1.0, 'rad/s', 0.05, 10.0, 'Fastest turn.',
+        1.5, 'rad/s', 0.05, 10.0, 'Fastest turn.',
         'turning back takes too long', 'views change too quickly to be recognised')  # fmt: skip
     braking_mps2: float = parameter(
         0.3, 'm/s^2', 0.01, 10.0, 'Slowing down that the robot can rely on.',
@@ -53,13 +53,14 @@ class GoalFollowerParameters(Section):
         3.0, 'm', 0.1, 1e6, 'Exploring: turn back and look after driving this far.',
         'exploring takes too long', 'places are not recognised from the other side')  # fmt: skip
     look_back_turn_deg: float = parameter(
-        30.0, 'deg', 1.0, 1e6, 'Exploring: and after turning this far from the last look.',
+        30.0, 'deg', 1.0, 1e6,
+        'Exploring: and after half of that, having turned this far since the last look.',
         'exploring takes too long', 'corners are not recognised from the other side')  # fmt: skip
     look_back_m: float = parameter(
-        1.0, 'm', 0.0, 1e6, 'Exploring: how far the robot goes back to look.',
+        0.5, 'm', 0.0, 1e6, 'Exploring: how far the robot goes back to look.',
         'places are not recognised from the other side', 'exploring takes too long')  # fmt: skip
     change_wall_share: float = parameter(
-        0.1, 'share of looks', 0.0, 1.0,
+        0.04, 'share of looks', 0.0, 1.0,
         'Exploring: how often the robot, once turned, goes on along the other wall.',
         'it stays at one side of the building', 'it leaves parts before it knows them',
     )  # fmt: skip
