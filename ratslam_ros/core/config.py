@@ -13,11 +13,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Self
 
+from ratslam_ros.core.goal_config import GoalRecallParameters
 from ratslam_ros.core.goal_memory_config import GoalMemoryParameters
 from ratslam_ros.core.section import ParameterInfo, Section, Value, parameter
 from ratslam_ros.errors import UnusableParameter
 
-__all__ = ['ParameterInfo', 'Section', 'Value', 'parameter']
+__all__ = ['GoalRecallParameters', 'ParameterInfo', 'Section', 'Value', 'parameter']
 
 WHOLE = -1  # an upper image bound of -1 means: to the edge of the image
 
@@ -367,16 +368,6 @@ class ExperienceMapParameters(OdometryInput):
 
 
 @dataclass(frozen=True)
-class GoalRecallParameters(Section):
-    """How routes are found."""
-
-    goal_tolerance_m: float = parameter(
-        0.5, 'm', 0.0, 1e6, 'A goal position means the nearest experience within this distance.',
-        'goals beside the driven path are refused', 'goals are taken for too distant places',
-    )  # fmt: skip
-
-
-@dataclass(frozen=True)
 class Config:
     """All parameters, a section for each of the five core modules."""
 
@@ -443,7 +434,9 @@ SECTIONS: dict[str, type[Section]] = {
 SETTABLE = frozenset(
     {
         'watchdog_after_s', 'on_jump_back', 'flush_after_s', 'publish_tf', 'map_period_s',
-        'goal_tolerance_m', 'memory_folder',
+        'goal_tolerance_m', 'memory_folder', 'goal_radius_m', 'goal_timeout_s',
+        'goal_timeout_factor', 'goal_timeout_least_s', 'goal_explore_s', 'route_keep_s',
+        'route_switch_s', 'route_width_m', 'waypoint_ahead_m',
     }
 )  # fmt: skip
 """What a node lets be set while it runs. All else decides what the map becomes: one map is made
