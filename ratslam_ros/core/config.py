@@ -15,6 +15,7 @@ from typing import Any, Self
 
 from ratslam_ros.core.goal_config import GoalRecallParameters
 from ratslam_ros.core.goal_memory_config import GoalMemoryParameters
+from ratslam_ros.core.movement_config import GoalFollowerParameters
 from ratslam_ros.core.section import ParameterInfo, Section, Value, parameter
 from ratslam_ros.errors import UnusableParameter
 
@@ -239,6 +240,9 @@ class LocalViewParameters(ImageInput, Memory):
             )
 
 
+LEAST_EXP_MAX = 20
+
+
 @dataclass(frozen=True)
 class PoseCellsParameters(OdometryInput):
     """The continuous attractor network that filters place, and what the views do to it."""
@@ -308,9 +312,40 @@ class PoseCellsParameters(OdometryInput):
         'A place further than this from the current experience, in pose cells, is another one.',
         'loops are seen but not linked; there are too many experiences',
         'the map is too coarse or wrong places are linked')  # fmt: skip
+    exp_current_by: str = parameter(
+        'delta', '', 0, 0,
+        'Which experience of the view becomes current: delta, the nearest within '
+        'exp_delta_pc_threshold once the view or the place has changed; activity, always the most '
+        'active one, by equations (1) to (4) of seed 000.',
+        'leave at delta', 'set to activity to compare with the papers',
+        choices=('delta', 'activity'),
+    )  # fmt: skip
+    exp_activity_xy: float = parameter(
+        2.0, 'cells', 0.01, 1000.0,
+        'Distance along x and y at which an experience is active no more: r_a of equation (1).',
+        'few experiences are active', 'experiences far from the peak are active')  # fmt: skip
+    exp_activity_th: float = parameter(
+        2.0, 'cells', 0.01, 1000.0,
+        'Difference of heading at which an experience is active no more: theta_a of equation (2).',
+        'few experiences are active', 'experiences of other headings are active')  # fmt: skip
+    exp_activity_threshold: float = parameter(
+        0.0, 'activity', 0.0, 2.0,
+        'If exp_current_by is activity: a new experience is made where none is more active.',
+        'the map is too coarse', 'there are too many experiences')  # fmt: skip
+    exp_max: int = parameter(
+        0, 'experiences; 0: any number', 0, 100_000_000,
+        'With so many, each new experience takes the number of an old one that is forgotten: of '
+        'those visited once, or else least often, the one that was visited longest ago.',
+        'places are forgotten that are still needed', 'the map outgrows memory or time',
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if 0 < self.exp_max < LEAST_EXP_MAX:
+            raise UnusableParameter(
+                f'exp_max is {self.exp_max}; expected 0 (any number) or at least {LEAST_EXP_MAX}, '
+                'so that what the robot has just come by is kept'
+            )
         for name in ('pc_w_e_dim', 'pc_w_i_dim'):
             if getattr(self, name) % 2 == 0:
                 raise UnusableParameter(
@@ -339,6 +374,30 @@ class ExperienceMapParameters(OdometryInput):
         'Sweeps over all links after each action, if exp_relaxation is sweep; 0: the map is not '
         'relaxed.',
         'loops close too slowly', 'large maps cost too much')  # fmt: skip
+    exp_confidence_threshold: float = parameter(
+        0.25, 'share of the tries', 0.0, 1.0,
+        'A link is unlearned when its confidence, equation (9) of seed 000, falls below this; 0: '
+        'nothing is unlearned. Only tries of behaviours that have names count.',
+        'the robot tries blocked ways for too long', 'ways are given up for people who pass',
+    )  # fmt: skip
+    exp_min_tries: int = parameter(
+        8, 'tries', 1, 1_000_000,
+        'A link is not unlearned before its behaviour has led elsewhere so many times since the '
+        'link was last made; time-outs count at once.',
+        'links between places that take turns are unlearned', 'wrong links stay for too long',
+    )  # fmt: skip
+    exp_recent_tries: int = parameter(
+        3, 'times', 1, 1_000_000,
+        'Times that a link was made that count against time-outs, at most: what was long ago is '
+        'forgotten. With a threshold of 0.25 a link made once is unlearned by 4 time-outs, one '
+        'made 3 times or more by 10.',
+        'ways are given up for people who pass', 'the robot tries blocked ways for too long',
+    )  # fmt: skip
+    exp_try_radius_m: float = parameter(
+        1.0, 'm', 0.01, 1000.0,
+        'A time-out counts for the links that lead ahead within this distance of the robot.',
+        'links beside an obstacle survive it', 'ways past an obstacle are unlearned with it',
+    )  # fmt: skip
     exp_initial_em_deg: float = parameter(
         90.0, 'deg', -360.0, 360.0, 'Heading of the robot on the map at the start.',
         'the map should be turned counter-clockwise',
@@ -377,6 +436,7 @@ class Config:
     goal_memory: GoalMemoryParameters = field(default_factory=GoalMemoryParameters)
     experience_map: ExperienceMapParameters = field(default_factory=ExperienceMapParameters)
     goal_recall: GoalRecallParameters = field(default_factory=GoalRecallParameters)
+    goal_follower: GoalFollowerParameters = field(default_factory=GoalFollowerParameters)
 
     def __post_init__(self) -> None:
         sources = self.pose_cells.odom_source, self.experience_map.odom_source
@@ -429,6 +489,7 @@ SECTIONS: dict[str, type[Section]] = {
     'goal_memory': GoalMemoryParameters,
     'experience_map': ExperienceMapParameters,
     'goal_recall': GoalRecallParameters,
+    'goal_follower': GoalFollowerParameters,
 }
 
 SETTABLE = frozenset(

@@ -5,13 +5,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ratslam_ros.core.adaptation import (
+    DETOUR_LINKS,
+    ELSEWHERE,
+    TIMED_OUT,
+    confidences,
+    has_detour,
+    in_question,
+    is_blocked,
+    leading_ahead,
+)
 from ratslam_ros.core.angles import wrap
 from ratslam_ros.core.compiled import compiled
 from ratslam_ros.core.config import ExperienceMapParameters
@@ -21,6 +31,7 @@ from ratslam_ros.core.pose_cells import NO_EXPERIENCE, MapAction
 from ratslam_ros.core.relaxation import Relaxation
 from ratslam_ros.core.state import State
 from ratslam_ros.core.torus import Place
+from ratslam_ros.errors import RatslamError, UnusableInput
 
 STEPS_PER_ACTION = 2000
 """Links that an action may relax, on average; what a map does not need is saved up for the next
@@ -28,6 +39,29 @@ change. Larger maps are relaxed once in several actions, so that the cost of one
 
 STEPS_PER_LINK = 12
 """Steps of planning a link, before it has been tried."""
+
+
+class NotLinked(RatslamError):  # noqa: N818 - the errors' names say what they are
+    """Two experiences that no link joins, or that are not on the map."""
+
+
+class Direction(NamedTuple):
+    """Where something lies as seen from the robot: how far, and at which angle from ahead."""
+
+    distance_m: float
+    direction_rad: float
+
+
+class Forgotten(NamedTuple):
+    """An experience whose number is free, the neighbour that stands in for it, and how.
+
+    ``stand_in_id``: -1 where it had no neighbour; ``pose``: where the forgotten one lies in the
+    frame of that neighbour, or of the map's start.
+    """
+
+    experience_id: int
+    stand_in_id: int
+    pose: Pose
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +76,26 @@ class Link:
     duration_s: float
     behaviour: str
     count: int
+
+    @property
+    def way(self) -> Pose:
+        """Where the target lies in the frame of the source."""
+        return Pose(
+            self.distance_m * math.cos(self.heading_rad),
+            self.distance_m * math.sin(self.heading_rad),
+            self.facing_rad,
+        )
+
+    def reversed(self) -> Link:
+        """Return the same way, the other way round."""
+        back = inverse(self.way)
+        return replace(
+            self,
+            source_id=self.target_id,
+            target_id=self.source_id,
+            heading_rad=math.atan2(back.y_m, back.x_m),
+            facing_rad=wrap(back.heading_rad),
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,10 +122,19 @@ class ExperienceMap:
         self._shapes = np.empty((64, 3), np.float64)
         self._durations_s = np.empty(64, np.float64)
         self._notes: list[tuple[str, int]] = []
+        self._failures = np.empty((64, 2), np.int64)
         self.links_version = 0
         """Grows with every change of a link; what is computed from the links holds until then."""
-        self._row: dict[tuple[int, int], int] = {}
+        self.rebuilt = 0
+        """Grows where links vanish: then others have moved up to their rows."""
+        self.on_forgotten: list[Callable[[int, int, Pose], None]] = []
+        """Called with what ``Forgotten`` says before a number comes to mean another experience."""
+        # A link's serial number stays while rows move up; serials ascend with the rows.
+        self._serial: dict[tuple[int, int], int] = {}
+        self._serials = np.empty(64, np.int64)
+        self._next_serial = 0
         self._plan: Relaxation | None = None
+        self._planning_work = 0
         self._plan_holds = False
         self._is_settled = True
         self._saved_steps = 0
@@ -144,13 +207,74 @@ class ExperienceMap:
 
     def links(self) -> list[Link]:
         """Return all links, in the order in which they were made."""
-        links = []
-        for row, note in enumerate(self._notes):
-            source, target = self._ends[row].tolist()
-            distance, heading, facing = self._shapes[row].tolist()
-            duration = float(self._durations_s[row])
-            links.append(Link(source, target, distance, heading, facing, duration, *note))
-        return links
+        return [self._link(row) for row in range(len(self._notes))]
+
+    def _link(self, row: int) -> Link:
+        source, target = self._ends[row].tolist()
+        distance, heading, facing = self._shapes[row].tolist()
+        duration = float(self._durations_s[row])
+        return Link(source, target, distance, heading, facing, duration, *self._notes[row])
+
+    def _links_of(self, experience_id: int) -> list[Link]:
+        """Return the links from and to an experience, but for one from it to itself."""
+        ends = self.link_ends
+        rows = np.flatnonzero((ends == experience_id).sum(axis=1) == 1)
+        return [self._link(row) for row in rows.tolist()]
+
+    def neighbours(self, experience_id: int) -> list[int]:
+        """Return the experiences that are one link away, in either direction, by id.
+
+        Raises:
+            NotLinked: there is no such experience.
+        """
+        if not 0 <= experience_id < len(self):
+            raise NotLinked(
+                f'there is no experience {experience_id}; expected 0 to {len(self) - 1}'
+            )
+        ends = {end for k in self._links_of(experience_id) for end in (k.source_id, k.target_id)}
+        return sorted(ends - {experience_id})
+
+    def distance_and_direction(self, target_id: int) -> Direction:
+        """Return where a neighbour of the current experience lies as seen from the robot.
+
+        It is told by the shortest of the links that join the two.
+
+        Raises:
+            NotLinked: it is no neighbour.
+        """
+        here = self.current_id
+        ways = [] if here == NO_EXPERIENCE else [
+            way for way in map(_from(here), self._links_of(here)) if way.target_id == target_id
+        ]
+        if not ways:
+            known = [] if here == NO_EXPERIENCE else self.neighbours(here)
+            raise NotLinked(
+                f'no link joins experience {target_id} and the current one, {here}; its '
+                f'neighbours are {", ".join(map(str, known)) or "none"}: choose one of them, or '
+                'ask for a route'
+            )
+        way = min(ways, key=_length).way
+        x, y, _ = composed(inverse(self.offset), way)
+        return Direction(math.hypot(x, y), math.atan2(y, x))
+
+    def confidence(self, source_id: int, target_id: int) -> float:
+        """Return the confidence of a link, by equation (9) of seed 000.
+
+        1 for one whose behaviour has no name: it was never tried on purpose.
+
+        Raises:
+            NotLinked: there is no such link.
+        """
+        row = self._row(source_id, target_id)
+        if row is None:
+            raise NotLinked(f'no link leads from experience {source_id} to {target_id}')
+        behaviour, _ = self._notes[row]
+        if not behaviour:
+            return 1.0
+        rows = self._rows_by(source_id, behaviour)
+        return confidences([self._notes[r][1] for r in rows], self._failures[rows])[
+            rows.index(row)
+        ]
 
     def state(self) -> State:
         """Return the whole map, and where the robot is on it, for ``restore``."""
@@ -164,6 +288,7 @@ class ExperienceMap:
                 [duration, *note]
                 for duration, note in zip(self.link_durations_s.tolist(), self._notes, strict=True)
             ],
+            'failures': self._failures[:links].copy(),
             'current': self.current_id,
             'offset': list(self.offset),
             'duration_s': self._duration_s,
@@ -171,6 +296,7 @@ class ExperienceMap:
                 0 if self._plan is None else self._plan.links,
                 self._plan_holds, self._is_settled, self._saved_steps,
             ],
+            'planning_work': self._planning_work,
         }
 
     def restore(self, state: State) -> None:
@@ -181,52 +307,119 @@ class ExperienceMap:
         self._shapes = _with_room(state['shapes'])
         self._durations_s = _with_room(np.array([duration for duration, *_ in state['notes']]))
         self._notes = [(name, count) for _, name, count in state['notes']]
+        links = len(self._notes)
+        # Memories of before links learned have neither failures nor the work of planning.
+        self._failures = _with_room(state.get('failures', np.zeros((links, 2), np.int64)))
         self.links_version += 1
-        self._row = {(i, j): row for row, (i, j) in enumerate(state['ends'].tolist())}
+        self._serial = {(i, j): row for row, (i, j) in enumerate(state['ends'].tolist())}
+        self._serials = _with_room(np.arange(links))
+        self._next_serial = links
         self.current_id = state['current']
         self.offset = Pose(*state['offset'])
         self._duration_s = state['duration_s']
         planned, self._plan_holds, self._is_settled, self._saved_steps = state['relaxation']
-        if planned > 0:
+        work = state.get('planning_work')
+        if planned > 0 and (self._plan_holds or work is None):
             self._plan = Relaxation(state['ends'][:planned], len(self))
+            work = self._plan.work if work is None else work
+        self._planning_work = work or 0
 
     def integrate(self, motion: Motion) -> None:
         """Add one motion to the way since the current experience, in that experience's frame."""
         self.offset = moved(self.offset, motion)
         self._duration_s += motion.dt_s
 
-    def apply(self, action: MapAction, behaviour: str = '') -> None:
+    def apply(self, action: MapAction, behaviour: str = '') -> Forgotten | None:
         """Do what the pose cells decided, then relax the map.
 
         Args:
-            action: create, link, set or none.
-            behaviour: name of what the robot was doing, for the link.
+            action: create, link, set or none. To create an experience that there is means to
+                forget that one and to make the new one in its place.
+            behaviour: name of what the robot was doing, for the link; empty: nobody tells. A
+                transition with a name is a failed try of the others by the same behaviour.
+
+        Returns:
+            What was forgotten, if anything was.
         """
         if action.template_id == NO_TEMPLATE:
-            return  # an image that nobody could see leaves the map as it is
+            return None  # an image that nobody could see leaves the map as it is
         if not self.mapping and (action.action == 'create' or action.target_id >= len(self)):
-            return
+            return None
         if action.action == 'none':
             self._relax()
-            return
-        turned = action.relative_rad
+            return None
+        source, turned = action.source_id, action.relative_rad
+        forgotten = None
         if action.action == 'create':
             here = self.pose
-            self._append(action, Pose(here.x_m, here.y_m, wrap(here.heading_rad - turned)))
-        if action.source_id != NO_EXPERIENCE and self.mapping:
+            if action.target_id < len(self):
+                forgotten = self._forget(action.target_id)
+                if source == action.target_id:  # where the map has missed some actions
+                    source = self.current_id
+            self._place(action, Pose(here.x_m, here.y_m, wrap(here.heading_rad - turned)))
+        if source != NO_EXPERIENCE and self.mapping:
             leaf = action.action == 'create'
-            self._connect(action.source_id, action.target_id, turned, behaviour, leaf)
+            self._connect(source, action.target_id, turned, behaviour, leaf)
         self.current_id = action.target_id
         self.offset = Pose(0.0, 0.0, turned)
         self._duration_s = 0.0
         self._relax()
+        return forgotten
 
-    def _append(self, action: MapAction, pose: Pose) -> None:
+    def fail(self, behaviour: str, ahead_rad: float) -> int:
+        """Count that a behaviour has timed out at the robot's place: its way is blocked.
+
+        It is a failed try of every link that passes within ``exp_try_radius_m`` of the robot and
+        leads ahead, in either direction and whatever its own behaviour, as routes use them so;
+        see ``adaptation.leading_ahead``.
+
+        Args:
+            behaviour: its name; without one nothing is counted.
+            ahead_rad: where it should have led, in the frame of the map.
+
+        Returns:
+            How many links were unlearned.
+
+        Raises:
+            UnusableInput: the direction is not finite.
+        """
+        if not math.isfinite(ahead_rad):
+            raise UnusableInput(f'ahead_rad is {ahead_rad}; expected a finite angle')
+        if not behaviour or not self.mapping or self.current_id == NO_EXPERIENCE:
+            return 0
+        here = self.pose
+        rows = leading_ahead(
+            self._poses, self.link_ends, here.x_m, here.y_m, math.cos(ahead_rad),
+            math.sin(ahead_rad), self._p.exp_try_radius_m,
+        )  # fmt: skip
+        self._failures[rows, TIMED_OUT] += 1
+        blocked = [
+            row for row in rows.tolist()
+            if is_blocked(self._notes[row][1], int(self._failures[row, TIMED_OUT]), self._p)
+        ]  # fmt: skip
+        if blocked:
+            self._delete(blocked)
+        return len(blocked)
+
+    def _place(self, action: MapAction, pose: Pose) -> None:
+        """Put a new experience on the map, under a number of its own or a free one."""
         n = len(self)
+        label = action.template_id, action.place
+        if action.target_id < n:
+            self._poses[action.target_id] = pose
+            self._labels[action.target_id] = label
+            return
         if n == len(self._poses):
             self._poses = np.concatenate([self._poses, np.empty_like(self._poses)])
         self._poses[n] = pose
-        self._labels.append((action.template_id, action.place))
+        self._labels.append(label)
+
+    def _row(self, source: int, target: int) -> int | None:
+        """Return the row of a link, None if there is no such link."""
+        serial = self._serial.get((source, target))
+        if serial is None:
+            return None
+        return int(np.searchsorted(self._serials[: len(self._notes)], serial))
 
     def _connect(
         self, source: int, target: int, turned: float, behaviour: str, leaf: bool
@@ -235,32 +428,131 @@ class ExperienceMap:
         distance = math.hypot(self.offset.x_m, self.offset.y_m)
         heading = math.atan2(self.offset.y_m, self.offset.x_m)
         facing = wrap(self.offset.heading_rad - turned)
-        row = self._row.get((source, target))
-        self.links_version += 1
+        row = self._row(source, target)
         if row is None:
-            row = len(self._notes)
-            if row == len(self._ends):
-                self._ends = np.concatenate([self._ends, np.empty_like(self._ends)])
-                self._shapes = np.concatenate([self._shapes, np.empty_like(self._shapes)])
-                self._durations_s = np.concatenate([self._durations_s, self._durations_s])
-            self._row[source, target] = row
-            self._ends[row] = source, target
-            self._shapes[row] = distance, heading, facing
-            self._durations_s[row] = self._duration_s
-            self._notes.append((behaviour, 1))
+            link = Link(
+                source, target, distance, heading, facing, self._duration_s, behaviour, 1
+            )
+            self._append(link)
             if not leaf:  # one that hangs by its only link is where that says
                 self._is_settled = self._plan_holds = False
+        else:
+            self.links_version += 1
+            self._is_settled = False
+            old_distance, old_heading, old_facing = self._shapes[row].tolist()
+            self._shapes[row] = (
+                0.5 * (old_distance + distance),
+                wrap(old_heading + 0.5 * wrap(heading - old_heading)),
+                wrap(old_facing + 0.5 * wrap(facing - old_facing)),
+            )
+            self._durations_s[row] = 0.5 * (self._durations_s[row] + self._duration_s)
+            known, count = self._notes[row]
+            self._notes[row] = (behaviour or known, count + 1)
+            self._failures[row] = 0
+        if behaviour:
+            self._expected_others(source, target, behaviour)
+
+    def _append(self, link: Link) -> None:
+        """Add a link that there is not yet."""
+        row = len(self._notes)
+        if row == len(self._ends):
+            self._ends = np.concatenate([self._ends, np.empty_like(self._ends)])
+            self._shapes = np.concatenate([self._shapes, np.empty_like(self._shapes)])
+            self._durations_s = np.concatenate([self._durations_s, self._durations_s])
+            self._failures = np.concatenate([self._failures, self._failures])
+            self._serials = np.concatenate([self._serials, self._serials])
+        self._ends[row] = link.source_id, link.target_id
+        self._shapes[row] = link.distance_m, link.heading_rad, link.facing_rad
+        self._durations_s[row] = link.duration_s
+        self._failures[row] = 0
+        self._serial[link.source_id, link.target_id] = self._next_serial
+        self._serials[row] = self._next_serial
+        self._next_serial += 1
+        self._notes.append((link.behaviour, link.count))
+        self.links_version += 1
+
+    def _rows_by(self, source: int, behaviour: str) -> list[int]:
+        """Return the links from an experience that were made by a behaviour."""
+        rows = np.flatnonzero(self.link_ends[:, 0] == source).tolist()
+        return [row for row in rows if self._notes[row][0] == behaviour]
+
+    def _expected_others(self, source: int, target: int, behaviour: str) -> None:
+        """Count a failed try of each other link by a behaviour; unlearn those it never makes."""
+        others = [row for row in self._rows_by(source, behaviour) if self._ends[row, 1] != target]
+        self._failures[others, ELSEWHERE] += 1
+        while (row := self._least_confident(source, behaviour)) is not None:
+            self._delete([row])
+
+    def _least_confident(self, source: int, behaviour: str) -> int | None:
+        rows = self._rows_by(source, behaviour)
+        counts = [self._notes[row][1] for row in rows]
+        for link in in_question(counts, self._failures[rows], self._p):
+            # A way of its own is not given up because another one is taken more often.
+            if has_detour(self.link_ends, rows[link], len(self), DETOUR_LINKS):
+                return rows[link]
+        return None
+
+    def _delete(self, rows: list[int]) -> None:
+        """Take links off the map; the others move up, in their order."""
+        links = len(self._notes)
+        keep = np.ones(links, np.bool_)
+        keep[rows] = False
+        kept = links - len(rows)
+        for source, target in self._ends[rows].tolist():
+            del self._serial[source, target]
+        for array in (self._ends, self._shapes, self._durations_s, self._failures, self._serials):
+            array[:kept] = array[:links][keep]
+        for row in sorted(rows, reverse=True):
+            del self._notes[row]
+        self.links_version += 1
+        self.rebuilt += 1
+        self._is_settled = self._plan_holds = False
+
+    def _forget(self, forgotten: int) -> Forgotten:
+        """Take an experience out of the graph, and join its neighbours past it.
+
+        The neighbour at the shortest link stands in for it: what was joined through the forgotten
+        one is joined through that.
+        """
+        links = self._links_of(forgotten)
+        stand_in, way = NO_EXPERIENCE, composed(inverse(self.origin), self.pose_of(forgotten))
+        if links:
+            near = _from(forgotten)(min(links, key=_length))
+            stand_in = near.target_id
+            way = composed(inverse(self.pose_of(stand_in)), self.pose_of(forgotten))
+            others = {end for k in links for end in (k.source_id, k.target_id)}
+            for other in sorted(others - {forgotten, stand_in}):
+                self._join_past(links, forgotten, stand_in, other)
+            if self.current_id == forgotten:
+                self.offset = composed(near.reversed().way, self.offset)
+                self._duration_s += near.duration_s
+        if self.current_id == forgotten:
+            self.current_id = stand_in
+        for tell in self.on_forgotten:
+            tell(forgotten, stand_in, way)
+        self._delete(np.flatnonzero((self.link_ends == forgotten).any(axis=1)).tolist())
+        return Forgotten(forgotten, stand_in, way)
+
+    def _join_past(self, links: list[Link], middle: int, a: int, b: int) -> None:
+        """Make of the links between a, an experience and b such as lead past that experience.
+
+        In each direction that was driven all through, or else from a to b; none where the two
+        are linked as it is.
+        """
+        if self._row(a, b) is not None or self._row(b, a) is not None:
             return
-        self._is_settled = False
-        old_distance, old_heading, old_facing = self._shapes[row].tolist()
-        self._shapes[row] = (
-            0.5 * (old_distance + distance),
-            wrap(old_heading + 0.5 * wrap(heading - old_heading)),
-            wrap(old_facing + 0.5 * wrap(facing - old_facing)),
-        )
-        self._durations_s[row] = 0.5 * (self._durations_s[row] + self._duration_s)
-        known, count = self._notes[row]
-        self._notes[row] = (behaviour or known, count + 1)
+        driven = {(k.source_id, k.target_id): k for k in links}
+        through = [
+            (driven[i, middle], driven[middle, j])
+            for i, j in ((a, b), (b, a)) if (i, middle) in driven and (middle, j) in driven
+        ] or [
+            (
+                driven.get((a, middle)) or driven[middle, a].reversed(),
+                driven.get((middle, b)) or driven[b, middle].reversed(),
+            )
+        ]  # fmt: skip
+        for first, second in through:
+            self._append(_in_a_row(first, second))
 
     def _relax(self) -> None:
         p = self._p
@@ -274,8 +566,7 @@ class ExperienceMap:
             return
         cost = len(self._notes)
         if not self._plan_holds:
-            work = STEPS_PER_LINK * cost if self._plan is None else self._plan.work
-            cost += work // 3
+            cost += (self._planning_work or STEPS_PER_LINK * cost) // 3
         self._saved_steps = min(self._saved_steps + STEPS_PER_ACTION, cost)
         if self._is_settled or self._saved_steps < cost:
             return
@@ -287,6 +578,7 @@ class ExperienceMap:
         links = len(self._notes)
         if self._plan is None or not self._plan_holds:
             self._plan = Relaxation(self._ends[:links], len(self))
+            self._planning_work = self._plan.work
             self._plan_holds = True
         self._plan.relax(self._poses[: len(self)], self._ends[:links], self._shapes[:links])
         self._is_settled = True
@@ -299,6 +591,38 @@ def composed(base: Pose, offset: Pose) -> Pose:
         base.x_m + c * offset.x_m - s * offset.y_m,
         base.y_m + s * offset.x_m + c * offset.y_m,
         wrap(base.heading_rad + offset.heading_rad),
+    )
+
+
+def inverse(pose: Pose) -> Pose:
+    """Return where the origin lies as seen from a pose."""
+    c, s = math.cos(pose.heading_rad), math.sin(pose.heading_rad)
+    return Pose(
+        -c * pose.x_m - s * pose.y_m, s * pose.x_m - c * pose.y_m, -pose.heading_rad
+    )
+
+
+def _from(experience_id: int) -> Callable[[Link], Link]:
+    """Return what turns the links of an experience such that all lead away from it."""
+    return lambda link: link if link.source_id == experience_id else link.reversed()
+
+
+def _length(link: Link) -> float:
+    return link.distance_m
+
+
+def _in_a_row(first: Link, second: Link) -> Link:
+    """Return the link that leads where two lead one after the other."""
+    x, y, turn = composed(first.way, second.way)
+    return Link(
+        first.source_id,
+        second.target_id,
+        math.hypot(x, y),
+        math.atan2(y, x),
+        turn,
+        first.duration_s + second.duration_s,
+        first.behaviour if first.behaviour == second.behaviour else '',
+        min(first.count, second.count),
     )
 
 

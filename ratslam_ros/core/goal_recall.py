@@ -194,9 +194,10 @@ class GoalTree:
     """The quickest ways to one goal from all experiences, kept while the robot drives.
 
     It follows the map whenever it is asked. A new experience that one link ties to a known one is
-    appended, and a new link that shortens no way is passed over; the tree stays exact. Any other
-    change of a link, by averaging too, makes it stale: its ways exist, but may take another time
-    than it says, or be the quickest no more. A stale tree is computed anew
+    appended, and a new link that shortens no way is passed over; the tree stays exact. Where
+    links have vanished it is computed anew. Any other change of a link, by averaging too, makes
+    it stale: its ways exist, but may take another time than it says, or be the quickest no more.
+    A stale tree is computed anew
 
     - once ``EXPERIENCES_PER_CHANGE`` times the changes of links since it was computed are at
       least the experiences of the map: at every change on a map of up to 1,000, at every 50th on
@@ -271,6 +272,7 @@ class GoalTree:
         self._next = array('i', times.before.tobytes())
         self._links = self.experience_map.link_count
         self._computed = self._version = self.experience_map.links_version
+        self._rebuilt = self.experience_map.rebuilt
         self._linked = int(self.experience_map.link_ends.max(initial=-1)) + 1
         self._stale = False
 
@@ -281,6 +283,9 @@ class GoalTree:
         self._remaining_s.extend([math.inf] * new)
         self._next.extend([-1] * new)
         if graph.links_version == self._version:
+            return
+        if graph.rebuilt != self._rebuilt:
+            self._compute()
             return
         links = slice(self._links, graph.link_count)
         # Every change either made a link or averaged one.
@@ -298,7 +303,7 @@ class GoalTree:
     def _add(self, a: int, b: int, duration_s: float) -> bool:
         """Take a new link over; return whether it joins a part of the map that is not known."""
         near, far = (a, b) if self._remaining_s[a] <= self._remaining_s[b] else (b, a)
-        new = far >= self._linked  # ids count up: no link has led to it before
+        new = far >= self._linked  # no link has led to so high an id before
         self._linked = max(self._linked, a + 1, b + 1)
         known_s, through_s = self._remaining_s[far], self._remaining_s[near] + duration_s
         if through_s >= known_s:  # also where both are infinite

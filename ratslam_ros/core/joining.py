@@ -45,8 +45,10 @@ class Joining:
     def apply(self, action: MapAction, sequence: int, memory_ns: int, behaviour: str = '') -> None:
         """Do what the pose cells decided, as far as the map knows what they mean.
 
-        An experience that the map does not know is made where the robot is. A link leads from
-        the experience that the map has as its current one: the motion was counted from there.
+        An experience that the map does not know is made where the robot is; one that it knows
+        with another view or place is forgotten first, as the pose cells have forgotten it. A link
+        leads from the experience that the map has as its current one: the motion was counted
+        from there.
         """
         if self.first_sequence is None:
             self.first_sequence = self.missed = sequence
@@ -61,7 +63,11 @@ class Joining:
         if kind == 'none':
             self._map.apply(action, behaviour)
             return
-        if not self._numbering.knows(action.target_id):
+        known = self._numbering.knows(action.target_id) and (
+            self._map.labels[self._numbering.number(action.target_id)]
+            == (action.template_id, action.place)
+        )
+        if not known:
             if not self._map.mapping:
                 return
             kind = 'create'

@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 from ratslam_ros.core.agreement import Agreement
 from ratslam_ros.core.attractor import Network, Packet, kernel
 from ratslam_ros.core.config import PoseCellsParameters
+from ratslam_ros.core.experience_activity import activity
 from ratslam_ros.core.local_view import NO_TEMPLATE, ViewMatch
 from ratslam_ros.core.odometry import Motion, Pose, moved
+from ratslam_ros.core.pruning import Visits
 from ratslam_ros.core.state import State
 from ratslam_ros.core.torus import Place, Torus
 from ratslam_ros.errors import UnusableInput
@@ -36,8 +38,9 @@ class MapAction:
     """What the experience map shall do; there is one for every template message.
 
     ``source_id`` is the experience that was current, ``target_id`` the one that is now; -1 where
-    there is none. ``relative_rad``: heading of the robot less that of the target's view.
-    ``place``: where the target lies in the pose cells; the peak while there is no experience.
+    there is none. To create an experience that there is means to forget that one, and to make the
+    new one under its number. ``relative_rad``: heading of the robot less that of the target's
+    view. ``place``: where the target lies in the pose cells; the peak while there is none.
     """
 
     action: Action
@@ -86,7 +89,9 @@ class PoseCells:
         self._last_template = NO_TEMPLATE
         self._experiences: list[tuple[int, Place]] = []
         self._of_template: dict[int, list[int]] = {}
-        self._transitions: set[tuple[int, int]] = set()
+        self._transitions = _Transitions()
+        self._visits = Visits()
+        self._seen = NO_TEMPLATE, 0.0
         self._current = NO_EXPERIENCE
         self._since_current = Pose(0.0, 0.0, 0.0)
         self._stepped = False
@@ -122,7 +127,8 @@ class PoseCells:
             'messages': self._messages,
             'last_template': self._last_template,
             'experiences': [[template, *place] for template, place in self._experiences],
-            'transitions': sorted(map(list, self._transitions)),
+            'transitions': self._transitions.pairs(),
+            'visits': self._visits.state(),
             'current': self._current,
             'since_current': list(self._since_current),
             'stepped': self._stepped,
@@ -150,8 +156,13 @@ class PoseCells:
         for number, (template, x, y, theta) in enumerate(state['experiences']):
             self._experiences.append((template, Place(x, y, theta)))
             self._of_template.setdefault(template, []).append(number)
-        self._transitions = {(source, target) for source, target in state['transitions']}
+        for source, target in state['transitions']:
+            self._transitions.add(source, target)
         self._current = state['current']
+        if 'visits' in state:
+            self._visits.restore(state['visits'])
+        else:
+            self._visits.assume(len(self), self._current)
         self._since_current = Pose(*state['since_current'])
         self._stepped = state['stepped']
         self._agreement.restore(state['agreement'])
@@ -169,6 +180,7 @@ class PoseCells:
     def view(self, match: ViewMatch) -> MapAction:
         """Take one template message: associate or inject, and decide the map's action."""
         turned = match.relative_rad * self._torus.planes_per_rad
+        self._seen = match.template_id, turned
         source = self._current
         action: Action = 'none'
         if match.template_id != NO_TEMPLATE:  # what nobody could see changes nothing
@@ -183,6 +195,28 @@ class PoseCells:
             action, source, self._current, match.template_id, match.relative_rad, place
         )
 
+    def active_experiences(self) -> list[tuple[int, float]]:
+        """Return the experiences of the last view that are near the peak, the most active first.
+
+        Seed 000, equations (1) to (4): (id, activity above 0 and up to 2).
+        """
+        template_id, turned = self._seen
+        return self._active(template_id, self._here(turned))
+
+    def _here(self, turned: float) -> Place:
+        """Return the peak as the view would have it: with the heading of its template."""
+        return Place(self.peak.x, self.peak.y, self.peak.theta - turned)
+
+    def _active(self, template_id: int, here: Place) -> list[tuple[int, float]]:
+        active = [(i, self._activity(i, here)) for i in self._of_template.get(template_id, ())]
+        return sorted(
+            (item for item in active if item[1] > 0.0), key=lambda item: (-item[1], item[0])
+        )
+
+    def _activity(self, experience_id: int, here: Place) -> float:
+        p, (_, place) = self._p, self._experiences[experience_id]
+        return activity(self._torus, here, place, p.exp_activity_xy, p.exp_activity_th)
+
     def _decoded(self) -> Place:
         theta, y, x = self._network.peak(self._packets)
         return Place(x, y, theta)
@@ -194,7 +228,7 @@ class PoseCells:
         if memory is None and not self.mapping:
             return
         if memory is None:
-            here = Place(self.peak.x, self.peak.y, self.peak.theta - turned)
+            here = self._here(turned)
             self._memories[template_id] = _Memory(
                 here, len(self._memories), p.vt_active_decay, self._messages
             )
@@ -217,10 +251,12 @@ class PoseCells:
             )
 
     def _decide(self, template_id: int, turned: float) -> Action:
+        if self._p.exp_current_by == 'activity':
+            return self._decide_by_activity(template_id, turned)
         candidates = self._of_template.get(template_id)
         if candidates is None:
             return self._create(template_id, turned)
-        here = Place(self.peak.x, self.peak.y, self.peak.theta - turned)
+        here = self._here(turned)
         threshold = self._p.exp_delta_pc_threshold
         current_template, current_place = self._experiences[self._current]
         jumped = self._torus.distance(here, current_place) > threshold
@@ -235,27 +271,84 @@ class PoseCells:
                 return self._arrive(nearest)
         return self._create(template_id, turned)
 
+    def _decide_by_activity(self, template_id: int, turned: float) -> Action:
+        here = self._here(turned)
+        active = self._active(template_id, here)
+        if not active or active[0][1] <= self._p.exp_activity_threshold:
+            return self._create(template_id, turned)
+        most_active = active[0][0]
+        if most_active == self._current or (
+            self._at_rest() and self._activity(self._current, here) > 0.0
+        ):
+            return 'none'
+        return self._arrive(most_active)
+
     def _create(self, template_id: int, turned: float) -> Action:
         if self._current != NO_EXPERIENCE and self._at_rest():
             return 'none'  # never a second experience while the robot stands still
         if not self.mapping:
             return 'none'
-        new = len(self._experiences)
         here = Place(self.peak.x, self.peak.y, (self.peak.theta - turned) % self._p.pc_dim_th)
-        self._experiences.append((template_id, here))
+        new = len(self._experiences)
+        if 0 < self._p.exp_max <= new:
+            new = self._visits.least()
+            self._forget(new)
+            self._experiences[new] = template_id, here
+        else:
+            self._experiences.append((template_id, here))
         self._of_template.setdefault(template_id, []).append(new)
-        self._arrive(new)
+        self._visits.create(new)
+        self._change_to(new)
         return 'create'
 
+    def _forget(self, experience_id: int) -> None:
+        """Free the number of an experience; what its view is tied to stays."""
+        template_id, _ = self._experiences[experience_id]
+        self._of_template[template_id].remove(experience_id)
+        if not self._of_template[template_id]:
+            del self._of_template[template_id]
+        self._transitions.forget(experience_id)
+
     def _arrive(self, target: int) -> Action:
-        transition = (self._current, target)
-        first = transition not in self._transitions
-        self._transitions.add(transition)
+        self._visits.arrive(target)
+        return 'link' if self._change_to(target) else 'set'
+
+    def _change_to(self, target: int) -> bool:
+        """Make an experience current; return whether it is a transition made the first time."""
+        first = self._transitions.add(self._current, target)
         self._current = target
         self._since_current = Pose(0.0, 0.0, 0.0)
-        return 'link' if first else 'set'
+        return first
 
     def _at_rest(self) -> bool:
         x, y, turn = self._since_current
         planes = abs(turn) * self._torus.planes_per_rad
         return math.hypot(x, y) / self._p.pc_cell_x_size < REST_CELLS and planes < REST_CELLS
+
+
+class _Transitions:
+    """Which experience followed on which, found from either of the two."""
+
+    def __init__(self) -> None:
+        self._after: dict[int, set[int]] = {}
+        self._before: dict[int, set[int]] = {}
+
+    def add(self, source: int, target: int) -> bool:
+        """Add a transition; return whether it is new."""
+        after = self._after.setdefault(source, set())
+        if target in after:
+            return False
+        after.add(target)
+        self._before.setdefault(target, set()).add(source)
+        return True
+
+    def forget(self, experience_id: int) -> None:
+        """Take out all from and to an experience."""
+        for target in self._after.pop(experience_id, ()):
+            self._before[target].discard(experience_id)
+        for source in self._before.pop(experience_id, ()):
+            self._after[source].discard(experience_id)
+
+    def pairs(self) -> list[list[int]]:
+        """Return all, sorted."""
+        return sorted([i, j] for i, after in self._after.items() for j in after)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.experience_map import ExperienceMap
+from ratslam_ros.core.experience_map import ExperienceMap, Forgotten
 from ratslam_ros.core.goal_memory import GoalMemory
 from ratslam_ros.core.local_view import UNDECODABLE, LocalView, ViewMatch
 from ratslam_ros.core.odometry import MotionFromOdometry, Odometry, Pose, moved
@@ -42,11 +42,12 @@ class OdometryStep:
 
 @dataclass(frozen=True, slots=True)
 class ViewStep:
-    """What one template message led to."""
+    """What one template message led to; ``forgotten``: whose number a new experience took."""
 
     stamp_ns: int
     match: ViewMatch
     action: MapAction
+    forgotten: Forgotten | None = None
 
 
 Step = OdometryStep | ViewStep
@@ -72,6 +73,8 @@ class RatSLAM:
         self.local_view = LocalView(config.local_view)
         self.pose_cells = PoseCells(config.pose_cells)
         self.experience_map = ExperienceMap(config.experience_map)
+        self.behaviour = ''
+        """Name of what the robot is doing, for the links that it makes; empty: nobody tells."""
         self.goal_memory: GoalMemory | None = None
         """Learns beside the map, where ``goal_memory.goal_memory`` is set."""
         if config.goal_memory.goal_memory:
@@ -163,5 +166,5 @@ class RatSLAM:
         with self._watch('pose_cells_view'):
             action = self.pose_cells.view(match)
         with self._watch('experience_map'):
-            self.experience_map.apply(action)
-        return ViewStep(stamp_ns, match, action)
+            forgotten = self.experience_map.apply(action, self.behaviour)
+        return ViewStep(stamp_ns, match, action, forgotten)

@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ratslam_ros.core.adaptation import DETOUR_LINKS, has_detour
 from ratslam_ros.core.angles import wrap
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.experience_map import ExperienceMap
@@ -74,6 +75,8 @@ def _experience_map(config: Config) -> ExperienceMap:
             kind: Action = 'create' if n == len(experience_map) else 'link'
             source = experience_map.current_id
             experience_map.apply(MapAction(kind, source, n, n, 0.0, Place(0.0, 0.0, 0.0)))
+    experience_map.fail('wait', 0.0)
+    has_detour(experience_map.link_ends, 0, len(experience_map), DETOUR_LINKS)
     return experience_map
 
 
