@@ -130,6 +130,26 @@ def decode_action(payload: str) -> tuple[int, int, MapAction, int]:
     return _stamp_ns(fields['stamp']), fields['sequence'], action, fields['memory']
 
 
+def encode_goal_memory(
+    stamp_ns: int, goal: str, bearing_rad: float | None, remaining_s: float, reached: bool
+) -> str:
+    """Return the payload of ``pose_cells/goal_memory``.
+
+    ``bearing_rad``: from ahead, to the left positive, None where none is known; ``remaining_s``:
+    infinite where no way is known.
+    """
+    return _dumps(
+        {
+            'schema_version': SCHEMA_VERSION,
+            'stamp': _stamp(stamp_ns),
+            'goal': goal,
+            'bearing_rad': bearing_rad,
+            'remaining_s': remaining_s if math.isfinite(remaining_s) else None,
+            'reached': reached,
+        }
+    )
+
+
 def encode_map(
     stamp_ns: int, experience_map: ExperienceMap, map_text: MapText | None = None
 ) -> str:

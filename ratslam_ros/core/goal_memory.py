@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ratslam_ros.core.angles import wrap
 from ratslam_ros.core.config import PoseCellsParameters
 from ratslam_ros.core.goal_memory_config import GoalMemoryParameters
 from ratslam_ros.core.goal_recall import UnreachableGoal
@@ -240,6 +241,11 @@ class GoalMemory:
             math.fsum(rate * x for rate, _, x, _ in sector),
         )
 
+    def bearing(self, times: TemporalArray, peak: Place) -> float | None:
+        """Return ``direction`` as seen by the robot: rad from ahead, to the left positive."""
+        direction = self.direction(times, peak)
+        return None if direction is None else wrap(direction - self._heading(peak))
+
     def path(
         self, times: TemporalArray, peak: Place, length_cells: float = math.inf
     ) -> NDArray[np.float64]:
@@ -275,8 +281,7 @@ class GoalMemory:
     ) -> NDArray[np.float64]:
         """Return ``path`` in the robot's frame: (n, 2) metres, x ahead and y to the left."""
         way = self.path(times, peak, length_m / self._cell_m) * self._cell_m
-        heading = peak.theta / self._torus.planes_per_rad
-        cos, sin = math.cos(heading), math.sin(heading)
+        cos, sin = math.cos(self._heading(peak)), math.sin(self._heading(peak))
         return np.stack([way[:, 0] * cos + way[:, 1] * sin, way[:, 1] * cos - way[:, 0] * sin], 1)
 
     # Cells
@@ -309,6 +314,9 @@ class GoalMemory:
                     found.append((away, dx, dy, cell))
         yield from sorted(found)
 
+    def _heading(self, peak: Place) -> float:
+        return peak.theta / self._torus.planes_per_rad
+
     def _place(self, cell: int) -> Place:
         y, x = divmod(cell, self._torus.n_x)
         return Place(x, y, 0.0)
@@ -335,7 +343,7 @@ class GoalMemory:
             'cells': np.fromiter(self._numbers, np.int64, len(self._numbers)),
             'ends': np.array(self._ends, np.int32).reshape(-1, 2),
             'mu_s': np.array(self._mu_s, np.float64),
-            'goals': {name: list(place) for name, place in self.goals.items()},
+            'goals': [[name, *place] for name, place in self.goals.items()],
         }
 
     def restore(self, state: State) -> None:
@@ -355,6 +363,6 @@ class GoalMemory:
         self._links = {min(p) << 32 | max(p): link for link, p in enumerate(pairs)}
         self._ends = array('i', state['ends'].astype(np.int32).tobytes())
         self._mu_s = array('d', state['mu_s'].astype(np.float64).tobytes())
-        self.goals = {name: Place(*place) for name, place in state['goals'].items()}
+        self.goals = {name: Place(*place) for name, *place in state['goals']}
         self._recalled = None
         self.carried()

@@ -88,10 +88,23 @@ def _goal_recall(config: Config) -> None:
     recall.follow(experience_map, *experience_map.pose_of(1)[:2])
 
 
+def _goal_memory(config: Config) -> None:
+    from ratslam_ros.core.goal_memory import GoalMemory  # as long
+
+    memory, pose_cells = (
+        GoalMemory(config.goal_memory, config.pose_cells), PoseCells(config.pose_cells)
+    )
+    for _ in range(4):
+        pose_cells.integrate(_MOTION)
+        memory.integrate(_MOTION, pose_cells)
+    times = memory.recall(pose_cells.peak)
+    memory.bearing(times, pose_cells.peak)
+
+
 _MAPPING: dict[str, Callable[[Config], object]] = {
     'visual_odometry': _visual_odometry,
     'local_view': _local_view,
     'pose_cells': _pose_cells,
     'experience_map': _experience_map,
 }
-_PARTS = {**_MAPPING, 'goal_recall': _goal_recall}
+_PARTS = {**_MAPPING, 'goal_recall': _goal_recall, 'goal_memory': _goal_memory}

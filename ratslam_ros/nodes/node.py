@@ -73,6 +73,11 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
         return self._checked.config
 
     @property
+    def parts(self) -> tuple[str, ...]:
+        """Those of PARTS that are in use."""
+        return self.PARTS
+
+    @property
     def _section(self) -> Any:
         return getattr(self.config, self.SECTION)
 

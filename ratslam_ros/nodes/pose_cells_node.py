@@ -20,6 +20,7 @@ from ratslam_ros.core.pose_cells import PoseCells
 from ratslam_ros.core.state import State
 from ratslam_ros.messages import MalformedMessage, decode_template, encode_action
 from ratslam_ros.nodes.convert import grey_image, odometry_of
+from ratslam_ros.nodes.goal_seeking import GoalSeeking
 from ratslam_ros.nodes.node import FLUSH_CHECK_S, RatslamNode
 from ratslam_ros.nodes.qos import RESULT, VIEW
 from ratslam_ros.nodes.run import run
@@ -39,6 +40,7 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
     """Publishes one action for each template message."""
 
     SECTION = 'pose_cells'
+    PARTS = ('goal_memory',)
     MAPS = True
 
     def __init__(self) -> None:
@@ -46,14 +48,24 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
         self._publisher = self.create_publisher(String, 'pose_cells/action', RESULT)
         self._activity = self.create_publisher(Image, 'pose_cells/activity', VIEW)
         self._shown_s = 0.0
+        self._goals: GoalSeeking | None = None
+        if self.parts:
+            self._goals = GoalSeeking(self, self._diagnostics, self.config)
         self._forget()
         self._listen('odometry', {'odom': OdometryMessage}, self._on_odometry)
         self._listen('template', {'local_view/template': String}, self._on_template)
         self.create_timer(FLUSH_CHECK_S, self._flush, clock=self._steady)
 
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """The goal memory, where it is switched on."""
+        return self.PARTS if self.config.goal_memory.goal_memory else ()
+
     def _forget(self) -> None:
         self._core = PoseCells(self._section)
         self._core.mapping = self._mapping
+        if self._goals is not None:
+            self._goals.begin(self._core)
         self._motion = MotionFromOdometry(self._section.odom_source)
         self._numbering = Numbering()
         self._memory_ns = NOTHING_LEARNED
@@ -61,23 +73,29 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
 
     def _carried(self) -> None:
         self._motion.restart()
+        if self._goals is not None:
+            self._goals.carried()
 
     def _set_mapping(self, mapping: bool) -> None:
         self._core.mapping = mapping
 
     def _learned(self) -> State:
-        return {
+        state = {
             'memory_ns': self._memory_ns,
             'sequence': self._sequence,
             'numbering': self._numbering.state(),
             'core': self._core.state(),
         }
+        return state if self._goals is None else state | {'goal_memory': self._goals.learned()}
 
     def _restore(self, state: State) -> None:
         core, numbering = PoseCells(self._section), Numbering()
         core.restore(state['core'])
         numbering.restore(state['numbering'])
-        self._memory_ns, self._sequence = int(state['memory_ns']), int(state['sequence'])
+        memory_ns, sequence = int(state['memory_ns']), int(state['sequence'])
+        if self._goals is not None:
+            self._goals.begin(core, state.get('goal_memory'))
+        self._memory_ns, self._sequence = memory_ns, sequence
         self._core, self._numbering = core, numbering
         self._core.mapping = self._mapping
         self._motion.restart()
@@ -103,6 +121,8 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
             if motion is not None:
                 with self._diagnostics.times('pose_cells'):
                     self._core.integrate(motion)
+                if self._goals is not None:
+                    self._goals.integrate(stamp_ns, motion)
         else:
             self._see(stamp_ns, item)
         self._show(stamp_ns)
@@ -168,6 +188,7 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
             'experience': self._core.current_experience,
             'peak': f'x {peak.x:.2f}, y {peak.y:.2f}, theta {peak.theta:.2f}',
             'actions': self._sequence,
+            **(self._goals.state() if self._goals is not None else {}),
         }
 
 

@@ -50,7 +50,7 @@ def run(*kinds: type[RatslamNode[Any]], args: list[str] | None = None) -> int:
             settle()
             for node in nodes:
                 node.get_logger().info('ready')
-            for part in {part for kind in kinds for part in kind.PARTS}:
+            for part in {part for node in nodes for part in node.parts}:
                 # No stream of messages needs it, and its imports take long: beside the first ones.
                 threading.Thread(target=warm_up, args=(part,)).start()
             while not stop.asked and rclpy.ok():

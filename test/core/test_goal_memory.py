@@ -302,17 +302,14 @@ def test_the_direction_leads_along_the_way_and_round_its_corner() -> None:
         assert abs(math.degrees(off)) < 25.0
 
 
-def test_the_robot_gets_to_the_goal_by_the_direction_alone() -> None:
+def test_the_robot_gets_to_the_goal_by_the_bearing_alone() -> None:
     drive, start = l_shaped()
     for _ in range(400):
-        times = drive.memory.recall(start)
-        direction = drive.memory.direction(times, drive.peak)
-        if direction is None:
+        bearing = drive.memory.bearing(drive.memory.recall(start), drive.peak)
+        if bearing is None:
             break
-        heading = drive.peak.theta * math.tau / 36
-        off = math.remainder(direction - heading, math.tau)
-        speed = 0.3 if abs(off) < 0.8 else 0.0
-        drive.move(DT_S, speed * DT_S, max(-0.15, min(0.15, off)))
+        speed = 0.3 if abs(bearing) < 0.8 else 0.0
+        drive.move(DT_S, speed * DT_S, max(-0.15, min(0.15, bearing)))
     assert drive.memory.reached(start, drive.peak)
 
 

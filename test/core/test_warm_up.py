@@ -23,6 +23,7 @@ from ratslam_ros.core.local_view import LocalView, ViewMatch
 from ratslam_ros.core.odometry import Motion, MotionFromOdometry, Odometry, Pose, Twist
 from ratslam_ros.core.pose_cells import PoseCells
 from ratslam_ros.core.ratslam import RatSLAM
+from ratslam_ros.core.torus import Place
 from ratslam_ros.core.visual_odometry import VisualOdometry
 from ratslam_ros.core.warm_up import warm_up
 
@@ -106,6 +107,19 @@ GoalRecall(config.goal_recall).route_to_place(graph, 0.0, 0.0, 50.0)
 """
 )
 
+GOAL_MEMORY = """
+from ratslam_ros.core.goal_memory import GoalMemory
+pose_cells = PoseCells(config.pose_cells)
+memory = GoalMemory(config.goal_memory, config.pose_cells)
+for n in range(100):
+    motion = Motion(0.1, 0.1, 0.03)
+    pose_cells.integrate(motion)
+    memory.integrate(motion, pose_cells)
+times = memory.recall(Place(10.0, 10.0, 0.0))
+assert len(memory.route_ahead(times, pose_cells.peak)) > 3
+assert memory.bearing(times, pose_cells.peak) is not None
+"""
+
 ALL = VISUAL_ODOMETRY + LOCAL_VIEW + POSE_CELLS + EXPERIENCE_MAP
 
 
@@ -117,6 +131,7 @@ ALL = VISUAL_ODOMETRY + LOCAL_VIEW + POSE_CELLS + EXPERIENCE_MAP
         ('pose_cells', POSE_CELLS),
         ('experience_map', EXPERIENCE_MAP),
         ('experience_map goal_recall', GOAL_RECALL),
+        ('pose_cells goal_memory', GOAL_MEMORY),
         ('', ALL),
     ],
 )

@@ -1,0 +1,106 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The goal memory in the node of the pose cells: marking goals, and telling the way to one."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from rclpy.node import Node
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+from ratslam_ros.core.config import Config
+from ratslam_ros.core.goal_memory import GoalMemory
+from ratslam_ros.core.goal_recall import UnreachableGoal
+from ratslam_ros.core.odometry import Motion
+from ratslam_ros.core.pose_cells import PoseCells
+from ratslam_ros.core.state import State
+from ratslam_ros.messages import encode_goal_memory
+from ratslam_ros.nodes.diagnostics import Diagnostics
+from ratslam_ros.nodes.qos import GOAL, STATE
+
+
+class GoalSeeking:
+    """Learns a goal memory, and publishes the way to a goal while there is one."""
+
+    def __init__(self, node: Node, diagnostics: Diagnostics, config: Config) -> None:
+        self._node = node
+        self._diagnostics = diagnostics
+        self._config = config
+        self._publisher = node.create_publisher(String, 'pose_cells/goal_memory', STATE)
+        node.create_subscription(String, 'pose_cells/goal', self._on_goal, GOAL)
+        node.create_service(Trigger, 'pose_cells/mark_goal', self._on_mark)
+
+    def begin(self, pose_cells: PoseCells, state: State | None = None) -> None:
+        """Go on with other pose cells, and with what ``state`` gave for them; None: nothing.
+
+        Raises:
+            UnusableInput: it is of pose cells of other extents; nothing has changed then.
+        """
+        memory = GoalMemory(self._config.goal_memory, self._config.pose_cells)
+        if state is not None:
+            memory.restore(state)
+        self._pose_cells, self._memory = pose_cells, memory
+        self._goal = ''
+
+    def carried(self) -> None:
+        """Link nothing to what was active before."""
+        self._memory.carried()
+
+    def learned(self) -> State:
+        """Return all that was learned."""
+        return self._memory.state()
+
+    def integrate(self, stamp_ns: int, motion: Motion) -> None:
+        """Learn from a motion that the pose cells have followed, and tell the way on."""
+        with self._diagnostics.times('goal_memory'):
+            self._memory.integrate(motion, self._pose_cells)
+            if self._goal:
+                self._publish(stamp_ns)
+
+    def _publish(self, stamp_ns: int) -> None:
+        memory, peak = self._memory, self._pose_cells.peak
+        place = memory.goal(self._goal)
+        bearing_rad, remaining_s = None, math.inf
+        try:
+            times = memory.recall(place)
+        except UnreachableGoal as error:
+            self._diagnostics.warn('goal', f'no way to {self._goal}: {error}')
+        else:
+            bearing_rad, remaining_s = memory.bearing(times, peak), memory.remaining_s(times, peak)
+        reached = memory.reached(place, peak)
+        payload = encode_goal_memory(stamp_ns, self._goal, bearing_rad, remaining_s, reached)
+        self._publisher.publish(String(data=payload))
+        if reached:
+            self._node.get_logger().info(f'{self._goal} is reached')
+            self._goal = ''
+
+    def _on_goal(self, message: String) -> None:
+        """Seek a goal by its name; none is sought after an empty one."""
+        if message.data:
+            try:
+                self._memory.goal(message.data)
+            except UnreachableGoal as error:
+                self._diagnostics.warn('goal', str(error))
+                return
+        self._goal = message.data
+
+    def _on_mark(self, request: Any, response: Any) -> Any:
+        number = 1
+        while f'goal_{number}' in self._memory.goals:
+            number += 1
+        name = f'goal_{number}'
+        self._memory.mark(name, self._pose_cells.peak)
+        self._node.get_logger().info(f'{name} is here')
+        response.success, response.message = True, name
+        return response
+
+    def state(self) -> dict[str, Any]:
+        """Return what the diagnostics show."""
+        return {
+            'goals': ', '.join(self._memory.goals) or 'none',
+            'goal': self._goal or 'none',
+            'goal_links': len(self._memory),
+        }

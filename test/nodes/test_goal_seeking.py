@@ -1,0 +1,164 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Goals on the pose cells, as topics and services; and that the page says so."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ratslam_ros.core.goal_memory import GoalMemory
+from ratslam_ros.core.odometry import MotionFromOdometry, Odometry, Pose, Twist
+from ratslam_ros.core.pose_cells import PoseCells
+
+PAGE = (Path(__file__).parents[2] / 'docs/topics.md').read_text(encoding='utf-8')
+ON = ('-p', 'goal_memory.goal_memory:=true', '-p', 'flush_after_s:=0.3')
+S = 10**9
+START_NS = 1_700_000_000 * S
+
+MakeWorld = Callable[..., Any]
+
+
+def pose_cells(world: MakeWorld, *arguments: str) -> Any:
+    from ratslam_ros.nodes.pose_cells_node import PoseCellsNode
+
+    return world(PoseCellsNode, arguments=(*ON, *arguments))
+
+
+def drive(made: Any, seconds: range, speed: float, turn_rate: float = 0.0) -> None:
+    """Send odometry, once a second, and wait until it is used."""
+    from nav_msgs.msg import Odometry as OdometryMessage
+
+    for second in seconds:
+        message = OdometryMessage()
+        message.header.stamp.sec = START_NS // S + second
+        message.pose.pose.orientation.w = 1.0
+        message.twist.twist.linear.x = speed
+        message.twist.twist.angular.z = turn_rate
+        made.send('odom', message)
+    [node] = made.nodes
+    made.until(lambda: node._order.newest_of('odometry') == START_NS + seconds[-1] * S)
+    made.until(lambda: not node._order.held)
+
+
+def way_back(made: Any) -> tuple[list[Any], str]:
+    """Mark a goal, drive on, and ask for the way; return what is heard and the goal's name."""
+    from std_msgs.msg import String
+    from std_srvs.srv import Trigger
+
+    drive(made, range(3), 0.5)
+    answer = made.call(Trigger, 'pose_cells/mark_goal')
+    assert answer.success
+    drive(made, range(3, 12), 1.0)
+    heard = made.listen(String, 'pose_cells/goal_memory')
+    made.send('pose_cells/goal', String(data=answer.message))
+    made.spin(0.1)
+    return heard, answer.message
+
+
+def told(heard: list[Any]) -> list[dict[str, Any]]:
+    return [json.loads(message.data) for message in heard]
+
+
+def test_the_way_to_a_goal_is_told_until_it_is_reached(world: MakeWorld) -> None:
+    made = pose_cells(world)
+    heard, name = way_back(made)
+    assert name == 'goal_1'
+    drive(made, range(12, 14), 0.0, math.pi / 4)
+    made.until(lambda: len(heard) == 2)
+    first, second = told(heard)
+    assert list(first) == [
+        'schema_version', 'stamp', 'goal', 'bearing_rad', 'remaining_s', 'reached'
+    ]
+    assert first['goal'] == name
+    assert first['stamp'] == {'sec': START_NS // S + 12, 'nanosec': 0}
+    assert first['remaining_s'] > 4.0
+    assert not first['reached']
+    assert abs(first['bearing_rad']) == pytest.approx(0.75 * math.pi, abs=0.3)  # behind it
+    assert abs(second['bearing_rad']) == pytest.approx(0.5 * math.pi, abs=0.3)
+    drive(made, range(14, 16), 0.0, math.pi / 4)
+    drive(made, range(16, 28), 1.0)
+    made.spin(0.3)
+    *before, last = told(heard)
+    assert last['reached']
+    assert last['bearing_rad'] is None
+    assert not any(message['reached'] for message in before)
+    assert len(heard) < 16  # none is told any more
+
+
+def test_the_node_learns_what_core_learns(world: MakeWorld) -> None:
+    made = pose_cells(world)
+    way_back(made)
+    [node] = made.nodes
+    cells = PoseCells(node.config.pose_cells)
+    memory = GoalMemory(node.config.goal_memory, node.config.pose_cells)
+    motion_from = MotionFromOdometry('twist')
+    for second in range(12):
+        speed = 0.5 if second < 3 else 1.0
+        message = Odometry(START_NS + second * S, Twist(speed, 0.0), Pose(0.0, 0.0, 0.0))
+        motion = motion_from(message)
+        if motion is not None:
+            cells.integrate(motion)
+            memory.integrate(motion, cells)
+    assert memory.state()['mu_s'].tolist() == node._goals.learned()['mu_s'].tolist()
+
+
+def test_a_goal_that_nobody_marked_is_told_and_an_empty_name_cancels(world: MakeWorld) -> None:
+    from std_msgs.msg import String
+
+    made = pose_cells(world)
+    heard, name = way_back(made)
+    made.send('pose_cells/goal', String(data='kitchen'))
+    made.spin(0.1)
+    state = made.diagnostics()['pose_cells']
+    assert 'kitchen' in state['message'] and name in state['message']
+    assert state['goal'] == name  # as before
+    made.send('pose_cells/goal', String(data=''))
+    made.spin(0.1)
+    drive(made, range(12, 14), 1.0)
+    assert told(heard) == []
+
+
+def test_goals_and_links_are_saved_and_loaded(world: MakeWorld, tmp_path: Path) -> None:
+    from std_msgs.msg import String
+    from std_srvs.srv import Trigger
+
+    made = pose_cells(world, '-p', f'memory_folder:={tmp_path}')
+    heard, name = way_back(made)
+    assert made.call(Trigger, 'pose_cells/save').success
+    assert made.call(Trigger, 'pose_cells/reset').success
+    assert made.diagnostics()['pose_cells']['goals'] == 'none'
+    assert made.call(Trigger, 'pose_cells/load').success
+    assert made.diagnostics()['pose_cells']['goals'] == name
+    made.send('pose_cells/goal', String(data=name))
+    made.spin(0.1)
+    drive(made, range(20, 22), 0.0, 0.1)
+    made.until(lambda: heard)
+    assert told(heard)[0]['remaining_s'] > 4.0
+
+
+def test_switched_off_there_is_none_of_it(world: MakeWorld) -> None:
+    from ratslam_ros.nodes.pose_cells_node import PoseCellsNode
+
+    made = world(PoseCellsNode)
+    [node] = made.nodes
+    assert not [topic for topic in node.publishers if 'goal' in topic.topic_name]
+    assert 'goal_memory' not in node._learned()
+
+
+def test_topics_service_and_payload_are_described(world: MakeWorld) -> None:
+    made = pose_cells(world)
+    [node] = made.nodes
+    names = [found.topic_name for found in (*node.publishers, *node.subscriptions)]
+    names += [found.srv_name for found in node.services]
+    own = [name.lstrip('/') for name in names if 'goal' in name]
+    assert sorted(own) == ['pose_cells/goal', 'pose_cells/goal_memory', 'pose_cells/mark_goal']
+    for name in own:
+        assert f'`{name}`' in PAGE, name
+    for key in ('bearing_rad', 'remaining_s', 'reached'):
+        assert f'`{key}`' in PAGE, key
