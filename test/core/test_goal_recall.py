@@ -286,6 +286,32 @@ def test_a_large_stale_tree_is_computed_anew_after_a_number_of_changes(
     assert times == pytest.approx([38.0] * 9 + [1.0] * 11)
 
 
+@pytest.mark.parametrize('seed', range(4))
+def test_no_way_leads_over_a_link_that_is_no_more(
+    monkeypatch: pytest.MonkeyPatch, seed: int
+) -> None:
+    monkeypatch.setattr(goal_recall, 'EXPERIENCES_PER_CHANGE', 0)
+    rng = np.random.default_rng(seed)
+    graph = line(8)
+    for _ in range(20):
+        wander(graph, rng)
+    tree = GoalTree(RECALL, graph, 0)
+    unlearned = 0
+    for _ in range(60):
+        if rng.uniform() < 0.5:
+            wander(graph, rng)
+        unlearned += graph.fail('centreline', float(rng.uniform(-math.pi, math.pi)))
+        if rng.uniform() < 0.1:  # the number of another one is used anew
+            again = int(rng.integers(1, len(graph)))
+            graph.integrate(Motion(1.0, 1.0, 0.0))
+            graph.apply(MapAction('create', graph.current_id, again, 99, 0.0, NOWHERE))
+        for start, time in enumerate(times_to(graph, 0)):
+            assert math.isfinite(tree.remaining_s(start)) == math.isfinite(time)
+            if math.isfinite(time):
+                assert_leads(graph, tree.route(start), start, 0)
+    assert unlearned > 0
+
+
 def test_a_joined_part_of_the_map_is_on_the_tree_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(goal_recall, 'EXPERIENCES_PER_CHANGE', 0)
     graph, recall = line(3), Counting()
