@@ -29,8 +29,8 @@ ELSEWHERE, TIMED_OUT = 0, 1
 AHEAD_M = 0.2
 """What a blocked transition leads to lies at least this far ahead of the robot."""
 
-DETOUR_LINKS = 8
-"""A way round of at most so many links stands in for a link that is unlearned."""
+DETOUR = 8.0
+"""A way round that takes at most so many times as long stands in for a link that is unlearned."""
 
 
 def confidences(
@@ -116,28 +116,29 @@ def leading_ahead(
 
 
 @compiled
-def has_detour(ends: NDArray[np.int64], link: int, count: int, most: int) -> bool:
-    """Return whether at most so many other links, in any direction, join the ends of a link.
+def has_detour(
+    ends: NDArray[np.int64], durations_s: NDArray[np.float64], link: int, count: int
+) -> bool:
+    """Return whether other links join the ends of one in at most ``DETOUR`` times its duration.
 
     Args:
-        ends: (links, 2) source and target.
+        ends: (links, 2) source and target; links are ways in both directions.
+        durations_s: (links,).
         link: which of them is looked at.
         count: number of experiences.
-        most: number of links of the way round.
     """
-    goal = ends[link, 1]
-    steps = np.full(count, -1)
-    steps[ends[link, 0]] = 0
-    for step in range(most):
+    most_s = DETOUR * durations_s[link]
+    reached_s = np.full(count, np.inf)
+    reached_s[ends[link, 0]] = 0.0
+    nearer = True
+    while nearer and reached_s[ends[link, 1]] > most_s:
+        nearer = False
         for row in range(ends.shape[0]):
             if row == link:
                 continue
-            i = ends[row, 0]
-            j = ends[row, 1]
-            if steps[i] == step and steps[j] < 0:
-                steps[j] = step + 1
-            elif steps[j] == step and steps[i] < 0:
-                steps[i] = step + 1
-        if steps[goal] >= 0:
-            return True
-    return False
+            for side in range(2):
+                through_s = reached_s[ends[row, side]] + durations_s[row]
+                if through_s <= most_s and through_s < reached_s[ends[row, 1 - side]]:
+                    reached_s[ends[row, 1 - side]] = through_s
+                    nearer = True
+    return reached_s[ends[link, 1]] <= most_s

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.adaptation import (
-    DETOUR_LINKS,
     ELSEWHERE,
     TIMED_OUT,
     confidences,
@@ -488,7 +487,7 @@ class ExperienceMap:
         counts = [self._notes[row][1] for row in rows]
         for link in in_question(counts, self._failures[rows], self._p):
             # A way of its own is not given up because another one is taken more often.
-            if has_detour(self.link_ends, rows[link], len(self), DETOUR_LINKS):
+            if has_detour(self.link_ends, self.link_durations_s, rows[link], len(self)):
                 return rows[link]
         return None
 
