@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ratslam_ros.core.adaptation import DETOUR_LINKS, has_detour
+from ratslam_ros.core.adaptation import has_detour
 from ratslam_ros.core.angles import wrap
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.experience_map import ExperienceMap
@@ -76,7 +76,8 @@ def _experience_map(config: Config) -> ExperienceMap:
             source = experience_map.current_id
             experience_map.apply(MapAction(kind, source, n, n, 0.0, Place(0.0, 0.0, 0.0)))
     experience_map.fail('wait', 0.0)
-    has_detour(experience_map.link_ends, 0, len(experience_map), DETOUR_LINKS)
+    links = experience_map.link_ends, experience_map.link_durations_s
+    has_detour(*links, 0, len(experience_map))
     return experience_map
 
 
