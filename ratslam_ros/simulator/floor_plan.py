@@ -132,6 +132,8 @@ def parse_floor_plan(text: str, cell_m: float | None = None, name: str = '') -> 
                     f'line {number} of a floor plan has {character!r}: draw walls with #, free '
                     'floor with . or space, named places with letters'
                 )
+    # From the south, row by row: whoever draws lots for places relies on their order.
+    places = dict(sorted(places.items(), key=lambda item: item[1][::-1]))
     grid = np.array([list(line) for line in reversed(drawing)])
     return _closed(FloorPlan(grid == WALL, cell_m, places, name))
 

@@ -18,6 +18,7 @@ from ratslam_ros.simulator.drive import DriveOptions, Driver, path_length_m
 from ratslam_ros.simulator.floor_plan import OFFICE_CIRCUIT, OFFICE_START, FloorPlan, office
 from ratslam_ros.simulator.laser import Laser, LaserOptions
 from ratslam_ros.simulator.light import LightDrift
+from ratslam_ros.simulator.people import People
 from ratslam_ros.simulator.robot import Odometry, Pose, Robot, RobotOptions, WheelOdometry
 from ratslam_ros.simulator.world import PERSON_RADIUS_M, WorldOptions, build_world
 
@@ -95,12 +96,19 @@ class Happening:
     width_m: float = 0.0
     depth_m: float = 0.0
 
+    def __post_init__(self) -> None:
+        if self.what not in ('put', 'take'):
+            raise UnusableInput(
+                f'an obstacle can be "put" or "take"n away, but not {self.what!r}'
+            )
+
 
 class Simulator:
     """A robot in a world, moved on step by step by whoever commands it.
 
     The same seed, commands and happenings give the same samples. Raises UnusableInput where the
-    robot would stand inside something, UnusableParameter for a rate that does not fit the steps.
+    robot would stand inside something or there is no room for so many people, UnusableParameter
+    for a sensor's rate that does not fit the steps.
 
     plan: the floor without obstacles; world: what is to be seen at the moment
     collisions: how often the robot has begun to touch something
@@ -131,6 +139,10 @@ class Simulator:
         if options.laser is not None:
             self._laser_steps = _steps_between('laser', 'scans', options.laser.rate_hz)
             self._laser = Laser(self.world, streams.scanning, options.laser)
+        self._people = None
+        if people:
+            radius_m = options.robot.body_radius_m
+            self._people = People(self.world, people, streams.walking, start, radius_m)
         self._light = LightDrift(self.world, streams.lighting, options.world.light_change)
         self._happenings = sorted(happenings, key=lambda happening: happening.at_s, reverse=True)
         self._step = 0
@@ -186,6 +198,8 @@ class Simulator:
         """Lift the robot and set it down elsewhere, which its wheels do not notice."""
         self._require_room(pose)
         self._robot.pose = pose
+        if self._people is not None:
+            self._people.make_way(pose)
 
     def put_obstacle(
         self, name: str, x_m: float, y_m: float, width_m: float, depth_m: float
@@ -205,10 +219,17 @@ class Simulator:
                 'put it elsewhere or when the robot has left'
             )
         self.world.put(name, cells)
+        self._floor_changed()
 
     def take_obstacle(self, name: str) -> None:
         """Take an obstacle away; raises UnusableInput where there is none of this name."""
         self.world.take(name)
+        self._floor_changed()
+
+    def _floor_changed(self) -> None:
+        if self._people is not None:
+            self._people.make_way(self.truth)
+            self._people.floor_changed()
 
     def _happen(self, happening: Happening) -> None:
         if happening.what == 'put':
@@ -262,6 +283,8 @@ class Simulator:
                 self.collisions += 1
             self._touched_step = self._step
         self.odometer_m += math.hypot(x_m - before.x_m, y_m - before.y_m)
+        if self._people is not None:
+            self._people.walk(robot.pose, 1 / STEPS_PER_S)
 
     def _require_room(self, pose: Pose) -> None:
         world, radius_m = self.world, self.options.robot.body_radius_m

@@ -16,6 +16,7 @@ def test_plan_has_its_first_line_in_the_north():
     plan = parse_floor_plan('#####\n#B..#\n#..A#\n#####', cell_m=2.0)
     assert plan.size_m == (10.0, 8.0)
     assert plan.places == {'A': (7.0, 3.0), 'B': (3.0, 5.0)}
+    assert list(plan.places) == ['A', 'B']  # from the south
     assert plan.clearance_m(5.0, 4.0) == pytest.approx(2.0)
     assert plan.clearance_m(1.0, 1.0) == 0.0
 

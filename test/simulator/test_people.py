@@ -1,0 +1,160 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+import math
+
+import numpy as np
+import pytest
+
+from ratslam_ros.errors import UnusableInput
+from ratslam_ros.simulator.camera import Camera, CameraOptions
+from ratslam_ros.simulator.floor_plan import load_floor_plan, parse_floor_plan
+from ratslam_ros.simulator.people import People
+from ratslam_ros.simulator.robot import Pose
+from ratslam_ros.simulator.simulation import SimulationOptions, Simulator
+from ratslam_ros.simulator.world import PERSON_HEIGHT_M, PERSON_RADIUS_M, World, build_world
+
+BLIND = SimulationOptions(camera=None, laser=None)
+UNIVERSITY = load_floor_plan('university_floor')
+LOOP = load_floor_plan('obstacle_loop')
+CORRIDOR = parse_floor_plan('\n'.join(['#' * 40, *['#' + '.' * 38 + '#'] * 4, '#' * 40]), 0.5)
+ROBOT_M = 0.22
+
+
+def rng(seed=0):
+    return np.random.Generator(np.random.PCG64(seed))
+
+
+def walk(simulator, duration_s):
+    """Positions of everybody once a second, (n, people, 2)."""
+    seen = []
+    for step in range(round(duration_s * 40)):
+        simulator.step()
+        if step % 40 == 0:
+            seen.append(simulator.world.people[:, :2].copy())
+    return np.array(seen)
+
+
+@pytest.mark.parametrize('plan', [UNIVERSITY, LOOP], ids=['university', 'loop'])
+def test_people_walk_all_the_time_never_in_walls_nor_in_each_other(plan):
+    simulator = Simulator(plan, Pose(*plan.places['S'], 0.0), 2, BLIND, people=5)
+    seen = walk(simulator, 240.0)
+    for positions in seen:
+        assert min(plan.clearance_m(x_m, y_m) for x_m, y_m in positions) > PERSON_RADIUS_M - 1e-6
+        apart_m = np.hypot(*(positions[:, None] - positions[None]).transpose(2, 0, 1))
+        assert apart_m[np.triu_indices(5, 1)].min() > 2 * PERSON_RADIUS_M
+    steps_m = np.hypot(*np.diff(seen, axis=0).transpose(2, 0, 1))
+    assert steps_m.max() < 1.6
+    assert (steps_m.mean(axis=0) > 0.5).all()
+    # Nobody stands longer than patience and one more try allow.
+    for person in steps_m.T:
+        still = ''.join('s' if step_m < 0.02 else '.' for step_m in person)
+        assert 's' * 20 not in still
+
+
+def test_people_get_about():
+    simulator = Simulator(UNIVERSITY, Pose(*UNIVERSITY.places['S'], 0.0), 4, BLIND, people=3)
+    seen = walk(simulator, 300.0)
+    assert (np.ptp(seen, axis=0).max(axis=1) > 10.0).all()
+
+
+def test_people_keep_to_the_right_and_pass_each_other():
+    world = build_world(CORRIDOR, rng())
+    robot = Pose(0.8, 1.5, 0.0)
+    people = People(world, 4, rng(1), robot, ROBOT_M)
+    sides = []
+    for _ in range(40 * 240):
+        people.walk(robot, 0.025)
+        for x_m, y_m, facing_rad, _ in world.people:
+            if 4.0 < x_m < 16.0:
+                sides.append((y_m - 1.5) * -math.copysign(1.0, math.cos(facing_rad)))
+    assert np.mean(np.array(sides) > 0.0) > 0.8
+    assert np.quantile(sides, 0.75) > 0.35
+
+
+def test_people_stop_for_the_robot_and_go_elsewhere_after_a_while():
+    world = build_world(CORRIDOR, rng())
+    people = People(world, 1, rng(3), Pose(0.8, 1.5, 0.0), ROBOT_M)
+    robot = Pose(0.8, 1.5, 0.0)
+    for _ in range(400):  # until somebody is in the middle of the corridor
+        people.walk(robot, 0.025)
+    x_m, y_m, facing_rad, _ = world.people[0]
+    robot = Pose(x_m + math.copysign(1.3, math.cos(facing_rad)), y_m, 0.0)
+    facing = []
+    nearest_m = math.inf
+    for _ in range(40 * 12):
+        people.walk(robot, 0.025)
+        nearest_m = min(nearest_m, math.dist(world.people[0, :2], (robot.x_m, robot.y_m)))
+        facing.append(math.cos(world.people[0, 2]) * (robot.x_m - x_m) > 0)
+    assert ROBOT_M + PERSON_RADIUS_M + 0.05 <= nearest_m < 1.25
+    assert facing[0]
+    assert not all(facing)
+
+
+def test_obstacles_make_people_step_aside_and_take_another_way():
+    simulator = Simulator(LOOP, Pose(*LOOP.places['S'], 0.0), 2, BLIND, people=4)
+    walk(simulator, 5.0)
+    x_m, y_m, _, _ = simulator.world.people[0]
+    simulator.put_obstacle('on somebody', x_m, y_m, 1.0, 1.0)
+    simulator.put_obstacle('box', *LOOP.places['X'], 0.8, 2.0)
+    for positions in walk(simulator, 120.0):
+        for x_m, y_m in positions:
+            rows, columns = np.nonzero(simulator.world.solid)
+            dx = np.maximum(np.abs(x_m - (columns + 0.5) * LOOP.cell_m) - LOOP.cell_m / 2, 0.0)
+            dy = np.maximum(np.abs(y_m - (rows + 0.5) * LOOP.cell_m) - LOOP.cell_m / 2, 0.0)
+            assert np.hypot(dx, dy).min() > PERSON_RADIUS_M - 1e-6
+
+
+def test_robot_that_is_set_down_on_somebody_finds_room():
+    simulator = Simulator(LOOP, Pose(*LOOP.places['S'], 0.0), 2, BLIND, people=2)
+    walk(simulator, 3.0)
+    x_m, y_m, _, _ = simulator.world.people[1]
+    simulator.carry(Pose(x_m, y_m, 0.0))
+    apart_m = np.hypot(*(simulator.world.people[:, :2] - (x_m, y_m)).T)
+    assert apart_m.min() > ROBOT_M + PERSON_RADIUS_M
+
+
+def test_people_disturb_nobody_elses_chance():
+    alone, among = (
+        Simulator(UNIVERSITY, Pose(*UNIVERSITY.places['S'], 0.0), 6, BLIND, people=n)
+        for n in (0, 3)
+    )
+    for simulator in (alone, among):
+        simulator.command(0.3, 0.0)
+        walk(simulator, 3.0)
+    assert alone.truth == among.truth
+    assert np.array_equal(alone.world.panel, among.world.panel)
+
+
+def test_too_many_people_are_refused():
+    with pytest.raises(UnusableInput, match='room for'):
+        Simulator(LOOP, Pose(*LOOP.places['S'], 0.0), 0, BLIND, people=500)
+
+
+def test_camera_sees_people_as_wide_and_tall_as_they_are():
+    room = parse_floor_plan('\n'.join(['#' * 14, *['#............#'] * 12, '#' * 14]), cell_m=1.0)
+    world = build_world(room, rng())
+    white = np.ones_like(world.library.textures)
+    white[:, -1] = 0.0
+    library = type(world.library)(white, (0,), clothes=(white.shape[1] - 1,))
+    shape = (*room.solid.shape, 4)
+    plain = World(
+        room, library, np.zeros(shape, np.int16), np.zeros(shape, np.float32),
+        np.ones(room.solid.shape, np.float32),
+    )  # fmt: skip
+    options = CameraOptions(width=200, height=200, noise_grey=0.0, exposure_spread=0.0)
+    plain.people = np.array([(7.0, 7.0, 0.0, white.shape[1] - 1.0)])
+    image = Camera(plain, rng(), options).take(3.0, 7.0, 0.0)
+    dark = image == 0
+    columns = np.flatnonzero(dark.any(axis=0))
+    half_px = options.focal_px * math.tan(math.asin(PERSON_RADIUS_M / 4.0))
+    assert columns[0] == pytest.approx(100 - half_px, abs=1)
+    assert columns[-1] + 1 == pytest.approx(100 + half_px, abs=1)
+    rows = np.flatnonzero(dark[:, 100])
+    depth_m = 4.0 - PERSON_RADIUS_M
+    top_px = 100 - options.focal_px * (PERSON_HEIGHT_M - options.height_m) / depth_m
+    foot_px = 100 + options.focal_px * options.height_m / depth_m
+    assert rows[0] == pytest.approx(top_px, abs=1)
+    assert rows[-1] + 1 == pytest.approx(foot_px, abs=1)
+    # Behind a wall nobody is seen.
+    plain.solid[5:9, 5] = True
+    assert (Camera(plain, rng(), options).take(3.0, 7.0, 0.0) > 0).all()
