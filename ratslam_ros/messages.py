@@ -28,6 +28,7 @@ NS_PER_S = 1_000_000_000
 MOST_ID = 2**31 - 1
 MOST_COUNT = 2**63 - 1
 MOST_CELLS = 100_000.0
+MOST_ACTIVITY = 2.0
 
 
 class MalformedMessage(UnusableInput):
@@ -148,6 +149,41 @@ def encode_goal_memory(
             'reached': reached,
         }
     )
+
+
+def encode_active(stamp_ns: int, template_id: int, active: Sequence[tuple[int, float]]) -> str:
+    """Return the payload of ``pose_cells/active_experiences``.
+
+    ``active``: (id, activity) of the experiences of the template that are near the peak.
+    """
+    return _dumps(
+        {
+            'schema_version': SCHEMA_VERSION,
+            'stamp': _stamp(stamp_ns),
+            'template_id': template_id,
+            'experiences': [{'id': i, 'activity': activity} for i, activity in active],
+        }
+    )
+
+
+def decode_active(payload: str) -> tuple[int, int, list[tuple[int, float]]]:
+    """Return (stamp_ns, template_id, active) of a ``pose_cells/active_experiences`` payload.
+
+    Raises:
+        MalformedMessage: it is not such a payload, to the last field.
+    """
+    name = 'pose_cells/active_experiences'
+    fields = _loads(payload, name, {'stamp': dict, 'template_id': int, 'experiences': list})
+    _check(name, 'template_id', fields['template_id'], -1, MOST_ID)
+    active = []
+    for item in fields['experiences']:
+        if not isinstance(item, dict):
+            raise MalformedMessage(f'{name}: {item!r} is no experience; expected an object')
+        _check_types(item, name, {'id': int, 'activity': float})
+        _check(name, 'id', item['id'], 0, MOST_ID)
+        _check(name, 'activity', item['activity'], 0.0, MOST_ACTIVITY)
+        active.append((item['id'], item['activity']))
+    return _stamp_ns(fields['stamp']), fields['template_id'], active
 
 
 def encode_map(
@@ -303,6 +339,12 @@ def _loads(payload: str, name: str, types: Mapping[str, type]) -> dict[str, Any]
             f'{name}: schema_version is {version!r}; expected '
             f'{SCHEMA_VERSION}: sender and receiver are of different versions'
         )
+    _check_types(fields, name, types)
+    return fields
+
+
+def _check_types(fields: dict[str, Any], name: str, types: Mapping[str, type]) -> None:
+    """Refuse fields that are not of these types; make floats of whole numbers where expected."""
     for key, expected in types.items():
         value = fields.get(key)
         if expected is float and type(value) is int and abs(value) < 2**53:
@@ -311,7 +353,6 @@ def _loads(payload: str, name: str, types: Mapping[str, type]) -> dict[str, Any]
             raise MalformedMessage(f'{name}: {key} is {value!r}; expected {expected.__name__}')
         if isinstance(value, float) and not math.isfinite(value):
             raise MalformedMessage(f'{name}: {key} is {value!r}; expected a finite number')
-    return fields
 
 
 def _stamp(stamp_ns: int) -> dict[str, int]:

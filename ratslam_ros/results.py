@@ -9,12 +9,14 @@ import math
 import os
 import struct
 import tempfile
+from collections import deque
+from collections.abc import Callable
 from pathlib import Path
 from typing import IO, Any
 
 from ratslam_ros.config_files import to_yaml
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.experience_map import ExperienceMap, composed
+from ratslam_ros.core.experience_map import ExperienceMap, Forgotten, composed
 from ratslam_ros.core.local_view import NO_TEMPLATE
 from ratslam_ros.core.odometry import Pose
 from ratslam_ros.core.ratslam import OdometryStep, Step, ViewStep
@@ -46,6 +48,8 @@ class Results:
         self.odometry = 0
         self.templates = 0
         self.experiences = 0
+        self._newest: deque[int] = deque(maxlen=NEWEST_EXPERIENCES)
+        self._places = _Places()
         self.loop_closures = 0
         self.without_view = 0
         """Frames of template -1: images that could not be decoded or used."""
@@ -74,7 +78,8 @@ class Results:
         self.odometry += 1
         self._trajectory.write(tum_line(step.stamp_ns, step.pose))
         self._dead_reckoning.write(tum_line(step.stamp_ns, step.dead_reckoning))
-        self._offsets.write(_OFFSET.pack(step.stamp_ns, step.experience_id, *step.offset))
+        place = self._places.of(step.experience_id)
+        self._offsets.write(_OFFSET.pack(step.stamp_ns, place, *step.offset))
 
     def _add_view(self, step: ViewStep) -> None:
         match, action = step.match, step.action
@@ -83,11 +88,12 @@ class Results:
         self.without_view += match.template_id == NO_TEMPLATE
         if match.template_id != NO_TEMPLATE:
             self._action_ns = step.stamp_ns
+        if step.forgotten is not None:
+            self._places.forget(step.forgotten)
         if action.action == 'create':
-            self.experiences += 1
-        elif action.action != 'none' and (
-            action.target_id < self.experiences - NEWEST_EXPERIENCES
-        ):
+            self.experiences += step.forgotten is None
+            self._newest.append(action.target_id)
+        elif action.action != 'none' and action.target_id not in self._newest:
             self.loop_closures += 1
         self._frames.write(
             f'{step.stamp_ns},{match.template_id},{int(match.is_new)},{match.error!r},'
@@ -120,13 +126,45 @@ class Results:
 
     def _write_final(self, experience_map: ExperienceMap) -> None:
         self._offsets.seek(0)
+        pose_of = self._places.poses(experience_map)
         with _writer(self.folder / 'trajectory_final.tum.part') as file:
             while chunk := self._offsets.read(_OFFSET.size * 4096):
-                for stamp_ns, experience_id, x, y, heading in _OFFSET.iter_unpack(chunk):
-                    base = experience_map.pose_of(experience_id)
-                    file.write(tum_line(stamp_ns, composed(base, Pose(x, y, heading))))
+                for stamp_ns, place, x, y, heading in _OFFSET.iter_unpack(chunk):
+                    line = tum_line(stamp_ns, composed(pose_of(place), Pose(x, y, heading)))
+                    file.write(line)
         self._offsets.close()
         os.replace(file.name, file.name.removesuffix('.part'))
+
+
+class _Places:
+    """Places that stay, for experiences whose numbers come to mean others."""
+
+    def __init__(self) -> None:
+        self._of: dict[int, int] = {}
+        self._forgotten: list[tuple[int, int, Pose]] = []
+
+    def of(self, experience_id: int) -> int:
+        """Return the place that an experience's number means now: itself, or one below -1."""
+        return self._of.get(experience_id, experience_id)
+
+    def forget(self, forgotten: Forgotten) -> None:
+        """Let the number mean another place from now on."""
+        experience_id, stand_in_id, pose = forgotten
+        self._forgotten.append((self.of(experience_id), self.of(stand_in_id), pose))
+        self._of[experience_id] = -1 - len(self._forgotten)
+
+    def poses(self, experience_map: ExperienceMap) -> Callable[[int], Pose]:
+        """Return what tells where on the final map a place is, forgotten or not."""
+        now = {place: experience_id for experience_id, place in self._of.items()}
+        gone: dict[int, Pose] = {}
+
+        def pose_of(place: int) -> Pose:
+            known = gone.get(place)
+            return experience_map.pose_of(now.get(place, place)) if known is None else known
+
+        for place, stand_in, pose in reversed(self._forgotten):  # those it hangs on went later
+            gone[place] = composed(pose_of(stand_in), pose)
+        return pose_of
 
 
 def tum_line(stamp_ns: int, pose: Pose) -> str:

@@ -22,8 +22,10 @@ from ratslam_ros.messages import (
     MalformedMessage,
     MapText,
     decode_action,
+    decode_active,
     decode_template,
     encode_action,
+    encode_active,
     encode_map,
     encode_template,
 )
@@ -253,6 +255,31 @@ def test_an_action_without_a_key_is_refused(key: str) -> None:
     with pytest.raises(MalformedMessage):
         decode_action(json.dumps(fields))
 
+
+# Experiences that are active
+
+
+@given(
+    st.integers(0, 2**31 * 10**9 - 1), st.integers(-1, 10**6),
+    st.lists(st.tuples(st.integers(0, 10**6), st.floats(0.0, 2.0)), max_size=5),
+)  # fmt: skip
+def test_active_experiences_are_decoded_to_the_last_bit(
+    stamp_ns: int, template_id: int, active: list[tuple[int, float]]
+) -> None:
+    payload = encode_active(stamp_ns, template_id, active)
+    assert decode_active(payload) == (stamp_ns, template_id, active)
+    assert list(json.loads(payload)) == ['schema_version', 'stamp', 'template_id', 'experiences']
+
+
+@pytest.mark.parametrize('experiences', [
+    None, {}, [3], [{'id': 3}], [{'id': -1, 'activity': 1.0}], [{'id': 1, 'activity': 2.5}],
+    [{'id': True, 'activity': 1.0}], [{'id': 1, 'activity': 'much'}],
+    [{'id': 1, 'activity': 1.0}, {'id': 2, 'activity': -0.1}],
+])  # fmt: skip
+def test_active_experiences_that_do_not_fit_are_refused(experiences: Any) -> None:
+    fields = json.loads(encode_active(5, 1, []))
+    with pytest.raises(MalformedMessage, match='active_experiences'):
+        decode_active(json.dumps({**fields, 'experiences': experiences}))
 
 
 def test_the_map_has_its_keys_in_the_documented_order() -> None:

@@ -18,7 +18,12 @@ from ratslam_ros.core.numbering import FIRST_MEMORY, NOTHING_LEARNED, Numbering
 from ratslam_ros.core.odometry import MotionFromOdometry, Odometry
 from ratslam_ros.core.pose_cells import PoseCells
 from ratslam_ros.core.state import State
-from ratslam_ros.messages import MalformedMessage, decode_template, encode_action
+from ratslam_ros.messages import (
+    MalformedMessage,
+    decode_template,
+    encode_action,
+    encode_active,
+)
 from ratslam_ros.nodes.convert import grey_image, odometry_of
 from ratslam_ros.nodes.goal_seeking import GoalSeeking
 from ratslam_ros.nodes.node import FLUSH_CHECK_S, RatslamNode
@@ -46,6 +51,7 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
     def __init__(self) -> None:
         super().__init__(('odometry', 'template'))
         self._publisher = self.create_publisher(String, 'pose_cells/action', RESULT)
+        self._active = self.create_publisher(String, 'pose_cells/active_experiences', VIEW)
         self._activity = self.create_publisher(Image, 'pose_cells/activity', VIEW)
         self._shown_s = 0.0
         self._goals: GoalSeeking | None = None
@@ -137,6 +143,9 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
         payload = encode_action(stamp_ns, self._sequence, action, self._memory_ns)
         self._sequence += 1
         self._publisher.publish(String(data=payload))
+        if self._active.get_subscription_count() > 0:
+            active = self._core.active_experiences()
+            self._active.publish(String(data=encode_active(stamp_ns, number, active)))
 
     def _notice_memory(self, stamp_ns: int, template: Template) -> None:
         first = self._numbering.memory_ns == NOTHING_LEARNED

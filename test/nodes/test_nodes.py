@@ -337,6 +337,24 @@ def test_the_activity_is_shown_to_who_looks(world: MakeWorld) -> None:
     assert pixels.max() == 255
 
 
+def test_active_experiences_are_told_to_who_listens(world: MakeWorld) -> None:
+    from std_msgs.msg import String
+
+    from ratslam_ros.messages import decode_active
+
+    made, actions = pose_cells(world)
+    heard = made.listen(String, 'pose_cells/active_experiences')
+    for n in range(3):
+        made.send('odom', odometry(START_NS + n * PERIOD_NS, 20.0))
+        made.send('local_view/template', string(template_text(START_NS + n * PERIOD_NS, n)))
+        made.spin(0.05)
+    made.send('odom', odometry(START_NS + S))
+    made.until(lambda: len(actions) == 3 and heard)
+    stamp_ns, template_id, active = decode_active(heard[-1].data)
+    assert stamp_ns == START_NS + template_id * PERIOD_NS
+    assert active == [(template_id - 1, 2.0)]  # the first view came before any motion
+
+
 # Experience map
 
 
