@@ -51,11 +51,14 @@ class Navigator:
         """What the last update gave."""
         self.outcomes: deque[Errand] = deque(maxlen=MOST_OUTCOMES)
         """The goals that have ended, the last one last."""
+        self.ended = 0
+        """How many that were in all."""
+        self.stamp_ns = 0
+        """Of the last update."""
         self._map = experience_map
         self._queue: deque[Errand] = deque()
         self._following: RouteFollowing | None = None
         self._count = 0
-        self._stamp_ns = 0
         self._lost_ns: int | None = None
 
     @property
@@ -117,7 +120,7 @@ class Navigator:
         The goal that is active has ended if the status says so; the next update sets out for the
         next one.
         """
-        self._stamp_ns = stamp_ns
+        self.stamp_ns = stamp_ns
         self.guidance = self._guide(stamp_ns, pose, located)
         return self.guidance
 
@@ -166,8 +169,9 @@ class Navigator:
         if errand is self._queue[0]:
             self._following = self._lost_ns = None
         self._queue.remove(errand)
-        errand.status, errand.reason, errand.ended_ns = status, reason, self._stamp_ns
+        errand.status, errand.reason, errand.ended_ns = status, reason, self.stamp_ns
         self.outcomes.append(errand)
+        self.ended += 1
         last = last or self.guidance
         return Guidance(status, goal=last.goal, replanned=last.replanned, switched=last.switched)
 

@@ -76,17 +76,21 @@ def _experience_map(config: Config) -> ExperienceMap:
             source = experience_map.current_id
             experience_map.apply(MapAction(kind, source, n, n, 0.0, Place(0.0, 0.0, 0.0)))
     experience_map.fail('wait', 0.0)
+    experience_map.apply(MapAction('create', 0, 2, 3, 0.0, Place(0.0, 0.0, 0.0)))
     links = experience_map.link_ends, experience_map.link_durations_s
     has_detour(*links, 0, len(experience_map))
     return experience_map
 
 
 def _goal_recall(config: Config) -> None:
-    from ratslam_ros.core.goal_recall import GoalRecall  # takes long: it needs SciPy
+    from ratslam_ros.core.navigator import Navigator  # takes long: it needs SciPy
 
-    recall, experience_map = GoalRecall(config.goal_recall), _experience_map(config)
-    recall.route_to(experience_map, 1)
-    recall.follow(experience_map, *experience_map.pose_of(1)[:2])
+    experience_map = _experience_map(config)
+    navigator = Navigator(replace(config.goal_recall, goal_radius_m=0.0), experience_map)
+    navigator.go_to(1)
+    navigator.update(0)
+    experience_map.apply(MapAction('link', 0, 0, 0, 0.0, Place(0.0, 0.0, 0.0)))
+    navigator.update(0)  # the links have changed
 
 
 def _goal_memory(config: Config) -> None:

@@ -12,31 +12,23 @@ from typing import Any
 
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry as OdometryMessage
-from nav_msgs.msg import Path
-from nav_msgs.srv import GetPlan
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
-from ratslam_ros.core.experience_map import ExperienceMap, composed
-from ratslam_ros.core.goal_recall import GoalRecall, Route, UnreachableGoal
+from ratslam_ros.core.experience_map import ExperienceMap, composed, inverse
 from ratslam_ros.core.joining import Joining
 from ratslam_ros.core.local_view import NO_TEMPLATE
 from ratslam_ros.core.odometry import MotionFromOdometry, Odometry, Pose, moved
 from ratslam_ros.core.pose_cells import MapAction
 from ratslam_ros.core.state import State
 from ratslam_ros.messages import MalformedMessage, MapText, decode_action, encode_map
-from ratslam_ros.nodes.convert import (
-    header_of,
-    odometry_of,
-    place_of,
-    pose_message,
-    time_of,
-    transform,
-)
+from ratslam_ros.nodes.behaviours import Behaviours
+from ratslam_ros.nodes.convert import header_of, odometry_of, pose_message, transform
+from ratslam_ros.nodes.goal_navigation import GoalNavigation
 from ratslam_ros.nodes.markers import markers_of
 from ratslam_ros.nodes.node import FLUSH_CHECK_S, RatslamNode
-from ratslam_ros.nodes.qos import GOAL, LATCHED, STATE
+from ratslam_ros.nodes.qos import LATCHED, STATE
 from ratslam_ros.nodes.run import run
 
 LARGEST_SHARE = 0.1
@@ -63,17 +55,14 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
         super().__init__(('odometry', 'action'))
         self._map_publisher = self.create_publisher(String, 'experience_map/map', LATCHED)
         self._markers = self.create_publisher(MarkerArray, 'experience_map/markers', LATCHED)
-        self._route_publisher = self.create_publisher(Path, 'experience_map/route', LATCHED)
         self._pose_publisher = self.create_publisher(PoseStamped, 'experience_map/pose', STATE)
         self._tf = self.create_publisher(TFMessage, '/tf', STATE)
-        self._reason = ''
+        self._goals = GoalNavigation(self, self._diagnostics, lambda: self.config, self._refuse)
+        self._behaviours = Behaviours(self, self._refuse)
         self._next_map_s = 0.0
-        self._goal: Pose | None = None
-        self._sent = self._routed = False
+        self._sent = False
         self._viewers = self._pose_ns = 0
         self._forget()
-        self.create_service(GetPlan, 'experience_map/recall_goal', self._on_recall_goal)
-        self.create_subscription(PoseStamped, 'goal_pose', self._on_goal, GOAL)
         self._listen('odometry', {'odom': OdometryMessage}, self._on_odometry)
         self._listen('action', {'pose_cells/action': String}, self._on_action)
         self.create_timer(FLUSH_CHECK_S, self._tick, clock=self._steady)
@@ -83,18 +72,18 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
         self._core.mapping = self._mapping
         self._map_text = MapText()
         self._joining = Joining(self._core)
-        self._goal_recall = GoalRecall(self.config.goal_recall)
         self._motion = MotionFromOdometry(self._section.odom_source)
         self._action_ns = 0
         self._changed = self._sent  # whoever has the old map is told that it is no more
-        self._end_route()
+        self._goals.begin(self._core)
+        self._behaviours.forget()
         self._pose: Pose | None = None
         self._odom_pose = Pose(0.0, 0.0, 0.0)
         self._pose_ns = 0
-        self._route_from: int | None = None
 
     def _carried(self) -> None:
         self._motion.restart()
+        self._behaviours.forget()
 
     def _set_mapping(self, mapping: bool) -> None:
         self._core.mapping = mapping
@@ -104,6 +93,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
             'action_ns': self._action_ns,
             'joining': self._joining.state(),
             'core': self._core.state(),
+            'goals': self._goals.learned(),
         }
 
     def _restore(self, state: State) -> None:
@@ -111,12 +101,13 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
         core.restore(state['core'])
         joining = Joining(core)
         joining.restore(state['joining'])
-        self._action_ns = int(state['action_ns'])
+        action_ns = int(state['action_ns'])
+        self._goals.begin(core, state.get('goals'))  # memories of before goals had names have none
+        self._action_ns = action_ns
         self._core, self._joining = core, joining
         self._map_text = MapText()
         self._core.mapping = self._mapping
         self._motion.restart()
-        self._end_route()
         self._changed = True
 
     def close(self) -> None:
@@ -148,14 +139,18 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
 
     def _use(self, stamp_ns: int, stream: str, item: Odometry | Action) -> None:
         if isinstance(item, Odometry):
+            self._fail(stamp_ns - 1)
             motion = self._motion(item)
             if motion is not None:
                 self._core.integrate(motion)
             return
+        self._fail(stamp_ns)
         joining = self._joining
         missed, forgotten = joining.missed, joining.forgotten
         with self._diagnostics.times('experience_map'):
-            joining.apply(item.action, item.sequence, item.memory_ns)
+            joining.apply(
+                item.action, item.sequence, item.memory_ns, self._behaviours.at(stamp_ns)
+            )
         if item.action.template_id != NO_TEMPLATE:
             self._action_ns = stamp_ns
             self._changed = True
@@ -171,6 +166,16 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
             self._miss(f'this node came late: {item.sequence} actions of pose_cells were before '
                        'it, and what was mapped then is missing. To start over call reset on all '
                        'nodes')  # fmt: skip
+
+    def _fail(self, stamp_ns: int) -> None:
+        """Count the tries up to a stamp that have failed."""
+        for note in self._behaviours.take(stamp_ns):
+            unlearned = self._core.fail(note.behaviour, note.ahead_rad)
+            if unlearned > 0:
+                self._changed = True
+                self.get_logger().info(
+                    f'{unlearned} links are unlearned: {note.behaviour} led nowhere'
+                )
 
     def _miss(self, text: str) -> None:
         if self._diagnostics.missing.get('action') != text:
@@ -208,6 +213,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
 
     def _publish_pose(self, pose: Pose) -> None:
         self._pose = pose
+        self._goals.locate(self._pose_ns, pose, self._odom_pose)
         header = header_of(self._pose_ns, self._section.map_frame)
         self._pose_publisher.publish(PoseStamped(header=header, pose=pose_message(pose)))
 
@@ -230,7 +236,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
         if viewers > self._viewers and self._sent:
             self._send_markers()
         self._viewers = viewers
-        self._follow_goal()
+        self._goals.update()
 
     def _send_map(self) -> None:
         """Send the whole map, if it has changed since."""
@@ -248,136 +254,13 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
     def _send_markers(self) -> None:
         self._markers.publish(markers_of(self._core, self._action_ns, self._section.map_frame))
 
-    # Goals
-
-    def _on_goal(self, message: PoseStamped) -> None:
-        try:
-            self._goal = self._on_map(message)
-        except UnreachableGoal as error:
-            self._no_route(str(error))
-            return
-        self._route_from = None
-        self._follow_goal()
-
-    def _follow_goal(self) -> None:
-        """Send the route to the goal again when the robot has come to another experience."""
-        if self._goal is None or self._route_from == self._core.current_id:
-            return
-        self._route_from = self._core.current_id
-        try:
-            route = self._recall.follow(self._core, self._goal.x_m, self._goal.y_m)
-        except UnreachableGoal as error:
-            self._no_route(str(error))
-            return
-        self._reason = ''
-        self._route_publisher.publish(self._path(route))
-        self._routed = True
-        if len(route.experience_ids) == 1:
-            self.get_logger().info(f'the goal is reached: experience {route.experience_ids[0]}')
-            self._goal = None
-
-    def _no_route(self, reason: str) -> None:
-        self._reason = reason
-        self._diagnostics.warn('goal', f'no route: {reason}')
-        self._routed = True  # the answer to a goal, if only that there is no way
-        self._end_route()
-
-    def _end_route(self) -> None:
-        """Forget the goal, and tell those who have a route to it."""
-        self._goal = None
-        if self._routed:
-            self._route_publisher.publish(self._path(None))
-            self._routed = False
-
-    def _on_recall_goal(self, request: Any, response: Any) -> Any:
-        recall = self._recall
-        try:
-            start = None
-            if request.start.header.frame_id:
-                place = self._on_map(request.start)
-                start = recall.nearest(self._core, place.x_m, place.y_m)
-            goal = self._on_map(request.goal)
-            tolerance_m = float(request.tolerance)
-            if not 0.0 <= tolerance_m < math.inf:
-                raise UnreachableGoal(f'the tolerance is {tolerance_m}; expected 0 or more m')
-            route = recall.route_to_place(self._core, goal.x_m, goal.y_m, tolerance_m, start)
-        except UnreachableGoal as error:
-            self._reason = str(error)
-            self._diagnostics.warn('goal', f'no route: {error}')
-            response.plan = self._path(None)
-            return response
-        self._reason = ''
-        response.plan = self._path(route)
-        return response
-
-    @property
-    def _recall(self) -> GoalRecall:
-        self._goal_recall.parameters = self.config.goal_recall  # may change while it runs
-        return self._goal_recall
-
-    def _on_map(self, message: PoseStamped) -> Pose:
-        """Return a pose in the map's frame.
-
-        Raises:
-            UnreachableGoal: it is not finite, or its frame has no transform to the map.
-        """
-        p, frame = self._section, message.header.frame_id.lstrip('/')
-        pose = place_of(message.pose)
-        if not all(math.isfinite(value) for value in pose):
-            raise UnreachableGoal('its position or orientation is not finite')
-        if frame in ('', p.map_frame):
-            return pose
-        if self._pose is not None and frame == p.base_frame:
-            return composed(self._pose, pose)
-        if self._pose is not None and frame == p.odom_frame:
-            return composed(composed(self._pose, inverse(self._odom_pose)), pose)
-        known = f'{p.map_frame}, {p.odom_frame} or {p.base_frame}'
-        why = 'no odometry has come yet' if frame in known.split() else f'expected {known}'
-        raise UnreachableGoal(f'there is no transform from {frame!r} to {p.map_frame!r}: {why}')
-
-    def _path(self, route: Route | None) -> Path:
-        """Return a route from start to goal, headings along it; None: an empty path."""
-        frame = self._section.map_frame
-        path = Path(header=header_of(self._pose_ns, frame))
-        if route is None:
-            return path
-        places = [self._core.pose_of(i) for i in route.experience_ids]
-        for at, arrival_s in enumerate(route.arrival_s):
-            arrival_ns = self._pose_ns + round(arrival_s * 1e9)
-            pose = PoseStamped(pose=pose_message(_facing(places, at)))
-            pose.header.stamp, pose.header.frame_id = time_of(arrival_ns), frame
-            path.poses.append(pose)
-        return path
-
     def _state(self) -> dict[str, Any]:
         return {
             'experiences': len(self._core),
             'links': self._core.link_count,
             'experience': self._core.current_id,
-            'goal': 'none' if self._goal is None else '{:.2f}, {:.2f}'.format(*self._goal),
-            'no_route_because': self._reason,
+            **self._goals.state(),
         }
-
-
-def inverse(pose: Pose) -> Pose:
-    """Return where the origin lies as seen from a pose."""
-    c, s = math.cos(pose.heading_rad), math.sin(pose.heading_rad)
-    return Pose(
-        -c * pose.x_m - s * pose.y_m, s * pose.x_m - c * pose.y_m, -pose.heading_rad
-    )
-
-
-def _facing(places: list[Pose], at: int) -> Pose:
-    """Return a place of a route with the heading towards the next one."""
-    here = places[at]
-    for there in places[at + 1 :]:
-        if math.hypot(there.x_m - here.x_m, there.y_m - here.y_m) > 1e-6:
-            return here._replace(
-                heading_rad=math.atan2(there.y_m - here.y_m, there.x_m - here.x_m)
-            )
-    if at > 0:  # the goal: the heading of arrival
-        return here._replace(heading_rad=_facing(places, at - 1).heading_rad)
-    return here
 
 
 def main(args: list[str] | None = None) -> int:

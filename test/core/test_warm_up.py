@@ -104,6 +104,16 @@ GOAL_RECALL = (
     + """
 GoalRecall(config.goal_recall).route_to(graph, 0)
 GoalRecall(config.goal_recall).route_to_place(graph, 0.0, 0.0, 50.0)
+GoalRecall(config.goal_recall).follow(graph, *graph.pose_of(0)[:2])
+from ratslam_ros.core.navigator import Navigator
+navigator = Navigator(config.goal_recall, graph)
+goal, count = len(graph) // 2, graph.link_count
+navigator.go_to(goal)
+for n in range(40):
+    for located in (True, False):
+        navigator.update(n * 10**8, located=located)
+    graph.integrate(Motion(0.1, 0.1, 0.03))
+    graph.fail('turn', 0.1 * n)
 """
 )
 

@@ -1,0 +1,78 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Routes and times as messages, for RViz, Foxglove, Nav2 and whatever else moves a robot."""
+
+from __future__ import annotations
+
+import array
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Path
+from numpy.typing import NDArray
+from sensor_msgs.msg import PointCloud2, PointField
+
+from ratslam_ros.core.odometry import Pose
+from ratslam_ros.nodes.convert import header_of, pose_message, time_of
+
+SHORTEST_M = 1e-6
+"""A step that is shorter has no heading."""
+
+
+def path_of(
+    positions_m: NDArray[np.float64], arrival_s: Sequence[float], stamp_ns: int, frame_id: str
+) -> Path:
+    """Return a route, headings along it, each pose stamped with when the robot should be there.
+
+    Args:
+        positions_m: (n, 2) on the map; none: an empty path.
+        arrival_s: (n,) from the stamp on.
+        stamp_ns: of now.
+        frame_id: name of the frame of the map.
+    """
+    path = Path(header=header_of(stamp_ns, frame_id))
+    headings = _headings(positions_m) if len(positions_m) else []
+    for (x, y), heading, after_s in zip(positions_m.tolist(), headings, arrival_s, strict=True):
+        pose = PoseStamped(pose=pose_message(Pose(x, y, heading)))
+        pose.header.stamp = time_of(stamp_ns + round(after_s * 1e9))
+        pose.header.frame_id = frame_id
+        path.poses.append(pose)
+    return path
+
+
+def _headings(positions_m: NDArray[np.float64]) -> list[float]:
+    """Return the heading towards the next place of each position; at the end that of arrival."""
+    towards: list[float | None] = [None]
+    for d_x, d_y in np.diff(positions_m, axis=0)[::-1].tolist():
+        is_step = math.hypot(d_x, d_y) > SHORTEST_M
+        towards.append(math.atan2(d_y, d_x) if is_step else towards[-1])
+    arrival = next((heading for heading in towards if heading is not None), 0.0)
+    return [arrival if heading is None else heading for heading in reversed(towards)]
+
+
+def cloud_of(
+    positions_m: NDArray[np.float64], seconds: NDArray[np.float64], stamp_ns: int, frame_id: str
+) -> PointCloud2:
+    """Return places with a time each, those that have one.
+
+    Args:
+        positions_m: (n, 2) on the map.
+        seconds: (n,) infinite where there is no time.
+        stamp_ns: of now.
+        frame_id: name of the frame of the map.
+    """
+    there = np.isfinite(seconds)
+    points = np.zeros((np.count_nonzero(there), 4), np.dtype('<f4'))
+    points[:, :2] = positions_m[there]
+    points[:, 3] = seconds[there]
+    return PointCloud2(
+        header=header_of(stamp_ns, frame_id), height=1, width=len(points),
+        fields=[
+            PointField(name=name, offset=4 * n, datatype=PointField.FLOAT32, count=1)
+            for n, name in enumerate(('x', 'y', 'z', 'time'))
+        ],
+        is_bigendian=False, point_step=16, row_step=16 * len(points),
+        data=array.array('B', points.tobytes()), is_dense=True,
+    )  # fmt: skip
