@@ -216,9 +216,8 @@ class ExperienceMap:
 
     def _links_of(self, experience_id: int) -> list[Link]:
         """Return the links from and to an experience, but for one from it to itself."""
-        ends = self.link_ends
-        rows = np.flatnonzero((ends == experience_id).sum(axis=1) == 1)
-        return [self._link(row) for row in rows.tolist()]
+        links = map(self._link, _rows_at(self.link_ends, experience_id).tolist())
+        return [link for link in links if link.source_id != link.target_id]
 
     def neighbours(self, experience_id: int) -> list[int]:
         """Return the experiences that are one link away, in either direction, by id.
@@ -472,8 +471,10 @@ class ExperienceMap:
 
     def _rows_by(self, source: int, behaviour: str) -> list[int]:
         """Return the links from an experience that were made by a behaviour."""
-        rows = np.flatnonzero(self.link_ends[:, 0] == source).tolist()
-        return [row for row in rows if self._notes[row][0] == behaviour]
+        return [
+            row for row in _rows_at(self.link_ends, source).tolist()
+            if self._notes[row][0] == behaviour and self._ends[row, 0] == source
+        ]  # fmt: skip
 
     def _expected_others(self, source: int, target: int, behaviour: str) -> None:
         """Count a failed try of each other link by a behaviour; unlearn those it never makes."""
@@ -493,14 +494,13 @@ class ExperienceMap:
 
     def _delete(self, rows: list[int]) -> None:
         """Take links off the map; the others move up, in their order."""
-        links = len(self._notes)
-        keep = np.ones(links, np.bool_)
-        keep[rows] = False
-        kept = links - len(rows)
         for source, target in self._ends[rows].tolist():
             del self._serial[source, target]
-        for array in (self._ends, self._shapes, self._durations_s, self._failures, self._serials):
-            array[:kept] = array[:links][keep]
+        gone = np.zeros(len(self._notes), np.bool_)
+        gone[rows] = True
+        _move_up(
+            gone, self._ends, self._shapes, self._durations_s, self._failures, self._serials
+        )
         for row in sorted(rows, reverse=True):
             del self._notes[row]
         self.links_version += 1
@@ -529,7 +529,7 @@ class ExperienceMap:
             self.current_id = stand_in
         for tell in self.on_forgotten:
             tell(forgotten, stand_in, way)
-        self._delete(np.flatnonzero((self.link_ends == forgotten).any(axis=1)).tolist())
+        self._delete(_rows_at(self.link_ends, forgotten).tolist())
         return Forgotten(forgotten, stand_in, way)
 
     def _join_past(self, links: list[Link], middle: int, a: int, b: int) -> None:
@@ -630,6 +630,38 @@ def _with_room(rows: NDArray[Any]) -> NDArray[Any]:
     room = np.empty((max(64, len(rows)), *rows.shape[1:]), rows.dtype)
     room[: len(rows)] = rows
     return room
+
+
+@compiled
+def _rows_at(ends: NDArray[np.int64], experience_id: int) -> NDArray[np.int64]:
+    """Return the rows of the links from and to an experience."""
+    rows = np.empty(ends.shape[0], np.int64)
+    count = 0
+    for row in range(ends.shape[0]):
+        if ends[row, 0] == experience_id or ends[row, 1] == experience_id:
+            rows[count] = row
+            count += 1
+    return rows[:count].copy()
+
+
+@compiled
+def _move_up(
+    gone: NDArray[np.bool_], ends: NDArray[np.int64], shapes: NDArray[np.float64],
+    durations_s: NDArray[np.float64], failures: NDArray[np.int64], serials: NDArray[np.int64],
+) -> None:  # fmt: skip
+    """Let the rows that are not gone follow one another, in their order."""
+    to = 0
+    for row in range(gone.shape[0]):
+        if gone[row]:
+            continue
+        for column in range(2):
+            ends[to, column] = ends[row, column]
+            failures[to, column] = failures[row, column]
+        for column in range(3):
+            shapes[to, column] = shapes[row, column]
+        durations_s[to] = durations_s[row]
+        serials[to] = serials[row]
+        to += 1
 
 
 @compiled
