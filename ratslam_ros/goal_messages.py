@@ -21,6 +21,7 @@ from ratslam_ros.core.navigator import Errand
 from ratslam_ros.core.route_following import Guidance
 from ratslam_ros.messages import (
     MOST_ID,
+    NS_PER_S,
     SCHEMA_VERSION,
     MalformedMessage,
     _check,
@@ -206,10 +207,26 @@ def encode_status(
     )
 
 
+def decode_status(payload: str) -> dict[str, Any]:
+    """Return the fields of an ``experience_map/status`` payload.
+
+    Raises:
+        MalformedMessage: it is not such a payload.
+    """
+    return _loads(
+        payload, 'experience_map/status',
+        {
+            'stamp': dict, 'status': str, 'explore': bool, 'reason': str, 'experience_id': int,
+            'neighbours': list, 'replanned': int, 'switched': int, 'queue': list,
+            'outcomes': list,
+        },
+    )  # fmt: skip
+
+
 def _errand(errand: Errand) -> dict[str, Any]:
     took_s = None
     if errand.started_ns is not None and errand.ended_ns is not None:
-        took_s = (errand.ended_ns - errand.started_ns) * 1e-9
+        took_s = (errand.ended_ns - errand.started_ns) / NS_PER_S
     return {
         'number': errand.number, 'goal': errand.asked, 'status': errand.status,
         'reason': errand.reason, 'expected_s': errand.expected_s, 'took_s': took_s,

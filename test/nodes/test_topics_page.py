@@ -62,8 +62,55 @@ def test_every_topic_of_the_page_is_there(world: Callable[..., Any]) -> None:
 
 
 def test_the_examples_are_payloads() -> None:
+    from ratslam_ros.core.goals import Position
+    from ratslam_ros.goal_messages import (
+        GoalRequest,
+        NameRequest,
+        decode_behaviour,
+        decode_goal,
+        decode_name,
+        decode_status,
+        encode_behaviour,
+    )
     from ratslam_ros.messages import decode_action, decode_template, encode_action, encode_template
 
-    template, action = re.findall(r'```json\n(.*?)\n```', PAGE)
+    template, action, goal, name, status, behaviour = re.findall(r'```json\n(.*?)\n```', PAGE)
     assert encode_template(*decode_template(template)) == template
     assert encode_action(*decode_action(action)) == action
+    assert encode_behaviour(decode_behaviour(behaviour)) == behaviour
+    targets = ('kitchen', 17, Position(1.5, -2.0))
+    assert decode_goal(goal) == GoalRequest(targets, append=True, timeout_s=120.0)
+    assert decode_name(name) == NameRequest('kitchen')
+    assert status == example_of_status()
+    assert decode_status(status)['status'] == 'following'
+
+
+def example_of_status() -> str:
+    """Return the status of the page's example, as it is sent."""
+    from ratslam_ros.core.config import ExperienceMapParameters
+    from ratslam_ros.core.experience_map import Direction, ExperienceMap
+    from ratslam_ros.core.goals import Goal
+    from ratslam_ros.core.navigator import Errand
+    from ratslam_ros.core.odometry import Pose
+    from ratslam_ros.core.route_following import Guidance
+    from ratslam_ros.goal_messages import encode_status
+
+    class Around(ExperienceMap):
+        def neighbours(self, experience_id: int) -> list[int]:
+            return [12, 39]
+
+        def distance_and_direction(self, target_id: int) -> Direction:
+            return {12: Direction(0.5, 0.25), 39: Direction(0.75, 3.0)}[target_id]
+
+    around = Around(ExperienceMapParameters())
+    around.current_id = 40
+    here = Goal(12)
+    active = Errand(3, here, 'kitchen', status='active', expected_s=24.0)
+    over = Errand(
+        2, here, '(1, 0)', status='timed_out', reason='not reached within 60 s', started_ns=0,
+        expected_s=12.5, ended_ns=60_000_000_000,
+    )  # fmt: skip
+    guidance = Guidance(
+        'following', remaining_s=18.5, goal=Pose(1.5, -2.0, 0.0), replanned=1, switched=0
+    )
+    return encode_status(1700000012500000000, around, guidance, [active], [over])
