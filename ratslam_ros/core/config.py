@@ -316,17 +316,17 @@ class PoseCellsParameters(OdometryInput):
         'delta', '', 0, 0,
         'Which experience of the view becomes current: delta, the nearest within '
         'exp_delta_pc_threshold once the view or the place has changed; activity, always the most '
-        'active one, by equations (1) to (4) of seed 000.',
+        'active one (docs/algorithm.md).',
         'leave at delta', 'set to activity to compare with the papers',
         choices=('delta', 'activity'),
     )  # fmt: skip
     exp_activity_xy: float = parameter(
         2.0, 'cells', 0.01, 1000.0,
-        'Distance along x and y at which an experience is active no more: r_a of equation (1).',
+        'Distance along x and y at which an experience is active no more, r_a in the paper.',
         'few experiences are active', 'experiences far from the peak are active')  # fmt: skip
     exp_activity_th: float = parameter(
         2.0, 'cells', 0.01, 1000.0,
-        'Difference of heading at which an experience is active no more: theta_a of equation (2).',
+        'Difference of heading at which an experience is active no more, theta_a in the paper.',
         'few experiences are active', 'experiences of other headings are active')  # fmt: skip
     exp_activity_threshold: float = parameter(
         0.0, 'activity', 0.0, 2.0,
@@ -376,8 +376,8 @@ class ExperienceMapParameters(OdometryInput):
         'loops close too slowly', 'large maps cost too much')  # fmt: skip
     exp_confidence_threshold: float = parameter(
         0.25, 'share of the tries', 0.0, 1.0,
-        'A link is unlearned when its confidence, equation (9) of seed 000, falls below this; 0: '
-        'nothing is unlearned. Only tries of behaviours that have names count.',
+        'A link is unlearned when its confidence, the share of tries in which its transition was '
+        'made, falls below this; 0: never. Only behaviours that have names are tries.',
         'the robot tries blocked ways for too long', 'ways are given up for people who pass',
     )  # fmt: skip
     exp_min_tries: int = parameter(
