@@ -1,6 +1,7 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 from itertools import pairwise
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -39,6 +40,11 @@ def along(plan, names, step_m=0.1):
 def test_shipped_plans_are_found_by_name():
     assert shipped_plans() == [OBSTACLE, 'office', UNIVERSITY]
     assert np.array_equal(load_floor_plan('office').solid, office().solid)
+
+
+def test_plans_are_installed_with_the_code():
+    setup = (Path(__file__).resolve().parents[2] / 'setup.py').read_text('utf-8')
+    assert "package_data={f'{NAME}.simulator': ['plans/*.txt']}" in setup
 
 
 @pytest.mark.parametrize('name', [UNIVERSITY, OBSTACLE])
