@@ -99,7 +99,7 @@ class Happening:
     def __post_init__(self) -> None:
         if self.what not in ('put', 'take'):
             raise UnusableInput(
-                f'an obstacle can be "put" or "take"n away, but not {self.what!r}'
+                f'what happens to an obstacle is "put" or "take", not {self.what!r}'
             )
 
 
