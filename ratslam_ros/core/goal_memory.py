@@ -39,8 +39,12 @@ REACHED_CELLS = 1.0
 PACKET_CELLS = 6.0
 """Two packets that are more than this and a step apart are two places, not one that moves on."""
 
+BLOCKED_AHEAD_CELLS = 1.0
+BLOCKED_ASIDE_CELLS = 2.0
+"""Where the line lies that nothing passes while the robot is blocked, and how far to the sides."""
+
 SECTOR_COS = math.cos(math.radians(45.0))
-"""How far beside the fastest decrease cells may lie that count for the direction."""
+"""How far beside the way cells may lie that count for the direction."""
 
 
 @dataclass(frozen=True)
@@ -147,6 +151,44 @@ class GoalMemory:
         else:
             self._mu_s[link] = 0.5 * (self._mu_s[link] + seconds)
 
+    def blocked(self, peak: Place, bearing_rad: float, tried_s: float) -> int:
+        """Take that the robot cannot go on: links across a line just ahead of it become longer.
+
+        What was tried in vain is an observation like any other, of a time that is not over yet:
+        the link's own and ``tried_s``. Once the way is free, driving it averages that away.
+
+        Args:
+            peak: where the robot is.
+            bearing_rad: where it cannot go, from ahead and to the left positive.
+            tried_s: how long it has tried, in all.
+
+        Returns:
+            How many links that were.
+        """
+        n_x, n_y = self._torus.n_x, self._torus.n_y
+        direction = self._heading(peak) + bearing_rad
+        cos, sin = math.cos(direction), math.sin(direction)
+        cells = np.fromiter(self._numbers, np.int64, len(self._numbers))
+        ends = cells[np.array(self._ends, np.int32).reshape(-1, 2)]
+        # Of both ends, x and y from the peak: the first the shortest way round, then the link.
+        x = (ends[:, 0] % n_x - peak.x + 0.5 * n_x) % n_x - 0.5 * n_x
+        y = (ends[:, 0] // n_x - peak.y + 0.5 * n_y) % n_y - 0.5 * n_y
+        dx = (ends[:, 1] % n_x - ends[:, 0] % n_x + 0.5 * n_x) % n_x - 0.5 * n_x
+        dy = (ends[:, 1] // n_x - ends[:, 0] // n_x + 0.5 * n_y) % n_y - 0.5 * n_y
+        ahead, aside = x * cos + y * sin - BLOCKED_AHEAD_CELLS, y * cos - x * sin
+        ahead_on, aside_on = ahead + dx * cos + dy * sin, aside + dy * cos - dx * sin
+        across = ((ahead > 0.0) != (ahead_on > 0.0)) & (
+            # |aside| where the link is on the line; multiplied out, as no link may be along it
+            np.abs(aside * ahead_on - aside_on * ahead)
+            <= BLOCKED_ASIDE_CELLS * np.abs(ahead_on - ahead)
+        )
+        across &= dx * dx + dy * dy <= self._longest_cells**2  # a jump passes no place between
+        links = np.flatnonzero(across).tolist()
+        for link in links:
+            self._mu_s[link] += 0.5 * tried_s
+        self._observations += 1
+        return len(links)
+
     # Goals
 
     def mark(self, name: str, peak: Place) -> None:
@@ -214,8 +256,9 @@ class GoalMemory:
     def direction(self, times: TemporalArray, peak: Place) -> float | None:
         """Return the direction in which the time falls fastest around the peak.
 
-        Cells from half the search radius on count before nearer ones, which tell it less exactly;
-        around the one with the fastest decrease, those of a sector are averaged.
+        The way over the links tells the side, so that no cell behind a blocked line attracts; the
+        cells on that side, weighted by how fast the time falls towards them, tell it exactly.
+        Those from half the search radius on count before nearer ones.
 
         Returns:
             rad, in the plane of the cells, counter-clockwise from x; None where no way is known or
@@ -224,22 +267,19 @@ class GoalMemory:
         here = self._here(times, peak)
         if here is None or self.reached(times.goal, peak):
             return None
-        here_s = times.remaining_s.flat[here]
-        rates = [
-            ((here_s - times.remaining_s.flat[cell]) / away, away, dx / away, dy / away)
-            for away, dx, dy, cell in self._around(peak)
-            if times.remaining_s.flat[cell] < here_s and away > 0.0
-        ]
-        outer = [rate for rate in rates if rate[1] >= 0.5 * self._search_cells]
-        rates = outer or rates
-        if not rates:
-            return None
-        _, _, best_x, best_y = max(rates)
-        sector = [r for r in rates if r[2] * best_x + r[3] * best_y >= SECTOR_COS]
-        return math.atan2(
-            math.fsum(rate * y for rate, _, _, y in sector),
-            math.fsum(rate * x for rate, _, x, _ in sector),
-        )
+        away = 0.5 * self._search_cells
+        way = self.path(times, peak, self._search_cells).tolist()
+        side_x, side_y = next((p for p in way if math.hypot(*p) >= away), way[-1])
+        side = math.hypot(side_x, side_y)
+        here_s = float(times.remaining_s.flat[here])
+        x = y = 0.0
+        for distance, dx, dy, cell in self._around(peak):
+            fall_s = here_s - float(times.remaining_s.flat[cell])
+            on_this_side = dx * side_x + dy * side_y >= SECTOR_COS * distance * side
+            if fall_s > 0.0 and on_this_side and distance >= min(away, side):
+                x += fall_s * dx / distance**2
+                y += fall_s * dy / distance**2
+        return math.atan2(y, x) if x or y else math.atan2(side_y, side_x)
 
     def bearing(self, times: TemporalArray, peak: Place) -> float | None:
         """Return ``direction`` as seen by the robot: rad from ahead, to the left positive."""
@@ -266,10 +306,12 @@ class GoalMemory:
         at = self._place(here)
         x, y = self._offset(peak, at)
         onward = int(times.onward.flat[here])
+        if onward < 0:
+            points.append((x, y))
         while onward >= 0 and length < length_cells:
             then = self._place(onward)
             dx, dy = self._offset(at, then)
-            if math.hypot(dx, dy) <= self.parameters.goal_memory_step_cells + PACKET_CELLS:
+            if math.hypot(dx, dy) <= self._longest_cells:
                 x, y = x + dx, y + dy
                 length += math.hypot(x - points[-1][0], y - points[-1][1])
                 points.append((x, y))
@@ -285,6 +327,11 @@ class GoalMemory:
         return np.stack([way[:, 0] * cos + way[:, 1] * sin, way[:, 1] * cos - way[:, 0] * sin], 1)
 
     # Cells
+
+    @property
+    def _longest_cells(self) -> float:
+        """The longest link between cells of one place; longer ones are jumps."""
+        return self.parameters.goal_memory_step_cells + PACKET_CELLS
 
     @property
     def _search_cells(self) -> float:
