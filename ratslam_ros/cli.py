@@ -114,6 +114,10 @@ def _parser() -> argparse.ArgumentParser:
     plot = commands.add_parser('plot', help='draw the pictures of a results folder again')
     plot.add_argument('folder', type=Path, metavar='DIR')
     plot.add_argument('--truth', type=Path, metavar='FILE.tum')
+    plot.add_argument('--times-from', type=int, metavar='ID',
+                      help='also draw how long it takes from this experience to all others')
+    plot.add_argument('--route-to', type=int, metavar='ID',
+                      help='with the route to this one, from --times-from or where the robot was')
     plot.set_defaults(run=_plot)
 
     tune = commands.add_parser('tune', help='propose a threshold, template size and crop')
@@ -415,7 +419,12 @@ def _evaluate(options: argparse.Namespace) -> int:
 def _plot(options: argparse.Namespace) -> int:
     from ratslam_ros.pictures import draw_all
 
-    for path in draw_all(options.folder, _truth(options.truth)):
+    paths = draw_all(options.folder, _truth(options.truth))
+    if options.times_from is not None or options.route_to is not None:
+        from ratslam_ros.goal_pictures import draw_times
+
+        paths.append(draw_times(options.folder, options.times_from, options.route_to))
+    for path in paths:
         print(path)
     return DONE
 
