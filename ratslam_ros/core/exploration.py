@@ -54,7 +54,7 @@ class Exploration:
     def restart(self) -> None:
         """Begin with following the wall, after something else has moved the robot."""
         self._pose: Pose | None = None
-        self._seeking = False
+        self._seeking = self._dead_end = False
         self._turn_without_wall = self._round_rad = 0.0
         self._begin(0, 'on')
 
@@ -133,6 +133,9 @@ class Exploration:
         if self._seeking and straight_m > p.wall_look_ahead_m:
             return drive(movement, Option('centreline', 0.0, straight_m), p)
         found = [option for option in movement.options() if option.behaviour == side]
-        if not found:  # a dead end: turn away from the wall until something opens
+        if self._dead_end:  # by what opens beside it, it would turn to and fro for ever
+            found = [option for option in found if abs(option.heading_rad) < ARRIVED_RAD * 5]
+        self._dead_end = not found
+        if not found:  # turn away from the wall until something opens
             return turn(-sign * math.pi / 2, p)
         return drive(movement, found[0], p)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.local_movement import Behaviour, LocalMovement, Option, Scan
 from ratslam_ros.core.movement_config import GoalFollowerParameters
+from ratslam_ros.core.odometry import Pose
 
 SAMPLES = 8
 """Points of a way on that are compared with the route."""
@@ -130,3 +131,10 @@ def _cost_m(option: Option, ahead: NDArray[np.float64]) -> float:
     x = reach_m * math.cos(option.heading_rad) - ahead[:, 0]
     y = reach_m * math.sin(option.heading_rad) - ahead[:, 1]
     return float(np.hypot(x, y).mean())
+
+
+def seen_from(pose: Pose, positions_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (n, 2) positions on the map as the robot sees them: x ahead, y to the left."""
+    c, s = math.cos(pose.heading_rad), math.sin(pose.heading_rad)
+    x, y = positions_m[:, 0] - pose.x_m, positions_m[:, 1] - pose.y_m
+    return np.stack([c * x + s * y, c * y - s * x], axis=1)

@@ -11,13 +11,18 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from ratslam_ros.core.angles import wrap
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.experience_map import ExperienceMap
 from ratslam_ros.core.exploration import Exploration
-from ratslam_ros.core.goal_follower import Command, GoalFollower
+from ratslam_ros.core.goal_follower import Command, GoalFollower, seen_from
+from ratslam_ros.core.goals import Target
 from ratslam_ros.core.local_movement import Scan
+from ratslam_ros.core.navigator import Errand, Navigator
 from ratslam_ros.core.odometry import Odometry, Pose, Twist
 from ratslam_ros.core.ratslam import RatSLAM, Step, ViewStep
+from ratslam_ros.core.route_following import Guidance
+from ratslam_ros.core.torus import Place
 from ratslam_ros.simulator.simulation import ImageSample, OdometrySample, ScanSample, Simulator
 
 Steering = Callable[[Scan], Command]
@@ -32,14 +37,16 @@ class Log:
     """
 
     stamp_ns: list[int] = field(default_factory=list)
-    truth: list[tuple[float, float, float]] = field(default_factory=list)
-    believed: list[tuple[float, float, float]] = field(default_factory=list)
-    dead_reckoning: list[tuple[float, float, float]] = field(default_factory=list)
+    truth: list[Pose] = field(default_factory=list)
+    believed: list[Pose] = field(default_factory=list)
+    dead_reckoning: list[Pose] = field(default_factory=list)
     experience_id: list[int] = field(default_factory=list)
-    packet: list[tuple[float, float, float]] = field(default_factory=list)
+    packet: list[Place] = field(default_factory=list)
     closures_ns: list[int] = field(default_factory=list)
     """Stamps at which an experience that is not among the ten newest became current."""
-    truth_of: dict[int, tuple[float, float, float]] = field(default_factory=dict)
+    jump_m: list[float] = field(default_factory=list)
+    """How far off the robot truly was, each time that an older experience became current."""
+    truth_of: dict[int, Pose] = field(default_factory=dict)
     """Where the robot truly was when an experience was made."""
 
     def truths(self) -> NDArray[np.float64]:
@@ -59,6 +66,10 @@ class ClosedLoop:
             config.goal_follower, np.random.Generator(np.random.PCG64(exploring_seed))
         )
         self.follower = GoalFollower(config.goal_follower)
+        self.navigator = Navigator(config.goal_recall, self.experience_map)
+        self.experience_map.on_forgotten.append(self.navigator.forgotten)
+        self.guidance = Guidance('idle')
+        self.tries_failed = self.links_unlearned = 0
         self.log = Log()
         self.command = Command(0.0, 0.0, 'turn')
         self.odometry_pose = Pose(0.0, 0.0, 0.0)
@@ -103,6 +114,40 @@ class ClosedLoop:
         """Steer as the exploration says."""
         return self.exploration(scan, self.odometry_pose)
 
+    def name_place(self, name: str) -> None:
+        """Call the place where the robot is by a name, as somebody who walks beside it would."""
+        self.navigator.goals.name_place(self.experience_map, name)
+
+    def go_to(self, *targets: Target, until: Callable[[], bool] = lambda: False) -> list[Errand]:
+        """Go to some places; return what became of each.
+
+        ``until``: give up when this holds.
+
+        Raises:
+            UnreachableGoal: one is not known, or no link leads there.
+        """
+        errands = self.navigator.go_to(*targets)
+        self.exploration.restart()
+        self.run(self.seeking, lambda: not self.navigator.queue or until())
+        self.navigator.cancel()
+        return errands
+
+    def seeking(self, scan: Scan) -> Command:
+        """Steer along the route; where it is lost explore."""
+        graph = self.experience_map
+        self.guidance = self.navigator.update(scan.stamp_ns)
+        here = graph.pose
+        if self.guidance.explore:
+            return self.exploring(scan)
+        if len(self.guidance.positions_m) == 0:
+            return Command(0.0, 0.0, 'turn')
+        command = self.follower(scan, seen_from(here, self.guidance.positions_m))
+        if command.failed:
+            self.tries_failed += 1
+            ahead_rad = wrap(here.heading_rad + command.ahead_rad)
+            self.links_unlearned += graph.fail(command.behaviour, ahead_rad)
+        return command
+
     def _move(self, sample: OdometrySample) -> None:
         o = sample.odometry
         self.odometry_pose = Pose(o.pose.x_m, o.pose.y_m, o.pose.heading_rad)
@@ -114,11 +159,11 @@ class ClosedLoop:
         log, truth = self.log, sample.truth
         at, peak = self.experience_map, self.ratslam.pose_cells.peak
         log.stamp_ns.append(sample.stamp_ns)
-        log.truth.append((truth.x_m, truth.y_m, truth.heading_rad))
-        log.believed.append(tuple(at.pose))
-        log.dead_reckoning.append(tuple(self.ratslam.dead_reckoning))
+        log.truth.append(Pose(truth.x_m, truth.y_m, truth.heading_rad))
+        log.believed.append(at.pose)
+        log.dead_reckoning.append(self.ratslam.dead_reckoning)
         log.experience_id.append(at.current_id)
-        log.packet.append((peak.x, peak.y, peak.theta))
+        log.packet.append(peak)
         self._note(steps)
 
     def _note(self, steps: Iterable[Step]) -> None:
@@ -128,16 +173,16 @@ class ClosedLoop:
             truth = self._truth_at.pop(step.stamp_ns)
             action = step.action
             if action.action == 'create':
-                self.log.truth_of[action.target_id] = tuple(truth)
+                self.log.truth_of[action.target_id] = truth
             elif action.action != 'none' and action.target_id < len(self.experience_map) - 10:
                 self.log.closures_ns.append(step.stamp_ns)
+                there = self.log.truth_of[action.target_id]
+                self.log.jump_m.append(math.hypot(there.x_m - truth.x_m, there.y_m - truth.y_m))
 
 
 def scan_of(sample: ScanSample, simulator: Simulator) -> Scan:
     """Return a simulated scan as a robot's driver gives it."""
     laser = simulator.options.laser
-    fov_rad = math.radians(laser.fov_deg)
-    return Scan(
-        sample.stamp_ns, -fov_rad / 2, fov_rad / (laser.beams - 1),
-        sample.ranges_m.astype(np.float64),
-    )  # fmt: skip
+    assert laser is not None  # or there would be no sample
+    ranges_m = sample.ranges_m.astype(np.float64)
+    return Scan(sample.stamp_ns, laser.first_rad, laser.step_rad, ranges_m)
