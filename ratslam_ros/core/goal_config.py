@@ -45,6 +45,12 @@ class GoalRecallParameters(Section):
         'failed.',
         'goals fail while the robot still explores', 'it should sooner go on with its next goal',
     )  # fmt: skip
+    route_back_factor: float = parameter(
+        1.0, 'times the duration', 1.0, 1000.0,
+        'What a link costs that is driven against the direction in which it was learned: a camera '
+        'that looks ahead has not seen the places from that side. 1: as the papers do.',
+        'the robot loses itself on ways that it has driven in the other direction only',
+        'it makes long detours to drive in the direction that it knows')  # fmt: skip
     route_keep_s: float = parameter(
         60.0, 's', 0.0, 1e6,
         'How long the last good route is followed where the present place has no other one.',

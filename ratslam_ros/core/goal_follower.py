@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ratslam_ros.core.angles import wrap
 from ratslam_ros.core.local_movement import Behaviour, LocalMovement, Option, Scan
 from ratslam_ros.core.movement_config import GoalFollowerParameters
 from ratslam_ros.core.odometry import Pose
@@ -17,9 +18,11 @@ from ratslam_ros.core.odometry import Pose
 SAMPLES = 8
 """Points of a way on that are compared with the route."""
 
-TURN_COST = 0.5
-"""Of the compared length: a way on further from the route than this (some 60 degrees off) loses
-against turning to the route on the spot."""
+ASIDE_RAD = math.radians(60.0)
+"""A route that begins further than this to the side is turned to on the spot."""
+
+ALONG_RAD = math.radians(80.0)
+"""A way on that leads further than this away from the route is none of its."""
 
 FACING_RAD = math.radians(25.0)
 """Turning ends when the route is this close to straight ahead."""
@@ -56,21 +59,22 @@ class GoalFollower:
         p = self._p
         movement = LocalMovement(p, scan)
         ahead = _resampled(route, p.route_ahead_m)
-        length_m = float(ahead[-1, 2])
         bearing_rad = _bearing(ahead)
-        best = min(
-            movement.options(), key=lambda option: _cost_m(option, ahead), default=None
-        )  # fmt: skip
-        fits = best is not None and _cost_m(best, ahead) <= TURN_COST * length_m
-        aside = abs(bearing_rad) > (FACING_RAD if self._turning else 2 * FACING_RAD)
-        if best is not None and fits and not (self._turning and aside):
-            self._turning, self._tried_since_ns = False, None
-            return drive(movement, best, p, most_mps=_approach_mps(route, p))
-        if aside:
+        if abs(bearing_rad) > (FACING_RAD if self._turning else ASIDE_RAD):
             self._turning, self._tried_since_ns = True, None
             return turn(bearing_rad, p)
         self._turning = False
-        return self._blocked(scan.stamp_ns, bearing_rad)
+        options = [
+            option
+            for option in [*movement.options(), movement.towards(bearing_rad)]
+            if abs(wrap(option.heading_rad - bearing_rad)) < ALONG_RAD
+            and option.open_m >= min(p.wall_look_ahead_m, float(ahead[-1, 2]))
+        ]
+        if not options:
+            return self._blocked(scan.stamp_ns, bearing_rad)
+        self._tried_since_ns = None
+        best = min(options, key=lambda option: _cost_m(option, ahead))
+        return drive(movement, best, p, most_mps=_approach_mps(route, p))
 
     def _blocked(self, stamp_ns: int, bearing_rad: float) -> Command:
         """Face the route and wait: people go away, closed doors do not."""

@@ -74,17 +74,21 @@ class GoalRecall:
     def __init__(self, parameters: GoalRecallParameters) -> None:
         self.parameters = parameters
         """They may be replaced at any time."""
-        self._durations: WeakKeyDictionary[ExperienceMap, tuple[tuple[int, int], csr_array]] = (
-            WeakKeyDictionary()
-        )
+        self._durations: WeakKeyDictionary[
+            ExperienceMap, dict[tuple[float, float], tuple[tuple[int, int], csr_array]]
+        ] = WeakKeyDictionary()
         self._tree: GoalTree | None = None
 
     def temporal_map(
-        self, experience_map: ExperienceMap, start_id: int | None = None
+        self, experience_map: ExperienceMap, start_id: int | None = None, to_start: bool = False
     ) -> TemporalMap:
         """Return the times from an experience to all, over links in both directions.
 
-        ``start_id``: where to start, None for the current experience.
+        Args:
+            experience_map: the graph.
+            start_id: where to start, None for the current experience.
+            to_start: the times from all to the start instead, and the experience after each; they
+                differ where ``route_back_factor`` is not 1.
 
         Raises:
             UnreachableGoal: the map is empty.
@@ -93,9 +97,14 @@ class GoalRecall:
             raise UnreachableGoal('the map is empty; drive first')
         start = experience_map.current_id if start_id is None else start_id
         changes = experience_map.links_version, len(experience_map)
-        known = self._durations.get(experience_map)
+        back = self.parameters.route_back_factor
+        factors = (back, 1.0) if to_start else (1.0, back)
+        graphs = self._durations.setdefault(experience_map, {})
+        known = graphs.get(factors)
         if known is None or known[0] != changes:
-            known = self._durations[experience_map] = changes, durations(experience_map)
+            if factors not in graphs and len(graphs) > 1:
+                graphs.clear()  # the factor was changed
+            known = graphs[factors] = changes, durations(experience_map, *factors)
         from scipy.sparse.csgraph import dijkstra
 
         arrival_s, before = dijkstra(known[1], indices=start, return_predecessors=True)
@@ -265,8 +274,9 @@ class GoalTree:
         return start
 
     def _compute(self) -> None:
-        """Compute all ways anew; links count for both directions, so they begin at the goal."""
-        times = self._recall.temporal_map(self.experience_map, self.goal_id)
+        """Compute all ways anew."""
+        times = self._recall.temporal_map(self.experience_map, self.goal_id, to_start=True)
+        self._back = self._recall.parameters.route_back_factor
         # Arrays that grow. Their memory is only lent to NumPy: while it is they cannot.
         self._remaining_s = array('d', times.arrival_s.tobytes())
         self._next = array('i', times.before.tobytes())
@@ -302,23 +312,28 @@ class GoalTree:
 
     def _add(self, a: int, b: int, duration_s: float) -> bool:
         """Take a new link over; return whether it joins a part of the map that is not known."""
-        near, far = (a, b) if self._remaining_s[a] <= self._remaining_s[b] else (b, a)
-        new = far >= self._linked  # no link has led to so high an id before
-        self._linked = max(self._linked, a + 1, b + 1)
-        known_s, through_s = self._remaining_s[far], self._remaining_s[near] + duration_s
-        if through_s >= known_s:  # also where both are infinite
-            return False
-        if new:
-            self._remaining_s[far], self._next[far] = through_s, near
-            return False
-        self._stale = True
-        return math.isinf(known_s)
+        old = self._linked  # no link has led to an experience of so high an id before
+        self._linked = max(old, a + 1, b + 1)
+        joined = False
+        for far, near, seconds in ((a, b, duration_s), (b, a, self._back * duration_s)):
+            known_s, through_s = self._remaining_s[far], self._remaining_s[near] + seconds
+            if through_s >= known_s:  # also where both are infinite
+                continue
+            if far >= old:
+                self._remaining_s[far], self._next[far] = through_s, near
+            else:
+                self._stale = True
+                joined |= math.isinf(known_s)
+        return joined
 
 
-def durations(experience_map: ExperienceMap) -> csr_array:
+def durations(
+    experience_map: ExperienceMap, ahead: float = 1.0, back: float = 1.0
+) -> csr_array:
     """Return (n, n) seconds between linked experiences, the quickest link for both directions.
 
     It is as SciPy computes on it, which then converts nothing: float64 and int32, rows in order.
+    ``ahead``, ``back``: factors for the links in their own direction and in the other one.
     """
     count = len(experience_map)
     sources, targets = experience_map.link_ends.T
@@ -327,7 +342,8 @@ def durations(experience_map: ExperienceMap) -> csr_array:
     order = np.argsort(places, kind='stable')  # the quick one where most is in order already
     places = places[order]
     first = np.flatnonzero(np.diff(places, prepend=-1))
-    seconds = np.tile(np.maximum(experience_map.link_durations_s, SHORTEST_S), 2)[order]
+    once = np.maximum(experience_map.link_durations_s, SHORTEST_S)
+    seconds = np.concatenate([ahead * once, back * once])[order]
     row_ends = np.cumsum(np.bincount(places[first] // count, minlength=count))
     from scipy.sparse import csr_array
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ratslam_ros.core.compiled import compiled
 from ratslam_ros.core.movement_config import GoalFollowerParameters
 
-Behaviour = Literal['centreline', 'left_wall', 'right_wall', 'turn']
+Behaviour = Literal['centreline', 'left_wall', 'right_wall', 'straight', 'turn']
 
 HEADINGS = 61
 """Ways on that are looked at, from a quarter turn right to one left: every 3 degrees."""
@@ -85,6 +85,10 @@ class LocalMovement:
                 at = (first + last) // 2
                 found.append(Option('centreline', heading, float(body[at])))
         return found
+
+    def towards(self, heading_rad: float) -> Option:
+        """Return the way straight on in a direction: across a room, or up to a goal."""
+        return Option('straight', heading_rad, self.open_m(heading_rad))
 
 
 def _runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
