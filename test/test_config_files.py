@@ -15,7 +15,7 @@ from ratslam_ros.config_files import (
     presets,
     to_yaml,
 )
-from ratslam_ros.core.config import SECTIONS, Config
+from ratslam_ros.core.config import LEAST_EXP_MAX, SECTIONS, Config
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 
 
@@ -57,6 +57,10 @@ PARAMETERS = {
     for section, cls in SECTIONS.items()
     for name, info, default in cls.parameters()
 }
+# Any number, or enough of them: what is between is refused.
+PARAMETERS['pose_cells.exp_max'] = PARAMETERS['pose_cells.exp_max'].filter(
+    lambda count: not 0 < count < LEAST_EXP_MAX
+)
 
 
 @settings(max_examples=60)

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -14,6 +14,9 @@ from ratslam_ros.core.goal_follower import Command, drive, turn
 from ratslam_ros.core.local_movement import Behaviour, LocalMovement, Option, Scan
 from ratslam_ros.core.movement_config import GoalFollowerParameters
 from ratslam_ros.core.odometry import Pose
+
+if TYPE_CHECKING:  # whoever makes an exploration brings its chance
+    from numpy.random import Generator
 
 Phase = Literal['on', 'turn_back', 'back', 'turn_again', 'again', 'turn_off', 'off']
 
@@ -38,7 +41,7 @@ STUCK_S = 15.0
 class Exploration:
     """Left wall following, interrupted by turning back to look (seed 001, section IV.D)."""
 
-    def __init__(self, parameters: GoalFollowerParameters, rng: np.random.Generator) -> None:
+    def __init__(self, parameters: GoalFollowerParameters, rng: Generator) -> None:
         """``rng``: draws after which looks the robot goes on along the other wall."""
         self._p = parameters
         self._rng = rng
@@ -86,7 +89,7 @@ class Exploration:
         elif self._phase in _TURNS:
             if abs(self._left_rad(pose)) < ARRIVED_RAD or stuck:
                 following = _TURNS[self._phase]
-                if following == 'back' and self._rng.random() < p.change_wall_share:
+                if following == 'back' and self._rng.uniform() < p.change_wall_share:
                     following = 'on'
                     self._round_rad = 0.0
                 self._begin(stamp_ns, following)

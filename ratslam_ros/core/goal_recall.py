@@ -204,8 +204,9 @@ class GoalTree:
 
     It follows the map whenever it is asked. A new experience that one link ties to a known one is
     appended, and a new link that shortens no way is passed over; the tree stays exact. Where
-    links have vanished it is computed anew. Any other change of a link, by averaging too, makes
-    it stale: its ways exist, but may take another time than it says, or be the quickest no more.
+    links have vanished, or ``route_back_factor`` is another one, it is computed anew. Any other
+    change of a link, by averaging too, makes it stale: its ways exist, but may take another time
+    than it says, or be the quickest no more.
     A stale tree is computed anew
 
     - once ``EXPERIENCES_PER_CHANGE`` times the changes of links since it was computed are at
@@ -292,9 +293,10 @@ class GoalTree:
         new = len(graph) - len(self._next)
         self._remaining_s.extend([math.inf] * new)
         self._next.extend([-1] * new)
-        if graph.links_version == self._version:
+        refactored = self._recall.parameters.route_back_factor != self._back
+        if graph.links_version == self._version and not refactored:
             return
-        if graph.rebuilt != self._rebuilt:
+        if graph.rebuilt != self._rebuilt or refactored:
             self._compute()
             return
         links = slice(self._links, graph.link_count)

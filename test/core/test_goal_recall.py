@@ -27,6 +27,8 @@ from ratslam_ros.core.pose_cells import MapAction
 from ratslam_ros.core.torus import Place
 
 RECALL = GoalRecall(GoalRecallParameters(goal_tolerance_m=0.5))
+BACK = 2.5
+ONE_WAY = GoalRecall(GoalRecallParameters(goal_tolerance_m=0.5, route_back_factor=BACK))
 NOWHERE = Place(0.0, 0.0, 0.0)
 
 
@@ -141,20 +143,21 @@ def wander(graph: ExperienceMap, rng: np.random.Generator, islands: bool = False
     go(graph, target, float(rng.choice([0.0, rng.uniform(0.5, 9.0)], p=[0.1, 0.9])))
 
 
-def link_times(graph: ExperienceMap) -> dict[tuple[int, int], float]:
-    """Return the quickest link either way between all experiences that have one."""
+def link_times(graph: ExperienceMap, back: float = 1.0) -> dict[tuple[int, int], float]:
+    """Return the least time of a link from each experience to each that it has one with."""
     times: dict[tuple[int, int], float] = {}
     for link in graph.links():
-        for ends in ((link.source_id, link.target_id), (link.target_id, link.source_id)):
-            times[ends] = max(min(link.duration_s, times.get(ends, math.inf)), SHORTEST_S)
+        a, b, seconds = link.source_id, link.target_id, max(link.duration_s, SHORTEST_S)
+        for ends, duration_s in (((a, b), seconds), ((b, a), back * seconds)):
+            times[ends] = min(duration_s, times.get(ends, math.inf))
     return times
 
 
-def times_to(graph: ExperienceMap, goal: int) -> list[float]:
+def times_to(graph: ExperienceMap, goal: int, back: float = 1.0) -> list[float]:
     """Return the least times to a goal, by trying all links until nothing gets quicker."""
     best = [math.inf] * len(graph)
     best[goal] = 0.0
-    links = link_times(graph)
+    links = link_times(graph, back)
     for _ in range(len(graph)):
         for (a, b), seconds in links.items():
             best[a] = min(best[a], best[b] + seconds)
@@ -169,25 +172,28 @@ def assert_leads(graph: ExperienceMap, route: Route, start: int, goal: int) -> N
 class Counting(GoalRecall):
     """Counts how often all is computed."""
 
-    def __init__(self) -> None:
-        super().__init__(GoalRecallParameters())
+    def __init__(self, back: float = 1.0) -> None:
+        super().__init__(GoalRecallParameters(route_back_factor=back))
         self.computed = 0
 
-    def temporal_map(self, graph: ExperienceMap, start_id: int | None = None) -> TemporalMap:
+    def temporal_map(
+        self, graph: ExperienceMap, start_id: int | None = None, to_start: bool = False
+    ) -> TemporalMap:
         self.computed += 1
-        return super().temporal_map(graph, start_id)
+        return super().temporal_map(graph, start_id, to_start)
 
 
+@pytest.mark.parametrize('back', [1.0, BACK])
 @pytest.mark.parametrize('seed', range(5))
-def test_durations_are_those_of_the_quickest_link_either_way(seed: int) -> None:
+def test_durations_are_those_of_the_quickest_link_either_way(seed: int, back: float) -> None:
     rng = np.random.default_rng(seed)
     graph = ExperienceMap(ExperienceMapParameters())
     for _ in range(60):
         wander(graph, rng, islands=True)
-        matrix = durations(graph)
-        assert dict(zip(zip(*matrix.nonzero(), strict=True), matrix.data, strict=True)) == (
-            link_times(graph)
-        )
+        times = link_times(graph, back)
+        matrix = durations(graph, 1.0, back)
+        assert dict(zip(zip(*matrix.nonzero(), strict=True), matrix.data, strict=True)) == times
+        assert (durations(graph, back, 1.0) != matrix.T).nnz == 0
     types = (matrix.data.dtype, matrix.indices.dtype, matrix.indptr.dtype)
     assert types == (np.float64, np.int32, np.int32)
     assert matrix.has_canonical_format
@@ -224,21 +230,59 @@ def test_a_long_route_is_read_back() -> None:
     assert GoalTree(RECALL, graph, 0).route().experience_ids == ids
 
 
+def test_a_way_back_costs_as_many_times_more_as_the_parameter_says() -> None:
+    graph = line(5)
+    assert ONE_WAY.route_to(graph, 3).arrival_s == pytest.approx((0.0, 2.0 * BACK))
+    go(graph, 0, 9.0)
+    graph.current_id = 3  # on by 4 and the slow link to 0 takes 11 s, back three links 15 s
+    assert RECALL.route_to(graph, 0).experience_ids == (3, 2, 1, 0)
+    for route in (ONE_WAY.route_to(graph, 0), GoalTree(ONE_WAY, graph, 0).route()):
+        assert route.experience_ids == (3, 4, 0)
+        assert route.arrival_s == pytest.approx((0.0, 2.0, 11.0))
+
+
+@pytest.mark.parametrize('seed', range(6))
+def test_times_from_a_place_and_to_it_are_those_over_directed_links(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    graph = line(2)
+    for _ in range(40):
+        wander(graph, rng, islands=True)
+        count = len(graph)
+        start = int(rng.integers(0, count))
+        there = ONE_WAY.temporal_map(graph, start, to_start=True)
+        assert there.arrival_s == pytest.approx(times_to(graph, start, BACK))
+        onwards = ONE_WAY.temporal_map(graph, start).arrival_s
+        goal = int(rng.integers(0, count))
+        assert onwards[goal] == pytest.approx(times_to(graph, goal, BACK)[start])
+
+
+def test_a_tree_follows_a_factor_that_is_replaced() -> None:
+    graph, recall = line(5), GoalRecall(GoalRecallParameters())
+    tree = GoalTree(recall, graph, 0)
+    for back in (1.0, 2.0, 5.0, 1.0):
+        recall.parameters = GoalRecallParameters(route_back_factor=back)
+        assert tree.remaining_s() == pytest.approx(8.0 * back)
+        assert recall.temporal_map(graph, 0).arrival_s[4] == pytest.approx(8.0)
+        assert recall.route_to(graph, 2).arrival_s[-1] == pytest.approx(4.0 * back)
+
+
+@pytest.mark.parametrize('recall', [RECALL, ONE_WAY])
 @pytest.mark.parametrize('islands', [False, True])
 @pytest.mark.parametrize('seed', range(6))
 @pytest.mark.parametrize('per_change', [0, 5, 2000])
 def test_a_tree_that_says_so_is_exact_and_any_leads_to_its_goal(
-    monkeypatch: pytest.MonkeyPatch, seed: int, islands: bool, per_change: int
+    monkeypatch: pytest.MonkeyPatch, seed: int, islands: bool, per_change: int, recall: GoalRecall
 ) -> None:
     monkeypatch.setattr(goal_recall, 'EXPERIENCES_PER_CHANGE', per_change)
     rng = np.random.default_rng(seed)
     graph = line(3)
-    tree = GoalTree(RECALL, graph, 1)
+    tree = GoalTree(recall, graph, 1)
+    back = recall.parameters.route_back_factor
     exact = []
     for _ in range(50):
         for _ in range(rng.integers(1, 4)):
             wander(graph, rng, islands)
-        times = times_to(graph, 1)
+        times = times_to(graph, 1, back)
         exact.append(tree.exact())
         assert tree.reachable().tolist() == [math.isfinite(time) for time in times]
         for start, time in enumerate(times):
@@ -271,6 +315,19 @@ def test_new_experiences_and_links_that_are_no_short_cut_leave_a_tree_exact() ->
     assert (tree.exact(), recall.computed) == (True, 2)
 
 
+def test_a_new_link_counts_for_the_direction_in_which_it_is_quicker() -> None:
+    graph, recall = line(5), Counting(BACK)
+    tree = GoalTree(recall, graph, 2)
+    go(graph, 0, 5.9)  # 0 is 4 s before the goal; 4 was 10 s past it and is now 9.9 s
+    assert tree.remaining_s(4) == pytest.approx(9.9)
+    assert tree.remaining_s(0) == pytest.approx(4.0)
+    assert (tree.exact(), recall.computed) == (True, 2)
+    graph.current_id = 1
+    go(graph, 3, 2.9)  # forwards it shortens nothing, and back neither: 2.9 * 2.5 + 2 > 5
+    assert (tree.exact(), recall.computed) == (True, 2)
+    assert [tree.remaining_s(n) for n in range(5)] == pytest.approx(times_to(graph, 2, BACK))
+
+
 def test_a_large_stale_tree_is_computed_anew_after_a_number_of_changes(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -286,16 +343,17 @@ def test_a_large_stale_tree_is_computed_anew_after_a_number_of_changes(
     assert times == pytest.approx([38.0] * 9 + [1.0] * 11)
 
 
+@pytest.mark.parametrize('recall', [RECALL, ONE_WAY])
 @pytest.mark.parametrize('seed', range(4))
 def test_no_way_leads_over_a_link_that_is_no_more(
-    monkeypatch: pytest.MonkeyPatch, seed: int
+    monkeypatch: pytest.MonkeyPatch, seed: int, recall: GoalRecall
 ) -> None:
     monkeypatch.setattr(goal_recall, 'EXPERIENCES_PER_CHANGE', 0)
     rng = np.random.default_rng(seed)
     graph = line(8)
     for _ in range(20):
         wander(graph, rng)
-    tree = GoalTree(RECALL, graph, 0)
+    tree = GoalTree(recall, graph, 0)
     unlearned = 0
     for _ in range(60):
         if rng.uniform() < 0.5:
