@@ -206,8 +206,7 @@ class GoalTree:
     appended, and a new link that shortens no way is passed over; the tree stays exact. Where
     links have vanished, or ``route_back_factor`` is another one, it is computed anew. Any other
     change of a link, by averaging too, makes it stale: its ways exist, but may take another time
-    than it says, or be the quickest no more.
-    A stale tree is computed anew
+    than it says, or be the quickest no more. A stale tree is computed anew
 
     - once ``EXPERIENCES_PER_CHANGE`` times the changes of links since it was computed are at
       least the experiences of the map: at every change on a map of up to 1,000, at every 50th on
