@@ -82,8 +82,7 @@ class LocalMovement:
         for look_ahead_m in LOOK_AHEAD_M:
             for first, last in _runs(body >= look_ahead_m):
                 heading = float(self.headings_rad[first] + self.headings_rad[last]) / 2
-                at = (first + last) // 2
-                found.append(Option('centreline', heading, float(body[at])))
+                found.append(Option('centreline', heading, self.open_m(heading)))
         return found
 
     def towards(self, heading_rad: float) -> Option:

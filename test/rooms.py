@@ -1,0 +1,87 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Rooms drawn by lines, and what a laser sees in them, worked out ray by ray."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ratslam_ros.core.local_movement import Scan
+from ratslam_ros.core.odometry import Pose
+
+Line = Sequence[tuple[float, float]]
+
+HERE = Pose(0.0, 0.0, 0.0)
+FIRST_RAD, LAST_RAD = -math.pi / 2, math.pi / 2
+
+
+def scan_of_ranges(ranges_m: Sequence[float] | NDArray[np.float64], stamp_ns: int = 0) -> Scan:
+    """Return a scan over half a circle, from right to left."""
+    ranges = np.array(ranges_m, np.float64)
+    return Scan(stamp_ns, FIRST_RAD, (LAST_RAD - FIRST_RAD) / max(len(ranges) - 1, 1), ranges)
+
+
+def scan_in(
+    walls: Sequence[Line], pose: Pose = HERE, stamp_ns: int = 0, beams: int = 361
+) -> Scan:
+    """Return what is seen of walls, each a line through points in m; nothing beyond 8 m."""
+    ends = np.array([pair for wall in walls for pair in itertools.pairwise(wall)])
+    a, along = ends[:, 0], ends[:, 1] - ends[:, 0]
+    angles = pose.heading_rad + np.linspace(FIRST_RAD, LAST_RAD, beams)
+    d_x, d_y = np.cos(angles)[:, None], np.sin(angles)[:, None]
+    o_x, o_y = a[:, 0] - pose.x_m, a[:, 1] - pose.y_m
+    # pose + t * ray = a + u * along, by Cramer's rule
+    with np.errstate(divide='ignore', invalid='ignore'):
+        cross = d_x * along[:, 1] - d_y * along[:, 0]
+        t = (o_x * along[:, 1] - o_y * along[:, 0]) / cross
+        u = (o_x * d_y - o_y * d_x) / cross
+    ranges_m = np.where((t > 0.0) & (u >= 0.0) & (u <= 1.0), t, np.inf).min(axis=1)
+    return scan_of_ranges(np.where(ranges_m <= 8.0, ranges_m, np.inf), stamp_ns)
+
+
+def clearance_m(walls: Sequence[Line], x_m: float, y_m: float) -> float:
+    """Return how far the nearest wall is."""
+    return min(
+        way_to_point_m(from_m, to_m, (x_m, y_m))
+        for wall in walls
+        for from_m, to_m in itertools.pairwise(wall)
+    )
+
+
+def way_to_point_m(
+    from_m: tuple[float, float], to_m: tuple[float, float], point_m: tuple[float, float]
+) -> float:
+    """Return how near a straight way comes to a point."""
+    (a_x, a_y), (b_x, b_y), (x, y) = from_m, to_m, point_m
+    d_x, d_y = b_x - a_x, b_y - a_y
+    squared = d_x * d_x + d_y * d_y
+    share = 0.0 if squared == 0.0 else ((x - a_x) * d_x + (y - a_y) * d_y) / squared
+    share = min(max(share, 0.0), 1.0)
+    return math.hypot(a_x + share * d_x - x, a_y + share * d_y - y)
+
+
+# Walls that several tests need; x is ahead of the robot, y to its left.
+
+
+def corridor(half_width_m: float = 1.0) -> list[Line]:
+    return [[(-20.0, side), (20.0, side)] for side in (half_width_m, -half_width_m)]
+
+
+def dead_end(at_m: float, half_width_m: float = 0.7) -> list[Line]:
+    y = half_width_m
+    return [[(-20.0, y), (at_m, y), (at_m, -y), (-20.0, -y)]]
+
+
+def t_junction(end_m: float, width_m: float = 2.0, length_m: float = 20.0) -> list[Line]:
+    """A corridor that ends in the middle of one across it, whose far wall is so far ahead."""
+    near = end_m - width_m
+    sides: list[Line] = [
+        [(-20.0, side), (near, side), (near, math.copysign(length_m, side))]
+        for side in (width_m / 2, -width_m / 2)
+    ]
+    return [*sides, [(end_m, length_m), (end_m, -length_m)]]
