@@ -31,6 +31,7 @@ def scan_in(
 ) -> Scan:
     """Return what is seen of walls, each a line through points in m; nothing beyond 8 m."""
     ends = np.array([pair for wall in walls for pair in itertools.pairwise(wall)])
+    ends = ends.reshape(-1, 2, 2)
     a, along = ends[:, 0], ends[:, 1] - ends[:, 0]
     angles = pose.heading_rad + np.linspace(FIRST_RAD, LAST_RAD, beams)
     d_x, d_y = np.cos(angles)[:, None], np.sin(angles)[:, None]
@@ -40,7 +41,7 @@ def scan_in(
         cross = d_x * along[:, 1] - d_y * along[:, 0]
         t = (o_x * along[:, 1] - o_y * along[:, 0]) / cross
         u = (o_x * d_y - o_y * d_x) / cross
-    ranges_m = np.where((t > 0.0) & (u >= 0.0) & (u <= 1.0), t, np.inf).min(axis=1)
+    ranges_m = np.where((t > 0.0) & (u >= 0.0) & (u <= 1.0), t, np.inf).min(axis=1, initial=np.inf)
     return scan_of_ranges(np.where(ranges_m <= 8.0, ranges_m, np.inf), stamp_ns)
 
 
