@@ -42,10 +42,19 @@ ARGUMENTS = [
         'single_process', default_value='false', choices=YES_OR_NO,
         description='all nodes in one process; false: one process each'),
     DeclareLaunchArgument(
+        'goal_follower', default_value='false', choices=YES_OR_NO,
+        description='drive to goals by a laser scan; leave it out where Nav2 drives'),
+    DeclareLaunchArgument(
         'image_topic', default_value='image',
         description="the camera's topic, raw or .../compressed; the other one is derived from it"),
     DeclareLaunchArgument(
         'odom_topic', default_value='odom', description='the odometry, nav_msgs/Odometry'),
+    DeclareLaunchArgument(
+        'scan_topic', default_value='scan',
+        description='of the goal follower: the laser, sensor_msgs/LaserScan'),
+    DeclareLaunchArgument(
+        'cmd_vel_topic', default_value='cmd_vel',
+        description='of the goal follower: the motors, geometry_msgs/Twist'),
     DeclareLaunchArgument(
         'image_transport', default_value='', choices=['', 'auto', 'raw', 'compressed'],
         description='which images to take (empty: as the parameters say, auto if they do not)'),
@@ -84,14 +93,17 @@ def _start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
             namespace=given('namespace'),
             arguments=own,
             parameters=[str(parameters), {'use_sim_time': use_sim_time}],
-            remappings=remappings(given('image_topic'), given('odom_topic')),
+            remappings=remappings(*(
+                given(f'{name}_topic') for name in ('image', 'odom', 'scan', 'cmd_vel')
+            )),
             ros_arguments=['--log-level', given('log_level')],
             output='screen',
             # The others are of no use without it, and could only map a part of the way.
             on_exit=Shutdown(reason=f'{name} has ended'),
         )
         for name, own in nodes(
-            given('visual_odometry') == 'true', given('single_process') == 'true'
+            *(given(name) == 'true'
+              for name in ('visual_odometry', 'single_process', 'goal_follower'))
         ).items()
     ]
     forget = OnShutdown(on_shutdown=lambda event, context: shutil.rmtree(folder, True))

@@ -146,6 +146,8 @@ def _add_live(commands: Any) -> None:
     launch.add_argument('--visual-odometry', action='store_true',
                         help='odometry from the camera; without it the robot publishes odom')
     launch.add_argument('--single-process', action='store_true', help='all nodes in one process')
+    launch.add_argument('--goal-follower', action='store_true',
+                        help='drive to goals by a laser scan: publish cmd_vel')
     launch.add_argument('--use-sim-time', action='store_true',
                         help='time from /clock, as ratslam play --clock publishes it')
     launch.add_argument('--namespace', default='', metavar='NS')
@@ -153,6 +155,10 @@ def _add_live(commands: Any) -> None:
                         help="the camera's topic, raw or .../compressed (default: image)")
     launch.add_argument('--odom-topic', default='', metavar='T',
                         help='the odometry (default: odom)')
+    launch.add_argument('--scan-topic', default='', metavar='T',
+                        help="the laser's topic (default: scan)")
+    launch.add_argument('--cmd-vel-topic', default='', metavar='T',
+                        help="the motors' topic (default: cmd_vel)")
     launch.add_argument('--log-level', default='', metavar='L',
                         help='debug, info, warn, error or fatal')
     launch.set_defaults(run=_launch)
@@ -466,10 +472,13 @@ def _launch(options: argparse.Namespace) -> int:
         LaunchOptions(
             visual_odometry=options.visual_odometry,
             single_process=options.single_process,
+            goal_follower=options.goal_follower,
             use_sim_time=options.use_sim_time,
             namespace=options.namespace,
             image_topic=options.image_topic,
             odom_topic=options.odom_topic,
+            scan_topic=options.scan_topic,
+            cmd_vel_topic=options.cmd_vel_topic,
             log_level=options.log_level,
         ),
     )

@@ -208,12 +208,12 @@ def encode_status(
 
 
 def decode_status(payload: str) -> dict[str, Any]:
-    """Return the fields of an ``experience_map/status`` payload.
+    """Return the fields of an ``experience_map/status`` payload, and its ``stamp_ns``.
 
     Raises:
         MalformedMessage: it is not such a payload.
     """
-    return _loads(
+    fields = _loads(
         payload, 'experience_map/status',
         {
             'stamp': dict, 'status': str, 'explore': bool, 'reason': str, 'experience_id': int,
@@ -221,6 +221,7 @@ def decode_status(payload: str) -> dict[str, Any]:
             'outcomes': list,
         },
     )  # fmt: skip
+    return {**fields, 'stamp_ns': _stamp_ns(fields['stamp'])}
 
 
 def _errand(errand: Errand) -> dict[str, Any]:

@@ -135,7 +135,7 @@ def test_everything_that_ros_looks_for_is_installed():
 
 
 def test_every_node_has_a_command():
-    block = SETUP[SETUP.index('NODES = ') :].partition('\n')[0]
+    block = SETUP[SETUP.index('NODES = ') :].partition(']')[0]
     assert re.findall(r"'(\w+)'", block) == list(NODES)
     for node in NODES:
         assert callable(getattr(entry, node))

@@ -15,6 +15,7 @@ from typing import Any, Self
 
 from ratslam_ros.core.goal_config import GoalRecallParameters
 from ratslam_ros.core.goal_memory_config import GoalMemoryParameters
+from ratslam_ros.core.live_config import LiveInput
 from ratslam_ros.core.movement_config import GoalFollowerParameters
 from ratslam_ros.core.section import ParameterInfo, Section, Value, parameter
 from ratslam_ros.errors import UnusableParameter
@@ -25,30 +26,6 @@ WHOLE = -1  # an upper image bound of -1 means: to the edge of the image
 
 
 _CROP_MAX = 'px; -1: to the edge of the image'
-
-
-@dataclass(frozen=True)
-class LiveInput(Section):
-    """What a node does about inputs that fall silent or begin again."""
-
-    watchdog_after_s: float = parameter(
-        5.0, 's', 0.1, 3600.0,
-        'Live only: after this long without an input, warn and tell who publishes it.',
-        'inputs are slower than this', 'a lost input should be told sooner')  # fmt: skip
-    flush_after_s: float = parameter(
-        2.0, 's', 0.0, 600.0,
-        'Live only: with no input for this long, all held messages are processed.',
-        'inputs pause for longer than this and late messages are counted after the pause',
-        'the last messages of a recording should reach the map sooner',
-    )  # fmt: skip
-    on_jump_back: str = parameter(
-        'start_over', '', 0, 0,
-        'Live only: when stamps jump back (a recording played in a loop), forget everything, or '
-        'keep the map and go on as if the robot had been carried.',
-        'set to go_on to see known places again at the next turn of a loop',
-        'set to start_over to get the same map at each turn',
-        choices=('start_over', 'go_on'),
-    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -497,7 +474,7 @@ SETTABLE = frozenset(
         'watchdog_after_s', 'on_jump_back', 'flush_after_s', 'publish_tf', 'map_period_s',
         'goal_tolerance_m', 'memory_folder', 'goal_radius_m', 'goal_timeout_s',
         'goal_timeout_factor', 'goal_timeout_least_s', 'goal_explore_s', 'route_keep_s',
-        'route_switch_s', 'route_width_m', 'waypoint_ahead_m',
+        'route_switch_s', 'route_width_m', 'waypoint_ahead_m', 'explore',
     }
 )  # fmt: skip
 """What a node lets be set while it runs. All else decides what the map becomes: one map is made

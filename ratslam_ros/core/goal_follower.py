@@ -21,6 +21,10 @@ SAMPLES = 8
 ASIDE_RAD = math.radians(60.0)
 """A route that begins further than this to the side is turned to on the spot."""
 
+PASSED_M = 2.0
+"""Of a route, the beginning that the robot may have driven since it came: of two parts that lie
+beside each other the one further on is not taken for this one."""
+
 ALONG_RAD = math.radians(80.0)
 """A way on that leads further than this away from the route is none of its."""
 
@@ -142,3 +146,22 @@ def seen_from(pose: Pose, positions_m: NDArray[np.float64]) -> NDArray[np.float6
     c, s = math.cos(pose.heading_rad), math.sin(pose.heading_rad)
     x, y = positions_m[:, 0] - pose.x_m, positions_m[:, 1] - pose.y_m
     return np.stack([c * x + s * y, c * y - s * x], axis=1)
+
+
+def rest_of(route_m: NDArray[np.float64], x_m: float, y_m: float) -> NDArray[np.float64]:
+    """Return what of a route, (n, 2) with n > 0, is left: from the place nearest to the robot on.
+
+    Given what was left before, it never goes back.
+    """
+    steps_m = np.diff(route_m, axis=0)
+    lengths_m = np.hypot(*steps_m.T)
+    begins_m = np.cumsum(lengths_m) - lengths_m
+    count = max(int(np.count_nonzero(begins_m < PASSED_M)), 1)
+    if len(steps_m) == 0:
+        return route_m
+    starts, steps_m, lengths_m = route_m[:count], steps_m[:count], lengths_m[:count]
+    along = ((np.array([x_m, y_m]) - starts) * steps_m).sum(axis=1)
+    share = np.clip(along / np.maximum(lengths_m, 1e-9) ** 2, 0.0, 1.0)[:, None]
+    nearest = starts + share * steps_m
+    at = int(np.hypot(nearest[:, 0] - x_m, nearest[:, 1] - y_m).argmin())
+    return np.concatenate([nearest[at : at + 1], route_m[at + 1 :]])

@@ -6,11 +6,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ratslam_ros.core.section import Section, parameter
+from ratslam_ros.core.live_config import LiveInput
+from ratslam_ros.core.section import parameter
 
 
 @dataclass(frozen=True)
-class GoalFollowerParameters(Section):
+class GoalFollowerParameters(LiveInput):
     """What moves the robot: local movement by the laser, and the choice between its ways on."""
 
     robot_radius_m: float = parameter(
@@ -64,3 +65,9 @@ class GoalFollowerParameters(Section):
         'Exploring: how often the robot, once turned, goes on along the other wall.',
         'it stays at one side of the building', 'it leaves parts before it knows them',
     )  # fmt: skip
+    explore: bool = parameter(
+        False, '', 0, 1, 'Live only: explore while there is no goal.',
+        'the robot shall make its map by itself', 'somebody else drives it about')  # fmt: skip
+    explore_seed: int = parameter(
+        1, '', 0, 2**31 - 1, 'Live only: of what exploring draws by lot.',
+        'it should explore in another order', 'it should explore as it did before')  # fmt: skip

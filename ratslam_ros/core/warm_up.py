@@ -31,7 +31,7 @@ def warm_up(*parts: str) -> None:
     """Run a little of everything through every compiled function; slow where none is cached.
 
     ``parts``: the parts that will run, called as their sections of parameters; none given: all
-    that make a map, so all but ``goal_recall``.
+    that make a map, so none of those that go to goals.
     """
     config = Config().with_values(_SMALL)
     wrap(0.0)  # all parts have angles
@@ -106,10 +106,21 @@ def _goal_memory(config: Config) -> None:
     memory.bearing(times, pose_cells.peak)
 
 
+def _goal_follower(config: Config) -> None:
+    from ratslam_ros.core.goal_follower import GoalFollower
+    from ratslam_ros.core.local_movement import Scan
+
+    follow = GoalFollower(config.goal_follower)
+    follow(Scan(0, -1.0, 1.0, np.array([1.0, 2.0, 1.0])), np.array([[0.0, 0.0], [1.0, 0.0]]))
+
+
 _MAPPING: dict[str, Callable[[Config], object]] = {
     'visual_odometry': _visual_odometry,
     'local_view': _local_view,
     'pose_cells': _pose_cells,
     'experience_map': _experience_map,
 }
-_PARTS = {**_MAPPING, 'goal_recall': _goal_recall, 'goal_memory': _goal_memory}
+_PARTS = {
+    **_MAPPING, 'goal_recall': _goal_recall, 'goal_memory': _goal_memory,
+    'goal_follower': _goal_follower,
+}  # fmt: skip

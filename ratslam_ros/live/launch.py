@@ -32,25 +32,36 @@ class LaunchOptions:
 
     visual_odometry: bool = False
     single_process: bool = False
+    goal_follower: bool = False
     use_sim_time: bool = False
     namespace: str = ''
     image_topic: str = ''
     odom_topic: str = ''
+    scan_topic: str = ''
+    cmd_vel_topic: str = ''
     log_level: str = ''
 
 
-def nodes(visual_odometry: bool, single_process: bool) -> dict[str, list[str]]:
+def nodes(
+    visual_odometry: bool, single_process: bool, goal_follower: bool = False
+) -> dict[str, list[str]]:
     """Return the nodes to start, with arguments of their own.
 
-    Without visual_odometry the odometry comes from the robot.
+    Without visual_odometry the odometry comes from the robot. What moves the robot is a process
+    of its own in any case: nothing else shall keep it from stopping.
     """
+    follower = ['goal_follower'] if goal_follower else []
     if single_process:
-        return {'single_process': ['--visual-odometry'] if visual_odometry else []}
+        mapping = {'single_process': ['--visual-odometry'] if visual_odometry else []}
+        return {**mapping, **{node: [] for node in follower}}
     first = ['visual_odometry'] if visual_odometry else []
-    return {node: [] for node in [*first, 'local_view', 'pose_cells', 'experience_map']}
+    mappers = [*first, 'local_view', 'pose_cells', 'experience_map']
+    return {node: [] for node in [*mappers, *follower]}
 
 
-def remappings(image_topic: str, odom_topic: str) -> list[tuple[str, str]]:
+def remappings(
+    image_topic: str, odom_topic: str, scan_topic: str = '', cmd_vel_topic: str = ''
+) -> list[tuple[str, str]]:
     """Return what the nodes' topics are called on this robot; an empty name changes nothing.
 
     A camera's raw and compressed images go together; either of the two names is understood.
@@ -62,9 +73,8 @@ def remappings(image_topic: str, odom_topic: str) -> list[tuple[str, str]]:
         folder, slash, _ = raw.rpartition('/')
         if slash:  # where a driver publishes it: beside the images
             found.append(('camera_info', f'{folder}/camera_info'))
-    if odom_topic:
-        found.append(('odom', odom_topic))
-    return found
+    others = (('odom', odom_topic), ('scan', scan_topic), ('cmd_vel', cmd_vel_topic))
+    return found + [(name, topic) for name, topic in others if topic]
 
 
 def ros_arguments(options: LaunchOptions, parameters: Path) -> list[str]:
@@ -74,7 +84,9 @@ def ros_arguments(options: LaunchOptions, parameters: Path) -> list[str]:
         arguments += ['-p', 'use_sim_time:=true']
     if options.namespace:
         arguments += ['-r', f'__ns:=/{options.namespace.strip("/")}']
-    for name, target in remappings(options.image_topic, options.odom_topic):
+    for name, target in remappings(
+        options.image_topic, options.odom_topic, options.scan_topic, options.cmd_vel_topic
+    ):
         arguments += ['-r', f'{name}:={target}']
     if options.log_level:
         arguments += ['--log-level', options.log_level]
@@ -88,12 +100,10 @@ def launch(config: Config, options: LaunchOptions) -> int:
         parameters.write_text(to_yaml(config), encoding='utf-8')
         command = [sys.executable, '-m', 'ratslam_ros', 'run']
         given = ['--ros-args', *ros_arguments(options, parameters)]
-        return supervise(
-            {
-                node: [*command, node, *own, *given]
-                for node, own in nodes(options.visual_odometry, options.single_process).items()
-            }
+        started = nodes(
+            options.visual_odometry, options.single_process, options.goal_follower
         )
+        return supervise({name: [*command, name, *own, *given] for name, own in started.items()})
 
 
 def supervise(commands: Mapping[str, Sequence[str]], grace_s: float = GRACE_S) -> int:

@@ -72,12 +72,12 @@ class World:
         self.until(lambda: self.tester.count_publishers(topic) > 0)
         return heard
 
-    def send(self, topic: str, message: Any) -> None:
+    def send(self, topic: str, message: Any, qos: Any = None) -> None:
         """Publish a message, to somebody who listens."""
         from ratslam_ros.nodes.qos import PLAYED
 
         if topic not in self.publishers:
-            publisher = self.tester.create_publisher(type(message), topic, PLAYED)
+            publisher = self.tester.create_publisher(type(message), topic, qos or PLAYED)
             self.until(lambda: publisher.get_subscription_count() > 0)
             self.publishers[topic] = publisher
         self.publishers[topic].publish(message)

@@ -1,0 +1,209 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Goal follower as a node: scan, experience_map/route -> cmd_vel; or it explores."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import PoseStamped, Twist
+from nav_msgs.msg import Odometry as OdometryMessage
+from nav_msgs.msg import Path
+from sensor_msgs.msg import LaserScan
+from std_msgs.msg import String
+
+from ratslam_ros.core.angles import wrap
+from ratslam_ros.core.exploration import Exploration
+from ratslam_ros.core.goal_follower import Command, GoalFollower, rest_of, seen_from
+from ratslam_ros.core.local_movement import Scan
+from ratslam_ros.core.odometry import Pose
+from ratslam_ros.goal_messages import BehaviourNote, decode_status, encode_behaviour
+from ratslam_ros.messages import MalformedMessage
+from ratslam_ros.nodes.convert import place_of, stamp_ns
+from ratslam_ros.nodes.node import FLUSH_CHECK_S, RatslamNode
+from ratslam_ros.nodes.qos import LATCHED, RESULT, STATE
+from ratslam_ros.nodes.run import run
+from ratslam_ros.nodes.scans import UnusableScan, scan_of
+
+WATCH_S = 0.05
+"""So often it is looked whether the robot has what it needs to be moved."""
+
+POSE_TIMEOUT_S = 1.0
+"""Without the place on the map, or the odometry to explore by, for this long the robot stands."""
+
+NOWHERE = np.empty((0, 2))
+
+
+class GoalFollowerNode(RatslamNode[Scan]):
+    """Moves the robot along its route; without one it stands still, or explores if it shall.
+
+    While it has nothing to do it publishes nothing, so that somebody else may drive.
+    """
+
+    SECTION = 'goal_follower'
+
+    def __init__(self) -> None:
+        super().__init__(('scan',))
+        self._velocity = self.create_publisher(Twist, 'cmd_vel', STATE)
+        self._behaviour = self.create_publisher(String, 'goal_follower/behaviour', RESULT)
+        self._task = 'none'
+        self._tries_failed = 0
+        self._forget()
+        self._listen('scan', {'scan': LaserScan}, self._on_scan)
+        self._listen('odometry', {'odom': OdometryMessage}, self._on_odometry)
+        self.create_subscription(PoseStamped, 'experience_map/pose', self._on_pose, STATE)
+        self.create_subscription(Path, 'experience_map/route', self._on_route, LATCHED)
+        self.create_subscription(String, 'experience_map/status', self._on_status, LATCHED)
+        self.create_timer(FLUSH_CHECK_S, self._flush, clock=self._steady)
+        self.create_timer(WATCH_S, self._watch, clock=self._steady)
+
+    def close(self) -> None:
+        """Stop the robot."""
+        super().close()
+        self._halt()
+
+    def _forget(self) -> None:
+        p = self._section
+        rng = np.random.Generator(np.random.PCG64(p.explore_seed))
+        self._exploration = Exploration(p, rng)
+        self._pose = self._odom_pose = Pose(0.0, 0.0, 0.0)
+        self._scan_s = self._pose_s = self._odom_s = -math.inf
+        self._route, self._route_ns = NOWHERE, 0
+        self._lost = False
+        self._carried()
+
+    def _carried(self) -> None:
+        self._follower = GoalFollower(self._section)
+        self._exploration.restart()
+
+    # Inputs
+
+    def _on_scan(self, message: LaserScan) -> None:
+        try:
+            scan = scan_of(message)
+        except UnusableScan as error:
+            self._refuse('scan', str(error))
+            return
+        self._push('scan', scan.stamp_ns, scan)
+
+    def _on_odometry(self, message: OdometryMessage) -> None:
+        pose = place_of(message.pose.pose)
+        if not all(math.isfinite(value) for value in pose):
+            self._refuse('odometry', f'its pose is not finite: {pose}')
+            return
+        self._odom_pose, self._odom_s = pose, time.monotonic()
+
+    def _on_pose(self, message: PoseStamped) -> None:
+        self._pose, self._pose_s = place_of(message.pose), time.monotonic()
+
+    def _on_route(self, message: Path) -> None:
+        places = [stamped.pose.position for stamped in message.poses]
+        route = np.array([(at.x, at.y) for at in places], np.float64).reshape(-1, 2)
+        if not np.isfinite(route).all():
+            self._refuse('route', 'its positions are not finite')
+            return
+        self._route, self._route_ns = route, stamp_ns(message.header)
+
+    def _on_status(self, message: String) -> None:
+        try:
+            status = decode_status(message.data)
+        except MalformedMessage as error:
+            self._refuse('status', str(error))
+            return
+        self._lost = status['explore']
+        routed = status['status'] in ('following', 'recovering')
+        # A map that was begun anew knows nothing of a route that it never sent.
+        if not routed and status['stamp_ns'] > self._route_ns:
+            self._route = NOWHERE
+
+    # What the robot does
+
+    def _use(self, stamp_ns: int, stream: str, item: Scan) -> None:
+        self._scan_s = time.monotonic()
+        self._choose_task()
+        if self._task == 'none' or self._lack():
+            return  # the watch sees to it that the robot stands
+        with self._diagnostics.times('steer'):
+            command = self._steer(item)
+        self._move(command.speed_mps, command.turn_rate_radps)
+        self._tell(stamp_ns, command)
+
+    def _choose_task(self) -> None:
+        task = 'none'
+        if not self._paused:
+            if len(self._route):
+                task = 'following'
+            elif self._lost or self._section.explore:
+                task = 'exploring'
+        if task != self._task:
+            if task == 'none':
+                self._halt()
+            self._carried()  # something else has moved the robot
+            self._task = task
+
+    def _steer(self, scan: Scan) -> Command:
+        if self._task == 'exploring':
+            return self._exploration(scan, self._odom_pose)
+        self._route = rest_of(self._route, self._pose.x_m, self._pose.y_m)
+        return self._follower(scan, seen_from(self._pose, self._route))
+
+    def _tell(self, stamp_ns: int, command: Command) -> None:
+        self._tries_failed += command.failed
+        ahead_rad = wrap(self._pose.heading_rad + command.ahead_rad)
+        note = BehaviourNote(stamp_ns, command.behaviour, command.failed, ahead_rad)
+        self._behaviour.publish(String(data=encode_behaviour(note)))
+
+    def _move(self, speed_mps: float, turn_rate_radps: float) -> None:
+        twist = Twist()
+        twist.linear.x, twist.angular.z = float(speed_mps), float(turn_rate_radps)
+        self._velocity.publish(twist)
+
+    def _halt(self) -> None:
+        self._move(0.0, 0.0)
+
+    # Safety
+
+    def _watch(self) -> None:
+        """Stop the robot, again and again, where it should move but lacks what it needs for it."""
+        self._choose_task()
+        lack = self._lack() if self._task != 'none' else ''
+        if not lack:
+            self._diagnostics.missing.pop('steering', None)
+            return
+        self._halt()
+        if 'steering' not in self._diagnostics.missing:
+            self.get_logger().warning(f'the robot stands: {lack}')
+        self._diagnostics.missing['steering'] = f'the robot stands: {lack}'
+
+    def _lack(self) -> str:
+        """Return what must come before the robot may move."""
+        now_s = time.monotonic()
+        if now_s - self._scan_s > self._section.scan_timeout_s:
+            return 'no scan comes'
+        if self._task == 'exploring' and now_s - self._odom_s > POSE_TIMEOUT_S:
+            return 'no odometry comes'
+        if (self._task == 'following' or self._lost) and now_s - self._pose_s > POSE_TIMEOUT_S:
+            return 'no experience_map/pose comes'
+        return ''
+
+    def _on_pause(self, request: Any, response: Any) -> Any:
+        response = super()._on_pause(request, response)
+        if request.data:
+            self._halt()
+        return response
+
+    def _on_reset(self, request: Any, response: Any) -> Any:
+        response = super()._on_reset(request, response)
+        self._halt()
+        return response
+
+    def _state(self) -> dict[str, Any]:
+        return {'task': self._task, 'tries_failed': self._tries_failed}
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node until it is interrupted."""
+    return run(GoalFollowerNode, args=args)
