@@ -86,9 +86,10 @@ class ClosedLoop:
         return self.simulator.elapsed_s
 
     def run(self, steer: Steering, until: Callable[[], bool]) -> None:
-        """Go on until something holds, which is looked at after every scan."""
+        """Go on until something holds, which is looked at after every step with a scan."""
         simulator = self.simulator
-        while True:
+        over = False
+        while not over:
             for sample in simulator.step():
                 if isinstance(sample, OdometrySample):
                     self._move(sample)
@@ -101,8 +102,7 @@ class ClosedLoop:
                     self.command = steer(scan_of(sample, simulator))
                     self.ratslam.behaviour = self.command.behaviour
                     simulator.command(self.command.speed_mps, self.command.turn_rate_radps)
-                    if until():
-                        return
+                    over = until()
 
     def explore(self, duration_s: float) -> None:
         """Explore for some time."""

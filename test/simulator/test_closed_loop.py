@@ -1,0 +1,156 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A minute or two in the life of a robot that maps a small floor and goes where it is told."""
+
+import math
+
+import numpy as np
+import pytest
+
+from ratslam_ros.config_files import load_config
+from ratslam_ros.core.goal_follower import Command
+from ratslam_ros.core.goal_recall import UnreachableGoal
+from ratslam_ros.messages import encode_map
+from ratslam_ros.simulator.closed_loop import ClosedLoop
+from ratslam_ros.simulator.floor_plan import parse_floor_plan
+from ratslam_ros.simulator.robot import Pose
+from ratslam_ros.simulator.simulation import Simulator
+
+# A corridor round a block, a minute's way.
+PLAN = parse_floor_plan("""
+##################
+#................#
+#................#
+#.S..............#
+#................#
+#....########....#
+#....########....#
+#....########....#
+#....########....#
+#................#
+#................#
+#................#
+##################
+""", 0.5)  # fmt: skip
+CONFIG = load_config('navigation')[0]
+
+
+def closed_loop(seed, exploring_seed=None):
+    simulator = Simulator(PLAN, Pose(*PLAN.places['S'], 0.0), seed)
+    return ClosedLoop(simulator, CONFIG, seed if exploring_seed is None else exploring_seed)
+
+
+def explored(seed, duration_s=80.0):
+    loop = closed_loop(seed)
+    loop.explore(duration_s)
+    return loop
+
+
+def apart_m(a, b):
+    return math.hypot(a.x_m - b.x_m, a.y_m - b.y_m)
+
+
+def map_bytes(loop):
+    return encode_map(0, loop.experience_map)
+
+
+def test_exploring_makes_a_map_and_a_log_of_it():
+    loop = explored(1, 20.0)
+    log, graph = loop.log, loop.experience_map
+    first = len(graph)
+    assert first > 20
+    assert loop.now_s == pytest.approx(20.0, abs=0.15)
+    loop.explore(60.0)
+    assert len(graph) > 2 * first
+    rows = len(log.stamp_ns)
+    assert rows == pytest.approx(80 * 20, abs=3)
+    assert {
+        len(column) for column in (log.truth, log.believed, log.dead_reckoning,
+                                   log.experience_id, log.packet)
+    } == {rows}  # fmt: skip
+    assert set(np.diff(log.stamp_ns)) == {50_000_000}
+    assert log.truths().shape == (rows, 3)
+    assert np.diff(log.truths()[:, :2], axis=0).max() < 0.05
+    assert max(log.experience_id) < len(graph)
+    assert sorted(log.truth_of) == list(range(len(graph)))
+    # Once round, places are known again, and truly are those.
+    assert len(log.closures_ns) == len(log.jump_m) > 0
+    assert np.median(log.jump_m) < 0.5
+    before = int(np.searchsorted(log.stamp_ns, log.closures_ns[0]))
+    assert before > rows / 4
+    moved = [apart_m(a, b) for a, b in zip(log.believed, log.dead_reckoning, strict=True)]
+    assert max(moved[:before]) < 0.6  # what the map corrects comes with its closures
+    assert loop.simulator.collisions == 0
+
+
+def test_the_same_seeds_give_the_same_map_and_others_another():
+    first, again = (map_bytes(explored(2, 40.0)) for _ in range(2))
+    assert first == again
+    assert map_bytes(explored(3, 40.0)) != first
+
+
+def test_a_run_in_parts_is_the_same_run():
+    def run(parts_s):
+        loop = closed_loop(4)
+        for end_s in parts_s:
+            loop.run(lambda scan: Command(0.2, 0.02, 'straight'), lambda: loop.now_s >= end_s)  # noqa: B023
+        return map_bytes(loop)
+
+    assert run([5.0, 10.0, 10.5, 15.0]) == run([15.0])
+
+
+@pytest.mark.parametrize('seed', [0, 1])
+def test_a_place_that_was_named_is_gone_to(seed):
+    loop = explored(seed, 20.0)
+    loop.name_place('corner')
+    corner = loop.simulator.truth
+    loop.explore(55.0)
+    begun_s, begun_m = loop.now_s, loop.simulator.odometer_m
+    assert apart_m(loop.simulator.truth, corner) > 3.0
+    (errand,) = loop.go_to('corner', until=lambda: loop.now_s > begun_s + 90.0)
+    assert (errand.status, errand.reason) == ('succeeded', '')
+    # Once round, the map is bent by half a metre yet.
+    assert apart_m(loop.simulator.truth, corner) < 0.75
+    assert loop.simulator.odometer_m - begun_m < 30.0
+    assert loop.simulator.collisions == 0
+    assert not loop.navigator.queue
+    assert loop.guidance.status == 'succeeded'
+
+
+def test_goals_that_are_not_known_or_given_up():
+    loop = explored(0, 20.0)
+    stamp_ns = loop.simulator.stamp_ns
+    with pytest.raises(UnreachableGoal, match='nowhere'):
+        loop.go_to(0, 'nowhere')
+    assert loop.simulator.stamp_ns == stamp_ns
+    end_s = loop.now_s + 2.0
+    near, far = loop.go_to(0, 1, until=lambda: loop.now_s >= end_s)
+    assert (near.status, far.status) == ('cancelled', 'cancelled')
+    assert not loop.navigator.queue
+    assert loop.now_s == pytest.approx(end_s, abs=0.15)
+
+
+@pytest.mark.parametrize('seed', [1, 2])
+def test_a_robot_that_was_carried_finds_out_where_it_is(seed):
+    loop = explored(seed, 90.0)
+    log, graph = loop.log, loop.experience_map
+    known = dict(log.truth_of)
+    closures = len(log.closures_ns)
+    there = log.truth[len(log.truth) * 2 // 3]
+    assert apart_m(there, loop.simulator.truth) > 2.0
+    believed = log.believed[-1]
+    loop.simulator.carry(Pose(*there))
+    loop.explore(0.2)  # nothing has told it
+    assert apart_m(log.believed[-1], believed) < 0.3
+
+    def off_m():
+        """How much further it believes to be from the nearest old experience than it is."""
+        nearest = min(known, key=lambda number: apart_m(known[number], loop.simulator.truth))
+        place = graph.poses[nearest, :2].tolist()
+        believed_m = math.dist(place, graph.pose[:2])
+        return believed_m - apart_m(known[nearest], loop.simulator.truth)
+
+    assert off_m() > 1.5
+    loop.explore(30.0)
+    assert len(log.closures_ns) > closures
+    assert off_m() < 0.75
