@@ -26,7 +26,10 @@ def installed(folder: str, *patterns: str) -> tuple[str, list[str]]:
 
 
 # ros2 run NODE; a machine without ROS is told of "ratslam run NODE".
-NODES = ['visual_odometry', 'local_view', 'pose_cells', 'experience_map', 'single_process']
+NODES = [
+    'visual_odometry', 'local_view', 'pose_cells', 'experience_map', 'goal_follower', 'simulator',
+    'single_process',
+]
 
 TEST = ['hypothesis>=6.90', 'pytest>=8.0']
 

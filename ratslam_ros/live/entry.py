@@ -47,6 +47,16 @@ def experience_map() -> int:
     return _main('experience_map')
 
 
+def goal_follower() -> int:
+    """Run goal_follower."""
+    return _main('goal_follower')
+
+
+def simulator() -> int:
+    """Run simulator."""
+    return _main('simulator')
+
+
 def single_process() -> int:
     """Run all nodes in one process."""
     return _main('single_process')

@@ -16,6 +16,8 @@ NODES = {
     'local_view': 'local_view_node',
     'pose_cells': 'pose_cells_node',
     'experience_map': 'experience_map_node',
+    'goal_follower': 'goal_follower_node',
+    'simulator': 'simulator_node',
     'single_process': 'single_process',
 }
 """The nodes, and the modules of ratslam_ros.nodes with their ``main``."""

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What all four nodes share: parameters, inputs in order, diagnostics, services."""
+"""What all nodes share: parameters, inputs in order, diagnostics, services."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from ratslam_ros import memory_files
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.order import Counts, Released, StampOrder
 from ratslam_ros.core.state import State
+from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.errors import RatslamError
 from ratslam_ros.nodes.diagnostics import Diagnostics
 from ratslam_ros.nodes.inputs import Input
@@ -66,6 +67,11 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
             self.create_service(SetBool, f'{self.SECTION}/mapping', self._on_mapping)
             self.create_service(Trigger, f'{self.SECTION}/save', self._on_save)
             self.create_service(Trigger, f'{self.SECTION}/load', self._on_load)
+
+    @classmethod
+    def warm_up(cls) -> None:
+        """Compile, or load from the cache, what a message needs."""
+        warm_up(cls.SECTION)
 
     @property
     def config(self) -> Config:

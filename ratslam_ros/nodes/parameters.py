@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeVar
 
 from rcl_interfaces.msg import (
     FloatingPointRange,
@@ -20,10 +20,13 @@ from ratslam_ros.core.config import (
     SETTABLE,
     Config,
     ParameterInfo,
+    Section,
     Value,
     section_of,
 )
 from ratslam_ros.errors import UnusableParameter
+
+AnySection = TypeVar('AnySection', bound=Section)
 
 OF_ROS = ('use_sim_time', 'start_type_description_service', 'qos_overrides')
 """Parameters that every node has; what begins so is not ours."""
@@ -95,6 +98,33 @@ class NodeParameters:
         except UnusableParameter as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
+
+
+def declare(node: Node, kind: type[AnySection]) -> AnySection:
+    """Declare a section that is no part of the configuration; return it with what is given.
+
+    The node must have been made with ``automatically_declare_parameters_from_overrides``.
+
+    Raises:
+        UnusableParameter: one given is unknown, of the wrong type or out of range.
+    """
+    known = {name: (info, default) for name, info, default in kind.parameters()}
+    given: dict[str, Any] = {}
+    for name, item in sorted(node.get_parameters_by_prefix('').items()):
+        if name.startswith(OF_ROS):
+            continue
+        node.undeclare_parameter(name)
+        if name in known:
+            given[name] = item.value
+        elif section_of(name.rpartition('.')[2]) is None:
+            raise UnusableParameter(
+                f'{node.get_name()} has no parameter {name!r}; expected one of {", ".join(known)}'
+            )
+    section = kind(**given)
+    for name, (info, default) in known.items():
+        descriptor = _descriptor(info, default, settable=False)
+        node.declare_parameter(name, getattr(section, name), descriptor, ignore_override=True)
+    return section
 
 
 def _with_values(config: Config, values: dict[str, Any]) -> Config:

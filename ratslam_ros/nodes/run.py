@@ -15,7 +15,6 @@ from rclpy.signals import SignalHandlerOptions
 
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.errors import RatslamError
-from ratslam_ros.nodes.node import RatslamNode
 from ratslam_ros.quick_start import import_numba, settle
 
 DONE, INTERNAL_ERROR, UNUSABLE = 0, 1, 2
@@ -23,8 +22,11 @@ PROMPT_S = 0.1
 """A signal is noticed within this time."""
 
 
-def run(*kinds: type[RatslamNode[Any]], args: list[str] | None = None) -> int:
+def run(*kinds: type[Any], args: list[str] | None = None) -> int:
     """Make nodes, spin them on one executor until SIGINT or SIGTERM; return the exit code.
+
+    The nodes are RatslamNodes, or have their ``warm_up``, ``parts`` and ``close``; none needs
+    arguments.
 
     0 after a signal, 1 after an error of the program's own, 2 where a parameter or argument
     cannot be used.
@@ -41,9 +43,10 @@ def run(*kinds: type[RatslamNode[Any]], args: list[str] | None = None) -> int:
         with stop:
             import_numba()
             # Nothing is compiled or loaded when the first message comes.
-            warm_up(*(kind.SECTION for kind in kinds))
             for kind in kinds:
-                nodes.append(kind())  # type: ignore[call-arg]  # all of ours need no arguments
+                kind.warm_up()
+            for kind in kinds:
+                nodes.append(kind())
             executor = SingleThreadedExecutor()
             for node in nodes:
                 executor.add_node(node)

@@ -1,0 +1,197 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Simulator as a node: cmd_vel -> image, odom, scan, /clock and the truth, as of a robot."""
+
+from __future__ import annotations
+
+import array
+import math
+import time
+from typing import Any
+
+from geometry_msgs.msg import PoseStamped, Twist
+from nav_msgs.msg import Odometry as OdometryMessage
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rosgraph_msgs.msg import Clock as ClockMessage
+from sensor_msgs.msg import CameraInfo, Image, LaserScan
+from tf2_msgs.msg import TFMessage
+
+from ratslam_ros.core.odometry import Pose
+from ratslam_ros.nodes.convert import (
+    grey_image,
+    header_of,
+    pose_message,
+    time_of,
+    transform,
+)
+from ratslam_ros.nodes.diagnostics import Diagnostics
+from ratslam_ros.nodes.node import HOUSEKEEPING_S
+from ratslam_ros.nodes.parameters import declare
+from ratslam_ros.nodes.qos import CLOCK, RESULT, STATE
+from ratslam_ros.nodes.run import run
+from ratslam_ros.simulator import robot
+from ratslam_ros.simulator.config import SimulatorParameters, make_simulator
+from ratslam_ros.simulator.recording import CAMERA_FRAME, ODOM_FRAME, ROBOT_FRAME, WORLD_FRAME
+from ratslam_ros.simulator.simulation import (
+    STEP_NS,
+    ImageSample,
+    OdometrySample,
+    Sample,
+    ScanSample,
+)
+
+PUMP_S = 0.01
+"""So often time goes on, by as many steps as are due."""
+
+MOST_DEBT_S = 0.2
+"""Time on the wall that may be made up for; a machine that is slower lets the robot wait."""
+
+SLOW = 0.9
+"""Below this share of the rate that was asked for, the node says so."""
+
+LASER_FRAME = 'laser'
+
+
+class SimulatorNode(Node):  # type: ignore[misc]
+    """A robot that is not there, on the topics of one that is. Its clock is /clock."""
+
+    SECTION = 'simulator'
+    parts: tuple[str, ...] = ()
+
+    def __init__(self) -> None:
+        super().__init__(self.SECTION, automatically_declare_parameters_from_overrides=True)
+        try:
+            self._p = declare(self, SimulatorParameters)
+            self.simulator = make_simulator(self._p)
+        except BaseException:
+            self.destroy_node()
+            raise
+        self._diagnostics = Diagnostics(self)
+        self._clock_out = self.create_publisher(ClockMessage, '/clock', CLOCK)
+        self._image = self.create_publisher(Image, 'image', RESULT)
+        self._camera_info = self.create_publisher(CameraInfo, 'camera_info', RESULT)
+        self._odometry = self.create_publisher(OdometryMessage, 'odom', RESULT)
+        self._scan = self.create_publisher(LaserScan, 'scan', RESULT)
+        self._truth = self.create_publisher(PoseStamped, 'ground_truth/pose', STATE)
+        self._tf = self.create_publisher(TFMessage, '/tf', STATE)
+        self.create_subscription(Twist, 'cmd_vel', self._on_command, STATE)
+        self._command_s = -math.inf
+        self._due_s = self._told_s = time.monotonic()
+        self._told_ns = self.simulator.stamp_ns
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(PUMP_S, self._pump, clock=steady)
+        self.create_timer(HOUSEKEEPING_S, self._tell, clock=steady)
+
+    @classmethod
+    def warm_up(cls) -> None:
+        """Compile what a step needs."""
+        make_simulator(SimulatorParameters(plan='office')).step()
+
+    def close(self) -> None:
+        """End; there is nothing to keep."""
+
+    def _on_command(self, message: Twist) -> None:
+        speed_mps, turn_rate_radps = float(message.linear.x), float(message.angular.z)
+        if not (math.isfinite(speed_mps) and math.isfinite(turn_rate_radps)):
+            self._diagnostics.drop('refused', f'cmd_vel is {speed_mps}, {turn_rate_radps}')
+            return
+        self._command_s = time.monotonic()
+        self.simulator.command(speed_mps, turn_rate_radps)
+
+    def _pump(self) -> None:
+        """Go on by the steps that are due."""
+        now_s = time.monotonic()
+        if now_s - self._command_s > self._p.cmd_timeout_s:
+            self.simulator.command(0.0, 0.0)
+        self._due_s = max(self._due_s, now_s - MOST_DEBT_S)
+        while self._due_s <= now_s:
+            self._due_s += STEP_NS * 1e-9 / self._p.rate
+            for sample in self.simulator.step():
+                self._publish(sample)
+            if time.monotonic() - now_s > MOST_DEBT_S:
+                return  # others want to be heard too
+
+    def _publish(self, sample: Sample) -> None:
+        stamp_ns = sample.stamp_ns
+        if isinstance(sample, OdometrySample):
+            self._clock_out.publish(ClockMessage(clock=time_of(stamp_ns)))
+            self._publish_odometry(sample)
+            truth = _pose(sample.truth)
+            self._truth.publish(
+                PoseStamped(header=header_of(stamp_ns, WORLD_FRAME), pose=pose_message(truth))
+            )
+        elif isinstance(sample, ImageSample):
+            self._image.publish(grey_image(stamp_ns, CAMERA_FRAME, sample.image))
+            self._camera_info.publish(self._info(stamp_ns))
+        else:
+            self._scan.publish(self._laser_scan(sample))
+
+    def _publish_odometry(self, sample: OdometrySample) -> None:
+        stamp_ns, odometry = sample.stamp_ns, sample.odometry
+        pose = _pose(odometry.pose)
+        message = OdometryMessage(
+            header=header_of(stamp_ns, ODOM_FRAME), child_frame_id=ROBOT_FRAME
+        )
+        message.pose.pose = pose_message(pose)
+        message.twist.twist.linear.x = float(odometry.speed_mps)
+        message.twist.twist.angular.z = float(odometry.turn_rate_radps)
+        self._odometry.publish(message)
+        self._tf.publish(
+            TFMessage(transforms=[transform(stamp_ns, ODOM_FRAME, ROBOT_FRAME, pose)])
+        )
+
+    def _laser_scan(self, sample: ScanSample) -> LaserScan:
+        laser = self.simulator.options.laser
+        assert laser is not None  # it has scanned
+        return LaserScan(
+            header=header_of(sample.stamp_ns, LASER_FRAME),
+            angle_min=laser.first_rad,
+            angle_max=laser.first_rad + laser.step_rad * (laser.beams - 1),
+            angle_increment=laser.step_rad,
+            scan_time=1.0 / laser.rate_hz,
+            range_min=0.0,
+            range_max=laser.range_max_m,
+            ranges=array.array('f', sample.ranges_m.tobytes()),
+        )
+
+    def _info(self, stamp_ns: int) -> CameraInfo:
+        camera = self.simulator.options.camera
+        assert camera is not None  # it has taken an image
+        f, x, y = camera.focal_px, camera.width / 2, camera.height / 2
+        return CameraInfo(
+            header=header_of(stamp_ns, CAMERA_FRAME), height=camera.height, width=camera.width,
+            distortion_model='plumb_bob', d=[0.0] * 5, k=[f, 0.0, x, 0.0, f, y, 0.0, 0.0, 1.0],
+            r=[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+            p=[f, 0.0, x, 0.0, 0.0, f, y, 0.0, 0.0, 0.0, 1.0, 0.0],
+        )  # fmt: skip
+
+    def _tell(self) -> None:
+        now_s, simulator = time.monotonic(), self.simulator
+        passed_s = (simulator.stamp_ns - self._told_ns) * 1e-9
+        rate = passed_s / max(now_s - self._told_s, 1e-3)
+        self._told_s, self._told_ns = now_s, simulator.stamp_ns
+        if rate < SLOW * self._p.rate:
+            self._diagnostics.warn(
+                'slow', f'this machine is too slow: time goes on at {rate:.2f} times real time in '
+                f'place of {self._p.rate:g}',
+            )  # fmt: skip
+        self._diagnostics.publish(self._state(rate))
+
+    def _state(self, rate: float) -> dict[str, Any]:
+        simulator = self.simulator
+        return {
+            'rate': round(rate, 2),
+            'simulated_s': simulator.elapsed_s,
+            'driven_m': round(simulator.odometer_m, 2),
+            'collisions': simulator.collisions,
+        }
+
+
+def _pose(pose: robot.Pose) -> Pose:
+    return Pose(pose.x_m, pose.y_m, pose.heading_rad)
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node until it is interrupted."""
+    return run(SimulatorNode, args=args)
