@@ -28,7 +28,7 @@ FAULTLESS = SimulationOptions(
     robot=RobotOptions(wheel_radius_error=0.0, wheel_base_error=0.0, slip_m=0.0),
 )  # fmt: skip
 NEVER = 1e6
-P = GoalFollowerParameters(look_back_every_m=NEVER, change_wall_share=0.0)
+P = GoalFollowerParameters(look_back_every_m=NEVER)
 
 ROOM = parse_floor_plan('\n'.join(['#' * 14, *['#............#'] * 10, '#' * 14]), 0.5)
 """6 x 5 m, from (0.5, 0.5)."""
@@ -136,7 +136,7 @@ def turns(run: Run) -> list[tuple[Pose, Pose, float]]:
 
 def test_it_turns_back_looks_and_goes_on() -> None:
     p = GoalFollowerParameters(
-        look_back_every_m=3.0, look_back_turn_deg=NEVER, look_back_m=0.6, change_wall_share=0.0
+        look_back_every_m=3.0, look_back_turn_deg=NEVER, look_back_m=0.6
     )
     run = explore(CORRIDOR, Start(1.5, 1.25, 0.0), 60.0, p)
     assert run.collisions == 0
@@ -161,7 +161,7 @@ def test_it_turns_back_looks_and_goes_on() -> None:
 
 def test_having_turned_it_looks_back_sooner() -> None:
     p = GoalFollowerParameters(
-        look_back_every_m=8.0, look_back_turn_deg=60.0, look_back_m=0.6, change_wall_share=0.0
+        look_back_every_m=8.0, look_back_turn_deg=60.0, look_back_m=0.6
     )
     round_the_corner = explore(ROOM, Start(4.0, 4.9, 0.0), 14.0, p)
     along = explore(CORRIDOR, Start(1.5, 1.25, 0.0), 14.0, p)
@@ -169,16 +169,21 @@ def test_having_turned_it_looks_back_sooner() -> None:
     assert along.behaviours() == ['left_wall']
 
 
-def test_a_robot_that_changes_the_wall_goes_on_the_other_way() -> None:
+def test_after_a_time_it_goes_on_along_the_wall_across_and_then_back_along_that() -> None:
     p = GoalFollowerParameters(
-        look_back_every_m=4.0, look_back_turn_deg=NEVER, look_back_m=0.6, change_wall_share=1.0
+        look_back_every_m=4.0, look_back_turn_deg=NEVER, look_back_m=0.6, change_wall_every_s=1.0
     )
-    run = explore(CORRIDOR, Start(8.0, 1.25, 0.0), 16.0, p)
+    run = explore(CORRIDOR, Start(8.0, 1.25, 0.0), 28.0, p)
     assert run.collisions == 0
-    assert run.positions()[:, 0].max() > 11.5
-    assert run.poses[-1].x_m < 11.0
-    assert abs(math.remainder(run.poses[-1].heading_rad - math.pi, math.tau)) < 0.3
-    assert len(turns(run)) == 1
+    assert run.behaviours() == ['left_wall', 'turn', 'left_wall', 'turn', 'right_wall']
+    (there, _, _), (back, _, _) = turns(run)
+    assert there.x_m == pytest.approx(12.0, abs=0.5)
+    assert back.x_m == pytest.approx(there.x_m - p.look_back_every_m, abs=0.8)
+    assert there.y_m > 1.25  # the wall in the north, and then the other one
+    assert back.y_m < 1.25
+    last = run.poses[-1]
+    assert abs(last.heading_rad) < 0.3
+    assert last.y_m < 1.25
 
 
 def test_an_island_is_left() -> None:
@@ -212,16 +217,16 @@ def test_where_no_wall_is_near_it_goes_on_to_one() -> None:
 
 
 def test_what_it_does_hangs_on_the_draws_alone() -> None:
-    p = GoalFollowerParameters(look_back_every_m=1.5, look_back_m=0.3, change_wall_share=0.5)
+    p = GoalFollowerParameters(look_back_every_m=0.5, look_back_m=0.1, change_wall_every_s=20.0)
     first, again, other = (
-        explore(ROOM, Start(3.5, 3.0, 0.0), 40.0, p, seed) for seed in (1, 1, 2)
+        explore(ROOM, Start(3.5, 3.0, 0.0), 60.0, p, seed) for seed in (1, 1, 2)
     )
     assert first.commands == again.commands
     assert first.commands != other.commands
 
 
 def test_after_a_restart_nothing_before_counts() -> None:
-    p = GoalFollowerParameters(look_back_every_m=3.0, change_wall_share=0.0)
+    p = GoalFollowerParameters(look_back_every_m=3.0)
     scan = Scan(0, LASER.first_rad, LASER.step_rad, np.full(181, np.inf))
     exploration = Exploration(p, np.random.default_rng(0))
     for x_m in (0.0, 2.9):

@@ -229,6 +229,16 @@ def test_within_the_stop_distance_it_does_not_go_on(at_m: float) -> None:
     assert command_for(post, AHEAD).speed_mps == 0.0
 
 
+@pytest.mark.parametrize('aside_m', [0.1, -0.1])
+def test_what_stands_on_the_route_is_gone_round(aside_m: float) -> None:
+    box: Line = [(3.0, aside_m + 0.2), (3.0, aside_m - 0.2), (3.3, aside_m - 0.2),
+                 (3.3, aside_m + 0.2), (3.0, aside_m + 0.2)]  # fmt: skip
+    drive = Drive([*corridor(1.5), box], [(0.0, 0.0), (7.0, 0.0)])
+    assert not any(command.failed for command in drive.steps(30.0))
+    assert drive.away_m(7.0, 0.0) < 0.3
+    assert drive.nearest_m > P.robot_radius_m
+
+
 # Seen from the robot
 
 
