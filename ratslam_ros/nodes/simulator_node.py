@@ -32,7 +32,13 @@ from ratslam_ros.nodes.qos import CLOCK, RESULT, STATE
 from ratslam_ros.nodes.run import run
 from ratslam_ros.simulator import robot
 from ratslam_ros.simulator.config import SimulatorParameters, make_simulator
-from ratslam_ros.simulator.recording import CAMERA_FRAME, ODOM_FRAME, ROBOT_FRAME, WORLD_FRAME
+from ratslam_ros.simulator.recording import (
+    CAMERA_FRAME,
+    LASER_FRAME,
+    ODOM_FRAME,
+    ROBOT_FRAME,
+    WORLD_FRAME,
+)
 from ratslam_ros.simulator.simulation import (
     STEP_NS,
     ImageSample,
@@ -49,9 +55,6 @@ MOST_DEBT_S = 0.2
 
 SLOW = 0.9
 """Below this share of the rate that was asked for, the node says so."""
-
-LASER_FRAME = 'laser'
-
 
 class SimulatorNode(Node):  # type: ignore[misc]
     """A robot that is not there, on the topics of one that is. Its clock is /clock."""

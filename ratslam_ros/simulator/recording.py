@@ -5,9 +5,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import cv2
 import numpy as np
@@ -17,9 +18,14 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.simulator.camera import CameraOptions
 from ratslam_ros.simulator.robot import Odometry, Pose
-from ratslam_ros.simulator.simulation import ImageSample, Simulation, SimulationOptions
+from ratslam_ros.simulator.simulation import (
+    ImageSample,
+    Sample,
+    ScanSample,
+    Simulation,
+    SimulationOptions,
+)
 from ratslam_ros.simulator.world import World
 
 IMAGE_TOPIC = '/camera/image/compressed'
@@ -28,9 +34,11 @@ ODOMETRY_TOPIC = '/odom'
 # Not a nav_msgs/Odometry: a recording should have one odometry only, or which one to use is a
 # question that every tool has to ask.
 TRUTH_TOPIC = '/ground_truth/pose'
+SCAN_TOPIC = '/scan'
 TRUTH_FILE = 'truth.tum'
 
 ODOM_FRAME, ROBOT_FRAME, CAMERA_FRAME, WORLD_FRAME = 'odom', 'base_link', 'camera', 'world'
+LASER_FRAME = 'laser'
 JPEG_QUALITY = 85
 
 _TOPICS = {
@@ -39,6 +47,7 @@ _TOPICS = {
     ODOMETRY_TOPIC: 'nav_msgs/msg/Odometry',
     TRUTH_TOPIC: 'geometry_msgs/msg/PoseStamped',
 }
+_SCAN = 'sensor_msgs/msg/LaserScan'
 
 
 @dataclass(frozen=True)
@@ -70,54 +79,82 @@ def write_recording(
 
     The same seed gives the same bytes, for a folder of the same name.
     """
-    path = Path(path)
-    if path.exists():
-        raise UnusableInput(f'{path} exists already: choose another folder or remove it')
-    options = options or SimulationOptions()
+    options = replace(options or SimulationOptions(), laser=None)
     simulation = Simulation(seed, duration_s, options)
-    messages = _Messages(options.camera)
-    stamps_ns: list[int] = []
-    poses: list[tuple[Pose, Pose]] = []
+    believed: list[Pose] = []
     images = 0
-    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        connections: dict[str, Connection] = {
-            topic: writer.add_connection(topic, type_name, typestore=messages.store)
-            for topic, type_name in _TOPICS.items()
-        }
-
-        def write(topic: str, stamp_ns: int, message: Any) -> None:
-            data = messages.store.serialize_cdr(message, _TOPICS[topic])
-            writer.write(connections[topic], stamp_ns, data)
-
+    with RecordingWriter(path, options) as writer:
         for sample in simulation:
-            stamp_ns = sample.stamp_ns
+            writer.write(sample)
             if isinstance(sample, ImageSample):
                 images += 1
-                write(IMAGE_TOPIC, stamp_ns, messages.image(stamp_ns, sample.image))
-                write(CAMERA_INFO_TOPIC, stamp_ns, messages.camera_info(stamp_ns))
             else:
-                stamps_ns.append(stamp_ns)
-                poses.append((sample.truth, sample.odometry.pose))
-                write(TRUTH_TOPIC, stamp_ns, messages.truth(stamp_ns, sample.truth))
-                write(ODOMETRY_TOPIC, stamp_ns, messages.odometry(stamp_ns, sample.odometry))
-    truth_path = path / TRUTH_FILE
-    truth_path.write_text(
-        ''.join(tum_line(at_ns, truth) for at_ns, (truth, _) in zip(stamps_ns, poses, strict=True))
-    )
-    truth_pose, odometry_pose = (
-        np.array([(pair[k].x_m, pair[k].y_m, pair[k].heading_rad) for pair in poses])
-        for k in (0, 1)
-    )
+                believed.append(sample.odometry.pose)
+    stamps_ns = [stamp_ns for stamp_ns, _ in writer.truth]
     return SimulatedRun(
-        path,
-        truth_path,
+        writer.path,
+        writer.path / TRUTH_FILE,
         simulation.world,
         (stamps_ns[-1] - stamps_ns[0]) / 1e9,
         images,
         np.array(stamps_ns, np.int64),
-        truth_pose,
-        odometry_pose,
+        _rows(truth for _, truth in writer.truth),
+        _rows(believed),
     )
+
+
+class RecordingWriter:
+    """Writes samples as they come: a rosbag2 folder, and the truth in it as a TUM file.
+
+    path: the folder; truth: stamp_ns and pose at each odometry so far
+    """
+
+    def __init__(self, path: str | Path, options: SimulationOptions) -> None:
+        """Open the folder; raises UnusableInput where there is something of its name."""
+        self.path = Path(path)
+        if self.path.exists():
+            raise UnusableInput(f'{path} exists already: choose another folder or remove it')
+        self.truth: list[tuple[int, Pose]] = []
+        self._messages = _Messages(options)
+        self._topics = {**_TOPICS, **({SCAN_TOPIC: _SCAN} if options.laser else {})}
+        self._writer = Writer(self.path, version=9, storage_plugin=StoragePlugin.MCAP)
+        self._connections: dict[str, Connection] = {}
+
+    def __enter__(self) -> Self:
+        self._writer.open()
+        store = self._messages.store
+        for topic, type_name in self._topics.items():
+            self._connections[topic] = self._writer.add_connection(
+                topic, type_name, typestore=store
+            )
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._writer.close()
+        (self.path / TRUTH_FILE).write_text(
+            ''.join(tum_line(stamp_ns, pose) for stamp_ns, pose in self.truth)
+        )
+
+    def write(self, sample: Sample) -> None:
+        """Write the messages that a robot would send."""
+        stamp_ns, messages = sample.stamp_ns, self._messages
+        if isinstance(sample, ImageSample):
+            self._write(IMAGE_TOPIC, stamp_ns, messages.image(stamp_ns, sample.image))
+            self._write(CAMERA_INFO_TOPIC, stamp_ns, messages.camera_info(stamp_ns))
+        elif isinstance(sample, ScanSample):
+            self._write(SCAN_TOPIC, stamp_ns, messages.scan(stamp_ns, sample.ranges_m))
+        else:
+            self.truth.append((stamp_ns, sample.truth))
+            self._write(TRUTH_TOPIC, stamp_ns, messages.truth(stamp_ns, sample.truth))
+            self._write(ODOMETRY_TOPIC, stamp_ns, messages.odometry(stamp_ns, sample.odometry))
+
+    def _write(self, topic: str, stamp_ns: int, message: Any) -> None:
+        data = self._messages.store.serialize_cdr(message, self._topics[topic])
+        self._writer.write(self._connections[topic], stamp_ns, data)
+
+
+def _rows(poses: Iterable[Pose]) -> NDArray[np.float64]:
+    return np.array([(pose.x_m, pose.y_m, pose.heading_rad) for pose in poses])
 
 
 def tum_line(stamp_ns: int, pose: Pose) -> str:
@@ -130,10 +167,10 @@ def tum_line(stamp_ns: int, pose: Pose) -> str:
 class _Messages:
     """Makes ROS messages of samples."""
 
-    def __init__(self, camera: CameraOptions | None) -> None:
+    def __init__(self, options: SimulationOptions) -> None:
         self.store = get_typestore(Stores.ROS2_JAZZY)
         self._types = self.store.types
-        self._camera = camera
+        self._camera, self._laser = options.camera, options.laser
 
     def _make(self, name: str, *values: Any) -> Any:
         return self._types[name](*values)
@@ -194,12 +231,27 @@ class _Messages:
             _TOPICS[ODOMETRY_TOPIC],
             self._header(stamp_ns, ODOM_FRAME),
             ROBOT_FRAME,
-            self._make(
-                'geometry_msgs/msg/PoseWithCovariance', self._pose(odometry.pose), unknown
-            ),
+            self._make('geometry_msgs/msg/PoseWithCovariance', self._pose(odometry.pose), unknown),
             self._make('geometry_msgs/msg/TwistWithCovariance', twist, unknown),
         )
 
     def truth(self, stamp_ns: int, pose: Pose) -> Any:
         header = self._header(stamp_ns, WORLD_FRAME)
         return self._make(_TOPICS[TRUTH_TOPIC], header, self._pose(pose))
+
+    def scan(self, stamp_ns: int, ranges_m: NDArray[np.float32]) -> Any:
+        laser = self._laser
+        assert laser is not None  # it has scanned
+        return self._make(
+            _SCAN,
+            self._header(stamp_ns, LASER_FRAME),
+            laser.first_rad,
+            laser.first_rad + laser.step_rad * (laser.beams - 1),
+            laser.step_rad,
+            0.0,
+            1.0 / laser.rate_hz,
+            0.0,
+            laser.range_max_m,
+            ranges_m,
+            np.empty(0, np.float32),
+        )

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
@@ -113,6 +113,7 @@ class Simulator:
     plan: the floor without obstacles; world: what is to be seen at the moment
     collisions: how often the robot has begun to touch something
     odometer_m: how far it has really come
+    watchers: called with every sample, before whoever makes the steps gets it
     """
 
     def __init__(
@@ -150,6 +151,7 @@ class Simulator:
         self._touched_step = -TOUCH_STEPS
         self.collisions = 0
         self.odometer_m = 0.0
+        self.watchers: list[Callable[[Sample], None]] = []
 
     @property
     def stamp_ns(self) -> int:
@@ -190,6 +192,9 @@ class Simulator:
         if self.options.world.light_change > 0.0 and self._step % STEPS_PER_S == 0:
             self._light.update(self.elapsed_s)
         samples = self._sense()
+        for watch in self.watchers:
+            for sample in samples:
+                watch(sample)
         self._move()
         self._step += 1
         return samples

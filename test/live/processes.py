@@ -29,10 +29,10 @@ class Commands:
         """Start a command; its output is read with ``communicate``."""
         return self._start([sys.executable, '-m', 'ratslam_ros', *words])
 
-    def start_python(self, code: str) -> subprocess.Popen[str]:
+    def start_python(self, code: str, *words: str) -> subprocess.Popen[str]:
         """Start code that may import rclpy, and wait until it has printed a line."""
         top = 'from ratslam_ros.live import ros\nros.require()\n'
-        process = self._start([sys.executable, '-c', top + code])
+        process = self._start([sys.executable, '-c', top + code, *words])
         assert process.stdout is not None
         line = process.stdout.readline()
         assert line, process.communicate()[1]

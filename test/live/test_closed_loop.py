@@ -1,0 +1,136 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A simulated robot and all nodes, each a process: it explores, and goes where it is told."""
+
+from __future__ import annotations
+
+import json
+import signal
+from pathlib import Path
+
+from processes import Commands
+
+RING = """\
+name: A ring
+cell_m: 0.5
+########################
+#......................#
+#.S....................#
+#......................#
+#...################...#
+#...######....######...#
+#...######....######...#
+#...################...#
+#...################...#
+#......................#
+#......................#
+#......................#
+########################
+"""
+RATE = 4.0
+NODES = ('local_view', 'pose_cells', 'experience_map', 'goal_follower')
+
+OPERATOR = """
+import json, math, sys, time
+from geometry_msgs.msg import PoseStamped
+from rclpy.executors import SingleThreadedExecutor
+from std_msgs.msg import String
+from std_srvs.srv import SetBool
+from ratslam_ros.nodes.qos import LATCHED, PLAYED, STATE
+
+name_after_s, goal_after_s, away_m, over_s = map(float, sys.argv[1:])
+truths, heard = [], []
+
+def on_truth(message):
+    stamp, at = message.header.stamp, message.pose.position
+    truths.append((stamp.sec + stamp.nanosec * 1e-9, at.x, at.y))
+
+with ros.node('operator', ()) as node:
+    node.create_subscription(PoseStamped, 'ground_truth/pose', on_truth, STATE)
+    node.create_subscription(
+        String, 'experience_map/status', lambda m: heard.append(json.loads(m.data)), LATCHED
+    )
+    name = node.create_publisher(String, 'experience_map/name_place', PLAYED)
+    goal = node.create_publisher(String, 'experience_map/goal', PLAYED)
+    pause = node.create_client(SetBool, 'goal_follower/pause')
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    print('ready', flush=True)
+    end_s = time.monotonic() + over_s
+
+    def until(condition):
+        while not condition():
+            assert time.monotonic() < end_s, (truths[-1:], heard[-1:])
+            executor.spin_once(timeout_sec=0.1)
+
+    def paused(yes):
+        until(pause.service_is_ready)
+        future = pause.call_async(SetBool.Request(data=yes))
+        until(future.done)
+
+    def elapsed_s():
+        return truths[-1][0] - truths[0][0] if truths else 0.0
+
+    def away():
+        return math.dist(truths[-1][1:], place)
+
+    until(lambda: elapsed_s() > name_after_s)
+    paused(True)
+    since_s = elapsed_s()
+    until(lambda: elapsed_s() > since_s + 5.0)
+    place = truths[-1][1:]
+    assert math.dist(truths[-40][1:], place) < 0.01  # it stands
+    name.publish(String(data='{"name": "there"}'))
+    since_s = elapsed_s()
+    until(lambda: elapsed_s() > since_s + 5.0)
+    paused(False)
+    until(lambda: elapsed_s() > goal_after_s and away() > away_m)
+    asked_s, asked_m = elapsed_s(), away()
+    goal.publish(String(data='{"name": "there"}'))
+    until(lambda: heard and heard[-1]['outcomes'])
+    last = heard[-1]
+    at_s = last['stamp']['sec'] + last['stamp']['nanosec'] * 1e-9
+    until(lambda: truths[-1][0] >= at_s)
+    there = min(truths, key=lambda truth: abs(truth[0] - at_s))
+    print(json.dumps({**last['outcomes'][0], 'from_m': asked_m, 'after_s': asked_s,
+                      'away_m': math.dist(there[1:], place)}), flush=True)
+"""
+
+
+def test_a_robot_that_explores_by_itself_goes_where_it_is_told(
+    commands: Commands, tmp_path: Path
+) -> None:
+    plan = tmp_path / 'ring.txt'
+    plan.write_text(RING)
+    settings = [
+        'goal_follower.explore=true',
+        # A loaded machine may deliver late; what is four times as fast may be four times as late.
+        'pose_cells.max_lateness_s=4.0', 'experience_map.max_lateness_s=4.0',
+        # It is the processes that are tried here: leave room for what differs by their timing.
+        'local_view.vt_match_threshold=0.05', 'goal_recall.goal_radius_m=0.1',
+    ]  # fmt: skip
+    nodes = commands.start(
+        'launch', '--config', 'navigation', '--goal-follower',
+        *(word for setting in settings for word in ('--set', setting)),
+    )  # fmt: skip
+    assert nodes.stderr is not None
+    ready = 0
+    while ready < len(NODES):
+        line = nodes.stderr.readline()
+        assert line, 'a node has ended'
+        ready += 'ready' in line
+    robot = commands.start(
+        'run', 'simulator', '--ros-args', '-p', f'plan:={plan}', '-p', f'rate:={RATE}',
+        '-p', 'seed:=2', '-p', 'aliasing:=0.0', '-p', 'noise:=0.5', '-p', 'light_change:=0.0',
+    )  # fmt: skip
+    operator = commands.start_python(OPERATOR, '120', '230', '4', '180')
+    out, err = operator.communicate(timeout=200.0)
+    assert operator.returncode == 0, err
+    told = json.loads(out)
+    assert told['goal'] == 'there'
+    assert told['status'] == 'succeeded', told
+    assert told['away_m'] <= 0.5, told
+    robot.send_signal(signal.SIGINT)
+    assert robot.wait(20.0) == 0
+    nodes.send_signal(signal.SIGINT)
+    assert nodes.wait(20.0) == 0
