@@ -166,6 +166,13 @@ class LocalViewParameters(ImageInput, Memory):
         5, 'template px', 0, 511, 'Horizontal shifts tried to either side (forward camera).',
         'the robot passes places at other headings or lanes', 'different places look alike',
     )  # fmt: skip
+    vt_shift_fov_deg: float = parameter(
+        0.0, 'deg; 0: no', 0.0, 180.0,
+        'Angle that the template shows, after cropping: the shift at which a view fits then tells '
+        'how the robot is turned against when the template was learned (forward camera).',
+        'set to the angle where shifts are turns: a camera on the axis of a robot among walls',
+        'set to 0 where shifts are lanes, as on a road; 0 is as OpenRatSLAM',
+    )  # fmt: skip
     vt_step_match: int = parameter(
         1, 'template px', 1, 511, 'Step between the shifts tried.', 'matching is too slow',
         'recognition misses views between the steps')  # fmt: skip

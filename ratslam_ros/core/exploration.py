@@ -45,6 +45,9 @@ class Exploration:
         """``rng``: draws after which looks the robot goes on along the other wall."""
         self._p = parameters
         self._rng = rng
+        self._side: Behaviour = 'left_wall'
+        self._crossed = False
+        self._change_ns: int | None = None
         self.restart()
 
     def _begin(self, stamp_ns: int, phase: Phase, target_rad: float = 0.0) -> None:
@@ -67,13 +70,16 @@ class Exploration:
         ``pose``: by odometry alone; only its changes count.
         """
         self._account(scan.stamp_ns, pose)
+        if self._change_ns is None:
+            self._change_ns = self._next_change(scan.stamp_ns)
         movement = LocalMovement(self._p, scan)
         self._phase_over(scan.stamp_ns, pose, movement)
         if self._phase in _TURNS:
             return turn(self._left_rad(pose), self._p)
         if self._phase == 'off':
             return drive(movement, Option('centreline', 0.0, movement.open_m(0.0)), self._p)
-        return self._along_wall(movement, 'right_wall' if self._phase == 'back' else 'left_wall')
+        other: Behaviour = 'right_wall' if self._side == 'left_wall' else 'left_wall'
+        return self._along_wall(movement, other if self._phase == 'back' else self._side)
 
     def _phase_over(self, stamp_ns: int, pose: Pose, movement: LocalMovement) -> None:
         """Go over to the next phase where the present one is done."""
@@ -82,16 +88,18 @@ class Exploration:
         back = self._driven_m >= p.look_back_m or stuck
         if self._phase == 'on':
             turned = abs(self._turned_rad) >= math.radians(p.look_back_turn_deg)
-            if self._round_rad > ISLAND_RAD:
-                self._begin(stamp_ns, 'turn_off', pose.heading_rad - math.pi / 2)
+            sign = 1.0 if self._side == 'left_wall' else -1.0
+            if sign * self._round_rad > ISLAND_RAD:
+                self._begin(stamp_ns, 'turn_off', pose.heading_rad - sign * math.pi / 2)
             elif self._driven_m >= p.look_back_every_m * (0.5 if turned else 1.0):
                 self._begin(stamp_ns, 'turn_back', pose.heading_rad + math.pi)
         elif self._phase in _TURNS:
             if abs(self._left_rad(pose)) < ARRIVED_RAD or stuck:
                 following = _TURNS[self._phase]
-                if following == 'back' and self._rng.uniform() < p.change_wall_share:
+                assert self._change_ns is not None
+                if following == 'back' and stamp_ns >= self._change_ns:
                     following = 'on'
-                    self._round_rad = 0.0
+                    self._change(stamp_ns)
                 self._begin(stamp_ns, following)
         elif self._phase == 'back' and back:
             self._begin(stamp_ns, 'turn_again', pose.heading_rad + math.pi)
@@ -101,13 +109,26 @@ class Exploration:
         elif movement.open_m(0.0) < p.wall_look_ahead_m or stuck:
             self._begin(stamp_ns, 'on')
 
+    def _change(self, stamp_ns: int) -> None:
+        """Go on along the wall across, and the next time back along the same wall."""
+        self._round_rad = 0.0
+        self._crossed = not self._crossed
+        if not self._crossed:
+            self._side = 'right_wall' if self._side == 'left_wall' else 'left_wall'
+        self._change_ns = self._next_change(stamp_ns)
+
+    def _next_change(self, stamp_ns: int) -> int:
+        # No two parts of a floor should take turns with the same walls for ever.
+        period_s = self._p.change_wall_every_s * self._rng.uniform(0.8, 1.2)
+        return stamp_ns + round(period_s * 1e9)
+
     def _left_rad(self, pose: Pose) -> float:
-        """Return what is left of a turn: to the right first, and back the same way.
+        """Return what is left of a turn: away from the wall first, and back the same way.
 
         So both turns' errors of odometry cancel out, and the robot looks away from the wall.
         """
         left_rad = wrap(self._target_rad - pose.heading_rad)
-        if self._phase == 'turn_again':
+        if (self._phase == 'turn_again') == (self._side == 'left_wall'):
             return left_rad if left_rad > -math.pi / 2 else left_rad + math.tau
         return left_rad if left_rad < math.pi / 2 else left_rad - math.tau
 

@@ -51,11 +51,35 @@ class GoalRecallParameters(Section):
         'that looks ahead has not seen the places from that side. 1: as the papers do.',
         'the robot loses itself on ways that it has driven in the other direction only',
         'it makes long detours to drive in the direction that it knows')  # fmt: skip
+    route_join_m: float = parameter(
+        0.0, 'm; 0: links only', 0.0, 100.0,
+        'Places that lie this close together on the map count as linked on a route, however the '
+        'robot came there. 0: as the papers do.',
+        'routes lead into a room and round it that was only passed',
+        'routes lead through walls: there must be more between two ways than this')  # fmt: skip
     route_keep_s: float = parameter(
         60.0, 's', 0.0, 1e6,
         'How long the last good route is followed where the present place has no other one.',
         'the robot turns back, or gives up, in stretches that it does not recognise',
         'it drives on for too long where it is wrong',
+    )  # fmt: skip
+    route_unknown_m: float = parameter(
+        0.0, 'm; 0: any', 0.0, 1e6,
+        'How far the robot goes on by odometry alone, over places that it has never seen, until '
+        'it explores to find itself.',
+        'it breaks off on ways that it knows from one side only', 'it drives into wrong places',
+    )  # fmt: skip
+    goal_sure_m: float = parameter(
+        0.0, 'm; 0: any', 0.0, 1e6,
+        'A goal is reached only where the robot has come no further than this from a known '
+        'place; else it explores to find itself.',
+        'goals are reached but not believed', 'the robot believes to be where it is not',
+    )  # fmt: skip
+    try_unknown_m: float = parameter(
+        0.0, 'm; 0: any', 0.0, 1e6,
+        'What leads nowhere counts as a failed try only so far from a known place: where the '
+        'robot is wrong about its place the way is not closed.',
+        'closed ways are not unlearned', 'open ways are unlearned',
     )  # fmt: skip
     route_switch_s: float = parameter(
         10.0, 's', 0.0, 1e6,

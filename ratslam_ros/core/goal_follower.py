@@ -28,6 +28,16 @@ beside each other the one further on is not taken for this one."""
 ALONG_RAD = math.radians(80.0)
 """A way on that leads further than this away from the route is none of its."""
 
+WALL_M = 0.3
+"""So much better a way along a wall counts than another one: it leads where the robot drove when
+it learned the route, and what it sees there it knows. By the map alone it would drive beside."""
+
+STEADY_M = 0.1
+"""So much worse, for a radian, a way on in another direction than the last one counts."""
+
+LEAST_M = 0.3
+"""Ways on are compared over this length at least."""
+
 FACING_RAD = math.radians(25.0)
 """Turning ends when the route is this close to straight ahead."""
 
@@ -54,6 +64,7 @@ class GoalFollower:
         self._p = parameters
         self._turning = False
         self._tried_since_ns: int | None = None
+        self._last_rad = 0.0
 
     def __call__(self, scan: Scan, route: NDArray[np.float64]) -> Command:
         """Choose a way on and return how to take it.
@@ -62,8 +73,8 @@ class GoalFollower:
         """
         p = self._p
         movement = LocalMovement(p, scan)
-        ahead = _resampled(route, p.route_ahead_m)
-        bearing_rad = _bearing(ahead)
+        ahead = _ahead(route, p.route_ahead_m)
+        bearing_rad = math.atan2(float(ahead[-1, 1]), float(ahead[-1, 0]))
         if abs(bearing_rad) > (FACING_RAD if self._turning else ASIDE_RAD):
             self._turning, self._tried_since_ns = True, None
             return turn(bearing_rad, p)
@@ -72,13 +83,20 @@ class GoalFollower:
             option
             for option in [*movement.options(), movement.towards(bearing_rad)]
             if abs(wrap(option.heading_rad - bearing_rad)) < ALONG_RAD
+            and abs(option.heading_rad) < ALONG_RAD
             and option.open_m >= min(p.wall_look_ahead_m, float(ahead[-1, 2]))
         ]
         if not options:
             return self._blocked(scan.stamp_ns, bearing_rad)
         self._tried_since_ns = None
-        best = min(options, key=lambda option: _cost_m(option, ahead))
+        best = min(options, key=lambda option: self._rank_m(option, ahead))
+        self._last_rad = best.heading_rad
         return drive(movement, best, p, most_mps=_approach_mps(route, p))
+
+    def _rank_m(self, option: Option, ahead: NDArray[np.float64]) -> float:
+        """Return how far from the route a way on counts to be; the least is taken."""
+        rank_m = _cost_m(option, ahead) + STEADY_M * abs(option.heading_rad - self._last_rad)
+        return rank_m - WALL_M if option.behaviour in ('left_wall', 'right_wall') else rank_m
 
     def _blocked(self, stamp_ns: int, bearing_rad: float) -> Command:
         """Face the route and wait: people go away, closed doors do not."""
@@ -118,27 +136,21 @@ def _approach_mps(route: NDArray[np.float64], p: GoalFollowerParameters) -> floa
     return 0.1 + math.sqrt(2.0 * p.braking_mps2 * left_m)
 
 
-def _resampled(route: NDArray[np.float64], length_m: float) -> NDArray[np.float64]:
-    """Return (SAMPLES, 3) x, y and way along the beginning of a route, from the robot on."""
-    points = np.concatenate([np.zeros((1, 2)), route])
-    along_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
-    at_m = np.linspace(0.0, min(length_m, max(float(along_m[-1]), 0.05)), SAMPLES + 1)[1:]
-    x, y = (np.interp(at_m, along_m, points[:, axis]) for axis in (0, 1))
+def _ahead(route: NDArray[np.float64], length_m: float) -> NDArray[np.float64]:
+    """Return (SAMPLES + 1, 3) x, y and way along the beginning of a route."""
+    along_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(route, axis=0).T))])
+    at_m = np.linspace(0.0, min(length_m, float(along_m[-1])), SAMPLES + 1)
+    x, y = (np.interp(at_m, along_m, route[:, axis]) for axis in (0, 1))
     return np.stack([x, y, at_m], axis=1)
 
 
-def _bearing(ahead: NDArray[np.float64]) -> float:
-    """Return the direction of the route's beginning, from its middle point on average."""
-    x, y = ahead[:, :2].mean(axis=0).tolist()
-    return math.atan2(y, x)
-
-
 def _cost_m(option: Option, ahead: NDArray[np.float64]) -> float:
-    """Return how far a way on is from the route on average, at the same distances driven."""
-    reach_m = np.minimum(ahead[:, 2], option.open_m)
-    x = reach_m * math.cos(option.heading_rad) - ahead[:, 0]
-    y = reach_m * math.sin(option.heading_rad) - ahead[:, 1]
-    return float(np.hypot(x, y).mean())
+    """Return how far a way on is from the route on average."""
+    reach_m = min(option.open_m, max(float(ahead[-1, 2]), LEAST_M))
+    s = np.linspace(0.0, reach_m, SAMPLES + 1)[1:]
+    x = s[:, None] * math.cos(option.heading_rad) - ahead[:, 0]
+    y = s[:, None] * math.sin(option.heading_rad) - ahead[:, 1]
+    return float(np.hypot(x, y).min(axis=1).mean())
 
 
 def seen_from(pose: Pose, positions_m: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -24,6 +24,17 @@ if TYPE_CHECKING:  # SciPy takes long to load: it is loaded where the first rout
 SHORTEST_S = 1e-9
 """A link's least duration: a graph's edge of length 0 would be no edge."""
 
+NEWEST = 10
+"""Experiences made so soon one after the other are not joined beside their links."""
+
+SAME_TOUR = 200
+"""Nor those that so many were made between."""
+
+SLOWEST_MPS = 0.01
+
+TURN_RADPS = 1.0
+"""How fast a robot turns where ways are joined."""
+
 EXPERIENCES_PER_CHANGE = 1000
 """A goal's tree is computed anew after one change of a link for so many experiences of the map."""
 
@@ -104,7 +115,8 @@ class GoalRecall:
         if known is None or known[0] != changes:
             if factors not in graphs and len(graphs) > 1:
                 graphs.clear()  # the factor was changed
-            known = graphs[factors] = changes, durations(experience_map, *factors)
+            join_m = self.parameters.route_join_m
+            known = graphs[factors] = changes, durations(experience_map, *factors, join_m)
         from scipy.sparse.csgraph import dijkstra
 
         arrival_s, before = dijkstra(known[1], indices=start, return_predecessors=True)
@@ -300,7 +312,8 @@ class GoalTree:
             return
         links = slice(self._links, graph.link_count)
         # Every change either made a link or averaged one.
-        if graph.links_version - self._version > links.stop - links.start:
+        joins = self._recall.parameters.route_join_m > 0.0
+        if joins or graph.links_version - self._version > links.stop - links.start:
             self._stale = True
         self._links, self._version = graph.link_count, graph.links_version
         seconds = np.maximum(graph.link_durations_s[links], SHORTEST_S).tolist()
@@ -329,33 +342,65 @@ class GoalTree:
 
 
 def durations(
-    experience_map: ExperienceMap, ahead: float = 1.0, back: float = 1.0
+    experience_map: ExperienceMap, ahead: float = 1.0, back: float = 1.0, join_m: float = 0.0
 ) -> csr_array:
     """Return (n, n) seconds between linked experiences, the quickest link for both directions.
 
     It is as SciPy computes on it, which then converts nothing: float64 and int32, rows in order.
     ``ahead``, ``back``: factors for the links in their own direction and in the other one.
+    ``join_m``: experiences no further apart on the map count as linked.
     """
     count = len(experience_map)
     sources, targets = experience_map.link_ends.T
-    columns = np.concatenate([targets, sources])
-    places = np.concatenate([sources, targets]) * count + columns
+    once = np.maximum(experience_map.link_durations_s, SHORTEST_S)
+    rows, columns = [sources, targets], [targets, sources]
+    seconds = [ahead * once, back * once]
+    if join_m > 0.0 and len(once):
+        a, b, between_s = _joins(experience_map, join_m)
+        rows, columns = [*rows, a, b], [*columns, b, a]
+        seconds += [between_s, between_s]
+    column = np.concatenate(columns)
+    places = np.concatenate(rows) * count + column
     order = np.argsort(places, kind='stable')  # the quick one where most is in order already
     places = places[order]
     first = np.flatnonzero(np.diff(places, prepend=-1))
-    once = np.maximum(experience_map.link_durations_s, SHORTEST_S)
-    seconds = np.concatenate([ahead * once, back * once])[order]
     row_ends = np.cumsum(np.bincount(places[first] // count, minlength=count))
     from scipy.sparse import csr_array
 
     return csr_array(
         (
-            np.minimum.reduceat(seconds, first),
-            columns[order[first]].astype(np.int32),
+            np.minimum.reduceat(np.concatenate(seconds)[order], first),
+            column[order[first]].astype(np.int32),
             np.concatenate([[0], row_ends]).astype(np.int32),
         ),
         shape=(count, count),
     )
+
+
+def _joins(
+    experience_map: ExperienceMap, join_m: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+    """Return pairs of experiences that lie close together on the map, and s from one to the other.
+
+    Only of those that have links: what was unlearned altogether is no place to go through. The
+    robot goes there as fast as over the links, and turns on the spot.
+    """
+    from scipy.spatial import cKDTree
+
+    linked = np.unique(experience_map.link_ends)
+    poses = experience_map.poses[linked]
+    pairs = cKDTree(poses[:, :2]).query_pairs(join_m, output_type='ndarray')
+    # Neighbours in time are linked already. What was made much later lies close together in
+    # truth only as far as the map is right, and loops that are not closed yet bend it.
+    apart = linked[pairs[:, 1]] - linked[pairs[:, 0]]
+    pairs = pairs[(apart > NEWEST) & (apart < SAME_TOUR)]
+    step = poses[pairs[:, 1]] - poses[pairs[:, 0]]
+    shapes = experience_map.link_shapes
+    driven_m, driven_s = shapes[:, 0].sum(), experience_map.link_durations_s.sum()
+    speed_mps = max(driven_m / driven_s, SLOWEST_MPS) if driven_s > 0.0 else SLOWEST_MPS
+    turn_rad = np.abs((step[:, 2] + np.pi) % (2.0 * np.pi) - np.pi)
+    seconds = np.hypot(step[:, 0], step[:, 1]) / speed_mps + turn_rad / TURN_RADPS + SHORTEST_S
+    return linked[pairs[:, 0]], linked[pairs[:, 1]], seconds
 
 
 def _check_known(experience_id: int, count: int) -> None:

@@ -32,7 +32,7 @@ class ViewMatch:
     while nothing is learned. ``error`` is the exact minimum
     over all templates known before this view, 0 to 1, and -1 where there were none, or where it
     is unknown and ``vt_exact_error`` is off.
-    ``relative_rad`` is the heading now minus the heading at learning (panoramic only).
+    ``relative_rad`` is the heading now minus the heading at learning (panoramic, or by the shift).
     """
 
     template_id: int
@@ -137,9 +137,12 @@ class LocalView:
         return self._memory.search(view).best()
 
     def _relative_rad(self, offset: int) -> float:
-        if not self._p.vt_panoramic:
-            return 0.0
-        return wrap(-2.0 * math.pi * offset / self._p.template_x_size)
+        p = self._p
+        if p.vt_panoramic:
+            return wrap(-2.0 * math.pi * offset / p.template_x_size)
+        # What the template shows further to the left shows further to the right of a view that
+        # was taken with the robot turned to the left.
+        return math.radians(p.vt_shift_fov_deg) * (p.vt_shift_match - offset) / p.template_x_size
 
 
 def make_view(image: Image, p: LocalViewParameters) -> Image:

@@ -51,20 +51,21 @@ class GoalFollowerParameters(LiveInput):
         'people in the way make it forget routes', 'it waits too long at a closed door',
     )  # fmt: skip
     look_back_every_m: float = parameter(
-        5.0, 'm', 0.1, 1e6, 'Exploring: turn back and look after driving this far.',
+        8.0, 'm', 0.1, 1e6, 'Exploring: turn back and look after driving this far.',
         'exploring takes too long', 'places are not recognised from the other side')  # fmt: skip
     look_back_turn_deg: float = parameter(
-        90.0, 'deg', 1.0, 1e6,
+        200.0, 'deg', 1.0, 1e6,
         'Exploring: and after half of that, having turned this far since the last look.',
         'exploring takes too long', 'corners are not recognised from the other side')  # fmt: skip
     look_back_m: float = parameter(
-        0.6, 'm', 0.0, 1e6, 'Exploring: how far the robot goes back to look.',
+        1.0, 'm', 0.0, 1e6, 'Exploring: how far the robot goes back to look.',
         'places are not recognised from the other side', 'exploring takes too long')  # fmt: skip
-    change_wall_share: float = parameter(
-        0.03, 'share of looks', 0.0, 1.0,
-        'Exploring: how often the robot, once turned, goes on along the other wall.',
-        'it stays at one side of the building', 'it leaves parts before it knows them',
-    )  # fmt: skip
+    change_wall_every_s: float = parameter(
+        900.0, 's', 1.0, 1e6,
+        'Exploring: about this often the robot, once turned, goes on: along the wall across, and '
+        'the next time back along the same wall.',
+        'it leaves parts of the floor before it knows them',
+        'the floor is small, or there is less than an hour to explore it')  # fmt: skip
     explore: bool = parameter(
         False, '', 0, 1, 'Live only: explore while there is no goal.',
         'the robot shall make its map by itself', 'somebody else drives it about')  # fmt: skip

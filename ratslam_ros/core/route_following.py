@@ -25,6 +25,9 @@ Status = Literal[
 PASSING = 1.5
 """Times the radius of a goal: reached within this where the robot has come to the route's end."""
 
+LONGEST_STEP_M = 0.2
+"""Of a step between two updates, so much may have been driven; the rest is the map that moved."""
+
 WINDOW = 2.0
 """Times the width of a route: so far ahead the robot's position on it is looked for."""
 
@@ -39,7 +42,8 @@ class Guidance:
     place on it to the goal; ``arrival_s``: (n,) when the robot should be where, from now. Both
     are empty and ``remaining_s`` infinite where there is no route. ``waypoint``: a pose some way
     ahead, heading along the route. ``explore``: the robot should look for a way by exploring.
-    ``replanned``: routes taken for this goal; ``switched``: those of them that were other ways.
+    ``unknown_m``: how far the robot has come since a place that it knew. ``replanned``: routes
+    taken for this goal; ``switched``: those of them that were other ways.
     """
 
     status: Status
@@ -49,6 +53,7 @@ class Guidance:
     waypoint: Pose | None = None
     goal: Pose | None = None
     explore: bool = False
+    unknown_m: float = 0.0
     replanned: int = 0
     switched: int = 0
 
@@ -92,6 +97,10 @@ class RouteFollowing:
         self._visited: set[int] = set()
         """Experiences that the robot was at since its route was last the one that was found."""
         self._confirmed_ns = self._updated_ns = 0
+        self._last: Pose | None = None
+        self._unknown_m = 0.0
+        self._known = 0
+        """Experiences that there were when the robot last was at one that it knew."""
         self._longer_since_ns: int | None = None
         self._replanned = self._switched = 0
 
@@ -108,6 +117,7 @@ class RouteFollowing:
         goal = self.goal.pose_on(self._map)
         poses = self._map.poses
         self._look()
+        self._recognise(here)
         if not located:
             if self._kept is not None:
                 self._kept.wait((stamp_ns - self._updated_ns) * 1e-9)
@@ -115,8 +125,12 @@ class RouteFollowing:
             for route in (self._found, self._kept):
                 if route is not None:
                     route.advance(poses, goal, here, WINDOW * self._p.route_width_m)
-            if self._is_reached(goal, here):
+            sure = not 0.0 < self._p.goal_sure_m < self._unknown_m
+            if self._is_reached(goal, here) and sure:
                 return self._told('succeeded', goal, remaining_s=0.0)
+            if 0.0 < self._p.route_unknown_m < self._unknown_m:
+                self._updated_ns, self._kept = stamp_ns, None
+                return self._told('lost', goal, explore=True)
             if self._kept is not None and self._kept.away_m > self._p.route_width_m:
                 self._kept = None
         self._updated_ns = stamp_ns
@@ -150,7 +164,7 @@ class RouteFollowing:
             return
         relinked = self._seen is None or seen[1] != self._seen[1]
         kept = self._kept
-        if relinked and kept is not None and not kept.holds(graph.link_ends, len(graph)):
+        if relinked and kept is not None and not kept.holds(graph):
             self._kept = None
         self._seen = seen
         self._visited.add(graph.current_id)
@@ -158,9 +172,18 @@ class RouteFollowing:
         try:
             if tree is None or tree.goal_id != goal_id:
                 tree = self._tree = GoalTree(self._recall, graph, goal_id)
-            self._found = _Way(tree.route())
+            self._found = _Way(tree.route(), graph)
         except UnreachableGoal:
             self._found = None
+
+    def _recognise(self, here: Pose) -> None:
+        """Add up how far the robot has come from where it had been before it lost its way."""
+        if self._last is None or self._map.current_id < self._known:
+            self._unknown_m, self._known = 0.0, len(self._map)
+        else:
+            step_m = math.hypot(here.x_m - self._last.x_m, here.y_m - self._last.y_m)
+            self._unknown_m += min(step_m, LONGEST_STEP_M)
+        self._last = here
 
     def _choose(self, stamp_ns: int) -> bool:
         """Take the found route or keep the last one; return whether the one taken is found."""
@@ -201,7 +224,8 @@ class RouteFollowing:
 
     def _told(self, status: Status, goal: Pose, **told: Any) -> Guidance:
         return Guidance(
-            status, goal=goal, replanned=self._replanned, switched=self._switched, **told
+            status, goal=goal, replanned=self._replanned, switched=self._switched,
+            unknown_m=self._unknown_m, **told
         )
 
 
@@ -212,8 +236,11 @@ class _Way:
     this last piece counts for no time. All but that place is looked up on the map, which changes.
     """
 
-    def __init__(self, route: Route) -> None:
+    def __init__(self, route: Route, experience_map: ExperienceMap) -> None:
         self.ids = np.array(route.experience_ids)
+        ends, count = experience_map.link_ends, len(experience_map)
+        self._links = np.asarray(_are_linked(ends, self.ids, count))
+        """(n - 1,) whether a link leads on from each; where none does, places are joined."""
         arrival_s = np.array(route.arrival_s)
         self._to_goal_s = np.append(arrival_s[-1] - arrival_s, 0.0)
         self._at, self._share = 0, 0.0
@@ -260,9 +287,13 @@ class _Way:
             count -= 1
         return positions_m[:count], arrival_s[:count]
 
-    def holds(self, ends: NDArray[np.int64], count: int) -> bool:
-        """Return whether all experiences from the robot's place on are still linked."""
-        return bool(_are_linked(ends, self.ids[self._at :], count))
+    def holds(self, experience_map: ExperienceMap) -> bool:
+        """Return whether all links from the robot's place on are still there."""
+        ends, count = experience_map.link_ends, len(experience_map)
+        if self.ids.max() >= count:
+            return False
+        still = np.asarray(_are_linked(ends, self.ids[self._at :], count))
+        return bool(np.all(still | ~self._links[self._at :]))
 
     def needs(self, experience_id: int) -> bool:
         """Return whether the route leads over an experience from here on."""
@@ -341,20 +372,20 @@ def _nearest_ahead(
 
 
 @compiled
-def _are_linked(ends: NDArray[np.int64], ids: NDArray[np.int64], count: int) -> bool:
-    """Return whether each of some experiences is linked with the next one, either way.
+def _are_linked(
+    ends: NDArray[np.int64], ids: NDArray[np.int64], count: int
+) -> NDArray[np.bool_]:
+    """Return (n - 1,) whether each of some experiences is linked with the next one, either way.
 
     ``ids``: each at most once; ``count``: experiences on the map.
     """
     rank = np.full(count, -2, np.int64)
-    linked = np.zeros(len(ids), np.bool_)
+    linked = np.zeros(len(ids) - 1, np.bool_)
     for k in range(len(ids)):
-        if ids[k] >= count:
-            return False
         rank[ids[k]] = k
     for row in range(len(ends)):
         a = rank[ends[row, 0]]
         b = rank[ends[row, 1]]
         if a >= 0 and b >= 0 and abs(a - b) == 1:
             linked[min(a, b)] = True
-    return bool(linked[:-1].all())
+    return linked

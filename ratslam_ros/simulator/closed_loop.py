@@ -142,7 +142,8 @@ class ClosedLoop:
         if len(self.guidance.positions_m) == 0:
             return Command(0.0, 0.0, 'turn')
         command = self.follower(scan, seen_from(here, self.guidance.positions_m))
-        if command.failed:
+        most_m = self.config.goal_recall.try_unknown_m
+        if command.failed and not 0.0 < most_m < self.guidance.unknown_m:
             self.tries_failed += 1
             ahead_rad = wrap(here.heading_rad + command.ahead_rad)
             self.links_unlearned += graph.fail(command.behaviour, ahead_rad)
@@ -173,7 +174,8 @@ class ClosedLoop:
             truth = self._truth_at.pop(step.stamp_ns)
             action = step.action
             if action.action == 'create':
-                self.log.truth_of[action.target_id] = truth
+                heading_rad = wrap(truth.heading_rad - action.relative_rad)
+                self.log.truth_of[action.target_id] = truth._replace(heading_rad=heading_rad)
             elif action.action != 'none' and action.target_id < len(self.experience_map) - 10:
                 self.log.closures_ns.append(step.stamp_ns)
                 there = self.log.truth_of[action.target_id]

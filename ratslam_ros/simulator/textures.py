@@ -35,8 +35,11 @@ class PanelLibrary:
     clothes: tuple[int, ...] = (0,)
 
 
-def paint_library(rng: np.random.Generator) -> PanelLibrary:
-    """Paint all panels; the seed decides shades, posters, books and papers."""
+def paint_library(rng: np.random.Generator, variety: int = 1) -> PanelLibrary:
+    """Paint all panels; the seed decides shades, posters, books and papers.
+
+    variety: how many sets of those that are no two alike
+    """
     wall_shade = rng.uniform(0.62, 0.74)
     door_shade = rng.uniform(0.26, 0.42)
     panels = [
@@ -51,11 +54,11 @@ def paint_library(rng: np.random.Generator) -> PanelLibrary:
         _radiator(wall_shade),
     ]
     house_style = (0, 1, 0, 2)
-    panels += [_poster(rng, wall_shade) for _ in range(6)]
-    panels += [_notice_board(rng, wall_shade) for _ in range(3)]
-    panels += [_bookshelf(rng, wall_shade) for _ in range(3)]
-    panels += [_cabinets(rng, wall_shade) for _ in range(3)]
-    panels += [_plant(rng, wall_shade) for _ in range(2)]
+    panels += [_poster(rng, wall_shade) for _ in range(6 * variety)]
+    panels += [_notice_board(rng, wall_shade) for _ in range(3 * variety)]
+    panels += [_bookshelf(rng, wall_shade) for _ in range(3 * variety)]
+    panels += [_cabinets(rng, wall_shade) for _ in range(3 * variety)]
+    panels += [_plant(rng, wall_shade) for _ in range(2 * variety)]
     on_walls = len(panels)
     # From a stream of its own: walls look the same whether or not anybody walks past them.
     (tailoring,) = rng.spawn(1)

@@ -25,12 +25,14 @@ class WorldOptions:
 
     aliasing: share of the walls at corners and junctions, 0..1, that are in the house style,
         which repeats the same few panels: such places look alike, however far apart they are
+    variety: sets of panels that are no two alike; more make fewer walls look the same
     corner_m: what still counts as at a corner, from the middle of the corridor
     light_spread: how much the lighting differs from place to place, as a share
     light_change: how much it drifts with time besides, as a share; 0: it stays as it is
     """
 
     aliasing: float = 1.0
+    variety: int = 1
     corner_m: float = 1.8
     light_spread: float = 0.15
     light_change: float = 0.0
@@ -106,7 +108,7 @@ def build_world(
 ) -> World:
     """Decorate a floor plan from a seed."""
     options = options or WorldOptions()
-    library = paint_library(rng)
+    library = paint_library(rng, options.variety)
     house_style = _house_style_sides(plan, rng, options)
     panel = np.zeros((*plan.solid.shape, 4), np.int16)
     panel_u_m = np.zeros((*plan.solid.shape, 4), np.float32)
