@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import argparse
 import errno
+import json
 import math
 import signal
 import sys
@@ -101,6 +102,8 @@ def _parser() -> argparse.ArgumentParser:
     demo.add_argument('--quiet', action='store_true', help='no progress bar')
     demo.set_defaults(run=_demo)
 
+    _add_simulate(commands)
+
     evaluate = commands.add_parser('evaluate', help='errors of a trajectory against the truth')
     evaluate.add_argument('trajectory', type=Path, metavar='TRAJECTORY', help='a TUM file')
     evaluate.add_argument('truth', type=Path, metavar='TRUTH', help='a TUM file')
@@ -129,6 +132,38 @@ def _parser() -> argparse.ArgumentParser:
 
     _add_live(commands)
     return parser
+
+
+def _add_simulate(commands: Any) -> None:
+    simulate = commands.add_parser(
+        'simulate', help='a simulated robot explores a floor plan, and goes to goals'
+    )
+    simulate.add_argument('--plan', metavar='NAME|FILE',
+                          help='floor plan: one of the package, or a text or PNG file')
+    simulate.add_argument('--cell-m', type=float, metavar='M', help='side of a cell or pixel')
+    simulate.add_argument('--start', metavar='PLACE|X,Y,DEG', help='(default: S, or any)')
+    simulate.add_argument('--seed', type=_whole, help='of world and noise (default: 1)')
+    simulate.add_argument('--explore', type=float, default=30.0, metavar='MINUTES',
+                          help='how long to explore before the goals (default: 30)')
+    which = simulate.add_mutually_exclusive_group()
+    which.add_argument('--goals', metavar='A,B,C',
+                       help='places of the plan, in order (default: all that were passed)')
+    which.add_argument('--random-goals', type=_positive, default=0, metavar='N',
+                       help='go to so many places that were passed, drawn by lot')
+    simulate.add_argument('--people', type=_whole, metavar='N', help='who walk about')
+    simulate.add_argument('--obstacle', action='append', metavar='NAME,X,Y,W,D,FROM_S,TO_S',
+                          help='put up a box, and take it away; may be repeated')
+    simulate.add_argument('--noise', type=float, metavar='FACTOR', help='(default: 1)')
+    _add_config(simulate, 'navigation')
+    simulate.add_argument('--record', type=Path, metavar='DIR',
+                          help='write a recording (rosbag2) of all that the robot senses')
+    simulate.add_argument('--live', action='store_true',
+                          help='be the robot of live nodes: publish image, odom, scan and /clock')
+    simulate.add_argument('--rate', type=float, metavar='R',
+                          help='of --live: speed of time (default: 1)')
+    _add_out(simulate, 'results/simulate-TIME, with the link results/latest')
+    simulate.add_argument('--quiet', action='store_true', help='no progress bar')
+    simulate.set_defaults(run=_simulate)
 
 
 def _add_live(commands: Any) -> None:
@@ -219,9 +254,10 @@ def _add_topics(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--odom-topic', metavar='T')
 
 
-def _add_config(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument('--config', metavar='FILE|PRESET',
-                        help='YAML, an INI file of OpenRatSLAM, or the name of a preset')
+def _add_config(parser: argparse.ArgumentParser, default: str | None = None) -> None:
+    told = f' (default: {default})' if default else ''
+    parser.add_argument('--config', metavar='FILE|PRESET', default=default,
+                        help=f'YAML, an INI file of OpenRatSLAM, or the name of a preset{told}')
     parser.add_argument('--set', action='append', default=[], dest='settings',
                         metavar='section.name=value', help='one parameter; may be repeated')
 
@@ -248,10 +284,10 @@ def _positive(text: str) -> int:
     return int(text)
 
 
-def _config(options: argparse.Namespace, default: str | None = None) -> Config:
+def _config(options: argparse.Namespace) -> Config:
     from ratslam_ros.config_files import load_config, parse_setting
 
-    config, notices = load_config(options.config or default)
+    config, notices = load_config(options.config)
     for notice in notices:
         _say(notice)
     return config.with_values(dict(parse_setting(text) for text in options.settings))
@@ -403,6 +439,43 @@ def _demo(options: argparse.Namespace) -> int:
     if options.out is None:
         from ratslam_ros.results import link_latest
 
+        link_latest(folder)
+    return DONE
+
+
+def _simulate(options: argparse.Namespace) -> int:
+    from ratslam_ros.simulator.config import SimulatorParameters
+
+    given = {
+        name: value
+        for name in ('plan', 'cell_m', 'start', 'seed', 'people', 'noise', 'rate')
+        if (value := getattr(options, name)) is not None
+    }
+    if options.obstacle:
+        given['obstacles'] = ';'.join(options.obstacle)
+    if options.live:
+        from ratslam_ros.live.run import run
+
+        values = [f'{name}:={json.dumps(value)}' for name, value in given.items()]
+        return run('simulator', ['--ros-args', *(w for value in values for w in ('-p', value))])
+    from ratslam_ros.results import link_latest
+    from ratslam_ros.simulate import SimulateOptions, simulate
+
+    config = _config(options)
+    parameters = SimulatorParameters(**given)
+    if not 0.0 <= options.explore < math.inf:
+        raise UnusableInput(f'--explore is {options.explore}; expected 0 or more minutes')
+    _warm_up()
+    folder = _make(_results_folder(options, 'simulate'))
+    goals = None if options.goals is None else options.goals.split(',')
+    print(
+        simulate(
+            parameters, config, folder,
+            SimulateOptions(60.0 * options.explore, goals, options.random_goals, options.record,
+                            not options.quiet),
+        )
+    )  # fmt: skip
+    if options.out is None:
         link_latest(folder)
     return DONE
 

@@ -14,7 +14,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ratslam_ros.config_files import documented_yaml
-from ratslam_ros.core.config import SECTIONS, ParameterInfo, Value
+from ratslam_ros.core.config import SECTIONS, ParameterInfo, Section, Value
+from ratslam_ros.simulator.config import SimulatorParameters
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -36,13 +37,17 @@ below its section:
 Most names are those of OpenRatSLAM (Ball et al. 2013), whose own INI files can be given to
 `--config` as they are. [config/](../config) holds `default.yaml`, with all of what follows, and
 one preset a robot or data set; [tuning.md](tuning.md) goes from what you see to what to change.
+
+The last section, `simulator`, is of the simulated robot and in no such file: its parameters are
+given to the node, `-p plan:=office`, or are options of `ratslam simulate`.
 """
 
 
 def parameters_markdown() -> str:
     """Return docs/parameters.md: what each parameter does and may be, and when to change it."""
     parts = [_INTRODUCTION]
-    for section, cls in SECTIONS.items():
+    sections: dict[str, type[Section]] = {**SECTIONS, 'simulator': SimulatorParameters}
+    for section, cls in sections.items():
         parts.append(f'\n## {section}\n\n{cls.__doc__}\n')
         for name, info, default in cls.parameters():
             parts.append(_entry(name, info, default))

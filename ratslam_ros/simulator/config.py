@@ -97,9 +97,7 @@ class SimulatorParameters(Section):
         )  # fmt: skip
 
 
-def make_simulator(
-    p: SimulatorParameters, happenings: Sequence[Happening] = ()
-) -> Simulator:
+def make_simulator(p: SimulatorParameters, happenings: Sequence[Happening] = ()) -> Simulator:
     """Return the simulator that is asked for; ``happenings`` besides the obstacles.
 
     Raises:

@@ -160,7 +160,8 @@ class Trial:
     ``outcome``: of the errand, ``refused`` where there was none, ``given up`` at the limit.
     ``error_m``: true distance to the goal at the end. ``shortest``: the shortest way over places
     that the robot had driven, ``floor``: the shortest one that there is; None where there is none.
-    ``limit_s``: three times the time of the way that it could know. ``path``: (n, 3) true poses.
+    ``shortest_s``: of the way that it could know, by which it is judged; ``floor_s``: of the other
+    one. ``path``: (n, 3) true poses.
     """
 
     goal: str
@@ -180,8 +181,13 @@ class Trial:
     succeeded: bool = field(init=False)
 
     def __post_init__(self) -> None:
-        told = self.outcome == 'succeeded' and self.took_s <= SLOWEST * self.shortest_s
+        told = self.outcome == 'succeeded' and self.took_s <= self.limit_s
         object.__setattr__(self, 'succeeded', told and self.error_m <= NEAR_M)
+
+    @property
+    def limit_s(self) -> float:
+        """The time that it had."""
+        return SLOWEST * self.shortest_s
 
     @property
     def ratio(self) -> float:

@@ -19,11 +19,16 @@ SERVICES_OF_ROS = (
 
 def makers() -> list[Any]:
     from ratslam_ros.nodes.experience_map_node import ExperienceMapNode
+    from ratslam_ros.nodes.goal_follower_node import GoalFollowerNode
     from ratslam_ros.nodes.local_view_node import LocalViewNode
     from ratslam_ros.nodes.pose_cells_node import PoseCellsNode
+    from ratslam_ros.nodes.simulator_node import SimulatorNode
     from ratslam_ros.nodes.visual_odometry_node import VisualOdometryNode
 
-    return [VisualOdometryNode, LocalViewNode, PoseCellsNode, ExperienceMapNode]
+    return [
+        VisualOdometryNode, LocalViewNode, PoseCellsNode, ExperienceMapNode, GoalFollowerNode,
+        SimulatorNode,
+    ]
 
 
 def test_every_topic_and_service_is_described(world: Callable[..., Any]) -> None:
