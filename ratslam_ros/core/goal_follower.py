@@ -79,13 +79,11 @@ class GoalFollower:
             self._turning, self._tried_since_ns = True, None
             return turn(bearing_rad, p)
         self._turning = False
-        options = [
-            option
-            for option in [*movement.options(), movement.towards(bearing_rad)]
-            if abs(wrap(option.heading_rad - bearing_rad)) < ALONG_RAD
-            and abs(option.heading_rad) < ALONG_RAD
-            and option.open_m >= min(p.wall_look_ahead_m, float(ahead[-1, 2]))
-        ]
+        towards = [*movement.options(), movement.towards(bearing_rad)]
+        wanted_m = min(p.wall_look_ahead_m, max(float(ahead[-1, 2]), LEAST_M))
+        options = _leading(towards, bearing_rad, wanted_m)
+        if not options:  # between the posts of a door little is open until the robot is through
+            options = _leading(movement.narrow(), bearing_rad, LEAST_M)
         if not options:
             return self._blocked(scan.stamp_ns, bearing_rad)
         self._tried_since_ns = None
@@ -142,6 +140,17 @@ def _ahead(route: NDArray[np.float64], length_m: float) -> NDArray[np.float64]:
     at_m = np.linspace(0.0, min(length_m, float(along_m[-1])), SAMPLES + 1)
     x, y = (np.interp(at_m, along_m, route[:, axis]) for axis in (0, 1))
     return np.stack([x, y, at_m], axis=1)
+
+
+def _leading(options: list[Option], bearing_rad: float, open_m: float) -> list[Option]:
+    """Return the ways on that lead along the route, and are open so far."""
+    return [
+        option
+        for option in options
+        if abs(wrap(option.heading_rad - bearing_rad)) < ALONG_RAD
+        and abs(option.heading_rad) < ALONG_RAD
+        and option.open_m >= open_m
+    ]
 
 
 def _cost_m(option: Option, ahead: NDArray[np.float64]) -> float:

@@ -16,6 +16,9 @@ from ratslam_ros.core.movement_config import GoalFollowerParameters
 
 Behaviour = Literal['centreline', 'left_wall', 'right_wall', 'straight', 'turn']
 
+NARROW_M = 0.3
+"""How far a narrow passage must be open."""
+
 HEADINGS = 61
 """Ways on that are looked at, from a quarter turn right to one left: every 3 degrees."""
 
@@ -84,6 +87,18 @@ class LocalMovement:
                 heading = float(self.headings_rad[first] + self.headings_rad[last]) / 2
                 found.append(Option('centreline', heading, self.open_m(heading)))
         return found
+
+    def narrow(self) -> list[Option]:
+        """Return the middles of all that the bare body still fits through, however short."""
+        body = _open_m(self.points, self.headings_rad, self._p.robot_radius_m)
+        return [
+            Option(
+                'centreline',
+                float(self.headings_rad[first] + self.headings_rad[last]) / 2,
+                float(body[first : last + 1].max()),
+            )
+            for first, last in _runs(body >= NARROW_M)
+        ]
 
     def towards(self, heading_rad: float) -> Option:
         """Return the way straight on in a direction: across a room, or up to a goal."""

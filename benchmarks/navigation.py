@@ -1,0 +1,551 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The experiments of the seeds in simulation: goals, an obstacle, goal memory, a loop, kidnapping.
+
+    python benchmarks/navigation.py goals [--seeds 10] [--first 1] [--noise 1] [--plan NAME]
+    python benchmarks/navigation.py obstacle | goal_memory | loop | kidnapped | pruning
+
+Each prints a table with a row for every seed, means and the worst, and draws its pictures into
+--out. Controllers see image, scan and odometry; the truth judges. Two seeds run at a time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import statistics
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ratslam_ros.config_files import load_config
+from ratslam_ros.core.config import Config
+from ratslam_ros.core.goal_follower import Command
+from ratslam_ros.core.goal_recall import UnreachableGoal
+from ratslam_ros.core.local_movement import Scan
+from ratslam_ros.core.odometry import Pose
+from ratslam_ros.core.section import Value
+from ratslam_ros.goal_memory_pictures import draw_temporal_array
+from ratslam_ros.goal_pictures import draw_temporal_map
+from ratslam_ros.pictures import new_figure, save_figure
+from ratslam_ros.simulator.closed_loop import ClosedLoop
+from ratslam_ros.simulator.config import SimulatorParameters, make_simulator
+from ratslam_ros.simulator.picture import draw_plan
+from ratslam_ros.simulator.robot import Pose as TruePose
+from ratslam_ros.simulator.trials import Driven, Trial, attempt, choose_goals
+
+Job = TypeVar('Job')
+Row = TypeVar('Row')
+
+SIZES = ((100, 40), (40, 20))
+GOALS = 6
+CANDIDATES_S = 20.0
+LARGE = {'pose_cells.pc_dim_x': 140, 'pose_cells.pc_dim_y': 80}
+SMALL = {'pose_cells.pc_dim_x': 40, 'pose_cells.pc_dim_y': 20}
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What all experiments share."""
+
+    plan: str
+    noise: float
+    people: int
+    out: Path
+    minutes: float
+
+    def loop(self, seed: int, plan: str = '', **values: Value) -> ClosedLoop:
+        """Return a robot at its start; ``values``: parameters, a dot written as two underlines."""
+        changes = {name.replace('__', '.'): value for name, value in values.items()}
+        simulator = make_simulator(
+            SimulatorParameters(
+                plan=self.plan or plan, seed=seed, noise=self.noise, people=self.people
+            )
+        )
+        return ClosedLoop(simulator, configured(changes), seed)
+
+    def explore_s(self, minutes: float) -> float:
+        """Return how long to explore: what the experiment says, or what was asked for."""
+        return 60.0 * (self.minutes or minutes)
+
+
+def configured(changes: dict[str, Value]) -> Config:
+    """Return the preset with some values changed."""
+    return load_config('navigation')[0].with_values(changes)
+
+
+def explore_and_name(loop: ClosedLoop, duration_s: float) -> dict[str, tuple[float, float]]:
+    """Explore; name the place every now and then, while the robot drives. Return the true places.
+
+    It is as if somebody walked beside it and pressed a key (seed 001, section IV).
+    """
+    places: dict[str, tuple[float, float]] = {}
+    end_s, next_s = loop.now_s + duration_s, loop.now_s + CANDIDATES_S
+
+    def until() -> bool:
+        nonlocal next_s
+        if loop.now_s >= next_s and loop.command.speed_mps > 0.3:
+            next_s = loop.now_s + CANDIDATES_S
+            name = f'p{len(places)}'
+            loop.name_place(name)
+            places[name] = loop.simulator.truth.x_m, loop.simulator.truth.y_m
+        return loop.now_s >= end_s
+
+    loop.exploration.restart()
+    loop.run(loop.exploring, until)
+    return places
+
+
+def map_error_m(loop: ClosedLoop) -> float:
+    """Return the RMSE of the experiences' places after rigid alignment with the truth."""
+    ids = sorted(loop.log.truth_of)
+    truth = np.array([loop.log.truth_of[i][:2] for i in ids])
+    return aligned_error_m(loop.experience_map.poses[ids, :2], truth)
+
+
+def aligned_error_m(found: NDArray[np.float64], truth: NDArray[np.float64]) -> float:
+    """Return the RMSE after turning and shifting one set of points onto the other."""
+    a, b = found - found.mean(axis=0), truth - truth.mean(axis=0)
+    h = a.T @ b
+    angle = math.atan2(h[0, 1] - h[1, 0], h[0, 0] + h[1, 1])
+    c, s = math.cos(angle), math.sin(angle)
+    error = a @ np.array([[c, s], [-s, c]]) - b
+    return float(np.sqrt((error**2).sum(axis=1).mean()))
+
+
+# Seed 000, section V
+
+
+@dataclass(frozen=True)
+class GoalsRow:
+    """One run of the first experiment."""
+
+    seed: int
+    size: tuple[int, int]
+    trials: list[Trial]
+    experiences: int
+    error_m: float
+    collisions: int
+    temporal_map_ms: float
+    wall_s: float
+
+
+def goals_run(setting: Setting, job: tuple[int, tuple[int, int]]) -> GoalsRow:
+    """Explore for an hour, then go to six goals in order."""
+    seed, (dim_x, dim_y) = job
+    began = time.perf_counter()
+    loop = setting.loop(
+        seed, 'university_floor', pose_cells__pc_dim_x=dim_x, pose_cells__pc_dim_y=dim_y
+    )
+    places = explore_and_name(loop, setting.explore_s(60.0))
+    explored = loop.log.truths()
+    error_m, touched = map_error_m(loop), loop.simulator.collisions
+    t = loop.simulator.truth
+    lots = np.random.Generator(np.random.PCG64(seed))
+    names = choose_goals(places, Pose(t.x_m, t.y_m, t.heading_rad), GOALS, lots)
+    trials = [attempt(loop, name, places[name]) for name in names]
+    recall, graph = loop.navigator.recall, loop.experience_map
+    spent = []
+    for _ in range(5):
+        graph.links_version += 1  # what is kept from before must not count
+        start = time.perf_counter()
+        times = recall.temporal_map(graph)
+        spent.append(1e3 * (time.perf_counter() - start))
+    folder = setting.out / f'goals_{dim_x}x{dim_y}'
+    if seed == 1:
+        folder.mkdir(exist_ok=True)
+        draw_plan(
+            loop.simulator.plan, folder / f'floor_{seed}.png',
+            {'explored': explored, **{f'to {x.goal}': x.path for x in trials}},
+        )  # fmt: skip
+        draw_packet(loop, folder / f'packet_{seed}.png', (dim_x, dim_y))
+        goal = loop.navigator.goals.named(names[-1])
+        try:
+            route = times.route_to(goal.experience_id)
+            positions = graph.poses[list(route.experience_ids), :2]
+        except UnreachableGoal:
+            positions = None
+        draw_temporal_map(
+            graph, times, folder / f'temporal_map_{seed}.png', positions, [goal],
+            title=f'{dim_x} x {dim_y} x 36 pose cells, seed {seed}',
+        )  # fmt: skip
+    return GoalsRow(
+        seed, (dim_x, dim_y), trials, len(graph), error_m, touched, statistics.median(spent),
+        time.perf_counter() - began,
+    )  # fmt: skip
+
+
+def draw_packet(loop: ClosedLoop, path: Path, size: tuple[int, int]) -> None:
+    """Draw the path of the packet over the pose cells, as figures 8 and 9 of seed 000."""
+    figure = new_figure(9.0, 5.0)
+    axes = figure.add_subplot()
+    at = np.array([(p.x, p.y) for p in loop.log.packet])
+    jump = np.hypot(*np.diff(at, axis=0).T) > 1.0
+    broken = np.insert(at, np.flatnonzero(jump) + 1, np.nan, axis=0)
+    axes.plot(*broken.T, linewidth=0.4)
+    cells = {(int(x), int(y)) for x, y in at}
+    axes.set_title(f'path of the packet: {len(cells)} of {size[0] * size[1]} columns of cells')
+    axes.set_xlabel("x' (cells)")
+    axes.set_ylabel("y' (cells)")
+    axes.set_xlim(0, size[0])
+    axes.set_ylim(0, size[1])
+    axes.set_aspect('equal')
+    save_figure(figure, path)
+
+
+def goals(setting: Setting, seeds: Sequence[int]) -> None:
+    """Print the table of seed 000, section V."""
+    jobs = [(seed, size) for size in SIZES for seed in seeds]
+    rows = pooled(partial(goals_run, setting), jobs)
+    print('seed  cells        reached  ratio  (floor)  error [m]  experiences  map [m]  '
+          'tries failed  unlearned  touched  temporal map [ms]  wall [s]')  # fmt: skip
+    for row in rows:
+        done = [x for x in row.trials if x.succeeded]
+        print(
+            f'{row.seed:4d}  {row.size[0]:3d} x {row.size[1]:2d} x 36 '
+            f'{len(done):4d}/{len(row.trials)}  '
+            f'{mean([x.ratio for x in done]):5.2f}  {mean([x.floor_ratio for x in done]):7.2f}  '
+            f'{mean([x.error_m for x in done]):9.2f}  {row.experiences:11d}  {row.error_m:7.2f}  '
+            f'{sum(x.tries_failed for x in row.trials):12d}  '
+            f'{sum(x.links_unlearned for x in row.trials):9d}  {row.collisions:7d}  '
+            f'{row.temporal_map_ms:17.1f}  {row.wall_s:8.0f}'
+        )
+    trials = [x for row in rows for x in row.trials]
+    done = [x for x in trials if x.succeeded]
+    ratios = [x.ratio for x in done if math.isfinite(x.ratio)]
+    print(f'all   {len(done)} of {len(trials)} trials; ratio mean {mean(ratios):.2f}, '
+          f'worst {max(ratios, default=math.nan):.2f}; error mean '
+          f'{mean([x.error_m for x in done]):.2f} m, '
+          f'worst {max((x.error_m for x in done), default=math.nan):.2f} m')  # fmt: skip
+    for row in rows:
+        for x in row.trials:
+            if not x.succeeded:
+                print(f'failed: seed {row.seed}, {row.size[0]} x {row.size[1]}, {x.goal}: '
+                      f'{x.outcome}, {x.error_m:.2f} m off, {x.driven_m:.0f} m in {x.took_s:.0f} '
+                      f'of {x.limit_s:.0f} s, {x.tries_failed} tries failed')  # fmt: skip
+
+
+# Seed 000, section VI
+
+BOX_M = (0.8, 2.2)
+
+
+def obstacle_run(setting: Setting, seed: int) -> list[str]:
+    """Three trials: the way is closed, still closed, open again."""
+    loop = setting.loop(seed, 'obstacle_loop', goal_follower__change_wall_every_s=240.0)
+    plan, simulator = loop.simulator.plan, loop.simulator
+    named: dict[str, float] = {}
+
+    def naming(end_s: float) -> Callable[[], bool]:
+        def until() -> bool:
+            for name in 'SG':
+                x_m, y_m = plan.places[name]
+                away_m = math.hypot(simulator.truth.x_m - x_m, simulator.truth.y_m - y_m)
+                if away_m < named.get(name, 1.2) - 0.1 and loop.command.speed_mps > 0.3:
+                    named[name] = away_m
+                    loop.name_place(name)
+                    at[name] = simulator.truth.x_m, simulator.truth.y_m
+            return loop.now_s >= end_s
+
+        return until
+
+    at: dict[str, tuple[float, float]] = {}
+    loop.run(loop.exploring, naming(setting.explore_s(20.0)))
+    if len(at) < 2:
+        return [f'{seed:4d}  a place was not passed']
+    attempt(loop, 'S', at['S'])
+    cells = []
+    results = []
+    for number in (1, 2, 3):
+        if number == 1:
+            simulator.put_obstacle('box', *plan.places['X'], *BOX_M)
+        if number == 3:
+            simulator.take_obstacle('box')
+            loop.explore(360.0)
+            attempt(loop, 'S', at['S'])
+        if number == 2:
+            loop.explore(360.0)
+            attempt(loop, 'S', at['S'])
+        trial = attempt(loop, 'G', at['G'])
+        x_m, y_m = plan.places['X']
+        by = np.hypot(trial.path[:, 0] - x_m, trial.path[:, 1] - y_m).min()
+        short = by < (1.5 if number < 3 else 0.8)
+        results.append(
+            f'{"yes" if trial.succeeded else "NO":>3} {trial.driven_m:5.1f} m '
+            f'{"by the box" if short and number < 3 else "short" if short else "long"}, '
+            f'{trial.tries_failed} tries, {trial.links_unlearned} unlearned'
+        )
+        cells.append(trial)
+        setting.out.mkdir(exist_ok=True)
+        draw_plan(
+            plan, setting.out / f'obstacle_{seed}_trial_{number}.png', {'driven': trial.path},
+            [(*plan.places['X'], *BOX_M)] if number < 3 else [], f'seed {seed}, trial {number}',
+        )  # fmt: skip
+    _, second, third = cells
+    passed_by = [
+        float(np.hypot(x.path[:, 0] - x_m, x.path[:, 1] - y_m).min()) for x in (second, third)
+    ]
+    held = all(x.succeeded for x in cells) and passed_by[0] > 2.0 and passed_by[1] < 1.0
+    return [f'{seed:4d}  {"held" if held else "NOT held":>8}  ' + ' | '.join(results)]
+
+
+def obstacle(setting: Setting, seeds: Sequence[int]) -> None:
+    """Print the table of seed 000, section VI."""
+    found = pooled(partial(obstacle_run, setting), list(seeds))
+    rows = [line for lines in found for line in lines]
+    print('seed            trial 1 | trial 2 | trial 3')
+    print('\n'.join(rows))
+    print(f'held in {sum("  held" in row for row in rows)} of {len(rows)} seeds')
+
+
+# Seed 001, and figure 4 of seed 000
+
+
+def goal_memory_run(setting: Setting, job: tuple[int, str]) -> list[str]:
+    """Explore for 13 minutes; two goals by goal memory, then the same by the experience map."""
+    seed, size = job
+    cells = LARGE if size == 'large' else SMALL
+    values = {name.replace('.', '__'): value for name, value in cells.items()}
+    loop = setting.loop(
+        seed, 'obstacle_loop', goal_memory__goal_memory=True,
+        goal_follower__change_wall_every_s=200.0, **values,
+    )  # fmt: skip
+    memory = loop.ratslam.goal_memory
+    assert memory is not None
+    places: dict[str, tuple[float, float]] = {}
+    next_s, end_s = CANDIDATES_S, setting.explore_s(13.0)
+
+    def until() -> bool:
+        nonlocal next_s
+        if loop.now_s >= next_s and loop.command.speed_mps > 0.3:
+            next_s = loop.now_s + CANDIDATES_S
+            name = f'p{len(places)}'
+            loop.name_place(name)
+            memory.mark(name, loop.ratslam.pose_cells.peak)
+            places[name] = loop.simulator.truth.x_m, loop.simulator.truth.y_m
+        return loop.now_s >= end_s
+
+    loop.run(loop.exploring, until)
+    t = loop.simulator.truth
+    names = choose_goals(
+        places, Pose(t.x_m, t.y_m, t.heading_rad), 2, np.random.Generator(np.random.PCG64(seed))
+    )
+    reached = []
+    for name in names:
+        reached.append(by_goal_memory(loop, name, places[name]))
+    if seed == 1:
+        setting.out.mkdir(exist_ok=True)
+        times = memory.recall(memory.goal(names[-1]))
+        draw_temporal_array(
+            times, loop.ratslam.pose_cells.peak, setting.out / f'goal_memory_{size}.png'
+        )
+    by_map = [attempt(loop, name, places[name]) for name in names[::-1]]
+    return [
+        f'{seed:4d}  {size:5s}  {sum(ok for ok, _ in reached)}/2  '
+        f'({", ".join(f"{error:.2f} m" for _, error in reached)})  '
+        f'{sum(x.succeeded for x in by_map)}/2  '
+        f'({", ".join(f"{x.error_m:.2f} m" for x in by_map)})'
+    ]
+
+
+def by_goal_memory(
+    loop: ClosedLoop, name: str, at_m: tuple[float, float]
+) -> tuple[bool, float]:
+    """Drive down the temporal map of a goal; return whether it came there, and how far off."""
+    memory, cells = loop.ratslam.goal_memory, loop.ratslam.pose_cells
+    assert memory is not None
+    goal = memory.goal(name)
+    simulator = loop.simulator
+    t = simulator.truth
+    way = Driven(loop.log.truths()).way(Pose(t.x_m, t.y_m, t.heading_rad), at_m)
+    length_m = way.length_m if way else 50.0
+    end_s = loop.now_s + 3.0 * length_m / loop.config.goal_follower.speed_mps + 10.0
+    stuck_s = 0.0
+
+    def steer(scan: Scan) -> Command:
+        nonlocal stuck_s
+        route = memory.route_ahead(memory.recall(goal), cells.peak, 3.0)
+        if len(route) == 0:
+            return loop.exploring(scan)
+        command = loop.follower(scan, route)
+        if command.failed:
+            stuck_s += 5.0
+            memory.blocked(cells.peak, command.ahead_rad, stuck_s)
+        return command
+
+    loop.run(steer, lambda: memory.reached(goal, cells.peak) or loop.now_s >= end_s)
+    t = simulator.truth
+    error_m = math.hypot(t.x_m - at_m[0], t.y_m - at_m[1])
+    return memory.reached(goal, cells.peak) and error_m <= 0.5, error_m
+
+
+def goal_memory(setting: Setting, seeds: Sequence[int]) -> None:
+    """Print the table of seed 001, on cells that suffice and on those of figure 4 of seed 000."""
+    jobs = [(seed, size) for size in ('large', 'small') for seed in seeds]
+    rows = [line for lines in pooled(partial(goal_memory_run, setting), jobs) for line in lines]
+    print('seed  cells  goal memory (off by)  experience map (off by)')
+    print('\n'.join(rows))
+
+
+# The loop of 122 m
+
+
+def loop_run(setting: Setting, seed: int) -> str:
+    """Drive along the outer wall without looking into rooms, until the loop is closed."""
+    loop = setting.loop(
+        seed, 'ring', goal_follower__look_back_every_m=1e6, goal_follower__look_back_turn_deg=1e6
+    )
+    closures = loop.log.closures_ns
+    loop.run(loop.exploring, lambda: bool(closures) or loop.now_s > 900.0)
+    before = loop.log
+    truth, reckoned = before.truths()[:, :2], np.array(before.dead_reckoning)[:, :2]
+    drift_m = closing_error_m(before.truths(), np.array(before.dead_reckoning))
+    reckoned_m = aligned_error_m(reckoned, truth)
+    closed = bool(closures)
+    at_m = loop.simulator.odometer_m
+    start_s = loop.now_s
+    loop.run(loop.exploring, lambda: loop.now_s > start_s + 60.0)
+    loop.experience_map.settle()
+    wrong = sum(jump > 1.0 for jump in loop.log.jump_m)
+    return (f'{seed:4d}  {"yes" if closed else "NO":>6}  {at_m:8.1f}  {drift_m:10.2f}  '
+            f'{reckoned_m:8.2f}  {map_error_m(loop):8.2f}  {wrong:5d}')  # fmt: skip
+
+
+def closing_error_m(truth: NDArray[np.float64], reckoned: NDArray[np.float64]) -> float:
+    """Return how far dead reckoning is off at the end, from the start's place and heading on."""
+    turn = truth[0, 2] - reckoned[0, 2]
+    c, s = math.cos(turn), math.sin(turn)
+    moved = (reckoned[-1, :2] - reckoned[0, :2]) @ np.array([[c, s], [-s, c]])
+    return float(np.hypot(*(moved - (truth[-1, :2] - truth[0, :2]))))
+
+
+def loop(setting: Setting, seeds: Sequence[int]) -> None:
+    """Print how the loop of 122 m is closed."""
+    print('seed  closed  after [m]  drift [m]  reckoned  map [m]  wrong closures')
+    print('\n'.join(pooled(partial(loop_run, setting), list(seeds))))
+
+
+# Kidnapped
+
+
+def kidnapped_run(setting: Setting, seed: int) -> list[tuple[bool, float, float]]:
+    """Carry the robot to places where it has been; see how long it takes to know where it is."""
+    loop = setting.loop(seed, 'university_floor')
+    loop.explore(setting.explore_s(30.0))
+    rng = np.random.Generator(np.random.PCG64(seed))
+    known = loop.log.truths()
+    found = []
+    for _ in range(5):
+        here = loop.simulator.truth
+        away = np.hypot(known[:, 0] - here.x_m, known[:, 1] - here.y_m) > 8.0
+        x_m, y_m, heading_rad = known[rng.choice(np.flatnonzero(away))].tolist()
+        loop.simulator.carry(TruePose(x_m, y_m, heading_rad))
+        began_s, began_m = loop.now_s, loop.simulator.odometer_m
+        before, count = len(loop.log.jump_m), len(loop.experience_map)
+
+        def knows(before: int = before, count: int = count, began_s: float = began_s) -> bool:
+            recent = loop.log.jump_m[before:]
+            right = loop.experience_map.current_id < count and recent and recent[-1] < 1.0
+            return bool(right) or loop.now_s > began_s + 180.0
+
+        loop.exploration.restart()
+        loop.run(loop.exploring, knows)
+        took_s = loop.now_s - began_s
+        found.append((took_s < 180.0, took_s, loop.simulator.odometer_m - began_m))
+    return found
+
+
+def kidnapped(setting: Setting, seeds: Sequence[int]) -> None:
+    """Print time and distance until a robot that was carried knows where it is."""
+    print('seed  recovered  time [s]: mean  worst   way [m]: mean  worst')
+    rows = pooled(partial(kidnapped_run, setting), list(seeds))
+    for seed, row in zip(seeds, rows, strict=True):
+        print(kidnapped_line(f'{seed:4d}', row))
+    print(kidnapped_line(' all', [one for row in rows for one in row]))
+
+
+def kidnapped_line(name: str, row: Sequence[tuple[bool, float, float]]) -> str:
+    """Return a line of the table."""
+    times, ways = [s for ok, s, _ in row if ok], [m for ok, _, m in row if ok]
+    return (f'{name}  {len(times):4d} of {len(row):2d}  {mean(times):14.1f}  '
+            f'{max(times, default=math.nan):5.1f}  {mean(ways):14.1f}  '
+            f'{max(ways, default=math.nan):5.1f}')  # fmt: skip
+
+
+# Pruning
+
+
+def pruning_run(setting: Setting, seed: int) -> str:
+    """Explore for two hours at a third of the experiences that it would have made; three goals."""
+    free = setting.loop(seed, 'university_floor')
+    free.explore(setting.explore_s(120.0))
+    limit = len(free.experience_map) // 3
+    loop = setting.loop(seed, 'university_floor', pose_cells__exp_max=limit)
+    places = explore_and_name(loop, setting.explore_s(120.0))
+    t = loop.simulator.truth
+    names = choose_goals(
+        places, Pose(t.x_m, t.y_m, t.heading_rad), 3, np.random.Generator(np.random.PCG64(seed))
+    )
+    trials = [attempt(loop, name, places[name]) for name in names]
+    done = sum(x.succeeded for x in trials)
+    return (f'{seed:4d}  {len(free.experience_map):6d}  {limit:6d}  {len(loop.experience_map):6d}'
+            f'  {map_error_m(free):8.2f}  {done}/{len(trials)}')  # fmt: skip
+
+
+def pruning(setting: Setting, seeds: Sequence[int]) -> None:
+    """Print what a limit to the number of experiences costs."""
+    print('seed  without   limit    made  map [m], without limit  goals reached')
+    print('\n'.join(pooled(partial(pruning_run, setting), list(seeds))))
+
+
+def mean(values: Sequence[float]) -> float:
+    """Return the mean of what is known; not a number where that is nothing."""
+    known = [value for value in values if math.isfinite(value)]
+    return statistics.fmean(known) if known else math.nan
+
+
+def pooled(run: Callable[[Job], Row], jobs: Sequence[Job]) -> list[Row]:
+    """Run jobs on all cores, each once; return the rows in order."""
+    with ProcessPoolExecutor(min(os.cpu_count() or 1, len(jobs))) as pool:
+        return list(pool.map(run, jobs))
+
+
+EXPERIMENTS = {
+    'goals': goals, 'obstacle': obstacle, 'goal_memory': goal_memory, 'loop': loop,
+    'kidnapped': kidnapped, 'pruning': pruning,
+}  # fmt: skip
+
+
+def main() -> None:
+    """Run one experiment."""
+    parser = argparse.ArgumentParser(description=(__doc__ or '').partition('\n')[0])
+    parser.add_argument('experiment', choices=EXPERIMENTS)
+    parser.add_argument('--seeds', type=int, default=10, help='how many (default: 10)')
+    parser.add_argument('--first', type=int, default=1, help='the first seed (default: 1)')
+    parser.add_argument('--plan', default='', help="another floor plan than the experiment's")
+    parser.add_argument('--noise', type=float, default=1.0, help='times that of a Pioneer')
+    parser.add_argument('--people', type=int, default=0, help='who walk about')
+    parser.add_argument('--minutes', type=float, default=0.0, help='another time to explore')
+    parser.add_argument('--out', type=Path, default=Path('results/navigation'))
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    setting = Setting(
+        options.plan, options.noise, options.people, options.out, options.minutes
+    )
+    began = time.perf_counter()
+    EXPERIMENTS[options.experiment](
+        setting, range(options.first, options.first + options.seeds)
+    )
+    print(f'{time.perf_counter() - began:.0f} s')
+
+
+if __name__ == '__main__':
+    main()
