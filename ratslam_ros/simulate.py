@@ -89,13 +89,14 @@ def simulate(
             simulator.watchers.append(writer.write)
         results = Results(folder)
         try:
-            run = _Run(_WrittenLoop(simulator, config, parameters.seed, results), options)
+            loop = _WrittenLoop(simulator, config, parameters.seed, results)
+            run = _Run(loop, options)
             explored = run.explore()
             trials = [run.attempt(name, folder) for name in run.goals(parameters.seed)]
+            loop.finish()
         except BaseException:
             results.discard()
             raise
-    loop = run.loop
     summary = {
         'frames': results.frames, 'odometry': results.odometry, 'templates': results.templates,
         'experiences': len(loop.experience_map), 'links': loop.experience_map.link_count,
@@ -127,6 +128,10 @@ class _WrittenLoop(ClosedLoop):
         for step in steps:
             self._results.add(step)
         super()._note(steps)
+
+    def finish(self) -> None:
+        """Process what still waits for the other stream."""
+        self._note(self.ratslam.flush())
 
 
 class _Run:

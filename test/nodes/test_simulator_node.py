@@ -13,6 +13,7 @@ import pytest
 
 from ratslam_ros.errors import RatslamError
 from ratslam_ros.nodes.qos import CLOCK
+from ratslam_ros.simulator.config import SimulatorParameters
 from ratslam_ros.simulator.floor_plan import office
 from ratslam_ros.simulator.simulation import START_STAMP_NS
 
@@ -57,7 +58,9 @@ def test_it_senses_what_a_robot_senses(world: MakeWorld) -> None:
     heard = {topic: made.listen(kind, topic) for topic, kind in kinds.items()}
     clock = made.listen(Clock, '/clock', CLOCK)
     made.until(lambda: clock and all(len(messages) >= 10 for messages in heard.values()))
-    for topic, rate_hz in (('image', 8), ('camera_info', 8), ('odom', 20), ('scan', 10)):
+    camera_hz = SimulatorParameters().camera_rate_hz
+    rates = {'image': camera_hz, 'camera_info': camera_hz, 'odom': 20, 'scan': 10}
+    for topic, rate_hz in rates.items():
         stamps = [stamp_of(message) for message in heard[topic]]
         assert set(np.diff(stamps)) == {10**9 // rate_hz}, topic
         assert min(stamps) >= START_STAMP_NS
