@@ -131,7 +131,7 @@ class _WrittenLoop(ClosedLoop):
 
     def finish(self) -> None:
         """Process what still waits for the other stream."""
-        self._note(self.ratslam.flush())
+        self._note(self.ratslam.finish())
 
 
 class _Run:
