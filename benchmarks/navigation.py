@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 
 from ratslam_ros.config_files import load_config
@@ -38,6 +39,7 @@ from ratslam_ros.goal_pictures import draw_temporal_map
 from ratslam_ros.pictures import new_figure, save_figure
 from ratslam_ros.simulator.closed_loop import ClosedLoop
 from ratslam_ros.simulator.config import SimulatorParameters, make_simulator
+from ratslam_ros.simulator.drive import DriveOptions, Driver
 from ratslam_ros.simulator.picture import draw_plan
 from ratslam_ros.simulator.robot import Pose as TruePose
 from ratslam_ros.simulator.trials import Driven, Trial, attempt, choose_goals
@@ -47,6 +49,7 @@ Row = TypeVar('Row')
 
 SIZES = ((100, 40), (40, 20))
 GOALS = 6
+RING = 'SabcdefgSab'
 CANDIDATES_S = 20.0
 LARGE = {'pose_cells.pc_dim_x': 140, 'pose_cells.pc_dim_y': 80}
 SMALL = {'pose_cells.pc_dim_x': 40, 'pose_cells.pc_dim_y': 20}
@@ -61,10 +64,14 @@ class Setting:
     people: int
     out: Path
     minutes: float
+    values: tuple[str, ...] = ()
 
     def loop(self, seed: int, plan: str = '', **values: Value) -> ClosedLoop:
         """Return a robot at its start; ``values``: parameters, a dot written as two underlines."""
         changes = {name.replace('__', '.'): value for name, value in values.items()}
+        for text in self.values:
+            name, _, value = text.partition('=')
+            changes[name] = yaml.safe_load(value)
         simulator = make_simulator(
             SimulatorParameters(
                 plan=self.plan or plan, seed=seed, noise=self.noise, people=self.people
@@ -249,7 +256,8 @@ def obstacle_run(setting: Setting, seed: int) -> list[str]:
             for name in 'SG':
                 x_m, y_m = plan.places[name]
                 away_m = math.hypot(simulator.truth.x_m - x_m, simulator.truth.y_m - y_m)
-                if away_m < named.get(name, 1.2) - 0.1 and loop.command.speed_mps > 0.3:
+                closer = away_m < named.get(name, 1.2) - 0.1 and len(loop.experience_map) > 0
+                if closer and loop.command.speed_mps > 0.3:
                     named[name] = away_m
                     loop.name_place(name)
                     at[name] = simulator.truth.x_m, simulator.truth.y_m
@@ -377,7 +385,7 @@ def by_goal_memory(
             return loop.exploring(scan)
         command = loop.follower(scan, route)
         if command.failed:
-            stuck_s += 5.0
+            stuck_s += loop.config.goal_follower.try_timeout_s
             memory.blocked(cells.peak, command.ahead_rad, stuck_s)
         return command
 
@@ -399,24 +407,32 @@ def goal_memory(setting: Setting, seeds: Sequence[int]) -> None:
 
 
 def loop_run(setting: Setting, seed: int) -> str:
-    """Drive along the outer wall without looking into rooms, until the loop is closed."""
-    loop = setting.loop(
-        seed, 'ring', goal_follower__look_back_every_m=1e6, goal_follower__look_back_turn_deg=1e6
+    """Be driven round the ring by hand, and a little further; see when the loop is closed."""
+    loop = setting.loop(seed, 'university_floor')
+    simulator = loop.simulator
+    places = simulator.plan.places
+    driver = Driver(
+        [places[name] for name in RING], np.random.Generator(np.random.PCG64(seed)), DriveOptions()
     )
-    closures = loop.log.closures_ns
-    loop.run(loop.exploring, lambda: bool(closures) or loop.now_s > 900.0)
-    before = loop.log
-    truth, reckoned = before.truths()[:, :2], np.array(before.dead_reckoning)[:, :2]
-    drift_m = closing_error_m(before.truths(), np.array(before.dead_reckoning))
-    reckoned_m = aligned_error_m(reckoned, truth)
-    closed = bool(closures)
-    at_m = loop.simulator.odometer_m
-    start_s = loop.now_s
-    loop.run(loop.exploring, lambda: loop.now_s > start_s + 60.0)
+    simulator.carry(driver.start)
+
+    def steer(scan: Scan) -> Command:
+        return Command(*driver.command(simulator.truth, 0.1), 'centreline')
+
+    def closed_by_ring() -> bool:
+        return driver.finished or any(
+            stamp_ns > loop.log.stamp_ns[0] + 60e9 for stamp_ns in loop.log.closures_ns
+        )
+
+    loop.run(steer, closed_by_ring)
+    closed, at_m = not driver.finished, simulator.odometer_m
+    drift_m = closing_error_m(loop.log.truths(), np.array(loop.log.dead_reckoning))
+    before_m = map_error_m(loop)
+    loop.run(steer, lambda: driver.finished)
     loop.experience_map.settle()
     wrong = sum(jump > 1.0 for jump in loop.log.jump_m)
-    return (f'{seed:4d}  {"yes" if closed else "NO":>6}  {at_m:8.1f}  {drift_m:10.2f}  '
-            f'{reckoned_m:8.2f}  {map_error_m(loop):8.2f}  {wrong:5d}')  # fmt: skip
+    return (f'{seed:4d}  {"yes" if closed else "NO":>6}  {at_m:9.1f}  {drift_m:9.2f}  '
+            f'{before_m:10.2f}  {map_error_m(loop):9.2f}  {wrong:5d}')  # fmt: skip
 
 
 def closing_error_m(truth: NDArray[np.float64], reckoned: NDArray[np.float64]) -> float:
@@ -429,7 +445,7 @@ def closing_error_m(truth: NDArray[np.float64], reckoned: NDArray[np.float64]) -
 
 def loop(setting: Setting, seeds: Sequence[int]) -> None:
     """Print how the loop of 122 m is closed."""
-    print('seed  closed  after [m]  drift [m]  reckoned  map [m]  wrong closures')
+    print('seed  closed  after [m]  drift [m]  before [m]  after [m]  wrong closures')
     print('\n'.join(pooled(partial(loop_run, setting), list(seeds))))
 
 
@@ -534,12 +550,14 @@ def main() -> None:
     parser.add_argument('--noise', type=float, default=1.0, help='times that of a Pioneer')
     parser.add_argument('--people', type=int, default=0, help='who walk about')
     parser.add_argument('--minutes', type=float, default=0.0, help='another time to explore')
+    parser.add_argument('--set', action='append', default=[], metavar='SECTION.NAME=VALUE')
     parser.add_argument('--out', type=Path, default=Path('results/navigation'))
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     setting = Setting(
-        options.plan, options.noise, options.people, options.out, options.minutes
-    )
+        options.plan, options.noise, options.people, options.out, options.minutes,
+        tuple(options.set),
+    )  # fmt: skip
     began = time.perf_counter()
     EXPERIMENTS[options.experiment](
         setting, range(options.first, options.first + options.seeds)

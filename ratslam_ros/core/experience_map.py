@@ -36,6 +36,8 @@ STEPS_PER_ACTION = 2000
 """Links that an action may relax, on average; what a map does not need is saved up for the next
 change. Larger maps are relaxed once in several actions, so that the cost of one stays the same."""
 
+MIRRORED = {'left_wall': 'right_wall', 'right_wall': 'left_wall'}
+
 STEPS_PER_LINK = 12
 """Steps of planning a link, before it has been tried."""
 
@@ -398,6 +400,17 @@ class ExperienceMap:
         if blocked:
             self._delete(blocked)
         return len(blocked)
+
+    def behaviour_between(self, source_id: int, target_id: int) -> str:
+        """Return the behaviour that leads from one experience to the next, '' where none does.
+
+        Against a link's direction the wall that was followed is on the other side.
+        """
+        row = self._row(source_id, target_id)
+        if row is not None:
+            return self._notes[row][0]
+        row = self._row(target_id, source_id)
+        return '' if row is None else MIRRORED.get(self._notes[row][0], '')
 
     def _place(self, action: MapAction, pose: Pose) -> None:
         """Put a new experience on the map, under a number of its own or a free one."""

@@ -32,6 +32,9 @@ WALL_M = 0.3
 """So much better a way along a wall counts than another one: it leads where the robot drove when
 it learned the route, and what it sees there it knows. By the map alone it would drive beside."""
 
+LEARNED_M = 0.6
+"""And the way along the wall that it followed then."""
+
 STEADY_M = 0.1
 """So much worse, for a radian, a way on in another direction than the last one counts."""
 
@@ -66,10 +69,11 @@ class GoalFollower:
         self._tried_since_ns: int | None = None
         self._last_rad = 0.0
 
-    def __call__(self, scan: Scan, route: NDArray[np.float64]) -> Command:
+    def __call__(self, scan: Scan, route: NDArray[np.float64], behaviour: str = '') -> Command:
         """Choose a way on and return how to take it.
 
         ``route``: (n, 2) m, in the robot's frame, from the robot's place on it to the goal.
+        ``behaviour``: the one that the route was learned with, '' where that is not known.
         """
         p = self._p
         movement = LocalMovement(p, scan)
@@ -87,14 +91,17 @@ class GoalFollower:
         if not options:
             return self._blocked(scan.stamp_ns, bearing_rad)
         self._tried_since_ns = None
-        best = min(options, key=lambda option: self._rank_m(option, ahead))
+        best = min(options, key=lambda option: self._rank_m(option, ahead, behaviour))
         self._last_rad = best.heading_rad
         return drive(movement, best, p, most_mps=_approach_mps(route, p))
 
-    def _rank_m(self, option: Option, ahead: NDArray[np.float64]) -> float:
+    def _rank_m(self, option: Option, ahead: NDArray[np.float64], behaviour: str) -> float:
         """Return how far from the route a way on counts to be; the least is taken."""
         rank_m = _cost_m(option, ahead) + STEADY_M * abs(option.heading_rad - self._last_rad)
-        return rank_m - WALL_M if option.behaviour in ('left_wall', 'right_wall') else rank_m
+        if option.behaviour == behaviour:
+            return rank_m - LEARNED_M
+        walls = ('left_wall', 'right_wall')
+        return rank_m - WALL_M if not behaviour and option.behaviour in walls else rank_m
 
     def _blocked(self, stamp_ns: int, bearing_rad: float) -> Command:
         """Face the route and wait: people go away, closed doors do not."""
@@ -148,7 +155,7 @@ def _leading(options: list[Option], bearing_rad: float, open_m: float) -> list[O
         option
         for option in options
         if abs(wrap(option.heading_rad - bearing_rad)) < ALONG_RAD
-        and abs(option.heading_rad) < ALONG_RAD
+        and abs(option.heading_rad) <= ASIDE_RAD
         and option.open_m >= open_m
     ]
 

@@ -16,6 +16,9 @@ from ratslam_ros.core.goals import Goal, Goals, Target
 from ratslam_ros.core.odometry import Pose
 from ratslam_ros.core.route_following import Guidance, RouteFollowing, Status
 
+MOST_TRIES, MOST_UNSURE = 12, 1
+"""More failed tries for a goal than are needed to unlearn a link; and where they do not count."""
+
 MOST_OUTCOMES = 100
 """Of the goals that have ended, so many are remembered."""
 
@@ -60,6 +63,7 @@ class Navigator:
         self._following: RouteFollowing | None = None
         self._count = 0
         self._lost_ns: int | None = None
+        self._tries = 0
 
     @property
     def parameters(self) -> GoalRecallParameters:
@@ -168,12 +172,26 @@ class Navigator:
         """End a goal, and return the guidance that says so."""
         if errand is self._queue[0]:
             self._following = self._lost_ns = None
+            self._tries = 0
         self._queue.remove(errand)
         errand.status, errand.reason, errand.ended_ns = status, reason, self.stamp_ns
         self.outcomes.append(errand)
         self.ended += 1
         last = last or self.guidance
         return Guidance(status, goal=last.goal, replanned=last.replanned, switched=last.switched)
+
+    def try_failed(self) -> bool:
+        """Take note that a try led nowhere; return whether the map shall count it.
+
+        It shall not where the robot may be wrong about its place: the way is not closed, the
+        robot is not there. Then, and where many tries have unlearned nothing, it explores a bit.
+        """
+        self._tries += 1
+        unsure = 0.0 < self.parameters.try_unknown_m < self.guidance.unknown_m
+        if self._following is not None and self._tries > (MOST_UNSURE if unsure else MOST_TRIES):
+            self._following.stray()
+            self._tries = 0
+        return not unsure
 
     def forgotten(self, experience_id: int, stand_in_id: int, pose_in_stand_in: Pose) -> None:
         """Keep all goals where an experience is forgotten; see ``Goal.without``."""

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any, Literal
 
 import numpy as np
@@ -28,6 +29,12 @@ PASSING = 1.5
 LONGEST_STEP_M = 0.2
 """Of a step between two updates, so much may have been driven; the rest is the map that moved."""
 
+NEXT_LINKS = 6
+"""Of a route, so many links say which wall to follow."""
+
+STRAY_M = 4.0
+"""How far a robot explores where it stood."""
+
 WINDOW = 2.0
 """Times the width of a route: so far ahead the robot's position on it is looked for."""
 
@@ -36,14 +43,15 @@ WINDOW = 2.0
 class Guidance:
     """Where to go now.
 
-    ``status``: ``following`` the route that the map has now; ``recovering``: the last good one,
-    as there is none or only a longer one; ``lost``: there is none; ``idle``: there is no goal;
-    else how the last goal ended. ``positions_m``: (n, 2) the route on the map, from the robot's
-    place on it to the goal; ``arrival_s``: (n,) when the robot should be where, from now. Both
-    are empty and ``remaining_s`` infinite where there is no route. ``waypoint``: a pose some way
-    ahead, heading along the route. ``explore``: the robot should look for a way by exploring.
-    ``unknown_m``: how far the robot has come since a place that it knew. ``replanned``: routes
-    taken for this goal; ``switched``: those of them that were other ways.
+    ``status``: ``following`` the route that the map has now; ``recovering``: the last good one, as
+    there is none or only a longer one; ``lost``: there is none; ``idle``: there is no goal; else
+    how the last goal ended. ``positions_m``: (n, 2) the route on the map, from the robot's place
+    on it to the goal; ``arrival_s``: (n,) when the robot should be where, from now. Both are empty
+    and ``remaining_s`` infinite where there is no route. ``waypoint``: a pose some way ahead,
+    heading along the route. ``explore``: the robot should look for a way by exploring.
+    ``behaviour``: the one that most of the next links were made by, '' for none. ``unknown_m``:
+    how far the robot has come since a place that it knew. ``replanned``: routes taken for this
+    goal; ``switched``: those of them that were other ways.
     """
 
     status: Status
@@ -54,6 +62,7 @@ class Guidance:
     goal: Pose | None = None
     explore: bool = False
     unknown_m: float = 0.0
+    behaviour: str = ''
     replanned: int = 0
     switched: int = 0
 
@@ -98,7 +107,7 @@ class RouteFollowing:
         """Experiences that the robot was at since its route was last the one that was found."""
         self._confirmed_ns = self._updated_ns = 0
         self._last: Pose | None = None
-        self._unknown_m = 0.0
+        self._unknown_m = self._stray_m = 0.0
         self._known = 0
         """Experiences that there were when the robot last was at one that it knew."""
         self._longer_since_ns: int | None = None
@@ -128,7 +137,7 @@ class RouteFollowing:
             sure = not 0.0 < self._p.goal_sure_m < self._unknown_m
             if self._is_reached(goal, here) and sure:
                 return self._told('succeeded', goal, remaining_s=0.0)
-            if 0.0 < self._p.route_unknown_m < self._unknown_m:
+            if self._stray_m > 0.0 or 0.0 < self._p.route_unknown_m < self._unknown_m:
                 self._updated_ns, self._kept = stamp_ns, None
                 return self._told('lost', goal, explore=True)
             if self._kept is not None and self._kept.away_m > self._p.route_width_m:
@@ -143,7 +152,15 @@ class RouteFollowing:
         return self._told(
             'following' if confirmed else 'recovering', goal, positions_m=positions_m,
             arrival_s=arrival_s, remaining_s=way.remaining_s, waypoint=waypoint,
+            behaviour=way.behaviour(self._map),
         )  # fmt: skip
+
+    def stray(self) -> None:
+        """Explore for some way: the robot stands where its route does not lead on, nor is closed.
+
+        It is not where it believes to be, and while it stands nothing would tell it so.
+        """
+        self._kept, self._stray_m = None, STRAY_M
 
     def forgotten(self, experience_id: int, stand_in_id: int, pose_in_stand_in: Pose) -> None:
         """Go on where an experience is forgotten; see ``Goal.without``."""
@@ -180,9 +197,10 @@ class RouteFollowing:
         """Add up how far the robot has come from where it had been before it lost its way."""
         if self._last is None or self._map.current_id < self._known:
             self._unknown_m, self._known = 0.0, len(self._map)
-        else:
+        if self._last is not None:
             step_m = math.hypot(here.x_m - self._last.x_m, here.y_m - self._last.y_m)
             self._unknown_m += min(step_m, LONGEST_STEP_M)
+            self._stray_m -= min(step_m, LONGEST_STEP_M)
         self._last = here
 
     def _choose(self, stamp_ns: int) -> bool:
@@ -294,6 +312,13 @@ class _Way:
             return False
         still = np.asarray(_are_linked(ends, self.ids[self._at :], count))
         return bool(np.all(still | ~self._links[self._at :]))
+
+    def behaviour(self, experience_map: ExperienceMap) -> str:
+        """Return the wall that most of the next links were made along, '' for neither."""
+        ids = self.ids[self._at : self._at + NEXT_LINKS + 1].tolist()
+        made = [experience_map.behaviour_between(a, b) for a, b in pairwise(ids)]
+        left, right = made.count('left_wall'), made.count('right_wall')
+        return '' if left == right else 'left_wall' if left > right else 'right_wall'
 
     def needs(self, experience_id: int) -> bool:
         """Return whether the route leads over an experience from here on."""

@@ -170,6 +170,8 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
     def _fail(self, stamp_ns: int) -> None:
         """Count the tries up to a stamp that have failed."""
         for note in self._behaviours.take(stamp_ns):
+            if not self._goals.try_failed():
+                continue
             unlearned = self._core.fail(note.behaviour, note.ahead_rad)
             if unlearned > 0:
                 self._changed = True

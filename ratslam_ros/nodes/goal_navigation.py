@@ -115,6 +115,10 @@ class GoalNavigation:
         """Return the names and their places."""
         return self._navigator.goals.state()
 
+    def try_failed(self) -> bool:
+        """Take note of a try that led nowhere; return whether the map shall count it."""
+        return self._navigator.try_failed()
+
     def locate(self, stamp_ns: int, pose: Pose, odom_pose: Pose) -> None:
         """Take where the robot is on the map and in the frame of the odometry."""
         self._stamp_ns, self._pose, self._odom_pose = stamp_ns, pose, odom_pose

@@ -141,12 +141,13 @@ class ClosedLoop:
             return self.exploring(scan)
         if len(self.guidance.positions_m) == 0:
             return Command(0.0, 0.0, 'turn')
-        command = self.follower(scan, seen_from(here, self.guidance.positions_m))
-        most_m = self.config.goal_recall.try_unknown_m
-        if command.failed and not 0.0 < most_m < self.guidance.unknown_m:
+        route = seen_from(here, self.guidance.positions_m)
+        command = self.follower(scan, route, self.guidance.behaviour)
+        if command.failed:
             self.tries_failed += 1
-            ahead_rad = wrap(here.heading_rad + command.ahead_rad)
-            self.links_unlearned += graph.fail(command.behaviour, ahead_rad)
+            if self.navigator.try_failed():
+                ahead_rad = wrap(here.heading_rad + command.ahead_rad)
+                self.links_unlearned += graph.fail(command.behaviour, ahead_rad)
         return command
 
     def _move(self, sample: OdometrySample) -> None:
