@@ -187,7 +187,7 @@ def test_somebody_who_goes_away_makes_no_way_fail() -> None:
         assert not any(command.failed for command in waiting)
         stood += sum(command.speed_mps == 0.0 for command in waiting) * SCAN_S
         drive.walls = free
-    assert stood > 1.5 * P.try_timeout_s  # in all
+    assert stood > P.try_timeout_s  # in all
     assert not any(command.failed for command in drive.steps(20.0))
     assert drive.away_m(9.0, 0.0) < 0.3
     drive = Drive(closed, [(0.0, 0.0), (9.0, 0.0)])  # and who stays does

@@ -1,0 +1,133 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What keeps a robot on ways that it knows: joins, walls, shifts of views, being unsure."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from ratslam_ros.core.config import (
+    ExperienceMapParameters,
+    GoalRecallParameters,
+    LocalViewParameters,
+)
+from ratslam_ros.core.experience_map import ExperienceMap
+from ratslam_ros.core.goal_recall import SAME_TOUR, GoalRecall
+from ratslam_ros.core.local_view import LocalView
+from ratslam_ros.core.navigator import MOST_TRIES, MOST_UNSURE, Navigator
+from ratslam_ros.core.odometry import Motion
+from ratslam_ros.core.pose_cells import MapAction
+from ratslam_ros.core.torus import Place
+
+NOWHERE = Place(0.0, 0.0, 0.0)
+
+
+def step(graph: ExperienceMap, turn_rad: float = 0.0, behaviour: str = '') -> None:
+    """Turn on the spot, drive 0.5 m in a second, and make an experience."""
+    graph.integrate(Motion(0.0, 0.0, turn_rad))
+    graph.integrate(Motion(1.0, 0.5, 0.0))
+    new = len(graph)
+    graph.apply(MapAction('create', graph.current_id, new, new, 0.0, NOWHERE), behaviour)
+
+
+def in_and_out(length: int) -> ExperienceMap:
+    """Drive so many steps along, turn, and the same way back."""
+    graph = ExperienceMap(ExperienceMapParameters(exp_initial_em_deg=0.0))
+    for _ in range(length):
+        step(graph)
+    step(graph, math.pi)
+    for _ in range(length - 2):
+        step(graph)
+    return graph
+
+
+def test_a_route_need_not_go_into_a_room_and_out_again() -> None:
+    graph = in_and_out(20)
+    by_links = GoalRecall(GoalRecallParameters()).route_to(graph, 0)
+    joined = GoalRecall(GoalRecallParameters(route_join_m=0.35)).route_to(graph, 0)
+    assert len(by_links.experience_ids) == len(graph)
+    # It is there already, and only looks the other way.
+    assert joined.arrival_s[-1] == pytest.approx(math.pi, abs=0.2)
+
+
+def test_places_of_different_tours_are_not_joined() -> None:
+    # The map may be bent between them.
+    graph = in_and_out(SAME_TOUR)
+    joined = GoalRecall(GoalRecallParameters(route_join_m=0.35)).route_to(graph, 0)
+    assert joined.arrival_s[-1] > 0.4 * SAME_TOUR
+
+
+def test_against_a_link_the_wall_is_on_the_other_side() -> None:
+    graph = ExperienceMap(ExperienceMapParameters())
+    step(graph)
+    step(graph, behaviour='left_wall')
+    step(graph, behaviour='turn')
+    assert graph.behaviour_between(0, 1) == 'left_wall'
+    assert graph.behaviour_between(1, 0) == 'right_wall'
+    assert graph.behaviour_between(2, 1) == ''
+    assert graph.behaviour_between(0, 2) == ''
+
+
+@pytest.mark.parametrize('columns', [-2, -1, 0, 1, 2])
+def test_the_shift_of_a_view_tells_how_the_robot_is_turned(columns: int) -> None:
+    parameters = LocalViewParameters(
+        template_x_size=20, template_y_size=10, vt_shift_match=3, vt_shift_fov_deg=50.0
+    )
+    rng = np.random.default_rng(1)
+    wide = rng.integers(0, 256, (10, 40)).astype(np.uint8)
+    view = LocalView(parameters)
+    view(wide[:, 10:30])
+    # Turned to the left the camera sees more of what is on the left: all moves to the right.
+    match = view(wide[:, 10 - columns : 30 - columns])
+    assert not match.is_new
+    assert match.relative_rad == pytest.approx(math.radians(columns * 50.0 / 20))
+
+
+def test_without_the_angle_shifts_are_no_turns() -> None:
+    view = LocalView(LocalViewParameters(template_x_size=20, template_y_size=10, vt_shift_match=3))
+    wide = np.random.default_rng(1).integers(0, 256, (10, 40)).astype(np.uint8)
+    view(wide[:, 10:30])
+    assert view(wide[:, 11:31]).relative_rad == 0.0
+
+
+def straight(length: int) -> ExperienceMap:
+    graph = ExperienceMap(ExperienceMapParameters(exp_initial_em_deg=0.0))
+    for _ in range(length):
+        step(graph)
+    return graph
+
+
+def on_the_way(graph: ExperienceMap) -> Navigator:
+    navigator = Navigator(GoalRecallParameters(try_unknown_m=2.0, goal_radius_m=0.1), graph)
+    navigator.go_to(0)
+    navigator.update(0)
+    return navigator
+
+
+def test_a_robot_that_knows_where_it_is_counts_its_failures() -> None:
+    navigator = on_the_way(straight(10))
+    assert all(navigator.try_failed() for _ in range(MOST_TRIES))
+    assert not navigator.update(1).explore
+    navigator.try_failed()
+    assert navigator.update(2).explore  # that many have changed nothing: it is not there
+
+
+def test_a_robot_that_may_be_wrong_looks_for_itself() -> None:
+    graph = straight(10)
+    navigator = on_the_way(graph)
+    for stamp_ns in range(1, 4):
+        step(graph)  # further away, where it has never been
+        for _ in range(3):
+            guidance = navigator.update(stamp_ns)
+    assert guidance.unknown_m == pytest.approx(0.6)  # a leap counts as little: the map moved
+    assert navigator.try_failed()
+    for stamp_ns in range(4, 20):
+        step(graph)
+        guidance = navigator.update(stamp_ns)
+    assert guidance.unknown_m > 2.0
+    for _ in range(MOST_UNSURE + 1):
+        assert not navigator.try_failed()
+    assert navigator.update(20).explore
