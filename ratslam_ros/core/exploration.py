@@ -39,10 +39,14 @@ STUCK_S = 15.0
 
 
 class Exploration:
-    """Left wall following, interrupted by turning back to look (seed 001, section IV.D)."""
+    """Left wall following, interrupted by turning back to look (seed 001, section IV.D).
+
+    Ours: now and then it goes on along the wall across, and then back along the same wall, as a
+    camera that looks ahead knows a way only in the direction in which it was driven.
+    """
 
     def __init__(self, parameters: GoalFollowerParameters, rng: Generator) -> None:
-        """``rng``: draws after which looks the robot goes on along the other wall."""
+        """``rng``: draws when the robot changes walls, about ``change_wall_every_s`` apart."""
         self._p = parameters
         self._rng = rng
         self._side: Behaviour = 'left_wall'

@@ -86,7 +86,7 @@ class GoalRecall:
         self.parameters = parameters
         """They may be replaced at any time."""
         self._durations: WeakKeyDictionary[
-            ExperienceMap, dict[tuple[float, float], tuple[tuple[int, int], csr_array]]
+            ExperienceMap, dict[tuple[float, float, float], tuple[tuple[int, int], csr_array]]
         ] = WeakKeyDictionary()
         self._tree: GoalTree | None = None
 
@@ -108,15 +108,14 @@ class GoalRecall:
             raise UnreachableGoal('the map is empty; drive first')
         start = experience_map.current_id if start_id is None else start_id
         changes = experience_map.links_version, len(experience_map)
-        back = self.parameters.route_back_factor
-        factors = (back, 1.0) if to_start else (1.0, back)
+        back, join_m = self.parameters.route_back_factor, self.parameters.route_join_m
+        factors = (back, 1.0, join_m) if to_start else (1.0, back, join_m)
         graphs = self._durations.setdefault(experience_map, {})
         known = graphs.get(factors)
         if known is None or known[0] != changes:
             if factors not in graphs and len(graphs) > 1:
-                graphs.clear()  # the factor was changed
-            join_m = self.parameters.route_join_m
-            known = graphs[factors] = changes, durations(experience_map, *factors, join_m)
+                graphs.clear()  # the parameters were replaced
+            known = graphs[factors] = changes, durations(experience_map, *factors)
         from scipy.sparse.csgraph import dijkstra
 
         arrival_s, before = dijkstra(known[1], indices=start, return_predecessors=True)
