@@ -5,18 +5,22 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.angles import wrap
-from ratslam_ros.core.local_movement import Behaviour, LocalMovement, Option, Scan
+from ratslam_ros.core.local_movement import WALLS, Behaviour, LocalMovement, Option, Scan
 from ratslam_ros.core.movement_config import GoalFollowerParameters
 from ratslam_ros.core.odometry import Pose
+from ratslam_ros.core.steering import Command, drive, turn
+from ratslam_ros.core.wall_following import WallFollowing
 
 SAMPLES = 8
 """Points of a way on that are compared with the route."""
+
+NEAR = 3
+"""Of these, the one that says where the route begins to lead."""
 
 ASIDE_RAD = math.radians(60.0)
 """A route that begins further than this to the side is turned to on the spot."""
@@ -45,26 +49,12 @@ FACING_RAD = math.radians(25.0)
 """Turning ends when the route is this close to straight ahead."""
 
 
-@dataclass(frozen=True, slots=True)
-class Command:
-    """What the robot shall do, and the behaviour that says so.
-
-    ``failed``: the behaviour was tried for ``try_timeout_s`` and led nowhere; ``ahead_rad``: the
-    direction in which it was tried, in the robot's frame.
-    """
-
-    speed_mps: float
-    turn_rate_radps: float
-    behaviour: Behaviour
-    failed: bool = False
-    ahead_rad: float = 0.0
-
-
 class GoalFollower:
     """Behaviour arbitration (seed 000, section IV.C), and what keeps the robot from harm."""
 
     def __init__(self, parameters: GoalFollowerParameters) -> None:
         self._p = parameters
+        self._wall = WallFollowing(parameters)
         self._turning = False
         self._tried_since_ns: int | None = None
         self._last_rad = 0.0
@@ -79,6 +69,10 @@ class GoalFollower:
         movement = LocalMovement(p, scan)
         ahead = _ahead(route, p.route_ahead_m)
         bearing_rad = math.atan2(float(ahead[-1, 1]), float(ahead[-1, 0]))
+        along = self._along_wall(movement, ahead, behaviour)
+        if along is not None and not self._turning:
+            self._tried_since_ns, self._last_rad = None, along.heading_rad
+            return drive(movement, along, p, most_mps=_approach_mps(route, p))
         if abs(bearing_rad) > (FACING_RAD if self._turning else ASIDE_RAD):
             self._turning, self._tried_since_ns = True, None
             return turn(bearing_rad, p)
@@ -94,6 +88,20 @@ class GoalFollower:
         best = min(options, key=lambda option: self._rank_m(option, ahead, behaviour))
         self._last_rad = best.heading_rad
         return drive(movement, best, p, most_mps=_approach_mps(route, p))
+
+    def _along_wall(
+        self, movement: LocalMovement, ahead: NDArray[np.float64], behaviour: str
+    ) -> Option | None:
+        """Return the way along the wall that the route was learned along, where it leads on."""
+        if behaviour not in WALLS:
+            return None
+        side: Behaviour = 'left_wall' if behaviour == 'left_wall' else 'right_wall'
+        option = self._wall.way_on(movement, side)
+        if option is None:
+            return None
+        bearings_rad = [math.atan2(float(y), float(x)) for x, y, _ in (ahead[NEAR], ahead[-1])]
+        away_rad = min(abs(wrap(option.heading_rad - bearing)) for bearing in bearings_rad)
+        return option if away_rad < ALONG_RAD else None
 
     def _rank_m(self, option: Option, ahead: NDArray[np.float64], behaviour: str) -> float:
         """Return how far from the route a way on counts to be; the least is taken."""
@@ -113,26 +121,6 @@ class GoalFollower:
         return Command(
             0.0, 0.5 * bearing_rad * self._p.turn_rate_radps, 'centreline', failed, bearing_rad
         )
-
-
-def drive(
-    movement: LocalMovement, option: Option, p: GoalFollowerParameters, most_mps: float = math.inf
-) -> Command:
-    """Return how to take a way on: towards it, as fast as what is ahead allows."""
-    turn_rate = max(-p.turn_rate_radps, min(2.0 * option.heading_rad, p.turn_rate_radps))
-    # Ahead counts what the body will reach, whichever way it is about to turn.
-    gap_m = min(movement.open_m(0.0, p.robot_radius_m), option.open_m) - p.stop_distance_m
-    speed = p.speed_mps * max(math.cos(1.5 * option.heading_rad), 0.0)
-    speed = min(speed, most_mps, math.sqrt(2.0 * p.braking_mps2 * max(gap_m, 0.0)))
-    if abs(option.heading_rad) > math.pi / 3:
-        speed = 0.0
-    return Command(speed, turn_rate, option.behaviour, ahead_rad=option.heading_rad)
-
-
-def turn(bearing_rad: float, p: GoalFollowerParameters) -> Command:
-    """Return how to turn on the spot, slower towards the end."""
-    rate = max(-p.turn_rate_radps, min(1.5 * bearing_rad, p.turn_rate_radps))
-    return Command(0.0, rate, 'turn', ahead_rad=bearing_rad)
 
 
 def _approach_mps(route: NDArray[np.float64], p: GoalFollowerParameters) -> float:

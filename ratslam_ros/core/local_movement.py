@@ -16,6 +16,8 @@ from ratslam_ros.core.movement_config import GoalFollowerParameters
 
 Behaviour = Literal['centreline', 'left_wall', 'right_wall', 'straight', 'turn']
 
+WALLS: tuple[Behaviour, ...] = ('left_wall', 'right_wall')
+
 NARROW_M = 0.3
 """How far a narrow passage must be open."""
 
