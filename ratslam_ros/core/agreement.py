@@ -24,6 +24,9 @@ MOST_CLAIMS = 64
 """However slowly the robot drives, no more are remembered; it bounds the work of a step."""
 
 
+FEWEST = 2.0
+"""Views that must agree on a place close by: odometry alone says that the robot is not far off."""
+
 TURN_WEIGHT = 0.25
 """Way, in cells, that a turn by one plane stands for: a look-alike corner is one place, however
 many views it takes to turn there, but a robot that turns on the spot sees different places."""
@@ -33,8 +36,9 @@ class Agreement:
     """The claims of the most recently recognised views."""
 
     def __init__(
-        self, torus: Torus, views: float, radius_cells: float, spacing_cells: float, recent: int
-    ) -> None:
+        self, torus: Torus, views: float, radius_cells: float, spacing_cells: float, recent: int,
+        near_cells: float = 0.0,
+    ) -> None:  # fmt: skip
         """Prepare without claims.
 
         Args:
@@ -43,12 +47,15 @@ class Agreement:
             radius_cells: claims this close agree.
             spacing_cells: way of the robot between claims that count as two.
             recent: how many claims, at least a spacing apart, are remembered.
+            near_cells: claims nearer than this to the believed place need fewer views, down to
+                FEWEST; 0: as many as any.
         """
         self._torus = torus
         self._views = views
         self._radius = radius_cells
         self._spacing = spacing_cells
         self._recent = recent
+        self._near = near_cells
         self._slot = 0
         self._slot_began = 0.0
         self._travelled = 0.0
@@ -106,9 +113,14 @@ class Agreement:
             self._remember(template_id, place)
         claimed = Place(*self._places[self._count - 1].tolist())
         support = self._supporters(claimed)
-        if self._torus.distance(claimed, believed) > self._radius:
+        away = self._torus.distance(claimed, believed)
+        if away > self._radius:
             support -= self._supporters(believed)
-        share: float = max(support, 0) / self._views
+        views = self._views
+        if away < self._near:
+            views = max(views * away / self._near, min(views, FEWEST))
+            support = min(support, 2 * views)
+        share: float = max(support, 0) / views
         return share * share * share * share
 
     def _remember(self, template_id: int, place: Place) -> None:

@@ -291,6 +291,12 @@ class PoseCellsParameters(OdometryInput):
         'How many recognised views, a spacing apart, are remembered for this.',
         'right recognitions are rare among wrong ones', 'repetitive places agree by chance',
     )  # fmt: skip
+    pc_vt_agree_near: float = parameter(
+        0.0, 'share of the smaller of pc_dim_x and pc_dim_y; 0: off', 0.0, 0.5,
+        'A view that claims a place nearer than this to the present one needs fewer others that '
+        'agree, in proportion, at least 2: the robot has not drifted far since it last knew.',
+        'ways are mapped a second time beside themselves', 'neighbouring places are confused',
+    )  # fmt: skip
     exp_delta_pc_threshold: float = parameter(
         2.0, 'cells', 0.01, 1000.0,
         'A place further than this from the current experience, in pose cells, is another one.',

@@ -45,6 +45,24 @@ STEADY_M = 0.1
 LEAST_M = 0.3
 """Ways on are compared over this length at least."""
 
+LAST_M = 0.8
+"""So far from its end a route is followed for itself."""
+
+BESIDE_RAD = math.radians(45.0)
+"""The wall leads on from when turning has so much left."""
+
+OFF_M = 0.5
+"""Where the wall leads elsewhere it is not looked at again for so long."""
+
+WALL_RAD = math.radians(50.0)
+"""Elsewhere a way along a wall is preferred where it runs as the route does."""
+
+BEHIND_RAD = math.radians(95.0)
+"""What lies further behind than this is turned to on the spot."""
+
+GAIN_M = 0.1
+"""A way on must lead so much nearer."""
+
 FACING_RAD = math.radians(25.0)
 """Turning ends when the route is this close to straight ahead."""
 
@@ -58,8 +76,16 @@ class GoalFollower:
         self._turning = False
         self._tried_since_ns: int | None = None
         self._last_rad = 0.0
+        self._off_m = self._speed_mps = 0.0
+        self._stamp_ns = 0
 
     def __call__(self, scan: Scan, route: NDArray[np.float64], behaviour: str = '') -> Command:
+        """doc"""
+        command = self._call(scan, route, behaviour)
+        self._speed_mps = command.speed_mps
+        return command
+
+    def _call(self, scan: Scan, route: NDArray[np.float64], behaviour: str = '') -> Command:
         """Choose a way on and return how to take it.
 
         ``route``: (n, 2) m, in the robot's frame, from the robot's place on it to the goal.
@@ -68,48 +94,65 @@ class GoalFollower:
         p = self._p
         movement = LocalMovement(p, scan)
         ahead = _ahead(route, p.route_ahead_m)
+        self._driven(scan.stamp_ns)
+        if behaviour in WALLS and ahead[-1, 2] > LAST_M:
+            command = self._repeat(movement, ahead, behaviour, _approach_mps(route, p))
+            if command is not None:
+                self._tried_since_ns = None
+                return command
+        return self._choose(scan.stamp_ns, movement, ahead, behaviour, _approach_mps(route, p))
+
+    def _driven(self, stamp_ns: int) -> None:
+        """Take note of how far the robot has come."""
+        self._off_m -= self._speed_mps * (stamp_ns - self._stamp_ns) * 1e-9
+        self._stamp_ns = stamp_ns
+
+    def _choose(
+        self, stamp_ns: int, movement: LocalMovement, ahead: NDArray[np.float64], behaviour: str,
+        most_mps: float,
+    ) -> Command:  # fmt: skip
+        """Take the way on that is closest to the route."""
+        p = self._p
         bearing_rad = math.atan2(float(ahead[-1, 1]), float(ahead[-1, 0]))
-        along = self._along_wall(movement, ahead, behaviour)
-        if along is not None and not self._turning:
-            self._tried_since_ns, self._last_rad = None, along.heading_rad
-            return drive(movement, along, p, most_mps=_approach_mps(route, p))
-        if abs(bearing_rad) > (FACING_RAD if self._turning else ASIDE_RAD):
+        if abs(bearing_rad) > (FACING_RAD if self._turning else BEHIND_RAD):
             self._turning, self._tried_since_ns = True, None
             return turn(bearing_rad, p)
         self._turning = False
-        towards = [*movement.options(), movement.towards(bearing_rad)]
-        wanted_m = min(p.wall_look_ahead_m, max(float(ahead[-1, 2]), LEAST_M))
-        options = _leading(towards, bearing_rad, wanted_m)
+        options = [o for o in [*movement.fan(), *movement.options()] if _nearer(o, ahead)]
         if not options:  # between the posts of a door little is open until the robot is through
-            options = _leading(movement.narrow(), bearing_rad, LEAST_M)
+            options = [o for o in movement.narrow() if _nearer(o, ahead)]
         if not options:
-            return self._blocked(scan.stamp_ns, bearing_rad)
+            return self._blocked(stamp_ns, bearing_rad)
         self._tried_since_ns = None
         best = min(options, key=lambda option: self._rank_m(option, ahead, behaviour))
         self._last_rad = best.heading_rad
-        return drive(movement, best, p, most_mps=_approach_mps(route, p))
+        return drive(movement, best, p, most_mps)
 
-    def _along_wall(
-        self, movement: LocalMovement, ahead: NDArray[np.float64], behaviour: str
-    ) -> Option | None:
-        """Return the way along the wall that the route was learned along, where it leads on."""
-        if behaviour not in WALLS:
-            return None
+    def _repeat(
+        self, movement: LocalMovement, ahead: NDArray[np.float64], behaviour: str, most_mps: float
+    ) -> Command | None:
+        """Follow the wall that the route was learned along; None where that leads elsewhere.
+
+        What counts is how the route runs, not where it lies: the wall says that better.
+        """
+        runs_rad = _runs_rad(ahead)
+        if abs(runs_rad) > (FACING_RAD if self._turning else BEHIND_RAD):
+            self._turning = True
+            return turn(runs_rad, self._p)
+        self._turning = False
         side: Behaviour = 'left_wall' if behaviour == 'left_wall' else 'right_wall'
-        option = self._wall.way_on(movement, side)
+        option = movement.wall(side, runs_rad, WALL_RAD)
         if option is None:
             return None
-        bearings_rad = [math.atan2(float(y), float(x)) for x, y, _ in (ahead[NEAR], ahead[-1])]
-        away_rad = min(abs(wrap(option.heading_rad - bearing)) for bearing in bearings_rad)
-        return option if away_rad < ALONG_RAD else None
+        self._last_rad = option.heading_rad
+        return drive(movement, option, self._p, most_mps)
 
     def _rank_m(self, option: Option, ahead: NDArray[np.float64], behaviour: str) -> float:
         """Return how far from the route a way on counts to be; the least is taken."""
-        rank_m = _cost_m(option, ahead) + STEADY_M * abs(option.heading_rad - self._last_rad)
-        if option.behaviour == behaviour:
-            return rank_m - LEARNED_M
-        walls = ('left_wall', 'right_wall')
-        return rank_m - WALL_M if not behaviour and option.behaviour in walls else rank_m
+        rank_m = _cost_m(option, ahead)
+        if option.behaviour not in WALLS or abs(option.heading_rad - _runs_rad(ahead)) > WALL_RAD:
+            return rank_m
+        return rank_m - (LEARNED_M if option.behaviour == behaviour else WALL_M)
 
     def _blocked(self, stamp_ns: int, bearing_rad: float) -> Command:
         """Face the route and wait: people go away, closed doors do not."""
@@ -137,24 +180,30 @@ def _ahead(route: NDArray[np.float64], length_m: float) -> NDArray[np.float64]:
     return np.stack([x, y, at_m], axis=1)
 
 
-def _leading(options: list[Option], bearing_rad: float, open_m: float) -> list[Option]:
-    """Return the ways on that lead along the route, and are open so far."""
-    return [
-        option
-        for option in options
-        if abs(wrap(option.heading_rad - bearing_rad)) < ALONG_RAD
-        and abs(option.heading_rad) <= ASIDE_RAD
-        and option.open_m >= open_m
-    ]
+def _nearer(option: Option, ahead: NDArray[np.float64]) -> bool:
+    """Return whether a way on comes nearer to where the route leads."""
+    x, y, _ = ahead[-1].tolist()
+    away_m = math.hypot(x, y)
+    reach_m = min(option.open_m, away_m * max(math.cos(option.heading_rad - math.atan2(y, x)), 0.0))
+    to_x, to_y = reach_m * math.cos(option.heading_rad), reach_m * math.sin(option.heading_rad)
+    return math.hypot(x - to_x, y - to_y) < away_m - min(GAIN_M, away_m / 2)
+
+
+def _runs_rad(ahead: NDArray[np.float64]) -> float:
+    """Return the direction in which a route begins to run."""
+    x, y, _ = (ahead[NEAR] - ahead[0]).tolist()
+    return math.atan2(y, x)
 
 
 def _cost_m(option: Option, ahead: NDArray[np.float64]) -> float:
-    """Return how far a way on is from the route on average."""
-    reach_m = min(option.open_m, max(float(ahead[-1, 2]), LEAST_M))
+    """Return how far a way on is from the route on average, and what it leaves of it."""
+    wanted_m = max(float(ahead[-1, 2]), LEAST_M)
+    reach_m = min(option.open_m, wanted_m)
     s = np.linspace(0.0, reach_m, SAMPLES + 1)[1:]
     x = s[:, None] * math.cos(option.heading_rad) - ahead[:, 0]
     y = s[:, None] * math.sin(option.heading_rad) - ahead[:, 1]
-    return float(np.hypot(x, y).min(axis=1).mean())
+    away_m = np.hypot(x, y)
+    return float(away_m.min(axis=1).mean() + 0.5 * away_m[:, -1].min())
 
 
 def seen_from(pose: Pose, positions_m: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -102,6 +102,24 @@ class LocalMovement:
             for first, last in _runs(body >= NARROW_M)
         ]
 
+    def wall(self, side: Behaviour, about_rad: float, within_rad: float) -> Option | None:
+        """Return the way along a wall as ``options`` does, of directions close to a given one."""
+        wall = _open_m(self.points, self.headings_rad, self._p.wall_distance_m)
+        near = np.abs(self.headings_rad - about_rad) <= within_rad
+        passable = np.flatnonzero((wall >= self._p.wall_look_ahead_m) & near)
+        if len(passable) == 0:
+            return None
+        at = passable[-1] if side == 'left_wall' else passable[0]
+        return Option(side, float(self.headings_rad[at]), float(wall[at]))
+
+    def fan(self) -> list[Option]:
+        """Return all directions that the robot can go on in, as far as they are open."""
+        body = _open_m(self.points, self.headings_rad, self._p.robot_radius_m + self._p.margin_m)
+        return [
+            Option('straight', float(heading_rad), float(open_m))
+            for heading_rad, open_m in zip(self.headings_rad, body, strict=True)
+        ]
+
     def towards(self, heading_rad: float) -> Option:
         """Return the way straight on in a direction: across a room, or up to a goal."""
         return Option('straight', heading_rad, self.open_m(heading_rad))

@@ -75,6 +75,7 @@ class PoseCells:
             p.pc_vt_agree_cells,
             p.pc_vt_agree_spacing,
             p.pc_vt_agree_recent,
+            p.pc_vt_agree_near * min(p.pc_dim_x, p.pc_dim_y),
         )
         self._network = Network(
             (p.pc_dim_th, p.pc_dim_y, p.pc_dim_x),

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any, Literal
@@ -23,13 +24,23 @@ Status = Literal[
     'idle', 'following', 'recovering', 'lost', 'succeeded', 'failed', 'timed_out', 'cancelled'
 ]
 
-PASSING = 1.5
+PASSING = 1.2
 """Times the radius of a goal: reached within this where the robot has come to the route's end."""
+
+ARRIVED_M, LEAVING_M, LINGER_S = 0.04, 0.05, 4.0
+"""Within the radius the robot goes on until it is this close to the goal, has this much further
+to go again, or has been there for so long."""
+
+STUCK_S, STUCK_M = 25.0, 2.5
+"""A robot that has stayed within a square of this width for this long gets nowhere."""
+
+JOINS_M, PASSED = 2.0, 4
+"""Joins so far ahead of a robot that gets nowhere are given up, and those of the last links."""
 
 LONGEST_STEP_M = 0.2
 """Of a step between two updates, so much may have been driven; the rest is the map that moved."""
 
-NEXT_LINKS = 6
+NEXT_LINKS = 10
 """Of a route, so many links say which wall to follow."""
 
 STRAY_M = 4.0
@@ -99,7 +110,7 @@ class RouteFollowing:
         self._recall = recall
         self._map = experience_map
         self._tree: GoalTree | None = None
-        self._seen: tuple[int, int, int] | None = None
+        self._seen: tuple[int, int, int, int] | None = None
         self._kept: _Way | None = None
         self._found: _Way | None = None
         self._taken: _Way | None = None
@@ -111,6 +122,10 @@ class RouteFollowing:
         self._known = 0
         """Experiences that there were when the robot last was at one that it knew."""
         self._longer_since_ns: int | None = None
+        self._near: tuple[float, int] | None = None
+        """The closest that the robot has come to the goal since it was within its radius, and
+        since when it is."""
+        self._trail: deque[tuple[int, float, float]] = deque()
         self._replanned = self._switched = 0
 
     def update(self, stamp_ns: int, pose: Pose | None = None, located: bool = True) -> Guidance:
@@ -135,8 +150,10 @@ class RouteFollowing:
                 if route is not None:
                     route.advance(poses, goal, here, WINDOW * self._p.route_width_m)
             sure = not 0.0 < self._p.goal_sure_m < self._unknown_m
-            if self._is_reached(goal, here) and sure:
+            if self._is_reached(goal, here, stamp_ns) and sure:
                 return self._told('succeeded', goal, remaining_s=0.0)
+            if self._gets_nowhere(stamp_ns, here) and self.try_failed():
+                self.stray()
             if self._stray_m > 0.0 or 0.0 < self._p.route_unknown_m < self._unknown_m:
                 self._updated_ns, self._kept = stamp_ns, None
                 return self._told('lost', goal, explore=True)
@@ -162,6 +179,34 @@ class RouteFollowing:
         """
         self._kept, self._stray_m = None, STRAY_M
 
+    def try_failed(self) -> bool:
+        """Take note that a try led nowhere; return whether the links shall answer for it.
+
+        Where the route goes on over places that are only close together on the map, there is no
+        way from one to the other.
+        """
+        way = self._kept
+        joined = [] if way is None else way.joined_ahead(self._map.poses, JOINS_M)
+        if not joined:
+            return True
+        self._recall.part(self._map, joined)
+        self._kept = self._seen = None
+        return False
+
+    def _gets_nowhere(self, stamp_ns: int, here: Pose) -> bool:
+        """Return whether the robot has driven or turned to and fro in one place for long."""
+        trail = self._trail
+        if not trail or stamp_ns - trail[-1][0] >= 1e9:
+            trail.append((stamp_ns, here.x_m, here.y_m))
+        if stamp_ns - trail[0][0] < STUCK_S * 1e9:
+            return False
+        places = np.array(trail)[:, 1:]
+        trail.popleft()
+        if (np.ptp(places, axis=0) > STUCK_M).any():
+            return False
+        trail.clear()
+        return True
+
     def forgotten(self, experience_id: int, stand_in_id: int, pose_in_stand_in: Pose) -> None:
         """Go on where an experience is forgotten; see ``Goal.without``."""
         self.goal = self.goal.without(experience_id, stand_in_id, pose_in_stand_in)
@@ -176,7 +221,8 @@ class RouteFollowing:
     def _look(self) -> None:
         """Find the route from the current experience, where something has changed."""
         graph = self._map
-        seen = graph.current_id, graph.links_version, len(graph)
+        parted = self._recall.parted(graph)
+        seen = graph.current_id, graph.links_version, len(graph), parted
         if seen == self._seen:
             return
         relinked = self._seen is None or seen[1] != self._seen[1]
@@ -235,10 +281,22 @@ class RouteFollowing:
             self._longer_since_ns = stamp_ns
         return stamp_ns - self._longer_since_ns >= self._p.route_switch_s * 1e9
 
-    def _is_reached(self, goal: Pose, here: Pose) -> bool:
+    def _is_reached(self, goal: Pose, here: Pose, stamp_ns: int) -> bool:
+        """Return whether the robot is as close to the goal as it will come.
+
+        At the edge of the radius it would always stop short of it.
+        """
         away_m = math.hypot(goal.x_m - here.x_m, goal.y_m - here.y_m)
-        passing = self._kept is not None and self._kept.is_at_end
-        return away_m <= self._p.goal_radius_m * (PASSING if passing else 1.0)
+        if self._kept is not None and self._kept.is_at_end:
+            return away_m <= self._p.goal_radius_m * PASSING
+        if away_m > self._p.goal_radius_m:
+            gone = self._near is not None and away_m <= self._p.goal_radius_m * PASSING
+            self._near = self._near if gone else None
+            return gone
+        closest_m, since_ns = self._near or (away_m, stamp_ns)
+        self._near = min(closest_m, away_m), since_ns
+        leaves = away_m > closest_m + LEAVING_M
+        return away_m < ARRIVED_M or leaves or stamp_ns - since_ns > LINGER_S * 1e9
 
     def _told(self, status: Status, goal: Pose, **told: Any) -> Guidance:
         return Guidance(
@@ -312,6 +370,18 @@ class _Way:
             return False
         still = np.asarray(_are_linked(ends, self.ids[self._at :], count))
         return bool(np.all(still | ~self._links[self._at :]))
+
+    def joined_ahead(self, poses: NDArray[np.float64], length_m: float) -> list[int]:
+        """Return the experiences that no link leads to or on from, so far along the route.
+
+        Also from those that the robot believes to have passed.
+        """
+        first = max(self._at - PASSED, 0)
+        steps_m = np.hypot(*np.diff(poses[self.ids[first:], :2], axis=0).T)
+        steps_m[: self._at - first] = 0.0
+        count = int(np.count_nonzero(np.cumsum(steps_m) - steps_m <= length_m))
+        joins = np.flatnonzero(~self._links[first : first + count]) + first
+        return [int(self.ids[at]) for join in joins.tolist() for at in (join, join + 1)]
 
     def behaviour(self, experience_map: ExperienceMap) -> str:
         """Return the wall that most of the next links were made along, '' for neither."""
