@@ -99,13 +99,18 @@ class Agreement:
             self._places, self._count, chord_cells, turn_planes, self._torus.planes_per_rad
         )
 
-    def weigh(self, template_id: int, place: Place, believed: Place) -> float:
+    def weigh(
+        self, template_id: int, place: Place, believed: Place, off_cells: float = math.inf
+    ) -> float:
         """Take a recognised view's claim; return the factor for the energy that it injects.
 
         The factor is ((n - m) / views)^4, where n views agree with the claim, itself included,
         and m agree with the believed place instead. A view seen on end claims once, from where
         it was first recognised. The power decides over which range of energies the number of
         views, and not the energy, is what lets a place win: 4 covers a factor of 20.
+
+        ``off_cells``: how far the claimed place is from the believed one in cells that never
+        end; what is close by needs fewer views.
         """
         if self._views == 0.0:
             return 1.0
@@ -113,13 +118,12 @@ class Agreement:
             self._remember(template_id, place)
         claimed = Place(*self._places[self._count - 1].tolist())
         support = self._supporters(claimed)
-        away = self._torus.distance(claimed, believed)
-        if away > self._radius:
+        if self._torus.distance(claimed, believed) > self._radius:
             support -= self._supporters(believed)
         views = self._views
-        if away < self._near:
-            views = max(views * away / self._near, min(views, FEWEST))
-            support = min(support, 2 * views)
+        if off_cells < self._near:
+            views = max(views * off_cells / self._near, min(views, FEWEST))
+            support = min(support, int(2 * views))
         share: float = max(support, 0) / views
         return share * share * share * share
 

@@ -292,9 +292,9 @@ class PoseCellsParameters(OdometryInput):
         'right recognitions are rare among wrong ones', 'repetitive places agree by chance',
     )  # fmt: skip
     pc_vt_agree_near: float = parameter(
-        0.0, 'share of the smaller of pc_dim_x and pc_dim_y; 0: off', 0.0, 0.5,
-        'A view that claims a place nearer than this to the present one needs fewer others that '
-        'agree, in proportion, at least 2: the robot has not drifted far since it last knew.',
+        0.0, 'cells; 0: off', 0.0, 1e6,
+        'A view that claims a place nearer than this to the present one, by the odometry since a '
+        'known place, needs fewer others that agree, in proportion, at least 2.',
         'ways are mapped a second time beside themselves', 'neighbouring places are confused',
     )  # fmt: skip
     exp_delta_pc_threshold: float = parameter(

@@ -28,7 +28,7 @@ SHORTEST_S = 1e-9
 NEWEST = 10
 """Experiences made so soon one after the other are not joined beside their links."""
 
-SAME_TOUR = 200
+SAME_TOUR = 120
 """Nor those that so many were made between."""
 
 SLOWEST_MPS = 0.01

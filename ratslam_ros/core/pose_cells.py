@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
 from typing import Literal
 
@@ -51,11 +52,16 @@ class MapAction:
     place: Place
 
 
+CLAIMS, WITNESSES = 8, 3
+"""Of so many views recognised lately, so many must have been seen where the robot may be."""
+
+
 @dataclass(slots=True)
 class _Memory:
     """Where a template was first seen, and how tired it is since which template message."""
 
     place: Place
+    unrolled: tuple[float, float]
     order: int
     decay: float
     message: int
@@ -75,7 +81,7 @@ class PoseCells:
             p.pc_vt_agree_cells,
             p.pc_vt_agree_spacing,
             p.pc_vt_agree_recent,
-            p.pc_vt_agree_near * min(p.pc_dim_x, p.pc_dim_y),
+            p.pc_vt_agree_near,
         )
         self._network = Network(
             (p.pc_dim_th, p.pc_dim_y, p.pc_dim_x),
@@ -89,6 +95,12 @@ class PoseCells:
         self._messages = 0
         self._last_template = NO_TEMPLATE
         self._experiences: list[tuple[int, Place]] = []
+        # The packet comes back to the same cells from other parts of the world. Where it would be
+        # in cells that never end tells these apart, as far as odometry since a known place does.
+        self._unrolled = self.peak.x, self.peak.y
+        self._unrolled_of: list[tuple[float, float]] = []
+        self._claimed: deque[tuple[float, float]] = deque(maxlen=CLAIMS)
+        """Where views that were recognised lately were first seen, in cells that never end."""
         self._of_template: dict[int, list[int]] = {}
         self._transitions = _Transitions()
         self._visits = Visits()
@@ -125,6 +137,12 @@ class PoseCells:
                 [template, *m.place, m.order, m.decay, m.message]
                 for template, m in self._memories.items()
             ],
+            'unrolled': {
+                'here': list(self._unrolled),
+                'claimed': [list(place) for place in self._claimed],
+                'memories': [list(m.unrolled) for m in self._memories.values()],
+                'experiences': [list(place) for place in self._unrolled_of],
+            },
             'messages': self._messages,
             'last_template': self._last_template,
             'experiences': [[template, *place] for template, place in self._experiences],
@@ -151,12 +169,23 @@ class PoseCells:
         self._packets = [Packet(**packet) for packet in state['packets']]
         self.peak = self._decoded()
         for template, x, y, theta, order, decay, message in state['memories']:
-            self._memories[template] = _Memory(Place(x, y, theta), order, decay, message)
+            self._memories[template] = _Memory(Place(x, y, theta), (x, y), order, decay, message)
         self._messages = state['messages']
         self._last_template = state['last_template']
         for number, (template, x, y, theta) in enumerate(state['experiences']):
             self._experiences.append((template, Place(x, y, theta)))
+            self._unrolled_of.append((x, y))
             self._of_template.setdefault(template, []).append(number)
+        self._unrolled = self.peak.x, self.peak.y
+        if 'unrolled' in state:
+            unrolled = state['unrolled']
+            self._unrolled = tuple(unrolled['here'])
+            self._claimed.extend(tuple(place) for place in unrolled['claimed'])
+            self._unrolled_of = [tuple(place) for place in unrolled['experiences']]
+            for memory, place in zip(
+                self._memories.values(), unrolled['memories'], strict=True
+            ):
+                memory.unrolled = tuple(place)
         for source, target in state['transitions']:
             self._transitions.add(source, target)
         self._current = state['current']
@@ -174,7 +203,8 @@ class PoseCells:
         turn = motion.turn_rad * self._torus.planes_per_rad
         self._agreement.integrate(chord, turn)
         self._packets = self._network.step(self._packets, chord, turn)
-        self.peak = self._decoded()
+        before, self.peak = self.peak, self._decoded()
+        self._unrolled = self._further(self._unrolled, before, self.peak)
         self._since_current = moved(self._since_current, motion)
         self._stepped = True
 
@@ -209,7 +239,11 @@ class PoseCells:
         return Place(self.peak.x, self.peak.y, self.peak.theta - turned)
 
     def _active(self, template_id: int, here: Place) -> list[tuple[int, float]]:
-        active = [(i, self._activity(i, here)) for i in self._of_template.get(template_id, ())]
+        active = [
+            (i, self._activity(i, here))
+            for i in self._of_template.get(template_id, ())
+            if self._is_believable(i)
+        ]
         return sorted(
             (item for item in active if item[1] > 0.0), key=lambda item: (-item[1], item[0])
         )
@@ -217,6 +251,36 @@ class PoseCells:
     def _activity(self, experience_id: int, here: Place) -> float:
         p, (_, place) = self._p, self._experiences[experience_id]
         return activity(self._torus, here, place, p.exp_activity_xy, p.exp_activity_th)
+
+    def _further(
+        self, unrolled: tuple[float, float], start: Place, end: Place
+    ) -> tuple[float, float]:
+        """Return where in cells that never end one comes from a place there."""
+        d_x, d_y = self._torus.step(start, end)
+        return unrolled[0] + d_x, unrolled[1] + d_y
+
+    def _is_believable(self, experience_id: int) -> bool:
+        """Return whether the robot may be at an experience whose view and cells are its own.
+
+        Two places that share their cells are told apart by odometry since a known place, or else
+        by what was seen lately, and not by one view.
+        """
+        near = self._p.pc_vt_agree_near
+        if near == 0.0 or experience_id == self._current:
+            return True
+        x, y = self._unrolled_of[experience_id]
+        if math.hypot(self._unrolled[0] - x, self._unrolled[1] - y) < near:
+            return True
+        return sum(math.hypot(a - x, b - y) < near for a, b in self._claimed) >= WITNESSES
+
+    def _off_cells(self, memory: _Memory, claimed: Place) -> float:
+        """Return how far what a view claims is from the peak, in cells that never end."""
+        same = Place(self.peak.x, self.peak.y, claimed.theta)
+        x, y = self._unrolled
+        return math.hypot(
+            memory.unrolled[0] - x, memory.unrolled[1] - y,
+            self._torus.distance(same, self.peak),
+        )  # fmt: skip
 
     def _decoded(self) -> Place:
         theta, y, x = self._network.peak(self._packets)
@@ -231,11 +295,13 @@ class PoseCells:
         if memory is None:
             here = self._here(turned)
             self._memories[template_id] = _Memory(
-                here, len(self._memories), p.vt_active_decay, self._messages
+                here, self._unrolled, len(self._memories), p.vt_active_decay, self._messages
             )
             return
         if memory.order >= len(self._memories) - NEWEST_TEMPLATES:
             return
+        if template_id != self._last_template:
+            self._claimed.append(memory.unrolled)
         # All decays relax after every message; each is brought up to date when it is needed.
         rested = memory.decay - p.pc_vt_restore * (self._messages - memory.message)
         memory.decay = max(p.vt_active_decay, rested)
@@ -245,7 +311,9 @@ class PoseCells:
         claimed = Place(memory.place.x, memory.place.y, memory.place.theta + turned)
         tired = math.exp(min(1.2 * memory.decay, 10.0))  # above e^3.4 nothing is injected
         energy = p.pc_vt_inject_energy / 30.0 * (30.0 - tired)
-        energy *= self._agreement.weigh(template_id, claimed, self.peak)
+        energy *= self._agreement.weigh(
+            template_id, claimed, self.peak, self._off_cells(memory, claimed)
+        )
         if energy > 0.0:
             self._packets = self._network.inject(
                 self._packets, claimed.theta, claimed.y, claimed.x, energy
@@ -263,7 +331,7 @@ class PoseCells:
         jumped = self._torus.distance(here, current_place) > threshold
         if not jumped and (template_id == current_template or self._at_rest()):
             return 'none'
-        others = [i for i in candidates if i != self._current]
+        others = [i for i in candidates if i != self._current and self._is_believable(i)]
         if others:
             distance, nearest = min(
                 (self._torus.distance(here, self._experiences[i][1]), i) for i in others
@@ -295,8 +363,10 @@ class PoseCells:
             new = self._visits.least()
             self._forget(new)
             self._experiences[new] = template_id, here
+            self._unrolled_of[new] = self._unrolled
         else:
             self._experiences.append((template_id, here))
+            self._unrolled_of.append(self._unrolled)
         self._of_template.setdefault(template_id, []).append(new)
         self._visits.create(new)
         self._change_to(new)
@@ -312,6 +382,8 @@ class PoseCells:
 
     def _arrive(self, target: int) -> Action:
         self._visits.arrive(target)
+        place = self._experiences[target][1]
+        self._unrolled = self._further(self._unrolled_of[target], place, self.peak)
         return 'link' if self._change_to(target) else 'set'
 
     def _change_to(self, target: int) -> bool:

@@ -40,6 +40,11 @@ class Torus:
         d_theta = min(d_theta, self.n_theta - d_theta)
         return math.sqrt(d_x * d_x + d_y * d_y + d_theta * d_theta)
 
+    def step(self, start: Place, end: Place) -> tuple[float, float]:
+        """Return the way from one place to another in cells, the shortest along x and along y."""
+        d_x, d_y = end.x - start.x, end.y - start.y
+        return d_x - self.n_x * round(d_x / self.n_x), d_y - self.n_y * round(d_y / self.n_y)
+
     def moved(self, place: Place, chord_cells: float, turn_planes: float) -> Place:
         """Return a place after a motion: ahead along the chord of an arc, and turned."""
         direction = (place.theta + 0.5 * turn_planes) / self.planes_per_rad
