@@ -9,7 +9,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ratslam_ros.core.angles import wrap
 from ratslam_ros.core.local_movement import WALLS, Behaviour, LocalMovement, Option, Scan
 from ratslam_ros.core.movement_config import GoalFollowerParameters
 from ratslam_ros.core.odometry import Pose
@@ -80,7 +79,7 @@ class GoalFollower:
         self._stamp_ns = 0
 
     def __call__(self, scan: Scan, route: NDArray[np.float64], behaviour: str = '') -> Command:
-        """doc"""
+        """Choose a way on and return how to take it; see ``_call``."""
         command = self._call(scan, route, behaviour)
         self._speed_mps = command.speed_mps
         return command

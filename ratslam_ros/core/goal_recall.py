@@ -28,8 +28,9 @@ SHORTEST_S = 1e-9
 NEWEST = 10
 """Experiences made so soon one after the other are not joined beside their links."""
 
-SAME_TOUR = 120
-"""Nor those that so many were made between."""
+TILE_M = 4.0
+"""Places are joined where links lead from one to the other within squares of this width: over so
+short a way the map is right, whatever it does to loops that are not closed yet."""
 
 SLOWEST_MPS = 0.01
 
@@ -405,10 +406,10 @@ def _joins(
         linked = np.setdiff1d(linked, np.fromiter(parted, np.int64))
     poses = experience_map.poses[linked]
     pairs = cKDTree(poses[:, :2]).query_pairs(join_m, output_type='ndarray')
-    # Neighbours in time are linked already. What was made much later lies close together in
-    # truth only as far as the map is right, and loops that are not closed yet bend it.
+    # Neighbours in time are linked already.
     apart = linked[pairs[:, 1]] - linked[pairs[:, 0]]
-    pairs = pairs[(apart > NEWEST) & (apart < SAME_TOUR)]
+    pairs = pairs[apart > NEWEST]
+    pairs = pairs[_near_over_links(experience_map, linked[pairs])]
     step = poses[pairs[:, 1]] - poses[pairs[:, 0]]
     shapes = experience_map.link_shapes
     driven_m, driven_s = shapes[:, 0].sum(), experience_map.link_durations_s.sum()
@@ -416,6 +417,25 @@ def _joins(
     turn_rad = np.abs((step[:, 2] + np.pi) % (2.0 * np.pi) - np.pi)
     seconds = np.hypot(step[:, 0], step[:, 1]) / speed_mps + turn_rad / TURN_RADPS + SHORTEST_S
     return linked[pairs[:, 0]], linked[pairs[:, 1]], seconds
+
+
+def _near_over_links(
+    experience_map: ExperienceMap, pairs: NDArray[np.int64]
+) -> NDArray[np.bool_]:
+    """Return (n,) whether links lead from one of a pair to the other without going far away."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    count, ends = len(experience_map), experience_map.link_ends
+    places = experience_map.poses[:, :2] / TILE_M
+    found = np.zeros(len(pairs), np.bool_)
+    for shift in ((0.0, 0.0), (0.0, 0.5), (0.5, 0.0), (0.5, 0.5)):
+        tiles = np.floor(places + shift)
+        inside = ends[(tiles[ends[:, 0]] == tiles[ends[:, 1]]).all(axis=1)]
+        graph = coo_array((np.ones(len(inside)), inside.T), shape=(count, count))
+        _, part = connected_components(graph, directed=False)
+        found |= part[pairs[:, 0]] == part[pairs[:, 1]]
+    return found
 
 
 def _check_known(experience_id: int, count: int) -> None:
