@@ -14,7 +14,6 @@ from ratslam_ros.core.local_movement import Behaviour, LocalMovement, Option, Sc
 from ratslam_ros.core.movement_config import GoalFollowerParameters
 from ratslam_ros.core.odometry import Pose
 from ratslam_ros.core.steering import Command, drive, turn
-from ratslam_ros.core.wall_following import WallFollowing
 
 if TYPE_CHECKING:  # whoever makes an exploration brings its chance
     from numpy.random import Generator
@@ -50,7 +49,6 @@ class Exploration:
         """``rng``: draws when the robot changes walls, about ``change_wall_every_s`` apart."""
         self._p = parameters
         self._rng = rng
-        self._wall = WallFollowing(parameters)
         self._side: Behaviour = 'left_wall'
         self._crossed = False
         self._change_ns: int | None = None
@@ -66,8 +64,7 @@ class Exploration:
     def restart(self) -> None:
         """Begin with following the wall, after something else has moved the robot."""
         self._pose: Pose | None = None
-        self._seeking = False
-        self._wall.restart()
+        self._seeking = self._dead_end = False
         self._turn_without_wall = self._round_rad = 0.0
         self._begin(0, 'on')
 
@@ -163,4 +160,10 @@ class Exploration:
         straight_m = movement.open_m(0.0, p.wall_distance_m)
         if self._seeking and straight_m > p.wall_look_ahead_m:
             return drive(movement, Option('centreline', 0.0, straight_m), p)
-        return self._wall.along(movement, side, self._wall.way_on(movement, side))
+        found = [option for option in movement.options() if option.behaviour == side]
+        if self._dead_end:  # by what opens beside it, it would turn to and fro for ever
+            found = [option for option in found if abs(option.heading_rad) < ARRIVED_RAD * 5]
+        self._dead_end = not found
+        if not found:  # turn away from the wall until something opens
+            return turn(-sign * math.pi / 2, p)
+        return drive(movement, found[0], p)

@@ -13,7 +13,6 @@ from ratslam_ros.core.local_movement import WALLS, Behaviour, LocalMovement, Opt
 from ratslam_ros.core.movement_config import GoalFollowerParameters
 from ratslam_ros.core.odometry import Pose
 from ratslam_ros.core.steering import Command, drive, turn
-from ratslam_ros.core.wall_following import WallFollowing
 
 SAMPLES = 8
 """Points of a way on that are compared with the route."""
@@ -21,15 +20,9 @@ SAMPLES = 8
 NEAR = 3
 """Of these, the one that says where the route begins to lead."""
 
-ASIDE_RAD = math.radians(60.0)
-"""A route that begins further than this to the side is turned to on the spot."""
-
 PASSED_M = 2.0
 """Of a route, the beginning that the robot may have driven since it came: of two parts that lie
 beside each other the one further on is not taken for this one."""
-
-ALONG_RAD = math.radians(80.0)
-"""A way on that leads further than this away from the route is none of its."""
 
 WALL_M = 0.3
 """So much better a way along a wall counts than another one: it leads where the robot drove when
@@ -38,29 +31,20 @@ it learned the route, and what it sees there it knows. By the map alone it would
 LEARNED_M = 0.6
 """And the way along the wall that it followed then."""
 
-STEADY_M = 0.1
-"""So much worse, for a radian, a way on in another direction than the last one counts."""
-
 LEAST_M = 0.3
 """Ways on are compared over this length at least."""
 
 LAST_M = 0.8
 """So far from its end a route is followed for itself."""
 
-BESIDE_RAD = math.radians(45.0)
-"""The wall leads on from when turning has so much left."""
-
-OFF_M = 0.5
-"""Where the wall leads elsewhere it is not looked at again for so long."""
-
 WALL_RAD = math.radians(50.0)
-"""Elsewhere a way along a wall is preferred where it runs as the route does."""
+"""A wall leads along the route where it leads no further aside than this."""
 
 BEHIND_RAD = math.radians(95.0)
 """What lies further behind than this is turned to on the spot."""
 
 GAIN_M = 0.1
-"""A way on must lead so much nearer."""
+"""A way on must lead so much nearer to where the route leads."""
 
 FACING_RAD = math.radians(25.0)
 """Turning ends when the route is this close to straight ahead."""
@@ -71,20 +55,10 @@ class GoalFollower:
 
     def __init__(self, parameters: GoalFollowerParameters) -> None:
         self._p = parameters
-        self._wall = WallFollowing(parameters)
         self._turning = False
         self._tried_since_ns: int | None = None
-        self._last_rad = 0.0
-        self._off_m = self._speed_mps = 0.0
-        self._stamp_ns = 0
 
     def __call__(self, scan: Scan, route: NDArray[np.float64], behaviour: str = '') -> Command:
-        """Choose a way on and return how to take it; see ``_call``."""
-        command = self._call(scan, route, behaviour)
-        self._speed_mps = command.speed_mps
-        return command
-
-    def _call(self, scan: Scan, route: NDArray[np.float64], behaviour: str = '') -> Command:
         """Choose a way on and return how to take it.
 
         ``route``: (n, 2) m, in the robot's frame, from the robot's place on it to the goal.
@@ -93,18 +67,14 @@ class GoalFollower:
         p = self._p
         movement = LocalMovement(p, scan)
         ahead = _ahead(route, p.route_ahead_m)
-        self._driven(scan.stamp_ns)
+        most_mps = _approach_mps(route, p)
+        command = None
         if behaviour in WALLS and ahead[-1, 2] > LAST_M:
-            command = self._repeat(movement, ahead, behaviour, _approach_mps(route, p))
-            if command is not None:
-                self._tried_since_ns = None
-                return command
-        return self._choose(scan.stamp_ns, movement, ahead, behaviour, _approach_mps(route, p))
-
-    def _driven(self, stamp_ns: int) -> None:
-        """Take note of how far the robot has come."""
-        self._off_m -= self._speed_mps * (stamp_ns - self._stamp_ns) * 1e-9
-        self._stamp_ns = stamp_ns
+            command = self._repeat(movement, ahead, behaviour, most_mps)
+        if command is None:
+            return self._choose(scan.stamp_ns, movement, ahead, behaviour, most_mps)
+        self._tried_since_ns = None
+        return command
 
     def _choose(
         self, stamp_ns: int, movement: LocalMovement, ahead: NDArray[np.float64], behaviour: str,
@@ -124,7 +94,6 @@ class GoalFollower:
             return self._blocked(stamp_ns, bearing_rad)
         self._tried_since_ns = None
         best = min(options, key=lambda option: self._rank_m(option, ahead, behaviour))
-        self._last_rad = best.heading_rad
         return drive(movement, best, p, most_mps)
 
     def _repeat(
@@ -143,7 +112,6 @@ class GoalFollower:
         option = movement.wall(side, runs_rad, WALL_RAD)
         if option is None:
             return None
-        self._last_rad = option.heading_rad
         return drive(movement, option, self._p, most_mps)
 
     def _rank_m(self, option: Option, ahead: NDArray[np.float64], behaviour: str) -> float:
@@ -183,7 +151,8 @@ def _nearer(option: Option, ahead: NDArray[np.float64]) -> bool:
     """Return whether a way on comes nearer to where the route leads."""
     x, y, _ = ahead[-1].tolist()
     away_m = math.hypot(x, y)
-    reach_m = min(option.open_m, away_m * max(math.cos(option.heading_rad - math.atan2(y, x)), 0.0))
+    aside_rad = option.heading_rad - math.atan2(y, x)
+    reach_m = min(option.open_m, away_m * max(math.cos(aside_rad), 0.0))
     to_x, to_y = reach_m * math.cos(option.heading_rad), reach_m * math.sin(option.heading_rad)
     return math.hypot(x - to_x, y - to_y) < away_m - min(GAIN_M, away_m / 2)
 

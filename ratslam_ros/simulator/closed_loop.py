@@ -15,13 +15,14 @@ from ratslam_ros.core.angles import wrap
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.experience_map import ExperienceMap
 from ratslam_ros.core.exploration import Exploration
-from ratslam_ros.core.goal_follower import Command, GoalFollower, seen_from
+from ratslam_ros.core.goal_follower import GoalFollower, seen_from
 from ratslam_ros.core.goals import Target
 from ratslam_ros.core.local_movement import Scan
 from ratslam_ros.core.navigator import Errand, Navigator
 from ratslam_ros.core.odometry import Odometry, Pose, Twist
 from ratslam_ros.core.ratslam import RatSLAM, Step, ViewStep
 from ratslam_ros.core.route_following import Guidance
+from ratslam_ros.core.steering import Command
 from ratslam_ros.core.torus import Place
 from ratslam_ros.simulator.simulation import ImageSample, OdometrySample, ScanSample, Simulator
 

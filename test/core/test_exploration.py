@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from ratslam_ros.core.exploration import Exploration
-from ratslam_ros.core.goal_follower import Command
 from ratslam_ros.core.local_movement import Scan
 from ratslam_ros.core.movement_config import GoalFollowerParameters
 from ratslam_ros.core.odometry import Pose
+from ratslam_ros.core.steering import Command
 from ratslam_ros.simulator.floor_plan import FloorPlan, parse_floor_plan
 from ratslam_ros.simulator.laser import LaserOptions
 from ratslam_ros.simulator.robot import Pose as Start

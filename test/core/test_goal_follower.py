@@ -23,9 +23,10 @@ from rooms import (
     way_to_point_m,
 )
 
-from ratslam_ros.core.goal_follower import Command, GoalFollower, rest_of, seen_from
+from ratslam_ros.core.goal_follower import GoalFollower, rest_of, seen_from
 from ratslam_ros.core.movement_config import GoalFollowerParameters
 from ratslam_ros.core.odometry import Motion, Pose, moved
+from ratslam_ros.core.steering import Command
 
 P = GoalFollowerParameters()
 SCAN_S = 0.1

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from ratslam_ros.config_files import load_config
-from ratslam_ros.core.goal_follower import Command
 from ratslam_ros.core.goal_recall import UnreachableGoal
+from ratslam_ros.core.steering import Command
 from ratslam_ros.messages import encode_map
 from ratslam_ros.simulator.closed_loop import ClosedLoop
 from ratslam_ros.simulator.floor_plan import parse_floor_plan
