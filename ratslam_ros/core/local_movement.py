@@ -125,7 +125,6 @@ class LocalMovement:
         return Option('straight', heading_rad, self.open_m(heading_rad))
 
 
-
 def _runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
     """Return first and last index of every stretch of True."""
     edges = np.flatnonzero(np.diff(flags.astype(np.int8), prepend=0, append=0)).tolist()
