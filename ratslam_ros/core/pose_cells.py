@@ -52,7 +52,7 @@ class MapAction:
     place: Place
 
 
-CLAIMS, WITNESSES = 8, 3
+CLAIMS, WITNESSES = 8, 6
 """Of so many views recognised lately, so many must have been seen where the robot may be."""
 
 
