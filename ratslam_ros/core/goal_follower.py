@@ -87,9 +87,10 @@ class GoalFollower:
             self._turning, self._tried_since_ns = True, None
             return turn(bearing_rad, p)
         self._turning = False
-        options = [o for o in [*movement.fan(), *movement.options()] if _nearer(o, ahead)]
+        stop_m = p.stop_distance_m
+        options = [o for o in [*movement.fan(), *movement.options()] if _nearer(o, ahead, stop_m)]
         if not options:  # between the posts of a door little is open until the robot is through
-            options = [o for o in movement.narrow() if _nearer(o, ahead)]
+            options = [o for o in movement.narrow() if _nearer(o, ahead, stop_m)]
         if not options:
             return self._blocked(stamp_ns, bearing_rad)
         self._tried_since_ns = None
@@ -147,12 +148,15 @@ def _ahead(route: NDArray[np.float64], length_m: float) -> NDArray[np.float64]:
     return np.stack([x, y, at_m], axis=1)
 
 
-def _nearer(option: Option, ahead: NDArray[np.float64]) -> bool:
-    """Return whether a way on comes nearer to where the route leads."""
+def _nearer(option: Option, ahead: NDArray[np.float64], stop_m: float) -> bool:
+    """Return whether a way on comes nearer to where the route leads, and the robot may go there.
+
+    ``stop_m``: the gap that must stay to what ends it.
+    """
     x, y, _ = ahead[-1].tolist()
     away_m = math.hypot(x, y)
     aside_rad = option.heading_rad - math.atan2(y, x)
-    reach_m = min(option.open_m, away_m * max(math.cos(aside_rad), 0.0))
+    reach_m = min(max(option.open_m - stop_m, 0.0), away_m * max(math.cos(aside_rad), 0.0))
     to_x, to_y = reach_m * math.cos(option.heading_rad), reach_m * math.sin(option.heading_rad)
     return math.hypot(x - to_x, y - to_y) < away_m - min(GAIN_M, away_m / 2)
 
