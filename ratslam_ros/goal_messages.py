@@ -191,6 +191,7 @@ def encode_status(
             'stamp': _stamp(stamp_ns),
             'status': guidance.status,
             'explore': guidance.explore,
+            'behaviour': guidance.behaviour,
             'reason': reason,
             'experience_id': here,
             'neighbours': [
@@ -210,6 +211,8 @@ def encode_status(
 def decode_status(payload: str) -> dict[str, Any]:
     """Return the fields of an ``experience_map/status`` payload, and its ``stamp_ns``.
 
+    A payload without ``behaviour``, of an earlier release, has an empty one.
+
     Raises:
         MalformedMessage: it is not such a payload.
     """
@@ -221,7 +224,8 @@ def decode_status(payload: str) -> dict[str, Any]:
             'outcomes': list,
         },
     )  # fmt: skip
-    return {**fields, 'stamp_ns': _stamp_ns(fields['stamp'])}
+    behaviour = str(fields.get('behaviour', ''))
+    return {**fields, 'behaviour': behaviour, 'stamp_ns': _stamp_ns(fields['stamp'])}
 
 
 def _errand(errand: Errand) -> dict[str, Any]:

@@ -19,9 +19,9 @@ class GoalRecallParameters(Section):
     )  # fmt: skip
     goal_radius_m: float = parameter(
         0.3, 'm', 0.0, 1e6,
-        'A goal is reached where the robot is within this distance of it on the map, or passes '
-        'it at up to 1.5 times that.',
-        'the robot turns back and forth beside a goal', 'the robot stops short of its goals',
+        'A goal is reached where the robot has come within this distance of it on the map and '
+        'comes no closer; at the end of its route 1.2 times that suffices.',
+        'the robot turns back and forth beside a goal', 'the robot stops beside its goals',
     )  # fmt: skip
     goal_timeout_s: float = parameter(
         0.0, 's; 0: as goal_timeout_factor says', 0.0, 1e6,

@@ -174,8 +174,8 @@ class GoalNavigation:
     def _publish_status(self, guidance: Guidance) -> None:
         navigator = self._navigator
         key = (
-            guidance.status, guidance.replanned, self._map.current_id, navigator.ended,
-            self.reason, len(navigator.queue),
+            guidance.status, guidance.replanned, guidance.behaviour, self._map.current_id,
+            navigator.ended, self.reason, len(navigator.queue),
             self._stamp_ns // AGAIN_NS if navigator.queue else 0,
         )  # fmt: skip
         if key != self._status_key:
