@@ -73,7 +73,7 @@ class GoalFollowerNode(RatslamNode[Scan]):
         self._pose = self._odom_pose = Pose(0.0, 0.0, 0.0)
         self._scan_s = self._pose_s = self._odom_s = -math.inf
         self._route, self._route_ns = NOWHERE, 0
-        self._lost, self._learned = False, ''
+        self._lost, self._wall = False, ''
         self._carried()
 
     def _carried(self) -> None:
@@ -114,7 +114,7 @@ class GoalFollowerNode(RatslamNode[Scan]):
         except MalformedMessage as error:
             self._refuse('status', str(error))
             return
-        self._lost, self._learned = status['explore'], status['behaviour']
+        self._lost, self._wall = status['explore'], status['behaviour']
         routed = status['status'] in ('following', 'recovering')
         # A map that was begun anew knows nothing of a route that it never sent.
         if not routed and status['stamp_ns'] > self._route_ns:
@@ -149,7 +149,7 @@ class GoalFollowerNode(RatslamNode[Scan]):
         if self._task == 'exploring':
             return self._exploration(scan, self._odom_pose)
         self._route = rest_of(self._route, self._pose.x_m, self._pose.y_m)
-        return self._follower(scan, seen_from(self._pose, self._route), self._learned)
+        return self._follower(scan, seen_from(self._pose, self._route), self._wall)
 
     def _tell(self, stamp_ns: int, command: Command) -> None:
         self._tries_failed += command.failed
