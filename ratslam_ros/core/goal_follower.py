@@ -9,6 +9,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from ratslam_ros.core.angles import wrap
 from ratslam_ros.core.local_movement import WALLS, Behaviour, LocalMovement, Option, Scan
 from ratslam_ros.core.movement_config import GoalFollowerParameters
 from ratslam_ros.core.odometry import Pose
@@ -30,6 +31,9 @@ it learned the route, and what it sees there it knows. By the map alone it would
 
 LEARNED_M = 0.6
 """And the way along the wall that it followed then."""
+
+STEADY_M = 0.1
+"""So much worse, for a radian, a way round something counts in another direction than the last."""
 
 LEAST_M = 0.3
 """Ways on are compared over this length at least."""
@@ -57,6 +61,7 @@ class GoalFollower:
         self._p = parameters
         self._turning = False
         self._tried_since_ns: int | None = None
+        self._last_rad = 0.0
 
     def __call__(self, scan: Scan, route: NDArray[np.float64], behaviour: str = '') -> Command:
         """Choose a way on and return how to take it.
@@ -90,11 +95,21 @@ class GoalFollower:
         stop_m = p.stop_distance_m
         options = [o for o in [*movement.fan(), *movement.options()] if _nearer(o, ahead, stop_m)]
         if not options:  # between the posts of a door little is open until the robot is through
-            options = [o for o in movement.narrow() if _nearer(o, ahead, stop_m)]
+            narrow = [o for o in movement.narrow() if _is_about(o, bearing_rad)]
+            options = [o for o in narrow if _nearer(o, ahead, stop_m)]
         if not options:
             return self._blocked(stamp_ns, bearing_rad)
         self._tried_since_ns = None
         best = min(options, key=lambda option: self._rank_m(option, ahead, behaviour))
+        wanted_m = min(p.wall_look_ahead_m, max(float(ahead[-1, 2]), LEAST_M))
+        if best.open_m < wanted_m:  # something stands there: it is gone round, if that is open
+            options = [o for o in options if o.open_m >= wanted_m] or options
+            last_rad = self._last_rad
+            best = min(
+                options,
+                key=lambda o: _cost_m(o, ahead) + STEADY_M * abs(o.heading_rad - last_rad),
+            )
+        self._last_rad = best.heading_rad
         return drive(movement, best, p, most_mps)
 
     def _repeat(
@@ -146,6 +161,11 @@ def _ahead(route: NDArray[np.float64], length_m: float) -> NDArray[np.float64]:
     at_m = np.linspace(0.0, min(length_m, float(along_m[-1])), SAMPLES + 1)
     x, y = (np.interp(at_m, along_m, route[:, axis]) for axis in (0, 1))
     return np.stack([x, y, at_m], axis=1)
+
+
+def _is_about(option: Option, bearing_rad: float) -> bool:
+    """Return whether a way on leads in about a direction; beside the door little is open too."""
+    return abs(wrap(option.heading_rad - bearing_rad)) <= WALL_RAD
 
 
 def _nearer(option: Option, ahead: NDArray[np.float64], stop_m: float) -> bool:

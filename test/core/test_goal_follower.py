@@ -40,6 +40,7 @@ class Drive:
     def __init__(self, walls: list[Line], route_m: list[tuple[float, float]]) -> None:
         self.walls = walls
         self.follower = GoalFollower(P)
+        self.behaviour = ''
         self.pose = Pose(0.0, 0.0, 0.0)
         self.left_m = np.array(route_m)
         self.stamp_ns = 0
@@ -48,7 +49,7 @@ class Drive:
     def step(self) -> Command:
         scan = scan_in(self.walls, self.pose, self.stamp_ns, beams=181)
         self.left_m = rest_of(self.left_m, self.pose.x_m, self.pose.y_m)
-        command = self.follower(scan, seen_from(self.pose, self.left_m))
+        command = self.follower(scan, seen_from(self.pose, self.left_m), self.behaviour)
         self.pose = moved(
             self.pose,
             Motion(SCAN_S, command.speed_mps * SCAN_S, command.turn_rate_radps * SCAN_S),
@@ -113,8 +114,8 @@ def test_a_route_that_is_off_by_some_is_followed_along_the_corridor() -> None:
     assert drive.nearest_m > P.robot_radius_m
 
 
-@pytest.mark.parametrize('bearing_deg', [180.0 - 1e-6, -180.0 + 1e-6, 120.0, -120.0, 70.0, -70.0])
-def test_a_route_that_begins_beside_or_behind_is_turned_to_the_short_way(
+@pytest.mark.parametrize('bearing_deg', [180.0 - 1e-6, -180.0 + 1e-6, 120.0, -120.0, 96.0, -96.0])
+def test_a_route_that_begins_behind_is_turned_to_the_short_way(
     bearing_deg: float,
 ) -> None:
     bearing = math.radians(bearing_deg)
@@ -131,6 +132,14 @@ def test_a_route_that_begins_beside_or_behind_is_turned_to_the_short_way(
     left_rad = bearing - turned_rad
     # It turns until it faces the route, and no further.
     assert 0.0 <= left_rad * math.copysign(1.0, bearing) < math.radians(25.0)
+
+
+@pytest.mark.parametrize('bearing_deg', [94.0, 70.0, -70.0, -94.0])
+def test_a_route_that_begins_beside_is_taken_without_turning_first(bearing_deg: float) -> None:
+    bearing = math.radians(bearing_deg)
+    command = command_for([], np.array([[0.0, 0.0], [math.cos(bearing), math.sin(bearing)]]))
+    assert command.behaviour != 'turn'
+    assert command.ahead_rad == pytest.approx(bearing, abs=math.radians(4.5))
 
 
 def test_turning_does_not_end_where_it_would_not_have_begun() -> None:
@@ -162,7 +171,7 @@ def test_a_closed_way_is_waited_at_and_has_failed_again_and_again() -> None:
     failed_s = []
     for step in range(100):
         stamp_ns = step * SCAN_NS
-        command = follower(scan_in(dead_end(0.5), stamp_ns=stamp_ns), AHEAD)
+        command = follower(scan_in(dead_end(0.42), stamp_ns=stamp_ns), AHEAD)
         assert command.speed_mps == 0.0
         assert command.ahead_rad == pytest.approx(0.0)
         if command.failed:
@@ -172,9 +181,21 @@ def test_a_closed_way_is_waited_at_and_has_failed_again_and_again() -> None:
 
 def test_a_robot_that_waits_turns_to_the_route_and_says_where_it_was() -> None:
     turned = np.array([[0.0, 0.0], [5.0 * math.cos(0.8), 5.0 * math.sin(0.8)]])
-    command = command_for(dead_end(0.5, 0.6), turned)
+    command = command_for(dead_end(0.4, 0.4), turned)
     assert (command.speed_mps, command.ahead_rad) == pytest.approx((0.0, 0.8))
     assert 0.0 < command.turn_rate_radps <= P.turn_rate_radps
+
+
+@pytest.mark.parametrize(('at_m', 'half_width_m'), [(2.1, 0.7), (2.1, 1.5), (2.17, 1.0)])
+def test_before_a_closed_way_the_robot_comes_to_rest_wherever_that_is(
+    at_m: float, half_width_m: float
+) -> None:
+    drive = Drive(dead_end(at_m, half_width_m), [(0.0, 0.0), (9.0, 0.0)])
+    drive.steps(6.0)
+    commands = drive.steps(2.0 * P.try_timeout_s)
+    assert all(command.speed_mps == 0.0 for command in commands)
+    assert sum(command.failed for command in commands) == 2
+    assert drive.nearest_m > P.robot_radius_m
 
 
 def test_somebody_who_goes_away_makes_no_way_fail() -> None:
@@ -230,13 +251,48 @@ def test_within_the_stop_distance_it_does_not_go_on(at_m: float) -> None:
     assert command_for(post, AHEAD).speed_mps == 0.0
 
 
-@pytest.mark.parametrize('aside_m', [0.1, -0.1])
+@pytest.mark.parametrize('aside_m', [0.1, 0.0, -0.1])
 def test_what_stands_on_the_route_is_gone_round(aside_m: float) -> None:
     box: Line = [(3.0, aside_m + 0.2), (3.0, aside_m - 0.2), (3.3, aside_m - 0.2),
                  (3.3, aside_m + 0.2), (3.0, aside_m + 0.2)]  # fmt: skip
     drive = Drive([*corridor(1.5), box], [(0.0, 0.0), (7.0, 0.0)])
-    assert not any(command.failed for command in drive.steps(30.0))
+    assert not any(command.failed for command in drive.steps(20.0))
     assert drive.away_m(7.0, 0.0) < 0.3
+    assert drive.nearest_m > P.robot_radius_m
+
+
+# Along the wall that it learned
+
+
+@pytest.mark.parametrize(('behaviour', 'side'), [('left_wall', 1.0), ('right_wall', -1.0)])
+def test_the_wall_of_the_route_is_followed_until_its_last_piece(
+    behaviour: str, side: float
+) -> None:
+    drive = Drive(corridor(1.2), [(0.0, 0.0), (6.0, 0.0)])
+    drive.behaviour = behaviour
+    commands = drive.steps(7.0)
+    assert {command.behaviour for command in commands} == {behaviour}
+    assert drive.pose.y_m * side == pytest.approx(1.2 - P.wall_distance_m, abs=0.1)
+    drive.steps(9.0)
+    assert drive.away_m(6.0, 0.0) < 0.2
+    assert drive.nearest_m > P.robot_radius_m
+
+
+@pytest.mark.parametrize('bearing_deg', [94.0, -94.0, 96.0, -96.0, 180.0])
+def test_where_the_route_runs_back_the_robot_turns_before_it_follows_a_wall(
+    bearing_deg: float,
+) -> None:
+    bearing = math.radians(bearing_deg)
+    route = np.array([[0.0, 0.0], [2.0 * math.cos(bearing), 2.0 * math.sin(bearing)]])
+    command = GoalFollower(P)(scan_in([]), route, 'left_wall')
+    assert (command.behaviour == 'turn') == (abs(bearing_deg) > 95.0)
+
+
+def test_a_wall_that_leads_elsewhere_is_left() -> None:
+    drive = Drive(t_junction(5.0), [(0.0, 0.0), (4.0, 0.0), (4.0, -5.0)])
+    drive.behaviour = 'left_wall'  # on beyond the branch, and the map does not know better
+    drive.steps(25.0)
+    assert drive.away_m(4.0, -5.0) < 0.3
     assert drive.nearest_m > P.robot_radius_m
 
 
