@@ -138,6 +138,7 @@ class PoseCells:
                 for template, m in self._memories.items()
             ],
             'unrolled': {
+                'peak': list(self.peak),  # not where the packets are now, if a view injected
                 'here': list(self._unrolled),
                 'claimed': [list(place) for place in self._claimed],
                 'memories': [list(m.unrolled) for m in self._memories.values()],
@@ -179,6 +180,7 @@ class PoseCells:
         self._unrolled = self.peak.x, self.peak.y
         if 'unrolled' in state:
             unrolled = state['unrolled']
+            self.peak = Place(*unrolled.get('peak', self.peak))
             self._unrolled = tuple(unrolled['here'])
             self._claimed.extend(tuple(place) for place in unrolled['claimed'])
             self._unrolled_of = [tuple(place) for place in unrolled['experiences']]

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What views do to the pose cells, and which action each template message gives."""
 
+import copy
 import math
 
 import numpy as np
@@ -13,7 +14,7 @@ from hypothesis import strategies as st
 from ratslam_ros.core.config import PoseCellsParameters
 from ratslam_ros.core.local_view import UNDECODABLE
 from ratslam_ros.core.odometry import Motion
-from ratslam_ros.core.pose_cells import NEWEST_TEMPLATES, MapAction, PoseCells
+from ratslam_ros.core.pose_cells import NEWEST_TEMPLATES, WITNESSES, MapAction, PoseCells
 from ratslam_ros.core.torus import Place, Torus
 
 PLANE_RAD = 2.0 * math.pi / 36
@@ -420,6 +421,58 @@ def test_a_view_that_agrees_with_those_before_it_injects_more_than_one_alone() -
         pose_cells.integrate(ahead(1.0))
     assert 0.0 <= energies[0] < 0.5 * whole
     assert max(energies) >= 0.9 * whole
+
+
+# Places that share their cells
+
+
+def round_the_torus(near_cells: float) -> PoseCells:
+    """Drive 40 m on a torus of 20 cells: the robot is in the cells of its start again."""
+    pose_cells = cells(pc_dim_x=20, pc_vt_agree_near=near_cells)
+    drive(pose_cells, list(range(40)), 1.0)
+    return pose_cells
+
+
+def test_a_view_alone_does_not_bring_the_robot_to_where_the_cells_are_the_same() -> None:
+    for near_cells, expected in ((0.0, 'link'), (8.0, 'create')):
+        [action] = drive(round_the_torus(near_cells), [0], 1.0)
+        assert action.action == expected
+        assert action.target_id == (0 if expected == 'link' else 40)
+
+
+def test_where_the_views_of_a_place_follow_each_other_the_robot_is_there() -> None:
+    """Odometry was wrong, or the robot carried."""
+    pose_cells = round_the_torus(8.0)
+    actions = [action.action for action in drive(pose_cells, list(range(10)), 1.0)]
+    assert actions[: WITNESSES - 1] == ['create'] * (WITNESSES - 1)
+    assert actions[WITNESSES - 1] == 'link'
+    assert pose_cells.current_experience < 10
+
+
+def test_a_place_that_odometry_leads_back_to_is_known_at_once() -> None:
+    pose_cells = round_the_torus(8.0)
+    for _ in range(38):
+        pose_cells.integrate(ahead(-1.0))
+    assert [action.action for action in drive(pose_cells, [2], 1.0)] == ['link']
+
+
+@pytest.mark.parametrize('saved_after', [3, 9, 14, 25, 50])
+def test_saved_and_restored_they_go_on_as_they_would_have(saved_after: int) -> None:
+    parameters = PoseCellsParameters(
+        pc_dim_x=20, pc_vt_agree_near=8.0, pc_vt_agree_views=3.0, pc_vt_inject_energy=0.3
+    )
+    rng = np.random.default_rng(1)
+    views = [*range(20), *rng.integers(0, 30, 100).tolist()]
+    ways_m = [*[1.0] * 20, *rng.uniform(-0.5, 1.5, 100).tolist()]
+    went_on = PoseCells(parameters)
+    drive(went_on, list(range(40)), 1.0)
+    for template_id, way_m in zip(views[:saved_after], ways_m, strict=False):
+        drive(went_on, [template_id], way_m)
+    restored = PoseCells(parameters)
+    restored.restore(copy.deepcopy(went_on.state()))
+    for template_id, way_m in zip(views[saved_after:], ways_m[saved_after:], strict=True):
+        assert drive(restored, [template_id], way_m) == drive(went_on, [template_id], way_m)
+    assert restored.state()['unrolled'] == went_on.state()['unrolled']
 
 
 # The torus
