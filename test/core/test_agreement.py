@@ -69,6 +69,31 @@ def test_turning_on_the_spot_shows_different_places() -> None:
     assert weight > 1.0
 
 
+@pytest.mark.parametrize(('off_cells', 'needed'), [
+    (0.0, 2.0), (2.0, 2.0), (5.0, 3.0), (9.9, 5.94), (10.0, 6.0), (math.inf, 6.0)
+])  # fmt: skip
+def test_a_claim_close_by_needs_fewer_views(off_cells: float, needed: float) -> None:
+    claims = Agreement(TORUS, 6.0, 3.0, 2.0, recent=8, near_cells=10.0)
+    weights = []
+    for n in range(4):
+        weights.append(claims.weigh(n, ahead(HERE, 2.0 * n), THERE, off_cells))
+        claims.integrate(2.0, 0.0)
+    assert weights == pytest.approx([((n + 1) / needed) ** 4 for n in range(4)])
+
+
+def test_however_many_agree_on_a_place_close_by_they_count_as_twice_as_many_as_needed() -> None:
+    claims = Agreement(TORUS, 6.0, 3.0, 2.0, recent=8, near_cells=10.0)
+    for n in range(8):
+        weight = claims.weigh(n, ahead(HERE, 2.0 * n), THERE, 1.0)
+        claims.integrate(2.0, 0.0)
+    assert weight == 2.0**4
+
+
+def test_without_a_nearness_all_claims_need_as_many() -> None:
+    claims = agreement()
+    assert claims.weigh(0, HERE, THERE, 0.0) == pytest.approx((1 / 3) ** 4)
+
+
 def test_switched_off_each_view_counts_fully() -> None:
     claims = agreement(views=0.0)
     assert claims.weigh(0, HERE, THERE) == 1.0

@@ -15,7 +15,7 @@ from ratslam_ros.core.config import (
     LocalViewParameters,
 )
 from ratslam_ros.core.experience_map import ExperienceMap
-from ratslam_ros.core.goal_recall import SAME_TOUR, GoalRecall
+from ratslam_ros.core.goal_recall import TILE_M, GoalRecall
 from ratslam_ros.core.local_view import LocalView
 from ratslam_ros.core.navigator import MOST_TRIES, MOST_UNSURE, Navigator
 from ratslam_ros.core.odometry import Motion
@@ -45,7 +45,7 @@ def in_and_out(length: int) -> ExperienceMap:
 
 
 def test_a_route_need_not_go_into_a_room_and_out_again() -> None:
-    graph = in_and_out(20)
+    graph = in_and_out(7)
     by_links = GoalRecall(GoalRecallParameters()).route_to(graph, 0)
     joined = GoalRecall(GoalRecallParameters(route_join_m=0.35)).route_to(graph, 0)
     assert len(by_links.experience_ids) == len(graph)
@@ -53,11 +53,55 @@ def test_a_route_need_not_go_into_a_room_and_out_again() -> None:
     assert joined.arrival_s[-1] == pytest.approx(math.pi, abs=0.2)
 
 
-def test_places_of_different_tours_are_not_joined() -> None:
-    # The map may be bent between them.
-    graph = in_and_out(SAME_TOUR)
-    joined = GoalRecall(GoalRecallParameters(route_join_m=0.35)).route_to(graph, 0)
-    assert joined.arrival_s[-1] > 0.4 * SAME_TOUR
+def round_the_block(side: int) -> ExperienceMap:
+    """Drive so many steps along each side of a square, and stop 0.3 m before the start."""
+    graph = ExperienceMap(ExperienceMapParameters(exp_initial_em_deg=0.0))
+    for corner in range(4):
+        for n in range(side):
+            step(graph, math.pi / 2 if n == 0 and corner else 0.0)
+    graph.integrate(Motion(0.0, 0.0, math.pi / 2))
+    graph.integrate(Motion(0.4, 0.2, 0.0))
+    graph.apply(MapAction('create', graph.current_id, len(graph), len(graph), 0.0, NOWHERE))
+    return graph
+
+
+@pytest.mark.parametrize(('side', 'is_joined'), [(3, True), (9, False), (20, False)])
+def test_only_places_that_a_short_way_connects_are_joined(side: int, is_joined: bool) -> None:
+    # The map may be bent on a long way round, and a wall be between its ends.
+    assert (0.5 * side < TILE_M) == is_joined
+    graph = round_the_block(side)
+    assert np.hypot(*(graph.poses[-1, :2] - graph.poses[0, :2])) == pytest.approx(0.3)
+    ids = GoalRecall(GoalRecallParameters(route_join_m=0.35)).route_to(graph, 0).experience_ids
+    assert ids == ((len(graph) - 1, 0) if is_joined else tuple(reversed(range(len(graph)))))
+
+
+def test_a_join_that_was_given_up_is_not_used_again() -> None:
+    graph = in_and_out(7)
+    recall = GoalRecall(GoalRecallParameters(route_join_m=0.35))
+    last = len(graph) - 1
+    assert recall.route_to(graph, 0).experience_ids == (last, 0)
+    recall.part(graph, [last])
+    assert recall.parted(graph) == 1
+    assert len(recall.route_to(graph, 0).experience_ids) == len(graph)
+    step(graph)  # nor where the map grows
+    assert len(recall.route_to(graph, 0).experience_ids) == len(graph)
+    assert GoalRecall(recall.parameters).route_to(graph, 0).experience_ids == (last + 1, last, 0)
+
+
+def test_a_robot_that_fails_where_ways_are_joined_gives_up_the_join() -> None:
+    graph = in_and_out(7)
+    for _ in range(2):
+        step(graph)
+    navigator = Navigator(GoalRecallParameters(route_join_m=0.35), graph)
+    navigator.go_to(0)
+    before = navigator.update(0)
+    assert len(before.positions_m) < 5
+    assert not navigator.try_failed()  # the links are not to blame
+    assert navigator.recall.parted(graph) > 0
+    after = navigator.update(1)
+    assert after.status == 'following'
+    assert len(after.positions_m) == len(graph)
+    assert after.replanned == 2
 
 
 def test_against_a_link_the_wall_is_on_the_other_side() -> None:

@@ -21,7 +21,7 @@ from rooms import (
     way_to_point_m,
 )
 
-from ratslam_ros.core.local_movement import LOOK_AHEAD_M, LocalMovement, Option, Scan
+from ratslam_ros.core.local_movement import LOOK_AHEAD_M, Behaviour, LocalMovement, Option, Scan
 from ratslam_ros.core.movement_config import GoalFollowerParameters
 from ratslam_ros.core.odometry import Pose
 
@@ -226,6 +226,27 @@ def test_where_nothing_is_seen_all_is_open(nothing: float) -> None:
     left, right = only(movement.options(), 'left_wall'), only(movement.options(), 'right_wall')
     assert (left.heading_rad, right.heading_rad) == (math.pi / 2, -math.pi / 2)
     assert movement.towards(1.0) == Option('straight', 1.0, 8.0)
+
+
+def test_the_fan_is_every_direction_as_far_as_the_body_comes() -> None:
+    movement = LocalMovement(P, scan_in(t_junction(5.0)))
+    fan = movement.fan()
+    assert [option.heading_rad for option in fan] == movement.headings_rad.tolist()
+    for option in fan:
+        assert option.behaviour == 'straight'
+        assert option.open_m == pytest.approx(movement.open_m(option.heading_rad))
+
+
+@pytest.mark.parametrize(('behaviour', 'side'), [('left_wall', 1.0), ('right_wall', -1.0)])
+def test_a_wall_is_looked_for_about_a_direction(behaviour: Behaviour, side: float) -> None:
+    movement = LocalMovement(P, scan_in(corridor(1.5)))
+    anywhere = only(movement.options(), behaviour)
+    assert movement.wall(behaviour, 0.0, math.pi) == anywhere
+    within = movement.wall(behaviour, 0.0, 0.2)
+    assert within is not None
+    assert within.heading_rad == pytest.approx(0.2 * side, abs=math.radians(3.0))
+    across = LocalMovement(P, scan_in(corridor(0.6)))
+    assert across.wall(behaviour, side * math.pi / 2, 0.5) is None  # only a wall is there
 
 
 def test_beams_count_from_where_the_scan_begins() -> None:
