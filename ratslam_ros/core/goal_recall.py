@@ -97,6 +97,10 @@ class GoalRecall:
         """Never again join some experiences with others because they lie close together."""
         self._parted.setdefault(experience_map, set()).update(experience_ids)
 
+    def forgotten(self, experience_map: ExperienceMap, experience_id: int) -> None:
+        """Take note that a number comes to mean another experience."""
+        self._parted.get(experience_map, set()).discard(experience_id)
+
     def parted(self, experience_map: ExperienceMap) -> int:
         """Return how many experiences are not joined with others."""
         return len(self._parted.get(experience_map, ()))

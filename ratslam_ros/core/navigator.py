@@ -197,6 +197,7 @@ class Navigator:
 
     def forgotten(self, experience_id: int, stand_in_id: int, pose_in_stand_in: Pose) -> None:
         """Keep all goals where an experience is forgotten; see ``Goal.without``."""
+        self.recall.forgotten(self._map, experience_id)
         self.goals.forgotten(experience_id, stand_in_id, pose_in_stand_in)
         for errand in self._queue:
             errand.goal = errand.goal.without(experience_id, stand_in_id, pose_in_stand_in)

@@ -31,8 +31,9 @@ ARRIVED_M, LEAVING_M, LINGER_S = 0.04, 0.05, 4.0
 """Within the radius the robot goes on until it is this close to the goal, has this much further
 to go again, or has been there for so long."""
 
-STUCK_S, STUCK_M = 25.0, 2.5
-"""A robot that has stayed within a square of this width for this long gets nowhere."""
+STUCK_S, STUCK_M, PAUSE_S = 25.0, 2.5, 5.0
+"""A robot that has stayed within a square of this width for this long gets nowhere, unless nothing
+was asked of it for a while."""
 
 JOINS_M, PASSED = 2.0, 4
 """Joins so far ahead of a robot that gets nowhere are given up, and those of the last links."""
@@ -196,6 +197,8 @@ class RouteFollowing:
     def _gets_nowhere(self, stamp_ns: int, here: Pose) -> bool:
         """Return whether the robot has driven or turned to and fro in one place for long."""
         trail = self._trail
+        if trail and stamp_ns - trail[-1][0] > PAUSE_S * 1e9:
+            trail.clear()  # nobody asked where to go for a while
         if not trail or stamp_ns - trail[-1][0] >= 1e9:
             trail.append((stamp_ns, here.x_m, here.y_m))
         if stamp_ns - trail[0][0] < STUCK_S * 1e9:

@@ -426,3 +426,12 @@ def test_following_computes_only_where_it_must() -> None:
         recall.follow(graph, 1.0, 1.0)
     recall.parameters = GoalRecallParameters(goal_tolerance_m=1.5)
     assert recall.follow(graph, 1.0, 1.0).experience_ids[-1] == 0
+
+
+def test_a_number_that_means_another_experience_may_be_joined_again() -> None:
+    recall, graph = GoalRecall(GoalRecallParameters()), ExperienceMap(ExperienceMapParameters())
+    recall.part(graph, [3, 4])
+    recall.forgotten(graph, 3)
+    assert recall.parted(graph) == 1
+    recall.forgotten(graph, 3)
+    assert recall.parted(graph) == 1
