@@ -186,6 +186,15 @@ def test_a_goal_is_reached_at_its_place_and_by_who_stays_beside_it() -> None:
         assert after_s <= waited_s <= after_s + 0.5
 
 
+def test_a_pause_is_no_getting_nowhere() -> None:
+    robot = back_at_the_start(20.0)
+    robot.set_out(40)
+    robot.drive(0.5)
+    robot.update()
+    robot.stamp_ns += round(2 * STUCK_S * S)  # and nobody asked in between
+    assert not robot.update().explore
+
+
 @pytest.mark.parametrize('turns', [False, True])
 def test_a_robot_that_gets_nowhere_strays(turns: bool) -> None:
     robot = back_at_the_start(20.0)
