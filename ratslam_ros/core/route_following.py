@@ -35,8 +35,9 @@ STUCK_S, STUCK_M, PAUSE_S = 25.0, 2.5, 5.0
 """A robot that has stayed within a square of this width for this long gets nowhere, unless nothing
 was asked of it for a while."""
 
-JOINS_M, PASSED = 2.0, 4
-"""Joins so far ahead of a robot that gets nowhere are given up, and those of the last links."""
+JOINS_M, PASSED, BESIDE_M = 2.0, 4, 1.0
+"""Joins so far ahead of a robot that gets nowhere are given up, those of the last links, and those
+of all places so far around it."""
 
 LONGEST_STEP_M = 0.2
 """Of a step between two updates, so much may have been driven; the rest is the map that moved."""
@@ -190,7 +191,11 @@ class RouteFollowing:
         joined = [] if way is None else way.joined_ahead(self._map.poses, JOINS_M)
         if not joined:
             return True
-        self._recall.part(self._map, joined)
+        # Others beside them would only lead to the same closed place again.
+        x_m, y_m, _ = self._map.pose
+        poses = self._map.poses
+        beside = np.hypot(poses[:, 0] - x_m, poses[:, 1] - y_m) < BESIDE_M
+        self._recall.part(self._map, [*joined, *np.flatnonzero(beside).tolist()])
         self._kept = self._seen = None
         return False
 
