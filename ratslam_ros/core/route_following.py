@@ -187,6 +187,7 @@ class RouteFollowing:
         Where the route goes on over places that are only close together on the map, there is no
         way from one to the other.
         """
+        self._trail.clear()  # what is tried is counted by whoever tries
         way = self._kept
         joined = [] if way is None else way.joined_ahead(self._map.poses, JOINS_M)
         if not joined:
