@@ -77,14 +77,15 @@ class Robot:
         path = path_of(positions, [0.0] * len(places), self.stamp_ns, 'map')
         self.world.send('experience_map/route', path, LATCHED)
 
-    def status(self, status: Any, explore: bool = False) -> None:
+    def status(self, status: Any, explore: bool = False, behaviour: str = '') -> None:
         from std_msgs.msg import String
 
         from ratslam_ros.core.config import ExperienceMapParameters
         from ratslam_ros.nodes.qos import LATCHED
 
         around = ExperienceMap(ExperienceMapParameters())
-        payload = encode_status(self.stamp_ns, around, Guidance(status, explore=explore), [], [])
+        guidance = Guidance(status, explore=explore, behaviour=behaviour)
+        payload = encode_status(self.stamp_ns, around, guidance, [], [])
         self.world.send('experience_map/status', String(data=payload), LATCHED)
 
     def settle(self) -> None:
@@ -112,12 +113,24 @@ class Robot:
         return bool(last.linear.x == 0.0 and last.angular.z == 0.0)
 
 
+@pytest.mark.parametrize(('wall', 'side'), [('left_wall', 1.0), ('right_wall', -1.0)])
+def test_the_wall_that_a_route_was_learned_along_is_followed_again(
+    world: MakeWorld, wall: str, side: float
+) -> None:
+    robot = Robot(world)
+    robot.route((0.0, 0.0), (4.0, 0.0))
+    robot.status('following', behaviour=wall)
+    robot.settle()
+    assert side * robot.sense().angular.z > 0.3  # it goes to look for it
+    assert decode_behaviour(robot.notes[-1].data).behaviour == wall
+
+
 def test_the_robot_follows_its_route_and_says_what_it_does(world: MakeWorld) -> None:
     robot = Robot(world)
     robot.route((0.0, 0.0), (4.0, 0.0))
     assert robot.sense().linear.x > 0.3
-    assert robot.sense(x=1.0, heading=math.pi / 2).angular.z < -0.5  # the route leads to the right
-    assert robot.sense(x=1.0, heading=math.pi / 2).linear.x == 0.0
+    assert robot.sense(x=1.0, heading=2.0).angular.z < -0.5  # the route leads to the right
+    assert robot.sense(x=1.0, heading=2.0).linear.x == 0.0
     assert robot.sense(x=1.0, y=-0.3).angular.z > 0.0
     first, *_, last = [decode_behaviour(note.data) for note in robot.notes]
     assert first.stamp_ns == START_NS + STEP_NS
