@@ -116,6 +116,7 @@ def example_of_status() -> str:
         expected_s=12.5, ended_ns=60_000_000_000,
     )  # fmt: skip
     guidance = Guidance(
-        'following', remaining_s=18.5, goal=Pose(1.5, -2.0, 0.0), replanned=1, switched=0
-    )
+        'following', remaining_s=18.5, behaviour='left_wall', goal=Pose(1.5, -2.0, 0.0),
+        replanned=1, switched=0,
+    )  # fmt: skip
     return encode_status(1700000012500000000, around, guidance, [active], [over])
