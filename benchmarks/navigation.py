@@ -89,10 +89,13 @@ def configured(changes: dict[str, Value]) -> Config:
     return load_config('navigation')[0].with_values(changes)
 
 
-def explore_and_name(loop: ClosedLoop, duration_s: float) -> dict[str, tuple[float, float]]:
+def explore_and_name(
+    loop: ClosedLoop, duration_s: float, named: Callable[[str], None] = lambda _: None
+) -> dict[str, tuple[float, float]]:
     """Explore; name the place every now and then, while the robot drives. Return the true places.
 
-    It is as if somebody walked beside it and pressed a key (seed 001, section IV).
+    It is as if somebody walked beside it and pressed a key (seed 001, section IV). ``named``: told
+    every name when it is given.
     """
     places: dict[str, tuple[float, float]] = {}
     end_s, next_s = loop.now_s + duration_s, loop.now_s + CANDIDATES_S
@@ -103,6 +106,7 @@ def explore_and_name(loop: ClosedLoop, duration_s: float) -> dict[str, tuple[flo
             next_s = loop.now_s + CANDIDATES_S
             name = f'p{len(places)}'
             loop.name_place(name)
+            named(name)
             places[name] = loop.simulator.truth.x_m, loop.simulator.truth.y_m
         return loop.now_s >= end_s
 
@@ -340,20 +344,10 @@ def goal_memory_run(setting: Setting, job: tuple[int, str]) -> list[str]:
     )  # fmt: skip
     memory = loop.ratslam.goal_memory
     assert memory is not None
-    places: dict[str, tuple[float, float]] = {}
-    next_s, end_s = CANDIDATES_S, setting.explore_s(13.0)
-
-    def until() -> bool:
-        nonlocal next_s
-        if loop.now_s >= next_s and loop.command.speed_mps > 0.3:
-            next_s = loop.now_s + CANDIDATES_S
-            name = f'p{len(places)}'
-            loop.name_place(name)
-            memory.mark(name, loop.ratslam.pose_cells.peak)
-            places[name] = loop.simulator.truth.x_m, loop.simulator.truth.y_m
-        return loop.now_s >= end_s
-
-    loop.run(loop.exploring, until)
+    places = explore_and_name(
+        loop, setting.explore_s(13.0),
+        lambda name: memory.mark(name, loop.ratslam.pose_cells.peak),
+    )  # fmt: skip
     t = loop.simulator.truth
     names = choose_goals(
         places, Pose(t.x_m, t.y_m, t.heading_rad), 2, np.random.Generator(np.random.PCG64(seed))

@@ -160,10 +160,10 @@ class Exploration:
         straight_m = movement.open_m(0.0, p.wall_distance_m)
         if self._seeking and straight_m > p.wall_look_ahead_m:
             return drive(movement, Option('centreline', 0.0, straight_m), p)
-        found = [option for option in movement.options() if option.behaviour == side]
-        if self._dead_end:  # by what opens beside it, it would turn to and fro for ever
-            found = [option for option in found if abs(option.heading_rad) < ARRIVED_RAD * 5]
-        self._dead_end = not found
-        if not found:  # turn away from the wall until something opens
+        option = movement.wall(side, 0.0, math.pi / 2)
+        if self._dead_end and option is not None and abs(option.heading_rad) >= ARRIVED_RAD * 5:
+            option = None  # by what opens beside it, it would turn to and fro for ever
+        self._dead_end = option is None
+        if option is None:  # turn away from the wall until something opens
             return turn(-sign * math.pi / 2, p)
-        return drive(movement, found[0], p)
+        return drive(movement, option, p)

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -59,6 +60,16 @@ class LocalMovement:
         """(n, 2) m, where beams ended, in the robot's frame."""
         self.headings_rad = np.linspace(-math.pi / 2, math.pi / 2, HEADINGS)
 
+    @cached_property
+    def _beside_wall_m(self) -> NDArray[np.float64]:
+        """(HEADINGS,) how far a body that keeps its distance to walls can go."""
+        return _open_m(self.points, self.headings_rad, self._p.wall_distance_m)
+
+    @cached_property
+    def _body_m(self) -> NDArray[np.float64]:
+        """(HEADINGS,) how far the robot with its margin can go."""
+        return _open_m(self.points, self.headings_rad, self._p.robot_radius_m + self._p.margin_m)
+
     def open_m(self, heading_rad: float, half_width_m: float | None = None) -> float:
         """Return how far a body can go straight in a direction before it touches something.
 
@@ -73,17 +84,9 @@ class LocalMovement:
         A wall is followed by going as far to its side as is open: past its end that leads round
         the corner. A centreline is the middle of what is open.
         """
-        p = self._p
-        wall = _open_m(self.points, self.headings_rad, p.wall_distance_m)
-        found: list[Option] = []
-        passable = np.flatnonzero(wall >= p.wall_look_ahead_m)
-        if len(passable):
-            sides: tuple[tuple[Behaviour, int], ...] = (
-                ('left_wall', int(passable[-1])), ('right_wall', int(passable[0])),
-            )  # fmt: skip
-            for side, at in sides:
-                found.append(Option(side, float(self.headings_rad[at]), float(wall[at])))
-        body = _open_m(self.points, self.headings_rad, p.robot_radius_m + p.margin_m)
+        walls = [self.wall(side, 0.0, math.pi / 2) for side in WALLS]
+        found = [option for option in walls if option is not None]
+        body = self._body_m
         for look_ahead_m in LOOK_AHEAD_M:
             for first, last in _runs(body >= look_ahead_m):
                 heading = float(self.headings_rad[first] + self.headings_rad[last]) / 2
@@ -103,8 +106,11 @@ class LocalMovement:
         ]
 
     def wall(self, side: Behaviour, about_rad: float, within_rad: float) -> Option | None:
-        """Return the way along a wall as ``options`` does, of directions close to a given one."""
-        wall = _open_m(self.points, self.headings_rad, self._p.wall_distance_m)
+        """Return the way along a wall: of the directions close to one, the furthest to its side.
+
+        None where none of them is open for ``wall_look_ahead_m``.
+        """
+        wall = self._beside_wall_m
         near = np.abs(self.headings_rad - about_rad) <= within_rad
         passable = np.flatnonzero((wall >= self._p.wall_look_ahead_m) & near)
         if len(passable) == 0:
@@ -114,10 +120,9 @@ class LocalMovement:
 
     def fan(self) -> list[Option]:
         """Return all directions that the robot can go on in, as far as they are open."""
-        body = _open_m(self.points, self.headings_rad, self._p.robot_radius_m + self._p.margin_m)
         return [
             Option('straight', float(heading_rad), float(open_m))
-            for heading_rad, open_m in zip(self.headings_rad, body, strict=True)
+            for heading_rad, open_m in zip(self.headings_rad, self._body_m, strict=True)
         ]
 
     def towards(self, heading_rad: float) -> Option:

@@ -27,6 +27,9 @@ Action = Literal['create', 'link', 'set', 'none']
 
 NO_EXPERIENCE = -1
 
+CLAIMS, WITNESSES = 8, 6
+"""Of so many views recognised lately, so many must have been seen where the robot may be."""
+
 NEWEST_TEMPLATES = 10
 """Templates learned this recently inject nothing: the robot is still there."""
 
@@ -50,10 +53,6 @@ class MapAction:
     template_id: int
     relative_rad: float
     place: Place
-
-
-CLAIMS, WITNESSES = 8, 6
-"""Of so many views recognised lately, so many must have been seen where the robot may be."""
 
 
 @dataclass(slots=True)
@@ -180,7 +179,7 @@ class PoseCells:
         self._unrolled = self.peak.x, self.peak.y
         if 'unrolled' in state:
             unrolled = state['unrolled']
-            self.peak = Place(*unrolled.get('peak', self.peak))
+            self.peak = Place(*unrolled['peak'])
             self._unrolled = tuple(unrolled['here'])
             self._claimed.extend(tuple(place) for place in unrolled['claimed'])
             self._unrolled_of = [tuple(place) for place in unrolled['experiences']]

@@ -23,7 +23,7 @@ VIEWS = 4
 # A rectangle: x_m, y_m of its middle, width_m along x, depth_m along y.
 Rectangle = tuple[float, float, float, float]
 # Okabe and Ito's, as in the other pictures.
-TRAJECTORY_COLOURS = (GREEN, VERMILLION, BLUE, '#E69F00', '#CC79A7', '#56B4E9')
+TRAJECTORY_COLOURS = (GREEN, VERMILLION, BLUE, '#E69F00', '#CC79A7', '#56B4E9', '#000000')
 
 
 def draw_plan(
