@@ -30,8 +30,8 @@ from numpy.typing import NDArray
 from ratslam_ros.config_files import load_config
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.goal_recall import UnreachableGoal
-from ratslam_ros.core.local_movement import Scan
 from ratslam_ros.core.odometry import Pose
+from ratslam_ros.core.scan import Scan
 from ratslam_ros.core.section import Value
 from ratslam_ros.core.steering import Command
 from ratslam_ros.goal_memory_pictures import draw_temporal_array

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ratslam_ros.core.local_movement import Scan
 from ratslam_ros.core.odometry import Pose
+from ratslam_ros.core.scan import Scan
 
 Line = Sequence[tuple[float, float]]
 

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from ratslam_ros.core.angles import wrap
-from ratslam_ros.core.local_movement import Behaviour, LocalMovement, Option, Scan
+from ratslam_ros.core.local_movement import Behaviour, LocalMovement, Option
 from ratslam_ros.core.movement_config import GoalFollowerParameters
 from ratslam_ros.core.odometry import Pose
+from ratslam_ros.core.scan import Scan
 from ratslam_ros.core.steering import Command, drive, turn
 
 if TYPE_CHECKING:  # whoever makes an exploration brings its chance
@@ -25,8 +26,8 @@ _TURNS: dict[Phase, Phase] = {'turn_back': 'back', 'turn_again': 'again', 'turn_
 ARRIVED_RAD = math.radians(10.0)
 """A turn is done when so much is left."""
 
-WALL_M = 1.0
-"""A wall nearer than this is one that can be followed."""
+WALL_M = 0.4
+"""A wall no further away than this beside where it is followed is one that can be followed."""
 
 SEEK_AFTER_RAD = math.radians(300.0)
 """So much turned without a wall beside: there is none here. Go straight on to the next."""
@@ -153,7 +154,7 @@ class Exploration:
         sign = 1.0 if side == 'left_wall' else -1.0
         beside = movement.points[sign * movement.points[:, 1] > 0.0]
         wall_m = float(np.hypot(*beside.T).min()) if len(beside) else math.inf
-        if wall_m < WALL_M:
+        if wall_m < max(p.wall_distance_m, p.wall_distance_most_m) + WALL_M:
             self._turn_without_wall, self._seeking = 0.0, False
         elif self._turn_without_wall > SEEK_AFTER_RAD:
             self._seeking = True

@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.angles import wrap
-from ratslam_ros.core.local_movement import WALLS, Behaviour, LocalMovement, Option, Scan
+from ratslam_ros.core.local_movement import WALLS, Behaviour, LocalMovement, Option
 from ratslam_ros.core.movement_config import GoalFollowerParameters
 from ratslam_ros.core.odometry import Pose
+from ratslam_ros.core.scan import Scan
 from ratslam_ros.core.steering import Command, drive, turn
 
 SAMPLES = 8

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.compiled import compiled
 from ratslam_ros.core.movement_config import GoalFollowerParameters
+from ratslam_ros.core.scan import Scan, points_of
 
 Behaviour = Literal['centreline', 'left_wall', 'right_wall', 'straight', 'turn']
 
@@ -25,21 +26,20 @@ NARROW_M = 0.3
 HEADINGS = 61
 """Ways on that are looked at, from a quarter turn right to one left: every 3 degrees."""
 
+FINENESS_M = 0.05
+"""Distances to walls are tried in steps no greater than this."""
+
+ON_M = 2.0
+"""A direction that is open for so long leads on, the furthest to the wall's side along it."""
+
+OPENING_RAD = math.radians(45.0)
+"""If that one leads further aside than this the wall ends, as at a door."""
+
+AWAY_RAD = math.radians(35.0)
+"""And so far from it a robot turns at most to get away from a wall."""
+
 LOOK_AHEAD_M = (1.0, 1.8, 3.0)
 """How far a way must be open for a centreline: far ones tell branches of a junction apart."""
-
-
-@dataclass(frozen=True, slots=True)
-class Scan:
-    """One laser scan, beams counter-clockwise from ``angle_min_rad``; 0 is straight ahead.
-
-    ``ranges_m``: (n,); what is not a finite positive number is no obstacle.
-    """
-
-    stamp_ns: int
-    angle_min_rad: float
-    angle_increment_rad: float
-    ranges_m: NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,14 +56,18 @@ class LocalMovement:
 
     def __init__(self, parameters: GoalFollowerParameters, scan: Scan) -> None:
         self._p = parameters
-        self.points = _points(scan.ranges_m, scan.angle_min_rad, scan.angle_increment_rad)
+        self.points = points_of(scan)
         """(n, 2) m, where beams ended, in the robot's frame."""
         self.headings_rad = np.linspace(-math.pi / 2, math.pi / 2, HEADINGS)
+        self._at_distance_m: dict[float, NDArray[np.float64]] = {}
 
-    @cached_property
-    def _beside_wall_m(self) -> NDArray[np.float64]:
-        """(HEADINGS,) how far a body that keeps its distance to walls can go."""
-        return _open_m(self.points, self.headings_rad, self._p.wall_distance_m)
+    def _beside_wall_m(self, distance_m: float) -> NDArray[np.float64]:
+        """Return (HEADINGS,) how far a body that keeps a distance to walls can go."""
+        known = self._at_distance_m.get(distance_m)
+        if known is None:
+            known = _open_m(self.points, self.headings_rad, distance_m)
+            self._at_distance_m[distance_m] = known
+        return known
 
     @cached_property
     def _body_m(self) -> NDArray[np.float64]:
@@ -110,13 +114,37 @@ class LocalMovement:
 
         None where none of them is open for ``wall_look_ahead_m``.
         """
-        wall = self._beside_wall_m
+        p = self._p
         near = np.abs(self.headings_rad - about_rad) <= within_rad
-        passable = np.flatnonzero((wall >= self._p.wall_look_ahead_m) & near)
-        if len(passable) == 0:
+        least_m = self._beside_wall_m(p.wall_distance_m)
+        close = self._furthest(side, (least_m >= p.wall_look_ahead_m) & near, least_m)
+        if close is None:
             return None
-        at = passable[-1] if side == 'left_wall' else passable[0]
-        return Option(side, float(self.headings_rad[at]), float(wall[at]))
+        sign = 1.0 if side == 'left_wall' else -1.0
+        door_m = self._beside_wall_m((p.wall_distance_m + p.robot_radius_m + p.margin_m) / 2)
+        on = self._furthest(side, (door_m >= ON_M) & near, least_m) or close
+        if sign * on.heading_rad > OPENING_RAD:
+            return close
+        count = max(math.ceil((p.wall_distance_most_m - p.wall_distance_m) / FINENESS_M), 0)
+        for step in range(count, 0, -1):
+            share = step / count
+            open_m = self._beside_wall_m(
+                p.wall_distance_m + share * (p.wall_distance_most_m - p.wall_distance_m)
+            )
+            option = self._furthest(side, (open_m >= p.wall_look_ahead_m) & near, open_m)
+            if option and sign * (on.heading_rad - option.heading_rad) < AWAY_RAD:
+                return option
+        return close
+
+    def _furthest(
+        self, side: Behaviour, passable: NDArray[np.bool_], open_m: NDArray[np.float64]
+    ) -> Option | None:
+        """Return the passable direction that is the furthest to a side."""
+        found = np.flatnonzero(passable)
+        if len(found) == 0:
+            return None
+        at = found[-1] if side == 'left_wall' else found[0]
+        return Option(side, float(self.headings_rad[at]), float(open_m[at]))
 
     def fan(self) -> list[Option]:
         """Return all directions that the robot can go on in, as far as they are open."""
@@ -137,37 +165,30 @@ def _runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 
 @compiled
-def _points(
-    ranges_m: NDArray[np.float64], angle_min_rad: float, angle_increment_rad: float
-) -> NDArray[np.float64]:
-    points = np.empty((len(ranges_m), 2))
-    count = 0
-    for beam in range(len(ranges_m)):
-        if 0.0 < ranges_m[beam] < 1e6:
-            angle = angle_min_rad + beam * angle_increment_rad
-            points[count, 0] = ranges_m[beam] * math.cos(angle)
-            points[count, 1] = ranges_m[beam] * math.sin(angle)
-            count += 1
-    return points[:count]
-
-
-@compiled
 def _open_m(
     points: NDArray[np.float64], headings_rad: NDArray[np.float64], half_width_m: float
 ) -> NDArray[np.float64]:
     """Return for each heading how far a disc goes before it touches a point; at most 8 m.
 
-    A point that it touches already bars the way towards it, not the way off.
+    ``headings_rad``: evenly spaced, rising. A point that the disc touches already bars the way
+    towards it, not the way off.
     """
-    reach = np.empty(len(headings_rad))
-    for k in range(len(headings_rad)):
-        c, s = math.cos(headings_rad[k]), math.sin(headings_rad[k])
-        nearest = 8.0
-        for i in range(len(points)):
-            along = c * points[i, 0] + s * points[i, 1]
-            across = c * points[i, 1] - s * points[i, 0]
+    count = len(headings_rad)
+    reach = np.full(count, 8.0)
+    cosines, sines = np.cos(headings_rad), np.sin(headings_rad)
+    step = headings_rad[1] - headings_rad[0] if count > 1 else 1.0
+    for i in range(len(points)):
+        x, y = points[i, 0], points[i, 1]
+        away = math.hypot(x, y)
+        # Only headings that pass it closely enough are looked at.
+        aside = math.asin(half_width_m / away) if away > half_width_m else math.pi / 2
+        bearing = math.atan2(y, x) - headings_rad[0]
+        first = max(math.floor((bearing - aside) / step), 0)
+        last = min(math.ceil((bearing + aside) / step), count - 1)
+        for k in range(first, last + 1):
+            along = cosines[k] * x + sines[k] * y
+            across = cosines[k] * y - sines[k] * x
             if along > 0.0 and abs(across) < half_width_m:
                 gap = along - math.sqrt(half_width_m * half_width_m - across * across)
-                nearest = min(nearest, max(gap, 0.0))
-        reach[k] = nearest
+                reach[k] = min(reach[k], max(gap, 0.0))
     return reach

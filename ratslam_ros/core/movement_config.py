@@ -24,6 +24,11 @@ class GoalFollowerParameters(LiveInput):
         0.42, 'm', 0.05, 10.0,
         "Distance of the robot's middle to a wall that it follows; doors must be twice as wide.",
         'walls are rough or the odometry poor', 'doors are missed')  # fmt: skip
+    wall_distance_most_m: float = parameter(
+        1.0, 'm', 0.05, 10.0,
+        'Where there is room walls are followed at this distance, or in the middle of a passage.',
+        'passages are wider than twice this: ways to and fro shall be the same',
+        'doors along the wall are missed')  # fmt: skip
     wall_look_ahead_m: float = parameter(
         0.8, 'm', 0.05, 10.0, 'A way along a wall must be open this far.',
         'the robot swings while it follows a wall', 'it cuts across small recesses')  # fmt: skip

@@ -108,7 +108,7 @@ def _goal_memory(config: Config) -> None:
 
 def _goal_follower(config: Config) -> None:
     from ratslam_ros.core.goal_follower import GoalFollower
-    from ratslam_ros.core.local_movement import Scan
+    from ratslam_ros.core.scan import Scan
 
     follow = GoalFollower(config.goal_follower)
     follow(Scan(0, -1.0, 1.0, np.array([1.0, 2.0, 1.0])), np.array([[0.0, 0.0], [1.0, 0.0]]))

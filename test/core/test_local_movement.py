@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -21,11 +22,21 @@ from rooms import (
     way_to_point_m,
 )
 
-from ratslam_ros.core.local_movement import LOOK_AHEAD_M, Behaviour, LocalMovement, Option, Scan
+from ratslam_ros.core.local_movement import (
+    LOOK_AHEAD_M,
+    WALLS,
+    Behaviour,
+    LocalMovement,
+    Option,
+)
 from ratslam_ros.core.movement_config import GoalFollowerParameters
-from ratslam_ros.core.odometry import Pose
+from ratslam_ros.core.odometry import Pose, composed
+from ratslam_ros.core.scan import Scan
 
 P = GoalFollowerParameters()
+CLOSE = replace(P, wall_distance_most_m=P.wall_distance_m)
+"""Along walls as close as may be, however wide the way is."""
+
 BODY_M = P.robot_radius_m + P.margin_m
 STEP_RAD = math.radians(3.0)
 """Between two directions that are looked at."""
@@ -36,8 +47,10 @@ RANGES = st.lists(
 )
 
 
-def options_in(walls: list[Line], pose: Pose = HERE) -> list[Option]:
-    return LocalMovement(P, scan_in(walls, pose)).options()
+def options_in(
+    walls: list[Line], pose: Pose = HERE, p: GoalFollowerParameters = P
+) -> list[Option]:
+    return LocalMovement(p, scan_in(walls, pose)).options()
 
 
 def only(options: list[Option], behaviour: str) -> Option:
@@ -57,7 +70,7 @@ def centrelines_deg(options: list[Option]) -> list[float]:
 
 
 def test_a_corridor_goes_on_ahead_and_each_wall_is_steered_to() -> None:
-    options = options_in(corridor(1.0))
+    options = options_in(corridor(1.0), p=CLOSE)
     left, right = only(options, 'left_wall'), only(options, 'right_wall')
     # So far to the side that the robot, 0.58 m from where it touches, is at the wall in 0.8 m.
     steepest_rad = math.asin((1.0 - P.wall_distance_m) / P.wall_look_ahead_m)
@@ -74,17 +87,45 @@ def test_a_corridor_goes_on_ahead_and_each_wall_is_steered_to() -> None:
 
 def test_a_robot_that_is_as_far_from_a_wall_as_it_should_be_goes_along_it() -> None:
     beside = 1.0 - P.wall_distance_m - 0.01
-    left = only(options_in(corridor(1.0), Pose(0.0, beside, 0.0)), 'left_wall')
+    left = only(options_in(corridor(1.0), Pose(0.0, beside, 0.0), CLOSE), 'left_wall')
     assert left.heading_rad == pytest.approx(0.0, abs=1e-9)
-    right = only(options_in(corridor(1.0), Pose(0.0, -beside, 0.0)), 'right_wall')
+    right = only(options_in(corridor(1.0), Pose(0.0, -beside, 0.0), CLOSE), 'right_wall')
     assert right.heading_rad == pytest.approx(0.0, abs=1e-9)
-    nearer = only(options_in(corridor(1.0), Pose(0.0, beside + 0.1, 0.0)), 'left_wall')
+    nearer = only(options_in(corridor(1.0), Pose(0.0, beside + 0.1, 0.0), CLOSE), 'left_wall')
     assert nearer.heading_rad < -STEP_RAD  # away from it
 
 
+def followed(half_width_m: float, side: Behaviour, y_m: float) -> float:
+    """Return the y at which a robot ends that follows a wall of a corridor for 8 m."""
+    pose = Pose(0.0, y_m, 0.0)
+    for _ in range(160):
+        movement = LocalMovement(P, scan_in(corridor(half_width_m), pose))
+        option = movement.wall(side, 0.0, math.pi / 2)
+        assert option is not None
+        turned = Pose(0.0, 0.0, max(-0.15, min(option.heading_rad, 0.15)))
+        pose = composed(composed(pose, turned), Pose(0.05, 0.0, 0.0))
+    return pose.y_m
+
+
+@pytest.mark.parametrize('y_m', [0.0, 0.5, -0.5])
+@pytest.mark.parametrize('side', WALLS)
+def test_in_a_passage_both_walls_are_followed_in_its_middle(side: Behaviour, y_m: float) -> None:
+    assert followed(0.98, side, y_m) == pytest.approx(0.0, abs=0.15)
+
+
+@pytest.mark.parametrize('y_m', [1.7, 2.0, 2.4])
+@pytest.mark.parametrize(('side', 'sign'), [('left_wall', 1.0), ('right_wall', -1.0)])
+def test_where_there_is_room_a_wall_is_followed_at_the_greater_distance(
+    side: Behaviour, sign: float, y_m: float
+) -> None:
+    y_m = followed(3.0, side, sign * y_m)
+    assert 3.0 - sign * y_m == pytest.approx(P.wall_distance_most_m, abs=0.1)
+
+
+@pytest.mark.parametrize('p', [P, CLOSE])
 @pytest.mark.parametrize(('width_m', 'is_taken'), [(1.1, True), (0.9, True), (0.7, False)])
 def test_a_door_to_the_left_is_entered_where_it_is_wide_enough(
-    width_m: float, is_taken: bool
+    p: GoalFollowerParameters, width_m: float, is_taken: bool
 ) -> None:
     half = width_m / 2
     walls: list[Line] = [
@@ -92,8 +133,8 @@ def test_a_door_to_the_left_is_entered_where_it_is_wide_enough(
         [(20.0, 1.0), (half, 1.0), (half, 1.1), (4.0, 1.1), (4.0, 6.0), (-4.0, 6.0)],
         [(-20.0, -1.0), (20.0, -1.0)],
     ]
-    options = options_in(walls)
-    in_corridor = only(options_in(corridor(1.0)), 'left_wall')
+    options = options_in(walls, p=p)
+    in_corridor = only(options_in(corridor(1.0), p=p), 'left_wall')
     left = only(options, 'left_wall')
     if is_taken:
         assert left.heading_rad > math.radians(75.0)
@@ -102,7 +143,7 @@ def test_a_door_to_the_left_is_entered_where_it_is_wide_enough(
         assert left.heading_rad == pytest.approx(in_corridor.heading_rad, abs=2 * STEP_RAD)
     assert only(options, 'right_wall').heading_rad == pytest.approx(-in_corridor.heading_rad)
     # Seen from 2 m before it a door is no reason to leave the wall.
-    before = only(options_in(walls, Pose(-3.0, 0.0, 0.0)), 'left_wall')
+    before = only(options_in(walls, Pose(-3.0, 0.0, 0.0), p), 'left_wall')
     assert before.heading_rad == pytest.approx(in_corridor.heading_rad)
 
 
@@ -186,7 +227,7 @@ def test_every_option_is_as_open_as_it_says_it_must_be(ranges_m: list[float]) ->
             assert movement.open_m(option.heading_rad) >= LOOK_AHEAD_M[0]
         else:
             open_m = movement.open_m(option.heading_rad, P.wall_distance_m)
-            assert open_m == option.open_m >= P.wall_look_ahead_m
+            assert open_m >= option.open_m >= P.wall_look_ahead_m
 
 
 @pytest.mark.parametrize('beams', [8, 60, 180])  # none is at a right angle to a direction
