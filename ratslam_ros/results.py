@@ -16,9 +16,9 @@ from typing import IO, Any
 
 from ratslam_ros.config_files import to_yaml
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.experience_map import ExperienceMap, Forgotten, composed
+from ratslam_ros.core.experience_map import ExperienceMap, Forgotten
 from ratslam_ros.core.local_view import NO_TEMPLATE
-from ratslam_ros.core.odometry import Pose
+from ratslam_ros.core.odometry import Pose, composed
 from ratslam_ros.core.ratslam import OdometryStep, Step, ViewStep
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.messages import NS_PER_S, encode_map

@@ -364,6 +364,12 @@ class ExperienceMapParameters(OdometryInput):
         'Sweeps over all links after each action, if exp_relaxation is sweep; 0: the map is not '
         'relaxed.',
         'loops close too slowly', 'large maps cost too much')  # fmt: skip
+    exp_align_scans: bool = parameter(
+        False, '', 0, 1,
+        'Where there is a laser: places that the camera recognises are brought onto each other by '
+        'their scans. Not in the papers.',
+        'goals are reached half a metre beside where they are, and the robot has a laser',
+        'the map shall hang on camera and odometry alone')  # fmt: skip
     exp_confidence_threshold: float = parameter(
         0.25, 'share of the tries', 0.0, 1.0,
         'A link is unlearned when its confidence, the share of tries in which its transition was '

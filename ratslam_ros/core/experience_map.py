@@ -25,9 +25,10 @@ from ratslam_ros.core.angles import wrap
 from ratslam_ros.core.compiled import compiled
 from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.local_view import NO_TEMPLATE
-from ratslam_ros.core.odometry import Motion, Pose, moved
+from ratslam_ros.core.odometry import Motion, Pose, composed, inverse, moved
 from ratslam_ros.core.pose_cells import NO_EXPERIENCE, MapAction
 from ratslam_ros.core.relaxation import Relaxation
+from ratslam_ros.core.scan_alignment import Sight
 from ratslam_ros.core.state import State
 from ratslam_ros.core.torus import Place
 from ratslam_ros.errors import RatslamError, UnusableInput
@@ -329,7 +330,9 @@ class ExperienceMap:
         self.offset = moved(self.offset, motion)
         self._duration_s += motion.dt_s
 
-    def apply(self, action: MapAction, behaviour: str = '') -> Forgotten | None:
+    def apply(
+        self, action: MapAction, behaviour: str = '', sight: Sight | None = None
+    ) -> Forgotten | None:
         """Do what the pose cells decided, then relax the map.
 
         Args:
@@ -337,6 +340,7 @@ class ExperienceMap:
                 forget that one and to make the new one in its place.
             behaviour: name of what the robot was doing, for the link; empty: nobody tells. A
                 transition with a name is a failed try of the others by the same behaviour.
+            sight: where the robot is, where scans tell that better than the motion and the view.
 
         Returns:
             What was forgotten, if anything was.
@@ -348,7 +352,10 @@ class ExperienceMap:
         if action.action == 'none':
             self._relax()
             return None
-        source, turned = action.source_id, action.relative_rad
+        source, there = action.source_id, Pose(0.0, 0.0, action.relative_rad)
+        if sight is not None:
+            self.offset = sight.from_current or self.offset
+            there = sight.from_target or there
         forgotten = None
         if action.action == 'create':
             here = self.pose
@@ -356,12 +363,12 @@ class ExperienceMap:
                 forgotten = self._forget(action.target_id)
                 if source == action.target_id:  # where the map has missed some actions
                     source = self.current_id
-            self._place(action, Pose(here.x_m, here.y_m, wrap(here.heading_rad - turned)))
+            self._place(action, composed(here, inverse(there)))
         if source != NO_EXPERIENCE and self.mapping:
             leaf = action.action == 'create'
-            self._connect(source, action.target_id, turned, behaviour, leaf)
+            self._connect(source, action.target_id, there, behaviour, leaf)
         self.current_id = action.target_id
-        self.offset = Pose(0.0, 0.0, turned)
+        self.offset = there
         self._duration_s = 0.0
         self._relax()
         return forgotten
@@ -433,12 +440,12 @@ class ExperienceMap:
         return int(np.searchsorted(self._serials[: len(self._notes)], serial))
 
     def _connect(
-        self, source: int, target: int, turned: float, behaviour: str, leaf: bool
+        self, source: int, target: int, there: Pose, behaviour: str, leaf: bool
     ) -> None:
         """Make or average the link; seed 000 equation (6) in polar form."""
-        distance = math.hypot(self.offset.x_m, self.offset.y_m)
-        heading = math.atan2(self.offset.y_m, self.offset.x_m)
-        facing = wrap(self.offset.heading_rad - turned)
+        way = composed(self.offset, inverse(there))
+        distance, heading = math.hypot(way.x_m, way.y_m), math.atan2(way.y_m, way.x_m)
+        facing = way.heading_rad
         row = self._row(source, target)
         if row is None:
             link = Link(
@@ -594,24 +601,6 @@ class ExperienceMap:
             self._plan_holds = True
         self._plan.relax(self._poses[: len(self)], self._ends[:links], self._shapes[:links])
         self._is_settled = True
-
-
-def composed(base: Pose, offset: Pose) -> Pose:
-    """Return the pose that lies at ``offset`` in the frame of ``base``."""
-    c, s = math.cos(base.heading_rad), math.sin(base.heading_rad)
-    return Pose(
-        base.x_m + c * offset.x_m - s * offset.y_m,
-        base.y_m + s * offset.x_m + c * offset.y_m,
-        wrap(base.heading_rad + offset.heading_rad),
-    )
-
-
-def inverse(pose: Pose) -> Pose:
-    """Return where the origin lies as seen from a pose."""
-    c, s = math.cos(pose.heading_rad), math.sin(pose.heading_rad)
-    return Pose(
-        -c * pose.x_m - s * pose.y_m, s * pose.x_m - c * pose.y_m, -pose.heading_rad
-    )
 
 
 def _from(experience_id: int) -> Callable[[Link], Link]:

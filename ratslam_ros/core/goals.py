@@ -8,9 +8,9 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-from ratslam_ros.core.experience_map import ExperienceMap, composed
+from ratslam_ros.core.experience_map import ExperienceMap
 from ratslam_ros.core.goal_recall import GoalRecall, UnreachableGoal
-from ratslam_ros.core.odometry import Pose
+from ratslam_ros.core.odometry import Pose, composed
 from ratslam_ros.core.pose_cells import NO_EXPERIENCE
 from ratslam_ros.core.state import State
 

@@ -4,11 +4,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 from ratslam_ros.core.experience_map import ExperienceMap
 from ratslam_ros.core.numbering import DenseNumbering
+from ratslam_ros.core.odometry import Pose
 from ratslam_ros.core.pose_cells import MapAction
+from ratslam_ros.core.scan_alignment import Sight
 from ratslam_ros.core.state import State
 
 
@@ -42,13 +45,17 @@ class Joining:
         self._next, self.first_sequence = state['next'], state['first_sequence']
         self._numbering.restore(state['numbering'])
 
-    def apply(self, action: MapAction, sequence: int, memory_ns: int, behaviour: str = '') -> None:
+    def apply(
+        self, action: MapAction, sequence: int, memory_ns: int, behaviour: str = '',
+        look: Callable[[MapAction, int, Pose], Sight] | None = None,
+    ) -> None:  # fmt: skip
         """Do what the pose cells decided, as far as the map knows what they mean.
 
         An experience that the map does not know is made where the robot is; one that it knows
         with another view or place is forgotten first, as the pose cells have forgotten it. A link
         leads from the experience that the map has as its current one: the motion was counted
-        from there.
+        from there. ``look``: tells what scans say of an action, as the map numbers it, and of the
+        current experience and the offset.
         """
         if self.first_sequence is None:
             self.first_sequence = self.missed = sequence
@@ -75,6 +82,6 @@ class Joining:
             kind = 'link'
         target = self._numbering.number(action.target_id)
         source = self._map.current_id
-        self._map.apply(
-            replace(action, action=kind, source_id=source, target_id=target), behaviour
-        )
+        action = replace(action, action=kind, source_id=source, target_id=target)
+        sight = None if look is None else look(action, source, self._map.offset)
+        self._map.apply(action, behaviour, sight)

@@ -126,3 +126,21 @@ def moved(pose: Pose, motion: Motion) -> Pose:
         pose.y_m + chord * math.sin(direction),
         wrap(pose.heading_rad + motion.turn_rad),
     )
+
+
+def composed(base: Pose, offset: Pose) -> Pose:
+    """Return the pose that lies at ``offset`` in the frame of ``base``."""
+    c, s = math.cos(base.heading_rad), math.sin(base.heading_rad)
+    return Pose(
+        base.x_m + c * offset.x_m - s * offset.y_m,
+        base.y_m + s * offset.x_m + c * offset.y_m,
+        wrap(base.heading_rad + offset.heading_rad),
+    )
+
+
+def inverse(pose: Pose) -> Pose:
+    """Return where the origin lies as seen from a pose."""
+    c, s = math.cos(pose.heading_rad), math.sin(pose.heading_rad)
+    return Pose(
+        -c * pose.x_m - s * pose.y_m, s * pose.x_m - c * pose.y_m, -pose.heading_rad
+    )

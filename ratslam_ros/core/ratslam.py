@@ -23,6 +23,8 @@ from ratslam_ros.core.local_view import UNDECODABLE, LocalView, ViewMatch
 from ratslam_ros.core.odometry import MotionFromOdometry, Odometry, Pose, moved
 from ratslam_ros.core.order import Counts, Released, StampOrder
 from ratslam_ros.core.pose_cells import MapAction, PoseCells
+from ratslam_ros.core.scan import Scan
+from ratslam_ros.core.scan_alignment import ScanAlignment
 from ratslam_ros.core.visual_odometry import VisualOdometry
 from ratslam_ros.errors import UnusableParameter
 
@@ -79,6 +81,8 @@ class RatSLAM:
         """Learns beside the map, where ``goal_memory.goal_memory`` is set."""
         if config.goal_memory.goal_memory:
             self.goal_memory = GoalMemory(config.goal_memory, config.pose_cells)
+        self.scans = ScanAlignment() if config.experience_map.exp_align_scans else None
+        """Tells where at a recognised place the robot is, where there is a laser."""
         self.dead_reckoning = self.experience_map.origin
         self.order: StampOrder[Odometry | ViewMatch] = StampOrder(
             ('odometry', 'template'), round(config.pose_cells.max_lateness_s * 1e9)
@@ -137,6 +141,11 @@ class RatSLAM:
         """Take one template message; return what it and those that waited for it led to."""
         return self._process(self.order.push('template', stamp_ns, match))
 
+    def scan(self, scan: Scan) -> None:
+        """Take one laser scan, before the images of its time; see ``exp_align_scans``."""
+        if self.scans is not None:
+            self.scans.scan(scan)
+
     def finish(self) -> list[Step]:
         """Process all that still waits."""
         return self._look(self._images.flush()) + self._process(self.order.flush())
@@ -157,6 +166,8 @@ class RatSLAM:
                     self.goal_memory.integrate(motion, self.pose_cells)
             self.experience_map.integrate(motion)
             self.dead_reckoning = moved(self.dead_reckoning, motion)
+            if self.scans is not None:
+                self.scans.integrate(odometry.stamp_ns, motion)
         at = self.experience_map
         return OdometryStep(
             odometry.stamp_ns, at.pose, self.dead_reckoning, at.current_id, at.offset
@@ -166,5 +177,8 @@ class RatSLAM:
         with self._watch('pose_cells_view'):
             action = self.pose_cells.view(match)
         with self._watch('experience_map'):
-            forgotten = self.experience_map.apply(action, self.behaviour)
+            at, sight = self.experience_map, None
+            if self.scans is not None:
+                sight = self.scans(stamp_ns, action, at.current_id, at.offset)
+            forgotten = at.apply(action, self.behaviour, sight)
         return ViewStep(stamp_ns, match, action, forgotten)

@@ -8,19 +8,22 @@ import copy
 import math
 import time
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry as OdometryMessage
+from sensor_msgs.msg import LaserScan
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
-from ratslam_ros.core.experience_map import ExperienceMap, composed, inverse
+from ratslam_ros.core.experience_map import ExperienceMap
 from ratslam_ros.core.joining import Joining
 from ratslam_ros.core.local_view import NO_TEMPLATE
-from ratslam_ros.core.odometry import MotionFromOdometry, Odometry, Pose, moved
+from ratslam_ros.core.odometry import MotionFromOdometry, Odometry, Pose, composed, inverse, moved
 from ratslam_ros.core.pose_cells import MapAction
+from ratslam_ros.core.scan_alignment import ScanAlignment
 from ratslam_ros.core.state import State
 from ratslam_ros.messages import MalformedMessage, MapText, decode_action, encode_map
 from ratslam_ros.nodes.behaviours import Behaviours
@@ -30,6 +33,7 @@ from ratslam_ros.nodes.markers import markers_of
 from ratslam_ros.nodes.node import FLUSH_CHECK_S, RatslamNode
 from ratslam_ros.nodes.qos import LATCHED, STATE
 from ratslam_ros.nodes.run import run
+from ratslam_ros.nodes.scans import UnusableScan, scan_of
 
 LARGEST_SHARE = 0.1
 """Of one core, for sending the map: a large map is sent less often than map_period_s."""
@@ -64,6 +68,8 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
         self._viewers = self._pose_ns = 0
         self._forget()
         self._listen('odometry', {'odom': OdometryMessage}, self._on_odometry)
+        if self._section.exp_align_scans:
+            self._listen('scan', {'scan': LaserScan}, self._on_scan)
         self._listen('action', {'pose_cells/action': String}, self._on_action)
         self.create_timer(FLUSH_CHECK_S, self._tick, clock=self._steady)
 
@@ -72,6 +78,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
         self._core.mapping = self._mapping
         self._map_text = MapText()
         self._joining = Joining(self._core)
+        self._scans = ScanAlignment()
         self._motion = MotionFromOdometry(self._section.odom_source)
         self._action_ns = 0
         self._changed = self._sent  # whoever has the old map is told that it is no more
@@ -83,6 +90,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
 
     def _carried(self) -> None:
         self._motion.restart()
+        self._scans.restart()
         self._behaviours.forget()
 
     def _set_mapping(self, mapping: bool) -> None:
@@ -94,6 +102,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
             'joining': self._joining.state(),
             'core': self._core.state(),
             'goals': self._goals.learned(),
+            'scans': self._scans.state(),
         }
 
     def _restore(self, state: State) -> None:
@@ -102,9 +111,12 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
         joining = Joining(core)
         joining.restore(state['joining'])
         action_ns = int(state['action_ns'])
+        scans = ScanAlignment()
+        if 'scans' in state:  # memories of before there were any have none
+            scans.restore(state['scans'])
         self._goals.begin(core, state.get('goals'))  # memories of before goals had names have none
         self._action_ns = action_ns
-        self._core, self._joining = core, joining
+        self._core, self._joining, self._scans = core, joining, scans
         self._map_text = MapText()
         self._core.mapping = self._mapping
         self._motion.restart()
@@ -126,6 +138,15 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
         if not self._paused:
             self._locate(odometry)
 
+    def _on_scan(self, message: LaserScan) -> None:
+        try:
+            scan = scan_of(message)
+        except UnusableScan as error:
+            self._refuse('scan', str(error))
+            return
+        if not self._paused:
+            self._scans.scan(scan)
+
     def _on_action(self, message: String) -> None:
         try:
             stamp_ns, sequence, action, memory_ns = decode_action(message.data)
@@ -143,13 +164,15 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
             motion = self._motion(item)
             if motion is not None:
                 self._core.integrate(motion)
+                self._scans.integrate(stamp_ns, motion)
             return
         self._fail(stamp_ns)
         joining = self._joining
         missed, forgotten = joining.missed, joining.forgotten
         with self._diagnostics.times('experience_map'):
             joining.apply(
-                item.action, item.sequence, item.memory_ns, self._behaviours.at(stamp_ns)
+                item.action, item.sequence, item.memory_ns, self._behaviours.at(stamp_ns),
+                partial(self._scans, stamp_ns),
             )
         if item.action.template_id != NO_TEMPLATE:
             self._action_ns = stamp_ns

@@ -19,11 +19,11 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from ratslam_ros.core.config import Config, ExperienceMapParameters
-from ratslam_ros.core.experience_map import ExperienceMap, composed, inverse
+from ratslam_ros.core.experience_map import ExperienceMap
 from ratslam_ros.core.goal_recall import UnreachableGoal
 from ratslam_ros.core.goals import Goal, Position, Target
 from ratslam_ros.core.navigator import Navigator
-from ratslam_ros.core.odometry import Pose
+from ratslam_ros.core.odometry import Pose, composed, inverse
 from ratslam_ros.core.route_following import Guidance
 from ratslam_ros.core.state import State
 from ratslam_ros.goal_messages import (

@@ -17,11 +17,11 @@ from ratslam_ros.core.experience_map import ExperienceMap
 from ratslam_ros.core.exploration import Exploration
 from ratslam_ros.core.goal_follower import GoalFollower, seen_from
 from ratslam_ros.core.goals import Target
-from ratslam_ros.core.local_movement import Scan
 from ratslam_ros.core.navigator import Errand, Navigator
 from ratslam_ros.core.odometry import Odometry, Pose, Twist
 from ratslam_ros.core.ratslam import RatSLAM, Step, ViewStep
 from ratslam_ros.core.route_following import Guidance
+from ratslam_ros.core.scan import Scan
 from ratslam_ros.core.steering import Command
 from ratslam_ros.core.torus import Place
 from ratslam_ros.simulator.simulation import ImageSample, OdometrySample, ScanSample, Simulator
@@ -100,7 +100,9 @@ class ClosedLoop:
                     )
                     self._note(self.ratslam.image(sample.stamp_ns, sample.image))
                 else:
-                    self.command = steer(scan_of(sample, simulator))
+                    scan = scan_of(sample, simulator)
+                    self.ratslam.scan(scan)
+                    self.command = steer(scan)
                     self.ratslam.behaviour = self.command.behaviour
                     simulator.command(self.command.speed_mps, self.command.turn_rate_radps)
                     over = until()

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from ratslam_ros.core.angles import wrap
 from ratslam_ros.core.config import ExperienceMapParameters
-from ratslam_ros.core.experience_map import ExperienceMap, Link, composed
-from ratslam_ros.core.odometry import Motion, Pose, moved
+from ratslam_ros.core.experience_map import ExperienceMap, Link
+from ratslam_ros.core.odometry import Motion, Pose, composed, moved
 from ratslam_ros.core.pose_cells import MapAction
 from ratslam_ros.core.torus import Place
 

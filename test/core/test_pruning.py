@@ -22,10 +22,10 @@ from ratslam_ros.core.config import (
     GoalRecallParameters,
     PoseCellsParameters,
 )
-from ratslam_ros.core.experience_map import ExperienceMap, composed
+from ratslam_ros.core.experience_map import ExperienceMap
 from ratslam_ros.core.goal_recall import GoalRecall, GoalTree
 from ratslam_ros.core.joining import Joining
-from ratslam_ros.core.odometry import Motion, Pose, moved
+from ratslam_ros.core.odometry import Motion, Pose, composed, moved
 from ratslam_ros.core.pose_cells import MapAction, PoseCells
 from ratslam_ros.core.pruning import RECENT_VISITS, Visits
 from ratslam_ros.core.torus import Place

@@ -12,10 +12,10 @@ import pytest
 
 from ratslam_ros.core.angles import wrap
 from ratslam_ros.core.config import ExperienceMapParameters, GoalRecallParameters
-from ratslam_ros.core.experience_map import ExperienceMap, composed, inverse
+from ratslam_ros.core.experience_map import ExperienceMap
 from ratslam_ros.core.goal_recall import GoalRecall
 from ratslam_ros.core.goals import Goal
-from ratslam_ros.core.odometry import Motion, Pose, moved
+from ratslam_ros.core.odometry import Motion, Pose, composed, inverse, moved
 from ratslam_ros.core.pose_cells import Action, MapAction
 from ratslam_ros.core.route_following import (
     ARRIVED_M,
