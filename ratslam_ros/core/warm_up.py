@@ -82,6 +82,13 @@ def _experience_map(config: Config) -> ExperienceMap:
     return experience_map
 
 
+def _scan_alignment(config: Config) -> None:
+    from ratslam_ros.core.scan_alignment import VIEW_SD_M, align  # needs SciPy
+
+    corner = np.concatenate([np.arange(40.0)[:, None] * step for step in ((0.1, 0.0), (0.0, 0.1))])
+    align(corner, corner, Pose(0.0, 0.0, 0.0), VIEW_SD_M)
+
+
 def _goal_recall(config: Config) -> None:
     from ratslam_ros.core.navigator import Navigator  # takes long: it needs SciPy
 
@@ -122,5 +129,5 @@ _MAPPING: dict[str, Callable[[Config], object]] = {
 }
 _PARTS = {
     **_MAPPING, 'goal_recall': _goal_recall, 'goal_memory': _goal_memory,
-    'goal_follower': _goal_follower,
+    'goal_follower': _goal_follower, 'scan_alignment': _scan_alignment,
 }  # fmt: skip

@@ -25,6 +25,7 @@ from ratslam_ros.core.odometry import MotionFromOdometry, Odometry, Pose, compos
 from ratslam_ros.core.pose_cells import MapAction
 from ratslam_ros.core.scan_alignment import ScanAlignment
 from ratslam_ros.core.state import State
+from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.messages import MalformedMessage, MapText, decode_action, encode_map
 from ratslam_ros.nodes.behaviours import Behaviours
 from ratslam_ros.nodes.convert import header_of, odometry_of, pose_message, transform
@@ -72,6 +73,11 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
             self._listen('scan', {'scan': LaserScan}, self._on_scan)
         self._listen('action', {'pose_cells/action': String}, self._on_action)
         self.create_timer(FLUSH_CHECK_S, self._tick, clock=self._steady)
+
+    @classmethod
+    def warm_up(cls) -> None:
+        """Compile, or load from the cache, what a message needs."""
+        warm_up(cls.SECTION, 'scan_alignment')
 
     def _forget(self) -> None:
         self._core = ExperienceMap(self._section)

@@ -1,0 +1,84 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The experience map with a laser: where at a known place the robot is, also after a restart."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rooms import Line, scan_in
+from test_goal_navigation import Robot
+
+from ratslam_ros.core.odometry import Pose
+
+MakeWorld = Callable[..., Any]
+
+ROOM: list[Line] = [
+    [(-2.0, -1.5), (4.0, -1.5), (4.0, 2.0), (1.0, 2.0), (1.0, 3.5), (-2.0, 3.5), (-2.0, -1.5)],
+]
+
+
+def scan(robot: Robot, x_m: float, first_rad: float = -math.pi / 2) -> None:
+    from sensor_msgs.msg import LaserScan
+
+    seen = scan_in(ROOM, Pose(x_m, 0.0, 0.0), robot.stamp_ns, beams=181)
+    message = LaserScan(
+        angle_min=first_rad, angle_max=math.pi / 2, angle_increment=math.pi / 180,
+        range_min=0.05, range_max=8.0, ranges=seen.ranges_m.tolist(),
+    )  # fmt: skip
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(robot.stamp_ns, 10**9)
+    robot.made.send('scan', message)
+
+
+def scan_taken(robot: Robot, x_m: float) -> None:
+    scan(robot, x_m)
+    robot.made.until(
+        lambda: robot.node._scans._scans and robot.node._scans._scans[-1][0] == robot.stamp_ns
+    )
+
+
+def learn(robot: Robot) -> None:
+    """Learn a place of which the laser knows; those before were made without."""
+    scan(robot, 0.0)
+    robot.drive(0.0)
+    scan_taken(robot, 0.0)
+    robot.arrive(6)
+
+
+def come_back(robot: Robot, x_m: float) -> None:
+    """Drive off, and recognise the place from so far ahead of it."""
+    robot.drive(1.0)
+    robot.arrive(5)
+    robot.drive(-1.0)
+    scan_taken(robot, x_m)
+    robot.arrive(6)
+
+
+def test_a_known_place_is_one_that_the_robot_is_beside(world: MakeWorld) -> None:
+    robot = Robot(world, '-p', 'exp_align_scans:=true')
+    learn(robot)
+    come_back(robot, 0.2)
+    x_m, y_m, heading_rad = robot.node._core.offset
+    assert (x_m, y_m) == pytest.approx((0.2, 0.0), abs=0.03)
+    assert heading_rad == pytest.approx(0.0, abs=0.01)
+
+
+def test_scans_are_saved_with_the_map(world: MakeWorld, tmp_path: Path) -> None:
+    robot = Robot(world, '-p', 'exp_align_scans:=true', '-p', f'memory_folder:={tmp_path}')
+    learn(robot)
+    assert robot.call('save').success
+    assert robot.call('reset').success
+    assert robot.call('load').success
+    assert list(robot.node._scans._kept) == [6]
+    scan(robot, float('nan'), first_rad=float('nan'))  # one that tells nothing changes nothing
+    robot.made.until(lambda: robot.node._diagnostics.counts['refused'] == 1)
+    assert list(robot.node._scans._kept) == [6]
+
+
+def test_without_the_parameter_no_scan_is_listened_to(world: MakeWorld) -> None:
+    robot = Robot(world)
+    assert 'scan' not in [put.name for put in robot.node._inputs]
