@@ -1,9 +1,9 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The experiments of the seeds in simulation: goals, an obstacle, goal memory, a loop, kidnapping.
+"""The experiments of the seeds in simulation: goals, an obstacle, goal memory, a loop and more.
 
     python benchmarks/navigation.py goals [--seeds 10] [--first 1] [--noise 1] [--plan NAME]
-    python benchmarks/navigation.py obstacle | goal_memory | loop | kidnapped | pruning
+    python benchmarks/navigation.py obstacle | goal_memory | loop | kidnapped | pruning | alignment
 
 Each prints a table with a row for every seed, means and the worst, and draws its pictures into
 --out. Controllers see image, scan and odometry; the truth judges. Two seeds run at a time.
@@ -26,6 +26,7 @@ from typing import TypeVar
 import numpy as np
 import yaml
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from ratslam_ros.config_files import load_config
 from ratslam_ros.core.config import Config
@@ -455,6 +456,46 @@ def loop(setting: Setting, seeds: Sequence[int]) -> None:
     print('\n'.join(pooled(partial(loop_run, setting), list(seeds))))
 
 
+# Scan alignment
+
+
+def alignment_run(setting: Setting, job: tuple[int, bool]) -> str:
+    """Explore with or without aligning scans; return how exact links and map are."""
+    seed, aligned = job
+    loop = setting.loop(seed, 'university_floor', experience_map__exp_align_scans=aligned)
+    loop.explore(setting.explore_s(30.0))
+    graph = loop.experience_map
+    truth = np.array([loop.log.truth_of[i] for i in range(len(graph))])
+    ends, (length_m, heading_rad, _) = graph.link_ends, graph.link_shapes.T
+    told = np.stack([length_m * np.cos(heading_rad), length_m * np.sin(heading_rad)], axis=1)
+    closing = np.abs(ends[:, 0] - ends[:, 1]) > 1
+    link_m = np.hypot(*(told - seen_from_each(truth, *ends.T)).T)[closing]
+    # Places beside each other that the robot came to at different times.
+    pairs = cKDTree(truth[:, :2]).query_pairs(0.7, output_type='ndarray')
+    pairs = pairs[np.abs(pairs[:, 0] - pairs[:, 1]) > 50]
+    beside = seen_from_each(graph.poses, *pairs.T) - seen_from_each(truth, *pairs.T)
+    beside_m = np.hypot(*beside.T)
+    return (f'{seed:4d}  {"yes" if aligned else "no":>7}  {np.median(link_m):8.3f}  '
+            f'{np.quantile(link_m, 0.9):8.3f}  {np.median(beside_m):10.3f}  '
+            f'{np.quantile(beside_m, 0.9):8.3f}  {map_error_m(loop):7.2f}')  # fmt: skip
+
+
+def seen_from_each(
+    poses: NDArray[np.float64], here: NDArray[np.int64], there: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """Return (n, 2) where places lie in the frames of others."""
+    x, y = (poses[there, :2] - poses[here, :2]).T
+    c, s = np.cos(poses[here, 2]), np.sin(poses[here, 2])
+    return np.stack([c * x + s * y, c * y - s * x], axis=1)
+
+
+def alignment(setting: Setting, seeds: Sequence[int]) -> None:
+    """Print what scans add to the camera."""
+    print('seed  aligned  link [m]: median  90 %  beside [m]: median  90 %  map [m]')
+    jobs = [(seed, aligned) for seed in seeds for aligned in (False, True)]
+    print('\n'.join(pooled(partial(alignment_run, setting), jobs)))
+
+
 # Kidnapped
 
 
@@ -542,7 +583,7 @@ def pooled(run: Callable[[Job], Row], jobs: Sequence[Job]) -> list[Row]:
 
 EXPERIMENTS = {
     'goals': goals, 'obstacle': obstacle, 'goal_memory': goal_memory, 'loop': loop,
-    'kidnapped': kidnapped, 'pruning': pruning,
+    'kidnapped': kidnapped, 'pruning': pruning, 'alignment': alignment,
 }  # fmt: skip
 
 
