@@ -51,7 +51,7 @@ ARGUMENTS = [
         'odom_topic', default_value='odom', description='the odometry, nav_msgs/Odometry'),
     DeclareLaunchArgument(
         'scan_topic', default_value='scan',
-        description='the laser, sensor_msgs/LaserScan: of the goal follower, and of exp_align_scans'),
+        description='the laser, sensor_msgs/LaserScan; also of exp_align_scans'),
     DeclareLaunchArgument(
         'cmd_vel_topic', default_value='cmd_vel',
         description='of the goal follower: the motors, geometry_msgs/Twist'),

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from ratslam_ros.core.angles import wrap
-from ratslam_ros.core.local_movement import Behaviour, LocalMovement, Option
+from ratslam_ros.core.local_movement import OPENING_RAD, Behaviour, LocalMovement, Option
 from ratslam_ros.core.movement_config import GoalFollowerParameters
 from ratslam_ros.core.odometry import Pose
 from ratslam_ros.core.scan import Scan
@@ -19,9 +19,13 @@ from ratslam_ros.core.steering import Command, drive, turn
 if TYPE_CHECKING:  # whoever makes an exploration brings its chance
     from numpy.random import Generator
 
-Phase = Literal['on', 'turn_back', 'back', 'turn_again', 'again', 'turn_off', 'off']
+Phase = Literal[
+    'on', 'turn_back', 'back', 'turn_again', 'again', 'turn_off', 'off', 'turn_along'
+]
 
-_TURNS: dict[Phase, Phase] = {'turn_back': 'back', 'turn_again': 'again', 'turn_off': 'off'}
+_TURNS: dict[Phase, Phase] = {
+    'turn_back': 'back', 'turn_again': 'again', 'turn_off': 'off', 'turn_along': 'on'
+}  # fmt: skip
 
 ARRIVED_RAD = math.radians(10.0)
 """A turn is done when so much is left."""
@@ -34,6 +38,10 @@ SEEK_AFTER_RAD = math.radians(300.0)
 
 ISLAND_RAD = math.radians(450.0)
 """So far round to the left in all: the wall is that of an island, as of a table. Leave it."""
+
+INTO_M, INTO_WITHIN_RAD = 1.5, math.radians(50.0)
+"""An opening that the robot turns into it drives into so far. From the middle of a corridor it
+would else, as soon as it faces a door, see the corridor behind as the way on along its wall."""
 
 STUCK_S = 15.0
 """A phase of the look back that takes longer is given up: somebody stands in the way."""
@@ -56,10 +64,10 @@ class Exploration:
         self.restart()
 
     def _begin(self, stamp_ns: int, phase: Phase, target_rad: float = 0.0) -> None:
-        if phase in ('turn_off', 'off'):
+        if phase in ('turn_off', 'off', 'turn_along'):
             self._round_rad = 0.0
         self._phase, self._target_rad = phase, target_rad
-        self._driven_m = self._turned_rad = 0.0
+        self._driven_m = self._turned_rad = self._into_until_m = self._into_rad = 0.0
         self._since_ns = stamp_ns
 
     def restart(self) -> None:
@@ -84,7 +92,8 @@ class Exploration:
         if self._phase == 'off':
             return drive(movement, Option('centreline', 0.0, movement.open_m(0.0)), self._p)
         other: Behaviour = 'right_wall' if self._side == 'left_wall' else 'left_wall'
-        return self._along_wall(movement, other if self._phase == 'back' else self._side)
+        side = other if self._phase == 'back' else self._side
+        return self._along_wall(movement, side, pose.heading_rad)
 
     def _phase_over(self, stamp_ns: int, pose: Pose, movement: LocalMovement) -> None:
         """Go over to the next phase where the present one is done."""
@@ -112,7 +121,9 @@ class Exploration:
             if back:
                 self._begin(stamp_ns, 'on')
         elif movement.open_m(0.0) < p.wall_look_ahead_m or stuck:
-            self._begin(stamp_ns, 'on')
+            # The other way it would have the island beside it again.
+            sign = 1.0 if self._side == 'left_wall' else -1.0
+            self._begin(stamp_ns, 'turn_along', pose.heading_rad - sign * math.pi / 2)
 
     def _change(self, stamp_ns: int) -> None:
         """Go on along the wall across, and the next time back along the same wall."""
@@ -149,7 +160,9 @@ class Exploration:
             self._since_ns = stamp_ns
         self._pose = pose
 
-    def _along_wall(self, movement: LocalMovement, side: Behaviour) -> Command:
+    def _along_wall(
+        self, movement: LocalMovement, side: Behaviour, heading_rad: float
+    ) -> Command:
         p = self._p
         sign = 1.0 if side == 'left_wall' else -1.0
         beside = movement.points[sign * movement.points[:, 1] > 0.0]
@@ -161,7 +174,15 @@ class Exploration:
         straight_m = movement.open_m(0.0, p.wall_distance_m)
         if self._seeking and straight_m > p.wall_look_ahead_m:
             return drive(movement, Option('centreline', 0.0, straight_m), p)
-        option = movement.wall(side, 0.0, math.pi / 2)
+        option = None
+        if self._driven_m < self._into_until_m:
+            option = movement.wall(side, wrap(self._into_rad - heading_rad), INTO_WITHIN_RAD)
+        if option is None:
+            option = movement.wall(side, 0.0, math.pi / 2)
+            self._into_until_m = 0.0
+            if option is not None and sign * option.heading_rad > OPENING_RAD:
+                self._into_rad = heading_rad + option.heading_rad
+                self._into_until_m = self._driven_m + INTO_M
         if self._dead_end and option is not None and abs(option.heading_rad) >= ARRIVED_RAD * 5:
             option = None  # by what opens beside it, it would turn to and fro for ever
         self._dead_end = option is None

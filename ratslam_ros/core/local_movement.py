@@ -29,11 +29,14 @@ HEADINGS = 61
 FINENESS_M = 0.05
 """Distances to walls are tried in steps no greater than this."""
 
-ON_M = 2.0
+ON_M = 1.5
 """A direction that is open for so long leads on, the furthest to the wall's side along it."""
 
 OPENING_RAD = math.radians(45.0)
 """If that one leads further aside than this the wall ends, as at a door."""
+
+DOOR_HEADINGS = 10
+"""An opening of no more directions is gone into in its middle, a wider one along its edge."""
 
 AWAY_RAD = math.radians(35.0)
 """And so far from it a robot turns at most to get away from a wall."""
@@ -116,13 +119,17 @@ class LocalMovement:
         """
         p = self._p
         near = np.abs(self.headings_rad - about_rad) <= within_rad
-        least_m = self._beside_wall_m(p.wall_distance_m)
-        close = self._furthest(side, (least_m >= p.wall_look_ahead_m) & near, least_m)
+        sign = 1.0 if side == 'left_wall' else -1.0
+        close_m = self._beside_wall_m(p.wall_distance_m)
+        door_m = self._beside_wall_m((p.wall_distance_m + p.robot_radius_m + p.margin_m) / 2)
+        close = self._furthest(side, close_m, p.wall_look_ahead_m, near)
+        close = close or self._furthest(side, door_m, p.wall_look_ahead_m, near)
         if close is None:
             return None
-        sign = 1.0 if side == 'left_wall' else -1.0
-        door_m = self._beside_wall_m((p.wall_distance_m + p.robot_radius_m + p.margin_m) / 2)
-        on = self._furthest(side, (door_m >= ON_M) & near, least_m) or close
+        on = self._furthest(side, door_m, ON_M, near)
+        if on is not None and sign * on.heading_rad > OPENING_RAD:
+            return self._furthest(side, door_m, ON_M, near, DOOR_HEADINGS)
+        on = on or close
         if sign * on.heading_rad > OPENING_RAD:
             return close
         count = max(math.ceil((p.wall_distance_most_m - p.wall_distance_m) / FINENESS_M), 0)
@@ -131,19 +138,25 @@ class LocalMovement:
             open_m = self._beside_wall_m(
                 p.wall_distance_m + share * (p.wall_distance_most_m - p.wall_distance_m)
             )
-            option = self._furthest(side, (open_m >= p.wall_look_ahead_m) & near, open_m)
+            option = self._furthest(side, open_m, p.wall_look_ahead_m, near)
             if option and sign * (on.heading_rad - option.heading_rad) < AWAY_RAD:
                 return option
         return close
 
     def _furthest(
-        self, side: Behaviour, passable: NDArray[np.bool_], open_m: NDArray[np.float64]
-    ) -> Option | None:
-        """Return the passable direction that is the furthest to a side."""
-        found = np.flatnonzero(passable)
-        if len(found) == 0:
+        self, side: Behaviour, open_m: NDArray[np.float64], least_m: float,
+        near: NDArray[np.bool_], narrow: int = 0,
+    ) -> Option | None:  # fmt: skip
+        """Return the direction that is the furthest to a side, of those near and open for long.
+
+        ``narrow``: of no more directions than so many it is the middle.
+        """
+        runs = _runs((open_m >= least_m) & near)
+        if not runs:
             return None
-        at = found[-1] if side == 'left_wall' else found[0]
+        first, last = runs[-1] if side == 'left_wall' else runs[0]
+        inset = (last - first) // 2 if last - first <= narrow else 0
+        at = last - inset if side == 'left_wall' else first + inset
         return Option(side, float(self.headings_rad[at]), float(open_m[at]))
 
     def fan(self) -> list[Option]:
@@ -152,10 +165,6 @@ class LocalMovement:
             Option('straight', float(heading_rad), float(open_m))
             for heading_rad, open_m in zip(self.headings_rad, self._body_m, strict=True)
         ]
-
-    def towards(self, heading_rad: float) -> Option:
-        """Return the way straight on in a direction: across a room, or up to a goal."""
-        return Option('straight', heading_rad, self.open_m(heading_rad))
 
 
 def _runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:

@@ -103,11 +103,11 @@ def test_the_wall_to_the_left_is_followed_round_a_room() -> None:
     assert run.collisions == 0
     for corner in ((0.5, 0.5), (6.5, 0.5), (6.5, 5.5), (0.5, 5.5)):
         assert run.comes_to(*corner, 1.9)
-    x, y = run.positions()[150:].T
+    x, y = run.positions()[250:].T
     wall_m = np.minimum(np.minimum(x - 0.5, 6.5 - x), np.minimum(y - 0.5, 5.5 - y))
     assert np.median(wall_m) == pytest.approx(P.wall_distance_most_m, abs=0.15)
     assert wall_m.max() < 1.5
-    headings = np.unwrap([pose.heading_rad for pose in run.poses[150:]])
+    headings = np.unwrap([pose.heading_rad for pose in run.poses[250:]])
     assert headings[-1] - headings[0] < -math.tau  # with it on the left: clockwise
 
 
@@ -196,6 +196,28 @@ def test_an_island_is_left() -> None:
     assert headings[:left].max() - headings[0] < 2 * math.tau
     x, y = run.positions()[-1]
     assert min(x - 0.5, 12.5 - x, y - 0.5, 11.5 - y) < 1.4  # by the wall of the hall
+
+
+TABLE = parse_floor_plan("""
+##################
+#..........#.....#
+#..........#.....#
+#..........#.....#
+#...##...........#
+#...##...........#
+#...##...........#
+#..........#.....#
+#..........#.....#
+#..........#.....#
+##################
+""", 0.5)  # fmt: skip
+"""A room of 5 x 4.5 m with a table in it: between table and walls there is one lane."""
+
+
+def test_a_room_with_a_table_in_it_is_left() -> None:
+    run = explore(TABLE, Start(2.5, 1.6, 0.0), 90.0)  # with the table on its left
+    assert run.collisions == 0
+    assert run.positions()[:, 0].max() > 6.5
 
 
 @pytest.mark.parametrize('width', [2, 3])
