@@ -187,8 +187,8 @@ class Navigator:
         robot is not there. Then, and where many tries have unlearned nothing, it explores a bit.
         """
         self._tries += 1
-        if self._following is not None and not self._following.try_failed():
-            return False
+        if self._following is not None:
+            self._following.try_failed()
         unsure = 0.0 < self.parameters.try_unknown_m < self.guidance.unknown_m
         if self._following is not None and self._tries > (MOST_UNSURE if unsure else MOST_TRIES):
             self._following.stray()

@@ -182,7 +182,7 @@ class RouteFollowing:
         self._kept, self._stray_m = None, STRAY_M
 
     def try_failed(self) -> bool:
-        """Take note that a try led nowhere; return whether the links shall answer for it.
+        """Take note that a try led nowhere; return whether nothing was joined there.
 
         Where the route goes on over places that are only close together on the map, there is no
         way from one to the other.

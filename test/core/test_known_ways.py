@@ -96,7 +96,7 @@ def test_a_robot_that_fails_where_ways_are_joined_gives_up_the_join() -> None:
     navigator.go_to(0)
     before = navigator.update(0)
     assert len(before.positions_m) < 5
-    assert not navigator.try_failed()  # the links are not to blame
+    assert navigator.try_failed()  # the way may be closed all the same
     assert navigator.recall.parted(graph) > 0
     after = navigator.update(1)
     assert after.status == 'following'
