@@ -30,16 +30,16 @@ FINENESS_M = 0.05
 """Distances to walls are tried in steps no greater than this."""
 
 ON_M = 1.5
-"""A direction that is open for so long leads on, the furthest to the wall's side along it."""
+"""A direction that is open for so long leads on; the furthest to the wall's side runs along it."""
 
 OPENING_RAD = math.radians(45.0)
-"""If that one leads further aside than this the wall ends, as at a door."""
+"""Where that direction leads further aside than this the wall ends, as at a door."""
 
 DOOR_HEADINGS = 10
 """An opening of no more directions is gone into in its middle, a wider one along its edge."""
 
 AWAY_RAD = math.radians(35.0)
-"""And so far from it a robot turns at most to get away from a wall."""
+"""To come away from a wall the robot turns no further than this from the direction along it."""
 
 LOOK_AHEAD_M = (1.0, 1.8, 3.0)
 """How far a way must be open for a centreline: far ones tell branches of a junction apart."""
@@ -115,7 +115,9 @@ class LocalMovement:
     def wall(self, side: Behaviour, about_rad: float, within_rad: float) -> Option | None:
         """Return the way along a wall: of the directions close to one, the furthest to its side.
 
-        None where none of them is open for ``wall_look_ahead_m``.
+        As far from the wall as there is room, up to ``wall_distance_most_m``; in a passage that is
+        its middle. Where the wall ends the way leads round its end, or through the door in it.
+        None where no direction is open for ``wall_look_ahead_m``.
         """
         p = self._p
         near = np.abs(self.headings_rad - about_rad) <= within_rad
