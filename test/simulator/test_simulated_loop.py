@@ -109,7 +109,7 @@ def test_a_place_that_was_named_is_gone_to(seed):
     loop = explored(seed, 20.0, PLAIN)
     loop.name_place('corner')
     corner = loop.simulator.truth
-    loop.explore(55.0)
+    loop.explore(60.0)
     begun_s, begun_m = loop.now_s, loop.simulator.odometer_m
     assert apart_m(loop.simulator.truth, corner) > 3.0
     (errand,) = loop.go_to('corner', until=lambda: loop.now_s > begun_s + 90.0)
