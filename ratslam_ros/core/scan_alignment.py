@@ -44,8 +44,8 @@ far off the odometry is between two experiences. Along a bare corridor only that
 ALIKE = 30.0
 """Beams err alike where a wall is rough or somebody stands: so many count as one."""
 
-LEAST_SHARE, LEAST_POINTS = 0.7, 40
-"""Of the points so many must lie at a line in the end, or it is another place."""
+FIT_M, LEAST_SHARE, LEAST_POINTS = 0.1, 0.7, 40
+"""So close to a line so many of the points must lie in the end, or it is another place."""
 
 LINE_M = 0.5
 """Neighbouring points no further apart make a line."""
@@ -216,7 +216,7 @@ def _align(
         h[0, 0] = h[1, 1] = ALIKE * (POINT_SD_M / sd_m) ** 2
         h[2, 2] = ALIKE * (POINT_SD_M / GUESS_SD_RAD) ** 2
         g[0], g[1], g[2] = h[0, 0] * (x - x0), h[1, 1] * (y - y0), h[2, 2] * (t - t0)
-        seen = fitting = 0
+        fitting = 0
         for i in range(m):
             r_x, r_y = c * points[i, 0] - s * points[i, 1], s * points[i, 0] + c * points[i, 1]
             p_x, p_y = r_x + x, r_y + y
@@ -226,12 +226,11 @@ def _align(
                 away = e_x * e_x + e_y * e_y
                 if away < least:
                     nearest, least = k, away
-            seen += 1
             if nearest < 0 or (normals[nearest, 0] == 0.0 and normals[nearest, 1] == 0.0):
                 continue
             n_x, n_y = normals[nearest, 0], normals[nearest, 1]
             e = n_x * p_x + n_y * p_y - normals[nearest, 2]
-            if abs(e) < 0.1:
+            if abs(e) < FIT_M:
                 fitting += 1
             weight = 1.0 / (1.0 + (e / POINT_SD_M) ** 2 * 0.25)
             turning = n_x * -r_y + n_y * r_x
@@ -242,5 +241,5 @@ def _align(
                     h[a, b] += weight * row[a] * row[b]
         step = np.linalg.solve(h, g)
         x, y, t = x - step[0], y - step[1], t - step[2]
-        share = fitting / max(seen, 1)
+        share = fitting / m
     return x, y, t, share

@@ -34,7 +34,7 @@ from ratslam_ros.nodes.markers import markers_of
 from ratslam_ros.nodes.node import FLUSH_CHECK_S, RatslamNode
 from ratslam_ros.nodes.qos import LATCHED, STATE
 from ratslam_ros.nodes.run import run
-from ratslam_ros.nodes.scans import UnusableScan, scan_of
+from ratslam_ros.nodes.scans import usable_scan
 
 LARGEST_SHARE = 0.1
 """Of one core, for sending the map: a large map is sent less often than map_period_s."""
@@ -145,12 +145,8 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
             self._locate(odometry)
 
     def _on_scan(self, message: LaserScan) -> None:
-        try:
-            scan = scan_of(message)
-        except UnusableScan as error:
-            self._refuse('scan', str(error))
-            return
-        if not self._paused:
+        scan = usable_scan(message, self._refuse)
+        if scan is not None and not self._paused:
             self._scans.scan(scan)
 
     def _on_action(self, message: String) -> None:

@@ -27,7 +27,7 @@ from ratslam_ros.nodes.convert import place_of, stamp_ns
 from ratslam_ros.nodes.node import FLUSH_CHECK_S, RatslamNode
 from ratslam_ros.nodes.qos import LATCHED, RESULT, STATE
 from ratslam_ros.nodes.run import run
-from ratslam_ros.nodes.scans import UnusableScan, scan_of
+from ratslam_ros.nodes.scans import usable_scan
 
 WATCH_S = 0.05
 """So often it is looked whether the robot has what it needs to be moved."""
@@ -83,12 +83,9 @@ class GoalFollowerNode(RatslamNode[Scan]):
     # Inputs
 
     def _on_scan(self, message: LaserScan) -> None:
-        try:
-            scan = scan_of(message)
-        except UnusableScan as error:
-            self._refuse('scan', str(error))
-            return
-        self._push('scan', scan.stamp_ns, scan)
+        scan = usable_scan(message, self._refuse)
+        if scan is not None:
+            self._push('scan', scan.stamp_ns, scan)
 
     def _on_odometry(self, message: OdometryMessage) -> None:
         pose = place_of(message.pose.pose)

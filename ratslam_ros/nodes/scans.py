@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from sensor_msgs.msg import LaserScan
@@ -20,6 +21,15 @@ TOUCHING_M = 0.01
 
 class UnusableScan(UnusableInput):
     """No way on can be seen in a scan."""
+
+
+def usable_scan(message: LaserScan, refuse: Callable[[str, str], None]) -> Scan | None:
+    """Return what core takes of a scan; None where nothing can be, which ``refuse`` is told."""
+    try:
+        return scan_of(message)
+    except UnusableScan as error:
+        refuse('scan', str(error))
+        return None
 
 
 def scan_of(message: LaserScan) -> Scan:
