@@ -93,7 +93,7 @@ class Results:
         if action.action == 'create':
             self.experiences += step.forgotten is None
             self._newest.append(action.target_id)
-        elif action.action != 'none' and action.target_id not in self._newest:
+        elif action.action != 'none' and not step.refused and action.target_id not in self._newest:
             self.loop_closures += 1
         self._frames.write(
             f'{step.stamp_ns},{match.template_id},{int(match.is_new)},{match.error!r},'

@@ -370,6 +370,13 @@ class ExperienceMapParameters(OdometryInput):
         'their scans. Not in the papers.',
         'goals are reached half a metre beside where they are, and the robot has a laser',
         'the map shall hang on camera and odometry alone')  # fmt: skip
+    exp_jump_drift: float = parameter(
+        0.0, 'm per m; 0: all are believed', 0.0, 100.0,
+        'A recognition that would move the robot on the map by more than 1 m and this share of '
+        'the way between the two places is believed only after some metres, and makes no link. '
+        'Not in the papers.',
+        'loops are seen but not closed', 'places that look alike are taken for each other',
+    )  # fmt: skip
     exp_confidence_threshold: float = parameter(
         0.25, 'share of the tries', 0.0, 1.0,
         'A link is unlearned when its confidence, the share of tries in which its transition was '

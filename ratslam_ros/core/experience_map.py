@@ -24,6 +24,7 @@ from ratslam_ros.core.adaptation import (
 from ratslam_ros.core.angles import wrap
 from ratslam_ros.core.compiled import compiled
 from ratslam_ros.core.config import ExperienceMapParameters
+from ratslam_ros.core.jumps import Jumps, is_jump
 from ratslam_ros.core.local_view import NO_TEMPLATE
 from ratslam_ros.core.odometry import Motion, Pose, composed, inverse, moved
 from ratslam_ros.core.pose_cells import NO_EXPERIENCE, MapAction
@@ -144,6 +145,8 @@ class ExperienceMap:
         self.offset = Pose(0.0, 0.0, 0.0)
         """Motion since the current experience, in its frame; before the first, since the start."""
         self._duration_s = 0.0
+        self.jumps = Jumps()
+        """What ``exp_jump_drift`` has refused and believed."""
 
     def __len__(self) -> int:
         return len(self._labels)
@@ -298,6 +301,7 @@ class ExperienceMap:
                 self._plan_holds, self._is_settled, self._saved_steps,
             ],
             'planning_work': self._planning_work,
+            'jumps': self.jumps.state(),
         }
 
     def restore(self, state: State) -> None:
@@ -324,6 +328,8 @@ class ExperienceMap:
             self._plan = Relaxation(state['ends'][:planned], len(self))
             work = self._plan.work if work is None else work
         self._planning_work = work or 0
+        if 'jumps' in state:  # memories of before jumps were doubted have none
+            self.jumps.restore(state['jumps'])
 
     def integrate(self, motion: Motion) -> None:
         """Add one motion to the way since the current experience, in that experience's frame."""
@@ -352,19 +358,29 @@ class ExperienceMap:
         if action.action == 'none':
             self._relax()
             return None
-        source, there = action.source_id, Pose(0.0, 0.0, action.relative_rad)
+        source = self.current_id if self.jumps.doubting else action.source_id
+        there = Pose(0.0, 0.0, action.relative_rad)
         if sight is not None:
             self.offset = sight.from_current or self.offset
             there = sight.from_target or there
-        forgotten = None
+        forgotten, carried = None, False
         if action.action == 'create':
             here = self.pose
+            self.jumps.stayed(here)
             if action.target_id < len(self):
                 forgotten = self._forget(action.target_id)
                 if source == action.target_id:  # where the map has missed some actions
                     source = self.current_id
             self._place(action, composed(here, inverse(there)))
-        if source != NO_EXPERIENCE and self.mapping:
+        elif self._jumps_to(action.target_id, there):
+            claimed = composed(self.pose_of(action.target_id), there)
+            carried = self.jumps.claim(self.pose, claimed)
+            if not carried:
+                self._relax()
+                return None
+        else:
+            self.jumps.stayed(self.pose)
+        if source != NO_EXPERIENCE and self.mapping and not carried:
             leaf = action.action == 'create'
             self._connect(source, action.target_id, there, behaviour, leaf)
         self.current_id = action.target_id
@@ -372,6 +388,27 @@ class ExperienceMap:
         self._duration_s = 0.0
         self._relax()
         return forgotten
+
+    def _jumps_to(self, target: int, there: Pose) -> bool:
+        """Return whether a transition to a known experience would carry the robot too far."""
+        p, source = self._p, self.current_id
+        if p.exp_jump_drift == 0.0 or not self.mapping or source == NO_EXPERIENCE:
+            return False
+        if source == target or self._row(source, target) is not None:
+            return False
+        if self._is_jump(target, there):
+            if self._is_settled or p.exp_relaxation != 'solve':
+                return True
+            self.settle()  # the map may be as far off as a loop that has just been closed
+            return self._is_jump(target, there)
+        return False
+
+    def _is_jump(self, target: int, there: Pose) -> bool:
+        claimed = composed(self.pose_of(target), there)
+        return is_jump(
+            self.pose, claimed, self._p.exp_jump_drift, self.link_ends, self.link_shapes[:, 0],
+            self.current_id, target,
+        )  # fmt: skip
 
     def fail(self, behaviour: str, ahead_rad: float) -> int:
         """Count that a behaviour has timed out at the robot's place: its way is blocked.

@@ -44,12 +44,17 @@ class OdometryStep:
 
 @dataclass(frozen=True, slots=True)
 class ViewStep:
-    """What one template message led to; ``forgotten``: whose number a new experience took."""
+    """What one template message led to.
+
+    ``forgotten``: whose number a new experience took. ``refused``: the map did not believe the
+    action, and did nothing.
+    """
 
     stamp_ns: int
     match: ViewMatch
     action: MapAction
     forgotten: Forgotten | None = None
+    refused: bool = False
 
 
 Step = OdometryStep | ViewStep
@@ -180,5 +185,6 @@ class RatSLAM:
             at, sight = self.experience_map, None
             if self.scans is not None:
                 sight = self.scans(stamp_ns, action, at.current_id, at.offset)
+            before = at.jumps.refused
             forgotten = at.apply(action, self.behaviour, sight)
-        return ViewStep(stamp_ns, match, action, forgotten)
+        return ViewStep(stamp_ns, match, action, forgotten, at.jumps.refused > before)

@@ -180,7 +180,9 @@ class ClosedLoop:
             if action.action == 'create':
                 heading_rad = wrap(truth.heading_rad - action.relative_rad)
                 self.log.truth_of[action.target_id] = truth._replace(heading_rad=heading_rad)
-            elif action.action != 'none' and action.target_id < len(self.experience_map) - 10:
+            elif action.action == 'none' or step.refused:
+                continue
+            elif action.target_id < len(self.experience_map) - 10:
                 self.log.closures_ns.append(step.stamp_ns)
                 there = self.log.truth_of[action.target_id]
                 self.log.jump_m.append(math.hypot(there.x_m - truth.x_m, there.y_m - truth.y_m))

@@ -1,0 +1,216 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Jumps: one view that looks like another does not fold the map; many that agree are believed."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+from helpers import ahead, turning
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ratslam_ros.core.config import ExperienceMapParameters
+from ratslam_ros.core.experience_map import ExperienceMap
+from ratslam_ros.core.jumps import SPACING_M, WITNESSES, Jumps, is_jump
+from ratslam_ros.core.odometry import Pose, composed
+from ratslam_ros.core.pose_cells import MapAction
+from ratslam_ros.core.torus import Place
+
+HERE = Pose(0.0, 0.0, 0.0)
+CHAIN = np.array([[n, n + 1] for n in range(100)])
+METRE = np.ones(100)
+
+
+def jumps_to(claimed: Pose, target: int, drift: float = 0.05, links: int = 100) -> bool:
+    """Whether a robot at 0 jumps that is told to be at a place so many metres of way off."""
+    return is_jump(HERE, claimed, drift, CHAIN[:links], METRE[:links], 0, target)
+
+
+def test_how_far_the_map_may_be_wrong_grows_with_the_way() -> None:
+    assert not jumps_to(Pose(0.9, 0.0, 0.0), 1)
+    assert jumps_to(Pose(3.0, 0.0, 0.0), 20)
+    assert not jumps_to(Pose(3.0, 0.0, 0.0), 60)
+    assert not jumps_to(Pose(3.0, 0.0, 0.0), 20, drift=0.2)
+
+
+def test_a_corner_that_looks_alike_the_other_way_round_is_a_jump() -> None:
+    assert jumps_to(Pose(0.1, 0.1, math.pi / 2), 90)
+    assert not jumps_to(Pose(0.1, 0.1, 0.3), 90)
+
+
+def test_between_parts_that_no_link_joins_the_map_cannot_tell() -> None:
+    assert not jumps_to(Pose(50.0, 0.0, 2.0), 60, links=40)
+
+
+@given(st.floats(-20.0, 20.0), st.floats(-20.0, 20.0), st.floats(-3.0, 3.0))
+def test_claims_that_agree_over_some_metres_are_believed(
+    x_m: float, y_m: float, heading_rad: float
+) -> None:
+    jumps, carried = Jumps(), Pose(x_m, y_m, heading_rad)
+    said = [
+        jumps.claim(here := Pose(0.4 * n, 0.0, 0.0), composed(carried, here)) for n in range(10)
+    ]
+    assert said.index(True) == WITNESSES - 1
+    assert jumps.believed == 1
+    assert not any(said[WITNESSES:])  # what comes then is a new matter
+
+
+def test_a_robot_that_turns_in_one_place_sees_one_corner() -> None:
+    jumps = Jumps()
+    for n in range(30):
+        here = Pose(0.0, 0.0, 0.1 * n)
+        assert not jumps.claim(here, composed(Pose(5.0, 0.0, 0.0), here))
+    assert jumps.refused == 30
+
+
+def test_claims_that_disagree_are_never_believed() -> None:
+    jumps = Jumps()
+    for n in range(50):
+        assert not jumps.claim(Pose(0.4 * n, 0.0, 0.0), Pose(0.0, 3.0 * n, 0.0))
+
+
+def test_what_is_seen_where_the_robot_believes_to_be_speaks_against_a_jump() -> None:
+    jumps = Jumps()
+    for n in range(60):
+        here = Pose(0.4 * n, 0.0, 0.0)
+        if n % 2:
+            jumps.stayed(here)
+            assert not jumps.doubting
+        else:
+            assert not jumps.claim(here, composed(Pose(9.0, 0.0, 0.0), here))
+            assert jumps.doubting
+
+
+def test_what_was_claimed_survives() -> None:
+    jumps = Jumps()
+    for n in range(WITNESSES - 1):
+        jumps.claim(here := Pose(0.4 * n, 0.0, 0.0), composed(Pose(9.0, 0.0, 0.0), here))
+    again = Jumps()
+    again.restore(json.loads(json.dumps(jumps.state())))
+    last = Pose(0.4 * WITNESSES, 0.0, 0.0)
+    for one in (jumps, again):
+        assert one.claim(last, composed(Pose(9.0, 0.0, 0.0), last))
+        assert (one.refused, one.believed) == (WITNESSES - 1, 1)
+
+
+# On the map
+
+
+def arrive(graph: ExperienceMap, target: int, source: int | None = None) -> None:
+    """Apply what the pose cells say; they are at ``source``."""
+    action = 'create' if target == len(graph) else 'link'
+    source = graph.current_id if source is None else source
+    graph.apply(
+        MapAction(action, source, target, target, 0.0, Place(float(target), 0.0, 0.0))
+    )
+
+
+def corridor(drift: float, metres: int = 12, loops: int = 10) -> ExperienceMap:
+    """Return the map of a robot that has driven straight on, an experience a metre."""
+    graph = ExperienceMap(ExperienceMapParameters(
+        exp_jump_drift=drift, exp_initial_em_deg=0.0, exp_loops=loops,
+    ))  # fmt: skip
+    for n in range(metres + 1):
+        arrive(graph, n)
+        graph.integrate(ahead(1.0))
+    return graph
+
+
+def test_a_jump_that_is_refused_leaves_the_map_and_the_robot_where_they_are() -> None:
+    graph = corridor(0.05)
+    before, here = graph.poses, graph.pose
+    arrive(graph, 2)
+    assert graph.jumps.refused == 1
+    assert graph.current_id == 12
+    assert graph.pose == here
+    assert graph.link_count == 12
+    assert np.array_equal(graph.poses, before)
+
+
+def test_what_comes_after_is_linked_to_where_the_map_has_the_robot() -> None:
+    graph = corridor(0.05)
+    arrive(graph, 2)
+    graph.integrate(ahead(0.5))
+    arrive(graph, 13, source=2)
+    link = graph.links()[-1]
+    assert (link.source_id, link.target_id) == (12, 13)
+    assert link.distance_m == pytest.approx(1.5)
+    assert graph.pose_of(13).x_m == pytest.approx(13.5)
+    graph.integrate(ahead(0.5))
+    arrive(graph, 14, source=13)
+    assert graph.links()[-1].source_id == 13
+
+
+def test_by_default_every_recognition_is_believed() -> None:
+    graph = corridor(0.0)
+    arrive(graph, 2)
+    assert graph.current_id == 2
+    assert graph.links()[-1].target_id == 2
+
+
+def test_a_robot_that_was_carried_makes_no_link() -> None:
+    graph = corridor(0.05)
+    for target in range(2, 2 + WITNESSES):
+        assert graph.current_id == 12
+        arrive(graph, target)
+        graph.integrate(ahead(1.0))
+    assert graph.current_id == 1 + WITNESSES
+    assert graph.jumps.believed == 1
+    assert graph.link_count == 12
+    arrive(graph, 2 + WITNESSES)
+    assert graph.current_id == 2 + WITNESSES
+    assert graph.jumps.refused == WITNESSES - 1
+
+
+def test_a_link_that_is_known_is_no_jump() -> None:
+    graph = corridor(0.0)
+    arrive(graph, 2)  # believed once
+    again = ExperienceMap(ExperienceMapParameters(exp_jump_drift=0.05, exp_initial_em_deg=0.0))
+    again.restore(graph.state())
+    for target in (1, 0):
+        arrive(again, target)
+        again.integrate(ahead(1.0))
+    again.current_id = 12
+    arrive(again, 2)
+    assert again.current_id == 2
+
+
+def test_a_loop_that_has_just_been_closed_is_relaxed_before_it_is_judged() -> None:
+    """On a large map relaxing waits; until then the map is as far off as the robot drifted."""
+    graph = ExperienceMap(ExperienceMapParameters(exp_jump_drift=0.05, exp_initial_em_deg=0.0))
+    for n in range(400):  # round a square, with wheels that go 2 % too far on one side
+        arrive(graph, n)
+        graph.integrate(ahead(0.4 if n < 200 else 0.39))
+        if n % 100 == 99:
+            graph.integrate(turning(math.pi / 2))
+    arrive(graph, 0)
+    assert graph.current_id == 0
+    graph.integrate(turning(math.pi / 2))  # back to where it came from
+    for target in (399, 398, 397):
+        graph.integrate(ahead(0.39))
+        graph.apply(MapAction(
+            'link', graph.current_id, target, target, math.pi, Place(0.0, 0.0, 0.0)
+        ))  # fmt: skip
+        assert graph.current_id == target
+    assert graph.jumps.refused == 0
+
+
+def test_a_robot_that_is_only_located_is_believed() -> None:
+    graph = corridor(0.05)
+    graph.mapping = False
+    arrive(graph, 2)
+    assert graph.current_id == 2
+
+
+def test_spacing_is_less_than_what_claims_are_apart() -> None:
+    jumps = Jumps()
+    for n in range(200):  # 10 m in steps of 5 cm
+        here = Pose(0.05 * n, 0.0, 0.0)
+        if jumps.claim(here, composed(Pose(9.0, 0.0, 0.0), here)):
+            break
+    assert jumps.believed == 1
+    assert here.x_m == pytest.approx((WITNESSES - 1) * SPACING_M, abs=0.35)
