@@ -182,16 +182,17 @@ def test_a_link_that_is_known_is_no_jump() -> None:
 def test_a_loop_that_has_just_been_closed_is_relaxed_before_it_is_judged() -> None:
     """On a large map relaxing waits; until then the map is as far off as the robot drifted."""
     graph = ExperienceMap(ExperienceMapParameters(exp_jump_drift=0.05, exp_initial_em_deg=0.0))
-    for n in range(400):  # round a square, with wheels that go 2 % too far on one side
+    for n in range(2000):  # round a square, the second half with wheels that go too little
         arrive(graph, n)
-        graph.integrate(ahead(0.4 if n < 200 else 0.39))
-        if n % 100 == 99:
+        graph.integrate(ahead(0.1 if n < 1000 else 0.095))
+        if n % 500 == 499:
             graph.integrate(turning(math.pi / 2))
     arrive(graph, 0)
     assert graph.current_id == 0
+    assert math.dist(graph.pose_of(0)[:2], graph.pose_of(1999)[:2]) > 3.0
     graph.integrate(turning(math.pi / 2))  # back to where it came from
-    for target in (399, 398, 397):
-        graph.integrate(ahead(0.39))
+    for target in (1999, 1998, 1997):
+        graph.integrate(ahead(0.095))
         graph.apply(MapAction(
             'link', graph.current_id, target, target, math.pi, Place(0.0, 0.0, 0.0)
         ))  # fmt: skip
