@@ -187,6 +187,12 @@ def test_a_loop_that_has_just_been_closed_is_relaxed_before_it_is_judged() -> No
         graph.integrate(ahead(0.1 if n < 1000 else 0.095))
         if n % 500 == 499:
             graph.integrate(turning(math.pi / 2))
+    graph.integrate(turning(-math.pi / 2))
+    for step_m, target in ((-0.095 * 3, 1997), (0.095 * 2, 1999)):
+        graph.integrate(ahead(step_m))
+        arrive(graph, target)  # relaxing after the first uses up the work that was saved
+    graph.integrate(ahead(0.095))
+    graph.integrate(turning(math.pi / 2))
     arrive(graph, 0)
     assert graph.current_id == 0
     assert math.dist(graph.pose_of(0)[:2], graph.pose_of(1999)[:2]) > 3.0
