@@ -196,6 +196,12 @@ class ExperienceMap:
         """Where the robot is on the map, the motion since the current experience included."""
         return composed(self.pose_of(self.current_id), self.offset)
 
+    def seen_from(self, experience_id: int) -> Pose | None:
+        """Return where the robot is in the frame of an experience; None where there is none."""
+        if not 0 <= experience_id < len(self):
+            return None
+        return composed(inverse(self.pose_of(experience_id)), self.pose)
+
     def pose_of(self, experience_id: int) -> Pose:
         """Return an experience's place on the map; for -1 the robot's place at the start."""
         if experience_id == NO_EXPERIENCE:

@@ -47,15 +47,15 @@ class Joining:
 
     def apply(
         self, action: MapAction, sequence: int, memory_ns: int, behaviour: str = '',
-        look: Callable[[MapAction, int, Pose], Sight] | None = None,
+        look: Callable[[MapAction, int, Pose, Pose | None], Sight] | None = None,
     ) -> None:  # fmt: skip
         """Do what the pose cells decided, as far as the map knows what they mean.
 
         An experience that the map does not know is made where the robot is; one that it knows
         with another view or place is forgotten first, as the pose cells have forgotten it. A link
         leads from the experience that the map has as its current one: the motion was counted
-        from there. ``look``: tells what scans say of an action, as the map numbers it, and of the
-        current experience and the offset.
+        from there. ``look``: tells what scans say of an action, as the map numbers it, of the
+        current experience and the offset, and of where the map has the robot at the target.
         """
         if self.first_sequence is None:
             self.first_sequence = self.missed = sequence
@@ -83,5 +83,7 @@ class Joining:
         target = self._numbering.number(action.target_id)
         source = self._map.current_id
         action = replace(action, action=kind, source_id=source, target_id=target)
-        sight = None if look is None else look(action, source, self._map.offset)
+        sight = None
+        if look is not None:
+            sight = look(action, source, self._map.offset, self._map.seen_from(target))
         self._map.apply(action, behaviour, sight)

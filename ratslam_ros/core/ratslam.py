@@ -184,7 +184,8 @@ class RatSLAM:
         with self._watch('experience_map'):
             at, sight = self.experience_map, None
             if self.scans is not None:
-                sight = self.scans(stamp_ns, action, at.current_id, at.offset)
+                expected = at.seen_from(action.target_id)
+                sight = self.scans(stamp_ns, action, at.current_id, at.offset, expected)
             before = at.jumps.refused
             forgotten = at.apply(action, self.behaviour, sight)
         return ViewStep(stamp_ns, match, action, forgotten, at.jumps.refused > before)

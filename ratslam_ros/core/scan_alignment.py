@@ -41,6 +41,12 @@ VIEW_SD_M, MOTION_SD_M = 0.4, 0.05
 """What is known beforehand: how exact beams are, how far from a place its view is known, and how
 far off the odometry is between two experiences. Along a bare corridor only that decides."""
 
+MAP_SD_M, DRIFT_M2_PER_M = 0.1, 0.003
+"""How far off two places nearby are on the map, and the variance that each metre of way adds."""
+
+SURPRISE_SD = 3.0
+"""Where view and map differ by more of their standard deviations the map is wrong."""
+
 ALIKE = 30.0
 """Beams err alike where a wall is rough or somebody stands: so many count as one."""
 
@@ -66,6 +72,8 @@ class ScanAlignment:
         self._track: deque[tuple[int, Pose]] = deque()
         self._here = Pose(0.0, 0.0, 0.0)
         self._kept: dict[int, NDArray[np.float32]] = {}
+        self._variance_m2 = math.inf
+        """Of where the robot is on the map, in the direction that is known least."""
 
     def scan(self, scan: Scan) -> None:
         """Take one scan; where stamps jump back those before are forgotten."""
@@ -78,6 +86,7 @@ class ScanAlignment:
     def integrate(self, stamp_ns: int, motion: Motion) -> None:
         """Take one motion; ``stamp_ns``: of its end."""
         self._here = moved(self._here, motion)
+        self._variance_m2 += DRIFT_M2_PER_M * abs(motion.distance_m)
         self._track.append((stamp_ns, self._here))
         while self._track[-1][0] - self._track[0][0] > REMEMBERED_NS:
             self._track.popleft()
@@ -86,10 +95,12 @@ class ScanAlignment:
         """Forget what was seen of late, where the robot has been carried; places are kept."""
         self._scans.clear()
         self._track.clear()
+        self._variance_m2 = math.inf
 
     def __call__(
-        self, stamp_ns: int, action: MapAction, current_id: int, offset: Pose
-    ) -> Sight:
+        self, stamp_ns: int, action: MapAction, current_id: int, offset: Pose,
+        expected: Pose | None = None,
+    ) -> Sight:  # fmt: skip
         """Tell how the robot stands to the experience that it comes from, and to the action's.
 
         The scan at a new experience is kept.
@@ -98,6 +109,7 @@ class ScanAlignment:
             stamp_ns: of the action.
             action: what the map is about to do.
             current_id, offset: where the map has the robot.
+            expected: the same, in the frame of the action's experience; None: the map cannot tell.
         """
         if action.action == 'none':
             return Sight()
@@ -113,8 +125,32 @@ class ScanAlignment:
             return Sight()
         return Sight(
             None if before is None else align(before, points, offset, MOTION_SD_M),
-            None if there is None else align(there, points, view, VIEW_SD_M),
+            None if there is None else self._recognised(there, points, view, expected),
         )
+
+    def _recognised(
+        self, place: NDArray[np.float32], points: NDArray[np.float64], view: Pose,
+        expected: Pose | None,
+    ) -> Pose | None:  # fmt: skip
+        """Return where at a recognised place the robot is; None where scans do not tell.
+
+        What scans leave open, as along a bare corridor, view and map tell together: a view is
+        known from afar, but where the robot was at a known place a moment ago it still knows.
+        """
+        guess, variance = view, VIEW_SD_M**2
+        if expected is not None:
+            of_map = MAP_SD_M**2 + self._variance_m2
+            away_m = math.hypot(expected.x_m, expected.y_m)
+            if away_m < SURPRISE_SD * math.sqrt(of_map + variance) < math.inf:
+                share = variance / (of_map + variance)
+                guess = Pose(share * expected.x_m, share * expected.y_m, view.heading_rad)
+                variance *= 1.0 - share
+        found = _aligned(place, points, guess, math.sqrt(variance))
+        if found is None:
+            self._variance_m2 = VIEW_SD_M**2
+            return None
+        pose, self._variance_m2 = found
+        return pose
 
     def state(self) -> State:
         """Return the scans of all experiences, for ``restore``."""
@@ -182,19 +218,27 @@ def align(
     Returns:
         None where the scans do not fit.
     """
+    found = _aligned(place, points, guess, sd_m)
+    return None if found is None else found[0]
+
+
+def _aligned(
+    place: NDArray[np.floating[Any]], points: NDArray[np.float64], guess: Pose, sd_m: float
+) -> tuple[Pose, float] | None:
+    """Return what ``align`` does, and the variance of where that is, along the worse axis."""
     known = np.asarray(place, np.float64)
-    x, y, heading, share = _align(known, points, *guess, sd_m)
-    return Pose(x, y, wrap(heading)) if share >= LEAST_SHARE else None
+    x, y, heading, share, variance_m2 = _align(known, points, *guess, sd_m)
+    return (Pose(x, y, wrap(heading)), variance_m2) if share >= LEAST_SHARE else None
 
 
 @compiled
 def _align(
     place: NDArray[np.float64], points: NDArray[np.float64], x0: float, y0: float, t0: float,
     sd_m: float,
-) -> tuple[float, float, float, float]:
+) -> tuple[float, float, float, float, float]:
     n, m = len(place), len(points)
     if n < LEAST_POINTS or m < LEAST_POINTS:
-        return x0, y0, t0, 0.0
+        return x0, y0, t0, 0.0, sd_m**2
     # The line through each point and its neighbour: its normal, and how far it is from the origin.
     normals = np.zeros((n, 3))
     for k in range(n):
@@ -206,6 +250,7 @@ def _align(
             normals[k, 2] = normals[k, 0] * place[k, 0] + normals[k, 1] * place[k, 1]
     x, y, t = x0, y0, t0
     share = 0.0
+    h = np.zeros((3, 3))
     for turn in range(ROUNDS):
         part = turn / (ROUNDS - 1)
         reach = REACH_M[0] * (REACH_M[1] / REACH_M[0]) ** part
@@ -242,4 +287,7 @@ def _align(
         step = np.linalg.solve(h, g)
         x, y, t = x - step[0], y - step[1], t - step[2]
         share = fitting / m
-    return x, y, t, share
+    spread = ALIKE * POINT_SD_M**2 * np.linalg.inv(h)
+    middle = 0.5 * (spread[0, 0] + spread[1, 1])
+    off = math.hypot(0.5 * (spread[0, 0] - spread[1, 1]), spread[0, 1])
+    return x, y, t, share, middle + off

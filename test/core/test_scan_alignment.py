@@ -151,6 +151,46 @@ def test_without_a_fresh_scan_nothing_is_told() -> None:
     assert there(scans, tick, action('link', 1)) is None
 
 
+def known_in_a_corridor(scans: ScanAlignment, metres: float) -> int:
+    """Be at a known place in a bare corridor, and drive on for some metres; return the tick."""
+    _, tick = drive(scans, corridor(1.0), HERE, 0, 4, still=True)
+    there(scans, tick, action('create', 0))
+    for n in range(1, 40):  # long enough there for the map to be sure
+        scans(tick * TICK_NS, action('link', 0), n, HERE, HERE)
+    scans.integrate(tick * TICK_NS, Motion(0.1, metres, 0.0))
+    _, tick = drive(scans, corridor(1.0), HERE, tick, 4, still=True)
+    return tick
+
+
+@pytest.mark.parametrize(
+    ('metres', 'expected_m', 'least_m', 'most_m'),
+    [
+        (1.0, 0.6, 0.45, 0.6),  # it was at a known place just now
+        (100.0, 0.6, 0.1, 0.3),  # long ago
+        (1.0, 4.0, -0.05, 0.05),  # the map is wrong
+    ],
+)
+def test_along_a_bare_corridor_view_and_map_tell_together(
+    metres: float, expected_m: float, least_m: float, most_m: float
+) -> None:
+    scans = ScanAlignment()
+    tick = known_in_a_corridor(scans, metres)
+    expected = Pose(expected_m, 0.0, 0.0)
+    found = scans(tick * TICK_NS, action('link', 0), -1, HERE, expected).from_target
+    assert found is not None
+    assert least_m <= found.x_m <= most_m
+
+
+def test_a_robot_that_was_carried_believes_the_view() -> None:
+    scans = ScanAlignment()
+    tick = known_in_a_corridor(scans, 0.0)
+    scans.restart()
+    _, tick = drive(scans, corridor(1.0), HERE, tick, 4, still=True)
+    found = scans(tick * TICK_NS, action('link', 0), -1, HERE, Pose(0.6, 0.0, 0.0)).from_target
+    assert found is not None
+    assert abs(found.x_m) < 0.05
+
+
 def test_the_way_from_the_last_experience_is_told_too() -> None:
     scans = ScanAlignment()
     made_at, tick = drive(scans, ROOM, HERE, 0, 5)
