@@ -286,6 +286,8 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
             'experiences': len(self._core),
             'links': self._core.link_count,
             'experience': self._core.current_id,
+            'jumps_refused': self._core.jumps.refused,
+            'carried': self._core.jumps.believed,
             **self._goals.state(),
         }
 
