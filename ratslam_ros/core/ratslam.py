@@ -9,6 +9,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
@@ -20,7 +21,7 @@ from ratslam_ros.core.config import Config
 from ratslam_ros.core.experience_map import ExperienceMap, Forgotten
 from ratslam_ros.core.goal_memory import GoalMemory
 from ratslam_ros.core.local_view import UNDECODABLE, LocalView, ViewMatch
-from ratslam_ros.core.odometry import MotionFromOdometry, Odometry, Pose, moved
+from ratslam_ros.core.odometry import MotionFromOdometry, Odometry, Pose, composed, moved
 from ratslam_ros.core.order import Counts, Released, StampOrder
 from ratslam_ros.core.pose_cells import MapAction, PoseCells
 from ratslam_ros.core.scan import Scan
@@ -103,6 +104,23 @@ class RatSLAM:
         """What did not make it into the map."""
         order, images = self.order.counts, self._images.counts
         return Counts(order.late, order.refused + images.refused + self._refused)
+
+    @property
+    def offset(self) -> Pose:
+        """Motion since the current experience, that which waits for a view included."""
+        ahead, offset = copy.copy(self._motion), self.experience_map.offset
+        for held in self.order.waiting('odometry'):
+            assert isinstance(held, Odometry)
+            motion = ahead(held)
+            if motion is not None:
+                offset = moved(offset, motion)
+        return offset
+
+    @property
+    def pose(self) -> Pose:
+        """Where the robot is on the map now."""
+        at = self.experience_map
+        return composed(at.pose_of(at.current_id), self.offset)
 
     def image(self, stamp_ns: int, image: NDArray[np.uint8] | None) -> list[Step]:
         """Take one image, (H, W) uint8 grey, or None where it could not be decoded."""

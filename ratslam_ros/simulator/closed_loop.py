@@ -119,7 +119,7 @@ class ClosedLoop:
 
     def name_place(self, name: str) -> None:
         """Call the place where the robot is by a name, as somebody who walks beside it would."""
-        self.navigator.goals.name_place(self.experience_map, name)
+        self.navigator.goals.name_place(self.experience_map, name, self.ratslam.offset)
 
     def go_to(self, *targets: Target, until: Callable[[], bool] = lambda: False) -> list[Errand]:
         """Go to some places; return what became of each.
@@ -138,8 +138,8 @@ class ClosedLoop:
     def seeking(self, scan: Scan) -> Command:
         """Steer along the route; where it is lost explore."""
         graph = self.experience_map
-        self.guidance = self.navigator.update(scan.stamp_ns)
-        here = graph.pose
+        here = self.ratslam.pose
+        self.guidance = self.navigator.update(scan.stamp_ns, here)
         if self.guidance.explore:
             return self.exploring(scan)
         if len(self.guidance.positions_m) == 0:

@@ -332,3 +332,17 @@ def test_warm_up_compiles_without_leaving_anything_behind() -> None:
     before = [repr(step) for step in feed(first, 10)]
     warm_up()
     assert [repr(step) for step in feed(RatSLAM(small()), 10)] == before
+
+
+def test_the_pose_of_now_holds_the_motion_that_waits_for_a_view() -> None:
+    slam = RatSLAM(PANORAMIC)
+    slam.odometry(twist(START_NS))
+    slam.image(START_NS, panorama((0, 0), 0))
+    for n in range(1, 11):  # 1 m in a second, and no view since
+        stamp = START_NS + n * 100_000_000
+        slam.odometry(twist(stamp, 1.0, 0.0))
+        assert slam.pose.x_m == pytest.approx(0.1 * n)
+    assert slam.experience_map.pose.x_m < 0.2
+    slam.finish()
+    assert slam.experience_map.pose.x_m == pytest.approx(1.0)
+    assert slam.pose == slam.experience_map.pose
