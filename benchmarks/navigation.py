@@ -27,6 +27,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+from tqdm import tqdm
 
 from ratslam_ros.config_files import load_config
 from ratslam_ros.core.config import Config
@@ -559,13 +560,13 @@ def pruning_run(setting: Setting, seed: int) -> str:
     )
     trials = [attempt(loop, name, places[name]) for name in names]
     done = sum(x.succeeded for x in trials)
-    return (f'{seed:4d}  {len(free.experience_map):6d}  {limit:6d}  {len(loop.experience_map):6d}'
-            f'  {map_error_m(free):8.2f}  {done}/{len(trials)}')  # fmt: skip
+    return (f'{seed:4d}  {len(free.experience_map):7d}  {limit:6d}  {len(loop.experience_map):6d}'
+            f'  {map_error_m(free):16.2f}  {map_error_m(loop):7.2f}  {done}/{len(trials)}')  # fmt: skip
 
 
 def pruning(setting: Setting, seeds: Sequence[int]) -> None:
     """Print what a limit to the number of experiences costs."""
-    print('seed  without   limit    made  map [m], without limit  goals reached')
+    print('seed  without   limit    made  map [m]: without    with  goals reached')
     print('\n'.join(pooled(partial(pruning_run, setting), list(seeds))))
 
 
@@ -578,7 +579,7 @@ def mean(values: Sequence[float]) -> float:
 def pooled(run: Callable[[Job], Row], jobs: Sequence[Job]) -> list[Row]:
     """Run jobs on all cores, each once; return the rows in order."""
     with ProcessPoolExecutor(min(os.cpu_count() or 1, len(jobs))) as pool:
-        return list(pool.map(run, jobs))
+        return list(tqdm(pool.map(run, jobs), total=len(jobs), unit='run', disable=None))
 
 
 EXPERIMENTS = {

@@ -84,6 +84,8 @@ def _parser() -> argparse.ArgumentParser:
     _add_recording(replay)
     _add_config(replay)
     _add_topics(replay)
+    replay.add_argument('--scan-topic', metavar='T',
+                        help='the laser, read where experience_map.exp_align_scans is set')
     replay.add_argument('--visual-odometry', action='store_true',
                         help='odometry from the camera, even where there is an odometry topic')
     _add_span(replay)
@@ -209,6 +211,8 @@ def _add_live(commands: Any) -> None:
                       help='wait until each image has been acted on')
     _add_span(play)
     _add_topics(play)
+    play.add_argument('--scan-topic', metavar='T',
+                      help='publish these scans too, for experience_map.exp_align_scans')
     play.add_argument('--visual-odometry', action='store_true',
                       help='publish no odometry, even where there is some')
     play.add_argument('--wait', type=float, default=10.0, metavar='S',
@@ -351,8 +355,9 @@ def _replay(options: argparse.Namespace) -> int:
     truth = _truth(options.truth)
     with open_recording(options.recording, images_rate_hz=options.images_rate) as recording:
         selection = recording.select(
-            options.image_topic, options.odom_topic, options.visual_odometry
-        )
+            options.image_topic, options.odom_topic, options.visual_odometry,
+            options.scan_topic, config.experience_map.exp_align_scans,
+        )  # fmt: skip
         if not options.quiet:
             for notice in selection.notices:
                 _say(notice)
@@ -563,8 +568,9 @@ def _play(options: argparse.Namespace) -> int:
 
     with open_recording(options.recording, images_rate_hz=options.images_rate) as recording:
         selection = recording.select(
-            options.image_topic, options.odom_topic, options.visual_odometry
-        )
+            options.image_topic, options.odom_topic, options.visual_odometry,
+            options.scan_topic, options.scan_topic is not None,
+        )  # fmt: skip
         ros.require()
         from ratslam_ros.live.player import PlayOptions, play
 

@@ -8,6 +8,7 @@ import signal
 import sys
 import threading
 import time
+from collections import Counter
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.odometry import Odometry, Pose, Twist
 from ratslam_ros.core.ratslam import RatSLAM, Step, ViewStep
+from ratslam_ros.core.scan import Scan
 from ratslam_ros.core.visual_odometry import field_of_view_deg
 from ratslam_ros.messages import MalformedMessage, decode_template
 from ratslam_ros.read_ahead import ReadAhead
@@ -27,10 +29,12 @@ from ratslam_ros.recordings import (
     ImageEvent,
     OdometryEvent,
     Recording,
+    ScanEvent,
     Selection,
     UndecodableImage,
 )
 from ratslam_ros.results import Results
+from ratslam_ros.scans import UnusableScan, usable_scan
 from ratslam_ros.timing import StepTimes
 from ratslam_ros.video import MapVideo
 
@@ -145,8 +149,9 @@ class _Run:
         self._recording = recording
         self._config = config
         self._folder = folder
-        self._malformed = 0
-        self._first_malformed = ''
+        self._without_scans = self.slam.scans is not None and selection.scan_topic is None
+        self._unused: Counter[str] = Counter()
+        self._why_unused: dict[str, str] = {}
         self._start_s = time.perf_counter()
 
     def feed(self, event: Event, image: NDArray[np.uint8] | None) -> None:
@@ -158,12 +163,16 @@ class _Run:
             if self.film is not None:
                 self.film.keep(event)
             self._keep(self.slam.image(event.stamp_ns, image))
+        elif isinstance(event, ScanEvent):
+            try:
+                self.slam.scan(_scan(event))
+            except UnusableScan as error:
+                self._pass_over('scan', error)
         else:
             try:
                 stamp_ns, match, _ = decode_template(event.payload)
             except MalformedMessage as error:
-                self._malformed += 1
-                self._first_malformed = self._first_malformed or str(error)
+                self._pass_over('template', error)
                 return
             self._keep(self.slam.template(stamp_ns, match))
 
@@ -172,10 +181,12 @@ class _Run:
         self._keep(self.slam.finish())
         wall_s = self.elapsed_s
         results = self.results or Results(self._folder)
-        if self._malformed:
-            self._recording.warnings.append(
-                f'{self._malformed} template messages were not used, the first: '
-                f'{self._first_malformed}'
+        warnings = self._recording.warnings
+        if self._without_scans:
+            warnings.append('no scans are there for exp_align_scans: the map is made without')
+        for kind, number in self._unused.items():
+            warnings.append(
+                f'{number} {kind} messages were not used, the first: {self._why_unused[kind]}'
             )
         counts = self.slam.counts
         summary = {
@@ -185,7 +196,7 @@ class _Run:
             'experiences': len(self.slam.experience_map),
             'links': self.slam.experience_map.link_count,
             'loop_closures': results.loop_closures,
-            'dropped': results.without_view + self._malformed + self._recording.skipped,
+            'dropped': results.without_view + self._unused.total() + self._recording.skipped,
             'late': counts.late,
             'refused': counts.refused,
             'duration_s': round(self.span.duration_s, 3),
@@ -211,6 +222,10 @@ class _Run:
         """Time since the start of the replay, reading and decoding included."""
         return time.perf_counter() - self._start_s
 
+    def _pass_over(self, kind: str, error: Exception) -> None:
+        self._unused[kind] += 1
+        self._why_unused.setdefault(kind, str(error))
+
     def _keep(self, steps: list[Step]) -> None:
         if not steps:
             return
@@ -227,6 +242,17 @@ def _odometry(event: OdometryEvent) -> Odometry:
         event.stamp_ns,
         Twist(event.linear_x, event.angular_z),
         Pose(event.x, event.y, event.heading_rad),
+    )
+
+
+def _scan(event: ScanEvent) -> Scan:
+    return usable_scan(
+        event.stamp_ns,
+        event.angle_min_rad,
+        event.angle_increment_rad,
+        event.range_min_m,
+        event.range_max_m,
+        event.ranges_m,
     )
 
 

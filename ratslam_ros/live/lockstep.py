@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from ratslam_ros.core.odometry import MotionFromOdometry, Odometry, Pose, Twist
 from ratslam_ros.core.order import Released, StampOrder
-from ratslam_ros.recordings import Event, ImageEvent, OdometryEvent
+from ratslam_ros.recordings import Event, ImageEvent, OdometryEvent, ScanEvent
 
 NEVER_NS = 2**63  # the nodes' own bound on lateness is not known here, and waits need none
 
@@ -33,6 +33,8 @@ class Lockstep:
             return [stamp for image in images for stamp in self._image(image)]
         if isinstance(event, OdometryEvent):
             return self._odometry(event)
+        if isinstance(event, ScanEvent):
+            return []
         return self._push('template', event.stamp_ns)
 
     def _image(self, image: Released[None]) -> list[int]:

@@ -10,12 +10,12 @@ from typing import Any
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Quaternion
 from nav_msgs.msg import Odometry
-from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, LaserScan
 from std_msgs.msg import Header, String
 
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.images import EncodedImage, Frame, RawImage
-from ratslam_ros.recordings import Event, ImageEvent, OdometryEvent
+from ratslam_ros.recordings import Event, ImageEvent, OdometryEvent, ScanEvent
 
 NS_PER_S = 1_000_000_000
 
@@ -36,6 +36,8 @@ def message_of(event: Event) -> Any:
         return _image(event)
     if isinstance(event, OdometryEvent):
         return _odometry(event)
+    if isinstance(event, ScanEvent):
+        return _scan(event)
     return String(data=event.payload)
 
 
@@ -94,6 +96,19 @@ def _odometry(event: OdometryEvent) -> Odometry:
     pose.orientation = Quaternion(x=x, y=y, z=z, w=w)
     twist.linear.x, twist.angular.z = event.linear_x, event.angular_z
     return message
+
+
+def _scan(event: ScanEvent) -> LaserScan:
+    first_rad, step_rad = event.angle_min_rad, event.angle_increment_rad
+    return LaserScan(
+        header=_header(event, 'laser'),
+        angle_min=first_rad,
+        angle_max=first_rad + step_rad * (len(event.ranges_m) - 1),
+        angle_increment=step_rad,
+        range_min=event.range_min_m,
+        range_max=event.range_max_m,
+        ranges=array('f', event.ranges_m.tobytes()),
+    )
 
 
 def _header(event: Event, frame_id: str = '') -> Header:

@@ -19,7 +19,7 @@ import rclpy
 from nav_msgs.msg import Odometry
 from rclpy.duration import Duration
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, LaserScan
 from std_msgs.msg import String
 
 from ratslam_ros.errors import UnusableInput
@@ -30,12 +30,24 @@ from ratslam_ros.live.messages import camera_info, message_of, time_message
 from ratslam_ros.live.pacing import Pacing
 from ratslam_ros.nodes.qos import CLOCK, INPUT, PLAYED
 from ratslam_ros.recordings import Event, ImageEvent, OdometryEvent, Recording, Selection
-from ratslam_ros.recordings.decode import COMPRESSED_IMAGE, ODOMETRY, RAW_IMAGE, STRING
+from ratslam_ros.recordings.decode import (
+    COMPRESSED_IMAGE,
+    LASER_SCAN,
+    ODOMETRY,
+    RAW_IMAGE,
+    STRING,
+)
 from ratslam_ros.recordings.selection import IMAGE_FILES, TABLE, VIDEO
 
-ODOM, ACTION, TEMPLATE = 'odom', 'pose_cells/action', 'local_view/template'
+ODOM, SCAN, ACTION, TEMPLATE = 'odom', 'scan', 'pose_cells/action', 'local_view/template'
 CAMERA_INFO = 'camera_info'
-TOPICS = {Image: 'image', CompressedImage: 'image/compressed', Odometry: ODOM, String: TEMPLATE}
+TOPICS = {
+    Image: 'image',
+    CompressedImage: 'image/compressed',
+    Odometry: ODOM,
+    LaserScan: SCAN,
+    String: TEMPLATE,
+}
 """Where messages of each type are published."""
 PLAYED_AS = {
     RAW_IMAGE: Image,
@@ -44,6 +56,7 @@ PLAYED_AS = {
     IMAGE_FILES: CompressedImage,
     ODOMETRY: Odometry,
     TABLE: Odometry,
+    LASER_SCAN: LaserScan,
     STRING: String,
 }
 """Which message a recorded topic is published as, by its type."""
@@ -184,10 +197,12 @@ class _Player:
 
     def summary(self) -> str:
         """Return what was published."""
-        odometry, templates = self._counts[ODOM], self._counts[TEMPLATE]
-        views = self._counts.total() - odometry - templates
+        odometry, templates, scans = (self._counts[topic] for topic in (ODOM, TEMPLATE, SCAN))
+        views = self._counts.total() - odometry - templates - scans
         told = [f'{views} images' if views or not templates else f'{templates} templates']
         told.append(f'{odometry} odometry messages')
+        if scans:
+            told.append(f'{scans} scans')
         if self._recording.skipped:
             told.append(f'{self._recording.skipped} skipped')
         return (

@@ -13,6 +13,7 @@ from ratslam_ros.recordings.events import (
     ImageEvent,
     OdometryEvent,
     Orientation,
+    ScanEvent,
     TemplateEvent,
 )
 from ratslam_ros.recordings.opening import open_recording
@@ -26,6 +27,7 @@ __all__ = [
     'OdometryEvent',
     'Orientation',
     'Recording',
+    'ScanEvent',
     'Selection',
     'TemplateEvent',
     'Topic',

@@ -15,6 +15,7 @@ from ratslam_ros.recordings.events import (
     ImageEvent,
     OdometryEvent,
     Orientation,
+    ScanEvent,
     TemplateEvent,
 )
 from ratslam_ros.recordings.stream import Message
@@ -22,6 +23,7 @@ from ratslam_ros.recordings.stream import Message
 RAW_IMAGE = 'sensor_msgs/msg/Image'
 COMPRESSED_IMAGE = 'sensor_msgs/msg/CompressedImage'
 ODOMETRY = 'nav_msgs/msg/Odometry'
+LASER_SCAN = 'sensor_msgs/msg/LaserScan'
 STRING = 'std_msgs/msg/String'
 
 _ZSTD = b'\x28\xb5\x2f\xfd'  # no CDR message begins so: its first byte is zero
@@ -64,6 +66,8 @@ def event_of(message: Message) -> Event:
     kind = normal_type(message.channel.type)
     if kind == ODOMETRY:
         return _odometry(content, message.log_ns)
+    if kind == LASER_SCAN:
+        return _scan(content, message.log_ns)
     if kind == STRING:
         return template(content.data, message.log_ns)
     return ImageEvent(_stamp(content), message.log_ns, image_of(content))
@@ -93,6 +97,18 @@ def _odometry(content: Any, log_ns: int) -> OdometryEvent:
         float(pose.position.x),
         float(pose.position.y),
         Orientation(float(q.x), float(q.y), float(q.z), float(q.w)),
+    )
+
+
+def _scan(content: Any, log_ns: int) -> ScanEvent:
+    return ScanEvent(
+        _stamp(content),
+        log_ns,
+        float(content.angle_min),
+        float(content.angle_increment),
+        float(content.range_min),
+        float(content.range_max),
+        content.ranges,
     )
 
 

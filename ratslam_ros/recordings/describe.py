@@ -11,10 +11,12 @@ from ratslam_ros.recordings.recording import Recording
 from ratslam_ros.recordings.selection import (
     IMAGE_TYPES,
     ODOMETRY_TYPES,
+    SCAN_TYPES,
     Selection,
     Topic,
     image_candidates,
     odometry_candidates,
+    scan_candidates,
 )
 
 _TRIES = 5  # images to try before a topic counts as undecodable
@@ -99,9 +101,14 @@ def _describe_topic(
     if not problem and count and topic.type in IMAGE_TYPES:
         image, problem = _first_image(recording, topic)
     elif not problem and count and topic.type in ODOMETRY_TYPES:
-        first = next(recording.events(Selection(None, topic.name, None)), None)
-        problem = '' if first else 'cannot be decoded'
+        problem = _undecodable(recording, Selection(None, topic.name, None))
+    elif not problem and count and topic.type in SCAN_TYPES:
+        problem = _undecodable(recording, Selection(None, None, None, topic.name))
     return TopicDescription(topic.name, topic.type, count, rate, image, problem)
+
+
+def _undecodable(recording: Recording, selection: Selection) -> str:
+    return '' if next(recording.events(selection), None) else 'cannot be decoded'
 
 
 def _first_image(recording: Recording, topic: Topic) -> tuple[str, str]:
@@ -135,4 +142,17 @@ def _command(recording: Recording, broken: set[str]) -> tuple[str, tuple[str, ..
         selection = recording.select(**options)  # type: ignore[arg-type]
     except UnusableInput as error:
         return '', (str(error),)
-    return shlex.join(words), selection.notices
+    return shlex.join(words), selection.notices + _of_scans(recording, broken)
+
+
+def _of_scans(recording: Recording, broken: set[str]) -> tuple[str, ...]:
+    """Return what to say of scans, which are read only where the configuration asks for them."""
+    candidates = scan_candidates(recording)
+    usable = [topic.name for topic in candidates if topic.name not in broken]
+    if not usable:
+        return ()
+    choice = ' or '.join(f'--scan-topic {name}' for name in usable)
+    return (
+        f'the scans of {" or ".join(usable)} are read where experience_map.exp_align_scans is set'
+        + (f'; give {choice}' if len(candidates) > 1 else ''),
+    )

@@ -6,6 +6,9 @@ import math
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Self
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ratslam_ros.images import Image, Pixels
 
 
@@ -77,7 +80,20 @@ class TemplateEvent:
     payload: str
 
 
-Event = ImageEvent | OdometryEvent | TemplateEvent
+@dataclass(frozen=True, slots=True)
+class ScanEvent:
+    """A sensor_msgs/LaserScan with the numbers that it holds, checked by whoever uses it."""
+
+    stamp_ns: int
+    log_ns: int
+    angle_min_rad: float
+    angle_increment_rad: float
+    range_min_m: float
+    range_max_m: float
+    ranges_m: NDArray[np.float32]
+
+
+Event = ImageEvent | OdometryEvent | TemplateEvent | ScanEvent
 
 
 class Calibration(NamedTuple):

@@ -15,7 +15,7 @@ from ratslam_ros.recordings.stream import Warnings
 
 
 class Recording(ABC):
-    """Anything with images or templates in it, and perhaps odometry."""
+    """Anything with images or templates in it, and perhaps odometry and scans."""
 
     path: Path
     name: str
@@ -42,9 +42,14 @@ class Recording(ABC):
         image_topic: str | None = None,
         odom_topic: str | None = None,
         visual_odometry: bool = False,
+        scan_topic: str | None = None,
+        scans: bool = False,
     ) -> Selection:
-        """Choose the topics, guessing those not named; raises UnusableInput if it cannot."""
-        return select(self, image_topic, odom_topic, visual_odometry)
+        """Choose the topics, guessing those not named; raises UnusableInput if it cannot.
+
+        ``scans``: one with scans too, if there is one; without, none is read.
+        """
+        return select(self, image_topic, odom_topic, visual_odometry, scan_topic, scans)
 
     def events(
         self, selection: Selection, start_s: float = 0.0, duration_s: float | None = None

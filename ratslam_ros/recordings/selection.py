@@ -8,7 +8,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.recordings.decode import COMPRESSED_IMAGE, ODOMETRY, RAW_IMAGE, STRING
+from ratslam_ros.recordings.decode import (
+    COMPRESSED_IMAGE,
+    LASER_SCAN,
+    ODOMETRY,
+    RAW_IMAGE,
+    STRING,
+)
 
 if TYPE_CHECKING:
     from ratslam_ros.recordings.recording import Recording
@@ -16,6 +22,7 @@ if TYPE_CHECKING:
 VIDEO, IMAGE_FILES, TABLE = 'video', 'image files', 'table'  # what is not a message
 IMAGE_TYPES = frozenset({RAW_IMAGE, COMPRESSED_IMAGE, VIDEO, IMAGE_FILES})
 ODOMETRY_TYPES = frozenset({ODOMETRY, TABLE})
+SCAN_TYPES = frozenset({LASER_SCAN})
 TEMPLATE_NAME = 'local_view/template'
 CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
 
@@ -32,17 +39,21 @@ class Topic:
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """The topics to use; without ``odom_topic`` the motion comes from the images."""
+    """The topics to use; without ``odom_topic`` the motion comes from the images.
+
+    Scans are read only where ``scan_topic`` is set.
+    """
 
     image_topic: str | None
     odom_topic: str | None
     template_topic: str | None
+    scan_topic: str | None = None
     notices: tuple[str, ...] = ()
 
     @property
     def topics(self) -> frozenset[str]:
         """The names of all selected topics."""
-        names = (self.image_topic, self.odom_topic, self.template_topic)
+        names = (self.image_topic, self.odom_topic, self.template_topic, self.scan_topic)
         return frozenset(name for name in names if name is not None)
 
 
@@ -51,11 +62,16 @@ def select(
     image_topic: str | None = None,
     odom_topic: str | None = None,
     visual_odometry: bool = False,
+    scan_topic: str | None = None,
+    scans: bool = False,
 ) -> Selection:
-    """Choose the topics, guessing those not named; raises UnusableInput if it cannot."""
+    """Choose the topics, guessing those not named; raises UnusableInput if it cannot.
+
+    ``scans``: one with scans too, if there is one.
+    """
     notices: list[str] = []
     templates = template_candidates(recording)
-    image = template = odom = None
+    image = template = odom = scan = None
     if image_topic is not None:
         image = _named(recording, image_topic, IMAGE_TYPES, 'images', '--image-topic')
     else:
@@ -98,10 +114,20 @@ def select(
             if visual_odometry
             else 'no odometry topic: visual odometry is used'
         )
+    if scan_topic is not None:
+        if not scans:
+            raise UnusableInput(
+                f'the scans of {scan_topic} are asked for, and nothing uses them: set '
+                'experience_map.exp_align_scans, or leave out --scan-topic'
+            )
+        scan = _named(recording, scan_topic, SCAN_TYPES, 'scans', '--scan-topic')
+    elif scans:
+        scan = _only(recording, scan_candidates(recording), 'scans', '--scan-topic')
     return Selection(
         image.name if image else None,
         odom.name if odom else None,
         template.name if template else None,
+        scan.name if scan else None,
         tuple(notices),
     )
 
@@ -127,6 +153,11 @@ def image_candidates(recording: Recording) -> list[Topic]:
 def odometry_candidates(recording: Recording) -> list[Topic]:
     """Return the topics with odometry."""
     return _usable(recording, ODOMETRY_TYPES)
+
+
+def scan_candidates(recording: Recording) -> list[Topic]:
+    """Return the topics with laser scans."""
+    return _usable(recording, SCAN_TYPES)
 
 
 def template_candidates(recording: Recording) -> list[Topic]:
