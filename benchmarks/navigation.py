@@ -560,8 +560,10 @@ def pruning_run(setting: Setting, seed: int) -> str:
     )
     trials = [attempt(loop, name, places[name]) for name in names]
     done = sum(x.succeeded for x in trials)
-    return (f'{seed:4d}  {len(free.experience_map):7d}  {limit:6d}  {len(loop.experience_map):6d}'
-            f'  {map_error_m(free):16.2f}  {map_error_m(loop):7.2f}  {done}/{len(trials)}')  # fmt: skip
+    return (
+        f'{seed:4d}  {len(free.experience_map):7d}  {limit:6d}  {len(loop.experience_map):6d}  '
+        f'{map_error_m(free):16.2f}  {map_error_m(loop):7.2f}  {done}/{len(trials)}'
+    )
 
 
 def pruning(setting: Setting, seeds: Sequence[int]) -> None:
