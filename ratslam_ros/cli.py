@@ -399,9 +399,9 @@ def _much_lost(summary: dict) -> list[str]:  # type: ignore[type-arg]
     if sum(lost.values()) * 10 < summary['frames'] + summary['odometry']:
         return []
     told = ', '.join(f'{number} {key}' for key, number in lost.items())
-    return [f'many messages were not used ({told}): images that cannot be decoded are dropped, '
-            'stamps that do not increase refused, those behind the other streams by more than '
-            'pose_cells.max_lateness_s late'] if lost else []
+    return [f'many messages were not used ({told}): images and scans in which nothing can be seen '
+            'are dropped, stamps that do not increase refused, those behind the other streams by '
+            'more than pose_cells.max_lateness_s late'] if lost else []
 
 
 def _nothing_mapped(summary: dict) -> list[str]:  # type: ignore[type-arg]

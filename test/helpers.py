@@ -19,12 +19,14 @@ from ratslam_ros.core.config import LocalViewParameters, PoseCellsParameters
 from ratslam_ros.core.local_view import ViewMatch
 from ratslam_ros.core.odometry import Motion, Odometry, Pose, Twist
 from ratslam_ros.core.pose_cells import Action, MapAction
+from ratslam_ros.core.scan import Scan
 from ratslam_ros.core.torus import Place
 
 START_NS = 1_700_000_000_000_000_000
 PERIOD_NS = 100_000_000
 STILL = Motion(0.1, 0.0, 0.0)
 IMAGE_TOPIC, ODOM_TOPIC, TEMPLATE_TOPIC = '/camera/image', '/odom', '/local_view/template'
+SCAN_TOPIC = '/scan'
 
 
 def twist(stamp_ns: int, speed: float = 0.0, turn_rate: float = 0.0) -> Odometry:
@@ -237,6 +239,7 @@ TYPES = {
     'compressed': 'sensor_msgs/msg/CompressedImage',
     'odometry': 'nav_msgs/msg/Odometry',
     'string': 'std_msgs/msg/String',
+    'scan': 'sensor_msgs/msg/LaserScan',
     'camera_info': 'sensor_msgs/msg/CameraInfo',
 }
 Recorded = tuple[int, str, str, Any]
@@ -311,6 +314,15 @@ def camera_info_message(stamp_ns: int, focal_px: float) -> Any:
     return store.types[TYPES['camera_info']](
         _header(store, stamp_ns), 24, 32, 'plumb_bob', np.zeros(5), k, np.zeros(9), np.zeros(12),
         0, 0, store.types['sensor_msgs/msg/RegionOfInterest'](0, 0, 0, 0, False),
+    )  # fmt: skip
+
+
+def scan_message(scan: Scan) -> Any:
+    """Return the scan of a laser that sees from 0.05 to 8 m."""
+    store, first, step = _store(), scan.angle_min_rad, scan.angle_increment_rad
+    return store.types[TYPES['scan']](
+        _header(store, scan.stamp_ns), first, first + step * (len(scan.ranges_m) - 1), step,
+        0.0, 0.1, 0.05, 8.0, scan.ranges_m.astype(np.float32), np.empty(0, np.float32),
     )  # fmt: skip
 
 

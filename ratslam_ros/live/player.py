@@ -200,15 +200,13 @@ class _Player:
         odometry, templates, scans = (self._counts[topic] for topic in (ODOM, TEMPLATE, SCAN))
         views = self._counts.total() - odometry - templates - scans
         told = [f'{views} images' if views or not templates else f'{templates} templates']
-        told.append(f'{odometry} odometry messages')
         if scans:
             told.append(f'{scans} scans')
-        if self._recording.skipped:
-            told.append(f'{self._recording.skipped} skipped')
+        skipped = self._recording.skipped
         return (
-            f'{" and ".join(told[:2])} over {self._played_s:.1f} s, in {self._elapsed_s:.1f} s '
-            f'({self._played_s / max(self._elapsed_s, 1e-6):.2f}x real time)'
-            + ''.join(f', {text}' for text in told[2:])
+            f'{", ".join(told)} and {odometry} odometry messages over {self._played_s:.1f} s, in '
+            f'{self._elapsed_s:.1f} s ({self._played_s / max(self._elapsed_s, 1e-6):.2f}x real '
+            f'time){f", {skipped} skipped" if skipped else ""}'
         )
 
     def _pass(self) -> None:

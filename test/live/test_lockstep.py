@@ -14,7 +14,14 @@ from ratslam_ros.core.odometry import Odometry, Pose, Twist
 from ratslam_ros.core.ratslam import RatSLAM, ViewStep
 from ratslam_ros.images import Frame
 from ratslam_ros.live.lockstep import Lockstep
-from ratslam_ros.recordings import Event, ImageEvent, OdometryEvent, Orientation, TemplateEvent
+from ratslam_ros.recordings import (
+    Event,
+    ImageEvent,
+    OdometryEvent,
+    Orientation,
+    ScanEvent,
+    TemplateEvent,
+)
 
 MS = 1_000_000
 
@@ -88,6 +95,15 @@ def test_with_visual_odometry_the_image_before_is_certain() -> None:
 def test_recorded_templates_are_waited_for_too() -> None:
     lockstep = Lockstep(odometry_is_played=True)
     lockstep.publish(TemplateEvent(START_NS, START_NS, '{}'))
+    assert lockstep.publish(odometry(START_NS)) == [START_NS]
+
+
+def test_scans_are_waited_for_by_nobody() -> None:
+    lockstep = Lockstep(odometry_is_played=True)
+    lockstep.publish(image(START_NS))
+    ranges_m = np.ones(3, np.float32)
+    scan = ScanEvent(START_NS + PERIOD_NS, START_NS, 0.0, 0.1, 0.1, 8.0, ranges_m)
+    assert lockstep.publish(scan) == []
     assert lockstep.publish(odometry(START_NS)) == [START_NS]
 
 

@@ -20,6 +20,7 @@ from ratslam_ros.recordings import (
     ImageEvent,
     OdometryEvent,
     Orientation,
+    ScanEvent,
     TemplateEvent,
     open_recording,
 )
@@ -135,6 +136,27 @@ def test_recorded_odometry_and_that_of_tables_is_the_same_live(tmp_path: Path) -
         assert len(events) == 100
         for sent in events:
             assert odometry_of(message_of(sent)) == _odometry(sent)
+
+
+@pytest.mark.parametrize('beams', [0, 1, 181])
+def test_a_scan_is_received_to_the_last_bit(beams: int) -> None:
+    from ratslam_ros.nodes.scans import scan_of
+    from ratslam_ros.replay import _scan
+    from ratslam_ros.scans import UnusableScan
+
+    first, step = (float(np.float32(number)) for number in (-1.57, 0.017))
+    ranges_m = np.random.default_rng(4).uniform(-1.0, 40.0, beams).astype(np.float32)
+    ranges_m[::7], ranges_m[1::7], ranges_m[2::7] = np.inf, np.nan, -np.inf
+    sent = ScanEvent(START_NS + 5, START_NS, first, step, 0.25, 30.0, ranges_m)
+    message = message_of(sent)
+    if not beams:
+        with pytest.raises(UnusableScan):
+            scan_of(message)
+        return
+    got, expected = scan_of(message), _scan(sent)
+    assert got.ranges_m.tobytes() == expected.ranges_m.tobytes()
+    assert got.stamp_ns == expected.stamp_ns == START_NS + 5
+    assert bits(got.angle_min_rad, got.angle_increment_rad) == bits(first, step)
 
 
 def test_a_template_is_published_as_it_was_recorded() -> None:

@@ -24,6 +24,7 @@ IMAGE = 'sensor_msgs/msg/Image'
 COMPRESSED = 'sensor_msgs/msg/CompressedImage'
 ODOMETRY = 'nav_msgs/msg/Odometry'
 STRING = 'std_msgs/msg/String'
+SCAN = 'sensor_msgs/msg/LaserScan'
 
 
 def picture(index: int, height: int = 12, width: int = 16) -> np.ndarray:
@@ -66,6 +67,13 @@ def odometry(stamp_ns: int = START_NS, linear: float = 0.5, angular: float = 0.1
         types['geometry_msgs/msg/PoseWithCovariance'](pose, np.zeros(36)),
         types['geometry_msgs/msg/TwistWithCovariance'](twist, np.zeros(36)),
     )
+
+
+def laser_scan(stamp_ns: int = START_NS, ranges=(1.0, 2.0, np.inf), first: float = -0.5,
+               store=ROS2):
+    return store.types[SCAN](
+        header(store, stamp_ns), first, -first, 0.5, 0.0, 0.1, 0.25, 8.0,
+        np.array(ranges, np.float32), np.empty(0, np.float32))
 
 
 def template_text(stamp_ns: int, number: int = 0) -> str:
