@@ -90,7 +90,7 @@ class Yardstick:
 
     def __init__(self) -> None:
         graph = driven(6_000, ExperienceMapParameters(exp_loops=0))
-        self._arrays = graph._poses, graph._ends, graph._shapes, graph.link_count
+        self._arrays = graph._poses, graph.link_ends, graph.link_shapes, graph.link_count
         self._before = self._now()
 
     def lap(self) -> float:
@@ -290,8 +290,7 @@ def close(graph: ExperienceMap, target: int, kind: str = 'link') -> None:
 
 def link_errors_m(graph: ExperienceMap) -> float:
     """Return the root of the sum of all links' squared errors in position."""
-    links = graph.link_count
-    ends, shapes, poses = graph.link_ends, graph._shapes[:links], graph.poses
+    ends, shapes, poses = graph.link_ends, graph.link_shapes, graph.poses
     direction = poses[ends[:, 0], 2] + shapes[:, 1]
     way = poses[ends[:, 1], :2] - poses[ends[:, 0], :2]
     way -= shapes[:, :1] * np.stack([np.cos(direction), np.sin(direction)], 1)
@@ -322,7 +321,7 @@ def sweeps_until(count: int, aim: float, most: int) -> tuple[int, bool]:
     graph = driven(count, ExperienceMapParameters(exp_loops=0))
     close(graph, count // 3)
     for sweeps in range(500, most + 1, 500):
-        _sweep(graph._poses, graph._ends, graph._shapes, graph.link_count, 0.5, 500)
+        _sweep(graph._poses, graph.link_ends, graph.link_shapes, graph.link_count, 0.5, 500)
         if link_errors_m(graph) <= aim:
             return sweeps, True
     return most, False

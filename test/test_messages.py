@@ -383,9 +383,9 @@ def test_every_number_is_written_as_json_does(changes: list[tuple[int, float]]) 
         if at < 6:
             graph._poses[divmod(at, 3)] = value
         elif at < 9:
-            graph._shapes[0, at - 6] = value
+            graph.link_shapes[0, at - 6] = value
         elif at == 9:
-            graph._durations_s[0] = value
+            graph.link_durations_s[0] = value
         else:
             graph._labels[at % 2] = at, Place(value, at, -value)  # a whole number stays one
         check_text(graph, kept)
@@ -395,14 +395,14 @@ def test_every_number_is_written_as_json_does(changes: list[tuple[int, float]]) 
 def test_a_behaviour_is_written_as_json_does(name: str) -> None:
     graph, kept = small_map(), MapText()
     for count in (1, 10**6):
-        graph._notes[0] = name, count
+        graph._links.notes[0] = name, count
         check_text(graph, kept)
 
 
 def test_zero_is_told_from_minus_zero() -> None:
     graph, kept = small_map(), MapText()
     for zero in (0.0, -0.0, 0.0):
-        graph._poses[1, 1] = graph._shapes[0, 1] = zero
+        graph._poses[1, 1] = graph.link_shapes[0, 1] = zero
         graph._labels[1] = 6, Place(2.0, zero, 35.9)
         check_text(graph, kept)
 
@@ -421,7 +421,7 @@ def test_a_kept_text_is_never_that_of_another_map() -> None:
 def test_what_could_not_be_written_is_not_kept(value: float) -> None:
     graph, kept = small_map(), MapText()
     check_text(graph, kept)
-    for numbers in (graph._poses, graph._shapes):
+    for numbers in (graph._poses, graph.link_shapes):
         numbers[0, 0] = value
         for _ in range(2):
             with pytest.raises(ValueError, match='JSON'):

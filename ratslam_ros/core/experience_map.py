@@ -6,8 +6,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,7 @@ from ratslam_ros.core.angles import wrap
 from ratslam_ros.core.compiled import compiled
 from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.jumps import Jumps, is_jump
+from ratslam_ros.core.links import Link, Links, in_a_row, leading_from, length_m, with_room
 from ratslam_ros.core.local_view import NO_TEMPLATE
 from ratslam_ros.core.odometry import Motion, Pose, composed, inverse, moved
 from ratslam_ros.core.pose_cells import NO_EXPERIENCE, MapAction
@@ -68,40 +69,6 @@ class Forgotten(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Link:
-    """A transition that was made: where the target lies in the source's frame, and how it went."""
-
-    source_id: int
-    target_id: int
-    distance_m: float
-    heading_rad: float
-    facing_rad: float
-    duration_s: float
-    behaviour: str
-    count: int
-
-    @property
-    def way(self) -> Pose:
-        """Where the target lies in the frame of the source."""
-        return Pose(
-            self.distance_m * math.cos(self.heading_rad),
-            self.distance_m * math.sin(self.heading_rad),
-            self.facing_rad,
-        )
-
-    def reversed(self) -> Link:
-        """Return the same way, the other way round."""
-        back = inverse(self.way)
-        return replace(
-            self,
-            source_id=self.target_id,
-            target_id=self.source_id,
-            heading_rad=math.atan2(back.y_m, back.x_m),
-            facing_rad=wrap(back.heading_rad),
-        )
-
-
-@dataclass(frozen=True, slots=True)
 class Experience:
     """A place: its view, where it lies in the pose cells and on the map."""
 
@@ -121,21 +88,9 @@ class ExperienceMap:
         self.origin = Pose(0.0, 0.0, wrap(math.radians(parameters.exp_initial_em_deg)))
         self._poses = np.empty((64, 3), np.float64)
         self._labels: list[tuple[int, Place]] = []
-        self._ends = np.empty((64, 2), np.int64)
-        self._shapes = np.empty((64, 3), np.float64)
-        self._durations_s = np.empty(64, np.float64)
-        self._notes: list[tuple[str, int]] = []
-        self._failures = np.empty((64, 2), np.int64)
-        self.links_version = 0
-        """Grows with every change of a link; what is computed from the links holds until then."""
-        self.rebuilt = 0
-        """Grows where links vanish: then others have moved up to their rows."""
+        self._links = Links()
         self.on_forgotten: list[Callable[[int, int, Pose], None]] = []
         """Called with what ``Forgotten`` says before a number comes to mean another experience."""
-        # A link's serial number stays while rows move up; serials ascend with the rows.
-        self._serial: dict[tuple[int, int], int] = {}
-        self._serials = np.empty(64, np.int64)
-        self._next_serial = 0
         self._plan: Relaxation | None = None
         self._planning_work = 0
         self._plan_holds = False
@@ -159,27 +114,37 @@ class ExperienceMap:
     @property
     def link_count(self) -> int:
         """Number of links."""
-        return len(self._notes)
+        return len(self._links)
 
     @property
     def link_ends(self) -> NDArray[np.int64]:
         """(links, 2) source and target of every link; a view, not to be changed or kept."""
-        return self._ends[: len(self._notes)]
+        return self._links.ends
 
     @property
     def link_durations_s(self) -> NDArray[np.float64]:
         """(links,) duration of every link; a view, not to be changed or kept."""
-        return self._durations_s[: len(self._notes)]
+        return self._links.durations_s
 
     @property
     def link_shapes(self) -> NDArray[np.float64]:
         """(links, 3) distance, heading and facing of every link; a view, not to be changed."""
-        return self._shapes[: len(self._notes)]
+        return self._links.shapes
 
     @property
     def link_notes(self) -> Sequence[tuple[str, int]]:
         """Behaviour and count of every link; not to be changed or kept."""
-        return self._notes
+        return self._links.notes
+
+    @property
+    def links_version(self) -> int:
+        """Grows with every change of a link; what is computed from the links holds until then."""
+        return self._links.version
+
+    @property
+    def rebuilt(self) -> int:
+        """Grows where links vanish: then others have moved up to their rows."""
+        return self._links.rebuilt
 
     @property
     def labels(self) -> Sequence[tuple[int, Place]]:
@@ -218,18 +183,7 @@ class ExperienceMap:
 
     def links(self) -> list[Link]:
         """Return all links, in the order in which they were made."""
-        return [self._link(row) for row in range(len(self._notes))]
-
-    def _link(self, row: int) -> Link:
-        source, target = self._ends[row].tolist()
-        distance, heading, facing = self._shapes[row].tolist()
-        duration = float(self._durations_s[row])
-        return Link(source, target, distance, heading, facing, duration, *self._notes[row])
-
-    def _links_of(self, experience_id: int) -> list[Link]:
-        """Return the links from and to an experience, but for one from it to itself."""
-        links = map(self._link, _rows_at(self.link_ends, experience_id).tolist())
-        return [link for link in links if link.source_id != link.target_id]
+        return [self._links[row] for row in range(len(self._links))]
 
     def neighbours(self, experience_id: int) -> list[int]:
         """Return the experiences that are one link away, in either direction, by id.
@@ -241,7 +195,7 @@ class ExperienceMap:
             raise NotLinked(
                 f'there is no experience {experience_id}; expected 0 to {len(self) - 1}'
             )
-        ends = {end for k in self._links_of(experience_id) for end in (k.source_id, k.target_id)}
+        ends = {end for k in self._links.of(experience_id) for end in (k.source_id, k.target_id)}
         return sorted(ends - {experience_id})
 
     def distance_and_direction(self, target_id: int) -> Direction:
@@ -254,7 +208,8 @@ class ExperienceMap:
         """
         here = self.current_id
         ways = [] if here == NO_EXPERIENCE else [
-            way for way in map(_from(here), self._links_of(here)) if way.target_id == target_id
+            way for way in map(leading_from(here), self._links.of(here))
+            if way.target_id == target_id
         ]
         if not ways:
             known = [] if here == NO_EXPERIENCE else self.neighbours(here)
@@ -263,7 +218,7 @@ class ExperienceMap:
                 f'neighbours are {", ".join(map(str, known)) or "none"}: choose one of them, or '
                 'ask for a route'
             )
-        way = min(ways, key=_length).way
+        way = min(ways, key=length_m).way
         x, y, _ = composed(inverse(self.offset), way)
         return Direction(math.hypot(x, y), math.atan2(y, x))
 
@@ -275,30 +230,23 @@ class ExperienceMap:
         Raises:
             NotLinked: there is no such link.
         """
-        row = self._row(source_id, target_id)
+        row = self._links.row(source_id, target_id)
         if row is None:
             raise NotLinked(f'no link leads from experience {source_id} to {target_id}')
-        behaviour, _ = self._notes[row]
+        behaviour, _ = self._links.notes[row]
         if not behaviour:
             return 1.0
-        rows = self._rows_by(source_id, behaviour)
-        return confidences([self._notes[r][1] for r in rows], self._failures[rows])[
+        rows = self._links.rows_by(source_id, behaviour)
+        return confidences([self._links.notes[r][1] for r in rows], self._links.failures[rows])[
             rows.index(row)
         ]
 
     def state(self) -> State:
         """Return the whole map, and where the robot is on it, for ``restore``."""
-        links = len(self._notes)
         return {
             'poses': self.poses,
             'labels': [[template, *place] for template, place in self._labels],
-            'ends': self._ends[:links].copy(),
-            'shapes': self._shapes[:links].copy(),
-            'notes': [
-                [duration, *note]
-                for duration, note in zip(self.link_durations_s.tolist(), self._notes, strict=True)
-            ],
-            'failures': self._failures[:links].copy(),
+            **self._links.state(),
             'current': self.current_id,
             'offset': list(self.offset),
             'duration_s': self._duration_s,
@@ -312,19 +260,9 @@ class ExperienceMap:
 
     def restore(self, state: State) -> None:
         """Take what ``state`` gave for the present map, which must be empty."""
-        self._poses = _with_room(state['poses'])
+        self._poses = with_room(state['poses'])
         self._labels = [(t, Place(x, y, theta)) for t, x, y, theta in state['labels']]
-        self._ends = _with_room(state['ends'])
-        self._shapes = _with_room(state['shapes'])
-        self._durations_s = _with_room(np.array([duration for duration, *_ in state['notes']]))
-        self._notes = [(name, count) for _, name, count in state['notes']]
-        links = len(self._notes)
-        # Memories of before links learned have neither failures nor the work of planning.
-        self._failures = _with_room(state.get('failures', np.zeros((links, 2), np.int64)))
-        self.links_version += 1
-        self._serial = {(i, j): row for row, (i, j) in enumerate(state['ends'].tolist())}
-        self._serials = _with_room(np.arange(links))
-        self._next_serial = links
+        self._links.restore(state)
         self.current_id = state['current']
         self.offset = Pose(*state['offset'])
         self._duration_s = state['duration_s']
@@ -400,7 +338,7 @@ class ExperienceMap:
         p, source = self._p, self.current_id
         if p.exp_jump_drift == 0.0 or not self.mapping or source == NO_EXPERIENCE:
             return False
-        if source == target or self._row(source, target) is not None:
+        if source == target or self._links.row(source, target) is not None:
             return False
         if self._is_jump(target, there):
             if self._is_settled or p.exp_relaxation != 'solve':
@@ -442,10 +380,11 @@ class ExperienceMap:
             self._poses, self.link_ends, here.x_m, here.y_m, math.cos(ahead_rad),
             math.sin(ahead_rad), self._p.exp_try_radius_m,
         )  # fmt: skip
-        self._failures[rows, TIMED_OUT] += 1
+        links = self._links
+        links.failures[rows, TIMED_OUT] += 1
         blocked = [
             row for row in rows.tolist()
-            if is_blocked(self._notes[row][1], int(self._failures[row, TIMED_OUT]), self._p)
+            if is_blocked(links.notes[row][1], int(links.failures[row, TIMED_OUT]), self._p)
         ]  # fmt: skip
         if blocked:
             self._delete(blocked)
@@ -456,11 +395,11 @@ class ExperienceMap:
 
         Against a link's direction the wall that was followed is on the other side.
         """
-        row = self._row(source_id, target_id)
+        row = self._links.row(source_id, target_id)
         if row is not None:
-            return self._notes[row][0]
-        row = self._row(target_id, source_id)
-        return '' if row is None else MIRRORED.get(self._notes[row][0], '')
+            return self._links.notes[row][0]
+        row = self._links.row(target_id, source_id)
+        return '' if row is None else MIRRORED.get(self._links.notes[row][0], '')
 
     def _place(self, action: MapAction, pose: Pose) -> None:
         """Put a new experience on the map, under a number of its own or a free one."""
@@ -475,99 +414,46 @@ class ExperienceMap:
         self._poses[n] = pose
         self._labels.append(label)
 
-    def _row(self, source: int, target: int) -> int | None:
-        """Return the row of a link, None if there is no such link."""
-        serial = self._serial.get((source, target))
-        if serial is None:
-            return None
-        return int(np.searchsorted(self._serials[: len(self._notes)], serial))
-
     def _connect(
         self, source: int, target: int, there: Pose, behaviour: str, leaf: bool
     ) -> None:
         """Make or average the link; seed 000 equation (6) in polar form."""
-        way = composed(self.offset, inverse(there))
-        distance, heading = math.hypot(way.x_m, way.y_m), math.atan2(way.y_m, way.x_m)
-        facing = way.heading_rad
-        row = self._row(source, target)
+        x_m, y_m, facing_rad = composed(self.offset, inverse(there))
+        link = Link(
+            source, target, math.hypot(x_m, y_m), math.atan2(y_m, x_m), facing_rad,
+            self._duration_s, behaviour, 1,
+        )  # fmt: skip
+        row = self._links.row(source, target)
         if row is None:
-            link = Link(
-                source, target, distance, heading, facing, self._duration_s, behaviour, 1
-            )
-            self._append(link)
+            self._links.append(link)
             if not leaf:  # one that hangs by its only link is where that says
                 self._is_settled = self._plan_holds = False
         else:
-            self.links_version += 1
+            self._links.average(row, link)
             self._is_settled = False
-            old_distance, old_heading, old_facing = self._shapes[row].tolist()
-            self._shapes[row] = (
-                0.5 * (old_distance + distance),
-                wrap(old_heading + 0.5 * wrap(heading - old_heading)),
-                wrap(old_facing + 0.5 * wrap(facing - old_facing)),
-            )
-            self._durations_s[row] = 0.5 * (self._durations_s[row] + self._duration_s)
-            known, count = self._notes[row]
-            self._notes[row] = (behaviour or known, count + 1)
-            self._failures[row] = 0
         if behaviour:
             self._expected_others(source, target, behaviour)
 
-    def _append(self, link: Link) -> None:
-        """Add a link that there is not yet."""
-        row = len(self._notes)
-        if row == len(self._ends):
-            self._ends = np.concatenate([self._ends, np.empty_like(self._ends)])
-            self._shapes = np.concatenate([self._shapes, np.empty_like(self._shapes)])
-            self._durations_s = np.concatenate([self._durations_s, self._durations_s])
-            self._failures = np.concatenate([self._failures, self._failures])
-            self._serials = np.concatenate([self._serials, self._serials])
-        self._ends[row] = link.source_id, link.target_id
-        self._shapes[row] = link.distance_m, link.heading_rad, link.facing_rad
-        self._durations_s[row] = link.duration_s
-        self._failures[row] = 0
-        self._serial[link.source_id, link.target_id] = self._next_serial
-        self._serials[row] = self._next_serial
-        self._next_serial += 1
-        self._notes.append((link.behaviour, link.count))
-        self.links_version += 1
-
-    def _rows_by(self, source: int, behaviour: str) -> list[int]:
-        """Return the links from an experience that were made by a behaviour."""
-        return [
-            row for row in _rows_at(self.link_ends, source).tolist()
-            if self._notes[row][0] == behaviour and self._ends[row, 0] == source
-        ]  # fmt: skip
-
     def _expected_others(self, source: int, target: int, behaviour: str) -> None:
         """Count a failed try of each other link by a behaviour; unlearn those it never makes."""
-        others = [row for row in self._rows_by(source, behaviour) if self._ends[row, 1] != target]
-        self._failures[others, ELSEWHERE] += 1
+        links = self._links
+        rows = links.rows_by(source, behaviour)
+        links.failures[[row for row in rows if links.ends[row, 1] != target], ELSEWHERE] += 1
         while (row := self._least_confident(source, behaviour)) is not None:
             self._delete([row])
 
     def _least_confident(self, source: int, behaviour: str) -> int | None:
-        rows = self._rows_by(source, behaviour)
-        counts = [self._notes[row][1] for row in rows]
-        for link in in_question(counts, self._failures[rows], self._p):
+        rows = self._links.rows_by(source, behaviour)
+        counts = [self._links.notes[row][1] for row in rows]
+        for link in in_question(counts, self._links.failures[rows], self._p):
             # A way of its own is not given up because another one is taken more often.
             if has_detour(self.link_ends, self.link_durations_s, rows[link], len(self)):
                 return rows[link]
         return None
 
     def _delete(self, rows: list[int]) -> None:
-        """Take links off the map; the others move up, in their order."""
-        for source, target in self._ends[rows].tolist():
-            del self._serial[source, target]
-        gone = np.zeros(len(self._notes), np.bool_)
-        gone[rows] = True
-        _move_up(
-            gone, self._ends, self._shapes, self._durations_s, self._failures, self._serials
-        )
-        for row in sorted(rows, reverse=True):
-            del self._notes[row]
-        self.links_version += 1
-        self.rebuilt += 1
+        """Take links off the map."""
+        self._links.delete(rows)
         self._is_settled = self._plan_holds = False
 
     def _forget(self, forgotten: int) -> Forgotten:
@@ -576,10 +462,10 @@ class ExperienceMap:
         The neighbour at the shortest link stands in for it: what was joined through the forgotten
         one is joined through that.
         """
-        links = self._links_of(forgotten)
+        links = self._links.of(forgotten)
         stand_in, way = NO_EXPERIENCE, composed(inverse(self.origin), self.pose_of(forgotten))
         if links:
-            near = _from(forgotten)(min(links, key=_length))
+            near = leading_from(forgotten)(min(links, key=length_m))
             stand_in = near.target_id
             way = composed(inverse(self.pose_of(stand_in)), self.pose_of(forgotten))
             others = {end for k in links for end in (k.source_id, k.target_id)}
@@ -592,7 +478,7 @@ class ExperienceMap:
             self.current_id = stand_in
         for tell in self.on_forgotten:
             tell(forgotten, stand_in, way)
-        self._delete(_rows_at(self.link_ends, forgotten).tolist())
+        self._delete(self._links.rows_at(forgotten))
         return Forgotten(forgotten, stand_in, way)
 
     def _join_past(self, links: list[Link], middle: int, a: int, b: int) -> None:
@@ -601,7 +487,7 @@ class ExperienceMap:
         In each direction that was driven all through, or else from a to b; none where the two
         are linked as it is.
         """
-        if self._row(a, b) is not None or self._row(b, a) is not None:
+        if self._links.row(a, b) is not None or self._links.row(b, a) is not None:
             return
         driven = {(k.source_id, k.target_id): k for k in links}
         through = [
@@ -614,19 +500,20 @@ class ExperienceMap:
             )
         ]  # fmt: skip
         for first, second in through:
-            self._append(_in_a_row(first, second))
+            self._links.append(in_a_row(first, second))
 
     def _relax(self) -> None:
         p = self._p
-        if not self._notes or not self.mapping or p.exp_loops == 0 or p.exp_correction == 0.0:
+        relaxes = p.exp_loops > 0 and p.exp_correction > 0.0
+        if len(self._links) == 0 or not self.mapping or not relaxes:
             return
         if p.exp_relaxation == 'sweep':
             _sweep(
-                self._poses, self._ends, self._shapes, len(self._notes),
+                self._poses, self._links.ends, self._links.shapes, len(self._links),
                 p.exp_correction, p.exp_loops,
             )  # fmt: skip
             return
-        cost = len(self._notes)
+        cost = len(self._links)
         if not self._plan_holds:
             cost += (self._planning_work or STEPS_PER_LINK * cost) // 3
         self._saved_steps = min(self._saved_steps + STEPS_PER_ACTION, cost)
@@ -637,76 +524,12 @@ class ExperienceMap:
 
     def settle(self) -> None:
         """Move all experiences to the fixed point of relaxation, whatever it costs."""
-        links = len(self._notes)
         if self._plan is None or not self._plan_holds:
-            self._plan = Relaxation(self._ends[:links], len(self))
+            self._plan = Relaxation(self._links.ends, len(self))
             self._planning_work = self._plan.work
             self._plan_holds = True
-        self._plan.relax(self._poses[: len(self)], self._ends[:links], self._shapes[:links])
+        self._plan.relax(self._poses[: len(self)], self._links.ends, self._links.shapes)
         self._is_settled = True
-
-
-def _from(experience_id: int) -> Callable[[Link], Link]:
-    """Return what turns the links of an experience such that all lead away from it."""
-    return lambda link: link if link.source_id == experience_id else link.reversed()
-
-
-def _length(link: Link) -> float:
-    return link.distance_m
-
-
-def _in_a_row(first: Link, second: Link) -> Link:
-    """Return the link that leads where two lead one after the other."""
-    x, y, turn = composed(first.way, second.way)
-    return Link(
-        first.source_id,
-        second.target_id,
-        math.hypot(x, y),
-        math.atan2(y, x),
-        turn,
-        first.duration_s + second.duration_s,
-        first.behaviour if first.behaviour == second.behaviour else '',
-        min(first.count, second.count),
-    )
-
-
-def _with_room(rows: NDArray[Any]) -> NDArray[Any]:
-    """Return an array of at least 64 rows that begins with the given ones."""
-    room = np.empty((max(64, len(rows)), *rows.shape[1:]), rows.dtype)
-    room[: len(rows)] = rows
-    return room
-
-
-@compiled
-def _rows_at(ends: NDArray[np.int64], experience_id: int) -> NDArray[np.int64]:
-    """Return the rows of the links from and to an experience."""
-    rows = np.empty(ends.shape[0], np.int64)
-    count = 0
-    for row in range(ends.shape[0]):
-        if ends[row, 0] == experience_id or ends[row, 1] == experience_id:
-            rows[count] = row
-            count += 1
-    return rows[:count].copy()
-
-
-@compiled
-def _move_up(
-    gone: NDArray[np.bool_], ends: NDArray[np.int64], shapes: NDArray[np.float64],
-    durations_s: NDArray[np.float64], failures: NDArray[np.int64], serials: NDArray[np.int64],
-) -> None:  # fmt: skip
-    """Let the rows that are not gone follow one another, in their order."""
-    to = 0
-    for row in range(gone.shape[0]):
-        if gone[row]:
-            continue
-        for column in range(2):
-            ends[to, column] = ends[row, column]
-            failures[to, column] = failures[row, column]
-        for column in range(3):
-            shapes[to, column] = shapes[row, column]
-        durations_s[to] = durations_s[row]
-        serials[to] = serials[row]
-        to += 1
 
 
 @compiled

@@ -407,7 +407,7 @@ def test_rows_texts_and_routes_follow_links_that_vanish(seed: int) -> None:
         exercised(graph, rng, 5)
         assert encode_map(1, graph, kept) == encode_map(1, graph)
         for row, link in enumerate(graph.links()):
-            assert graph._row(link.source_id, link.target_id) == row
+            assert graph._links.row(link.source_id, link.target_id) == row
         fresh = recall.temporal_map(graph, 3).arrival_s
         for start in range(len(graph)):
             assert math.isfinite(tree.remaining_s(start)) == math.isfinite(fresh[start])

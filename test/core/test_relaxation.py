@@ -172,7 +172,7 @@ def close(graph: ExperienceMap, target: int = 0, turn: float = 0.0) -> None:
 
 
 def fixed_point(graph: ExperienceMap) -> Reals:
-    return dense_fixed_point(graph.poses, graph.link_ends, graph._shapes[: graph.link_count])
+    return dense_fixed_point(graph.poses, graph.link_ends, graph.link_shapes)
 
 
 PARAMETERS = ExperienceMapParameters()
