@@ -51,6 +51,9 @@ ARGUMENTS = [
         'recorded_odom_topic', default_value='',
         description='which odometry of the recording (empty: where there is no choice)'),
     DeclareLaunchArgument(
+        'recorded_scan_topic', default_value='',
+        description='which scans of the recording, for exp_align_scans (empty: none)'),
+    DeclareLaunchArgument(
         'wait', default_value='30.0',
         description='wait so many seconds for the nodes; their first start compiles for a while'),
     DeclareLaunchArgument(
@@ -79,6 +82,7 @@ def _play(context: LaunchContext) -> list[LaunchDescriptionEntity]:
         ('duration', 'duration'),
         ('image-topic', 'recorded_image_topic'),
         ('odom-topic', 'recorded_odom_topic'),
+        ('scan-topic', 'recorded_scan_topic'),
     ):
         if given(name):
             arguments += [f'--{option}', given(name)]
@@ -98,7 +102,7 @@ def _play(context: LaunchContext) -> list[LaunchDescriptionEntity]:
         executable='ratslam',
         namespace=given('namespace'),
         arguments=arguments,
-        remappings=remappings(given('image_topic'), given('odom_topic')),
+        remappings=remappings(*(given(f'{name}_topic') for name in ('image', 'odom', 'scan'))),
         output='screen',
         on_exit=done,
     )
