@@ -283,7 +283,7 @@ class ExperienceMap:
     def apply(
         self, action: MapAction, behaviour: str = '', sight: Sight | None = None
     ) -> Forgotten | None:
-        """Do what the pose cells decided, then relax the map.
+        """Do what the pose cells decided, then relax the map; see ``jumps`` for what is not done.
 
         Args:
             action: create, link, set or none. To create an experience that there is means to
@@ -302,7 +302,8 @@ class ExperienceMap:
         if action.action == 'none':
             self._relax()
             return None
-        source = self.current_id if self.jumps.doubting else action.source_id
+        doubted = self.jumps.doubting  # then the pose cells have left where the map still is
+        source = self.current_id if doubted else action.source_id
         there = Pose(0.0, 0.0, action.relative_rad)
         if sight is not None:
             self.offset = sight.from_current or self.offset
@@ -324,7 +325,8 @@ class ExperienceMap:
                 return None
         else:
             self.jumps.stayed(self.pose)
-        if source != NO_EXPERIENCE and self.mapping and not carried:
+        returned = doubted and source == action.target_id
+        if source != NO_EXPERIENCE and self.mapping and not carried and not returned:
             leaf = action.action == 'create'
             self._connect(source, action.target_id, there, behaviour, leaf)
         self.current_id = action.target_id

@@ -145,6 +145,16 @@ def test_what_comes_after_is_linked_to_where_the_map_has_the_robot() -> None:
     assert graph.links()[-1].source_id == 13
 
 
+def test_a_robot_that_never_left_an_experience_makes_no_link_to_it() -> None:
+    """The pose cells were elsewhere meanwhile, the map was not."""
+    graph = corridor(0.05)
+    arrive(graph, 2)
+    arrive(graph, 12, source=2)
+    assert graph.current_id == 12
+    assert graph.link_count == 12
+    assert graph.offset == HERE
+
+
 def test_by_default_every_recognition_is_believed() -> None:
     graph = corridor(0.0)
     arrive(graph, 2)
