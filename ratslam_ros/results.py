@@ -19,6 +19,7 @@ from ratslam_ros.core.config import Config
 from ratslam_ros.core.experience_map import ExperienceMap, Forgotten
 from ratslam_ros.core.local_view import NO_TEMPLATE
 from ratslam_ros.core.odometry import Pose, composed
+from ratslam_ros.core.pose_cells import NO_EXPERIENCE
 from ratslam_ros.core.ratslam import OdometryStep, Step, ViewStep
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.messages import NS_PER_S, encode_map
@@ -49,6 +50,7 @@ class Results:
         self.templates = 0
         self.experiences = 0
         self._newest: deque[int] = deque(maxlen=NEWEST_EXPERIENCES)
+        self._at = NO_EXPERIENCE
         self._places = _Places()
         self.loop_closures = 0
         self.without_view = 0
@@ -95,9 +97,11 @@ class Results:
             self._newest.append(action.target_id)
         elif action.action != 'none' and not step.refused and action.target_id not in self._newest:
             self.loop_closures += 1
+        if action.action != 'none' and not step.refused:
+            self._at = action.target_id
         self._frames.write(
             f'{step.stamp_ns},{match.template_id},{int(match.is_new)},{match.error!r},'
-            f'{match.relative_rad!r},{action.target_id}\n'
+            f'{match.relative_rad!r},{self._at}\n'
         )
 
     def finish(

@@ -30,6 +30,7 @@ from helpers import (
 )
 
 from ratslam_ros.core.config import Config
+from ratslam_ros.core.experience_map import ExperienceMap
 from ratslam_ros.core.local_view import ViewMatch
 from ratslam_ros.core.odometry import Motion, Pose, moved
 from ratslam_ros.core.pose_cells import MapAction
@@ -253,6 +254,21 @@ def test_the_configuration_written_gives_the_same_map(
     assert config == CONFIG
     run(write_bag(tmp_path / 'bag', drive), tmp_path / 'results', config=config)
     assert bytes_of(tmp_path / 'results') == bytes_of(base)
+
+
+def test_where_the_map_refused_a_jump_it_has_not_moved(tmp_path: Path) -> None:
+    results = Results(tmp_path)
+    place = Place(0.0, 0.0, 0.0)
+    for kind, target, refused in (
+        ('create', 20, False), ('link', 3, True), ('none', 3, False), ('link', 4, False),
+    ):  # fmt: skip
+        action = MapAction(kind, 20, target, 0, 0.0, place)  # type: ignore[arg-type]
+        match = ViewMatch(target, False, 0.0, 0.0)
+        results.add(ViewStep(START_NS, match, action, refused=refused))
+    results.finish(ExperienceMap(Config().experience_map), Config(), {})
+    rows = (tmp_path / 'frames.csv').read_text().splitlines()[1:]
+    assert [row.split(',')[-1] for row in rows] == ['20', '20', '20', '4']
+    assert results.loop_closures == 1
 
 
 @pytest.mark.parametrize('action', ['link', 'set'])

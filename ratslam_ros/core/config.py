@@ -373,8 +373,8 @@ class ExperienceMapParameters(OdometryInput):
     exp_jump_drift: float = parameter(
         0.0, 'm per m; 0: all are believed', 0.0, 100.0,
         'A recognition that would move the robot on the map by more than 1 m and this share of '
-        'the way between the two places is believed only after some metres, and makes no link. '
-        'Not in the papers.',
+        'the way, or turn it by more than 34 degrees and twice this in rad, is believed only '
+        'after two metres, and makes no link. Not in the papers.',
         'loops are seen but not closed', 'places that look alike are taken for each other',
     )  # fmt: skip
     exp_confidence_threshold: float = parameter(

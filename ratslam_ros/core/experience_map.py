@@ -100,6 +100,8 @@ class ExperienceMap:
         self.offset = Pose(0.0, 0.0, 0.0)
         """Motion since the current experience, in its frame; before the first, since the start."""
         self._duration_s = 0.0
+        self._way_m = 0.0
+        """Driven since the current experience."""
         self.jumps = Jumps()
         """What ``exp_jump_drift`` has refused and believed."""
 
@@ -250,6 +252,7 @@ class ExperienceMap:
             'current': self.current_id,
             'offset': list(self.offset),
             'duration_s': self._duration_s,
+            'way_m': self._way_m,
             'relaxation': [
                 0 if self._plan is None else self._plan.links,
                 self._plan_holds, self._is_settled, self._saved_steps,
@@ -266,6 +269,7 @@ class ExperienceMap:
         self.current_id = state['current']
         self.offset = Pose(*state['offset'])
         self._duration_s = state['duration_s']
+        self._way_m = state.get('way_m', 0.0)  # older memories have none
         planned, self._plan_holds, self._is_settled, self._saved_steps = state['relaxation']
         work = state.get('planning_work')
         if planned > 0 and (self._plan_holds or work is None):
@@ -279,6 +283,7 @@ class ExperienceMap:
         """Add one motion to the way since the current experience, in that experience's frame."""
         self.offset = moved(self.offset, motion)
         self._duration_s += motion.dt_s
+        self._way_m += abs(motion.distance_m)
 
     def apply(
         self, action: MapAction, behaviour: str = '', sight: Sight | None = None
@@ -311,7 +316,7 @@ class ExperienceMap:
         forgotten, carried = None, False
         if action.action == 'create':
             here = self.pose
-            self.jumps.stayed(here)
+            self.jumps.passed(here)
             if action.target_id < len(self):
                 forgotten = self._forget(action.target_id)
                 if source == action.target_id:  # where the map has missed some actions
@@ -331,7 +336,7 @@ class ExperienceMap:
             self._connect(source, action.target_id, there, behaviour, leaf)
         self.current_id = action.target_id
         self.offset = there
-        self._duration_s = 0.0
+        self._duration_s = self._way_m = 0.0
         self._relax()
         return forgotten
 
@@ -340,23 +345,24 @@ class ExperienceMap:
         p, source = self._p, self.current_id
         if p.exp_jump_drift == 0.0 or not self.mapping or source == NO_EXPERIENCE:
             return False
-        if source == target or self._links.row(source, target) is not None:
+        if self._links.row(source, target) is not None and not self.jumps.doubting:
             return False
-        if self._is_jump(target, there):
-            if self._is_settled or p.exp_relaxation != 'solve':
-                return True
-            self.settle()  # the map may be as far off as a loop that has just been closed
-            return self._is_jump(target, there)
-        return False
+        if not self._is_jump(target, there):
+            return False
+        if self._is_settled or not self._relaxes or p.exp_relaxation != 'solve':
+            return True
+        self.settle()  # the map may be as far off as a loop that has just been closed
+        self._saved_steps = 0
+        return self._is_jump(target, there)
 
     def _is_jump(self, target: int, there: Pose) -> bool:
         claimed = composed(self.pose_of(target), there)
         return is_jump(
             self.pose, claimed, self._p.exp_jump_drift, self.link_ends, self.link_shapes[:, 0],
-            self.current_id, target,
+            self.current_id, target, self._way_m,
         )  # fmt: skip
 
-    def fail(self, behaviour: str, ahead_rad: float) -> int:
+    def fail(self, behaviour: str, ahead_rad: float, here: Pose | None = None) -> int:
         """Count that a behaviour has timed out at the robot's place: its way is blocked.
 
         It is a failed try of every link that passes within ``exp_try_radius_m`` of the robot and
@@ -366,6 +372,7 @@ class ExperienceMap:
         Args:
             behaviour: its name; without one nothing is counted.
             ahead_rad: where it should have led, in the frame of the map.
+            here: the robot on the map, None: as the map has it.
 
         Returns:
             How many links were unlearned.
@@ -377,7 +384,7 @@ class ExperienceMap:
             raise UnusableInput(f'ahead_rad is {ahead_rad}; expected a finite angle')
         if not behaviour or not self.mapping or self.current_id == NO_EXPERIENCE:
             return 0
-        here = self.pose
+        here = here or self.pose
         rows = leading_ahead(
             self._poses, self.link_ends, here.x_m, here.y_m, math.cos(ahead_rad),
             math.sin(ahead_rad), self._p.exp_try_radius_m,
@@ -504,10 +511,13 @@ class ExperienceMap:
         for first, second in through:
             self._links.append(in_a_row(first, second))
 
+    @property
+    def _relaxes(self) -> bool:
+        return self._p.exp_loops > 0 and self._p.exp_correction > 0.0
+
     def _relax(self) -> None:
         p = self._p
-        relaxes = p.exp_loops > 0 and p.exp_correction > 0.0
-        if len(self._links) == 0 or not self.mapping or not relaxes:
+        if len(self._links) == 0 or not self.mapping or not self._relaxes:
             return
         if p.exp_relaxation == 'sweep':
             _sweep(

@@ -4,8 +4,7 @@
 
 One view that looks like another must not fold the map. How far the map may be wrong between two
 places grows with the way between them. What would move the robot further is doubted until what it
-sees has said the same for some metres: then it has been carried. Not in the papers; off by
-default.
+sees has said the same for two metres: then it has been carried. Not in the papers; off by default.
 """
 
 from __future__ import annotations
@@ -24,28 +23,33 @@ from ratslam_ros.core.state import State
 LEAST_M, LEAST_RAD = 1.0, 0.6
 """What moves the robot no further, and turns it no more, is no jump."""
 
-CLAIMS, WITNESSES = 8, 6
-"""Of so many places in a row, so many must have been recognised where a jump leads."""
+SPOTS, WITNESSES = 8, 6
+"""Of so many spots in a row, so many must have been recognised where a jump leads."""
 
 SPACING_M = 0.3
-"""Places nearer to each other count as one: a robot that turns there sees one corner."""
+"""Places nearer to each other are one spot: a robot that turns there sees one corner."""
 
 AGREE_M = 1.0
 """Jumps that put the robot this close together agree."""
 
 
-class Claim(NamedTuple):
-    """Where the robot was on the map, and where a view put it; None where it put it nowhere."""
+class Spot(NamedTuple):
+    """Where a spot begins; of its last claim, where the robot was and where a view put it."""
 
-    here: Pose
-    claimed: Pose | None
+    x_m: float
+    y_m: float
+    here: Pose | None = None
+    claimed: Pose | None = None
 
 
 class Jumps:
     """What was claimed of late, and whether that suffices to believe a jump."""
 
     def __init__(self) -> None:
-        self._claims: deque[Claim] = deque(maxlen=CLAIMS)
+        self._spots: deque[Spot] = deque(maxlen=SPOTS)
+        self._lost = False
+        self.doubting = False
+        """Whether the last one was refused: the robot is elsewhere than the pose cells have it."""
         self.refused = 0
         """Jumps that were not believed."""
         self.believed = 0
@@ -54,50 +58,69 @@ class Jumps:
     def state(self) -> State:
         """Return what was claimed, for ``restore``."""
         return {
-            'claims': [[list(here), claimed and list(claimed)] for here, claimed in self._claims],
+            'spots': [
+                [x_m, y_m, here and list(here), claimed and list(claimed)]
+                for x_m, y_m, here, claimed in self._spots
+            ],
+            'lost': self._lost, 'doubting': self.doubting,
             'refused': self.refused, 'believed': self.believed,
         }  # fmt: skip
 
     def restore(self, state: State) -> None:
         """Take what ``state`` gave."""
+        self._lost, self.doubting = state['lost'], state['doubting']
         self.refused, self.believed = state['refused'], state['believed']
-        self._claims.extend(
-            Claim(Pose(*here), claimed and Pose(*claimed)) for here, claimed in state['claims']
+        self._spots.extend(
+            Spot(x_m, y_m, here and Pose(*here), claimed and Pose(*claimed))
+            for x_m, y_m, here, claimed in state['spots']
         )
 
-    @property
-    def doubting(self) -> bool:
-        """Whether the last one was refused: the robot is elsewhere than the pose cells have it."""
-        return bool(self._claims) and self._claims[-1].claimed is not None
+    def restart(self) -> None:
+        """Believe the next jump: nobody knows where the robot is, it may have been carried."""
+        self._spots.clear()
+        self._lost = True
+
+    def passed(self, here: Pose) -> None:
+        """Take note that nothing was recognised where the robot is; what was there counts on."""
+        self.doubting = False
+        if not self._is_last(here.x_m, here.y_m):
+            self._spots.append(Spot(here.x_m, here.y_m))
 
     def stayed(self, here: Pose) -> None:
-        """Take note that the robot is where it believed to be, or where nothing is known."""
-        self._take(Claim(here, None))
+        """Take note that the robot was recognised where it believed to be."""
+        self.doubting = self._lost = False
+        self._note(Spot(here.x_m, here.y_m))
 
     def claim(self, here: Pose, claimed: Pose) -> bool:
         """Take a jump from one pose on the map to another; return whether it is believed."""
-        self._take(Claim(here, claimed))
+        self._note(Spot(here.x_m, here.y_m, here, claimed))
         agreeing = sum(
             math.dist(composed(claim, composed(inverse(there), here))[:2], claimed[:2]) < AGREE_M
-            for there, claim in self._claims if claim is not None
+            for _, _, there, claim in self._spots if there is not None and claim is not None
         )  # fmt: skip
-        if agreeing < WITNESSES:
+        self.doubting = agreeing < WITNESSES and not self._lost
+        if self.doubting:
             self.refused += 1
             return False
         self.believed += 1
-        self._claims.clear()
+        self._lost = False
+        self._spots.clear()
         return True
 
-    def _take(self, claim: Claim) -> None:
-        """Keep a claim, in place of the last one if that was made at the same place."""
-        if self._claims and math.dist(self._claims[-1].here[:2], claim.here[:2]) < SPACING_M:
-            claim = Claim(self._claims.pop().here, claim.claimed)
-        self._claims.append(claim)
+    def _is_last(self, x_m: float, y_m: float) -> bool:
+        return bool(self._spots) and math.dist(self._spots[-1][:2], (x_m, y_m)) < SPACING_M
+
+    def _note(self, spot: Spot) -> None:
+        """Keep a spot; where it is the last one, its place stays and the rest is new."""
+        if self._is_last(spot.x_m, spot.y_m):
+            last = self._spots.pop()
+            spot = spot._replace(x_m=last.x_m, y_m=last.y_m)
+        self._spots.append(spot)
 
 
 def is_jump(
     here: Pose, claimed: Pose, drift: float, ends: NDArray[np.int64], ways_m: NDArray[np.float64],
-    source_id: int, target_id: int,
+    source_id: int, target_id: int, driven_m: float = 0.0,
 ) -> bool:  # fmt: skip
     """Return whether a transition moves the robot further than the map may be wrong.
 
@@ -107,13 +130,15 @@ def is_jump(
         ends: (links, 2) source and target.
         ways_m: (links,) their lengths.
         source_id, target_id: the experiences; where no links join them the map cannot tell.
+        driven_m: way since the first of them.
     """
     away_m = math.dist(here[:2], claimed[:2])
-    turned = abs(wrap(claimed.heading_rad - here.heading_rad)) > LEAST_RAD
-    if away_m <= LEAST_M and not turned:
-        return False
-    limit_m = math.inf if turned else (away_m - LEAST_M) / drift
-    return _are_joined(ends, ways_m, source_id, target_id, limit_m)
+    # A heading that is wrong all the way by so many rad leads astray by as many m for each m.
+    turned_rad = abs(wrap(claimed.heading_rad - here.heading_rad))
+    if turned_rad > LEAST_RAD + 2.0 * drift:
+        return _are_joined(ends, ways_m, source_id, target_id, math.inf)
+    most_m = (away_m - LEAST_M) / drift - driven_m
+    return most_m > 0.0 and _are_joined(ends, ways_m, source_id, target_id, most_m)
 
 
 def _are_joined(

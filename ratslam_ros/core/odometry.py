@@ -4,7 +4,9 @@
 
 from __future__ import annotations
 
+import copy
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -100,6 +102,15 @@ class MotionFromOdometry:
             odometry.pose.y_m - last.pose.y_m
         ) * math.sin(direction)
         return Motion(dt_s, chord / sinc(0.5 * turn), turn)
+
+    def ahead(self, waiting: Iterable[Odometry], offset: Pose) -> Pose:
+        """Return where messages that still wait for their turn will lead; takes none of them."""
+        motion_of = copy.copy(self)
+        for odometry in waiting:
+            motion = motion_of(odometry)
+            if motion is not None:
+                offset = moved(offset, motion)
+        return offset
 
 
 def heading_of(x: float, y: float, z: float, w: float) -> float:

@@ -9,7 +9,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
@@ -108,13 +107,8 @@ class RatSLAM:
     @property
     def offset(self) -> Pose:
         """Motion since the current experience, that which waits for a view included."""
-        ahead, offset = copy.copy(self._motion), self.experience_map.offset
-        for held in self.order.waiting('odometry'):
-            assert isinstance(held, Odometry)
-            motion = ahead(held)
-            if motion is not None:
-                offset = moved(offset, motion)
-        return offset
+        waiting = (o for o in self.order.waiting('odometry') if isinstance(o, Odometry))
+        return self._motion.ahead(waiting, self.experience_map.offset)
 
     @property
     def pose(self) -> Pose:
@@ -206,4 +200,7 @@ class RatSLAM:
                 sight = self.scans(stamp_ns, action, at.current_id, at.offset, expected)
             before = at.jumps.refused
             forgotten = at.apply(action, self.behaviour, sight)
-        return ViewStep(stamp_ns, match, action, forgotten, at.jumps.refused > before)
+            refused = at.jumps.refused > before
+            if refused and self.scans is not None:
+                self.scans.refused()
+        return ViewStep(stamp_ns, match, action, forgotten, refused)

@@ -39,7 +39,7 @@ REACH_M = (0.8, 0.15)
 POINT_SD_M, GUESS_SD_RAD = 0.05, math.radians(6.0)
 VIEW_SD_M, MOTION_SD_M = 0.4, 0.05
 """What is known beforehand: how exact beams are, how far from a place its view is known, and how
-far off the odometry is between two experiences. Along a bare corridor only that decides."""
+far off the odometry is between two experiences. Along a bare corridor nothing else decides."""
 
 MAP_SD_M, DRIFT_M2_PER_M = 0.1, 0.003
 """How far off two places nearby are on the map, and the variance that each metre of way adds."""
@@ -72,8 +72,9 @@ class ScanAlignment:
         self._track: deque[tuple[int, Pose]] = deque()
         self._here = Pose(0.0, 0.0, 0.0)
         self._kept: dict[int, NDArray[np.float32]] = {}
-        self._variance_m2 = math.inf
-        """Of where the robot is on the map, in the direction that is known least."""
+        self._variance_m2 = self._variance_before_m2 = math.inf
+        """Of where the robot is on the map, in the direction that is known least; and the same
+        before the last action."""
 
     def scan(self, scan: Scan) -> None:
         """Take one scan; where stamps jump back those before are forgotten."""
@@ -95,7 +96,11 @@ class ScanAlignment:
         """Forget what was seen of late, where the robot has been carried; places are kept."""
         self._scans.clear()
         self._track.clear()
-        self._variance_m2 = math.inf
+        self._variance_m2 = self._variance_before_m2 = math.inf
+
+    def refused(self) -> None:
+        """Take note that the map did not believe the last action: the robot is where it was."""
+        self._variance_m2 = self._variance_before_m2
 
     def __call__(
         self, stamp_ns: int, action: MapAction, current_id: int, offset: Pose,
@@ -121,6 +126,9 @@ class ScanAlignment:
             self._kept.pop(action.target_id, None)
             if points is not None:
                 self._kept[action.target_id] = _placed(points, view).astype(np.float32)
+        self._variance_before_m2 = self._variance_m2
+        if action.action != 'create' and (points is None or there is None):
+            self._variance_m2 = VIEW_SD_M**2  # the map takes the view for what it is
         if points is None:
             return Sight()
         return Sight(

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 import time
 from dataclasses import dataclass
@@ -21,7 +20,7 @@ from visualization_msgs.msg import MarkerArray
 from ratslam_ros.core.experience_map import ExperienceMap
 from ratslam_ros.core.joining import Joining
 from ratslam_ros.core.local_view import NO_TEMPLATE
-from ratslam_ros.core.odometry import MotionFromOdometry, Odometry, Pose, composed, inverse, moved
+from ratslam_ros.core.odometry import MotionFromOdometry, Odometry, Pose, composed, inverse
 from ratslam_ros.core.pose_cells import MapAction
 from ratslam_ros.core.scan_alignment import ScanAlignment
 from ratslam_ros.core.state import State
@@ -97,6 +96,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
     def _carried(self) -> None:
         self._motion.restart()
         self._scans.restart()
+        self._core.jumps.restart()
         self._behaviours.forget()
 
     def _set_mapping(self, mapping: bool) -> None:
@@ -114,6 +114,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
     def _restore(self, state: State) -> None:
         core = ExperienceMap(self._section)
         core.restore(state['core'])
+        core.jumps.restart()
         joining = Joining(core)
         joining.restore(state['joining'])
         action_ns = int(state['action_ns'])
@@ -171,11 +172,14 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
         self._fail(stamp_ns)
         joining = self._joining
         missed, forgotten = joining.missed, joining.forgotten
+        refused = self._core.jumps.refused
         with self._diagnostics.times('experience_map'):
             joining.apply(
                 item.action, item.sequence, item.memory_ns, self._behaviours.at(stamp_ns),
                 partial(self._scans, stamp_ns),
             )
+            if self._core.jumps.refused > refused:
+                self._scans.refused()
         if item.action.template_id != NO_TEMPLATE:
             self._action_ns = stamp_ns
             self._changed = True
@@ -229,13 +233,8 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
 
     def _pose_ahead(self) -> Pose:
         """Return where the robot is, the motion that is still held included."""
-        ahead = copy.copy(self._motion)
-        offset = self._core.offset
-        for held in self._order.waiting('odometry'):
-            assert isinstance(held, Odometry)
-            motion = ahead(held)
-            if motion is not None:
-                offset = moved(offset, motion)
+        waiting = (o for o in self._order.waiting('odometry') if isinstance(o, Odometry))
+        offset = self._motion.ahead(waiting, self._core.offset)
         return composed(self._core.pose_of(self._core.current_id), offset)
 
     def _publish_pose(self, pose: Pose) -> None:

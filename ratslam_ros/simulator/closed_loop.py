@@ -150,7 +150,7 @@ class ClosedLoop:
             self.tries_failed += 1
             if self.navigator.try_failed():
                 ahead_rad = wrap(here.heading_rad + command.ahead_rad)
-                self.links_unlearned += graph.fail(command.behaviour, ahead_rad)
+                self.links_unlearned += graph.fail(command.behaviour, ahead_rad, here)
         return command
 
     def _move(self, sample: OdometrySample) -> None:

@@ -40,6 +40,7 @@ def test_how_far_the_map_may_be_wrong_grows_with_the_way() -> None:
 def test_a_corner_that_looks_alike_the_other_way_round_is_a_jump() -> None:
     assert jumps_to(Pose(0.1, 0.1, math.pi / 2), 90)
     assert not jumps_to(Pose(0.1, 0.1, 0.3), 90)
+    assert not jumps_to(Pose(0.1, 0.1, 1.0), 90, drift=0.3)
 
 
 def test_between_parts_that_no_link_joins_the_map_cannot_tell() -> None:
@@ -83,6 +84,38 @@ def test_what_is_seen_where_the_robot_believes_to_be_speaks_against_a_jump() -> 
         else:
             assert not jumps.claim(here, composed(Pose(9.0, 0.0, 0.0), here))
             assert jumps.doubting
+
+
+def test_a_robot_that_was_carried_may_turn_where_it_recognises_something() -> None:
+    jumps, carried = Jumps(), Pose(7.0, -3.0, 1.0)
+    for n in range(WITNESSES):
+        for turn_rad in (0.0, math.pi / 2):
+            here = Pose(0.4 * n, 0.0, turn_rad)
+            believed = jumps.claim(here, composed(carried, here))
+            if believed:
+                break
+    assert believed
+
+
+def test_what_is_new_where_something_was_recognised_does_not_matter() -> None:
+    jumps = Jumps()
+    said = []
+    for n in range(WITNESSES):
+        here = Pose(0.4 * n, 0.0, 0.0)
+        said.append(jumps.claim(here, composed(Pose(9.0, 0.0, 0.0), here)))
+        jumps.passed(Pose(0.4 * n + 0.1, 0.0, 0.0))
+    assert said == [False] * (WITNESSES - 1) + [True]
+
+
+def test_where_nobody_knows_where_the_robot_is_the_first_jump_is_believed() -> None:
+    jumps = Jumps()
+    jumps.restart()
+    jumps.passed(HERE)
+    assert jumps.claim(HERE, Pose(9.0, 0.0, 0.0))
+    assert not jumps.claim(HERE, Pose(0.0, 9.0, 0.0))
+    jumps.restart()
+    jumps.stayed(HERE)  # it has not been carried
+    assert not jumps.claim(HERE, Pose(9.0, 0.0, 0.0))
 
 
 def test_what_was_claimed_survives() -> None:
@@ -181,12 +214,43 @@ def test_a_link_that_is_known_is_no_jump() -> None:
     arrive(graph, 2)  # believed once
     again = ExperienceMap(ExperienceMapParameters(exp_jump_drift=0.05, exp_initial_em_deg=0.0))
     again.restore(graph.state())
-    for target in (1, 0):
-        arrive(again, target)
+    for target in (*range(3, 13), 2):
         again.integrate(ahead(1.0))
-    again.current_id = 12
-    arrive(again, 2)
-    assert again.current_id == 2
+        arrive(again, target)
+        assert again.current_id == target
+    assert again.jumps.refused == 0
+
+
+def test_but_it_is_where_the_robot_is_elsewhere_than_its_source() -> None:
+    graph = corridor(0.05, metres=13)
+    for target, way_m in ((2, 10.0), (14, 0.0)):
+        arrive(graph, target, source=13)
+        graph.integrate(ahead(way_m))
+    assert graph.pose.x_m == pytest.approx(24.0)
+    arrive(graph, 2, source=13)  # 14 is at 14 m; a view of 2 has the pose cells elsewhere
+    graph.integrate(ahead(10.0))
+    arrive(graph, 13, source=2)
+    assert graph.jumps.refused == 3
+    assert graph.pose.x_m == pytest.approx(34.0)
+
+
+def test_so_is_the_experience_that_the_robot_left_long_ago() -> None:
+    graph = corridor(0.05)
+    arrive(graph, 2)
+    graph.integrate(ahead(29.0))
+    arrive(graph, 12, source=2)
+    assert graph.jumps.refused == 2
+    assert graph.pose.x_m == pytest.approx(42.0)
+
+
+def test_the_way_since_the_last_experience_counts() -> None:
+    graph = corridor(0.1)
+    graph.integrate(ahead(20.0))
+    for _ in range(2):  # to and fro, 200 m in all
+        graph.integrate(ahead(50.0))
+        graph.integrate(ahead(-50.0))
+    arrive(graph, 12)
+    assert graph.jumps.refused == 0
 
 
 def test_a_loop_that_has_just_been_closed_is_relaxed_before_it_is_judged() -> None:
@@ -214,6 +278,33 @@ def test_a_loop_that_has_just_been_closed_is_relaxed_before_it_is_judged() -> No
         ))  # fmt: skip
         assert graph.current_id == target
     assert graph.jumps.refused == 0
+
+
+def test_a_map_that_is_not_relaxed_is_not_for_this_either() -> None:
+    graph = corridor(0.05, loops=0)
+    arrive(graph, 11)  # 2 m back, over 1 m of way: a jump
+    graph.apply(MapAction('link', 12, 12, 12, 0.0, Place(12.0, 0.0, 0.0)))
+    before = graph.poses
+    graph.integrate(ahead(0.5))
+    arrive(graph, 3)
+    assert graph.jumps.refused >= 1
+    assert np.array_equal(graph.poses, before)
+
+
+def test_a_map_in_doubt_goes_on_as_it_would_have() -> None:
+    maps = [corridor(0.05)]
+    arrive(maps[0], 2)
+    maps.append(ExperienceMap(ExperienceMapParameters(
+        exp_jump_drift=0.05, exp_initial_em_deg=0.0,
+    )))  # fmt: skip
+    maps[1].restore(maps[0].state())
+    for graph in maps:
+        for target in range(3, 2 + WITNESSES):
+            graph.integrate(ahead(1.0))
+            arrive(graph, target, source=target - 1)
+    assert [graph.jumps.believed for graph in maps] == [1, 1]
+    assert maps[0].pose == maps[1].pose
+    assert np.array_equal(maps[0].poses, maps[1].poses)
 
 
 def test_a_robot_that_is_only_located_is_believed() -> None:

@@ -181,6 +181,30 @@ def test_along_a_bare_corridor_view_and_map_tell_together(
     assert least_m <= found.x_m <= most_m
 
 
+def test_what_the_map_refused_tells_nothing_of_how_sure_it_is() -> None:
+    found = []
+    for refused in (False, True):
+        scans = ScanAlignment()
+        tick = known_in_a_corridor(scans, 300.0)
+        if refused:
+            scans(tick * TICK_NS, action('link', 0), -1, HERE, Pose(50.0, 0.0, 0.0))
+            scans.refused()
+        expected = Pose(0.6, 0.0, 0.0)
+        found.append(scans(tick * TICK_NS, action('link', 0), -1, HERE, expected).from_target)
+    assert found[0] is not None
+    assert found[0] == found[1]
+
+
+def test_a_view_that_no_scan_confirms_leaves_the_map_unsure() -> None:
+    scans = ScanAlignment()
+    tick = known_in_a_corridor(scans, 0.0)
+    assert scans((tick + 10) * TICK_NS, action('link', 0), -1, HERE, HERE) == Sight()
+    _, tick = drive(scans, corridor(1.0), HERE, tick + 10, 4, still=True)
+    found = scans(tick * TICK_NS, action('link', 0), -1, HERE, Pose(0.6, 0.0, 0.0)).from_target
+    assert found is not None
+    assert 0.2 < found.x_m < 0.4
+
+
 def test_a_robot_that_was_carried_believes_the_view() -> None:
     scans = ScanAlignment()
     tick = known_in_a_corridor(scans, 0.0)
