@@ -58,7 +58,7 @@ LINE_M = 0.5
 
 
 class Sight(NamedTuple):
-    """Where the robot is in the frames of two experiences, None where scans do not tell."""
+    """Where the robot is in the frames of two experiences, None where motion or view tell best."""
 
     from_current: Pose | None = None
     from_target: Pose | None = None
@@ -127,38 +127,43 @@ class ScanAlignment:
             if points is not None:
                 self._kept[action.target_id] = _placed(points, view).astype(np.float32)
         self._variance_before_m2 = self._variance_m2
-        if action.action != 'create' and (points is None or there is None):
-            self._variance_m2 = VIEW_SD_M**2  # the map takes the view for what it is
-        if points is None:
-            return Sight()
         return Sight(
-            None if before is None else align(before, points, offset, MOTION_SD_M),
-            None if there is None else self._recognised(there, points, view, expected),
-        )
+            None if before is None or points is None
+            else align(before, points, offset, MOTION_SD_M),
+            None if action.action == 'create'
+            else self._recognised(there, points, view, expected),
+        )  # fmt: skip
 
     def _recognised(
-        self, place: NDArray[np.float32], points: NDArray[np.float64], view: Pose,
+        self, place: NDArray[np.float32] | None, points: NDArray[np.float64] | None, view: Pose,
         expected: Pose | None,
     ) -> Pose | None:  # fmt: skip
-        """Return where at a recognised place the robot is; None where scans do not tell.
+        """Return where at a recognised place the robot is; None: nothing but the view tells.
 
         What scans leave open, as along a bare corridor, view and map tell together: a view is
         known from afar, but where the robot was at a known place a moment ago it still knows.
         """
         guess, variance = view, VIEW_SD_M**2
+        known: Pose | None = None
         if expected is not None:
             of_map = MAP_SD_M**2 + self._variance_m2
             away_m = math.hypot(expected.x_m, expected.y_m)
-            if away_m < SURPRISE_SD * math.sqrt(of_map + variance) < math.inf:
+            turned_rad = wrap(expected.heading_rad - view.heading_rad)
+            near = away_m < SURPRISE_SD * math.sqrt(of_map + variance) < math.inf
+            if near:
                 share = variance / (of_map + variance)
-                guess = Pose(share * expected.x_m, share * expected.y_m, view.heading_rad)
+                x_m, y_m = share * expected.x_m, share * expected.y_m
+                guess = Pose(x_m, y_m, view.heading_rad)
                 variance *= 1.0 - share
-        found = _aligned(place, points, guess, math.sqrt(variance))
-        if found is None:
-            self._variance_m2 = VIEW_SD_M**2
-            return None
-        pose, self._variance_m2 = found
-        return pose
+                if abs(turned_rad) < SURPRISE_SD * GUESS_SD_RAD:
+                    known = Pose(x_m, y_m, wrap(view.heading_rad + share * turned_rad))
+        if place is not None and points is not None:
+            found = _aligned(place, points, guess, math.sqrt(variance))
+            if found is not None:
+                pose, self._variance_m2 = found
+                return pose
+        self._variance_m2 = VIEW_SD_M**2 if known is None else variance
+        return known
 
     def state(self) -> State:
         """Return the scans of all experiences, for ``restore``."""

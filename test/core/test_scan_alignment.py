@@ -195,10 +195,38 @@ def test_what_the_map_refused_tells_nothing_of_how_sure_it_is() -> None:
     assert found[0] == found[1]
 
 
-def test_a_view_that_no_scan_confirms_leaves_the_map_unsure() -> None:
+@pytest.mark.parametrize(
+    ('metres', 'expected', 'least_m', 'most_m'),
+    [
+        (1.0, Pose(0.6, 0.0, 0.1), 0.45, 0.6),
+        (100.0, Pose(0.6, 0.0, 0.1), 0.1, 0.3),
+        (1.0, Pose(4.0, 0.0, 0.1), math.nan, math.nan),
+        (1.0, Pose(0.6, 0.0, 1.5), math.nan, math.nan),
+    ],
+)
+def test_where_scans_do_not_fit_view_and_map_tell_where_it_is(
+    metres: float, expected: Pose, least_m: float, most_m: float
+) -> None:
+    """A view from a metre before its place does not carry a robot there that knows where it is."""
+    scans = ScanAlignment()
+    tick = known_in_a_corridor(scans, metres)
+    _, tick = drive(scans, HALL, HERE, tick, 4, still=True)
+    for at in (tick, tick + 10):  # a scan of another place, and none
+        state = scans._variance_m2
+        found = scans(at * TICK_NS, action('link', 0), -1, HERE, expected).from_target
+        scans._variance_m2 = state
+        if math.isnan(least_m):
+            assert found is None
+        else:
+            assert found is not None
+            assert least_m <= found.x_m <= most_m
+            assert 0.0 < found.heading_rad <= 0.1
+
+
+def test_a_view_that_nothing_confirms_leaves_the_map_unsure() -> None:
     scans = ScanAlignment()
     tick = known_in_a_corridor(scans, 0.0)
-    assert scans((tick + 10) * TICK_NS, action('link', 0), -1, HERE, HERE) == Sight()
+    assert scans((tick + 10) * TICK_NS, action('link', 0), -1, HERE) == Sight()
     _, tick = drive(scans, corridor(1.0), HERE, tick + 10, 4, still=True)
     found = scans(tick * TICK_NS, action('link', 0), -1, HERE, Pose(0.6, 0.0, 0.0)).from_target
     assert found is not None
