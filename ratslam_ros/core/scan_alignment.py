@@ -127,15 +127,18 @@ class ScanAlignment:
             if points is not None:
                 self._kept[action.target_id] = _placed(points, view).astype(np.float32)
         self._variance_before_m2 = self._variance_m2
+        if points is None:  # then the map does what it does without a laser
+            if action.action != 'create':
+                self._variance_m2 = VIEW_SD_M**2
+            return Sight()
         return Sight(
-            None if before is None or points is None
-            else align(before, points, offset, MOTION_SD_M),
+            None if before is None else align(before, points, offset, MOTION_SD_M),
             None if action.action == 'create'
             else self._recognised(there, points, view, expected),
         )  # fmt: skip
 
     def _recognised(
-        self, place: NDArray[np.float32] | None, points: NDArray[np.float64] | None, view: Pose,
+        self, place: NDArray[np.float32] | None, points: NDArray[np.float64], view: Pose,
         expected: Pose | None,
     ) -> Pose | None:  # fmt: skip
         """Return where at a recognised place the robot is; None: nothing but the view tells.
@@ -157,7 +160,7 @@ class ScanAlignment:
                 variance *= 1.0 - share
                 if abs(turned_rad) < SURPRISE_SD * GUESS_SD_RAD:
                     known = Pose(x_m, y_m, wrap(view.heading_rad + share * turned_rad))
-        if place is not None and points is not None:
+        if place is not None:
             found = _aligned(place, points, guess, math.sqrt(variance))
             if found is not None:
                 pose, self._variance_m2 = found
