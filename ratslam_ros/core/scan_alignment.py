@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scan alignment: laser scans, map actions -> where in an experience's frame the robot is.
 
-A view is recognised up to half a metre from where it was learned, and all that the camera then
+A view is recognised up to a metre from where it was learned, and all that the camera then
 tells is which one it is. Two scans taken there say how the robot stands to that place. Not in the
 papers; off by default.
 """
