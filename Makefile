@@ -24,7 +24,7 @@ demo: $(RUN)
 	@echo "(the command is in $(BIN): source $(BIN)/activate)"
 
 test: $(DEV)
-	$(BIN)/python -m pytest $(PYTEST_ARGS)
+	$(BIN)/python -m pytest --numprocesses 2 --dist loadgroup $(PYTEST_ARGS)
 
 lint: $(DEV)
 	$(BIN)/ruff check .

@@ -3,6 +3,7 @@
 import sys
 from pathlib import Path
 
+import pytest
 from hypothesis import settings
 
 sys.path.insert(0, str(Path(__file__).parent))  # for helpers.py, in every import mode of pytest
@@ -10,3 +11,16 @@ sys.path.insert(0, str(Path(__file__).parent))  # for helpers.py, in every impor
 # The same examples at every run, and no limit on the first one's time, which may compile.
 settings.register_profile('ratslam', deadline=None, derandomize=True, print_blob=True)
 settings.load_profile('ratslam')
+
+# Tests of nodes and whole processes wait for one another's messages and have time limits: with
+# --dist loadgroup one worker has them all, while the others run the rest.
+TALKING = ('live', 'nodes', 'test_live.py')
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    if not config.pluginmanager.hasplugin('xdist'):
+        return
+    root = Path(__file__).parent
+    for item in items:
+        if item.path.relative_to(root).parts[0] in TALKING:
+            item.add_marker(pytest.mark.xdist_group('talking'))

@@ -37,7 +37,7 @@ def scan_in(
     d_x, d_y = np.cos(angles)[:, None], np.sin(angles)[:, None]
     o_x, o_y = a[:, 0] - pose.x_m, a[:, 1] - pose.y_m
     # pose + t * ray = a + u * along, by Cramer's rule
-    with np.errstate(divide='ignore', invalid='ignore'):
+    with np.errstate(all='ignore'):
         cross = d_x * along[:, 1] - d_y * along[:, 0]
         t = (o_x * along[:, 1] - o_y * along[:, 0]) / cross
         u = (o_x * d_y - o_y * d_x) / cross
