@@ -33,9 +33,6 @@ Activity = NDArray[np.float64]
 REST_CELLS_PER_S = 0.02
 """A robot slower than this rests: the time is none of the way, and nothing is linked."""
 
-REACHED_CELLS = 1.0
-"""The robot is at its goal when the peak is this near; seed 001, V.C."""
-
 PACKET_CELLS = 6.0
 """Two packets that are more than this and a step apart are two places, not one that moves on."""
 
@@ -207,8 +204,8 @@ class GoalMemory:
         return self.goals[name]
 
     def reached(self, goal: Place, peak: Place) -> bool:
-        """Return whether the peak is within one cell of the goal, whatever the heading."""
-        return self._between(goal, peak) <= REACHED_CELLS
+        """Return whether the peak is at the goal, whatever the heading (seed 001, V.C)."""
+        return self._between(goal, peak) <= self.parameters.goal_memory_reached_cells
 
     # Recall
 

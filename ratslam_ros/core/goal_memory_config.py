@@ -46,3 +46,8 @@ class GoalMemoryParameters(Section):
         'the direction is restless, or the robot leaves the cells it knows',
         'the robot is led across walls',
     )  # fmt: skip
+    goal_memory_reached_cells: float = parameter(
+        1.0, 'cells', 0.01, 1000.0,
+        'The robot is at its goal when the peak is this near to it, as in the paper.',
+        'the robot turns to and fro beside its goal', 'it stops short of its goal',
+    )  # fmt: skip

@@ -434,12 +434,15 @@ def test_jumps_pass_no_place_between_and_are_never_blocked() -> None:
 # Goals
 
 
-def test_goals_are_marked_by_name_and_reached_within_one_cell() -> None:
+def test_goals_are_marked_by_name_and_reached_within_a_cell_or_what_is_asked() -> None:
     made = memory(60, 50)
     made.mark('door', Place(59.6, 3.0, 7.0))
     assert made.goal('door') == Place(59.6, 3.0, 7.0)
     assert made.reached(made.goal('door'), Place(0.5, 3.1, 30.0))
     assert not made.reached(made.goal('door'), Place(0.7, 3.0, 7.0))
+    closer = memory(60, 50, reached_cells=0.5)
+    assert closer.reached(Place(59.6, 3.0, 7.0), Place(0.0, 3.1, 7.0))
+    assert not closer.reached(Place(59.6, 3.0, 7.0), Place(0.5, 3.1, 30.0))
     with pytest.raises(UnreachableGoal, match="'kitchen'; known: door"):
         made.goal('kitchen')
 
