@@ -83,7 +83,7 @@ def _experience_map(config: Config) -> ExperienceMap:
 
 
 def _scan_alignment(config: Config) -> None:
-    from ratslam_ros.core.scan_alignment import VIEW_SD_M, align  # needs SciPy
+    from ratslam_ros.core.scan_alignment import VIEW_SD_M, align
 
     corner = np.concatenate([np.arange(40.0)[:, None] * step for step in ((0.1, 0.0), (0.0, 0.1))])
     align(corner, corner, Pose(0.0, 0.0, 0.0), VIEW_SD_M)
