@@ -24,7 +24,7 @@ from ratslam_ros.core.adaptation import (
 from ratslam_ros.core.angles import wrap
 from ratslam_ros.core.compiled import compiled
 from ratslam_ros.core.config import ExperienceMapParameters
-from ratslam_ros.core.jumps import Jumps, is_jump
+from ratslam_ros.core.jumps import Jumps, is_jump, known_before
 from ratslam_ros.core.links import Link, Links, in_a_row, leading_from, length_m, with_room
 from ratslam_ros.core.local_view import NO_TEMPLATE
 from ratslam_ros.core.odometry import Motion, Pose, composed, inverse, moved
@@ -87,6 +87,8 @@ class ExperienceMap:
         """Whether links are made and the map relaxed; else the robot is only located on it."""
         self.origin = Pose(0.0, 0.0, wrap(math.radians(parameters.exp_initial_em_deg)))
         self._poses = np.empty((64, 3), np.float64)
+        self._made_m = np.zeros(len(self._poses))
+        """How far the robot had come when it made each experience."""
         self._labels: list[tuple[int, Place]] = []
         self._links = Links()
         self.on_forgotten: list[Callable[[int, int, Pose], None]] = []
@@ -102,6 +104,7 @@ class ExperienceMap:
         self._duration_s = 0.0
         self._way_m = 0.0
         """Driven since the current experience."""
+        self._odometer_m = 0.0
         self.jumps = Jumps()
         """What ``exp_jump_drift`` has refused and believed."""
 
@@ -253,6 +256,8 @@ class ExperienceMap:
             'offset': list(self.offset),
             'duration_s': self._duration_s,
             'way_m': self._way_m,
+            'made_m': self._made_m[: len(self)].copy(),
+            'odometer_m': self._odometer_m,
             'relaxation': [
                 0 if self._plan is None else self._plan.links,
                 self._plan_holds, self._is_settled, self._saved_steps,
@@ -264,6 +269,9 @@ class ExperienceMap:
     def restore(self, state: State) -> None:
         """Take what ``state`` gave for the present map, which must be empty."""
         self._poses = with_room(state['poses'])
+        self._made_m = np.zeros(len(self._poses))
+        self._made_m[: len(state['poses'])] = state.get('made_m', 0.0)
+        self._odometer_m = state.get('odometer_m', 0.0)
         self._labels = [(t, Place(x, y, theta)) for t, x, y, theta in state['labels']]
         self._links.restore(state)
         self.current_id = state['current']
@@ -284,6 +292,7 @@ class ExperienceMap:
         self.offset = moved(self.offset, motion)
         self._duration_s += motion.dt_s
         self._way_m += abs(motion.distance_m)
+        self._odometer_m += abs(motion.distance_m)
 
     def apply(
         self, action: MapAction, behaviour: str = '', sight: Sight | None = None
@@ -323,8 +332,11 @@ class ExperienceMap:
                     source = self.current_id
             self._place(action, composed(here, inverse(there)))
         elif self._jumps_to(action.target_id, there):
-            claimed = composed(self.pose_of(action.target_id), there)
-            carried = self.jumps.claim(self.pose, claimed)
+            if self._is_still_here(sight):
+                self.jumps.deny(self.pose)
+            else:
+                claimed = composed(self.pose_of(action.target_id), there)
+                carried = self.jumps.claim(self.pose, claimed)
             if not carried:
                 self._relax()
                 return None
@@ -354,6 +366,14 @@ class ExperienceMap:
         self.settle()  # the map may be as far off as a loop that has just been closed
         self._saved_steps = 0
         return self._is_jump(target, there)
+
+    def _is_still_here(self, sight: Sight | None) -> bool:
+        """Return whether scans say that the robot is where the map has it."""
+        if sight is None or sight.fits is None or self.jumps.lost:
+            return False
+        n, here = len(self), self.pose
+        old = known_before(self._poses[:n], self._made_m[:n], self._odometer_m, here)
+        return old is not None and sight.fits(old, composed(inverse(self.pose_of(old)), here))
 
     def _is_jump(self, target: int, there: Pose) -> bool:
         claimed = composed(self.pose_of(target), there)
@@ -416,11 +436,14 @@ class ExperienceMap:
         label = action.template_id, action.place
         if action.target_id < n:
             self._poses[action.target_id] = pose
+            self._made_m[action.target_id] = self._odometer_m
             self._labels[action.target_id] = label
             return
         if n == len(self._poses):
             self._poses = np.concatenate([self._poses, np.empty_like(self._poses)])
+            self._made_m = np.concatenate([self._made_m, np.zeros_like(self._made_m)])
         self._poses[n] = pose
+        self._made_m[n] = self._odometer_m
         self._labels.append(label)
 
     def _connect(

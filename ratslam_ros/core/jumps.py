@@ -4,7 +4,8 @@
 
 One view that looks like another must not fold the map. How far the map may be wrong between two
 places grows with the way between them. What would move the robot further is doubted until what it
-sees has said the same for two metres: then it has been carried. Not in the papers; off by default.
+sees has said the same for two metres: then it has been carried. Where scans fit the places that
+it knew there long before, it has not. Not in the papers; off by default.
 """
 
 from __future__ import annotations
@@ -32,6 +33,13 @@ SPACING_M = 0.3
 AGREE_M = 1.0
 """Jumps that put the robot this close together agree."""
 
+BEFORE_M = 60.0
+"""Places made so long ago tell whether the robot is still where it believes to be. Had it been
+carried since, newer ones would be of where it was carried to."""
+
+NEAR_M, NEAR_RAD = 0.7, math.radians(45.0)
+"""And they are asked where they are this near."""
+
 
 class Spot(NamedTuple):
     """Where a spot begins; of its last claim, where the robot was and where a view put it."""
@@ -47,7 +55,8 @@ class Jumps:
 
     def __init__(self) -> None:
         self._spots: deque[Spot] = deque(maxlen=SPOTS)
-        self._lost = False
+        self.lost = False
+        """Whether the next jump is believed, as after ``restart``."""
         self.doubting = False
         """Whether the last one was refused: the robot is elsewhere than the pose cells have it."""
         self.refused = 0
@@ -62,13 +71,13 @@ class Jumps:
                 [x_m, y_m, here and list(here), claimed and list(claimed)]
                 for x_m, y_m, here, claimed in self._spots
             ],
-            'lost': self._lost, 'doubting': self.doubting,
+            'lost': self.lost, 'doubting': self.doubting,
             'refused': self.refused, 'believed': self.believed,
         }  # fmt: skip
 
     def restore(self, state: State) -> None:
         """Take what ``state`` gave."""
-        self._lost, self.doubting = state['lost'], state['doubting']
+        self.lost, self.doubting = state['lost'], state['doubting']
         self.refused, self.believed = state['refused'], state['believed']
         self._spots.extend(
             Spot(x_m, y_m, here and Pose(*here), claimed and Pose(*claimed))
@@ -78,7 +87,7 @@ class Jumps:
     def restart(self) -> None:
         """Believe the next jump: nobody knows where the robot is, it may have been carried."""
         self._spots.clear()
-        self._lost = True
+        self.lost = True
 
     def passed(self, here: Pose) -> None:
         """Take note that nothing was recognised where the robot is; what was there counts on."""
@@ -88,7 +97,7 @@ class Jumps:
 
     def stayed(self, here: Pose) -> None:
         """Take note that the robot was recognised where it believed to be."""
-        self.doubting = self._lost = False
+        self.doubting = self.lost = False
         self._note(Spot(here.x_m, here.y_m))
 
     def claim(self, here: Pose, claimed: Pose) -> bool:
@@ -98,14 +107,20 @@ class Jumps:
             math.dist(composed(claim, composed(inverse(there), here))[:2], claimed[:2]) < AGREE_M
             for _, _, there, claim in self._spots if there is not None and claim is not None
         )  # fmt: skip
-        self.doubting = agreeing < WITNESSES and not self._lost
+        self.doubting = agreeing < WITNESSES and not self.lost
         if self.doubting:
             self.refused += 1
             return False
         self.believed += 1
-        self._lost = False
+        self.lost = False
         self._spots.clear()
         return True
+
+    def deny(self, here: Pose) -> None:
+        """Refuse a jump: what is seen is what was seen before where the robot believes to be."""
+        self._note(Spot(here.x_m, here.y_m))
+        self.doubting = True
+        self.refused += 1
 
     def _is_last(self, x_m: float, y_m: float) -> bool:
         return bool(self._spots) and math.dist(self._spots[-1][:2], (x_m, y_m)) < SPACING_M
@@ -116,6 +131,24 @@ class Jumps:
             last = self._spots.pop()
             spot = spot._replace(x_m=last.x_m, y_m=last.y_m)
         self._spots.append(spot)
+
+
+def known_before(
+    poses: NDArray[np.float64], made_m: NDArray[np.float64], odometer_m: float, here: Pose
+) -> int | None:
+    """Return the nearest experience at a pose of those that were not made of late, if one is near.
+
+    Args:
+        poses: (n, 3) m, m, rad.
+        made_m: (n,) how far the robot had come when it made each.
+        odometer_m: how far it has come now.
+        here: where the map has it.
+    """
+    away_m = np.hypot(poses[:, 0] - here.x_m, poses[:, 1] - here.y_m)
+    turned_rad = np.abs((poses[:, 2] - here.heading_rad + np.pi) % math.tau - np.pi)
+    away_m[(made_m > odometer_m - BEFORE_M) | (turned_rad > NEAR_RAD)] = math.inf
+    nearest = int(away_m.argmin())
+    return nearest if away_m[nearest] < NEAR_M else None
 
 
 def is_jump(

@@ -11,6 +11,8 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -53,6 +55,10 @@ ALIKE = 30.0
 FIT_M, LEAST_SHARE, LEAST_POINTS = 0.1, 0.7, 40
 """So close to a line so many of the points must lie in the end, or it is another place."""
 
+SURE_M, SAME_M = 0.1, 0.5
+"""So exactly scans must tell where the robot is, and so near to where it believes to be, to say
+that it is there. Along a bare corridor they cannot."""
+
 LINE_M = 0.5
 """Neighbouring points no further apart make a line."""
 
@@ -62,6 +68,8 @@ class Sight(NamedTuple):
 
     from_current: Pose | None = None
     from_target: Pose | None = None
+    fits: Callable[[int, Pose], bool] | None = None
+    """Whether the robot stands so to an experience; None: there was no scan to tell."""
 
 
 class ScanAlignment:
@@ -135,6 +143,19 @@ class ScanAlignment:
             None if before is None else align(before, points, offset, MOTION_SD_M),
             None if action.action == 'create'
             else self._recognised(there, points, view, expected),
+            None if action.action == 'create' else partial(self._fits, points),
+        )  # fmt: skip
+
+    def _fits(self, points: NDArray[np.float64], experience_id: int, pose: Pose) -> bool:
+        """Return whether points tell, in every direction, that they are seen from a pose."""
+        place = self._kept.get(experience_id)
+        found = None if place is None else _aligned(place, points, pose, VIEW_SD_M)
+        if found is None:
+            return False
+        at, variance_m2 = found
+        return (
+            variance_m2 < SURE_M**2 and math.dist(at[:2], pose[:2]) < SAME_M
+            and abs(wrap(at.heading_rad - pose.heading_rad)) < GUESS_SD_RAD * SURPRISE_SD
         )  # fmt: skip
 
     def _recognised(

@@ -15,9 +15,10 @@ from hypothesis import strategies as st
 
 from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.experience_map import ExperienceMap
-from ratslam_ros.core.jumps import SPACING_M, WITNESSES, Jumps, is_jump
+from ratslam_ros.core.jumps import BEFORE_M, SPACING_M, WITNESSES, Jumps, is_jump, known_before
 from ratslam_ros.core.odometry import Pose, composed
 from ratslam_ros.core.pose_cells import MapAction
+from ratslam_ros.core.scan_alignment import Sight
 from ratslam_ros.core.torus import Place
 
 HERE = Pose(0.0, 0.0, 0.0)
@@ -133,12 +134,15 @@ def test_what_was_claimed_survives() -> None:
 # On the map
 
 
-def arrive(graph: ExperienceMap, target: int, source: int | None = None) -> None:
+def arrive(
+    graph: ExperienceMap, target: int, source: int | None = None, sight: Sight | None = None
+) -> None:
     """Apply what the pose cells say; they are at ``source``."""
     action = 'create' if target == len(graph) else 'link'
     source = graph.current_id if source is None else source
     graph.apply(
-        MapAction(action, source, target, target, 0.0, Place(float(target), 0.0, 0.0))
+        MapAction(action, source, target, target, 0.0, Place(float(target), 0.0, 0.0)),
+        sight=sight,
     )
 
 
@@ -207,6 +211,65 @@ def test_a_robot_that_was_carried_makes_no_link() -> None:
     arrive(graph, 2 + WITNESSES)
     assert graph.current_id == 2 + WITNESSES
     assert graph.jumps.refused == WITNESSES - 1
+
+
+def claimed_all_along(graph: ExperienceMap, sight: Sight | None) -> None:
+    """Drive back along a corridor that was driven long ago; all that is seen is six metres off."""
+    graph.integrate(ahead(BEFORE_M / 2))
+    graph.integrate(ahead(-BEFORE_M / 2 - 1.0))
+    for target in range(WITNESSES, 0, -1):
+        arrive(graph, target, sight=sight)
+        graph.integrate(ahead(-1.0))
+
+
+def test_where_scans_fit_the_places_that_are_there_no_jump_is_believed() -> None:
+    asked = []
+
+    def fits(experience_id: int, pose: Pose) -> bool:
+        asked.append((experience_id, *pose))
+        return True
+
+    graph = corridor(0.05)
+    claimed_all_along(graph, Sight(fits=fits))
+    assert graph.jumps.believed == 0
+    assert graph.jumps.refused == WITNESSES
+    assert graph.pose.x_m == pytest.approx(12.0 - WITNESSES)
+    assert [asked_id for asked_id, *_ in asked] == list(range(12, 12 - WITNESSES, -1))
+    assert np.array([pose for _, *pose in asked]) == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize('sight', [None, Sight(), Sight(fits=lambda *_: False)])
+def test_where_they_do_not_or_nothing_tells_it_is(sight: Sight | None) -> None:
+    graph = corridor(0.05)
+    claimed_all_along(graph, sight)
+    assert graph.jumps.believed == 1
+
+
+def test_a_robot_that_was_put_there_asks_no_scan() -> None:
+    graph = corridor(0.05)
+    graph.jumps.restart()
+    claimed_all_along(graph, Sight(fits=lambda *_: True))
+    assert graph.jumps.believed == 1
+
+
+def test_a_map_that_is_loaded_knows_how_old_its_places_are() -> None:
+    graph = corridor(0.05)
+    again = ExperienceMap(ExperienceMapParameters(exp_jump_drift=0.05))
+    again.restore(graph.state())
+    for one in (graph, again):
+        claimed_all_along(one, Sight(fits=lambda *_: True))
+        assert one.jumps.believed == 0
+
+
+def test_only_places_that_are_near_and_old_are_asked() -> None:
+    poses = np.array([[0.0, 0.0, 0.0], [0.2, 0.0, 2.0], [0.1, 0.0, 0.0], [5.0, 0.0, 3.1]])
+    made_m = np.array([0.0, 1.0, 50.0, 2.0])
+    assert known_before(poses, made_m, 100.0, HERE) == 0
+    assert known_before(poses, made_m, 110.1, Pose(0.1, 0.0, 0.0)) == 2
+    assert known_before(poses, made_m, 59.9, HERE) is None
+    assert known_before(poses, made_m, 100.0, Pose(1.0, 0.0, 0.0)) is None
+    assert known_before(poses, made_m, 100.0, Pose(0.2, 0.0, 2.1)) == 1
+    assert known_before(poses, made_m, 100.0, Pose(5.0, 0.1, -3.1)) == 3
 
 
 def test_a_link_that_is_known_is_no_jump() -> None:

@@ -285,6 +285,38 @@ def test_what_is_kept_survives() -> None:
     assert there(empty, 0, action('link', 0)) is None
 
 
+def fits(walls: list[Line], then: list[Line], wrong_m: float = 0.0) -> bool:
+    """Whether what is seen in ``then`` fits a place in ``walls``, said to be so far from it."""
+    scans = ScanAlignment()
+    made_at, tick = drive(scans, walls, HERE, 0, 5)
+    scans(tick * TICK_NS, action('create', 0), -1, HERE)
+    seen_at, tick = drive(scans, then, Pose(-0.1, 0.2, 0.1), tick, 5)
+    said = composed(inverse(made_at), seen_at)
+    told = scans(tick * TICK_NS, action('link', 5), 5, HERE).fits
+    assert told is not None
+    return told(0, said._replace(x_m=said.x_m + wrong_m))
+
+
+def test_a_scan_tells_whether_the_robot_is_where_it_believes_to_be() -> None:
+    assert fits(ROOM, ROOM)
+    assert fits(ROOM, ROOM, 0.2)
+    assert not fits(ROOM, ROOM, 1.0)
+    assert not fits(ROOM, HALL)
+
+
+def test_along_a_bare_corridor_no_scan_tells_that() -> None:
+    assert not fits(corridor(1.0), corridor(1.0))
+
+
+def test_nothing_tells_it_without_a_scan_or_of_a_place_without() -> None:
+    scans = ScanAlignment()
+    assert scans(0, action('link', 0), 0, HERE).fits is None
+    _, tick = drive(scans, ROOM, HERE, 0, 4, still=True)
+    told = scans(tick * TICK_NS, action('link', 0), 0, HERE).fits
+    assert told is not None
+    assert not told(0, HERE)
+
+
 def test_scans_that_begin_again_are_those_of_now() -> None:
     scans = ScanAlignment()
     _, tick = drive(scans, ROOM, HERE, 50, 4, still=True)
