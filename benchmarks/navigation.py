@@ -246,9 +246,15 @@ def goals(setting: Setting, seeds: Sequence[int]) -> None:
     for row in rows:
         for x in row.trials:
             if not x.succeeded:
-                print(f'failed: seed {row.seed}, {row.size[0]} x {row.size[1]}, {x.goal}: '
-                      f'{x.outcome}, {x.error_m:.2f} m off, {x.driven_m:.0f} m in {x.took_s:.0f} '
-                      f'of {x.limit_s:.0f} s, {x.tries_failed} tries failed')  # fmt: skip
+                print(f'failed: seed {row.seed}, {row.size[0]} x {row.size[1]}, {why(x)}')
+
+
+def why(x: Trial) -> str:
+    """Return what became of a trial that failed."""
+    return (
+        f'{x.goal}: {x.outcome}, {x.error_m:.2f} m off, {x.driven_m:.0f} m in {x.took_s:.0f} of '
+        f'{x.limit_s:.0f} s, {x.tries_failed} tries failed'
+    )
 
 
 # Seed 000, section VI
@@ -613,7 +619,7 @@ def kidnapped_line(name: str, row: Sequence[tuple[bool, float, float]]) -> str:
 # Pruning
 
 
-def pruning_run(setting: Setting, seed: int) -> str:
+def pruning_run(setting: Setting, seed: int) -> list[str]:
     """Explore for two hours at a third of the experiences that it would have made; three goals."""
     free = setting.loop(seed, 'university_floor')
     free.explore(setting.explore_s(120.0))
@@ -626,16 +632,18 @@ def pruning_run(setting: Setting, seed: int) -> str:
     )
     trials = [attempt(loop, name, places[name]) for name in names]
     done = sum(x.succeeded for x in trials)
-    return (
+    return [
         f'{seed:4d}  {len(free.experience_map):7d}  {limit:6d}  {len(loop.experience_map):6d}  '
-        f'{map_error_m(free):16.2f}  {map_error_m(loop):7.2f}  {done}/{len(trials)}'
-    )
+        f'{map_error_m(free):16.2f}  {map_error_m(loop):7.2f}  {done}/{len(trials)}',
+        *(f'failed: seed {seed}, {why(x)}' for x in trials if not x.succeeded),
+    ]
 
 
 def pruning(setting: Setting, seeds: Sequence[int]) -> None:
     """Print what a limit to the number of experiences costs."""
     print('seed  without   limit    made  map [m]: without    with  goals reached')
-    print('\n'.join(pooled(partial(pruning_run, setting), list(seeds))))
+    found = pooled(partial(pruning_run, setting), list(seeds))
+    print('\n'.join(line for lines in found for line in lines))
 
 
 def mean(values: Sequence[float]) -> float:

@@ -45,6 +45,10 @@ LONGEST_STEP_M = 0.2
 NEXT_LINKS = 10
 """Of a route, so many links say which wall to follow."""
 
+SAG = 0.5
+"""Where experiences were pruned one link stands for the way past them, which was not straight: so
+far from it, in shares of its length, the robot is still on its route."""
+
 STRAY_M = 4.0
 """How far a robot explores where it stood."""
 
@@ -159,7 +163,8 @@ class RouteFollowing:
             if self._stray_m > 0.0 or 0.0 < self._p.route_unknown_m < self._unknown_m:
                 self._updated_ns, self._kept = stamp_ns, None
                 return self._told('lost', goal, explore=True)
-            if self._kept is not None and self._kept.away_m > self._p.route_width_m:
+            kept = self._kept
+            if kept is not None and kept.away_m > max(self._p.route_width_m, kept.sag_m):
                 self._kept = None
         self._updated_ns = stamp_ns
         confirmed = self._choose(stamp_ns)
@@ -331,6 +336,8 @@ class _Way:
         self._at, self._share = 0, 0.0
         self.away_m = 0.0
         """From the robot to its place on the route."""
+        self.sag_m = 0.0
+        """How far the way that the present link stands for may lie from it."""
         self.is_at_end = False
         """Whether nothing of the route is left."""
 
@@ -346,6 +353,7 @@ class _Way:
         self._at, self._share, self.away_m = _nearest_ahead(
             points, self._at, self._share, here.x_m, here.y_m, window_m
         )
+        self.sag_m = SAG * math.dist(*points[self._at : self._at + 2].tolist())
         self.is_at_end = self._share == 1.0 or not np.diff(points[self._at :], axis=0).any()
 
     def wait(self, duration_s: float) -> None:

@@ -372,6 +372,21 @@ def test_a_robot_that_is_beside_its_route_leaves_it_at_once() -> None:
     assert robot.update().status == 'lost'
 
 
+def test_the_way_that_a_long_link_stands_for_may_bow() -> None:
+    """Where experiences were pruned one link leads past them, straight through the wall."""
+    robot = Robot()
+    robot.drive(8.0)
+    robot.arrive()
+    robot.drive(8.0, 2.0)
+    robot.arrive(0)
+    robot.set_out(1)
+    robot.drive(3.9, 1.0)
+    robot.arrive(linked=False)
+    assert robot.update().status == 'recovering'
+    robot.drive(0.2, 1.0)
+    assert robot.update().status == 'lost'
+
+
 def unlearn(robot: Robot, x_m: float, heading: float) -> None:
     """Fail at a place until links are unlearned."""
     graph = robot.map
