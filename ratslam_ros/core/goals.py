@@ -10,11 +10,15 @@ from dataclasses import dataclass, replace
 
 from ratslam_ros.core.experience_map import ExperienceMap
 from ratslam_ros.core.goal_recall import GoalRecall, UnreachableGoal
-from ratslam_ros.core.odometry import Pose, composed
+from ratslam_ros.core.odometry import Pose, composed, inverse
 from ratslam_ros.core.pose_cells import NO_EXPERIENCE
 from ratslam_ros.core.state import State
 
 AT_IT = Pose(0.0, 0.0, 0.0)
+
+BESIDE_M = 1.0
+"""A place no further than this lies beside its experience. After pruning it may lie further, and
+a wall between: then it is told from the experience that is nearest, if that is this near."""
 
 LONGEST_NAME = 100
 
@@ -161,12 +165,28 @@ class Goals:
         if isinstance(asked, int):
             asked = Goal(asked)
         if isinstance(asked, Goal):
+            asked = self._beside(asked, experience_map, recall)
             recall.route_to(experience_map, asked.experience_id)
             return asked
         if not (math.isfinite(asked.x_m) and math.isfinite(asked.y_m)):
             raise UnreachableGoal('its position is not finite')
         route = recall.route_to_place(experience_map, asked.x_m, asked.y_m, tolerance_m)
         return Goal(route.experience_ids[-1])
+
+    def _beside(
+        self, goal: Goal, experience_map: ExperienceMap, recall: GoalRecall
+    ) -> Goal:
+        """Return a goal, told from an experience beside it that links lead to, if there is one."""
+        if math.hypot(goal.offset.x_m, goal.offset.y_m) <= BESIDE_M:
+            return goal
+        place = goal.pose_on(experience_map)
+        try:
+            route = recall.route_to_place(experience_map, place.x_m, place.y_m, BESIDE_M)
+        except UnreachableGoal:
+            return goal
+        beside = route.experience_ids[-1]
+        offset = composed(inverse(experience_map.pose_of(beside)), place)
+        return replace(goal, experience_id=beside, offset=offset)
 
     def _anchored(self, name: str, experience_map: ExperienceMap) -> Goal | Position:
         """Return the place of a name, by where it is if nothing stands in for its experience."""

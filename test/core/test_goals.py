@@ -140,7 +140,28 @@ def test_a_place_stays_where_its_experience_is_forgotten() -> None:
     assert not {goal.experience_id for goal in goals} & {2, 4}
     for goal in goals:
         assert goal.pose_on(graph) == pytest.approx(before[goal.name], abs=1e-6)
-        assert goals.find(goal.name, graph, RECALL) == goal
+        found = goals.find(goal.name, graph, RECALL)
+        assert found.name == goal.name
+        assert found.pose_on(graph) == pytest.approx(before[goal.name], abs=1e-6)
+
+
+@pytest.mark.parametrize(('x_m', 'told_from'), [(3.2, 2), (2.1, 1), (1.9, 4), (7.0, 4)])
+def test_a_place_that_pruning_left_far_off_is_told_from_where_it_is(
+    x_m: float, told_from: int
+) -> None:
+    """A goal whose experience was pruned, and so were those that stood in for it."""
+    graph, goals = line(), Goals()
+    graph.integrate(Motion(1.0, x_m - graph.pose.x_m, 0.0))
+    goals.name_place(graph, 'far')
+    go(graph, 4, x_m - 5.0)
+    if told_from == 4 and x_m < 5.0:  # no experience is near
+        for forgotten in (0, 1, 2):
+            graph.apply(MapAction('create', graph.current_id, forgotten, 9, 0.0, NOWHERE))
+    asked = goals.find('far', graph, RECALL)
+    assert asked.name == 'far'
+    assert asked.experience_id == told_from
+    assert asked.pose_on(graph) == pytest.approx(goals.named('far').pose_on(graph), abs=1e-9)
+    assert goals.named('far').experience_id == 4  # what is remembered is not changed
 
 
 def test_a_place_that_nothing_stands_in_for_is_found_where_it_was() -> None:
