@@ -33,6 +33,7 @@ from ratslam_ros.config_files import load_config
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.goal_recall import GoalRecall, UnreachableGoal
 from ratslam_ros.core.odometry import Pose
+from ratslam_ros.core.route_following import STRAY_M
 from ratslam_ros.core.scan import Scan
 from ratslam_ros.core.section import Value
 from ratslam_ros.core.steering import Command
@@ -53,8 +54,10 @@ SIZES = ((100, 40), (40, 20))
 GOALS = 6
 RING = 'SabcdefgSab'
 CANDIDATES_S = 20.0
-LARGE = {'pose_cells.pc_dim_x': 140, 'pose_cells.pc_dim_y': 80}
-SMALL = {'pose_cells.pc_dim_x': 40, 'pose_cells.pc_dim_y': 20}
+CELLS: dict[str, dict[str, Value]] = {
+    'large': {'pose_cells__pc_dim_x': 140, 'pose_cells__pc_dim_y': 80},
+    'small': {'pose_cells__pc_dim_x': 40, 'pose_cells__pc_dim_y': 20},
+}
 
 
 @dataclass(frozen=True)
@@ -347,28 +350,39 @@ def obstacle(setting: Setting, seeds: Sequence[int]) -> None:
 
 AS_SEED_001: dict[str, Value] = {
     # 166 m in 17 minutes; back and look after three metres or 30 degrees
-    'goal_follower.speed_mps': 0.25,
-    'goal_follower.look_back_every_m': 3.0,
-    'goal_follower.look_back_turn_deg': 30.0,
-    'goal_follower.look_back_m': 2.0,
-    'goal_follower.change_wall_every_s': 400.0,
+    'goal_follower__speed_mps': 0.25,
+    'goal_follower__look_back_every_m': 3.0,
+    'goal_follower__look_back_turn_deg': 30.0,
+    'goal_follower__look_back_m': 2.0,
+    'goal_follower__change_wall_every_s': 400.0,
     # Cells are nowhere aligned by scans: views must be known from nearby only, and the robot must
     # not stop a cell before its goal.
-    'local_view.vt_match_threshold': 0.05,
-    'goal_memory.goal_memory_reached_cells': 0.5,
-    'goal_memory.goal_memory': True,
+    'local_view__vt_match_threshold': 0.05,
+    'goal_memory__goal_memory_reached_cells': 0.5,
+    'goal_memory__goal_memory': True,
 }
-STRAY_AFTER, STRAY_M = 2, 4.0
+STRAY_AFTER = 2
 """After so many tries in vain the robot explores for a while, as it does by the experience map."""
+
+
+class GoalMemoryTrial(NamedTuple):
+    """One goal, by goal memory and by the experience map."""
+
+    seed: int
+    size: str
+    reached: bool
+    error_m: float
+    way_m: float
+    """The shortest over places that were driven."""
+    took_s: float
+    reached_by_map: bool
+    error_by_map_m: float
 
 
 def goal_memory_run(setting: Setting, job: tuple[int, str]) -> list[GoalMemoryTrial]:
     """Explore for 13 minutes; two goals by goal memory, then the same by the experience map."""
     seed, size = job
-    values = AS_SEED_001 | (LARGE if size == 'large' else SMALL)
-    loop = setting.loop(
-        seed, 'obstacle_loop', **{name.replace('.', '__'): v for name, v in values.items()}
-    )
+    loop = setting.loop(seed, 'obstacle_loop', **AS_SEED_001, **CELLS[size])
     memory = loop.ratslam.goal_memory
     assert memory is not None
     places = explore_and_name(
@@ -393,20 +407,6 @@ def goal_memory_run(setting: Setting, job: tuple[int, str]) -> list[GoalMemoryTr
         GoalMemoryTrial(seed, size, *trial, x.succeeded, x.error_m)
         for trial, x in zip(by_memory, by_map[::-1], strict=True)
     ]
-
-
-class GoalMemoryTrial(NamedTuple):
-    """One goal, by goal memory and by the experience map."""
-
-    seed: int
-    size: str
-    reached: bool
-    error_m: float
-    way_m: float
-    """The shortest over places that were driven."""
-    took_s: float
-    reached_by_map: bool
-    error_by_map_m: float
 
 
 def by_goal_memory(
@@ -460,7 +460,7 @@ def by_goal_memory(
 
 def goal_memory(setting: Setting, seeds: Sequence[int]) -> None:
     """Print the table of seed 001, on cells that suffice and on those of figure 4 of seed 000."""
-    jobs = [(seed, size) for size in ('large', 'small') for seed in seeds]
+    jobs = [(seed, size) for size in CELLS for seed in seeds]
     trials = [x for found in pooled(partial(goal_memory_run, setting), jobs) for x in found]
     print('seed  cells  goal memory  off by [m]  way [m]  time [s]  experience map  off by [m]')
     for x in trials:
@@ -469,7 +469,7 @@ def goal_memory(setting: Setting, seeds: Sequence[int]) -> None:
             f'{x.way_m:7.1f}  {x.took_s:8.0f}  {said(x.reached_by_map):>14}  '
             f'{x.error_by_map_m:10.2f}'
         )
-    for size in ('large', 'small'):
+    for size in CELLS:
         some = [x for x in trials if x.size == size]
         print(f' all  {size:5s}  {sum(x.reached for x in some):5d} of {len(some):2d}  '
               f'{mean([x.error_m for x in some if x.reached]):10.2f}  '
