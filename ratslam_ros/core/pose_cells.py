@@ -18,7 +18,7 @@ from ratslam_ros.core.config import PoseCellsParameters
 from ratslam_ros.core.experience_activity import activity
 from ratslam_ros.core.local_view import NO_TEMPLATE, ViewMatch
 from ratslam_ros.core.odometry import Motion, Pose, moved
-from ratslam_ros.core.pruning import Visits
+from ratslam_ros.core.pruning import Gaps, Visits
 from ratslam_ros.core.state import State
 from ratslam_ros.core.torus import Place, Torus
 from ratslam_ros.errors import UnusableInput
@@ -103,6 +103,7 @@ class PoseCells:
         self._of_template: dict[int, list[int]] = {}
         self._transitions = _Transitions()
         self._visits = Visits()
+        self._gaps = Gaps()
         self._seen = NO_TEMPLATE, 0.0
         self._current = NO_EXPERIENCE
         self._since_current = Pose(0.0, 0.0, 0.0)
@@ -148,6 +149,7 @@ class PoseCells:
             'experiences': [[template, *place] for template, place in self._experiences],
             'transitions': self._transitions.pairs(),
             'visits': self._visits.state(),
+            'gaps': self._gaps.state(),
             'current': self._current,
             'since_current': list(self._since_current),
             'stepped': self._stepped,
@@ -194,6 +196,8 @@ class PoseCells:
             self._visits.restore(state['visits'])
         else:
             self._visits.assume(len(self), self._current)
+        if 'gaps' in state:  # memories of before gaps were looked at have none
+            self._gaps.restore(state['gaps'])
         self._since_current = Pose(*state['since_current'])
         self._stepped = state['stepped']
         self._agreement.restore(state['agreement'])
@@ -361,7 +365,7 @@ class PoseCells:
         here = Place(self.peak.x, self.peak.y, (self.peak.theta - turned) % self._p.pc_dim_th)
         new = len(self._experiences)
         if 0 < self._p.exp_max <= new:
-            new = self._visits.least()
+            new = self._visits.least(self._gaps)
             self._forget(new)
             self._experiences[new] = template_id, here
             self._unrolled_of[new] = self._unrolled
@@ -380,6 +384,7 @@ class PoseCells:
         if not self._of_template[template_id]:
             del self._of_template[template_id]
         self._transitions.forget(experience_id)
+        self._gaps.forget(experience_id)
 
     def _arrive(self, target: int) -> Action:
         self._visits.arrive(target)
@@ -390,6 +395,7 @@ class PoseCells:
     def _change_to(self, target: int) -> bool:
         """Make an experience current; return whether it is a transition made the first time."""
         first = self._transitions.add(self._current, target)
+        self._gaps.join(self._current, target, math.hypot(*self._since_current[:2]))
         self._current = target
         self._since_current = Pose(0.0, 0.0, 0.0)
         return first

@@ -5,11 +5,16 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ratslam_ros.core.state import State
 
 RECENT_VISITS = 10
 """What the robot came by in so many visits is not forgotten: it is still there."""
+
+LONGEST_GAP_M = 1.5
+"""No experience is forgotten that leaves two others further apart, while others can be. The link
+past what is forgotten is straight where the way was not: a longer one leads through walls."""
 
 
 class Visits:
@@ -36,16 +41,19 @@ class Visits:
         self._counts[experience_id] += 1
         self._last[experience_id] = self._now
 
-    def least(self) -> int:
+    def least(self, gaps: Gaps) -> int:
         """Return the experience to forget; there must be more than ``RECENT_VISITS`` + 1.
 
         Seed 002, section IV: of those visited once the one visited longest ago. Where none was,
         of those visited least often the one last visited longest ago. Experience 0 stays, as the
-        map hangs on it, and so do those of the last ``RECENT_VISITS``, with the current one.
+        map hangs on it, and so do those of the last ``RECENT_VISITS``, with the current one; those
+        that would leave a gap longer than ``LONGEST_GAP_M`` stay while there are others.
         """
         counts, last = self._counts[: self._known], self._last[: self._known]
         may_go = last <= self._now - RECENT_VISITS
         may_go[0] = False
+        left_m = gaps.left_by(self._known)
+        may_go &= left_m <= max(LONGEST_GAP_M, left_m[may_go].min())
         fewest = counts[may_go].min()
         candidates = np.flatnonzero(may_go & (counts == fewest))
         return int(candidates[np.argmin(last[candidates])])
@@ -73,3 +81,71 @@ class Visits:
             self.create(experience_id)
         if current_id >= 0:
             self.arrive(current_id)
+
+
+class Gaps:
+    """How far the experiences are apart on the ways driven, also past what was forgotten."""
+
+    def __init__(self) -> None:
+        self._ways_m: list[dict[int, float]] = []
+        self._left_m = np.zeros(64)
+
+    def left_by(self, experiences: int) -> NDArray[np.float64]:
+        """Return the longest gap that forgetting each experience leaves between two neighbours.
+
+        As the map joins them, all with the nearest one; how far that is where it is the only one.
+        """
+        self._make_room(experiences)
+        return self._left_m[:experiences]
+
+    def join(self, a: int, b: int, way_m: float) -> None:
+        """Take a way between two experiences; of several the shortest counts."""
+        if a == b or min(a, b) < 0:
+            return
+        for one, other in ((a, b), (b, a)):
+            self._make_room(one + 1)
+            ways_m = self._ways_m[one]
+            ways_m[other] = min(way_m, ways_m.get(other, way_m))
+            self._measure(one)
+
+    def forget(self, experience_id: int) -> None:
+        """Join the neighbours of an experience past it, all with the nearest one."""
+        self._make_room(experience_id + 1)
+        ways_m = self._ways_m[experience_id]
+        self._ways_m[experience_id] = {}
+        self._measure(experience_id)
+        for other in ways_m:
+            del self._ways_m[other][experience_id]
+            self._measure(other)
+        if ways_m:
+            nearest = min(ways_m, key=lambda other: (ways_m[other], other))
+            for other, way_m in ways_m.items():
+                self.join(nearest, other, ways_m[nearest] + way_m)
+
+    def state(self) -> State:
+        """Return all ways, for ``restore``."""
+        ways = [
+            (one, other, way_m)
+            for one, ways_m in enumerate(self._ways_m)
+            for other, way_m in sorted(ways_m.items()) if one < other
+        ]  # fmt: skip
+        return {
+            'ends': np.array([way[:2] for way in ways], np.int64).reshape(-1, 2),
+            'ways_m': np.array([way[2] for way in ways], np.float64),
+        }
+
+    def restore(self, state: State) -> None:
+        """Take what ``state`` gave."""
+        for (a, b), way_m in zip(state['ends'].tolist(), state['ways_m'].tolist(), strict=True):
+            self.join(a, b, way_m)
+
+    def _make_room(self, experiences: int) -> None:
+        while len(self._ways_m) < experiences:
+            self._ways_m.append({})
+        if experiences > len(self._left_m):
+            room = np.zeros(max(len(self._left_m), experiences - len(self._left_m)))
+            self._left_m = np.concatenate([self._left_m, room])
+
+    def _measure(self, experience_id: int) -> None:
+        nearest_m, *others_m = sorted(self._ways_m[experience_id].values()) or [0.0]
+        self._left_m[experience_id] = nearest_m + max(others_m, default=0.0)

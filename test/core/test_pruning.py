@@ -27,7 +27,7 @@ from ratslam_ros.core.goal_recall import GoalRecall, GoalTree
 from ratslam_ros.core.joining import Joining
 from ratslam_ros.core.odometry import Motion, Pose, composed, moved
 from ratslam_ros.core.pose_cells import MapAction, PoseCells
-from ratslam_ros.core.pruning import RECENT_VISITS, Visits
+from ratslam_ros.core.pruning import LONGEST_GAP_M, RECENT_VISITS, Gaps, Visits
 from ratslam_ros.core.torus import Place
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.memory_files import load, save
@@ -58,14 +58,63 @@ def test_the_least_visited_goes_and_of_those_the_one_of_longest_ago(
         }
         may_go = [i for i in last if i != 0 and last[i] < len(log) - RECENT_VISITS]
         expected = min(may_go, key=lambda i: (times[i], last[i]))
-        assert visits.least() == expected
+        assert visits.least(Gaps()) == expected
         visits.create(expected)
         log.append((expected, True))
     other = Visits()
     other.restore(visits.state())
     for one in (visits, other):
         one.create(count)
-    assert other.least() == visits.least()
+    assert other.least(Gaps()) == visits.least(Gaps())
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10**6), st.integers(3, 40))
+def test_gaps_are_those_that_joining_past_leaves(seed: int, count: int) -> None:
+    rng = random.Random(seed)
+    gaps, ways = Gaps(), dict[frozenset[int], float]()
+
+    def around(middle: int) -> dict[int, float]:
+        return {
+            next(iter(ends - {middle})): way for ends, way in ways.items() if middle in ends
+        }
+
+    for _ in range(4 * count):
+        a, b = rng.randrange(count), rng.randrange(-1, count)
+        if rng.random() < 0.8:
+            way = rng.uniform(0.1, 2.0)
+            gaps.join(a, b, way)
+            if a != b and b >= 0:
+                ways[frozenset((a, b))] = min(way, ways.get(frozenset((a, b)), way))
+        else:
+            gaps.forget(a)
+            others = sorted(around(a).items(), key=lambda it: it[1])
+            for ends in [ends for ends in ways if a in ends]:
+                del ways[ends]
+            for other, way in others[1:]:
+                ends = frozenset((others[0][0], other))
+                ways[ends] = min(others[0][1] + way, ways.get(ends, math.inf))
+    lengths = [sorted(around(i).values()) for i in range(count)]
+    left = [sum(ways[:1]) + sum(ways[1:][-1:]) for ways in lengths]
+    restored = Gaps()
+    restored.restore(gaps.state())
+    for one in (gaps, restored):
+        assert one.left_by(count).tolist() == pytest.approx(left)
+
+
+def test_who_leaves_a_long_gap_stays_while_others_may_go() -> None:
+    visits, gaps = Visits(), Gaps()
+    for i in range(40):
+        visits.create(i)
+        gaps.join(i - 1, i, 0.4 * LONGEST_GAP_M if i < 30 else 3.0 * LONGEST_GAP_M)
+    gone = []
+    for _ in range(14):
+        gone.append(visits.least(gaps))
+        gaps.forget(gone[-1])
+        visits.create(gone[-1])
+        gaps.join(gone[-1], 39, 3.0 * LONGEST_GAP_M)
+    assert gone == list(range(1, 29, 2))
+    assert visits.least(gaps) == 28  # all leave long gaps, this the shortest: 1.2 of them
 
 
 def test_a_limit_that_leaves_nothing_is_refused() -> None:
@@ -154,6 +203,24 @@ def test_what_is_visited_again_and_again_is_kept() -> None:
     templates = {template for template, *_ in pose_cells.state()['experiences']}
     assert set(range(12)) <= templates
     assert new - 1 in templates
+
+
+@pytest.mark.parametrize(('limit', 'longest_m'), [(150, LONGEST_GAP_M), (75, 2.4)])
+def test_a_way_driven_once_is_thinned_and_not_cut_off(limit: int, longest_m: float) -> None:
+    """A spiral of new views, 132 m long: of its first half, too, no piece is left out."""
+    pose_cells, graph = PoseCells(PoseCellsParameters(exp_max=limit)), new_map(exp_loops=0)
+    for view in range(330):
+        for one in (pose_cells, graph):
+            one.integrate(turning(0.02))
+            one.integrate(ahead(0.4))
+        graph.apply(pose_cells.view(seen(view)))
+    assert len(graph) == limit
+    assert max(link.distance_m for link in graph.links()) <= longest_m
+    places = graph.poses[:, :2]
+    at = Pose(0.0, 0.0, 0.0)
+    for _ in range(330):
+        at = moved(moved(at, turning(0.02)), ahead(0.4))
+        assert np.hypot(*(places - at[:2]).T).min() < longest_m / 2 + 0.2
 
 
 def test_nothing_is_forgotten_while_nothing_is_learned() -> None:
