@@ -39,6 +39,9 @@ STEPS_PER_ACTION = 2000
 """Links that an action may relax, on average; what a map does not need is saved up for the next
 change. Larger maps are relaxed once in several actions, so that the cost of one stays the same."""
 
+ASK_EVERY_M = 1.0
+"""So often scans are asked whether the robot is where the map has it."""
+
 MIRRORED = {'left_wall': 'right_wall', 'right_wall': 'left_wall'}
 
 STEPS_PER_LINK = 12
@@ -104,7 +107,9 @@ class ExperienceMap:
         self._duration_s = 0.0
         self._way_m = 0.0
         """Driven since the current experience."""
-        self._odometer_m = 0.0
+        self._odometer_m = self._asked_m = 0.0
+        self.scans_fitted_m = 0.0
+        """How far the robot had come when its scans last fitted what it knew there long before."""
         self.jumps = Jumps()
         """What ``exp_jump_drift`` has refused and believed."""
 
@@ -271,7 +276,7 @@ class ExperienceMap:
         self._poses = with_room(state['poses'])
         self._made_m = np.zeros(len(self._poses))
         self._made_m[: len(state['poses'])] = state.get('made_m', 0.0)
-        self._odometer_m = state.get('odometer_m', 0.0)
+        self._odometer_m = self._asked_m = state.get('odometer_m', 0.0)
         self._labels = [(t, Place(x, y, theta)) for t, x, y, theta in state['labels']]
         self._links.restore(state)
         self.current_id = state['current']
@@ -349,6 +354,7 @@ class ExperienceMap:
         self.current_id = action.target_id
         self.offset = there
         self._duration_s = self._way_m = 0.0
+        self._ask_scans(sight)
         self._relax()
         return forgotten
 
@@ -366,6 +372,13 @@ class ExperienceMap:
         self.settle()  # the map may be as far off as a loop that has just been closed
         self._saved_steps = 0
         return self._is_jump(target, there)
+
+    def _ask_scans(self, sight: Sight | None) -> None:
+        """Note from time to time whether scans know the place, views of which may be new."""
+        if self._odometer_m - self._asked_m >= ASK_EVERY_M:
+            self._asked_m = self._odometer_m
+            if self._is_still_here(sight):
+                self.scans_fitted_m = self._odometer_m
 
     def _is_still_here(self, sight: Sight | None) -> bool:
         """Return whether scans say that the robot is where the map has it."""

@@ -72,7 +72,7 @@ class GoalRecallParameters(Section):
     goal_sure_m: float = parameter(
         0.0, 'm; 0: any', 0.0, 1e6,
         'A goal is reached only where the robot has come no further than this from a known '
-        'place; else it explores to find itself.',
+        'place, by its view or its scan; else it explores to find itself.',
         'goals are reached but not believed', 'the robot believes to be where it is not',
     )  # fmt: skip
     try_unknown_m: float = parameter(

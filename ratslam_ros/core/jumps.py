@@ -34,8 +34,8 @@ AGREE_M = 1.0
 """Jumps that put the robot this close together agree."""
 
 BEFORE_M = 60.0
-"""Places made so long ago tell whether the robot is still where it believes to be. Had it been
-carried since, newer ones would be of where it was carried to."""
+"""Places made so much of the way ago tell whether the robot is still where it believes to be. Had
+it been carried since, newer ones would be of where it was carried to."""
 
 NEAR_M, NEAR_RAD = 0.7, math.radians(45.0)
 """And they are asked where they are this near."""
@@ -147,8 +147,8 @@ def known_before(
     away_m = np.hypot(poses[:, 0] - here.x_m, poses[:, 1] - here.y_m)
     turned_rad = np.abs((poses[:, 2] - here.heading_rad + np.pi) % math.tau - np.pi)
     away_m[(made_m > odometer_m - BEFORE_M) | (turned_rad > NEAR_RAD)] = math.inf
-    nearest = int(away_m.argmin())
-    return nearest if away_m[nearest] < NEAR_M else None
+    near = np.flatnonzero(away_m < NEAR_M)
+    return int(near[away_m[near].argmin()]) if len(near) else None
 
 
 def is_jump(

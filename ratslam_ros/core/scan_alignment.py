@@ -143,7 +143,7 @@ class ScanAlignment:
             None if before is None else align(before, points, offset, MOTION_SD_M),
             None if action.action == 'create'
             else self._recognised(there, points, view, expected),
-            None if action.action == 'create' else partial(self._fits, points),
+            partial(self._fits, points),
         )  # fmt: skip
 
     def _fits(self, points: NDArray[np.float64], experience_id: int, pose: Pose) -> bool:

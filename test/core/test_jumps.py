@@ -270,6 +270,22 @@ def test_only_places_that_are_near_and_old_are_asked() -> None:
     assert known_before(poses, made_m, 100.0, Pose(1.0, 0.0, 0.0)) is None
     assert known_before(poses, made_m, 100.0, Pose(0.2, 0.0, 2.1)) == 1
     assert known_before(poses, made_m, 100.0, Pose(5.0, 0.1, -3.1)) == 3
+    assert known_before(poses[:0], made_m[:0], 100.0, HERE) is None
+
+
+@pytest.mark.parametrize(('fits', 'at_m'), [(True, 12.0), (False, 12.0), (True, 14.0)])
+def test_scans_know_a_place_again_of_which_all_views_are_new(fits: bool, at_m: float) -> None:
+    """Where nothing was, 14 m from the start, they do not say so, whatever they fit."""
+    graph = corridor(0.05)
+    assert graph.scans_fitted_m == 0.0
+    graph.integrate(ahead(BEFORE_M / 2))
+    graph.integrate(ahead(at_m - 13.0 - BEFORE_M / 2))
+    came_m = 13.0 + BEFORE_M / 2 + abs(at_m - 13.0 - BEFORE_M / 2)
+    for _ in range(3):
+        arrive(graph, len(graph), sight=Sight(fits=lambda *_: fits))
+        graph.integrate(ahead(0.4))
+    # Asked at once, and not again before a metre.
+    assert graph.scans_fitted_m == pytest.approx(came_m if fits and at_m == 12.0 else 0.0)
 
 
 def test_a_link_that_is_known_is_no_jump() -> None:

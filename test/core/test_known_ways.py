@@ -175,3 +175,18 @@ def test_a_robot_that_may_be_wrong_looks_for_itself() -> None:
     for _ in range(MOST_UNSURE + 1):
         assert not navigator.try_failed()
     assert navigator.update(20).explore
+
+
+def test_where_a_scan_fits_it_counts_from_there() -> None:
+    graph = straight(10)
+    navigator = on_the_way(graph)
+    for stamp_ns in range(1, 12):
+        step(graph)
+        guidance = navigator.update(stamp_ns)
+    assert guidance.unknown_m > 2.0
+    graph.scans_fitted_m = 1.0
+    assert navigator.update(12).unknown_m < 0.3
+    for stamp_ns in range(13, 24):
+        step(graph)
+        guidance = navigator.update(stamp_ns)
+    assert guidance.unknown_m > 2.0  # it fitted once
