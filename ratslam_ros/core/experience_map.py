@@ -22,14 +22,13 @@ from ratslam_ros.core.adaptation import (
     leading_ahead,
 )
 from ratslam_ros.core.angles import wrap
-from ratslam_ros.core.compiled import compiled
 from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.jumps import Jumps, is_jump, known_before
-from ratslam_ros.core.links import Link, Links, in_a_row, leading_from, length_m, with_room
+from ratslam_ros.core.links import Link, Links, leading_from, length_m, with_room
 from ratslam_ros.core.local_view import NO_TEMPLATE
 from ratslam_ros.core.odometry import Motion, Pose, composed, inverse, moved
 from ratslam_ros.core.pose_cells import NO_EXPERIENCE, MapAction
-from ratslam_ros.core.relaxation import Relaxation
+from ratslam_ros.core.relaxation import Relaxation, sweep
 from ratslam_ros.core.scan_alignment import Sight
 from ratslam_ros.core.state import State
 from ratslam_ros.core.torus import Place
@@ -515,7 +514,7 @@ class ExperienceMap:
             way = composed(inverse(self.pose_of(stand_in)), self.pose_of(forgotten))
             others = {end for k in links for end in (k.source_id, k.target_id)}
             for other in sorted(others - {forgotten, stand_in}):
-                self._join_past(links, forgotten, stand_in, other)
+                self._links.join_past(links, forgotten, stand_in, other)
             if self.current_id == forgotten:
                 self.offset = composed(near.reversed().way, self.offset)
                 self._duration_s += near.duration_s
@@ -526,27 +525,6 @@ class ExperienceMap:
         self._delete(self._links.rows_at(forgotten))
         return Forgotten(forgotten, stand_in, way)
 
-    def _join_past(self, links: list[Link], middle: int, a: int, b: int) -> None:
-        """Make of the links between a, an experience and b such as lead past that experience.
-
-        In each direction that was driven all through, or else from a to b; none where the two
-        are linked as it is.
-        """
-        if self._links.row(a, b) is not None or self._links.row(b, a) is not None:
-            return
-        driven = {(k.source_id, k.target_id): k for k in links}
-        through = [
-            (driven[i, middle], driven[middle, j])
-            for i, j in ((a, b), (b, a)) if (i, middle) in driven and (middle, j) in driven
-        ] or [
-            (
-                driven.get((a, middle)) or driven[middle, a].reversed(),
-                driven.get((middle, b)) or driven[b, middle].reversed(),
-            )
-        ]  # fmt: skip
-        for first, second in through:
-            self._links.append(in_a_row(first, second))
-
     @property
     def _relaxes(self) -> bool:
         return self._p.exp_loops > 0 and self._p.exp_correction > 0.0
@@ -556,7 +534,7 @@ class ExperienceMap:
         if len(self._links) == 0 or not self.mapping or not self._relaxes:
             return
         if p.exp_relaxation == 'sweep':
-            _sweep(
+            sweep(
                 self._poses, self._links.ends, self._links.shapes, len(self._links),
                 p.exp_correction, p.exp_loops,
             )  # fmt: skip
@@ -578,30 +556,3 @@ class ExperienceMap:
             self._plan_holds = True
         self._plan.relax(self._poses[: len(self)], self._links.ends, self._links.shapes)
         self._is_settled = True
-
-
-@compiled
-def _sweep(
-    poses: NDArray[np.float64], ends: NDArray[np.int64], shapes: NDArray[np.float64],
-    links: int, correction: float, sweeps: int,
-) -> None:  # fmt: skip
-    """Move both ends of each link towards what it says, in the order the links were made.
-
-    Seed 000 equation (7), with p_k - p_i + dp_ki in its second sum; experience 0 is held fixed.
-    """
-    for _ in range(sweeps):
-        for row in range(links):
-            i = ends[row, 0]
-            j = ends[row, 1]
-            direction = poses[i, 2] + shapes[row, 1]
-            e_x = correction * (poses[j, 0] - poses[i, 0] - shapes[row, 0] * math.cos(direction))
-            e_y = correction * (poses[j, 1] - poses[i, 1] - shapes[row, 0] * math.sin(direction))
-            e_t = correction * wrap(poses[j, 2] - poses[i, 2] - shapes[row, 2])
-            if i > 0:
-                poses[i, 0] += e_x
-                poses[i, 1] += e_y
-                poses[i, 2] = wrap(poses[i, 2] + e_t)
-            if j > 0:
-                poses[j, 0] -= e_x
-                poses[j, 1] -= e_y
-                poses[j, 2] = wrap(poses[j, 2] - e_t)

@@ -173,6 +173,29 @@ class Links:
         self.version += 1
         self.rebuilt += 1
 
+    def join_past(self, links: list[Link], middle: int, a: int, b: int) -> None:
+        """Make of the links between a, an experience and b such as lead past that experience.
+
+        ``links``: those of that experience, as ``of`` gives them.
+
+        In each direction that was driven all through, or else from a to b; none where the two
+        are linked as it is.
+        """
+        if self.row(a, b) is not None or self.row(b, a) is not None:
+            return
+        driven = {(k.source_id, k.target_id): k for k in links}
+        through = [
+            (driven[i, middle], driven[middle, j])
+            for i, j in ((a, b), (b, a)) if (i, middle) in driven and (middle, j) in driven
+        ] or [
+            (
+                driven.get((a, middle)) or driven[middle, a].reversed(),
+                driven.get((middle, b)) or driven[b, middle].reversed(),
+            )
+        ]  # fmt: skip
+        for first, second in through:
+            self.append(in_a_row(first, second))
+
     def state(self) -> State:
         """Return all links, for ``restore``."""
         return {
