@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rooms drawn by lines, and what a laser sees in them, worked out ray by ray."""
+"""Rooms drawn by lines, what a laser sees in them, ray by ray, and a robot that drives there."""
 
 from __future__ import annotations
 
@@ -11,12 +11,17 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ratslam_ros.core.odometry import Pose
+from ratslam_ros.core.goal_follower import GoalFollower, rest_of, seen_from
+from ratslam_ros.core.movement_config import GoalFollowerParameters
+from ratslam_ros.core.odometry import Motion, Pose, moved
 from ratslam_ros.core.scan import Scan
+from ratslam_ros.core.steering import Command
 
 Line = Sequence[tuple[float, float]]
 
 HERE = Pose(0.0, 0.0, 0.0)
+SCAN_S = 0.1
+SCAN_NS = round(SCAN_S * 1e9)
 FIRST_RAD, LAST_RAD = -math.pi / 2, math.pi / 2
 
 
@@ -86,3 +91,35 @@ def t_junction(end_m: float, width_m: float = 2.0, length_m: float = 20.0) -> li
         for side in (width_m / 2, -width_m / 2)
     ]
     return [*sides, [(end_m, length_m), (end_m, -length_m)]]
+
+
+class Drive:
+    """A robot without faults that follows a route between walls, which may be changed."""
+
+    def __init__(self, walls: list[Line], route_m: list[tuple[float, float]]) -> None:
+        self.walls = walls
+        self.follower = GoalFollower(GoalFollowerParameters())
+        self.behaviour = ''
+        self.pose = Pose(0.0, 0.0, 0.0)
+        self.left_m = np.array(route_m)
+        self.stamp_ns = 0
+        self.nearest_m = math.inf
+
+    def step(self) -> Command:
+        scan = scan_in(self.walls, self.pose, self.stamp_ns, beams=181)
+        self.left_m = rest_of(self.left_m, self.pose.x_m, self.pose.y_m)
+        command = self.follower(scan, seen_from(self.pose, self.left_m), self.behaviour)
+        self.pose = moved(
+            self.pose,
+            Motion(SCAN_S, command.speed_mps * SCAN_S, command.turn_rate_radps * SCAN_S),
+        )
+        self.stamp_ns += SCAN_NS
+        clear_m = clearance_m(self.walls, self.pose.x_m, self.pose.y_m)
+        self.nearest_m = min(self.nearest_m, clear_m)
+        return command
+
+    def steps(self, seconds: float) -> list[Command]:
+        return [self.step() for _ in range(round(seconds / SCAN_S))]
+
+    def away_m(self, x_m: float, y_m: float) -> float:
+        return math.hypot(self.pose.x_m - x_m, self.pose.y_m - y_m)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.angles import wrap
+from ratslam_ros.core.detour import way_round
 from ratslam_ros.core.local_movement import WALLS, Behaviour, LocalMovement, Option
 from ratslam_ros.core.movement_config import GoalFollowerParameters
 from ratslam_ros.core.odometry import Pose
@@ -63,6 +64,8 @@ class GoalFollower:
         self._turning = False
         self._tried_since_ns: int | None = None
         self._last_rad = 0.0
+        self._last_ns = 0
+        self._last_radps = 0.0
 
     def __call__(self, scan: Scan, route: NDArray[np.float64], behaviour: str = '') -> Command:
         """Choose a way on and return how to take it.
@@ -78,13 +81,15 @@ class GoalFollower:
         if behaviour in WALLS and ahead[-1, 2] > LAST_M:
             command = self._repeat(movement, ahead, behaviour, most_mps)
         if command is None:
-            return self._choose(scan.stamp_ns, movement, ahead, behaviour, most_mps)
-        self._tried_since_ns = None
+            command = self._choose(scan.stamp_ns, movement, route, ahead, behaviour, most_mps)
+        else:
+            self._tried_since_ns = None
+        self._last_ns, self._last_radps = scan.stamp_ns, command.turn_rate_radps
         return command
 
     def _choose(
-        self, stamp_ns: int, movement: LocalMovement, ahead: NDArray[np.float64], behaviour: str,
-        most_mps: float,
+        self, stamp_ns: int, movement: LocalMovement, route: NDArray[np.float64],
+        ahead: NDArray[np.float64], behaviour: str, most_mps: float,
     ) -> Command:  # fmt: skip
         """Take the way on that is closest to the route."""
         p = self._p
@@ -98,18 +103,22 @@ class GoalFollower:
         if not options:  # between the posts of a door little is open until the robot is through
             narrow = [o for o in movement.narrow() if _is_about(o, bearing_rad)]
             options = [o for o in narrow if _nearer(o, ahead, stop_m)]
-        if not options:
+        # As the robot turned what it had chosen turned the other way.
+        turned_rad = self._last_radps * (stamp_ns - self._last_ns) * 1e-9
+        last_rad = self._last_rad - max(-math.pi, min(turned_rad, math.pi))
+        best = min(
+            options, key=lambda option: self._rank_m(option, ahead, behaviour), default=None
+        )
+        wanted_m = min(p.wall_look_ahead_m, max(float(ahead[-1, 2]), LEAST_M))
+        if best is None or best.open_m < wanted_m:  # something stands there: it is gone round
+            best = way_round(movement, route, p, last_rad) or min(
+                [o for o in options if o.open_m >= wanted_m] or options,
+                key=lambda o: _cost_m(o, ahead) + STEADY_M * abs(o.heading_rad - last_rad),
+                default=None,
+            )
+        if best is None:
             return self._blocked(stamp_ns, bearing_rad)
         self._tried_since_ns = None
-        best = min(options, key=lambda option: self._rank_m(option, ahead, behaviour))
-        wanted_m = min(p.wall_look_ahead_m, max(float(ahead[-1, 2]), LEAST_M))
-        if best.open_m < wanted_m:  # something stands there: it is gone round, if that is open
-            options = [o for o in options if o.open_m >= wanted_m] or options
-            last_rad = self._last_rad
-            best = min(
-                options,
-                key=lambda o: _cost_m(o, ahead) + STEADY_M * abs(o.heading_rad - last_rad),
-            )
         self._last_rad = best.heading_rad
         return drive(movement, best, p, most_mps)
 

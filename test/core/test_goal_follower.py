@@ -13,8 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rooms import (
+    SCAN_NS,
+    SCAN_S,
+    Drive,
     Line,
-    clearance_m,
     corridor,
     dead_end,
     scan_in,
@@ -23,47 +25,13 @@ from rooms import (
     way_to_point_m,
 )
 
-from ratslam_ros.core.goal_follower import GoalFollower, rest_of, seen_from
+from ratslam_ros.core.goal_follower import GoalFollower, seen_from
 from ratslam_ros.core.movement_config import GoalFollowerParameters
-from ratslam_ros.core.odometry import Motion, Pose, moved
+from ratslam_ros.core.odometry import Pose
 from ratslam_ros.core.steering import Command
 
 P = GoalFollowerParameters()
-SCAN_S = 0.1
-SCAN_NS = round(SCAN_S * 1e9)
 AHEAD = np.array([[0.0, 0.0], [5.0, 0.0]])
-
-
-class Drive:
-    """A robot without faults that follows a route between walls, which may be changed."""
-
-    def __init__(self, walls: list[Line], route_m: list[tuple[float, float]]) -> None:
-        self.walls = walls
-        self.follower = GoalFollower(P)
-        self.behaviour = ''
-        self.pose = Pose(0.0, 0.0, 0.0)
-        self.left_m = np.array(route_m)
-        self.stamp_ns = 0
-        self.nearest_m = math.inf
-
-    def step(self) -> Command:
-        scan = scan_in(self.walls, self.pose, self.stamp_ns, beams=181)
-        self.left_m = rest_of(self.left_m, self.pose.x_m, self.pose.y_m)
-        command = self.follower(scan, seen_from(self.pose, self.left_m), self.behaviour)
-        self.pose = moved(
-            self.pose,
-            Motion(SCAN_S, command.speed_mps * SCAN_S, command.turn_rate_radps * SCAN_S),
-        )
-        self.stamp_ns += SCAN_NS
-        clear_m = clearance_m(self.walls, self.pose.x_m, self.pose.y_m)
-        self.nearest_m = min(self.nearest_m, clear_m)
-        return command
-
-    def steps(self, seconds: float) -> list[Command]:
-        return [self.step() for _ in range(round(seconds / SCAN_S))]
-
-    def away_m(self, x_m: float, y_m: float) -> float:
-        return math.hypot(self.pose.x_m - x_m, self.pose.y_m - y_m)
 
 
 def command_for(walls: list[Line], route: NDArray[np.float64]) -> Command:

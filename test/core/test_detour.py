@@ -1,0 +1,106 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What stands on the route is gone round where there is room, and else it is closed."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from rooms import Drive, Line, corridor, scan_in
+
+from ratslam_ros.core.detour import ASIDE_M, BACK_M, COLUMNS, FRONT_M, ROWS, way_round
+from ratslam_ros.core.local_movement import LocalMovement, Option
+from ratslam_ros.core.movement_config import GoalFollowerParameters
+from ratslam_ros.core.odometry import Pose
+
+P = GoalFollowerParameters()
+STRAIGHT = np.array([[0.0, 0.0], [7.0, 0.0]])
+
+
+def box(x_m: float, aside_m: float, width_m: float, depth_m: float = 0.5) -> Line:
+    right, left = aside_m - width_m / 2, aside_m + width_m / 2
+    return [(x_m, right), (x_m, left), (x_m + depth_m, left), (x_m + depth_m, right), (x_m, right)]
+
+
+def detour(
+    walls: list[Line], route: NDArray[np.float64] = STRAIGHT, last_rad: float = 0.0
+) -> Option | None:
+    movement = LocalMovement(P, scan_in(walls, Pose(0.0, 0.0, 0.0), 0, beams=181))
+    return way_round(movement, route, P, last_rad)
+
+
+@pytest.mark.parametrize('behaviour', ['', 'left_wall', 'right_wall'])
+@pytest.mark.parametrize(
+    ('half_m', 'width_m', 'aside_m'),
+    [(1.12, 0.6, 0.0), (1.4, 0.8, 0.0), (1.4, 1.4, 0.4), (2.0, 0.6, 0.15), (2.0, 1.4, 0.0)],
+)
+def test_a_box_is_gone_round(
+    half_m: float, width_m: float, aside_m: float, behaviour: str
+) -> None:
+    drive = Drive([*corridor(half_m), box(3.0, aside_m, width_m)], [(0.0, 0.0), (7.0, 0.0)])
+    drive.behaviour = behaviour
+    assert not any(command.failed for command in drive.steps(20.0))
+    assert drive.away_m(7.0, 0.0) < 0.3
+    assert drive.nearest_m > P.robot_radius_m
+
+
+@pytest.mark.parametrize('gap_m', [0.0, 0.2, 0.4])
+def test_where_the_robot_does_not_fit_the_way_is_closed(gap_m: float) -> None:
+    walls = [*corridor(1.1), box(3.0, -gap_m / 2, 2.2 - gap_m)]
+    drive = Drive(walls, [(0.0, 0.0), (7.0, 0.0)])
+    commands = drive.steps(20.0)
+    assert 3 <= sum(command.failed for command in commands) <= 6
+    assert drive.nearest_m > P.robot_radius_m
+    assert detour(walls) is None
+
+
+def test_a_detour_that_is_too_long_is_none() -> None:
+    """A wall across that is open somewhere at the side; the robot would fit."""
+    for aside_m, is_taken in ((0.8, True), (2.2, False)):
+        posts: list[Line] = [[(1.0, -6.0), (1.0, aside_m - 0.4)], [(1.0, aside_m + 0.4), (1.0, 6)]]
+        assert (detour(posts) is not None) == is_taken
+
+
+@pytest.mark.parametrize('side', [1.0, -1.0])
+def test_the_shorter_way_round_is_taken_and_of_two_the_last_one(side: float) -> None:
+    walls = [*corridor(2.0), box(1.0, -0.3 * side, 1.0)]
+    chosen = detour(walls)
+    assert chosen is not None
+    assert 0.2 < side * chosen.heading_rad < math.pi / 2
+    again = detour([*corridor(2.0), box(1.0, 0.0, 1.0)], last_rad=side * 0.6)
+    assert again is not None
+    assert side * again.heading_rad > 0.2
+
+
+def test_a_way_that_is_free_is_driven_straight_on() -> None:
+    chosen = detour(corridor(1.0))
+    assert chosen is not None
+    assert abs(chosen.heading_rad) < 0.15
+    assert chosen.open_m > 3.0
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 10**6))
+def test_it_begins_with_a_way_that_is_open(seed: int) -> None:
+    rng = np.random.Generator(np.random.PCG64(seed))
+    walls = corridor(rng.uniform(0.8, 2.5))
+    for _ in range(rng.integers(1, 5)):
+        walls.append(box(rng.uniform(0.4, 4.0), rng.uniform(-1.5, 1.5), rng.uniform(0.1, 1.5)))
+    route = np.cumsum(rng.uniform((0.1, -0.5), (1.5, 0.5), (rng.integers(2, 8), 2)), axis=0)
+    chosen = detour(walls, route, rng.uniform(-math.pi, math.pi))
+    if chosen is not None:
+        movement = LocalMovement(P, scan_in(walls, Pose(0.0, 0.0, 0.0), 0, beams=181))
+        assert chosen.open_m == movement.open_m(chosen.heading_rad, P.robot_radius_m)
+        assert chosen.open_m > 0.05
+
+
+def test_a_route_may_leave_the_grid_at_once() -> None:
+    for route in ([[0.0, 0.0], [-3.0, 0.0]], [[0.0, 3.0], [0.0, 5.0]], [[0.0, 0.0]]):
+        chosen = detour(corridor(4.0), np.array(route))
+        assert chosen is None or math.isfinite(chosen.heading_rad)
+    assert (round(20 * ASIDE_M), round(10 * (BACK_M + FRONT_M))) == (ROWS - 1, COLUMNS - 1)
