@@ -118,7 +118,9 @@ def _goal_follower(config: Config) -> None:
     from ratslam_ros.core.scan import Scan
 
     follow = GoalFollower(config.goal_follower)
-    follow(Scan(0, -1.0, 1.0, np.array([1.0, 2.0, 1.0])), np.array([[0.0, 0.0], [1.0, 0.0]]))
+    for ahead_m in (2.0, 0.5):  # the second time something stands there
+        scan = Scan(0, -1.0, 1.0, np.array([1.0, ahead_m, 1.0]))
+        follow(scan, np.array([[0.0, 0.0], [1.0, 0.0]]))
 
 
 _MAPPING: dict[str, Callable[[Config], object]] = {

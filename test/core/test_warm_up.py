@@ -130,6 +130,21 @@ assert len(memory.route_ahead(times, pose_cells.peak)) > 3
 assert memory.bearing(times, pose_cells.peak) is not None
 """
 
+GOAL_FOLLOWER = """
+from ratslam_ros.core.goal_follower import GoalFollower
+from ratslam_ros.core.scan import Scan
+modules = set(sys.modules)
+follow = GoalFollower(config.goal_follower)
+for n in range(40):
+    ranges_m = np.full(181, 2.0)
+    ranges_m[70:111] = 0.1 * n
+    ranges_m[100] = np.inf
+    for behaviour in ('', 'left_wall'):
+        scan = Scan(n * 10**8, -np.pi / 2, np.pi / 180, ranges_m)
+        follow(scan, np.array([[0.0, 0.0], [2.5, 0.0], [3.0, 1.0]]), behaviour)
+assert modules == set(sys.modules)
+"""
+
 ALL = VISUAL_ODOMETRY + LOCAL_VIEW + POSE_CELLS + EXPERIENCE_MAP
 
 
@@ -142,6 +157,7 @@ ALL = VISUAL_ODOMETRY + LOCAL_VIEW + POSE_CELLS + EXPERIENCE_MAP
         ('experience_map', EXPERIENCE_MAP),
         ('experience_map goal_recall', GOAL_RECALL),
         ('pose_cells goal_memory', GOAL_MEMORY),
+        ('goal_follower', GOAL_FOLLOWER),
         ('', ALL),
     ],
 )
