@@ -93,6 +93,7 @@ class ExperienceMap:
         """How far the robot had come when it made each experience."""
         self._labels: list[tuple[int, Place]] = []
         self._links = Links()
+        self._unlearned: set[tuple[int, int]] = set()
         self.on_forgotten: list[Callable[[int, int, Pose], None]] = []
         """Called with what ``Forgotten`` says before a number comes to mean another experience."""
         self._plan: Relaxation | None = None
@@ -129,6 +130,14 @@ class ExperienceMap:
     def link_ends(self) -> NDArray[np.int64]:
         """(links, 2) source and target of every link; a view, not to be changed or kept."""
         return self._links.ends
+
+    @property
+    def unlearned_ends(self) -> NDArray[np.int64]:
+        """(n, 2) source and target of what was unlearned: no way, but it says how places lie.
+
+        Sorted, with those that were learned again since.
+        """
+        return np.array(sorted(self._unlearned), np.int64).reshape(-1, 2)
 
     @property
     def link_durations_s(self) -> NDArray[np.float64]:
@@ -256,6 +265,7 @@ class ExperienceMap:
             'poses': self.poses,
             'labels': [[template, *place] for template, place in self._labels],
             **self._links.state(),
+            'unlearned': self.unlearned_ends,
             'current': self.current_id,
             'offset': list(self.offset),
             'duration_s': self._duration_s,
@@ -278,6 +288,7 @@ class ExperienceMap:
         self._odometer_m = self._asked_m = state.get('odometer_m', 0.0)
         self._labels = [(t, Place(x, y, theta)) for t, x, y, theta in state['labels']]
         self._links.restore(state)
+        self._unlearned = {(i, j) for i, j in state.get('unlearned', np.empty((0, 2))).tolist()}
         self.current_id = state['current']
         self.offset = Pose(*state['offset'])
         self._duration_s = state['duration_s']
@@ -428,7 +439,7 @@ class ExperienceMap:
             if is_blocked(links.notes[row][1], int(links.failures[row, TIMED_OUT]), self._p)
         ]  # fmt: skip
         if blocked:
-            self._delete(blocked)
+            self._unlearn(blocked)
         return len(blocked)
 
     def behaviour_between(self, source_id: int, target_id: int) -> str:
@@ -484,7 +495,7 @@ class ExperienceMap:
         rows = links.rows_by(source, behaviour)
         links.failures[[row for row in rows if links.ends[row, 1] != target], ELSEWHERE] += 1
         while (row := self._least_confident(source, behaviour)) is not None:
-            self._delete([row])
+            self._unlearn([row])
 
     def _least_confident(self, source: int, behaviour: str) -> int | None:
         rows = self._links.rows_by(source, behaviour)
@@ -494,6 +505,11 @@ class ExperienceMap:
             if has_detour(self.link_ends, self.link_durations_s, rows[link], len(self)):
                 return rows[link]
         return None
+
+    def _unlearn(self, rows: list[int]) -> None:
+        """Take links off the map that the robot can no longer go by."""
+        self._unlearned.update((i, j) for i, j in self.link_ends[rows].tolist())
+        self._delete(rows)
 
     def _delete(self, rows: list[int]) -> None:
         """Take links off the map."""
@@ -523,6 +539,7 @@ class ExperienceMap:
         for tell in self.on_forgotten:
             tell(forgotten, stand_in, way)
         self._delete(self._links.rows_at(forgotten))
+        self._unlearned = {ends for ends in self._unlearned if forgotten not in ends}
         return Forgotten(forgotten, stand_in, way)
 
     @property

@@ -426,11 +426,15 @@ def _joins(
 def _near_over_links(
     experience_map: ExperienceMap, pairs: NDArray[np.int64]
 ) -> NDArray[np.bool_]:
-    """Return (n,) whether links lead from one of a pair to the other without going far away."""
+    """Return (n,) whether links lead from one of a pair to the other without going far away.
+
+    Also such as were unlearned: where something stands now they still say how the places lie.
+    """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    count, ends = len(experience_map), experience_map.link_ends
+    count = len(experience_map)
+    ends = np.concatenate([experience_map.link_ends, experience_map.unlearned_ends])
     places = experience_map.poses[:, :2] / TILE_M
     found = np.zeros(len(pairs), np.bool_)
     for shift in ((0.0, 0.0), (0.0, 0.5), (0.5, 0.0), (0.5, 0.5)):

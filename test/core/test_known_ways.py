@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,12 +16,13 @@ from ratslam_ros.core.config import (
     LocalViewParameters,
 )
 from ratslam_ros.core.experience_map import ExperienceMap
-from ratslam_ros.core.goal_recall import TILE_M, GoalRecall
+from ratslam_ros.core.goal_recall import TILE_M, GoalRecall, UnreachableGoal
 from ratslam_ros.core.local_view import LocalView
 from ratslam_ros.core.navigator import MOST_TRIES, MOST_UNSURE, Navigator
-from ratslam_ros.core.odometry import Motion
+from ratslam_ros.core.odometry import Motion, Pose
 from ratslam_ros.core.pose_cells import MapAction
 from ratslam_ros.core.torus import Place
+from ratslam_ros.memory_files import load, save
 
 NOWHERE = Place(0.0, 0.0, 0.0)
 
@@ -73,6 +75,31 @@ def test_only_places_that_a_short_way_connects_are_joined(side: int, is_joined: 
     assert np.hypot(*(graph.poses[-1, :2] - graph.poses[0, :2])) == pytest.approx(0.3)
     ids = GoalRecall(GoalRecallParameters(route_join_m=0.35)).route_to(graph, 0).experience_ids
     assert ids == ((len(graph) - 1, 0) if is_joined else tuple(reversed(range(len(graph)))))
+
+
+def test_places_stay_joined_where_the_way_that_connects_them_is_unlearned(
+    tmp_path: Path,
+) -> None:
+    """To and fro along a corridor, which is closed before the robot's turning point later."""
+    graph = in_and_out(7)
+    last = len(graph) - 1
+    while graph.fail('centreline', 0.0, Pose(2.9, 0.0, 0.0)) == 0:
+        pass
+    with pytest.raises(UnreachableGoal, match='no link leads'):
+        GoalRecall(GoalRecallParameters()).route_to(graph, 0)
+    save(tmp_path / 'map', 'experience_map', graph.state())
+    loaded = ExperienceMap(ExperienceMapParameters(exp_initial_em_deg=0.0))
+    loaded.restore(load(tmp_path / 'map', 'experience_map'))
+    for one in (graph, loaded):
+        recall = GoalRecall(GoalRecallParameters(route_join_m=0.35))
+        assert recall.route_to(one, 0).experience_ids == (last, 0)
+    # What is forgotten says nothing any more, and its number means another place.
+    turning_point = int(graph.poses[:, 0].argmax())
+    assert turning_point in graph.unlearned_ends
+    there = MapAction('create', last, turning_point, last + 1, 0.0, NOWHERE)
+    graph.integrate(Motion(1.0, 0.5, 0.0))
+    graph.apply(there)
+    assert turning_point not in graph.unlearned_ends
 
 
 def test_a_join_that_was_given_up_is_not_used_again() -> None:
