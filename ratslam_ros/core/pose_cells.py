@@ -196,8 +196,13 @@ class PoseCells:
             self._visits.restore(state['visits'])
         else:
             self._visits.assume(len(self), self._current)
-        if 'gaps' in state:  # memories of before gaps were looked at have none
+        if 'gaps' in state:
             self._gaps.restore(state['gaps'])
+        if self._p.exp_max > 0 and not self._gaps:  # saved where there was no limit
+            for source, target in state['transitions']:
+                if source != NO_EXPERIENCE:
+                    way = math.dist(self._unrolled_of[source], self._unrolled_of[target])
+                    self._gaps.join(source, target, way * self._p.pc_cell_x_size)
         self._since_current = Pose(*state['since_current'])
         self._stepped = state['stepped']
         self._agreement.restore(state['agreement'])
@@ -395,7 +400,8 @@ class PoseCells:
     def _change_to(self, target: int) -> bool:
         """Make an experience current; return whether it is a transition made the first time."""
         first = self._transitions.add(self._current, target)
-        self._gaps.join(self._current, target, math.hypot(*self._since_current[:2]))
+        if self._p.exp_max > 0:
+            self._gaps.join(self._current, target, math.hypot(*self._since_current[:2]))
         self._current = target
         self._since_current = Pose(0.0, 0.0, 0.0)
         return first

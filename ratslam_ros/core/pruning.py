@@ -90,6 +90,9 @@ class Gaps:
         self._ways_m: list[dict[int, float]] = []
         self._left_m = np.zeros(64)
 
+    def __bool__(self) -> bool:
+        return any(self._ways_m)
+
     def left_by(self, experiences: int) -> NDArray[np.float64]:
         """Return the longest gap that forgetting each experience leaves between two neighbours.
 

@@ -223,6 +223,23 @@ def test_a_way_driven_once_is_thinned_and_not_cut_off(limit: int, longest_m: flo
         assert np.hypot(*(places - at[:2]).T).min() < longest_m / 2 + 0.2
 
 
+def test_a_memory_of_before_there_was_a_limit_is_thinned_as_well(tmp_path: Path) -> None:
+    free, graph = PoseCells(PoseCellsParameters()), new_map(exp_loops=0)
+    pose_cells = PoseCells(PoseCellsParameters(exp_max=150))
+    for view in range(330):
+        one = free if view < 150 else pose_cells
+        if view == 150:
+            assert len(free) == 150
+            save(tmp_path / 'pose_cells', 'pose_cells', free.state())
+            one.restore(load(tmp_path / 'pose_cells', 'pose_cells'))
+        for part in (one, graph):
+            part.integrate(turning(0.02))
+            part.integrate(ahead(0.4))
+        graph.apply(one.view(seen(view)))
+    assert len(graph) == 150
+    assert max(link.distance_m for link in graph.links()) <= LONGEST_GAP_M + 0.1
+
+
 def test_nothing_is_forgotten_while_nothing_is_learned() -> None:
     rng = random.Random(2)
     pose_cells = limited()
