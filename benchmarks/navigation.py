@@ -188,7 +188,7 @@ def goals_run(setting: Setting, job: tuple[int, tuple[int, int]]) -> GoalsRow:
             {'explored': explored, **{f'to {x.goal}': x.path for x in trials}},
         )  # fmt: skip
         draw_packet(loop, folder / f'packet_{seed}.png', (dim_x, dim_y))
-        goal = loop.navigator.goals.named(names[-1])
+        goal = loop.navigator.goals.named(names[0])  # the robot stands at the last one
         try:
             route = times.route_to(goal.experience_id)
             positions = graph.poses[list(route.experience_ids), :2]
