@@ -38,9 +38,10 @@ from views import QUERIES, Kind, kinds
 
 from ratslam_ros.config_files import load_config
 from ratslam_ros.core.config import ExperienceMapParameters, PoseCellsParameters
-from ratslam_ros.core.experience_map import ExperienceMap, _sweep
+from ratslam_ros.core.experience_map import ExperienceMap
 from ratslam_ros.core.odometry import Motion
 from ratslam_ros.core.pose_cells import MapAction, PoseCells
+from ratslam_ros.core.relaxation import sweep
 from ratslam_ros.core.template_memory import TemplateMemory
 from ratslam_ros.core.torus import Place
 from ratslam_ros.core.visual_odometry import VisualOdometry
@@ -99,7 +100,7 @@ class Yardstick:
         return (before + self._before) / 2.0
 
     def _now(self) -> float:
-        return statistics.median(timed_ms(lambda: _sweep(*self._arrays, 0.5, 20), 21)) / 2.5
+        return statistics.median(timed_ms(lambda: sweep(*self._arrays, 0.5, 20), 21)) / 2.5
 
 
 @dataclass
@@ -321,7 +322,7 @@ def sweeps_until(count: int, aim: float, most: int) -> tuple[int, bool]:
     graph = driven(count, ExperienceMapParameters(exp_loops=0))
     close(graph, count // 3)
     for sweeps in range(500, most + 1, 500):
-        _sweep(graph._poses, graph.link_ends, graph.link_shapes, graph.link_count, 0.5, 500)
+        sweep(graph._poses, graph.link_ends, graph.link_shapes, graph.link_count, 0.5, 500)
         if link_errors_m(graph) <= aim:
             return sweeps, True
     return most, False

@@ -24,14 +24,11 @@ TIGHT, ROOM_M, UNSEEN = 4.0, 0.3, 2.0
 """Times that a way counts where the robot only just fits, less with room beside it up to so much;
 and where its laser does not see."""
 
-SEEN = 0.99
-"""The laser sees what lies, by this cosine, in the direction of one of its beams."""
-
 MOST_M = 4.0
 """What counts for so much more than the route is no detour: the way is closed."""
 
 LOOK_AHEAD_M = 0.8
-"""The robot heads for a place up to so far along the detour."""
+"""The robot heads for a place of the detour that is up to so far away."""
 
 STEADY, FIRST_M = 0.5, 0.5
 """So much more, for a radian, the beginning of a detour counts in another direction than the last:
@@ -55,7 +52,11 @@ def way_round(
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import dijkstra
 
-    costs = _costs(movement.points, p.robot_radius_m, last_rad)
+    scan = movement.scan
+    costs = _costs(
+        movement.points, scan.ranges_m, scan.angle_min_rad, scan.angle_increment_rad,
+        p.robot_radius_m, last_rad,
+    )  # fmt: skip
     along_m, cells = _cells_of(route)
     barred = np.flatnonzero(~np.isfinite(costs[cells]))
     behind = slice(barred[0] if len(barred) else -1, None)
@@ -80,7 +81,8 @@ def _towards(
 ) -> Option | None:  # fmt: skip
     """Return the way to the furthest place of a detour that can be driven to straight on."""
     away_m = np.hypot(x_m, y_m)
-    for place in range(int(np.count_nonzero(away_m < LOOK_AHEAD_M)) - 1, 0, -1):
+    far = np.flatnonzero(away_m >= LOOK_AHEAD_M)
+    for place in range(int(far[0]) if len(far) else len(away_m) - 1, 0, -1):
         heading_rad = math.atan2(y_m[place], x_m[place])
         open_m = movement.open_m(heading_rad, p.robot_radius_m + p.margin_m / 2)
         if open_m >= away_m[place]:
@@ -141,35 +143,36 @@ def _cells_of(route: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[
 
 @compiled
 def _costs(
-    points: NDArray[np.float64], radius_m: float, last_rad: float
-) -> NDArray[np.float64]:
+    points: NDArray[np.float64], ranges_m: NDArray[np.float64], angle_min_rad: float,
+    angle_increment_rad: float, radius_m: float, last_rad: float,
+) -> NDArray[np.float64]:  # fmt: skip
     """Return what a way through each cell counts for its length; infinite: the robot does not fit.
 
-    A cell is seen where no point lies nearer in its direction, and some point lies there.
+    A cell is seen where the beam in its direction ends behind it, or does not end.
     """
     costs = np.ones(ROWS * COLUMNS)
-    reached = np.maximum(np.hypot(points[:, 0], points[:, 1]), 1e-9)
     for cell in range(ROWS * COLUMNS):
         x = (cell % COLUMNS) * CELL_M - BACK_M
         y = (cell // COLUMNS) * CELL_M - ASIDE_M
         away = math.hypot(x, y)
-        gap = math.inf
-        ahead, reach = -math.inf, math.inf
+        square = math.inf
         for i in range(len(points)):
-            p_x, p_y = points[i, 0], points[i, 1]
-            gap = min(gap, (p_x - x) * (p_x - x) + (p_y - y) * (p_y - y))
-            cosine = (p_x * x + p_y * y) / reached[i]
-            if cosine > ahead:
-                ahead, reach = cosine, reached[i]
-        gap = math.sqrt(gap)
+            e_x, e_y = points[i, 0] - x, points[i, 1] - y
+            square = min(square, e_x * e_x + e_y * e_y)
+        gap = math.sqrt(square)
         if gap < radius_m and away > radius_m:
             costs[cell] = math.inf
             continue
         room = min(max((gap - radius_m) / ROOM_M, 0.0), 1.0)
         costs[cell] = TIGHT - (TIGHT - 1.0) * room
-        if reach < away or ahead < SEEN * away:
+        bearing = math.atan2(y, x)
+        turn = (bearing - angle_min_rad) % (2.0 * math.pi) if angle_increment_rad > 0.0 else (
+            (angle_min_rad - bearing) % (2.0 * math.pi)
+        )
+        beam = round(turn / max(abs(angle_increment_rad), 1e-9))
+        if beam >= len(ranges_m) or 0.0 < ranges_m[beam] < away:
             costs[cell] *= UNSEEN
         if away < FIRST_M:
-            aside = abs((math.atan2(y, x) - last_rad + math.pi) % (2.0 * math.pi) - math.pi)
+            aside = abs((bearing - last_rad + math.pi) % (2.0 * math.pi) - math.pi)
             costs[cell] *= 1.0 + STEADY * aside
     return costs

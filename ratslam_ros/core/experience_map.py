@@ -185,6 +185,15 @@ class ExperienceMap:
             return None
         return composed(inverse(self.pose_of(experience_id)), self.pose)
 
+    @property
+    def odometer_m(self) -> float:
+        """How far the robot has come."""
+        return self._odometer_m
+
+    def made_m(self, experience_id: int) -> float:
+        """Return how far the robot had come when it made an experience."""
+        return float(self._made_m[experience_id])
+
     def pose_of(self, experience_id: int) -> Pose:
         """Return an experience's place on the map; for -1 the robot's place at the start."""
         if experience_id == NO_EXPERIENCE:
@@ -385,6 +394,8 @@ class ExperienceMap:
 
     def _ask_scans(self, sight: Sight | None) -> None:
         """Note from time to time whether scans know the place, views of which may be new."""
+        if sight is None or sight.fits is None:
+            return
         if self._odometer_m - self._asked_m >= ASK_EVERY_M:
             self._asked_m = self._odometer_m
             if self._is_still_here(sight):

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,6 +53,9 @@ BEHIND_RAD = math.radians(95.0)
 GAIN_M = 0.1
 """A way on must lead so much nearer to where the route leads."""
 
+MOVED_M = 0.1
+"""A robot on a way round that has come so far has not tried in vain."""
+
 FACING_RAD = math.radians(25.0)
 """Turning ends when the route is this close to straight ahead."""
 
@@ -63,9 +67,9 @@ class GoalFollower:
         self._p = parameters
         self._turning = False
         self._tried_since_ns: int | None = None
+        self._tried_m = 0.0
         self._last_rad = 0.0
-        self._last_ns = 0
-        self._last_radps = 0.0
+        self._last: tuple[int, Command] | None = None
 
     def __call__(self, scan: Scan, route: NDArray[np.float64], behaviour: str = '') -> Command:
         """Choose a way on and return how to take it.
@@ -74,6 +78,7 @@ class GoalFollower:
         ``behaviour``: the one that the route was learned with, '' where that is not known.
         """
         p = self._p
+        self._account(scan.stamp_ns)
         movement = LocalMovement(p, scan)
         ahead = _ahead(route, p.route_ahead_m)
         most_mps = _approach_mps(route, p)
@@ -84,8 +89,18 @@ class GoalFollower:
             command = self._choose(scan.stamp_ns, movement, route, ahead, behaviour, most_mps)
         else:
             self._tried_since_ns = None
-        self._last_ns, self._last_radps = scan.stamp_ns, command.turn_rate_radps
+        self._last = scan.stamp_ns, command
         return command
+
+    def _account(self, stamp_ns: int) -> None:
+        """Take that the last command was done: the robot has moved, what it had chosen has not."""
+        then_ns, last = self._last or (stamp_ns, None)
+        duration_s = (stamp_ns - then_ns) * 1e-9
+        if last is None or not 0.0 <= duration_s <= self._p.scan_timeout_s:
+            self._last_rad = self._tried_m = 0.0
+            return
+        self._last_rad = wrap(self._last_rad - last.turn_rate_radps * duration_s)
+        self._tried_m += last.speed_mps * duration_s
 
     def _choose(
         self, stamp_ns: int, movement: LocalMovement, route: NDArray[np.float64],
@@ -103,17 +118,17 @@ class GoalFollower:
         if not options:  # between the posts of a door little is open until the robot is through
             narrow = [o for o in movement.narrow() if _is_about(o, bearing_rad)]
             options = [o for o in narrow if _nearer(o, ahead, stop_m)]
-        # As the robot turned what it had chosen turned the other way.
-        turned_rad = self._last_radps * (stamp_ns - self._last_ns) * 1e-9
-        last_rad = self._last_rad - max(-math.pi, min(turned_rad, math.pi))
         best = min(
             options, key=lambda option: self._rank_m(option, ahead, behaviour), default=None
         )
         wanted_m = min(p.wall_look_ahead_m, max(float(ahead[-1, 2]), LEAST_M))
         if best is None or best.open_m < wanted_m:  # something stands there: it is gone round
-            best = way_round(movement, route, p, last_rad) or min(
+            around = way_round(movement, route, p, self._last_rad)
+            if around is not None:
+                return self._go_round(stamp_ns, drive(movement, around, p, most_mps))
+            best = min(
                 [o for o in options if o.open_m >= wanted_m] or options,
-                key=lambda o: _cost_m(o, ahead) + STEADY_M * abs(o.heading_rad - last_rad),
+                key=lambda o: _cost_m(o, ahead) + STEADY_M * abs(o.heading_rad - self._last_rad),
                 default=None,
             )
         if best is None:
@@ -121,6 +136,14 @@ class GoalFollower:
         self._tried_since_ns = None
         self._last_rad = best.heading_rad
         return drive(movement, best, p, most_mps)
+
+    def _go_round(self, stamp_ns: int, command: Command) -> Command:
+        """Take a way round; where the robot only turns to and fro there is none."""
+        self._last_rad = command.ahead_rad
+        failed = self._has_failed(stamp_ns)
+        if self._tried_m > MOVED_M:
+            self._tried_since_ns = None
+        return replace(command, failed=failed)
 
     def _repeat(
         self, movement: LocalMovement, ahead: NDArray[np.float64], behaviour: str, most_mps: float
@@ -149,14 +172,19 @@ class GoalFollower:
 
     def _blocked(self, stamp_ns: int, bearing_rad: float) -> Command:
         """Face the route and wait: people go away, closed doors do not."""
-        if self._tried_since_ns is None:
-            self._tried_since_ns = stamp_ns
-        failed = stamp_ns - self._tried_since_ns >= self._p.try_timeout_s * 1e9
-        if failed:
-            self._tried_since_ns = stamp_ns
+        failed = self._has_failed(stamp_ns)
         return Command(
             0.0, 0.5 * bearing_rad * self._p.turn_rate_radps, 'centreline', failed, bearing_rad
         )
+
+    def _has_failed(self, stamp_ns: int) -> bool:
+        """Return whether what is tried has led nowhere for long; then the next try begins."""
+        if self._tried_since_ns is None:
+            self._tried_since_ns, self._tried_m = stamp_ns, 0.0
+        failed = stamp_ns - self._tried_since_ns >= self._p.try_timeout_s * 1e9
+        if failed:
+            self._tried_since_ns, self._tried_m = stamp_ns, 0.0
+        return failed
 
 
 def _approach_mps(route: NDArray[np.float64], p: GoalFollowerParameters) -> float:

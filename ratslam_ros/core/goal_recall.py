@@ -413,6 +413,9 @@ def _joins(
     # Neighbours in time are linked already.
     apart = linked[pairs[:, 1]] - linked[pairs[:, 0]]
     pairs = pairs[apart > NEWEST]
+    unlearned = np.sort(experience_map.unlearned_ends, axis=1) @ (len(experience_map), 1)
+    numbers = np.sort(linked[pairs], axis=1) @ (len(experience_map), 1)
+    pairs = pairs[~np.isin(numbers, unlearned)]  # no way leads from one to the other any more
     pairs = pairs[_near_over_links(experience_map, linked[pairs])]
     step = poses[pairs[:, 1]] - poses[pairs[:, 0]]
     shapes = experience_map.link_shapes

@@ -34,8 +34,8 @@ AGREE_M = 1.0
 """Jumps that put the robot this close together agree."""
 
 BEFORE_M = 60.0
-"""Places made so much of the way ago tell whether the robot is still where it believes to be. Had
-it been carried since, newer ones would be of where it was carried to."""
+"""Places that were made at least so far back on the robot's way tell whether it is still where it
+believes to be. Had it been carried since, newer ones would be of where it was carried to."""
 
 NEAR_M, NEAR_RAD = 0.7, math.radians(45.0)
 """And they are asked where they are this near."""

@@ -59,6 +59,7 @@ class LocalMovement:
 
     def __init__(self, parameters: GoalFollowerParameters, scan: Scan) -> None:
         self._p = parameters
+        self.scan = scan
         self.points = points_of(scan)
         """(n, 2) m, where beams ended, in the robot's frame."""
         self.headings_rad = np.linspace(-math.pi / 2, math.pi / 2, HEADINGS)

@@ -198,9 +198,9 @@ class PoseCells:
             self._visits.assume(len(self), self._current)
         if 'gaps' in state:
             self._gaps.restore(state['gaps'])
-        if self._p.exp_max > 0 and not self._gaps:  # saved where there was no limit
+        if self._p.exp_max > 0:  # what was driven while there was no limit
             for source, target in state['transitions']:
-                if source != NO_EXPERIENCE:
+                if source != NO_EXPERIENCE and not self._gaps.knows(source, target):
                     way = math.dist(self._unrolled_of[source], self._unrolled_of[target])
                     self._gaps.join(source, target, way * self._p.pc_cell_x_size)
         self._since_current = Pose(*state['since_current'])

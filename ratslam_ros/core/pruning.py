@@ -16,6 +16,10 @@ LONGEST_GAP_M = 1.5
 """No experience is forgotten that leaves two others further apart, while others can be. The link
 past what is forgotten is straight where the way was not: a longer one leads through walls."""
 
+LONGER = 1.5
+"""Where none can be, those go by their visits that leave no more than so many times the shortest
+gap; on a map of places so far apart all ways would else be thinned alike, however often driven."""
+
 
 class Visits:
     """How often, and when last, the robot came to each experience; time is counted in visits."""
@@ -53,7 +57,8 @@ class Visits:
         may_go = last <= self._now - RECENT_VISITS
         may_go[0] = False
         left_m = gaps.left_by(self._known)
-        may_go &= left_m <= max(LONGEST_GAP_M, left_m[may_go].min())
+        shortest_m = left_m[may_go].min()
+        may_go &= left_m <= (LONGEST_GAP_M if shortest_m <= LONGEST_GAP_M else LONGER * shortest_m)
         fewest = counts[may_go].min()
         candidates = np.flatnonzero(may_go & (counts == fewest))
         return int(candidates[np.argmin(last[candidates])])
@@ -90,13 +95,15 @@ class Gaps:
         self._ways_m: list[dict[int, float]] = []
         self._left_m = np.zeros(64)
 
-    def __bool__(self) -> bool:
-        return any(self._ways_m)
+    def knows(self, a: int, b: int) -> bool:
+        """Return whether there is a way between two experiences."""
+        return a < len(self._ways_m) and b in self._ways_m[a]
 
     def left_by(self, experiences: int) -> NDArray[np.float64]:
         """Return the longest gap that forgetting each experience leaves between two neighbours.
 
-        As the map joins them, all with the nearest one; how far that is where it is the only one.
+        The map joins them all with the nearest one. Where that is the only one the experience ends
+        a way, and counts as if the way went on as far: else ways would be eaten from their ends.
         """
         self._make_room(experiences)
         return self._left_m[:experiences]
@@ -150,5 +157,7 @@ class Gaps:
             self._left_m = np.concatenate([self._left_m, room])
 
     def _measure(self, experience_id: int) -> None:
-        nearest_m, *others_m = sorted(self._ways_m[experience_id].values()) or [0.0]
-        self._left_m[experience_id] = nearest_m + max(others_m, default=0.0)
+        ways_m = self._ways_m[experience_id].values()
+        nearest_m = min(ways_m, default=0.0)
+        longest_m = max(ways_m, default=0.0)
+        self._left_m[experience_id] = nearest_m + longest_m

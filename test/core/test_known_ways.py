@@ -217,3 +217,15 @@ def test_where_a_scan_fits_it_counts_from_there() -> None:
         step(graph)
         guidance = navigator.update(stamp_ns)
     assert guidance.unknown_m > 2.0  # it fitted once
+
+
+def test_at_a_limit_new_places_are_unknown_too() -> None:
+    """They take the numbers of old ones."""
+    graph = straight(10)
+    navigator = on_the_way(graph)
+    for stamp_ns in range(1, 12):
+        graph.integrate(Motion(1.0, 0.5, 0.0))
+        number = 1 + stamp_ns % 5
+        graph.apply(MapAction('create', graph.current_id, number, 20, 0.0, NOWHERE))
+        guidance = navigator.update(stamp_ns)
+    assert guidance.unknown_m > 2.0

@@ -95,7 +95,7 @@ def test_gaps_are_those_that_joining_past_leaves(seed: int, count: int) -> None:
                 ends = frozenset((others[0][0], other))
                 ways[ends] = min(others[0][1] + way, ways.get(ends, math.inf))
     lengths = [sorted(around(i).values()) for i in range(count)]
-    left = [sum(ways[:1]) + sum(ways[1:][-1:]) for ways in lengths]
+    left = [sum(ways[:1]) + sum(ways[-1:]) for ways in lengths]
     restored = Gaps()
     restored.restore(gaps.state())
     for one in (gaps, restored):
@@ -114,7 +114,47 @@ def test_who_leaves_a_long_gap_stays_while_others_may_go() -> None:
         visits.create(gone[-1])
         gaps.join(gone[-1], 39, 3.0 * LONGEST_GAP_M)
     assert gone == list(range(1, 29, 2))
-    assert visits.least(gaps) == 28  # all leave long gaps, this the shortest: 1.2 of them
+    # All leave long gaps: 28 one of 1.2 times that, 2 one of 1.6, which is not yet much longer.
+    assert visits.least(gaps) == 2
+
+
+@pytest.mark.parametrize('spacing_m', [0.4, 0.7, 0.8, 1.4])
+def test_a_dead_end_that_was_driven_to_and_fro_is_not_eaten_from_its_end(spacing_m: float) -> None:
+    visits, gaps = Visits(), Gaps()
+    way = [*range(30), *range(28, 19, -1), *range(30, 70)]  # into a room, out again, and on
+    for before, i in zip([-1, *way], way, strict=False):
+        if i < len(visits.state()['counts']):
+            visits.arrive(i)
+        else:
+            visits.create(i)
+        gaps.join(before, i, spacing_m)
+    gone = []
+    for new in range(70, 90):
+        gone.append(visits.least(gaps))
+        gaps.forget(gone[-1])
+        visits.create(gone[-1])
+        gaps.join(new - 1 if new == 70 else gone[-2], gone[-1], spacing_m)
+    # Those of the room were visited twice, but for its end.
+    assert not set(gone) & set(range(20, 29))
+
+
+def test_what_was_visited_often_stays_where_all_places_are_far_apart() -> None:
+    visits, gaps = Visits(), Gaps()
+    for i in range(12):
+        visits.create(i)
+    for _ in range(50):
+        for i in range(12):
+            gaps.join((i - 1) % 12, i, 4.9)
+            visits.arrive(i)
+    for i in range(12, 60):
+        visits.create(i)
+        gaps.join(i - 1, i, 5.0)
+    for _ in range(15):
+        gone = visits.least(gaps)
+        assert gone >= 12
+        gaps.forget(gone)
+        visits.create(gone)
+        gaps.join(59, gone, 5.0)
 
 
 def test_a_limit_that_leaves_nothing_is_refused() -> None:
@@ -521,7 +561,7 @@ def test_whatever_is_lost_no_number_means_two_places(seed: int) -> None:
     lost = frozenset(n for n in range(300) if rng.random() < 0.2)
     graph = new_map()
     through_messages(graph, done, lost)
-    assert len(graph) == LIMIT
+    assert LIMIT - 3 <= len(graph) <= LIMIT  # a number whose making was lost may be missing
     own = Joining(checked := new_map())
     for sequence, (motion, action) in enumerate(done):
         checked.integrate(motion)
