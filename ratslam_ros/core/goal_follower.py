@@ -97,7 +97,7 @@ class GoalFollower:
         then_ns, last = self._last or (stamp_ns, None)
         duration_s = (stamp_ns - then_ns) * 1e-9
         if last is None or not 0.0 <= duration_s <= self._p.scan_timeout_s:
-            self._last_rad = self._tried_m = 0.0
+            self._last_rad, self._tried_since_ns = 0.0, None  # nobody asked for a while
             return
         self._last_rad = wrap(self._last_rad - last.turn_rate_radps * duration_s)
         self._tried_m += last.speed_mps * duration_s
