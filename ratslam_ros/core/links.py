@@ -176,10 +176,8 @@ class Links:
     def join_past(self, links: list[Link], middle: int, a: int, b: int) -> None:
         """Make of the links between a, an experience and b such as lead past that experience.
 
-        ``links``: those of that experience, as ``of`` gives them.
-
         In each direction that was driven all through, or else from a to b; none where the two
-        are linked as it is.
+        are linked as it is. ``links``: those of that experience, as ``of`` gives them.
         """
         if self.row(a, b) is not None or self.row(b, a) is not None:
             return

@@ -51,7 +51,8 @@ class Visits:
         Seed 002, section IV: of those visited once the one visited longest ago. Where none was,
         of those visited least often the one last visited longest ago. Experience 0 stays, as the
         map hangs on it, and so do those of the last ``RECENT_VISITS``, with the current one; those
-        that would leave a gap longer than ``LONGEST_GAP_M`` stay while there are others.
+        that would leave a gap longer than ``LONGEST_GAP_M`` stay while there are others, and where
+        there are none those that would leave one of more than ``LONGER`` times the shortest.
         """
         counts, last = self._counts[: self._known], self._last[: self._known]
         may_go = last <= self._now - RECENT_VISITS
