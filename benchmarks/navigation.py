@@ -29,17 +29,17 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from tqdm import tqdm
 
-from ratslam_ros.config_files import load_config
+from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.goal_recall import GoalRecall, UnreachableGoal
-from ratslam_ros.core.odometry import Pose
-from ratslam_ros.core.route_following import STRAY_M
-from ratslam_ros.core.scan import Scan
-from ratslam_ros.core.section import Value
-from ratslam_ros.core.steering import Command
-from ratslam_ros.goal_memory_pictures import draw_temporal_array
-from ratslam_ros.goal_pictures import draw_temporal_map
-from ratslam_ros.pictures import new_figure, save_figure
+from ratslam_ros.core.config.parameter import Value
+from ratslam_ros.core.driving.steering import Command
+from ratslam_ros.core.navigation.route_following import STRAY_M
+from ratslam_ros.core.navigation.route_planner import GoalRecall, UnreachableGoal
+from ratslam_ros.files.config import load_config
+from ratslam_ros.results.goal_memory_plots import draw_temporal_array
+from ratslam_ros.results.goal_plots import draw_temporal_map
+from ratslam_ros.results.plots import new_figure, save_figure
 from ratslam_ros.simulator.closed_loop import ClosedLoop
 from ratslam_ros.simulator.config import SimulatorParameters, make_simulator
 from ratslam_ros.simulator.drive import DriveOptions, Driver

@@ -42,9 +42,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ratslam_ros.config_files import load_config
 from ratslam_ros.core.config import LocalViewParameters
-from ratslam_ros.core.local_view import LocalView, make_view
+from ratslam_ros.core.vision.local_view import LocalView, make_view
+from ratslam_ros.files.config import load_config
 from ratslam_ros.recordings import ImageEvent, open_recording
 
 Image = NDArray[np.uint8]

@@ -15,12 +15,12 @@ from collections.abc import Callable
 
 import numpy as np
 
+from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.config import ExperienceMapParameters, GoalRecallParameters
-from ratslam_ros.core.experience_map import ExperienceMap
-from ratslam_ros.core.goal_recall import GoalRecall, GoalTree
-from ratslam_ros.core.odometry import Motion
-from ratslam_ros.core.pose_cells import MapAction
-from ratslam_ros.core.torus import Place
+from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.navigation.route_planner import GoalRecall, GoalTree
+from ratslam_ros.core.pose_cells.pose_cells import MapAction
+from ratslam_ros.core.pose_cells.torus import Place
 
 REPEATS = 100
 ACTIONS = 500

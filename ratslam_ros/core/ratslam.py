@@ -16,16 +16,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry, moved
+from ratslam_ros.core.common.pose import Pose, composed
+from ratslam_ros.core.common.scan import Scan
+from ratslam_ros.core.common.stamp_order import Counts, Released, StampOrder
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.experience_map import ExperienceMap, Forgotten
-from ratslam_ros.core.goal_memory import GoalMemory
-from ratslam_ros.core.local_view import UNDECODABLE, LocalView, ViewMatch
-from ratslam_ros.core.odometry import MotionFromOdometry, Odometry, Pose, composed, moved
-from ratslam_ros.core.order import Counts, Released, StampOrder
-from ratslam_ros.core.pose_cells import MapAction, PoseCells
-from ratslam_ros.core.scan import Scan
-from ratslam_ros.core.scan_alignment import ScanAlignment
-from ratslam_ros.core.visual_odometry import VisualOdometry
+from ratslam_ros.core.goal_memory.goal_memory import GoalMemory
+from ratslam_ros.core.mapping.experience_map import ExperienceMap, Forgotten
+from ratslam_ros.core.mapping.scan_matching import ScanAlignment
+from ratslam_ros.core.pose_cells.pose_cells import MapAction, PoseCells
+from ratslam_ros.core.vision.local_view import UNDECODABLE, LocalView, ViewMatch
+from ratslam_ros.core.vision.visual_odometry import VisualOdometry
 from ratslam_ros.errors import UnusableParameter
 
 Stopwatch = Callable[[str], AbstractContextManager[object]]

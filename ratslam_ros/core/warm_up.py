@@ -10,15 +10,16 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ratslam_ros.core.adaptation import has_detour
-from ratslam_ros.core.angles import wrap
+from ratslam_ros.core.common.angles import wrap
+from ratslam_ros.core.common.odometry import Motion, MotionFromOdometry, Odometry, Twist
+from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.experience_map import ExperienceMap
-from ratslam_ros.core.local_view import LocalView, ViewMatch
-from ratslam_ros.core.odometry import Motion, MotionFromOdometry, Odometry, Pose, Twist
-from ratslam_ros.core.pose_cells import Action, MapAction, PoseCells
-from ratslam_ros.core.torus import Place
-from ratslam_ros.core.visual_odometry import VisualOdometry
+from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.mapping.link_learning import has_detour
+from ratslam_ros.core.pose_cells.pose_cells import Action, MapAction, PoseCells
+from ratslam_ros.core.pose_cells.torus import Place
+from ratslam_ros.core.vision.local_view import LocalView, ViewMatch
+from ratslam_ros.core.vision.visual_odometry import VisualOdometry
 
 _SMALL = {
     'local_view.template_x_size': 4, 'local_view.template_y_size': 2,
@@ -83,14 +84,14 @@ def _experience_map(config: Config) -> ExperienceMap:
 
 
 def _scan_alignment(config: Config) -> None:
-    from ratslam_ros.core.scan_alignment import VIEW_SD_M, align
+    from ratslam_ros.core.mapping.scan_matching import VIEW_SD_M, align
 
     corner = np.concatenate([np.arange(40.0)[:, None] * step for step in ((0.1, 0.0), (0.0, 0.1))])
     align(corner, corner, Pose(0.0, 0.0, 0.0), VIEW_SD_M)
 
 
 def _goal_recall(config: Config) -> None:
-    from ratslam_ros.core.navigator import Navigator  # takes long: it needs SciPy
+    from ratslam_ros.core.navigation.navigator import Navigator  # takes long: it needs SciPy
 
     experience_map = _experience_map(config)
     navigator = Navigator(replace(config.goal_recall, goal_radius_m=0.0), experience_map)
@@ -101,7 +102,7 @@ def _goal_recall(config: Config) -> None:
 
 
 def _goal_memory(config: Config) -> None:
-    from ratslam_ros.core.goal_memory import GoalMemory  # as long
+    from ratslam_ros.core.goal_memory.goal_memory import GoalMemory  # as long
 
     memory, pose_cells = (
         GoalMemory(config.goal_memory, config.pose_cells), PoseCells(config.pose_cells)
@@ -114,8 +115,8 @@ def _goal_memory(config: Config) -> None:
 
 
 def _goal_follower(config: Config) -> None:
-    from ratslam_ros.core.goal_follower import GoalFollower
-    from ratslam_ros.core.scan import Scan
+    from ratslam_ros.core.common.scan import Scan
+    from ratslam_ros.core.driving.goal_follower import GoalFollower
 
     follow = GoalFollower(config.goal_follower)
     for ahead_m in (2.0, 0.5):  # the second time something stands there

@@ -17,15 +17,16 @@ from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
-from ratslam_ros.core.experience_map import ExperienceMap
-from ratslam_ros.core.joining import Joining
-from ratslam_ros.core.local_view import NO_TEMPLATE
-from ratslam_ros.core.odometry import MotionFromOdometry, Odometry, Pose, composed, inverse
-from ratslam_ros.core.pose_cells import MapAction
-from ratslam_ros.core.scan_alignment import ScanAlignment
-from ratslam_ros.core.state import State
+from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry
+from ratslam_ros.core.common.pose import Pose, composed, inverse
+from ratslam_ros.core.common.state import State
+from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.mapping.late_join import Joining
+from ratslam_ros.core.mapping.scan_matching import ScanAlignment
+from ratslam_ros.core.pose_cells.pose_cells import MapAction
+from ratslam_ros.core.vision.local_view import NO_TEMPLATE
 from ratslam_ros.core.warm_up import warm_up
-from ratslam_ros.messages import MalformedMessage, MapText, decode_action, encode_map
+from ratslam_ros.messages.mapping import MalformedMessage, MapText, decode_action, encode_map
 from ratslam_ros.nodes.behaviours import Behaviours
 from ratslam_ros.nodes.convert import header_of, odometry_of, pose_message, transform
 from ratslam_ros.nodes.goal_navigation import GoalNavigation
@@ -33,7 +34,7 @@ from ratslam_ros.nodes.markers import markers_of
 from ratslam_ros.nodes.node import FLUSH_CHECK_S, RatslamNode
 from ratslam_ros.nodes.qos import LATCHED, STATE
 from ratslam_ros.nodes.run import run
-from ratslam_ros.nodes.scans import usable_scan
+from ratslam_ros.nodes.scans import accepted_scan
 
 LARGEST_SHARE = 0.1
 """Of one core, for sending the map: a large map is sent less often than map_period_s."""
@@ -146,7 +147,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
             self._locate(odometry)
 
     def _on_scan(self, message: LaserScan) -> None:
-        scan = usable_scan(message, self._refuse)
+        scan = accepted_scan(message, self._refuse)
         if scan is not None and not self._paused:
             self._scans.scan(scan)
 

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
-from ratslam_ros.core.local_view import UNDECODABLE, LocalView, ViewMatch, make_view
-from ratslam_ros.core.numbering import FIRST_MEMORY, NOTHING_LEARNED
-from ratslam_ros.core.state import State
-from ratslam_ros.messages import encode_template
+from ratslam_ros.core.common.state import State
+from ratslam_ros.core.mapping.id_map import FIRST_MEMORY, NOTHING_LEARNED
+from ratslam_ros.core.vision.local_view import UNDECODABLE, LocalView, ViewMatch, make_view
+from ratslam_ros.messages.mapping import encode_template
 from ratslam_ros.nodes.convert import grey_image
 from ratslam_ros.nodes.image_node import ImageNode
 from ratslam_ros.nodes.qos import RESULT, VIEW

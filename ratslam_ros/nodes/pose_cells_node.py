@@ -13,12 +13,12 @@ from nav_msgs.msg import Odometry as OdometryMessage
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
-from ratslam_ros.core.local_view import NO_TEMPLATE, ViewMatch
-from ratslam_ros.core.numbering import FIRST_MEMORY, NOTHING_LEARNED, Numbering
-from ratslam_ros.core.odometry import MotionFromOdometry, Odometry
-from ratslam_ros.core.pose_cells import PoseCells
-from ratslam_ros.core.state import State
-from ratslam_ros.messages import (
+from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry
+from ratslam_ros.core.common.state import State
+from ratslam_ros.core.mapping.id_map import FIRST_MEMORY, NOTHING_LEARNED, Numbering
+from ratslam_ros.core.pose_cells.pose_cells import PoseCells
+from ratslam_ros.core.vision.local_view import NO_TEMPLATE, ViewMatch
+from ratslam_ros.messages.mapping import (
     MalformedMessage,
     decode_template,
     encode_action,

@@ -16,8 +16,8 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo
 from tf2_msgs.msg import TFMessage
 
-from ratslam_ros.core.odometry import Odometry
-from ratslam_ros.core.visual_odometry import VisualOdometry, field_of_view_deg
+from ratslam_ros.core.common.odometry import Odometry
+from ratslam_ros.core.vision.visual_odometry import VisualOdometry, field_of_view_deg
 from ratslam_ros.nodes.convert import header_of, pose_message, transform
 from ratslam_ros.nodes.image_node import ImageNode, Message
 from ratslam_ros.nodes.inputs import publisher_count

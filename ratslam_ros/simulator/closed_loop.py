@@ -11,19 +11,20 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ratslam_ros.core.angles import wrap
+from ratslam_ros.core.common.angles import wrap
+from ratslam_ros.core.common.odometry import Odometry, Twist
+from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.experience_map import ExperienceMap
-from ratslam_ros.core.exploration import Exploration
-from ratslam_ros.core.goal_follower import GoalFollower, seen_from
-from ratslam_ros.core.goals import Target
-from ratslam_ros.core.navigator import Errand, Navigator
-from ratslam_ros.core.odometry import Odometry, Pose, Twist
+from ratslam_ros.core.driving.exploration import Exploration
+from ratslam_ros.core.driving.goal_follower import GoalFollower, seen_from
+from ratslam_ros.core.driving.steering import Command
+from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.navigation.goals import Target
+from ratslam_ros.core.navigation.navigator import Errand, Navigator
+from ratslam_ros.core.navigation.route_following import Guidance
+from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.core.ratslam import RatSLAM, Step, ViewStep
-from ratslam_ros.core.route_following import Guidance
-from ratslam_ros.core.scan import Scan
-from ratslam_ros.core.steering import Command
-from ratslam_ros.core.torus import Place
 from ratslam_ros.simulator.simulation import ImageSample, OdometrySample, ScanSample, Simulator
 
 Steering = Callable[[Scan], Command]

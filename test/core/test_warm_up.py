@@ -17,14 +17,15 @@ import sys
 import numpy as np
 from numba.core.dispatcher import Dispatcher
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.experience_map import ExperienceMap
-from ratslam_ros.core.goal_recall import GoalRecall
-from ratslam_ros.core.local_view import LocalView, ViewMatch
-from ratslam_ros.core.odometry import Motion, MotionFromOdometry, Odometry, Pose, Twist
-from ratslam_ros.core.pose_cells import PoseCells
+from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.navigation.route_planner import GoalRecall
+from ratslam_ros.core.vision.local_view import LocalView, ViewMatch
+from ratslam_ros.core.common.odometry import Motion, MotionFromOdometry, Odometry, Twist
+from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.ratslam import RatSLAM
-from ratslam_ros.core.torus import Place
-from ratslam_ros.core.visual_odometry import VisualOdometry
+from ratslam_ros.core.pose_cells.torus import Place
+from ratslam_ros.core.vision.visual_odometry import VisualOdometry
 from ratslam_ros.core.warm_up import warm_up
 
 def loaded():
@@ -105,7 +106,7 @@ GOAL_RECALL = (
 GoalRecall(config.goal_recall).route_to(graph, 0)
 GoalRecall(config.goal_recall).route_to_place(graph, 0.0, 0.0, 50.0)
 GoalRecall(config.goal_recall).follow(graph, *graph.pose_of(0)[:2])
-from ratslam_ros.core.navigator import Navigator
+from ratslam_ros.core.navigation.navigator import Navigator
 navigator = Navigator(config.goal_recall, graph)
 goal, count = len(graph) // 2, graph.link_count
 navigator.go_to(goal)
@@ -118,7 +119,7 @@ for n in range(40):
 )
 
 GOAL_MEMORY = """
-from ratslam_ros.core.goal_memory import GoalMemory
+from ratslam_ros.core.goal_memory.goal_memory import GoalMemory
 pose_cells = PoseCells(config.pose_cells)
 memory = GoalMemory(config.goal_memory, config.pose_cells)
 for n in range(100):
@@ -131,8 +132,8 @@ assert memory.bearing(times, pose_cells.peak) is not None
 """
 
 GOAL_FOLLOWER = """
-from ratslam_ros.core.goal_follower import GoalFollower
-from ratslam_ros.core.scan import Scan
+from ratslam_ros.core.driving.goal_follower import GoalFollower
+from ratslam_ros.core.common.scan import Scan
 modules = set(sys.modules)
 follow = GoalFollower(config.goal_follower)
 for n in range(40):

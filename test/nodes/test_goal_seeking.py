@@ -12,9 +12,10 @@ from typing import Any
 
 import pytest
 
-from ratslam_ros.core.goal_memory import GoalMemory
-from ratslam_ros.core.odometry import MotionFromOdometry, Odometry, Pose, Twist
-from ratslam_ros.core.pose_cells import PoseCells
+from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry, Twist
+from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.goal_memory.goal_memory import GoalMemory
+from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 
 PAGE = (Path(__file__).parents[2] / 'docs/topics.md').read_text(encoding='utf-8')
 ON = ('-p', 'goal_memory.goal_memory:=true', '-p', 'flush_after_s:=0.3')

@@ -15,8 +15,8 @@ import pytest
 from helpers import PERIOD_NS, START_NS, picture, template_text
 
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.local_view import LocalView
-from ratslam_ros.messages import decode_action, decode_template
+from ratslam_ros.core.vision.local_view import LocalView
+from ratslam_ros.messages.mapping import decode_action, decode_template
 
 S = 1_000_000_000
 SMALL = (
@@ -58,9 +58,9 @@ def string(text: str) -> Any:
 
 
 def action_text(stamp_ns: int, sequence: int, kind: str, source: int, target: int) -> str:
-    from ratslam_ros.core.pose_cells import MapAction
-    from ratslam_ros.core.torus import Place
-    from ratslam_ros.messages import encode_action
+    from ratslam_ros.core.pose_cells.pose_cells import MapAction
+    from ratslam_ros.core.pose_cells.torus import Place
+    from ratslam_ros.messages.mapping import encode_action
 
     action = MapAction(kind, source, target, max(target, 0), 0.0, Place(1.0, 2.0, 3.0))  # type: ignore[arg-type]
     return encode_action(stamp_ns, sequence, action, START_NS)
@@ -340,7 +340,7 @@ def test_the_activity_is_shown_to_who_looks(world: MakeWorld) -> None:
 def test_active_experiences_are_told_to_who_listens(world: MakeWorld) -> None:
     from std_msgs.msg import String
 
-    from ratslam_ros.messages import decode_active
+    from ratslam_ros.messages.mapping import decode_active
 
     made, actions = pose_cells(world)
     heard = made.listen(String, 'pose_cells/active_experiences')
@@ -650,7 +650,7 @@ def test_visual_odometry_gives_what_core_gives_and_a_whole_tree(world: MakeWorld
     from nav_msgs.msg import Odometry
     from tf2_msgs.msg import TFMessage
 
-    from ratslam_ros.core.visual_odometry import VisualOdometry
+    from ratslam_ros.core.vision.visual_odometry import VisualOdometry
     from ratslam_ros.nodes.convert import odometry_of
     from ratslam_ros.nodes.visual_odometry_node import VisualOdometryNode
 
