@@ -109,7 +109,7 @@ class Drive:
     def step(self) -> Command:
         scan = scan_in(self.walls, self.pose, self.stamp_ns, beams=181)
         self.left_m = rest_of(self.left_m, self.pose.x_m, self.pose.y_m)
-        command = self.follower(scan, seen_from(self.pose, self.left_m), self.behaviour)
+        command = self.follower.command(scan, seen_from(self.pose, self.left_m), self.behaviour)
         self.pose = moved(
             self.pose,
             Motion(SCAN_S, command.speed_mps * SCAN_S, command.turn_rate_radps * SCAN_S),

@@ -47,13 +47,13 @@ def _images() -> list[NDArray[np.uint8]]:
 def _visual_odometry(config: Config) -> None:
     visual_odometry = VisualOdometry(config.visual_odometry)
     for frame, image in enumerate(_images()):
-        visual_odometry(frame, image)
+        visual_odometry.estimate(frame, image)
 
 
 def _local_view(config: Config) -> None:
     local_view = LocalView(config.local_view)
     for image in _images():
-        local_view(image)
+        local_view.match(image)
 
 
 def _pose_cells(config: Config) -> None:
@@ -61,7 +61,7 @@ def _pose_cells(config: Config) -> None:
     for views in (0.0, 1.0):  # with none that need agree, all that is known injects
         pose_cells = PoseCells(replace(config.pose_cells, pc_vt_agree_views=views))
         for n in range(30):  # twice the same way: the second time activity is injected
-            motion_from(Odometry(n * 10**9, Twist(1.0, 0.1), Pose(0.0, 0.0, 0.0)))
+            motion_from.update(Odometry(n * 10**9, Twist(1.0, 0.1), Pose(0.0, 0.0, 0.0)))
             pose_cells.integrate(_MOTION)
             pose_cells.view(ViewMatch(n % 15, n < 15, 0.0, 0.0))
     pose_cells.activity()
@@ -121,7 +121,7 @@ def _goal_follower(config: Config) -> None:
     follow = GoalFollower(config.goal_follower)
     for ahead_m in (2.0, 0.5):  # the second time something stands there
         scan = Scan(0, -1.0, 1.0, np.array([1.0, ahead_m, 1.0]))
-        follow(scan, np.array([[0.0, 0.0], [1.0, 0.0]]))
+        follow.command(scan, np.array([[0.0, 0.0], [1.0, 0.0]]))
 
 
 _MAPPING: dict[str, Callable[[Config], object]] = {

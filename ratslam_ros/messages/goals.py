@@ -16,7 +16,7 @@ from typing import Any
 
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation.goals import Goal, Position, Target
-from ratslam_ros.core.navigation.navigator import Errand
+from ratslam_ros.core.navigation.navigator import GoalTask
 from ratslam_ros.core.navigation.route_following import Guidance
 from ratslam_ros.core.navigation.route_planner import TemporalMap
 from ratslam_ros.messages.mapping import (
@@ -168,8 +168,8 @@ def decode_behaviour(payload: str) -> BehaviourNote:
 
 
 def encode_status(
-    stamp_ns: int, experience_map: ExperienceMap, guidance: Guidance, queue: Iterable[Errand],
-    outcomes: Iterable[Errand], reason: str = '',
+    stamp_ns: int, experience_map: ExperienceMap, guidance: Guidance, queue: Iterable[GoalTask],
+    outcomes: Iterable[GoalTask], reason: str = '',
 ) -> str:  # fmt: skip
     """Return the payload of ``experience_map/status``.
 
@@ -228,7 +228,7 @@ def decode_status(payload: str) -> dict[str, Any]:
     return {**fields, 'behaviour': behaviour, 'stamp_ns': _stamp_ns(fields['stamp'])}
 
 
-def _errand(errand: Errand) -> dict[str, Any]:
+def _errand(errand: GoalTask) -> dict[str, Any]:
     took_s = None
     if errand.started_ns is not None and errand.ended_ns is not None:
         took_s = (errand.ended_ns - errand.started_ns) / NS_PER_S

@@ -144,9 +144,9 @@ class GoalFollowerNode(RatslamNode[Scan]):
 
     def _steer(self, scan: Scan) -> Command:
         if self._task == 'exploring':
-            return self._exploration(scan, self._odom_pose)
+            return self._exploration.command(scan, self._odom_pose)
         self._route = rest_of(self._route, self._pose.x_m, self._pose.y_m)
-        return self._follower(scan, seen_from(self._pose, self._route), self._wall)
+        return self._follower.command(scan, seen_from(self._pose, self._route), self._wall)
 
     def _tell(self, stamp_ns: int, command: Command) -> None:
         self._tries_failed += command.failed

@@ -115,9 +115,9 @@ class GoalNavigation:
         """Return the names and their places."""
         return self._navigator.goals.state()
 
-    def try_failed(self) -> bool:
+    def report_blocked(self) -> bool:
         """Take note of a try that led nowhere; return whether the map shall count it."""
-        return self._navigator.try_failed()
+        return self._navigator.report_blocked()
 
     def locate(self, stamp_ns: int, pose: Pose, odom_pose: Pose) -> None:
         """Take where the robot is on the map and in the frame of the odometry."""

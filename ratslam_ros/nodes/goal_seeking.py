@@ -45,9 +45,9 @@ class GoalSeeking:
         self._pose_cells, self._memory = pose_cells, memory
         self._goal = ''
 
-    def carried(self) -> None:
+    def relocated(self) -> None:
         """Link nothing to what was active before."""
-        self._memory.carried()
+        self._memory.relocated()
 
     def learned(self) -> State:
         """Return all that was learned."""

@@ -58,7 +58,7 @@ class LocalViewNode(ImageNode):
 
     def _see(self, stamp_ns: int, image: NDArray[np.uint8], frame_id: str) -> None:
         with self._diagnostics.times('local_view'):
-            match = self._core(image)
+            match = self._core.match(image)
         if match.is_new and self._memory_ns == NOTHING_LEARNED:
             self._memory_ns = max(stamp_ns, FIRST_MEMORY)
         self._publish(stamp_ns, match)

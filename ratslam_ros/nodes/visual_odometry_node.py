@@ -107,7 +107,7 @@ class VisualOdometryNode(ImageNode):
 
     def _see(self, stamp_ns: int, image: NDArray[np.uint8], frame_id: str) -> None:
         with self._diagnostics.times('visual_odometry'):
-            odometry = self._core(stamp_ns, image)
+            odometry = self._core.estimate(stamp_ns, image)
         if odometry is not None:
             self._publish(odometry)
         self._last_ns = stamp_ns

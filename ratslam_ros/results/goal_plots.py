@@ -15,7 +15,7 @@ from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import ExperienceMapParameters, GoalRecallParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation.goals import Goal
-from ratslam_ros.core.navigation.route_planner import GoalRecall, TemporalMap
+from ratslam_ros.core.navigation.route_planner import RoutePlanner, TemporalMap
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.results.plots import (
     BLACK,
@@ -110,7 +110,7 @@ def draw_times(folder: str | Path, start_id: int | None, goal_id: int | None) ->
         raise UnusableInput(
             f'there is no experience {start} to start from; expected 0 to {len(graph) - 1}'
         )
-    times = GoalRecall(GoalRecallParameters()).temporal_map(graph, start)
+    times = RoutePlanner(GoalRecallParameters()).temporal_map(graph, start)
     route_m, goals = None, []
     if goal_id is not None:
         route_m = graph.poses[list(times.route_to(goal_id).experience_ids), :2]

@@ -12,8 +12,8 @@ from helpers import PERIOD_NS, START_NS, picture, twist
 
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
-from ratslam_ros.core.mapping.id_map import Numbering
-from ratslam_ros.core.mapping.late_join import Joining
+from ratslam_ros.core.mapping.id_map import IdMap
+from ratslam_ros.core.mapping.late_join import LateJoin
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.ratslam import RatSLAM
 from ratslam_ros.core.vision.local_view import LocalView
@@ -63,15 +63,15 @@ def test_who_is_saved_and_restored_goes_on_as_if_nothing_had_been(
 
 
 def test_numbers_survive(tmp_path: Path) -> None:
-    numbering = Numbering()
+    numbering = IdMap()
     numbering.remember(3)
     numbering.number(9)
     numbering.remember(4)
     graph = ExperienceMap(CONFIG.experience_map)
-    joining = Joining(graph)
+    joining = LateJoin(graph)
     save(tmp_path / 'x', 'x', {'a': numbering.state(), 'b': joining.state()})
     found = load(tmp_path / 'x', 'x')
-    again, joined = Numbering(), Joining(graph)
+    again, joined = IdMap(), LateJoin(graph)
     again.restore(found['a'])
     joined.restore(found['b'])
     assert again.number(0) == numbering.number(0) == 10
@@ -80,7 +80,7 @@ def test_numbers_survive(tmp_path: Path) -> None:
 
 def test_another_size_is_refused(tmp_path: Path) -> None:
     core = LocalView(CONFIG.local_view)
-    core(picture(0, 24, 32))
+    core.match(picture(0, 24, 32))
     with pytest.raises(UnusableInput, match='template_y_size'):
         LocalView(Config().local_view).restore(core.state())
     with pytest.raises(UnusableInput, match='pc_dim_x'):

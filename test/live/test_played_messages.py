@@ -141,7 +141,6 @@ def test_recorded_odometry_and_that_of_tables_is_the_same_live(tmp_path: Path) -
 @pytest.mark.parametrize('beams', [0, 1, 181])
 def test_a_scan_is_received_to_the_last_bit(beams: int) -> None:
     from ratslam_ros.core.common.scan import UnusableScan
-
     from ratslam_ros.nodes.scans import scan_from_message
     from ratslam_ros.offline.replay import _scan
 

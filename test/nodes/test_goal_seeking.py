@@ -102,7 +102,7 @@ def test_the_node_learns_what_core_learns(world: MakeWorld) -> None:
     for second in range(12):
         speed = 0.5 if second < 3 else 1.0
         message = Odometry(START_NS + second * S, Twist(speed, 0.0), Pose(0.0, 0.0, 0.0))
-        motion = motion_from(message)
+        motion = motion_from.update(message)
         if motion is not None:
             cells.integrate(motion)
             memory.integrate(motion, cells)

@@ -91,7 +91,7 @@ def test_every_image_gives_a_template_message_and_the_same_as_core(world: MakeWo
     for n, (seed, message) in enumerate(zip(seeds, heard, strict=True)):
         stamp_ns, match, memory_ns = decode_template(message.data)
         assert (stamp_ns, memory_ns) == (START_NS + n * PERIOD_NS, START_NS)
-        assert match == core(picture(seed, 24, 32))
+        assert match == core.estimate(picture(seed, 24, 32))
 
 
 def test_images_that_are_wrong_are_counted_and_change_nothing(world: MakeWorld) -> None:
@@ -662,7 +662,7 @@ def test_visual_odometry_gives_what_core_gives_and_a_whole_tree(world: MakeWorld
     for n in range(5):
         stamp_ns = START_NS + n * PERIOD_NS
         made.send('image', image(stamp_ns, n))
-        expected.append(core(stamp_ns, picture(n, 24, 32)))
+        expected.append(core.estimate(stamp_ns, picture(n, 24, 32)))
     made.until(lambda: len(heard) == len(transforms) == 4)
     assert [odometry_of(message) for message in heard] == [
         odometry.as_received() for odometry in expected if odometry is not None

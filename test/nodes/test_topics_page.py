@@ -101,7 +101,7 @@ def example_of_status() -> str:
     from ratslam_ros.core.config import ExperienceMapParameters
     from ratslam_ros.core.mapping.experience_map import Direction, ExperienceMap
     from ratslam_ros.core.navigation.goals import Goal
-    from ratslam_ros.core.navigation.navigator import Errand
+    from ratslam_ros.core.navigation.navigator import GoalTask
     from ratslam_ros.core.navigation.route_following import Guidance
     from ratslam_ros.messages.goals import encode_status
 
@@ -115,8 +115,8 @@ def example_of_status() -> str:
     around = Around(ExperienceMapParameters())
     around.current_id = 40
     here = Goal(12)
-    active = Errand(3, here, 'kitchen', status='active', expected_s=24.0)
-    over = Errand(
+    active = GoalTask(3, here, 'kitchen', status='active', expected_s=24.0)
+    over = GoalTask(
         2, here, '(1, 0)', status='timed_out', reason='not reached within 60 s', started_ns=0,
         expected_s=12.5, ended_ns=60_000_000_000,
     )  # fmt: skip

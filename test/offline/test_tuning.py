@@ -54,7 +54,7 @@ def recognised(images, parameters, lap_of, place_of, tolerance, lap_length, firs
     view, learned = LocalView(parameters), []
     right = wrong = missed = 0
     for i, image in enumerate(images):
-        match = view(image)
+        match = view.match(image)
         if match.is_new:
             learned.append(i)
         if lap_of[i] < first_lap:
@@ -134,8 +134,9 @@ def test_errors_are_those_of_the_local_view(changes):
     for later in range(8):
         for earlier in range(later):
             memory = LocalView(parameters)
-            memory(images[earlier])
-            assert errors[later, earlier] == pytest.approx(memory(images[later]).error, abs=1e-6)
+            memory.match(images[earlier])
+            error = memory.match(images[later]).error
+            assert errors[later, earlier] == pytest.approx(error, abs=1e-6)
 
 
 def test_revisits_are_told_from_chance():

@@ -15,7 +15,7 @@ from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.config import ExperienceMapParameters, GoalRecallParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation.goals import Goal
-from ratslam_ros.core.navigation.route_planner import GoalRecall, UnreachableGoal
+from ratslam_ros.core.navigation.route_planner import RoutePlanner, UnreachableGoal
 from ratslam_ros.core.pose_cells.pose_cells import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.errors import UnusableInput
@@ -45,7 +45,7 @@ def route_pixels(path: Path) -> int:
 
 def test_times_and_the_route_are_drawn_the_same_twice(tmp_path: Path) -> None:
     graph = square()
-    times = GoalRecall(GoalRecallParameters()).temporal_map(graph)
+    times = RoutePlanner(GoalRecallParameters()).temporal_map(graph)
     route = graph.poses[[15, 14, 13, 12, 11], :2]
     for name in ('a.png', 'b.png'):
         draw_temporal_map(graph, times, tmp_path / name, route, [Goal(11, name='kitchen')])
@@ -59,7 +59,7 @@ def test_a_map_that_was_written_has_the_same_routes(tmp_path: Path) -> None:
     (tmp_path / 'map.json').write_text(encode_map(0, graph))
     again = read_map(tmp_path / 'map.json')
     assert encode_map(0, again) == encode_map(0, graph)
-    recall = GoalRecall(GoalRecallParameters())
+    recall = RoutePlanner(GoalRecallParameters())
     assert recall.route_to(again, 3) == recall.route_to(graph, 3)
     assert route_pixels(draw_times(tmp_path, None, 3)) > 500
     with pytest.raises(UnreachableGoal, match='no link leads from experience 2 to 16'):

@@ -74,7 +74,7 @@ class MotionFromOdometry:
         """Take the next message for the first one: what lies between is no motion."""
         self._last = None
 
-    def __call__(self, odometry: Odometry) -> Motion | None:
+    def update(self, odometry: Odometry) -> Motion | None:
         """Return the motion since the message before; None for the first one, or after a gap.
 
         Twist n acts over (t[n-1], t[n]]. From poses: the arc that joins the two poses, seen in
@@ -100,7 +100,7 @@ class MotionFromOdometry:
         """Return where messages that still wait for their turn will lead; takes none of them."""
         motion_of = copy.copy(self)
         for odometry in waiting:
-            motion = motion_of(odometry)
+            motion = motion_of.update(odometry)
             if motion is not None:
                 offset = moved(offset, motion)
         return offset

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.common.compiled import compiled
 from ratslam_ros.core.config.goal_follower import GoalFollowerParameters
-from ratslam_ros.core.driving.free_directions import LocalMovement, Option
+from ratslam_ros.core.driving.free_directions import DirectionCandidate, LocalMovement
 
 CELL_M, BACK_M, FRONT_M, ASIDE_M = 0.1, 1.0, 4.0, 2.5
 """The cells in which a detour is looked for: how wide, and how far around the robot they lie."""
@@ -35,10 +35,10 @@ STEADY, FIRST_M = 0.5, 0.5
 of two ways round as long the robot would take the one and the other in turns."""
 
 
-def way_round(
+def plan_detour(
     movement: LocalMovement, route: NDArray[np.float64], p: GoalFollowerParameters,
     last_rad: float = 0.0,
-) -> Option | None:  # fmt: skip
+) -> DirectionCandidate | None:  # fmt: skip
     """Return how the shortest way round what stands on the route begins, None for no way.
 
     It leads to that place of the route behind it from which way and detour together are shortest.
@@ -78,7 +78,7 @@ def way_round(
 def _towards(
     x_m: NDArray[np.float64], y_m: NDArray[np.float64], movement: LocalMovement,
     p: GoalFollowerParameters,
-) -> Option | None:  # fmt: skip
+) -> DirectionCandidate | None:  # fmt: skip
     """Return the way to the furthest place of a detour that can be driven to straight on."""
     away_m = np.hypot(x_m, y_m)
     far = np.flatnonzero(away_m >= LOOK_AHEAD_M)
@@ -86,7 +86,8 @@ def _towards(
         heading_rad = math.atan2(y_m[place], x_m[place])
         open_m = movement.open_m(heading_rad, p.robot_radius_m + p.margin_m / 2)
         if open_m >= away_m[place]:
-            return Option('straight', heading_rad, movement.open_m(heading_rad, p.robot_radius_m))
+            ahead_m = movement.open_m(heading_rad, p.robot_radius_m)
+            return DirectionCandidate('straight', heading_rad, ahead_m)
     return None
 
 

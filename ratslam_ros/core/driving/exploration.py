@@ -13,7 +13,12 @@ from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.config.goal_follower import GoalFollowerParameters
-from ratslam_ros.core.driving.free_directions import OPENING_RAD, Behaviour, LocalMovement, Option
+from ratslam_ros.core.driving.free_directions import (
+    OPENING_RAD,
+    Behaviour,
+    DirectionCandidate,
+    LocalMovement,
+)
 from ratslam_ros.core.driving.steering import Command, drive, turn
 
 if TYPE_CHECKING:  # whoever makes an exploration brings its chance
@@ -77,7 +82,7 @@ class Exploration:
         self._turn_without_wall = self._round_rad = 0.0
         self._begin(0, 'on')
 
-    def __call__(self, scan: Scan, pose: Pose) -> Command:
+    def command(self, scan: Scan, pose: Pose) -> Command:
         """Return how to move on.
 
         ``pose``: by odometry alone; only its changes count.
@@ -90,7 +95,8 @@ class Exploration:
         if self._phase in _TURNS:
             return turn(self._left_rad(pose), self._p)
         if self._phase == 'off':
-            return drive(movement, Option('centreline', 0.0, movement.open_m(0.0)), self._p)
+            ahead = DirectionCandidate('centreline', 0.0, movement.open_m(0.0))
+            return drive(movement, ahead, self._p)
         other: Behaviour = 'right_wall' if self._side == 'left_wall' else 'left_wall'
         side = other if self._phase == 'back' else self._side
         return self._along_wall(movement, side, pose.heading_rad)
@@ -173,7 +179,7 @@ class Exploration:
             self._seeking = True
         straight_m = movement.open_m(0.0, p.wall_distance_m)
         if self._seeking and straight_m > p.wall_look_ahead_m:
-            return drive(movement, Option('centreline', 0.0, straight_m), p)
+            return drive(movement, DirectionCandidate('centreline', 0.0, straight_m), p)
         option = None
         if self._driven_m < self._into_until_m:
             option = movement.wall(side, wrap(self._into_rad - heading_rad), INTO_WITHIN_RAD)

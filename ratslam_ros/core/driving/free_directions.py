@@ -46,7 +46,7 @@ LOOK_AHEAD_M = (1.0, 1.8, 3.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Option:
+class DirectionCandidate:
     """A way on: the behaviour that takes it, its direction, and how far it is open."""
 
     behaviour: Behaviour
@@ -86,7 +86,7 @@ class LocalMovement:
         width = self._p.robot_radius_m + self._p.margin_m if half_width_m is None else half_width_m
         return float(_open_m(self.points, np.array([heading_rad]), width)[0])
 
-    def options(self) -> list[Option]:
+    def options(self) -> list[DirectionCandidate]:
         """Return every way on; none where all is closed, and only turning is left.
 
         A wall is followed by going as far to its side as is open: past its end that leads round
@@ -98,14 +98,14 @@ class LocalMovement:
         for look_ahead_m in LOOK_AHEAD_M:
             for first, last in _runs(body >= look_ahead_m):
                 heading = float(self.headings_rad[first] + self.headings_rad[last]) / 2
-                found.append(Option('centreline', heading, self.open_m(heading)))
+                found.append(DirectionCandidate('centreline', heading, self.open_m(heading)))
         return found
 
-    def narrow(self) -> list[Option]:
+    def narrow(self) -> list[DirectionCandidate]:
         """Return the middles of all that the bare body still fits through, however short."""
         body = _open_m(self.points, self.headings_rad, self._p.robot_radius_m)
         return [
-            Option(
+            DirectionCandidate(
                 'centreline',
                 float(self.headings_rad[first] + self.headings_rad[last]) / 2,
                 float(body[first : last + 1].max()),
@@ -113,7 +113,9 @@ class LocalMovement:
             for first, last in _runs(body >= NARROW_M)
         ]
 
-    def wall(self, side: Behaviour, about_rad: float, within_rad: float) -> Option | None:
+    def wall(
+        self, side: Behaviour, about_rad: float, within_rad: float
+    ) -> DirectionCandidate | None:
         """Return the way along a wall: of the directions close to one, the furthest to its side.
 
         As far from the wall as there is room, up to ``wall_distance_most_m``; in a passage that is
@@ -149,7 +151,7 @@ class LocalMovement:
     def _furthest(
         self, side: Behaviour, open_m: NDArray[np.float64], least_m: float,
         near: NDArray[np.bool_], narrow: int = 0,
-    ) -> Option | None:  # fmt: skip
+    ) -> DirectionCandidate | None:  # fmt: skip
         """Return the direction that is the furthest to a side, of those near and open for long.
 
         ``narrow``: of no more directions than so many it is the middle.
@@ -160,12 +162,12 @@ class LocalMovement:
         first, last = runs[-1] if side == 'left_wall' else runs[0]
         inset = (last - first) // 2 if last - first <= narrow else 0
         at = last - inset if side == 'left_wall' else first + inset
-        return Option(side, float(self.headings_rad[at]), float(open_m[at]))
+        return DirectionCandidate(side, float(self.headings_rad[at]), float(open_m[at]))
 
-    def fan(self) -> list[Option]:
+    def fan(self) -> list[DirectionCandidate]:
         """Return all directions that the robot can go on in, as far as they are open."""
         return [
-            Option('straight', float(heading_rad), float(open_m))
+            DirectionCandidate('straight', float(heading_rad), float(open_m))
             for heading_rad, open_m in zip(self.headings_rad, self._body_m, strict=True)
         ]
 

@@ -14,8 +14,13 @@ from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.config.goal_follower import GoalFollowerParameters
-from ratslam_ros.core.driving.detour import way_round
-from ratslam_ros.core.driving.free_directions import WALLS, Behaviour, LocalMovement, Option
+from ratslam_ros.core.driving.detour import plan_detour
+from ratslam_ros.core.driving.free_directions import (
+    WALLS,
+    Behaviour,
+    DirectionCandidate,
+    LocalMovement,
+)
 from ratslam_ros.core.driving.steering import Command, drive, turn
 
 SAMPLES = 8
@@ -71,7 +76,7 @@ class GoalFollower:
         self._last_rad = 0.0
         self._last: tuple[int, Command] | None = None
 
-    def __call__(self, scan: Scan, route: NDArray[np.float64], behaviour: str = '') -> Command:
+    def command(self, scan: Scan, route: NDArray[np.float64], behaviour: str = '') -> Command:
         """Choose a way on and return how to take it.
 
         ``route``: (n, 2) m, in the robot's frame, from the robot's place on it to the goal.
@@ -123,7 +128,7 @@ class GoalFollower:
         )
         wanted_m = min(p.wall_look_ahead_m, max(float(ahead[-1, 2]), LEAST_M))
         if best is None or best.open_m < wanted_m:  # something stands there: it is gone round
-            around = way_round(movement, route, p, self._last_rad)
+            around = plan_detour(movement, route, p, self._last_rad)
             if around is not None:
                 return self._go_round(stamp_ns, drive(movement, around, p, most_mps))
             best = min(
@@ -163,7 +168,9 @@ class GoalFollower:
             return None
         return drive(movement, option, self._p, most_mps)
 
-    def _rank_m(self, option: Option, ahead: NDArray[np.float64], behaviour: str) -> float:
+    def _rank_m(
+        self, option: DirectionCandidate, ahead: NDArray[np.float64], behaviour: str
+    ) -> float:
         """Return how far from the route a way on counts to be; the least is taken."""
         rank_m = _cost_m(option, ahead)
         if option.behaviour not in WALLS or abs(option.heading_rad - _runs_rad(ahead)) > WALL_RAD:
@@ -201,12 +208,12 @@ def _ahead(route: NDArray[np.float64], length_m: float) -> NDArray[np.float64]:
     return np.stack([x, y, at_m], axis=1)
 
 
-def _is_about(option: Option, bearing_rad: float) -> bool:
+def _is_about(option: DirectionCandidate, bearing_rad: float) -> bool:
     """Return whether a way on leads in about a direction; beside the door little is open too."""
     return abs(wrap(option.heading_rad - bearing_rad)) <= WALL_RAD
 
 
-def _nearer(option: Option, ahead: NDArray[np.float64], stop_m: float) -> bool:
+def _nearer(option: DirectionCandidate, ahead: NDArray[np.float64], stop_m: float) -> bool:
     """Return whether a way on comes nearer to where the route leads, and the robot may go there.
 
     ``stop_m``: the gap that must stay to what ends it.
@@ -225,7 +232,7 @@ def _runs_rad(ahead: NDArray[np.float64]) -> float:
     return math.atan2(y, x)
 
 
-def _cost_m(option: Option, ahead: NDArray[np.float64]) -> float:
+def _cost_m(option: DirectionCandidate, ahead: NDArray[np.float64]) -> float:
     """Return how far a way on is from the route on average, and what it leaves of it."""
     wanted_m = max(float(ahead[-1, 2]), LEAST_M)
     reach_m = min(option.open_m, wanted_m)

@@ -8,7 +8,7 @@ import math
 from dataclasses import dataclass
 
 from ratslam_ros.core.config.goal_follower import GoalFollowerParameters
-from ratslam_ros.core.driving.free_directions import Behaviour, LocalMovement, Option
+from ratslam_ros.core.driving.free_directions import Behaviour, DirectionCandidate, LocalMovement
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,8 +27,9 @@ class Command:
 
 
 def drive(
-    movement: LocalMovement, option: Option, p: GoalFollowerParameters, most_mps: float = math.inf
-) -> Command:
+    movement: LocalMovement, option: DirectionCandidate, p: GoalFollowerParameters,
+    most_mps: float = math.inf,
+) -> Command:  # fmt: skip
     """Return how to take a way on: towards it, as fast as what is ahead allows."""
     turn_rate = max(-p.turn_rate_radps, min(2.0 * option.heading_rad, p.turn_rate_radps))
     # Ahead counts what the body will reach, whichever way it is about to turn.

@@ -75,13 +75,13 @@ class GoalMemory:
         self._mu_s = array('d')
         self._observations = 0
         self._recalled: tuple[Place, int, TemporalArray] | None = None
-        self.carried()
+        self.relocated()
 
     def __len__(self) -> int:
         """Return the number of links, each for both directions."""
         return len(self._mu_s)
 
-    def carried(self) -> None:
+    def relocated(self) -> None:
         """Link nothing to what was active before: nobody knows how the robot came here."""
         self._before: dict[int, float] | None = None
         self._peak_before: Place | None = None
@@ -90,7 +90,7 @@ class GoalMemory:
     def integrate(self, motion: Motion, pose_cells: PoseCells) -> None:
         """Take what a motion made of the pose cells; links whenever the peak has moved a step."""
         if not pose_cells.mapping:
-            self.carried()
+            self.relocated()
             return
         if abs(motion.distance_m) <= REST_CELLS_PER_S * self._cell_m * motion.dt_s:
             return
@@ -409,4 +409,4 @@ class GoalMemory:
         self._mu_s = array('d', state['mu_s'].astype(np.float64).tobytes())
         self.goals = {name: Place(*place) for name, *place in state['goals']}
         self._recalled = None
-        self.carried()
+        self.relocated()

@@ -27,9 +27,9 @@ from ratslam_ros.core.mapping.link_learning import (
     leading_ahead,
 )
 from ratslam_ros.core.mapping.links import Link, Links, leading_from, length_m, with_room
-from ratslam_ros.core.mapping.loop_closure_gate import Jumps, is_jump, known_before
+from ratslam_ros.core.mapping.loop_closure_gate import LoopClosureGate, is_jump, known_before
 from ratslam_ros.core.mapping.relaxation import Relaxation, sweep
-from ratslam_ros.core.mapping.scan_matching import Sight
+from ratslam_ros.core.mapping.scan_matching import ScanMatch
 from ratslam_ros.core.pose_cells.pose_cells import NO_EXPERIENCE, MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
@@ -111,7 +111,7 @@ class ExperienceMap:
         self._odometer_m = self._asked_m = 0.0
         self.scans_fitted_m = 0.0
         """How far the robot had come when its scans last fitted what it knew there long before."""
-        self.jumps = Jumps()
+        self.gate = LoopClosureGate()
         """What ``exp_jump_drift`` has refused and believed."""
 
     def __len__(self) -> int:
@@ -287,7 +287,7 @@ class ExperienceMap:
                 self._plan_holds, self._is_settled, self._saved_steps,
             ],
             'planning_work': self._planning_work,
-            'jumps': self.jumps.state(),
+            'jumps': self.gate.state(),
         }
 
     def restore(self, state: State) -> None:
@@ -310,7 +310,7 @@ class ExperienceMap:
             work = self._plan.work if work is None else work
         self._planning_work = work or 0
         if 'jumps' in state:  # memories of before jumps were doubted have none
-            self.jumps.restore(state['jumps'])
+            self.gate.restore(state['jumps'])
 
     def integrate(self, motion: Motion) -> None:
         """Add one motion to the way since the current experience, in that experience's frame."""
@@ -320,9 +320,9 @@ class ExperienceMap:
         self._odometer_m += abs(motion.distance_m)
 
     def apply(
-        self, action: MapAction, behaviour: str = '', sight: Sight | None = None
+        self, action: MapAction, behaviour: str = '', sight: ScanMatch | None = None
     ) -> Forgotten | None:
-        """Do what the pose cells decided, then relax the map; see ``jumps`` for what is not done.
+        """Do what the pose cells decided, then relax the map; see ``gate`` for what is not done.
 
         Args:
             action: create, link, set or none. To create an experience that there is means to
@@ -341,16 +341,16 @@ class ExperienceMap:
         if action.action == 'none':
             self._relax()
             return None
-        doubted = self.jumps.doubting  # then the pose cells have left where the map still is
+        doubted = self.gate.doubting  # then the pose cells have left where the map still is
         source = self.current_id if doubted else action.source_id
         there = Pose(0.0, 0.0, action.relative_rad)
         if sight is not None:
             self.offset = sight.from_current or self.offset
             there = sight.from_target or there
-        forgotten, carried = None, False
+        forgotten, relocated = None, False
         if action.action == 'create':
             here = self.pose
-            self.jumps.passed(here)
+            self.gate.passed(here)
             if action.target_id < len(self):
                 forgotten = self._forget(action.target_id)
                 if source == action.target_id:  # where the map has missed some actions
@@ -358,17 +358,17 @@ class ExperienceMap:
             self._place(action, composed(here, inverse(there)))
         elif self._jumps_to(action.target_id, there):
             if self._is_still_here(sight):
-                self.jumps.deny(self.pose)
+                self.gate.deny(self.pose)
             else:
                 claimed = composed(self.pose_of(action.target_id), there)
-                carried = self.jumps.claim(self.pose, claimed)
-            if not carried:
+                relocated = self.gate.claim(self.pose, claimed)
+            if not relocated:
                 self._relax()
                 return None
         else:
-            self.jumps.stayed(self.pose)
+            self.gate.stayed(self.pose)
         returned = doubted and source == action.target_id
-        if source != NO_EXPERIENCE and self.mapping and not carried and not returned:
+        if source != NO_EXPERIENCE and self.mapping and not relocated and not returned:
             leaf = action.action == 'create'
             self._connect(source, action.target_id, there, behaviour, leaf)
         self.current_id = action.target_id
@@ -383,7 +383,7 @@ class ExperienceMap:
         p, source = self._p, self.current_id
         if p.exp_jump_drift == 0.0 or not self.mapping or source == NO_EXPERIENCE:
             return False
-        if self._links.row(source, target) is not None and not self.jumps.doubting:
+        if self._links.row(source, target) is not None and not self.gate.doubting:
             return False
         if not self._is_jump(target, there):
             return False
@@ -393,7 +393,7 @@ class ExperienceMap:
         self._saved_steps = 0
         return self._is_jump(target, there)
 
-    def _ask_scans(self, sight: Sight | None) -> None:
+    def _ask_scans(self, sight: ScanMatch | None) -> None:
         """Note from time to time whether scans know the place, views of which may be new."""
         if sight is None or sight.fits is None:
             return
@@ -402,9 +402,9 @@ class ExperienceMap:
             if self._is_still_here(sight):
                 self.scans_fitted_m = self._odometer_m
 
-    def _is_still_here(self, sight: Sight | None) -> bool:
+    def _is_still_here(self, sight: ScanMatch | None) -> bool:
         """Return whether scans say that the robot is where the map has it."""
-        if sight is None or sight.fits is None or self.jumps.lost:
+        if sight is None or sight.fits is None or self.gate.lost:
             return False
         n, here = len(self), self.pose
         old = known_before(self._poses[:n], self._made_m[:n], self._odometer_m, here)

@@ -12,7 +12,7 @@ FIRST_MEMORY = 1
 """The least that is one: the stamps of a video begin at 0."""
 
 
-class Numbering:
+class IdMap:
     """Ids that stay, for those of a neighbour that counts what it has learned from 0.
 
     The neighbour names its memory by the stamp of the first thing learned. After a restart it
@@ -68,7 +68,7 @@ class Numbering:
         return own
 
 
-class DenseNumbering(Numbering):
+class DenseIdMap(IdMap):
     """Numbers without gaps, in order of first use: for whoever came late or missed some ids."""
 
     def __init__(self) -> None:

@@ -10,12 +10,12 @@ from dataclasses import replace
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
-from ratslam_ros.core.mapping.id_map import DenseNumbering
-from ratslam_ros.core.mapping.scan_matching import Sight
+from ratslam_ros.core.mapping.id_map import DenseIdMap
+from ratslam_ros.core.mapping.scan_matching import ScanMatch
 from ratslam_ros.core.pose_cells.pose_cells import MapAction
 
 
-class Joining:
+class LateJoin:
     """Applies actions to an experience map, whichever of the two was started first.
 
     With both there from the start, and no action lost, every action is applied as it came.
@@ -23,7 +23,7 @@ class Joining:
 
     def __init__(self, experience_map: ExperienceMap) -> None:
         self._map = experience_map
-        self._numbering = DenseNumbering()
+        self._numbering = DenseIdMap()
         self.missed = 0
         """Actions that were sent and never came, by their sequence, those before it began too."""
         self.forgotten = 0
@@ -47,7 +47,7 @@ class Joining:
 
     def apply(
         self, action: MapAction, sequence: int, memory_ns: int, behaviour: str = '',
-        look: Callable[[MapAction, int, Pose, Pose | None], Sight] | None = None,
+        look: Callable[[MapAction, int, Pose, Pose | None], ScanMatch] | None = None,
     ) -> None:  # fmt: skip
         """Do what the pose cells decided, as far as the map knows what they mean.
 

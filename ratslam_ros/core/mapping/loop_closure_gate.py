@@ -50,7 +50,7 @@ class Spot(NamedTuple):
     claimed: Pose | None = None
 
 
-class Jumps:
+class LoopClosureGate:
     """What was claimed of late, and whether that suffices to believe a jump."""
 
     def __init__(self) -> None:

@@ -64,7 +64,7 @@ LINE_M = 0.5
 """Neighbouring points no further apart make a line."""
 
 
-class Sight(NamedTuple):
+class ScanMatch(NamedTuple):
     """Where the robot is in the frames of two experiences, None where motion or view tell best."""
 
     from_current: Pose | None = None
@@ -73,7 +73,7 @@ class Sight(NamedTuple):
     """Whether the robot stands so to an experience; None: there was no scan to tell."""
 
 
-class ScanAlignment:
+class ScanMatcher:
     """Keeps the scan of each experience; aligns later ones with it."""
 
     def __init__(self) -> None:
@@ -111,10 +111,10 @@ class ScanAlignment:
         """Take note that the map did not believe the last action: the robot is where it was."""
         self._variance_m2 = self._variance_before_m2
 
-    def __call__(
+    def locate(
         self, stamp_ns: int, action: MapAction, current_id: int, offset: Pose,
         expected: Pose | None = None,
-    ) -> Sight:  # fmt: skip
+    ) -> ScanMatch:  # fmt: skip
         """Tell how the robot stands to the experience that it comes from, and to the action's.
 
         The scan at a new experience is kept.
@@ -126,7 +126,7 @@ class ScanAlignment:
             expected: the same, in the frame of the action's experience; None: the map cannot tell.
         """
         if action.action == 'none':
-            return Sight()
+            return ScanMatch()
         points = self._seen_at(stamp_ns)
         before, there = self._kept.get(current_id), self._kept.get(action.target_id)
         view = Pose(0.0, 0.0, action.relative_rad)
@@ -139,8 +139,8 @@ class ScanAlignment:
         if points is None:  # then the map does what it does without a laser
             if action.action != 'create':
                 self._variance_m2 = VIEW_SD_M**2
-            return Sight()
-        return Sight(
+            return ScanMatch()
+        return ScanMatch(
             None if before is None else align(before, points, offset, MOTION_SD_M),
             None if action.action == 'create'
             else self._recognised(there, points, view, expected),

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
-from ratslam_ros.core.navigation.route_planner import GoalRecall, UnreachableGoal
+from ratslam_ros.core.navigation.route_planner import RoutePlanner, UnreachableGoal
 from ratslam_ros.core.pose_cells.pose_cells import NO_EXPERIENCE
 
 AT_IT = Pose(0.0, 0.0, 0.0)
@@ -146,7 +146,7 @@ class Goals:
         return self._named[name]
 
     def find(
-        self, target: Target, experience_map: ExperienceMap, recall: GoalRecall,
+        self, target: Target, experience_map: ExperienceMap, recall: RoutePlanner,
         tolerance_m: float = 0.0,
     ) -> Goal:  # fmt: skip
         """Return the place that is asked for.
@@ -174,7 +174,7 @@ class Goals:
         return Goal(route.experience_ids[-1])
 
     def _beside(
-        self, goal: Goal, experience_map: ExperienceMap, recall: GoalRecall
+        self, goal: Goal, experience_map: ExperienceMap, recall: RoutePlanner
     ) -> Goal:
         """Return a goal, told from an experience beside it that links lead to, if there is one."""
         if math.hypot(goal.offset.x_m, goal.offset.y_m) <= BESIDE_M:

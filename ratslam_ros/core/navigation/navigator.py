@@ -14,7 +14,7 @@ from ratslam_ros.core.config.goal_recall import GoalRecallParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation.goals import Goal, Goals, Target
 from ratslam_ros.core.navigation.route_following import Guidance, RouteFollowing, Status
-from ratslam_ros.core.navigation.route_planner import GoalRecall, UnreachableGoal
+from ratslam_ros.core.navigation.route_planner import RoutePlanner, UnreachableGoal
 
 MOST_TRIES, MOST_UNSURE = 12, 1
 """More failed tries for a goal than are needed to unlearn a link; and where they do not count."""
@@ -24,7 +24,7 @@ MOST_OUTCOMES = 100
 
 
 @dataclass(slots=True)
-class Errand:
+class GoalTask:
     """A goal that was asked for, and what has become of it.
 
     ``number`` counts all from 0. ``timeout_s``: None as the parameters say, 0 none. ``status``:
@@ -48,18 +48,18 @@ class Navigator:
     """Goes to goals one after the other; knows the places that have names."""
 
     def __init__(self, parameters: GoalRecallParameters, experience_map: ExperienceMap) -> None:
-        self.recall = GoalRecall(parameters)
+        self.recall = RoutePlanner(parameters)
         self.goals = Goals()
         self.guidance = Guidance('idle')
         """What the last update gave."""
-        self.outcomes: deque[Errand] = deque(maxlen=MOST_OUTCOMES)
+        self.outcomes: deque[GoalTask] = deque(maxlen=MOST_OUTCOMES)
         """The goals that have ended, the last one last."""
         self.ended = 0
         """How many that were in all."""
         self.stamp_ns = 0
         """Of the last update."""
         self._map = experience_map
-        self._queue: deque[Errand] = deque()
+        self._queue: deque[GoalTask] = deque()
         self._following: RouteFollowing | None = None
         self._count = 0
         self._lost_ns: int | None = None
@@ -75,14 +75,14 @@ class Navigator:
         self.recall.parameters = parameters
 
     @property
-    def queue(self) -> Sequence[Errand]:
+    def queue(self) -> Sequence[GoalTask]:
         """The goals that have not ended, the active one first; not to be changed or kept."""
         return self._queue
 
     def go_to(
         self, *targets: Target, append: bool = False, timeout_s: float | None = None,
         tolerance_m: float = 0.0,
-    ) -> list[Errand]:  # fmt: skip
+    ) -> list[GoalTask]:  # fmt: skip
         """Go to places, in this order; those asked for before are cancelled.
 
         Args:
@@ -103,7 +103,7 @@ class Navigator:
         if not append:
             self.cancel('another goal was asked for')
         errands = [
-            Errand(self._count + n, goal, str(goal if isinstance(target, int) else target),
+            GoalTask(self._count + n, goal, str(goal if isinstance(target, int) else target),
                    timeout_s)
             for n, (goal, target) in enumerate(zip(found, targets, strict=True))
         ]  # fmt: skip
@@ -147,7 +147,7 @@ class Navigator:
         over = self._over(errand, stamp_ns)
         return guidance if over is None else self._end(errand, *over, guidance)
 
-    def _over(self, errand: Errand, stamp_ns: int) -> tuple[Status, str] | None:
+    def _over(self, errand: GoalTask, stamp_ns: int) -> tuple[Status, str] | None:
         """Return how a goal has ended that took too long, and why; None: it has not."""
         p = self.parameters
         limits = []
@@ -167,7 +167,7 @@ class Navigator:
         return None
 
     def _end(
-        self, errand: Errand, status: Status, reason: str, last: Guidance | None = None
+        self, errand: GoalTask, status: Status, reason: str, last: Guidance | None = None
     ) -> Guidance:
         """End a goal, and return the guidance that says so."""
         if errand is self._queue[0]:
@@ -180,7 +180,7 @@ class Navigator:
         last = last or self.guidance
         return Guidance(status, goal=last.goal, replanned=last.replanned, switched=last.switched)
 
-    def try_failed(self) -> bool:
+    def report_blocked(self) -> bool:
         """Take note that a try led nowhere; return whether the map shall count it.
 
         It shall not where the robot may be wrong about its place: the way is not closed, the
@@ -188,10 +188,10 @@ class Navigator:
         """
         self._tries += 1
         if self._following is not None:
-            self._following.try_failed()
+            self._following.report_blocked()
         unsure = 0.0 < self.parameters.try_unknown_m < self.guidance.unknown_m
         if self._following is not None and self._tries > (MOST_UNSURE if unsure else MOST_TRIES):
-            self._following.stray()
+            self._following.start_recovery()
             self._tries = 0
         return not unsure
 

@@ -18,7 +18,12 @@ from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config.goal_recall import GoalRecallParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation.goals import Goal
-from ratslam_ros.core.navigation.route_planner import GoalRecall, GoalTree, Route, UnreachableGoal
+from ratslam_ros.core.navigation.route_planner import (
+    GoalTree,
+    Route,
+    RoutePlanner,
+    UnreachableGoal,
+)
 
 Status = Literal[
     'idle', 'following', 'recovering', 'lost', 'succeeded', 'failed', 'timed_out', 'cancelled'
@@ -104,7 +109,7 @@ class RouteFollowing:
     where a link of it, ahead of the robot, is unlearned.
     """
 
-    def __init__(self, recall: GoalRecall, experience_map: ExperienceMap, goal: Goal) -> None:
+    def __init__(self, recall: RoutePlanner, experience_map: ExperienceMap, goal: Goal) -> None:
         """Set out for a goal.
 
         Args:
@@ -117,9 +122,9 @@ class RouteFollowing:
         self._map = experience_map
         self._tree: GoalTree | None = None
         self._seen: tuple[int, int, int, int] | None = None
-        self._kept: _Way | None = None
-        self._found: _Way | None = None
-        self._taken: _Way | None = None
+        self._kept: TrackedRoute | None = None
+        self._found: TrackedRoute | None = None
+        self._taken: TrackedRoute | None = None
         self._visited: set[int] = set()
         """Experiences that the robot was at since its route was last the one that was found."""
         self._confirmed_ns = self._updated_ns = 0
@@ -159,8 +164,8 @@ class RouteFollowing:
             sure = not 0.0 < self._p.goal_sure_m < self._unknown_m
             if self._is_reached(goal, here, stamp_ns) and sure:
                 return self._told('succeeded', goal, remaining_s=0.0)
-            if self._gets_nowhere(stamp_ns, here) and self.try_failed():
-                self.stray()
+            if self._gets_nowhere(stamp_ns, here) and self.report_blocked():
+                self.start_recovery()
             if self._stray_m > 0.0 or 0.0 < self._p.route_unknown_m < self._unknown_m:
                 self._updated_ns, self._kept = stamp_ns, None
                 return self._told('lost', goal, explore=True)
@@ -180,14 +185,14 @@ class RouteFollowing:
             behaviour=way.behaviour(self._map),
         )  # fmt: skip
 
-    def stray(self) -> None:
+    def start_recovery(self) -> None:
         """Explore for some way: the robot stands where its route does not lead on, nor is closed.
 
         It is not where it believes to be, and while it stands nothing would tell it so.
         """
         self._kept, self._stray_m = None, STRAY_M
 
-    def try_failed(self) -> bool:
+    def report_blocked(self) -> bool:
         """Take note that a try led nowhere; return whether nothing was joined there.
 
         Where the route goes on over places that are only close together on the map, there is no
@@ -236,8 +241,8 @@ class RouteFollowing:
     def _look(self) -> None:
         """Find the route from the current experience, where something has changed."""
         graph = self._map
-        parted = self._recall.parted(graph)
-        seen = graph.current_id, graph.links_version, len(graph), parted
+        rejected_shortcuts = self._recall.rejected_shortcuts(graph)
+        seen = graph.current_id, graph.links_version, len(graph), rejected_shortcuts
         if seen == self._seen:
             return
         relinked = self._seen is None or seen[1] != self._seen[1]
@@ -250,7 +255,7 @@ class RouteFollowing:
         try:
             if tree is None or tree.goal_id != goal_id:
                 tree = self._tree = GoalTree(self._recall, graph, goal_id)
-            self._found = _Way(tree.route(), graph)
+            self._found = TrackedRoute(tree.route(), graph)
         except UnreachableGoal:
             self._found = None
 
@@ -288,7 +293,7 @@ class RouteFollowing:
         self._visited.clear()
         return True
 
-    def _is_better(self, found: _Way, kept: _Way, stamp_ns: int) -> bool:
+    def _is_better(self, found: TrackedRoute, kept: TrackedRoute, stamp_ns: int) -> bool:
         """Return whether to leave the kept route for the found one."""
         if found.remaining_s <= kept.remaining_s:
             return True
@@ -323,7 +328,7 @@ class RouteFollowing:
         )
 
 
-class _Way:
+class TrackedRoute:
     """A route, and how far the robot has come on it.
 
     It leads over the experiences to the place of the goal itself, which lies beside the last one;
@@ -415,11 +420,11 @@ class _Way:
         """Return whether the route leads over an experience from here on."""
         return bool((self.ids[self._at :] == experience_id).any())
 
-    def ends_as(self, other: _Way) -> bool:
+    def ends_as(self, other: TrackedRoute) -> bool:
         """Return whether another route is this one, or its end."""
         return np.array_equal(self.ids[-len(other.ids) :], other.ids)
 
-    def is_met_by(self, other: _Way, visited: set[int]) -> bool:
+    def is_met_by(self, other: TrackedRoute, visited: set[int]) -> bool:
         """Return whether another one comes to this one over visited experiences."""
         first = next((i for i in other.ids.tolist() if i not in visited), None)
         return first is not None and bool((self.ids == first).any())

@@ -81,7 +81,7 @@ class TemporalMap:
         return Route(tuple(ids.tolist()), tuple(self.arrival_s[ids].tolist()))
 
 
-class GoalRecall:
+class RoutePlanner:
     """Finds routes over an experience map; keeps what it computed on it until links change."""
 
     def __init__(self, parameters: GoalRecallParameters) -> None:
@@ -90,20 +90,20 @@ class GoalRecall:
         self._durations: WeakKeyDictionary[
             ExperienceMap, dict[tuple[float, float, float], tuple[tuple[int, int, int], csr_array]]
         ] = WeakKeyDictionary()
-        self._parted: WeakKeyDictionary[ExperienceMap, set[int]] = WeakKeyDictionary()
+        self._rejected_shortcuts: WeakKeyDictionary[ExperienceMap, set[int]] = WeakKeyDictionary()
         self._tree: GoalTree | None = None
 
     def part(self, experience_map: ExperienceMap, experience_ids: Iterable[int]) -> None:
         """Never again join some experiences with others because they lie close together."""
-        self._parted.setdefault(experience_map, set()).update(experience_ids)
+        self._rejected_shortcuts.setdefault(experience_map, set()).update(experience_ids)
 
     def forgotten(self, experience_map: ExperienceMap, experience_id: int) -> None:
         """Take note that a number comes to mean another experience."""
-        self._parted.get(experience_map, set()).discard(experience_id)
+        self._rejected_shortcuts.get(experience_map, set()).discard(experience_id)
 
-    def parted(self, experience_map: ExperienceMap) -> int:
+    def rejected_shortcuts(self, experience_map: ExperienceMap) -> int:
         """Return how many experiences are not joined with others."""
-        return len(self._parted.get(experience_map, ()))
+        return len(self._rejected_shortcuts.get(experience_map, ()))
 
     def temporal_map(
         self, experience_map: ExperienceMap, start_id: int | None = None, to_start: bool = False
@@ -122,8 +122,8 @@ class GoalRecall:
         if len(experience_map) == 0:
             raise UnreachableGoal('the map is empty; drive first')
         start = experience_map.current_id if start_id is None else start_id
-        parted = self._parted.get(experience_map, set())
-        changes = experience_map.links_version, len(experience_map), len(parted)
+        rejected_shortcuts = self._rejected_shortcuts.get(experience_map, set())
+        changes = experience_map.links_version, len(experience_map), len(rejected_shortcuts)
         back, join_m = self.parameters.route_back_factor, self.parameters.route_join_m
         factors = (back, 1.0, join_m) if to_start else (1.0, back, join_m)
         graphs = self._durations.setdefault(experience_map, {})
@@ -131,7 +131,8 @@ class GoalRecall:
         if known is None or known[0] != changes:
             if factors not in graphs and len(graphs) > 1:
                 graphs.clear()  # the parameters were replaced
-            known = graphs[factors] = changes, durations(experience_map, *factors, parted)
+            weighted = durations(experience_map, *factors, rejected_shortcuts)
+            known = graphs[factors] = changes, weighted
         from scipy.sparse.csgraph import dijkstra
 
         arrival_s, before = dijkstra(known[1], indices=start, return_predecessors=True)
@@ -242,7 +243,7 @@ class GoalTree:
       often as the map falls into parts.
     """
 
-    def __init__(self, recall: GoalRecall, experience_map: ExperienceMap, goal_id: int) -> None:
+    def __init__(self, recall: RoutePlanner, experience_map: ExperienceMap, goal_id: int) -> None:
         """Compute the ways to an experience.
 
         Raises:
@@ -310,7 +311,7 @@ class GoalTree:
         self._links = self.experience_map.link_count
         self._computed = self._version = self.experience_map.links_version
         self._rebuilt = self.experience_map.rebuilt
-        self._parted = self._recall.parted(self.experience_map)
+        self._rejected_shortcuts = self._recall.rejected_shortcuts(self.experience_map)
         self._linked = int(self.experience_map.link_ends.max(initial=-1)) + 1
         self._stale = False
 
@@ -321,10 +322,10 @@ class GoalTree:
         self._remaining_s.extend([math.inf] * new)
         self._next.extend([-1] * new)
         refactored = self._recall.parameters.route_back_factor != self._back
-        parted = self._recall.parted(graph) != self._parted
-        if graph.links_version == self._version and not refactored and not parted:
+        rejected_shortcuts = self._recall.rejected_shortcuts(graph) != self._rejected_shortcuts
+        if graph.links_version == self._version and not refactored and not rejected_shortcuts:
             return
-        if graph.rebuilt != self._rebuilt or refactored or parted:
+        if graph.rebuilt != self._rebuilt or refactored or rejected_shortcuts:
             self._compute()
             return
         links = slice(self._links, graph.link_count)
@@ -360,13 +361,14 @@ class GoalTree:
 
 def durations(
     experience_map: ExperienceMap, ahead: float = 1.0, back: float = 1.0, join_m: float = 0.0,
-    parted: Collection[int] = (),
+    rejected_shortcuts: Collection[int] = (),
 ) -> csr_array:  # fmt: skip
     """Return (n, n) seconds between linked experiences, the quickest link for both directions.
 
     It is as SciPy computes on it, which then converts nothing: float64 and int32, rows in order.
     ``ahead``, ``back``: factors for the links in their own direction and in the other one.
-    ``join_m``: experiences no further apart on the map count as linked, but those ``parted``.
+    ``join_m``: experiences no further apart on the map count as linked, except for
+    ``rejected_shortcuts``.
     """
     count = len(experience_map)
     sources, targets = experience_map.link_ends.T
@@ -374,7 +376,7 @@ def durations(
     rows, columns = [sources, targets], [targets, sources]
     seconds = [ahead * once, back * once]
     if join_m > 0.0 and len(once):
-        a, b, between_s = _joins(experience_map, join_m, parted)
+        a, b, between_s = _joins(experience_map, join_m, rejected_shortcuts)
         rows, columns = [*rows, a, b], [*columns, b, a]
         seconds += [between_s, between_s]
     column = np.concatenate(columns)
@@ -396,7 +398,7 @@ def durations(
 
 
 def _joins(
-    experience_map: ExperienceMap, join_m: float, parted: Collection[int]
+    experience_map: ExperienceMap, join_m: float, rejected_shortcuts: Collection[int]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
     """Return pairs of experiences that lie close together on the map, and s from one to the other.
 
@@ -406,8 +408,8 @@ def _joins(
     from scipy.spatial import cKDTree
 
     linked = np.unique(experience_map.link_ends)
-    if parted:
-        linked = np.setdiff1d(linked, np.fromiter(parted, np.int64))
+    if rejected_shortcuts:
+        linked = np.setdiff1d(linked, np.fromiter(rejected_shortcuts, np.int64))
     poses = experience_map.poses[linked]
     pairs = cKDTree(poses[:, :2]).query_pairs(join_m, output_type='ndarray')
     # Neighbours in time are linked already.

@@ -73,7 +73,7 @@ class LocalView:
         """Return one template: (template_y_size, template_x_size) uint8, a copy."""
         return self._memory.view(template_id)
 
-    def __call__(self, image: Image) -> ViewMatch:
+    def match(self, image: Image) -> ViewMatch:
         """Recognise an image, or learn it as a new template.
 
         Args:
@@ -129,7 +129,7 @@ class LocalView:
         for view in templates:
             self.learn(view)
 
-    def match(self, view: Image) -> Match | None:
+    def best_match(self, view: Image) -> Match | None:
         """Return the best match of all, None where nothing is learned.
 
         Ties go to the lowest id, then to the lowest offset. algorithm.md, Local view, step 4.

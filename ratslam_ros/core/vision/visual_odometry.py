@@ -39,7 +39,7 @@ class VisualOdometry:
         self._shape: tuple[int, ...] = ()
         self._windows: tuple[Window, Window]
 
-    def __call__(self, stamp_ns: int, image: NDArray[np.uint8]) -> Odometry | None:
+    def estimate(self, stamp_ns: int, image: NDArray[np.uint8]) -> Odometry | None:
         """Return the motion since the previous image, and all motions together as a pose.
 
         None for the first image, and where the size has changed.

@@ -59,17 +59,17 @@ def test_a_full_circle_ends_where_it_began() -> None:
 def test_the_twist_acts_up_to_its_own_stamp() -> None:
     """Twist n over (t[n-1], t[n]]; the first message only sets the clock."""
     motion_of = MotionFromOdometry('twist')
-    assert motion_of(twist(SECOND, 9.0, 9.0)) is None
-    assert motion_of(twist(SECOND + SECOND // 4, 2.0, -1.0)) == Motion(0.25, 0.5, -0.25)
-    assert motion_of(twist(2 * SECOND, 1.0, 0.0)) == Motion(0.75, 0.75, 0.0)
+    assert motion_of.update(twist(SECOND, 9.0, 9.0)) is None
+    assert motion_of.update(twist(SECOND + SECOND // 4, 2.0, -1.0)) == Motion(0.25, 0.5, -0.25)
+    assert motion_of.update(twist(2 * SECOND, 1.0, 0.0)) == Motion(0.75, 0.75, 0.0)
 
 
 def test_time_is_the_difference_of_integer_stamps() -> None:
     """Stamps of today's epoch in float seconds would lose the last hundred ns."""
     motion_of = MotionFromOdometry('twist')
     now = 1_700_000_000_123_456_789
-    motion_of(twist(now))
-    motion = motion_of(twist(now + 1_000_001, 1.0))
+    motion_of.update(twist(now))
+    motion = motion_of.update(twist(now + 1_000_001, 1.0))
     assert motion is not None
     assert motion.dt_s == pytest.approx(0.001000001, rel=1e-12)
 
@@ -84,8 +84,8 @@ def test_pose_and_twist_agree_on_arcs(twists: list[tuple[float, float]]) -> None
             wheel = moved(wheel, Motion(0.5, 0.5 * speed, 0.5 * rate))
         stamp = n * SECOND // 2
         motions = (
-            from_twist(Odometry(stamp, Twist(speed, rate), wheel)),
-            from_pose(Odometry(stamp, Twist(0.0, 0.0), wheel)),
+            from_twist.update(Odometry(stamp, Twist(speed, rate), wheel)),
+            from_pose.update(Odometry(stamp, Twist(0.0, 0.0), wheel)),
         )
         if n == 0:
             assert motions == (None, None)
@@ -100,8 +100,9 @@ def test_poses_are_differenced_in_the_robots_frame() -> None:
     """Where the odometry's own frame lies does not matter, nor headings across half a turn."""
     for origin in (Pose(0.0, 0.0, 0.0), Pose(100.0, -7.0, 3.1), Pose(0.0, 0.0, -3.1)):
         motion_of = MotionFromOdometry('pose')
-        motion_of(Odometry(0, Twist(0.0, 0.0), origin))
-        motion = motion_of(Odometry(1, Twist(0.0, 0.0), moved(origin, Motion(1.0, 0.6, 0.4))))
+        motion_of.update(Odometry(0, Twist(0.0, 0.0), origin))
+        end = moved(origin, Motion(1.0, 0.6, 0.4))
+        motion = motion_of.update(Odometry(1, Twist(0.0, 0.0), end))
         assert motion is not None
         assert motion.distance_m == pytest.approx(0.6, abs=1e-12)
         assert motion.turn_rad == pytest.approx(0.4, abs=1e-12)
@@ -109,9 +110,9 @@ def test_poses_are_differenced_in_the_robots_frame() -> None:
 
 def test_driving_back_is_negative_from_poses_as_well() -> None:
     motion_of = MotionFromOdometry('pose')
-    motion_of(Odometry(0, Twist(0.0, 0.0), Pose(0.0, 0.0, 1.0)))
+    motion_of.update(Odometry(0, Twist(0.0, 0.0), Pose(0.0, 0.0, 1.0)))
     back = moved(Pose(0.0, 0.0, 1.0), Motion(1.0, -0.5, 0.1))
-    motion = motion_of(Odometry(1, Twist(0.0, 0.0), back))
+    motion = motion_of.update(Odometry(1, Twist(0.0, 0.0), back))
     assert motion is not None
     assert motion.distance_m == pytest.approx(-0.5)
 
@@ -119,7 +120,7 @@ def test_driving_back_is_negative_from_poses_as_well() -> None:
 @pytest.mark.parametrize('source', ['twist', 'pose'])
 def test_after_a_minute_without_odometry_nothing_is_known_of_the_motion(source: str) -> None:
     motion_from = MotionFromOdometry(source)
-    assert motion_from(twist(SECOND, 1.0)) is None
-    assert motion_from(twist(SECOND + 60 * 10**9, 1.0)) is not None
-    assert motion_from(twist(SECOND + 121 * 10**9, 1.0)) is None
-    assert motion_from(twist(SECOND + 122 * 10**9, 1.0)) is not None
+    assert motion_from.update(twist(SECOND, 1.0)) is None
+    assert motion_from.update(twist(SECOND + 60 * 10**9, 1.0)) is not None
+    assert motion_from.update(twist(SECOND + 121 * 10**9, 1.0)) is None
+    assert motion_from.update(twist(SECOND + 122 * 10**9, 1.0)) is not None

@@ -14,8 +14,8 @@ from rooms import Drive, Line, clearance_m, corridor, scan_in
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config.goal_follower import GoalFollowerParameters
-from ratslam_ros.core.driving.detour import ASIDE_M, BACK_M, COLUMNS, FRONT_M, ROWS, way_round
-from ratslam_ros.core.driving.free_directions import LocalMovement, Option
+from ratslam_ros.core.driving.detour import ASIDE_M, BACK_M, COLUMNS, FRONT_M, ROWS, plan_detour
+from ratslam_ros.core.driving.free_directions import DirectionCandidate, LocalMovement
 
 P = GoalFollowerParameters()
 STRAIGHT = np.array([[0.0, 0.0], [7.0, 0.0]])
@@ -28,9 +28,9 @@ def box(x_m: float, aside_m: float, width_m: float, depth_m: float = 0.5) -> Lin
 
 def detour(
     walls: list[Line], route: NDArray[np.float64] = STRAIGHT, last_rad: float = 0.0
-) -> Option | None:
+) -> DirectionCandidate | None:
     movement = LocalMovement(P, scan_in(walls, Pose(0.0, 0.0, 0.0), 0, beams=181))
-    return way_round(movement, route, P, last_rad)
+    return plan_detour(movement, route, P, last_rad)
 
 
 @pytest.mark.parametrize('behaviour', ['', 'left_wall', 'right_wall'])
@@ -77,7 +77,7 @@ def test_where_no_beam_ends_it_is_free(range_m: float) -> None:
     """A wide box in a hall whose walls are further away than the laser sees."""
     scan = scan_in([*corridor(8.0), box(1.0, 0.1, 1.2)], Pose(0.0, 0.0, 0.0), 0, beams=181)
     far = np.where(scan.ranges_m > range_m, math.inf, scan.ranges_m)
-    chosen = way_round(LocalMovement(P, replace(scan, ranges_m=far)), STRAIGHT, P)
+    chosen = plan_detour(LocalMovement(P, replace(scan, ranges_m=far)), STRAIGHT, P)
     assert chosen is not None
     assert -1.2 < chosen.heading_rad < -0.3
 

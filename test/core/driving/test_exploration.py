@@ -90,7 +90,7 @@ def explore(
                 scan = Scan(sample.stamp_ns, LASER.first_rad, LASER.step_rad, ranges_m)
                 truth = sample.truth
                 pose = Pose(truth.x_m, truth.y_m, truth.heading_rad)
-                command = exploration(scan, pose)
+                command = exploration.command(scan, pose)
                 simulator.command(command.speed_mps, command.turn_rate_radps)
                 run.poses.append(pose)
                 run.commands.append(command)
@@ -251,8 +251,8 @@ def test_after_a_restart_nothing_before_counts() -> None:
     scan = Scan(0, LASER.first_rad, LASER.step_rad, np.full(181, np.inf))
     exploration = Exploration(p, np.random.default_rng(0))
     for x_m in (0.0, 2.9):
-        assert exploration(scan, Pose(x_m, 0.0, 0.0)).behaviour != 'turn'
+        assert exploration.command(scan, Pose(x_m, 0.0, 0.0)).behaviour != 'turn'
     exploration.restart()
     for x_m in (50.0, 52.9):  # it has been moved: the way there is none that it drove
-        assert exploration(scan, Pose(x_m, 0.0, 0.0)).behaviour != 'turn'
-    assert exploration(scan, Pose(53.1, 0.0, 0.0)).behaviour == 'turn'
+        assert exploration.command(scan, Pose(x_m, 0.0, 0.0)).behaviour != 'turn'
+    assert exploration.command(scan, Pose(53.1, 0.0, 0.0)).behaviour == 'turn'

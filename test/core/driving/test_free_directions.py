@@ -29,8 +29,8 @@ from ratslam_ros.core.driving.free_directions import (
     LOOK_AHEAD_M,
     WALLS,
     Behaviour,
+    DirectionCandidate,
     LocalMovement,
-    Option,
 )
 
 P = GoalFollowerParameters()
@@ -49,16 +49,16 @@ RANGES = st.lists(
 
 def options_in(
     walls: list[Line], pose: Pose = HERE, p: GoalFollowerParameters = P
-) -> list[Option]:
+) -> list[DirectionCandidate]:
     return LocalMovement(p, scan_in(walls, pose)).options()
 
 
-def only(options: list[Option], behaviour: str) -> Option:
+def only(options: list[DirectionCandidate], behaviour: str) -> DirectionCandidate:
     (found,) = [option for option in options if option.behaviour == behaviour]
     return found
 
 
-def centrelines_deg(options: list[Option]) -> list[float]:
+def centrelines_deg(options: list[DirectionCandidate]) -> list[float]:
     return sorted(
         math.degrees(option.heading_rad)
         for option in options

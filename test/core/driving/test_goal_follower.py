@@ -35,7 +35,7 @@ AHEAD = np.array([[0.0, 0.0], [5.0, 0.0]])
 
 
 def command_for(walls: list[Line], route: NDArray[np.float64]) -> Command:
-    return GoalFollower(P)(scan_in(walls), route)
+    return GoalFollower(P).command(scan_in(walls), route)
 
 
 # Along the route
@@ -115,8 +115,8 @@ def test_turning_does_not_end_where_it_would_not_have_begun() -> None:
     route = 5.0 * np.array([[0.0, 0.0], [math.cos(0.7), math.sin(0.7)]])
     assert command_for([], route).behaviour != 'turn'
     follower = GoalFollower(P)
-    assert follower(scan_in([]), -AHEAD).behaviour == 'turn'
-    assert follower(scan_in([]), route).behaviour == 'turn'
+    assert follower.command(scan_in([]), -AHEAD).behaviour == 'turn'
+    assert follower.command(scan_in([]), route).behaviour == 'turn'
 
 
 def test_it_slows_down_before_the_end_of_the_route() -> None:
@@ -139,7 +139,7 @@ def test_a_closed_way_is_waited_at_and_has_failed_again_and_again() -> None:
     failed_s = []
     for step in range(100):
         stamp_ns = step * SCAN_NS
-        command = follower(scan_in(dead_end(0.42), stamp_ns=stamp_ns), AHEAD)
+        command = follower.command(scan_in(dead_end(0.42), stamp_ns=stamp_ns), AHEAD)
         assert command.speed_mps == 0.0
         assert command.ahead_rad == pytest.approx(0.0)
         if command.failed:
@@ -198,7 +198,7 @@ def test_it_can_always_stop_before_what_is_ahead(
     ranges_m: list[float], route: list[tuple[float, float]]
 ) -> None:
     scan = scan_of_ranges(ranges_m)
-    command = GoalFollower(P)(scan, np.array(route))
+    command = GoalFollower(P).command(scan, np.array(route))
     assert 0.0 <= command.speed_mps <= P.speed_mps
     assert abs(command.turn_rate_radps) <= P.turn_rate_radps
     if command.speed_mps == 0.0:
@@ -252,7 +252,7 @@ def test_where_the_route_runs_back_the_robot_turns_before_it_follows_a_wall(
 ) -> None:
     bearing = math.radians(bearing_deg)
     route = np.array([[0.0, 0.0], [2.0 * math.cos(bearing), 2.0 * math.sin(bearing)]])
-    command = GoalFollower(P)(scan_in([]), route, 'left_wall')
+    command = GoalFollower(P).command(scan_in([]), route, 'left_wall')
     assert (command.behaviour == 'turn') == (abs(bearing_deg) > 95.0)
 
 

@@ -207,7 +207,7 @@ def test_rest_and_turning_on_the_spot_link_nothing_and_take_no_time() -> None:
 def test_what_nobody_watched_is_no_link() -> None:
     drive = Drive()
     drive.ahead(1.0)
-    drive.memory.carried()
+    drive.memory.relocated()
     links = len(drive.memory)
     drive.memory.learn(1.0, np.array([40 * 60]), np.ones(1))
     assert len(drive.memory) == links
@@ -490,7 +490,7 @@ def test_what_was_learned_is_restored() -> None:
         again.recall(start).remaining_s, drive.memory.recall(start).remaining_s
     )
     for made in (again, drive.memory):  # and it goes on learning alike
-        made.carried()
+        made.relocated()
         for cell in (25 * 60 + 30, 25 * 60 + 31, 25 * 60 + 32):
             made.learn(0.5, np.array([cell]), np.ones(1))
     for name, value in again.state().items():

@@ -10,7 +10,7 @@ from helpers import ahead, circles_of_actions
 
 from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
-from ratslam_ros.core.mapping.late_join import Joining
+from ratslam_ros.core.mapping.late_join import LateJoin
 from ratslam_ros.core.pose_cells.pose_cells import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.messages.mapping import encode_map
@@ -23,12 +23,12 @@ def action(kind: str, source: int, target: int) -> MapAction:
     return MapAction(kind, source, target, max(target, 0), 0.0, Place(1.0, 2.0, 3.0))  # type: ignore[arg-type]
 
 
-def new() -> tuple[ExperienceMap, Joining]:
+def new() -> tuple[ExperienceMap, LateJoin]:
     graph = ExperienceMap(ExperienceMapParameters(exp_initial_em_deg=0.0))
-    return graph, Joining(graph)
+    return graph, LateJoin(graph)
 
 
-def drive(graph: ExperienceMap, joining: Joining, actions: list[tuple[int, MapAction]],
+def drive(graph: ExperienceMap, joining: LateJoin, actions: list[tuple[int, MapAction]],
           memory_ns: int = MEMORY_NS) -> None:  # fmt: skip
     for sequence, item in actions:
         graph.integrate(ahead(STEP_M))

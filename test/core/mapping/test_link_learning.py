@@ -20,7 +20,7 @@ from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.config import ExperienceMapParameters, GoalRecallParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap, NotLinked
 from ratslam_ros.core.mapping.link_learning import AHEAD_M, DETOUR, leading_ahead
-from ratslam_ros.core.navigation.route_planner import GoalRecall, GoalTree, UnreachableGoal
+from ratslam_ros.core.navigation.route_planner import GoalTree, RoutePlanner, UnreachableGoal
 from ratslam_ros.core.pose_cells.pose_cells import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.errors import UnusableInput
@@ -232,7 +232,7 @@ def stand_before(graph: ExperienceMap, target: int) -> None:
 
 def test_a_blocked_way_is_unlearned_after_a_few_attempts_and_learned_again() -> None:
     graph = corridor()
-    recall = GoalRecall(GoalRecallParameters())
+    recall = RoutePlanner(GoalRecallParameters())
     goal = 8
     stand_before(graph, 4)  # at x = 2
     tree = GoalTree(recall, graph, goal)
@@ -401,7 +401,7 @@ def test_rows_texts_and_routes_follow_links_that_vanish(seed: int) -> None:
     rng = random.Random(seed)
     graph = new_map(exp_min_tries=2, exp_confidence_threshold=0.4, exp_try_radius_m=2.0)
     exercised(graph, rng, 60)
-    kept, recall = MapText(), GoalRecall(GoalRecallParameters())
+    kept, recall = MapText(), RoutePlanner(GoalRecallParameters())
     tree = GoalTree(recall, graph, 3)
     for _ in range(60):
         exercised(graph, rng, 5)

@@ -20,11 +20,11 @@ from ratslam_ros.core.mapping.loop_closure_gate import (
     BEFORE_M,
     SPACING_M,
     WITNESSES,
-    Jumps,
+    LoopClosureGate,
     is_jump,
     known_before,
 )
-from ratslam_ros.core.mapping.scan_matching import Sight
+from ratslam_ros.core.mapping.scan_matching import ScanMatch
 from ratslam_ros.core.pose_cells.pose_cells import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 
@@ -59,81 +59,81 @@ def test_between_parts_that_no_link_joins_the_map_cannot_tell() -> None:
 def test_claims_that_agree_over_some_metres_are_believed(
     x_m: float, y_m: float, heading_rad: float
 ) -> None:
-    jumps, carried = Jumps(), Pose(x_m, y_m, heading_rad)
+    gate, relocated = LoopClosureGate(), Pose(x_m, y_m, heading_rad)
     said = [
-        jumps.claim(here := Pose(0.4 * n, 0.0, 0.0), composed(carried, here)) for n in range(10)
+        gate.claim(here := Pose(0.4 * n, 0.0, 0.0), composed(relocated, here)) for n in range(10)
     ]
     assert said.index(True) == WITNESSES - 1
-    assert jumps.believed == 1
+    assert gate.believed == 1
     assert not any(said[WITNESSES:])  # what comes then is a new matter
 
 
 def test_a_robot_that_turns_in_one_place_sees_one_corner() -> None:
-    jumps = Jumps()
+    gate = LoopClosureGate()
     for n in range(30):
         here = Pose(0.0, 0.0, 0.1 * n)
-        assert not jumps.claim(here, composed(Pose(5.0, 0.0, 0.0), here))
-    assert jumps.refused == 30
+        assert not gate.claim(here, composed(Pose(5.0, 0.0, 0.0), here))
+    assert gate.refused == 30
 
 
 def test_claims_that_disagree_are_never_believed() -> None:
-    jumps = Jumps()
+    gate = LoopClosureGate()
     for n in range(50):
-        assert not jumps.claim(Pose(0.4 * n, 0.0, 0.0), Pose(0.0, 3.0 * n, 0.0))
+        assert not gate.claim(Pose(0.4 * n, 0.0, 0.0), Pose(0.0, 3.0 * n, 0.0))
 
 
 def test_what_is_seen_where_the_robot_believes_to_be_speaks_against_a_jump() -> None:
-    jumps = Jumps()
+    gate = LoopClosureGate()
     for n in range(60):
         here = Pose(0.4 * n, 0.0, 0.0)
         if n % 2:
-            jumps.stayed(here)
-            assert not jumps.doubting
+            gate.stayed(here)
+            assert not gate.doubting
         else:
-            assert not jumps.claim(here, composed(Pose(9.0, 0.0, 0.0), here))
-            assert jumps.doubting
+            assert not gate.claim(here, composed(Pose(9.0, 0.0, 0.0), here))
+            assert gate.doubting
 
 
 def test_a_robot_that_was_carried_may_turn_where_it_recognises_something() -> None:
-    jumps, carried = Jumps(), Pose(7.0, -3.0, 1.0)
+    gate, relocated = LoopClosureGate(), Pose(7.0, -3.0, 1.0)
     for n in range(WITNESSES):
         for turn_rad in (0.0, math.pi / 2):
             here = Pose(0.4 * n, 0.0, turn_rad)
-            believed = jumps.claim(here, composed(carried, here))
+            believed = gate.claim(here, composed(relocated, here))
             if believed:
                 break
     assert believed
 
 
 def test_what_is_new_where_something_was_recognised_does_not_matter() -> None:
-    jumps = Jumps()
+    gate = LoopClosureGate()
     said = []
     for n in range(WITNESSES):
         here = Pose(0.4 * n, 0.0, 0.0)
-        said.append(jumps.claim(here, composed(Pose(9.0, 0.0, 0.0), here)))
-        jumps.passed(Pose(0.4 * n + 0.1, 0.0, 0.0))
+        said.append(gate.claim(here, composed(Pose(9.0, 0.0, 0.0), here)))
+        gate.passed(Pose(0.4 * n + 0.1, 0.0, 0.0))
     assert said == [False] * (WITNESSES - 1) + [True]
 
 
 def test_where_nobody_knows_where_the_robot_is_the_first_jump_is_believed() -> None:
-    jumps = Jumps()
-    jumps.restart()
-    jumps.passed(HERE)
-    assert jumps.claim(HERE, Pose(9.0, 0.0, 0.0))
-    assert not jumps.claim(HERE, Pose(0.0, 9.0, 0.0))
-    jumps.restart()
-    jumps.stayed(HERE)  # it has not been carried
-    assert not jumps.claim(HERE, Pose(9.0, 0.0, 0.0))
+    gate = LoopClosureGate()
+    gate.restart()
+    gate.passed(HERE)
+    assert gate.claim(HERE, Pose(9.0, 0.0, 0.0))
+    assert not gate.claim(HERE, Pose(0.0, 9.0, 0.0))
+    gate.restart()
+    gate.stayed(HERE)  # it has not been carried
+    assert not gate.claim(HERE, Pose(9.0, 0.0, 0.0))
 
 
 def test_what_was_claimed_survives() -> None:
-    jumps = Jumps()
+    gate = LoopClosureGate()
     for n in range(WITNESSES - 1):
-        jumps.claim(here := Pose(0.4 * n, 0.0, 0.0), composed(Pose(9.0, 0.0, 0.0), here))
-    again = Jumps()
-    again.restore(json.loads(json.dumps(jumps.state())))
+        gate.claim(here := Pose(0.4 * n, 0.0, 0.0), composed(Pose(9.0, 0.0, 0.0), here))
+    again = LoopClosureGate()
+    again.restore(json.loads(json.dumps(gate.state())))
     last = Pose(0.4 * WITNESSES, 0.0, 0.0)
-    for one in (jumps, again):
+    for one in (gate, again):
         assert one.claim(last, composed(Pose(9.0, 0.0, 0.0), last))
         assert (one.refused, one.believed) == (WITNESSES - 1, 1)
 
@@ -142,7 +142,7 @@ def test_what_was_claimed_survives() -> None:
 
 
 def arrive(
-    graph: ExperienceMap, target: int, source: int | None = None, sight: Sight | None = None
+    graph: ExperienceMap, target: int, source: int | None = None, sight: ScanMatch | None = None
 ) -> None:
     """Apply what the pose cells say; they are at ``source``."""
     action = 'create' if target == len(graph) else 'link'
@@ -168,7 +168,7 @@ def test_a_jump_that_is_refused_leaves_the_map_and_the_robot_where_they_are() ->
     graph = corridor(0.05)
     before, here = graph.poses, graph.pose
     arrive(graph, 2)
-    assert graph.jumps.refused == 1
+    assert graph.gate.refused == 1
     assert graph.current_id == 12
     assert graph.pose == here
     assert graph.link_count == 12
@@ -213,14 +213,14 @@ def test_a_robot_that_was_carried_makes_no_link() -> None:
         arrive(graph, target)
         graph.integrate(ahead(1.0))
     assert graph.current_id == 1 + WITNESSES
-    assert graph.jumps.believed == 1
+    assert graph.gate.believed == 1
     assert graph.link_count == 12
     arrive(graph, 2 + WITNESSES)
     assert graph.current_id == 2 + WITNESSES
-    assert graph.jumps.refused == WITNESSES - 1
+    assert graph.gate.refused == WITNESSES - 1
 
 
-def claimed_all_along(graph: ExperienceMap, sight: Sight | None) -> None:
+def claimed_all_along(graph: ExperienceMap, sight: ScanMatch | None) -> None:
     """Drive back along a corridor that was driven long ago; all that is seen is six metres off."""
     graph.integrate(ahead(BEFORE_M / 2))
     graph.integrate(ahead(-BEFORE_M / 2 - 1.0))
@@ -237,26 +237,26 @@ def test_where_scans_fit_the_places_that_are_there_no_jump_is_believed() -> None
         return True
 
     graph = corridor(0.05)
-    claimed_all_along(graph, Sight(fits=fits))
-    assert graph.jumps.believed == 0
-    assert graph.jumps.refused == WITNESSES
+    claimed_all_along(graph, ScanMatch(fits=fits))
+    assert graph.gate.believed == 0
+    assert graph.gate.refused == WITNESSES
     assert graph.pose.x_m == pytest.approx(12.0 - WITNESSES)
     assert [asked_id for asked_id, *_ in asked] == list(range(12, 12 - WITNESSES, -1))
     assert np.array([pose for _, *pose in asked]) == pytest.approx(0.0, abs=1e-9)
 
 
-@pytest.mark.parametrize('sight', [None, Sight(), Sight(fits=lambda *_: False)])
-def test_where_they_do_not_or_nothing_tells_it_is(sight: Sight | None) -> None:
+@pytest.mark.parametrize('sight', [None, ScanMatch(), ScanMatch(fits=lambda *_: False)])
+def test_where_they_do_not_or_nothing_tells_it_is(sight: ScanMatch | None) -> None:
     graph = corridor(0.05)
     claimed_all_along(graph, sight)
-    assert graph.jumps.believed == 1
+    assert graph.gate.believed == 1
 
 
 def test_a_robot_that_was_put_there_asks_no_scan() -> None:
     graph = corridor(0.05)
-    graph.jumps.restart()
-    claimed_all_along(graph, Sight(fits=lambda *_: True))
-    assert graph.jumps.believed == 1
+    graph.gate.restart()
+    claimed_all_along(graph, ScanMatch(fits=lambda *_: True))
+    assert graph.gate.believed == 1
 
 
 def test_a_map_that_is_loaded_knows_how_old_its_places_are() -> None:
@@ -264,8 +264,8 @@ def test_a_map_that_is_loaded_knows_how_old_its_places_are() -> None:
     again = ExperienceMap(ExperienceMapParameters(exp_jump_drift=0.05))
     again.restore(graph.state())
     for one in (graph, again):
-        claimed_all_along(one, Sight(fits=lambda *_: True))
-        assert one.jumps.believed == 0
+        claimed_all_along(one, ScanMatch(fits=lambda *_: True))
+        assert one.gate.believed == 0
 
 
 def test_only_places_that_are_near_and_old_are_asked() -> None:
@@ -289,7 +289,7 @@ def test_scans_know_a_place_again_of_which_all_views_are_new(fits: bool, at_m: f
     graph.integrate(ahead(at_m - 13.0 - BEFORE_M / 2))
     came_m = 13.0 + BEFORE_M / 2 + abs(at_m - 13.0 - BEFORE_M / 2)
     for _ in range(3):
-        arrive(graph, len(graph), sight=Sight(fits=lambda *_: fits))
+        arrive(graph, len(graph), sight=ScanMatch(fits=lambda *_: fits))
         graph.integrate(ahead(0.4))
     # Asked at once, and not again before a metre.
     assert graph.scans_fitted_m == pytest.approx(came_m if fits and at_m == 12.0 else 0.0)
@@ -304,7 +304,7 @@ def test_a_link_that_is_known_is_no_jump() -> None:
         again.integrate(ahead(1.0))
         arrive(again, target)
         assert again.current_id == target
-    assert again.jumps.refused == 0
+    assert again.gate.refused == 0
 
 
 def test_but_it_is_where_the_robot_is_elsewhere_than_its_source() -> None:
@@ -316,7 +316,7 @@ def test_but_it_is_where_the_robot_is_elsewhere_than_its_source() -> None:
     arrive(graph, 2, source=13)  # 14 is at 14 m; a view of 2 has the pose cells elsewhere
     graph.integrate(ahead(10.0))
     arrive(graph, 13, source=2)
-    assert graph.jumps.refused == 3
+    assert graph.gate.refused == 3
     assert graph.pose.x_m == pytest.approx(34.0)
 
 
@@ -325,7 +325,7 @@ def test_so_is_the_experience_that_the_robot_left_long_ago() -> None:
     arrive(graph, 2)
     graph.integrate(ahead(29.0))
     arrive(graph, 12, source=2)
-    assert graph.jumps.refused == 2
+    assert graph.gate.refused == 2
     assert graph.pose.x_m == pytest.approx(42.0)
 
 
@@ -336,7 +336,7 @@ def test_the_way_since_the_last_experience_counts() -> None:
         graph.integrate(ahead(50.0))
         graph.integrate(ahead(-50.0))
     arrive(graph, 12)
-    assert graph.jumps.refused == 0
+    assert graph.gate.refused == 0
 
 
 def test_a_loop_that_has_just_been_closed_is_relaxed_before_it_is_judged() -> None:
@@ -363,7 +363,7 @@ def test_a_loop_that_has_just_been_closed_is_relaxed_before_it_is_judged() -> No
             'link', graph.current_id, target, target, math.pi, Place(0.0, 0.0, 0.0)
         ))  # fmt: skip
         assert graph.current_id == target
-    assert graph.jumps.refused == 0
+    assert graph.gate.refused == 0
 
 
 def test_a_map_that_is_not_relaxed_is_not_for_this_either() -> None:
@@ -373,7 +373,7 @@ def test_a_map_that_is_not_relaxed_is_not_for_this_either() -> None:
     before = graph.poses
     graph.integrate(ahead(0.5))
     arrive(graph, 3)
-    assert graph.jumps.refused >= 1
+    assert graph.gate.refused >= 1
     assert np.array_equal(graph.poses, before)
 
 
@@ -388,7 +388,7 @@ def test_a_map_in_doubt_goes_on_as_it_would_have() -> None:
         for target in range(3, 2 + WITNESSES):
             graph.integrate(ahead(1.0))
             arrive(graph, target, source=target - 1)
-    assert [graph.jumps.believed for graph in maps] == [1, 1]
+    assert [graph.gate.believed for graph in maps] == [1, 1]
     assert maps[0].pose == maps[1].pose
     assert np.array_equal(maps[0].poses, maps[1].poses)
 
@@ -401,10 +401,10 @@ def test_a_robot_that_is_only_located_is_believed() -> None:
 
 
 def test_spacing_is_less_than_what_claims_are_apart() -> None:
-    jumps = Jumps()
+    gate = LoopClosureGate()
     for n in range(200):  # 10 m in steps of 5 cm
         here = Pose(0.05 * n, 0.0, 0.0)
-        if jumps.claim(here, composed(Pose(9.0, 0.0, 0.0), here)):
+        if gate.claim(here, composed(Pose(9.0, 0.0, 0.0), here)):
             break
-    assert jumps.believed == 1
+    assert gate.believed == 1
     assert here.x_m == pytest.approx((WITNESSES - 1) * SPACING_M, abs=0.35)

@@ -17,7 +17,7 @@ from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.scan import points_of
 from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
-from ratslam_ros.core.mapping.scan_matching import VIEW_SD_M, ScanAlignment, Sight
+from ratslam_ros.core.mapping.scan_matching import VIEW_SD_M, ScanMatch, ScanMatcher
 from ratslam_ros.core.mapping.scan_matching import align as aligned
 from ratslam_ros.core.pose_cells.pose_cells import NO_EXPERIENCE, Action, MapAction
 from ratslam_ros.core.pose_cells.torus import Place
@@ -95,13 +95,13 @@ def action(kind: Action, target: int, relative_rad: float = 0.0) -> MapAction:
     return MapAction(kind, 0, target, target, relative_rad, Place(0.0, 0.0, 0.0))
 
 
-def there(scans: ScanAlignment, tick: int, done: MapAction) -> Pose | None:
+def there(scans: ScanMatcher, tick: int, done: MapAction) -> Pose | None:
     """Return what the scans say of the action's experience."""
-    return scans(tick * TICK_NS, done, -1, HERE).from_target
+    return scans.locate(tick * TICK_NS, done, -1, HERE).from_target
 
 
 def drive(
-    scans: ScanAlignment, walls: list[Line], start: Pose, tick: int, ticks: int,
+    scans: ScanMatcher, walls: list[Line], start: Pose, tick: int, ticks: int,
     still: bool = False,
 ) -> tuple[Pose, int]:  # fmt: skip
     """Drive on a curve, with odometry at each tick and a scan between them; return where."""
@@ -117,10 +117,10 @@ def drive(
 
 
 def test_a_scan_is_moved_to_where_the_action_is() -> None:
-    scans = ScanAlignment()
+    scans = ScanMatcher()
     made_at, tick = drive(scans, ROOM, HERE, 0, 5)
-    told = scans(tick * TICK_NS, action('create', 0), -1, HERE)
-    assert told == Sight(fits=told.fits)
+    told = scans.locate(tick * TICK_NS, action('create', 0), -1, HERE)
+    assert told == ScanMatch(fits=told.fits)
     seen_at, tick = drive(scans, ROOM, Pose(-0.1, 0.2, 0.1), tick, 5)
     found = there(scans, tick, action('link', 0, 0.1))
     away_m, turned_rad = off(found, composed(inverse(made_at), seen_at))
@@ -129,7 +129,7 @@ def test_a_scan_is_moved_to_where_the_action_is() -> None:
 
 
 def test_the_frame_of_an_experience_is_turned_as_its_view_was() -> None:
-    scans = ScanAlignment()
+    scans = ScanMatcher()
     _, tick = drive(scans, ROOM, HERE, 0, 4, still=True)
     there(scans, tick, action('create', 0, 0.15))
     _, tick = drive(scans, ROOM, HERE, tick, 4, still=True)
@@ -141,7 +141,7 @@ def test_the_frame_of_an_experience_is_turned_as_its_view_was() -> None:
 
 
 def test_without_a_fresh_scan_nothing_is_told() -> None:
-    scans = ScanAlignment()
+    scans = ScanMatcher()
     there(scans, 0, action('create', 0))
     _, tick = drive(scans, ROOM, HERE, 0, 4, still=True)
     assert there(scans, tick, action('link', 0)) is None  # made without one
@@ -153,12 +153,12 @@ def test_without_a_fresh_scan_nothing_is_told() -> None:
     assert there(scans, tick, action('link', 1)) is None
 
 
-def known_in_a_corridor(scans: ScanAlignment, metres: float) -> int:
+def known_in_a_corridor(scans: ScanMatcher, metres: float) -> int:
     """Be at a known place in a bare corridor, and drive on for some metres; return the tick."""
     _, tick = drive(scans, corridor(1.0), HERE, 0, 4, still=True)
     there(scans, tick, action('create', 0))
     for n in range(1, 40):  # long enough there for the map to be sure
-        scans(tick * TICK_NS, action('link', 0), n, HERE, HERE)
+        scans.locate(tick * TICK_NS, action('link', 0), n, HERE, HERE)
     scans.integrate(tick * TICK_NS, Motion(0.1, metres, 0.0))
     _, tick = drive(scans, corridor(1.0), HERE, tick, 4, still=True)
     return tick
@@ -175,10 +175,10 @@ def known_in_a_corridor(scans: ScanAlignment, metres: float) -> int:
 def test_along_a_bare_corridor_view_and_map_tell_together(
     metres: float, expected_m: float, least_m: float, most_m: float
 ) -> None:
-    scans = ScanAlignment()
+    scans = ScanMatcher()
     tick = known_in_a_corridor(scans, metres)
     expected = Pose(expected_m, 0.0, 0.0)
-    found = scans(tick * TICK_NS, action('link', 0), -1, HERE, expected).from_target
+    found = scans.locate(tick * TICK_NS, action('link', 0), -1, HERE, expected).from_target
     assert found is not None
     assert least_m <= found.x_m <= most_m
 
@@ -186,13 +186,14 @@ def test_along_a_bare_corridor_view_and_map_tell_together(
 def test_what_the_map_refused_tells_nothing_of_how_sure_it_is() -> None:
     found = []
     for refused in (False, True):
-        scans = ScanAlignment()
+        scans = ScanMatcher()
         tick = known_in_a_corridor(scans, 300.0)
         if refused:
-            scans(tick * TICK_NS, action('link', 0), -1, HERE, Pose(50.0, 0.0, 0.0))
+            scans.locate(tick * TICK_NS, action('link', 0), -1, HERE, Pose(50.0, 0.0, 0.0))
             scans.refused()
         expected = Pose(0.6, 0.0, 0.0)
-        found.append(scans(tick * TICK_NS, action('link', 0), -1, HERE, expected).from_target)
+        match = scans.locate(tick * TICK_NS, action('link', 0), -1, HERE, expected)
+        found.append(match.from_target)
     assert found[0] is not None
     assert found[0] == found[1]
 
@@ -210,47 +211,50 @@ def test_where_scans_do_not_fit_view_and_map_tell_where_it_is(
     metres: float, expected: Pose, least_m: float, most_m: float
 ) -> None:
     """A view from a metre before its place does not carry a robot there that knows where it is."""
-    scans = ScanAlignment()
+    scans = ScanMatcher()
     tick = known_in_a_corridor(scans, metres)
     _, tick = drive(scans, HALL, HERE, tick, 4, still=True)
-    found = scans(tick * TICK_NS, action('link', 0), -1, HERE, expected).from_target
+    found = scans.locate(tick * TICK_NS, action('link', 0), -1, HERE, expected).from_target
     if math.isnan(least_m):
         assert found is None
     else:
         assert found is not None
         assert least_m <= found.x_m <= most_m
         assert 0.0 < found.heading_rad <= 0.1
-    assert scans((tick + 10) * TICK_NS, action('link', 0), -1, HERE, expected) == Sight()
+    later_ns = (tick + 10) * TICK_NS
+    assert scans.locate(later_ns, action('link', 0), -1, HERE, expected) == ScanMatch()
 
 
 def test_a_view_that_nothing_confirms_leaves_the_map_unsure() -> None:
-    scans = ScanAlignment()
+    scans = ScanMatcher()
     tick = known_in_a_corridor(scans, 0.0)
-    assert scans((tick + 10) * TICK_NS, action('link', 0), -1, HERE) == Sight()
+    assert scans.locate((tick + 10) * TICK_NS, action('link', 0), -1, HERE) == ScanMatch()
     _, tick = drive(scans, corridor(1.0), HERE, tick + 10, 4, still=True)
-    found = scans(tick * TICK_NS, action('link', 0), -1, HERE, Pose(0.6, 0.0, 0.0)).from_target
+    expected = Pose(0.6, 0.0, 0.0)
+    found = scans.locate(tick * TICK_NS, action('link', 0), -1, HERE, expected).from_target
     assert found is not None
     assert 0.2 < found.x_m < 0.4
 
 
 def test_a_robot_that_was_carried_believes_the_view() -> None:
-    scans = ScanAlignment()
+    scans = ScanMatcher()
     tick = known_in_a_corridor(scans, 0.0)
     scans.restart()
     _, tick = drive(scans, corridor(1.0), HERE, tick, 4, still=True)
-    found = scans(tick * TICK_NS, action('link', 0), -1, HERE, Pose(0.6, 0.0, 0.0)).from_target
+    expected = Pose(0.6, 0.0, 0.0)
+    found = scans.locate(tick * TICK_NS, action('link', 0), -1, HERE, expected).from_target
     assert found is not None
     assert abs(found.x_m) < 0.05
 
 
 def test_the_way_from_the_last_experience_is_told_too() -> None:
-    scans = ScanAlignment()
+    scans = ScanMatcher()
     made_at, tick = drive(scans, ROOM, HERE, 0, 5)
     there(scans, tick, action('create', 0))
     here, tick = drive(scans, ROOM, made_at, tick, 5)
     true = composed(inverse(made_at), here)
     slipped = Pose(true.x_m + 0.02, true.y_m, true.heading_rad + 0.1)
-    found = scans(tick * TICK_NS, action('create', 1), 0, slipped)
+    found = scans.locate(tick * TICK_NS, action('create', 1), 0, slipped)
     assert found.from_target is None
     away_m, turned_rad = off(found.from_current, true)
     assert away_m < 0.02
@@ -258,7 +262,7 @@ def test_the_way_from_the_last_experience_is_told_too() -> None:
 
 
 def test_a_number_that_means_another_place_has_its_scan() -> None:
-    scans = ScanAlignment()
+    scans = ScanMatcher()
     _, tick = drive(scans, HALL, HERE, 0, 4, still=True)
     there(scans, tick, action('create', 0))
     _, tick = drive(scans, ROOM, HERE, tick, 4, still=True)
@@ -268,12 +272,12 @@ def test_a_number_that_means_another_place_has_its_scan() -> None:
 
 
 def test_what_is_kept_survives() -> None:
-    scans = ScanAlignment()
+    scans = ScanMatcher()
     _, tick = drive(scans, ROOM, HERE, 0, 4, still=True)
     there(scans, tick, action('create', 0))
     _, tick = drive(scans, HALL, HERE, tick, 4, still=True)
     there(scans, tick, action('create', 7))
-    again = ScanAlignment()
+    again = ScanMatcher()
     again.restore(scans.state())
     ends = []
     for one in (scans, again):
@@ -282,19 +286,19 @@ def test_what_is_kept_survives() -> None:
         ends.append(there(one, end, action('link', 7)))
     assert ends[0] == ends[1]
     assert off(ends[0], pose)[0] < 0.03
-    empty = ScanAlignment()
-    empty.restore(ScanAlignment().state())
+    empty = ScanMatcher()
+    empty.restore(ScanMatcher().state())
     assert there(empty, 0, action('link', 0)) is None
 
 
 def fits(walls: list[Line], then: list[Line], wrong_m: float = 0.0) -> bool:
     """Whether what is seen in ``then`` fits a place in ``walls``, said to be so far from it."""
-    scans = ScanAlignment()
+    scans = ScanMatcher()
     made_at, tick = drive(scans, walls, HERE, 0, 5)
-    scans(tick * TICK_NS, action('create', 0), -1, HERE)
+    scans.locate(tick * TICK_NS, action('create', 0), -1, HERE)
     seen_at, tick = drive(scans, then, Pose(-0.1, 0.2, 0.1), tick, 5)
     said = composed(inverse(made_at), seen_at)
-    told = scans(tick * TICK_NS, action('link', 5), 5, HERE).fits
+    told = scans.locate(tick * TICK_NS, action('link', 5), 5, HERE).fits
     assert told is not None
     return told(0, said._replace(x_m=said.x_m + wrong_m))
 
@@ -311,16 +315,16 @@ def test_along_a_bare_corridor_no_scan_tells_that() -> None:
 
 
 def test_nothing_tells_it_without_a_scan_or_of_a_place_without() -> None:
-    scans = ScanAlignment()
-    assert scans(0, action('link', 0), 0, HERE).fits is None
+    scans = ScanMatcher()
+    assert scans.locate(0, action('link', 0), 0, HERE).fits is None
     _, tick = drive(scans, ROOM, HERE, 0, 4, still=True)
-    told = scans(tick * TICK_NS, action('link', 0), 0, HERE).fits
+    told = scans.locate(tick * TICK_NS, action('link', 0), 0, HERE).fits
     assert told is not None
     assert not told(0, HERE)
 
 
 def test_scans_that_begin_again_are_those_of_now() -> None:
-    scans = ScanAlignment()
+    scans = ScanMatcher()
     _, tick = drive(scans, ROOM, HERE, 50, 4, still=True)
     there(scans, tick, action('create', 0))
     _, tick = drive(scans, HALL, HERE, 0, 4, still=True)
@@ -334,7 +338,7 @@ def test_the_map_takes_what_the_scans_tell() -> None:
     graph.integrate(Motion(1.0, 1.0, 0.0))
     graph.apply(MapAction('create', 0, 1, 1, 0.0, place))
     graph.integrate(Motion(1.0, -0.8, 0.0))
-    sight = Sight(Pose(-0.9, 0.0, 0.0), Pose(0.1, 0.0, 0.0))
+    sight = ScanMatch(Pose(-0.9, 0.0, 0.0), Pose(0.1, 0.0, 0.0))
     graph.apply(MapAction('link', 1, 0, 0, 0.0, place), sight=sight)
     assert graph.pose == pytest.approx((0.1, 0.0, 0.0))
     assert graph.link_shapes[1] == pytest.approx((1.0, math.pi, 0.0))  # no contradiction

@@ -19,7 +19,7 @@ from ratslam_ros.core.config import (
 )
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation.navigator import MOST_TRIES, MOST_UNSURE, Navigator
-from ratslam_ros.core.navigation.route_planner import TILE_M, GoalRecall, UnreachableGoal
+from ratslam_ros.core.navigation.route_planner import TILE_M, RoutePlanner, UnreachableGoal
 from ratslam_ros.core.pose_cells.pose_cells import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.core.vision.local_view import LocalView
@@ -49,8 +49,8 @@ def in_and_out(length: int) -> ExperienceMap:
 
 def test_a_route_need_not_go_into_a_room_and_out_again() -> None:
     graph = in_and_out(7)
-    by_links = GoalRecall(GoalRecallParameters()).route_to(graph, 0)
-    joined = GoalRecall(GoalRecallParameters(route_join_m=0.35)).route_to(graph, 0)
+    by_links = RoutePlanner(GoalRecallParameters()).route_to(graph, 0)
+    joined = RoutePlanner(GoalRecallParameters(route_join_m=0.35)).route_to(graph, 0)
     assert len(by_links.experience_ids) == len(graph)
     # It is there already, and only looks the other way.
     assert joined.arrival_s[-1] == pytest.approx(math.pi, abs=0.2)
@@ -74,7 +74,7 @@ def test_only_places_that_a_short_way_connects_are_joined(side: int, is_joined: 
     assert (0.5 * side < TILE_M) == is_joined
     graph = round_the_block(side)
     assert np.hypot(*(graph.poses[-1, :2] - graph.poses[0, :2])) == pytest.approx(0.3)
-    ids = GoalRecall(GoalRecallParameters(route_join_m=0.35)).route_to(graph, 0).experience_ids
+    ids = RoutePlanner(GoalRecallParameters(route_join_m=0.35)).route_to(graph, 0).experience_ids
     assert ids == ((len(graph) - 1, 0) if is_joined else tuple(reversed(range(len(graph)))))
 
 
@@ -87,12 +87,12 @@ def test_places_stay_joined_where_the_way_that_connects_them_is_unlearned(
     while graph.fail('centreline', 0.0, Pose(2.9, 0.0, 0.0)) == 0:
         pass
     with pytest.raises(UnreachableGoal, match='no link leads'):
-        GoalRecall(GoalRecallParameters()).route_to(graph, 0)
+        RoutePlanner(GoalRecallParameters()).route_to(graph, 0)
     save(tmp_path / 'map', 'experience_map', graph.state())
     loaded = ExperienceMap(ExperienceMapParameters(exp_initial_em_deg=0.0))
     loaded.restore(load(tmp_path / 'map', 'experience_map'))
     for one in (graph, loaded):
-        recall = GoalRecall(GoalRecallParameters(route_join_m=0.35))
+        recall = RoutePlanner(GoalRecallParameters(route_join_m=0.35))
         assert recall.route_to(one, 0).experience_ids == (last, 0)
     # What is forgotten says nothing any more, and its number means another place.
     turning_point = int(graph.poses[:, 0].argmax())
@@ -105,15 +105,15 @@ def test_places_stay_joined_where_the_way_that_connects_them_is_unlearned(
 
 def test_a_join_that_was_given_up_is_not_used_again() -> None:
     graph = in_and_out(7)
-    recall = GoalRecall(GoalRecallParameters(route_join_m=0.35))
+    recall = RoutePlanner(GoalRecallParameters(route_join_m=0.35))
     last = len(graph) - 1
     assert recall.route_to(graph, 0).experience_ids == (last, 0)
     recall.part(graph, [last])
-    assert recall.parted(graph) == 1
+    assert recall.rejected_shortcuts(graph) == 1
     assert len(recall.route_to(graph, 0).experience_ids) == len(graph)
     step(graph)  # nor where the map grows
     assert len(recall.route_to(graph, 0).experience_ids) == len(graph)
-    assert GoalRecall(recall.parameters).route_to(graph, 0).experience_ids == (last + 1, last, 0)
+    assert RoutePlanner(recall.parameters).route_to(graph, 0).experience_ids == (last + 1, last, 0)
 
 
 def test_a_robot_that_fails_where_ways_are_joined_gives_up_the_join() -> None:
@@ -124,8 +124,8 @@ def test_a_robot_that_fails_where_ways_are_joined_gives_up_the_join() -> None:
     navigator.go_to(0)
     before = navigator.update(0)
     assert len(before.positions_m) < 5
-    assert navigator.try_failed()  # the way may be closed all the same
-    assert navigator.recall.parted(graph) > 0
+    assert navigator.report_blocked()  # the way may be closed all the same
+    assert navigator.recall.rejected_shortcuts(graph) > 0
     after = navigator.update(1)
     assert after.status == 'following'
     assert len(after.positions_m) == len(graph)
@@ -151,9 +151,9 @@ def test_the_shift_of_a_view_tells_how_the_robot_is_turned(columns: int) -> None
     rng = np.random.default_rng(1)
     wide = rng.integers(0, 256, (10, 40)).astype(np.uint8)
     view = LocalView(parameters)
-    view(wide[:, 10:30])
+    view.match(wide[:, 10:30])
     # Turned to the left the camera sees more of what is on the left: all moves to the right.
-    match = view(wide[:, 10 - columns : 30 - columns])
+    match = view.match(wide[:, 10 - columns : 30 - columns])
     assert not match.is_new
     assert match.relative_rad == pytest.approx(math.radians(columns * 50.0 / 20))
 
@@ -161,8 +161,8 @@ def test_the_shift_of_a_view_tells_how_the_robot_is_turned(columns: int) -> None
 def test_without_the_angle_shifts_are_no_turns() -> None:
     view = LocalView(LocalViewParameters(template_x_size=20, template_y_size=10, vt_shift_match=3))
     wide = np.random.default_rng(1).integers(0, 256, (10, 40)).astype(np.uint8)
-    view(wide[:, 10:30])
-    assert view(wide[:, 11:31]).relative_rad == 0.0
+    view.match(wide[:, 10:30])
+    assert view.match(wide[:, 11:31]).relative_rad == 0.0
 
 
 def straight(length: int) -> ExperienceMap:
@@ -181,9 +181,9 @@ def on_the_way(graph: ExperienceMap) -> Navigator:
 
 def test_a_robot_that_knows_where_it_is_counts_its_failures() -> None:
     navigator = on_the_way(straight(10))
-    assert all(navigator.try_failed() for _ in range(MOST_TRIES))
+    assert all(navigator.report_blocked() for _ in range(MOST_TRIES))
     assert not navigator.update(1).explore
-    navigator.try_failed()
+    navigator.report_blocked()
     assert navigator.update(2).explore  # that many have changed nothing: it is not there
 
 
@@ -195,13 +195,13 @@ def test_a_robot_that_may_be_wrong_looks_for_itself() -> None:
         for _ in range(3):
             guidance = navigator.update(stamp_ns)
     assert guidance.unknown_m == pytest.approx(0.6)  # a leap counts as little: the map moved
-    assert navigator.try_failed()
+    assert navigator.report_blocked()
     for stamp_ns in range(4, 20):
         step(graph)
         guidance = navigator.update(stamp_ns)
     assert guidance.unknown_m > 2.0
     for _ in range(MOST_UNSURE + 1):
-        assert not navigator.try_failed()
+        assert not navigator.report_blocked()
     assert navigator.update(20).explore
 
 

@@ -27,7 +27,7 @@ from ratslam_ros.core.navigation.route_following import (
     RouteFollowing,
     point_ahead,
 )
-from ratslam_ros.core.navigation.route_planner import GoalRecall
+from ratslam_ros.core.navigation.route_planner import RoutePlanner
 from ratslam_ros.core.pose_cells.pose_cells import Action, MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 
@@ -41,7 +41,7 @@ class Robot:
 
     def __init__(self) -> None:
         self.map = ExperienceMap(ExperienceMapParameters(exp_initial_em_deg=0.0))
-        self.recall = GoalRecall(PARAMETERS)
+        self.recall = RoutePlanner(PARAMETERS)
         self.pose = Pose(0.0, 0.0, 0.0)
         self.stamp_ns = 0
         self.following: RouteFollowing | None = None

@@ -16,9 +16,9 @@ from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation import route_planner
 from ratslam_ros.core.navigation.route_planner import (
     SHORTEST_S,
-    GoalRecall,
     GoalTree,
     Route,
+    RoutePlanner,
     TemporalMap,
     UnreachableGoal,
     durations,
@@ -26,9 +26,9 @@ from ratslam_ros.core.navigation.route_planner import (
 from ratslam_ros.core.pose_cells.pose_cells import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 
-RECALL = GoalRecall(GoalRecallParameters(goal_tolerance_m=0.5))
+RECALL = RoutePlanner(GoalRecallParameters(goal_tolerance_m=0.5))
 BACK = 2.5
-ONE_WAY = GoalRecall(GoalRecallParameters(goal_tolerance_m=0.5, route_back_factor=BACK))
+ONE_WAY = RoutePlanner(GoalRecallParameters(goal_tolerance_m=0.5, route_back_factor=BACK))
 NOWHERE = Place(0.0, 0.0, 0.0)
 
 
@@ -169,7 +169,7 @@ def assert_leads(graph: ExperienceMap, route: Route, start: int, goal: int) -> N
     assert set(itertools.pairwise(route.experience_ids)) <= set(link_times(graph))
 
 
-class Counting(GoalRecall):
+class Counting(RoutePlanner):
     """Counts how often all is computed."""
 
     def __init__(self, back: float = 1.0) -> None:
@@ -257,7 +257,7 @@ def test_times_from_a_place_and_to_it_are_those_over_directed_links(seed: int) -
 
 
 def test_a_tree_follows_a_factor_that_is_replaced() -> None:
-    graph, recall = line(5), GoalRecall(GoalRecallParameters())
+    graph, recall = line(5), RoutePlanner(GoalRecallParameters())
     tree = GoalTree(recall, graph, 0)
     for back in (1.0, 2.0, 5.0, 1.0):
         recall.parameters = GoalRecallParameters(route_back_factor=back)
@@ -271,7 +271,8 @@ def test_a_tree_follows_a_factor_that_is_replaced() -> None:
 @pytest.mark.parametrize('seed', range(6))
 @pytest.mark.parametrize('per_change', [0, 5, 2000])
 def test_a_tree_that_says_so_is_exact_and_any_leads_to_its_goal(
-    monkeypatch: pytest.MonkeyPatch, seed: int, islands: bool, per_change: int, recall: GoalRecall
+    monkeypatch: pytest.MonkeyPatch, seed: int, islands: bool, per_change: int,
+    recall: RoutePlanner,
 ) -> None:
     monkeypatch.setattr(route_planner, 'EXPERIENCES_PER_CHANGE', per_change)
     rng = np.random.default_rng(seed)
@@ -346,7 +347,7 @@ def test_a_large_stale_tree_is_computed_anew_after_a_number_of_changes(
 @pytest.mark.parametrize('recall', [RECALL, ONE_WAY])
 @pytest.mark.parametrize('seed', range(4))
 def test_no_way_leads_over_a_link_that_is_no_more(
-    monkeypatch: pytest.MonkeyPatch, seed: int, recall: GoalRecall
+    monkeypatch: pytest.MonkeyPatch, seed: int, recall: RoutePlanner
 ) -> None:
     monkeypatch.setattr(route_planner, 'EXPERIENCES_PER_CHANGE', 0)
     rng = np.random.default_rng(seed)
@@ -395,7 +396,7 @@ def test_a_tree_knows_no_goal_and_no_start_that_is_not_on_the_map() -> None:
 @pytest.mark.parametrize('seed', range(4))
 def test_following_gives_the_routes_that_asking_anew_gives(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    recall = GoalRecall(GoalRecallParameters(goal_tolerance_m=2.0))
+    recall = RoutePlanner(GoalRecallParameters(goal_tolerance_m=2.0))
     for graph in (line(5), line(6)):
         for _ in range(60):
             wander(graph, rng, islands=True)
@@ -429,9 +430,9 @@ def test_following_computes_only_where_it_must() -> None:
 
 
 def test_a_number_that_means_another_experience_may_be_joined_again() -> None:
-    recall, graph = GoalRecall(GoalRecallParameters()), ExperienceMap(ExperienceMapParameters())
+    recall, graph = RoutePlanner(GoalRecallParameters()), ExperienceMap(ExperienceMapParameters())
     recall.part(graph, [3, 4])
     recall.forgotten(graph, 3)
-    assert recall.parted(graph) == 1
+    assert recall.rejected_shortcuts(graph) == 1
     recall.forgotten(graph, 3)
-    assert recall.parted(graph) == 1
+    assert recall.rejected_shortcuts(graph) == 1

@@ -25,8 +25,8 @@ from ratslam_ros.core.config import (
     PoseCellsParameters,
 )
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
-from ratslam_ros.core.mapping.late_join import Joining
-from ratslam_ros.core.navigation.route_planner import GoalRecall, GoalTree
+from ratslam_ros.core.mapping.late_join import LateJoin
+from ratslam_ros.core.navigation.route_planner import GoalTree, RoutePlanner
 from ratslam_ros.core.pose_cells.pose_cells import MapAction, PoseCells
 from ratslam_ros.core.pose_cells.pruning import LONGEST_GAP_M, RECENT_VISITS, Gaps, Visits
 from ratslam_ros.core.pose_cells.torus import Place
@@ -451,7 +451,7 @@ def test_two_neighbours_are_joined_both_ways_as_they_were_driven() -> None:
         assert (links[pair].behaviour, links[pair].count) == ('wall', 1)
     assert graph.experiences()[1].template_id == 9
     assert graph.pose_of(1).x_m == pytest.approx(2.0 + 3.0 * math.cos(1.0))
-    assert GoalRecall(GoalRecallParameters()).route_to(graph, 2).experience_ids == (1, 0, 2)
+    assert RoutePlanner(GoalRecallParameters()).route_to(graph, 2).experience_ids == (1, 0, 2)
 
 
 def test_many_neighbours_are_joined_through_the_nearest_and_old_links_stay() -> None:
@@ -505,7 +505,7 @@ def test_where_the_map_stands_on_what_is_forgotten_it_goes_on_from_the_neighbour
 def test_texts_routes_and_memories_follow(seed: int, tmp_path: Path) -> None:
     rng = random.Random(seed)
     pose_cells, graph = limited(), new_map()
-    kept, recall = MapText(), GoalRecall(GoalRecallParameters())
+    kept, recall = MapText(), RoutePlanner(GoalRecallParameters())
     apply(graph, wander(pose_cells, rng, 60))
     tree = GoalTree(recall, graph, 0)
     for _ in range(60):
@@ -533,8 +533,8 @@ MEMORY_NS = 7
 
 def through_messages(
     graph: ExperienceMap, done: list[Done], lost: frozenset[int] = frozenset()
-) -> Joining:
-    joining = Joining(graph)
+) -> LateJoin:
+    joining = LateJoin(graph)
     for sequence, (motion, action) in enumerate(done):
         graph.integrate(motion)
         if sequence not in lost:
@@ -563,7 +563,7 @@ def test_whatever_is_lost_no_number_means_two_places(seed: int) -> None:
     graph = new_map()
     through_messages(graph, done, lost)
     assert LIMIT - 3 <= len(graph) <= LIMIT  # a number whose making was lost may be missing
-    own = Joining(checked := new_map())
+    own = LateJoin(checked := new_map())
     for sequence, (motion, action) in enumerate(done):
         checked.integrate(motion)
         if sequence in lost:

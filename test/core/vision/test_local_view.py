@@ -205,15 +205,15 @@ def test_matches_are_those_of_the_definition_ties_included(
     p, templates, views = world
     local_view = memory(templates, p)
     for view in views:
-        assert local_view.match(view) == plain_match(templates, view, p)
+        assert local_view.best_match(view) == plain_match(templates, view, p)
 
 
 def test_among_constant_views_ties_go_to_the_lowest_id_and_offset() -> None:
     flat = [np.full((4, 8), value, np.uint8) for value in (90, 100, 110, 100)]
     for panoramic in (False, True):
         local_view = memory(flat, parameters(vt_panoramic=panoramic))
-        assert local_view.match(np.full((4, 8), 100, np.uint8)) == (1, 0, 0)
-        found = local_view.match(np.full((4, 8), 105, np.uint8))
+        assert local_view.best_match(np.full((4, 8), 100, np.uint8)) == (1, 0, 0)
+        found = local_view.best_match(np.full((4, 8), 105, np.uint8))
         assert found is not None
         assert found[:2] == (1, 0)
 
@@ -224,8 +224,8 @@ def test_a_forward_view_is_found_shifted_to_either_side() -> None:
     local_view = memory([np.ascontiguousarray(wide[:, 10:30])], p)
     for shift in range(-3, 4):
         view = np.ascontiguousarray(wide[:, 10 + shift : 30 + shift])
-        assert local_view.match(view) == (0, 3 + shift, 0)
-    beyond = local_view.match(np.ascontiguousarray(wide[:, 15:35]))
+        assert local_view.best_match(view) == (0, 3 + shift, 0)
+    beyond = local_view.best_match(np.ascontiguousarray(wide[:, 15:35]))
     assert beyond is not None
     assert beyond[2] > 0
 
@@ -236,8 +236,8 @@ def test_a_panoramic_view_tells_how_far_the_robot_turned(turned: int) -> None:
     p = parameters(20, 4, 0, vt_panoramic=True)
     local_view = LocalView(p)
     first = picture(8, 4, 20)
-    assert local_view(first).is_new
-    match = local_view(np.roll(first, turned, axis=1))
+    assert local_view.match(first).is_new
+    match = local_view.match(np.roll(first, turned, axis=1))
     assert match.template_id == 0
     assert match.error == 0.0
     assert match.relative_rad == pytest.approx(2.0 * math.pi * turned / 20, abs=1e-12)
@@ -245,16 +245,16 @@ def test_a_panoramic_view_tells_how_far_the_robot_turned(turned: int) -> None:
 
 def test_half_a_turn_is_plus_pi() -> None:
     local_view = LocalView(parameters(20, 4, 0, vt_panoramic=True))
-    local_view(picture(8, 4, 20))
-    match = local_view(np.roll(picture(8, 4, 20), 10, axis=1))
+    local_view.match(picture(8, 4, 20))
+    match = local_view.match(np.roll(picture(8, 4, 20), 10, axis=1))
     assert match.relative_rad == pytest.approx(math.pi)
 
 
 def test_a_forward_camera_has_no_relative_heading() -> None:
     local_view = LocalView(parameters(20, 4, 5))
     wide = picture(5, 4, 40)
-    local_view(np.ascontiguousarray(wide[:, 10:30]))
-    match = local_view(np.ascontiguousarray(wide[:, 13:33]))
+    local_view.match(np.ascontiguousarray(wide[:, 10:30]))
+    match = local_view.match(np.ascontiguousarray(wide[:, 13:33]))
     assert not match.is_new
     assert match.relative_rad == 0.0
 
@@ -272,7 +272,7 @@ def test_a_template_of_quite_another_mean_is_found_still() -> None:
     p = parameters(20, 4, 4, vt_match_threshold=0.03)
     assert abs(float(view.mean()) - float(template.mean())) / 255 > 0.035 + 0.05
     local_view = memory([picture(7, 4, 20), template], p)
-    match = local_view(view)
+    match = local_view.match(view)
     assert (match.template_id, match.is_new, match.error) == (1, False, 0.0)
 
 
@@ -281,11 +281,11 @@ def test_a_template_of_quite_another_mean_is_found_still() -> None:
 
 def test_the_first_view_is_learned_and_recognised_from_then_on() -> None:
     local_view = LocalView(parameters())
-    first = local_view(picture(0))
+    first = local_view.match(picture(0))
     assert (first.template_id, first.is_new, first.error) == (0, True, -1.0)
-    again = local_view(picture(0))
+    again = local_view.match(picture(0))
     assert (again.template_id, again.is_new, again.error) == (0, False, 0.0)
-    other = local_view(picture(1))
+    other = local_view.match(picture(1))
     assert (other.template_id, other.is_new) == (1, True)
     assert other.error > 0.03
 
@@ -308,7 +308,7 @@ def test_exactly_the_threshold_is_recognised_and_one_more_is_not(
                 rest -= int(columns[y, x])
         assert rest == 0
         local_view = memory([np.zeros((4, 20), np.uint8)], p)
-        match = local_view(view)
+        match = local_view.match(view)
         assert match.is_new == (sad > threshold * 255 * area)
         assert match.error == pytest.approx(sad / (255 * area), abs=1e-15)
 
@@ -322,30 +322,31 @@ def test_the_error_told_is_the_exact_minimum_also_of_a_new_view(panoramic: bool)
     for seed in range(30):
         view = make_view(picture(seed % 23, 4, 10), p)
         expected = plain_match(list(local_view.templates), view, p)
-        match = local_view(picture(seed % 23, 4, 10))
+        match = local_view.match(picture(seed % 23, 4, 10))
         assert match.error == (-1.0 if expected is None else expected[2] / (255.0 * area))
 
 
 def test_templates_are_numbered_in_the_order_of_learning_however_many() -> None:
     local_view = LocalView(parameters())
-    ids = [local_view(picture(seed)).template_id for seed in range(200)]
+    ids = [local_view.match(picture(seed)).template_id for seed in range(200)]
     assert ids == list(range(200))
     assert local_view.templates.shape == (200, 4, 8)
-    assert [local_view(picture(seed)).template_id for seed in (0, 63, 64, 199)] == [0, 63, 64, 199]
+    again = [0, 63, 64, 199]
+    assert [local_view.match(picture(seed)).template_id for seed in again] == again
 
 
 def test_templates_cannot_be_changed_from_outside() -> None:
     local_view = LocalView(parameters())
-    local_view(picture(0))
+    local_view.match(picture(0))
     given_out = local_view.templates
     with contextlib.suppress(ValueError):  # read-only, or a copy
         given_out[:] = 1
-    assert not local_view(picture(0)).is_new
+    assert not local_view.match(picture(0)).is_new
 
 
 def test_a_threshold_of_1_recognises_everything_as_the_nearest() -> None:
     local_view = memory([picture(s, 4, 8) for s in range(5)], parameters(vt_match_threshold=1.0))
-    match = local_view(picture(99))
+    match = local_view.match(picture(99))
     assert not match.is_new
     assert match.template_id < 5
 
@@ -354,9 +355,9 @@ def test_a_black_view_is_a_template_like_any_other() -> None:
     for p in (parameters(vt_normalisation=0.4), parameters(vt_patch_normalise=1), parameters()):
         local_view = LocalView(p)
         black = np.zeros((8, 16), np.uint8)
-        assert local_view(black).is_new
-        assert not local_view(black).is_new
-        assert local_view(picture(3)).is_new
+        assert local_view.match(black).is_new
+        assert not local_view.match(black).is_new
+        assert local_view.match(picture(3)).is_new
 
 
 # Vertical shifts and recent templates, beyond the original
@@ -367,7 +368,7 @@ def test_a_view_is_found_shifted_up_or_down() -> None:
     tall = picture(4, 20, 12)
     local_view = memory([np.ascontiguousarray(tall[5:14])], p)
     for shift in range(-2, 3):
-        found = local_view.match(np.ascontiguousarray(tall[5 + shift : 14 + shift]))
+        found = local_view.best_match(np.ascontiguousarray(tall[5 + shift : 14 + shift]))
         assert found == (0, 1, 0)
 
 
@@ -377,10 +378,10 @@ def test_recent_templates_are_recognised_by_the_narrow_threshold_only() -> None:
     base = picture(1, 4, 8) // 2
     near, far = base + np.uint8(10), base + np.uint8(20)  # 0.04 and 0.08
     recent = memory([picture(2, 4, 8), base], p)
-    assert not recent(near).is_new
-    assert recent(far).is_new
+    assert not recent.match(near).is_new
+    assert recent.match(far).is_new
     old = memory([base, picture(2, 4, 8), picture(3, 4, 8)], p)
-    assert old(far).template_id == 0
+    assert old.match(far).template_id == 0
 
 
 def test_no_kind_of_image_has_to_be_compiled_for() -> None:
@@ -399,7 +400,7 @@ def test_no_kind_of_image_has_to_be_compiled_for() -> None:
     assert all((view == views[0]).all() for view in views)
     local_view.make_view(frozen, LocalViewParameters(**size, image_crop_x_min=5))
     odometry = visual_odometry.VisualOdometry(VisualOdometryParameters(vrot_image_x_min=3))
-    odometry(0, whole)
-    odometry(1, frozen)
+    odometry.estimate(0, whole)
+    odometry.estimate(1, frozen)
     assert len(local_view._make_view.signatures) == 1
     assert len(visual_odometry._profile.signatures) == 1

@@ -217,7 +217,7 @@ def test_unknown_views_need_not_be_told_how_unknown_they_are() -> None:
     for exact in (True, False):
         p = LocalViewParameters(template_x_size=60, template_y_size=10, vt_exact_error=exact)
         local_view = LocalView(p)
-        found.append([local_view(image) for image in [*images, *images[::3]]])
+        found.append([local_view.match(image) for image in [*images, *images[::3]]])
     assert [(m.template_id, m.is_new) for m in found[0]] == [
         (m.template_id, m.is_new) for m in found[1]
     ]

@@ -33,7 +33,7 @@ def twists(
     frames: list[tuple[int, Image]], **parameters: float
 ) -> list[Twist | None]:
     odometry = VisualOdometry(VisualOdometryParameters(**parameters))
-    return [found and found.twist for found in (odometry(*item) for item in frames)]
+    return [found and found.twist for found in (odometry.estimate(*item) for item in frames)]
 
 
 def plain_compare(now: NDArray[np.float64], before: NDArray[np.float64]) -> tuple[int, float]:
