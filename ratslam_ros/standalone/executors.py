@@ -12,9 +12,10 @@ from typing import Any
 
 from ratslam_ros.standalone.context import Context, get_default_context
 from ratslam_ros.standalone.dds import Guard, WaitSet
-from ratslam_ros.standalone.endpoints import Source, Timer
 from ratslam_ros.standalone.exceptions import NotInitializedException, RCLError
+from ratslam_ros.standalone.node_parts import Source
 from ratslam_ros.standalone.task import Future
+from ratslam_ros.standalone.timer import Timer
 
 _LONGEST_WAIT_NS = 100_000_000
 """A signal is noticed within this time: Python's handlers only run between waits."""

@@ -14,8 +14,8 @@ from typing import Any, TypeVar
 from ratslam_ros.standalone import logging
 from ratslam_ros.standalone.arguments import Names
 from ratslam_ros.standalone.context import Context
-from ratslam_ros.standalone.endpoints import MutuallyExclusiveCallbackGroup, NodePart, Source
 from ratslam_ros.standalone.graph import NodeName
+from ratslam_ros.standalone.node_parts import MutuallyExclusiveCallbackGroup, NodePart, Source
 
 Part = TypeVar('Part', bound=NodePart)
 

@@ -39,9 +39,11 @@ OFFERED: dict[str, dict[str, Sequence[str]]] = {
         ),
     },
     'rclpy.callback_groups': {
-        'endpoints': ('CallbackGroup', 'MutuallyExclusiveCallbackGroup', 'ReentrantCallbackGroup'),
+        'node_parts': (
+            'CallbackGroup', 'MutuallyExclusiveCallbackGroup', 'ReentrantCallbackGroup',
+        ),
     },
-    'rclpy.client': {'endpoints': ('Client',)},
+    'rclpy.client': {'services': ('Client',)},
     'rclpy.clock': {
         'clock': (
             'Clock', 'ClockChange', 'ClockType', 'JumpHandle', 'JumpThreshold', 'ROSClock',
@@ -66,15 +68,15 @@ OFFERED: dict[str, dict[str, Sequence[str]]] = {
         'parameters': ('Parameter',),
     },
     'rclpy.parameter': {'parameters': ('Parameter', 'parameter_value_to_python')},
-    'rclpy.publisher': {'endpoints': ('Publisher',)},
+    'rclpy.publisher': {'topics': ('Publisher',)},
     'rclpy.qos': {'qos': ()},
     'rclpy.serialization': {'api': ('deserialize_message', 'serialize_message')},
-    'rclpy.service': {'endpoints': ('Service',)},
+    'rclpy.service': {'services': ('Service',)},
     'rclpy.signals': {'context': _SIGNALS},
-    'rclpy.subscription': {'endpoints': ('Subscription',)},
+    'rclpy.subscription': {'topics': ('Subscription',)},
     'rclpy.task': {'task': ()},
     'rclpy.time': {'clock': ('Time',)},
-    'rclpy.timer': {'endpoints': ('Timer',)},
+    'rclpy.timer': {'timer': ('Timer',)},
     'rclpy.topic_endpoint_info': {'graph': ('TopicEndpointInfo', 'TopicEndpointTypeEnum')},
     'rclpy.utilities': {
         'api': ('ok', 'remove_ros_args', 'shutdown',

@@ -12,19 +12,10 @@ from ratslam_ros.standalone.arguments import Arguments, Names, overrides, parse
 from ratslam_ros.standalone.clock import Clock, ROSClock, Time
 from ratslam_ros.standalone.context import Context, get_default_context
 from ratslam_ros.standalone.dds import EndpointQos
-from ratslam_ros.standalone.endpoints import (
-    CallbackGroup,
-    Client,
-    NodePart,
-    Publisher,
-    Service,
-    Subscription,
-    Timer,
-    callable_with,
-)
 from ratslam_ros.standalone.exceptions import NotInitializedException
 from ratslam_ros.standalone.graph import NamesAndTypes, TopicEndpointInfo
 from ratslam_ros.standalone.handle import NodeHandle
+from ratslam_ros.standalone.node_parts import CallbackGroup, NodePart, callable_with
 from ratslam_ros.standalone.parameters import Parameter, Parameters, offer_services
 from ratslam_ros.standalone.qos import (
     DurabilityPolicy,
@@ -35,6 +26,9 @@ from ratslam_ros.standalone.qos import (
     qos_profile_services_default,
     to_profile,
 )
+from ratslam_ros.standalone.services import Client, Service
+from ratslam_ros.standalone.timer import Timer
+from ratslam_ros.standalone.topics import Publisher, Subscription
 from ratslam_ros.standalone.types import message_class
 
 _ROSOUT = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
