@@ -8,7 +8,6 @@ Samples are raw CDR. Whatever may block goes through ctypes, which releases the 
 from __future__ import annotations
 
 import ctypes as ct
-import os
 import threading
 from collections.abc import Callable
 from contextlib import suppress
@@ -24,12 +23,14 @@ from cyclonedds.builtin import (
 )
 from cyclonedds.builtin_types import cqos_to_qos, endpoint_constructor
 from cyclonedds.core import DDSException, InstanceState, SampleState, ViewState
-from cyclonedds.domain import Domain, DomainParticipant
+from cyclonedds.domain import DomainParticipant
 from cyclonedds.idl import make_idl_struct, types
-from cyclonedds.internal import DDS, dds_c_t
+from cyclonedds.internal import dds_c_t
 from cyclonedds.qos import Policy, Qos, _CQos
 from cyclonedds.topic import Topic
 
+from ratslam_ros.standalone import dds_functions as c
+from ratslam_ros.standalone.dds_domains import enter_domain, leave_domain
 from ratslam_ros.standalone.exceptions import RCLError
 from ratslam_ros.standalone.types import Field, fields_of, type_hash
 
@@ -40,83 +41,6 @@ INFINITE_NS = 2**63 - 1
 SERVICE_HEADER = 16
 _ROUND_NS = 100_000_000
 _ANY = SampleState.Any | ViewState.Any | InstanceState.Any
-
-_STATUSES = {
-    'sample_lost': (1 << 5, dds_c_t.sample_lost_status),
-    'requested_incompatible_qos': (1 << 4, dds_c_t.requested_incompatible_qos_status),
-    'subscription_matched': (1 << 12, dds_c_t.subscription_matched_status),
-    'offered_incompatible_qos': (1 << 3, dds_c_t.offered_incompatible_qos_status),
-    'publication_matched': (1 << 11, dds_c_t.publication_matched_status),
-}
-"""What may happen to an endpoint: bit in masks, and what is told of it."""
-
-
-class _Sample(ct.Structure):
-    """What the library's own topics take as a sample: serialised bytes."""
-
-    _fields_ = (('data', ct.c_void_p), ('size', ct.c_size_t))
-
-
-class _Bytes(ct.Structure):
-    """A piece of memory."""
-
-    _fields_ = (('data', ct.c_void_p), ('size', ct.c_size_t))
-
-
-def _plain_c(name: str, result: Any, *arguments: Any) -> Callable[..., Any]:
-    """Return a C function whose prototype is ours alone."""
-    made: Callable[..., Any] = ct.CFUNCTYPE(result, *arguments)((name, DDS._dll_handle))
-    return made
-
-
-def _c(name: str, *arguments: Any) -> Callable[..., int]:
-    """Return a C function that raises where it returns an error."""
-    function = _plain_c(name, ct.c_int32, *arguments)
-
-    def call(*values: Any) -> int:
-        result = function(*values)
-        if result < 0:
-            raise RCLError(f'{name}: {DDSException(result)}')
-        return int(result)
-
-    return call
-
-
-def _done(name: str, result: int) -> bool:
-    """Return False where C says that the time was over; another error raises."""
-    if result < 0 and result != DDSException.DDS_RETCODE_TIMEOUT:
-        raise RCLError(f'{name}: {DDSException(result)}')
-    return result >= 0
-
-
-_entity = ct.c_int32
-_delete = _c('dds_delete', _entity)
-_write = _plain_c('dds_write', ct.c_int32, _entity, ct.c_void_p)
-_wait_for_acks = _plain_c('dds_wait_for_acks', ct.c_int32, _entity, ct.c_int64)
-_take = _c('dds_takecdr', _entity, ct.c_void_p, ct.c_uint32, ct.c_void_p, ct.c_uint32)
-# A sample as the reader holds it: its bytes can be looked at with no copy, until it is let go.
-_sample_size = _plain_c('ddsi_serdata_size', ct.c_uint32, ct.c_void_p)
-_sample_bytes = _plain_c(
-    'ddsi_serdata_to_ser_ref', ct.c_void_p, ct.c_void_p, ct.c_size_t, ct.c_size_t, ct.c_void_p
-)
-_let_bytes_go = _plain_c('ddsi_serdata_to_ser_unref', None, ct.c_void_p, ct.c_void_p)
-_let_sample_go = _plain_c('ddsi_serdata_unref', None, ct.c_void_p)
-_create_reader = _c('dds_create_reader', _entity, _entity, ct.c_void_p, ct.c_void_p)
-_create_writer = _c('dds_create_writer', _entity, _entity, ct.c_void_p, ct.c_void_p)
-_create_condition = _c('dds_create_readcondition', _entity, ct.c_uint32)
-_create_guard = _c('dds_create_guardcondition', _entity)
-_set_guard = _c('dds_set_guardcondition', _entity, ct.c_bool)
-_take_guard = _c('dds_take_guardcondition', _entity, ct.c_void_p)
-_create_waitset = _c('dds_create_waitset', _entity)
-_attach = _c('dds_waitset_attach', _entity, _entity, ct.c_ssize_t)
-_detach = _c('dds_waitset_detach', _entity, _entity)
-_wait = _c('dds_waitset_wait', _entity, ct.c_void_p, ct.c_size_t, ct.c_int64)
-_set_mask = _c('dds_set_status_mask', _entity, ct.c_uint32)
-_handle = _c('dds_get_instance_handle', _entity, ct.c_void_p)
-_guid = _c('dds_get_guid', _entity, ct.c_void_p)
-_matched_readers = _c('dds_get_matched_subscriptions', _entity, ct.c_void_p, ct.c_size_t)
-_matched_writers = _c('dds_get_matched_publications', _entity, ct.c_void_p, ct.c_size_t)
-_get_status = {name: _c(f'dds_get_{name}_status', _entity, ct.c_void_p) for name in _STATUSES}
 
 
 # Types
@@ -226,20 +150,20 @@ class Entity:
             alive, self._alive = self._alive, False
         if alive:
             with suppress(RCLError):  # what it belongs to may be gone, and it too
-                _delete(self.reference)
+                c.delete(self.reference)
 
     @property
     def gid(self) -> bytes:
         """Globally unique identifier, 16 bytes."""
         out = (ct.c_uint8 * 16)()
-        _guid(self.reference, out)
+        c.get_guid(self.reference, out)
         return bytes(out)
 
     @property
     def handle(self) -> int:
         """Instance handle, unsigned."""
         out = ct.c_uint64()
-        _handle(self.reference, ct.byref(out))
+        c.get_handle(self.reference, ct.byref(out))
         return out.value
 
 
@@ -247,17 +171,17 @@ class Guard(Entity):
     """A condition that any thread may set."""
 
     def __init__(self, participant: Participant) -> None:
-        super().__init__(_create_guard(participant.reference))
+        super().__init__(c.create_guard(participant.reference))
 
     def set(self) -> None:
         """End the wait of whoever waits, now or at the next time."""
         with self._lock:
             if self._alive:
-                _set_guard(self.reference, True)
+                c.set_guard(self.reference, True)
 
     def take(self) -> None:
         """Reset it."""
-        _take_guard(self.reference, ct.byref(ct.c_bool()))
+        c.take_guard(self.reference, ct.byref(ct.c_bool()))
 
 
 class Happened(NamedTuple):
@@ -276,16 +200,16 @@ class Endpoint(Entity):
     def __init__(self, reference: int, name: str) -> None:
         super().__init__(reference)
         self.name = name
-        _set_mask(reference, 0)
+        c.set_mask(reference, 0)
 
     def watch(self, *statuses: str) -> None:
         """Let a waitset that this is attached to wake up at changes of statuses."""
-        _set_mask(self.reference, sum(_STATUSES[status][0] for status in statuses))
+        c.set_mask(self.reference, sum(c.STATUSES[status][0] for status in statuses))
 
     def take_status(self, status: str) -> Happened:
         """Return what changed since the last time."""
-        out = _STATUSES[status][1]()
-        _get_status[status](self.reference, ct.byref(out))
+        out = c.STATUSES[status][1]()
+        c.get_status[status](self.reference, ct.byref(out))
         return Happened(
             out.total_count,
             out.total_count_change,
@@ -313,15 +237,15 @@ class Writer(Endpoint):
         Blocks while a reliable reader that keeps all cannot take more.
         """
         start = ct.c_uint8.from_buffer(data)
-        sample = _Sample(ct.addressof(start), len(data))
-        while not _done('dds_write', _write(self.reference, ct.byref(sample))):
+        sample = c.Sample(ct.addressof(start), len(data))
+        while not c.done('dds_write', c.write(self.reference, ct.byref(sample))):
             pass  # in rounds, so that an interrupt is noticed
 
     def wait_for_acks(self, timeout_ns: int) -> bool:
         """Wait until all is acknowledged; return whether that came about in time."""
         while True:
             round_ns = min(_ROUND_NS, timeout_ns)
-            if _done('dds_wait_for_acks', _wait_for_acks(self.reference, round_ns)):
+            if c.done('dds_wait_for_acks', c.wait_for_acks(self.reference, round_ns)):
                 return True
             timeout_ns -= round_ns
             if timeout_ns <= 0:
@@ -330,7 +254,7 @@ class Writer(Endpoint):
     @property
     def matched(self) -> list[int]:
         """Handles of the readers that it writes to."""
-        return self._matched(_matched_readers)
+        return self._matched(c.matched_readers)
 
     def user_data_of(self, handle: int) -> str | None:
         """Return what a matched reader tells of itself, None where it is gone."""
@@ -353,7 +277,7 @@ class Reader(Endpoint):
 
     def __init__(self, reference: int, name: str) -> None:
         super().__init__(reference, name)
-        self.condition = _create_condition(reference, _ANY)
+        self.condition = c.create_condition(reference, _ANY)
 
     def take(self, use: Callable[[memoryview], Value]) -> Taken[Value] | None:
         """Take the oldest sample, and return what ``use`` makes of it; None if there is none.
@@ -363,7 +287,7 @@ class Reader(Endpoint):
         sample, info = ct.c_void_p(), dds_c_t.sample_info()
         while self._alive:
             try:
-                if not _take(self.reference, ct.byref(sample), 1, ct.byref(info), _ANY):
+                if not c.take(self.reference, ct.byref(sample), 1, ct.byref(info), _ANY):
                     break
             except RCLError:
                 if self._alive:
@@ -374,13 +298,13 @@ class Reader(Endpoint):
                     value = _used(sample, use)
                     return Taken(value, info.source_timestamp, info.publication_handle)
             finally:
-                _let_sample_go(sample)
+                c.release_sample(sample)
         return None
 
     @property
     def matched(self) -> list[int]:
         """Handles of the writers that it reads from."""
-        return self._matched(_matched_writers)
+        return self._matched(c.matched_writers)
 
     def user_data_of(self, handle: int) -> str | None:
         """Return what a matched writer tells of itself, None where it is gone."""
@@ -391,37 +315,37 @@ class Reader(Endpoint):
 
 
 def _used(sample: ct.c_void_p, use: Callable[[memoryview], Value]) -> Value:
-    found = _Bytes()
-    held = _sample_bytes(sample, 0, _sample_size(sample), ct.byref(found))
+    found = c.Bytes()
+    held = c.sample_bytes(sample, 0, c.sample_size(sample), ct.byref(found))
     try:
         return use(memoryview((ct.c_uint8 * found.size).from_address(found.data)).cast('B'))
     finally:
-        _let_bytes_go(held, ct.byref(found))
+        c.release_bytes(held, ct.byref(found))
 
 
 class WaitSet(Entity):
     """Waits for many things at once."""
 
     def __init__(self, participant: Participant) -> None:
-        super().__init__(_create_waitset(participant.reference))
+        super().__init__(c.create_waitset(participant.reference))
         self._attached: set[int] = set()
 
     def attach(self, reference: int) -> None:
         """Wait for a condition, or for an endpoint's statuses as well."""
-        _attach(self.reference, reference, reference)
+        c.attach(self.reference, reference, reference)
         self._attached.add(reference)
 
     def detach(self, reference: int) -> None:
         """Wait for it no longer; it may have been deleted."""
         self._attached.discard(reference)
         with suppress(RCLError):
-            _detach(self.reference, reference)
+            c.detach(self.reference, reference)
 
     def wait(self, timeout_ns: int) -> set[int]:
         """Return the references of what was triggered, none after the timeout."""
         room = len(self._attached) + 1
         out = (ct.c_ssize_t * room)()
-        found = _wait(self.reference, out, room, timeout_ns)
+        found = c.wait(self.reference, out, room, timeout_ns)
         return set(out[: min(found, room)])
 
 
@@ -440,11 +364,11 @@ class Participant(Entity):
 
     def __init__(self, domain_id: int) -> None:
         self.domain_id = domain_id
-        self._domain = _enter_domain(domain_id)
+        self._domain = enter_domain(domain_id)
         try:
             self._participant = DomainParticipant(domain_id, Qos(Policy.Userdata(b'enclave=/;')))
         except DDSException as error:
-            _leave_domain(domain_id)
+            leave_domain(domain_id)
             raise RCLError(f'no participant in domain {domain_id}: {error}') from None
         super().__init__(self._participant._ref)
         self._topics: dict[str, Any] = {}
@@ -464,13 +388,13 @@ class Participant(Entity):
         self, topic: str, kind: str, qos: EndpointQos, role: str = '', in_service: bool = False
     ) -> Writer:
         """Return a new writer; ``role`` is what USER_DATA says besides the type's hash."""
-        return Writer(self._endpoint(_create_writer, topic, kind, qos, role, in_service), topic)
+        return Writer(self._endpoint(c.create_writer, topic, kind, qos, role, in_service), topic)
 
     def reader(
         self, topic: str, kind: str, qos: EndpointQos, role: str = '', in_service: bool = False
     ) -> Reader:
         """Return a new reader; see ``writer``."""
-        return Reader(self._endpoint(_create_reader, topic, kind, qos, role, in_service), topic)
+        return Reader(self._endpoint(c.create_reader, topic, kind, qos, role, in_service), topic)
 
     def service_id(self) -> str:
         """Return a new name for the two endpoints of a service or client."""
@@ -503,7 +427,7 @@ class Participant(Entity):
         for topic in self._topics.values():
             topic.__del__()
         self._participant.__del__()
-        _leave_domain(self.domain_id)
+        leave_domain(self.domain_id)
 
     def _endpoint(
         self,
@@ -551,74 +475,3 @@ class Participant(Entity):
                         _endpoint_qos(sample.qos),
                         _user_data(sample.qos),
                     )
-
-
-# Domains
-
-_domains: dict[int, tuple[Any, int]] = {}
-_domains_lock = threading.Lock()
-
-
-def _enter_domain(domain_id: int) -> Any:
-    """Configure a domain unless this process has done so before."""
-    with _domains_lock:
-        domain, users = _domains.get(domain_id, (None, 0))
-        if domain is None:
-            try:
-                domain = Domain(domain_id, _configuration())
-            except DDSException as error:
-                raise RCLError(f'domain {domain_id} cannot be entered: {error}') from None
-        _domains[domain_id] = domain, users + 1
-        return domain
-
-
-def _leave_domain(domain_id: int) -> None:
-    with _domains_lock:
-        domain, users = _domains.pop(domain_id)
-        if users > 1:
-            _domains[domain_id] = domain, users - 1
-        else:
-            domain.__del__()
-
-
-def _configuration() -> str:
-    """Return Cyclone's configuration for what ROS's environment variables ask for.
-
-    Raises:
-        ValueError: a variable has a value that ROS does not know.
-    """
-    reach = os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE') or 'SUBNET'
-    if os.environ.get('ROS_LOCALHOST_ONLY') == '1':
-        reach = 'LOCALHOST'
-    if reach not in ('SUBNET', 'LOCALHOST', 'OFF', 'SYSTEM_DEFAULT'):
-        raise ValueError(
-            f'ROS_AUTOMATIC_DISCOVERY_RANGE={reach}: expected SUBNET, LOCALHOST, OFF or '
-            'SYSTEM_DEFAULT'
-        )
-    general = discovery = ''
-    peers = [peer for peer in os.environ.get('ROS_STATIC_PEERS', '').split(';') if peer]
-    if reach == 'LOCALHOST':
-        peers.insert(0, '127.0.0.1')
-    if reach in ('LOCALHOST', 'OFF'):
-        general = '<AllowMulticast>false</AllowMulticast>'
-    if peers == ['127.0.0.1']:
-        general += '<Interfaces><NetworkInterface address="127.0.0.1"/></Interfaces>'
-    if reach == 'OFF':
-        discovery = (
-            f'<ParticipantIndex>none</ParticipantIndex><Tag>ros_discovery_off_{os.getpid()}</Tag>'
-        )
-    elif peers and reach != 'SYSTEM_DEFAULT':
-        addresses = ''.join(f'<Peer address="{peer}"/>' for peer in peers)
-        discovery = (
-            '<ParticipantIndex>auto</ParticipantIndex>'
-            '<MaxAutoParticipantIndex>120</MaxAutoParticipantIndex>'
-            f'<Peers>{addresses}</Peers>'
-        )
-    # A reader that was killed must not keep each of a node's writers waiting for a second.
-    linger = '<WriterLingerDuration>0.3 s</WriterLingerDuration>'
-    xml = (
-        f'<CycloneDDS><Domain><General>{general}</General><Discovery>{discovery}</Discovery>'
-        f'<Internal>{linger}</Internal></Domain></CycloneDDS>'
-    )
-    own = os.environ.get('CYCLONEDDS_URI', '')
-    return f'{xml},{own}' if own else xml
