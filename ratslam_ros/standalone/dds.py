@@ -31,8 +31,8 @@ from cyclonedds.topic import Topic
 
 from ratslam_ros.standalone import dds_functions as c
 from ratslam_ros.standalone.dds_domains import enter_domain, leave_domain
+from ratslam_ros.standalone.definitions import Field, fields_of, type_hash
 from ratslam_ros.standalone.exceptions import RCLError
-from ratslam_ros.standalone.types import Field, fields_of, type_hash
 
 idl: Any = types  # generic in a way of its own
 Value = TypeVar('Value')

@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from ratslam_ros.standalone.types import Field, Message, message_class
+from ratslam_ros.standalone.definitions import Field
+from ratslam_ros.standalone.types import Message, message_class
 
 _FULL_TIME = 'builtin_interfaces/msg/Time'
 _HEADER = 'std_msgs/msg/Header'

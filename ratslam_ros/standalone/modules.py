@@ -12,7 +12,7 @@ from importlib.machinery import ModuleSpec
 from types import ModuleType
 from typing import Any
 
-from ratslam_ros.standalone import types
+from ratslam_ros.standalone import definitions, types
 
 HERE = 'ratslam_ros.standalone'
 _EXECUTORS = (
@@ -116,7 +116,7 @@ class Finder(MetaPathFinder, Loader):
                     f'{fullname} is not offered by the stand-in for rclpy; install ROS 2 for it'
                 )
             is_package = not rest
-        elif top in types.packages() and rest in ('', 'msg', 'srv'):
+        elif top in definitions.packages() and rest in ('', 'msg', 'srv'):
             is_package = not rest
         else:
             return None
@@ -146,9 +146,9 @@ class _Module(ModuleType):
         package, _, kind = self.__name__.partition('.')
         if f'{self.__name__}.{name}' in OFFERED:
             return import_module(f'{self.__name__}.{name}')
-        if not name.startswith('__') and package in types.packages():
+        if not name.startswith('__') and package in definitions.packages():
             make = types.service_class if kind == 'srv' else types.message_class
-            if kind and name in types.names_in(package, kind):
+            if kind and name in definitions.names_in(package, kind):
                 made = make(f'{package}/{kind}/{name}')
                 setattr(self, name, made)
                 return made
@@ -158,7 +158,7 @@ class _Module(ModuleType):
 
     def __dir__(self) -> list[str]:
         package, _, kind = self.__name__.partition('.')
-        made = types.names_in(package, kind) if kind in ('msg', 'srv') else []
+        made = definitions.names_in(package, kind) if kind in ('msg', 'srv') else []
         return sorted({*vars(self), *made})
 
 

@@ -11,19 +11,26 @@ it sees such fields through properties of another name.
 from __future__ import annotations
 
 import array
-import keyword
 import struct
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import cache
-from typing import Any, ClassVar, NamedTuple, NoReturn
+from typing import Any, ClassVar, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 from rosbags.interfaces import Nodetype
 from rosbags.serde import SerdeError
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, get_typestore
 
+from ratslam_ros.standalone.definitions import (
+    ARRAY_CODES,
+    NO_FIELDS,
+    Field,
+    definition,
+    field_from_definition,
+    fields_of,
+)
 from ratslam_ros.standalone.service_texts import SERVICES
 
 _INTEGERS = {
@@ -31,62 +38,15 @@ _INTEGERS = {
     for sign in ('', 'u')
     for bits in (8, 16, 32, 64)
 } | {'char': (0, 255)}
-_CODES = {
-    'int8': 'b', 'uint8': 'B', 'char': 'B', 'int16': 'h', 'uint16': 'H', 'int32': 'i',
-    'uint32': 'I', 'int64': 'q', 'uint64': 'Q', 'float32': 'f', 'float64': 'd',
-}  # fmt: skip
-_IDL_NAMES = {'float32': 'float', 'float64': 'double', 'byte': 'octet', 'bool': 'boolean',
-              'char': 'uint8'}  # fmt: skip
 _DEFAULTS = {
     ('geometry_msgs/msg/Quaternion', 'w'): '1.0',
     ('sensor_msgs/msg/NavSatStatus', 'status'): '-2',
 }
 """All that is not zero or empty; the type store does not know defaults."""
-_NO_FIELDS = 'structure_needs_at_least_one_member'
 _WIRE = '_wire_'
 _HELD = '_held_'
 _HEADER = 4
 _PADDED = 4
-
-
-class Field(NamedTuple):
-    """One field of a message."""
-
-    name: str
-    """What Python calls it."""
-    base: str
-    """A primitive type, or the full name of a message type."""
-    is_message: bool
-    size: int | None
-    """None: one value. Otherwise a list: of this length if it is fixed, else of this at most."""
-    is_fixed: bool
-    bound: int
-    """Greatest length of a string, 0 where there is no limit."""
-
-    @property
-    def is_numbers(self) -> bool:
-        """Whether it is a list of numbers, which rclpy keeps in one piece."""
-        return self.size is not None and self.base in _CODES
-
-    @property
-    def is_converted(self) -> bool:
-        """Whether rosbags wants something else than what the message holds."""
-        return (
-            self.is_numbers
-            or self.base == 'byte'
-            or (self.base == 'bool' and self.size is not None)
-        )
-
-    @property
-    def idl(self) -> str:
-        """The type as ``get_fields_and_field_types`` gives it."""
-        name = self.base.replace('/msg/', '/') if self.is_message else self.base
-        name = _IDL_NAMES.get(name, name) + (f'<{self.bound}>' if self.bound else '')
-        if self.size is None:
-            return name
-        if self.is_fixed:
-            return f'{name}[{self.size}]'
-        return f'sequence<{name}, {self.size}>' if self.size else f'sequence<{name}>'
 
 
 class Message:
@@ -121,60 +81,10 @@ class Message:
         return f'{type(self).__module__}.{type(self).__name__}({", ".join(parts)})'
 
 
-# The definitions
-
-
-@cache
-def _store() -> Any:
-    """Return rosbags' types and our services; the only one that can tell type hashes."""
-    store = get_typestore(Stores.ROS2_JAZZY)
-    for name, texts in SERVICES.items():
-        for text, part in zip(texts, ('Request', 'Response'), strict=True):
-            parsed = get_types_from_msg(text, f'{name.replace("/srv/", "/msg/")}_{part}')
-            [(constants, fields)] = parsed.values()
-            fields = fields or [(_NO_FIELDS, (Nodetype.BASE, ('uint8', 0)))]
-            store.fielddefs[f'{name}_{part}'] = (constants, fields)
-    return store
-
-
 @cache
 def _codec() -> Any:
     """Return the store that encodes and decodes: fields under the names of the properties."""
     return get_typestore(Stores.EMPTY)
-
-
-def packages() -> set[str]:
-    """Return the names of all packages that have messages or services here."""
-    return {name.partition('/')[0] for name in _store().fielddefs} | {
-        name.partition('/')[0] for name in SERVICES
-    }
-
-
-def names_in(package: str, kind: str) -> list[str]:
-    """Return the names of a package's types, ``kind`` being msg or srv."""
-    known = SERVICES if kind == 'srv' else _store().fielddefs
-    return sorted(n.rpartition('/')[2] for n in known if n.startswith(f'{package}/{kind}/'))
-
-
-def fields_of(name: str) -> tuple[Field, ...]:
-    """Return the fields of a message type given by its full name; none for an empty one."""
-    return tuple(_field(*entry) for entry in _store().fielddefs[name][1] if entry[0] != _NO_FIELDS)
-
-
-def type_hash(name: str) -> str:
-    """Return the hash (RIHS01) of a message type, by which ROS tells whether two are the same."""
-    return str(_store().hash_rihs01(name))
-
-
-def _field(name: str, desc: Any) -> Field:
-    size, is_fixed = None, False
-    if desc[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE):
-        size, is_fixed = desc[1][1], desc[0] == Nodetype.ARRAY
-        desc = desc[1][0]
-    name = f'{name}_' if keyword.iskeyword(name) else name
-    if desc[0] == Nodetype.NAME:
-        return Field(name, desc[1], True, size, is_fixed, 0)
-    return Field(name, desc[1][0], False, size, is_fixed, desc[1][1])
 
 
 # The classes
@@ -187,7 +97,7 @@ def message_class(name: str) -> Any:
     Raises:
         KeyError: there is no such type.
     """
-    constants, definitions = _store().fielddefs[name]
+    constants, definitions = definition(name)
     fields = fields_of(name)
     package, kind, short = name.split('/')
     body: dict[str, Any] = {
@@ -198,7 +108,7 @@ def message_class(name: str) -> Any:
         'FIELDS': fields,
     }
     if not fields:
-        body[_NO_FIELDS] = 0
+        body[NO_FIELDS] = 0
     for constant, base, value in constants:
         body[constant] = bytes([value & 255]) if base == 'byte' else value
     for field in fields:
@@ -287,7 +197,7 @@ def _default(field: Field) -> str:
     if field.is_numbers:
         if field.is_fixed:
             return f'np.zeros({field.size}, np.{_dtype(field)})'
-        return f'array({_CODES[field.base]!r})'
+        return f'array({ARRAY_CODES[field.base]!r})'
     one = f'class_{field.name}()' if field.is_message else {
         'string': "''", 'bool': 'False', 'byte': "b'\\0'", 'float32': '0.0', 'float64': '0.0',
     }.get(field.base, '0')  # fmt: skip
@@ -328,8 +238,8 @@ def _fail(message: Message, name: str, value: object) -> NoReturn:
 
 
 def _wire_definition(name: str, desc: Any) -> tuple[str, Any]:
-    field = _field(name, desc)
-    if name == _NO_FIELDS or not field.is_converted:
+    field = field_from_definition(name, desc)
+    if name == NO_FIELDS or not field.is_converted:
         return name, desc
     base: Any = (Nodetype.BASE, ('uint8' if field.base in ('byte', 'char') else field.base, 0))
     return _WIRE + field.name, base if field.size is None else (desc[0], (base, field.size))
@@ -353,7 +263,7 @@ def _to_wire(field: Field) -> Callable[[Any], Any]:
 
 def _numbers(field: Field) -> property:
     """Return the property of a list of numbers."""
-    name, held, code = field.name, _HELD + field.name, _CODES[field.base]
+    name, held, code = field.name, _HELD + field.name, ARRAY_CODES[field.base]
     dtype = np.dtype(_dtype(field))
 
     def give(message: Message) -> Any:
@@ -392,7 +302,7 @@ def _from_wire(field: Field) -> Callable[[Any], Any]:
         return lambda value: [bytes((item,)) for item in value]
     if field.is_fixed:
         return lambda value: value.copy()
-    code = _CODES[field.base]
+    code = ARRAY_CODES[field.base]
 
     def numbers(value: NDArray[Any]) -> array.array[Any]:
         made = array.array(code)

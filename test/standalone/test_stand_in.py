@@ -156,16 +156,16 @@ def wrong_list(m):
 
 
 def test_every_message_that_is_known_can_be_sent() -> None:
-    from ratslam_ros.standalone import types
+    from ratslam_ros.standalone import definitions, types
 
     number = 0
-    for package in types.packages():
-        for name in types.names_in(package, 'msg'):
+    for package in definitions.packages():
+        for name in definitions.names_in(package, 'msg'):
             kind = types.message_class(f'{package}/msg/{name}')
             assert types.decode(types.encode(kind()), kind) == kind()
-            assert types.type_hash(f'{package}/msg/{name}').startswith('RIHS01_')
+            assert definitions.type_hash(f'{package}/msg/{name}').startswith('RIHS01_')
             number += 1
-        for name in types.names_in(package, 'srv'):
+        for name in definitions.names_in(package, 'srv'):
             kind = types.service_class(f'{package}/srv/{name}')
             assert (
                 types.decode(types.encode(kind.Request(), 16), kind.Request, 16) == kind.Request()
