@@ -16,7 +16,8 @@ from ratslam_ros.standalone.exceptions import NotInitializedException
 from ratslam_ros.standalone.graph import NamesAndTypes, TopicEndpointInfo
 from ratslam_ros.standalone.handle import NodeHandle
 from ratslam_ros.standalone.node_parts import CallbackGroup, NodePart, callable_with
-from ratslam_ros.standalone.parameters import Parameter, Parameters, offer_services
+from ratslam_ros.standalone.parameter_services import offer_services
+from ratslam_ros.standalone.parameters import Parameter, Parameters
 from ratslam_ros.standalone.qos import (
     DurabilityPolicy,
     QoSProfile,
