@@ -21,21 +21,19 @@ from ratslam_ros.standalone.parameters import Parameter, Parameters
 from ratslam_ros.standalone.qos import (
     DurabilityPolicy,
     QoSProfile,
-    ReliabilityPolicy,
     qos_profile_parameter_events,
     qos_profile_parameters,
     qos_profile_services_default,
     to_profile,
 )
 from ratslam_ros.standalone.services import Client, Service
+from ratslam_ros.standalone.time_source import TimeSource
 from ratslam_ros.standalone.timer import Timer
 from ratslam_ros.standalone.topics import Publisher, Subscription
 from ratslam_ros.standalone.types import message_class
 
 _ROSOUT = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _ROSOUT_DDS = EndpointQos(1000, True, True, lifespan_ns=10_000_000_000)
-_CLOCK = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-USE_SIM_TIME = 'use_sim_time'
 
 
 class Node:
@@ -65,7 +63,6 @@ class Node:
         given = [context.arguments] if use_global_arguments else []
         self.__handle = NodeHandle(context, Names(node_name, namespace or '/', [*own, *given]))
         self.__clock = ROSClock()
-        self.__clock_subscription: Subscription | None = None
         try:
             self.__prepare(
                 {parameter.name: parameter.value for parameter in parameter_overrides or ()},
@@ -99,10 +96,7 @@ class Node:
         self.__parameters = Parameters(full_name, values, allow_undeclared, self.__tell_change)
         if declare_all:
             self.declare_parameters('', [(n, v) for n, v in values.items()], ignore_override=True)
-        if not self.has_parameter(USE_SIM_TIME):
-            self.declare_parameter(USE_SIM_TIME, False)
-        self.__follow_clock(self.get_parameter(USE_SIM_TIME).value)
-        self.add_on_set_parameters_callback(self.__on_use_sim_time)
+        TimeSource(self, self.__clock).attach()
 
     # What it is
 
@@ -312,7 +306,7 @@ class Node:
             self.executor.remove_node(self)
         self.__handle.close()
 
-    # Logs and time
+    # Logs
 
     def __publish_logs(self) -> None:
         kind = message_class('rcl_interfaces/msg/Log')
@@ -336,35 +330,6 @@ class Node:
             )
 
         logging.publish_with(self.__handle.logger.name, publish)
-
-    def __follow_clock(self, enabled: Any) -> None:
-        if not isinstance(enabled, bool):
-            self.__handle.logger.error(
-                f'Invalid type for parameter {USE_SIM_TIME!r}: should be bool'
-            )
-            return
-        self.__clock._set_ros_time_is_active(enabled)
-        if enabled and self.__clock_subscription is None:
-            self.__clock_subscription = self.create_subscription(
-                message_class('rosgraph_msgs/msg/Clock'),
-                '/clock',
-                lambda message: self.__clock.set_ros_time_override(Time.from_msg(message.clock)),
-                _CLOCK,
-            )
-        elif not enabled and self.__clock_subscription is not None:
-            self.destroy_subscription(self.__clock_subscription)
-            self.__clock_subscription = None
-
-    def __on_use_sim_time(self, parameters: list[Parameter]) -> Any:
-        result = message_class('rcl_interfaces/msg/SetParametersResult')(successful=True)
-        for parameter in parameters:
-            if parameter.name == USE_SIM_TIME:
-                if parameter.type_ == Parameter.Type.BOOL:
-                    self.__follow_clock(parameter.value)
-                else:
-                    result.successful = False
-                    result.reason = f'{USE_SIM_TIME} parameter set to something besides a bool'
-        return result
 
     # Parameters
 
