@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Domains that this process takes part in, and their configuration."""
+"""DDS domains that this process has joined, and their configuration."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _domains_lock = threading.Lock()
 
 
 def enter_domain(domain_id: int) -> Any:
-    """Configure a domain unless this process has done so before."""
+    """Join a domain; the first user in this process creates and configures it."""
     with _domains_lock:
         domain, users = _domains.get(domain_id, (None, 0))
         if domain is None:
@@ -41,43 +41,43 @@ def leave_domain(domain_id: int) -> None:
 
 
 def _configuration() -> str:
-    """Return Cyclone's configuration for what ROS's environment variables ask for.
+    """Return the Cyclone DDS configuration (XML) for ROS's environment variables.
 
     Raises:
-        ValueError: a variable has a value that ROS does not know.
+        ValueError: ROS_AUTOMATIC_DISCOVERY_RANGE has an invalid value.
     """
-    reach = os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE') or 'SUBNET'
+    discovery_range = os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE') or 'SUBNET'
     if os.environ.get('ROS_LOCALHOST_ONLY') == '1':
-        reach = 'LOCALHOST'
-    if reach not in ('SUBNET', 'LOCALHOST', 'OFF', 'SYSTEM_DEFAULT'):
+        discovery_range = 'LOCALHOST'
+    if discovery_range not in ('SUBNET', 'LOCALHOST', 'OFF', 'SYSTEM_DEFAULT'):
         raise ValueError(
-            f'ROS_AUTOMATIC_DISCOVERY_RANGE={reach}: expected SUBNET, LOCALHOST, OFF or '
+            f'ROS_AUTOMATIC_DISCOVERY_RANGE={discovery_range}: expected SUBNET, LOCALHOST, OFF or '
             'SYSTEM_DEFAULT'
         )
     general = discovery = ''
     peers = [peer for peer in os.environ.get('ROS_STATIC_PEERS', '').split(';') if peer]
-    if reach == 'LOCALHOST':
+    if discovery_range == 'LOCALHOST':
         peers.insert(0, '127.0.0.1')
-    if reach in ('LOCALHOST', 'OFF'):
+    if discovery_range in ('LOCALHOST', 'OFF'):
         general = '<AllowMulticast>false</AllowMulticast>'
     if peers == ['127.0.0.1']:
         general += '<Interfaces><NetworkInterface address="127.0.0.1"/></Interfaces>'
-    if reach == 'OFF':
+    if discovery_range == 'OFF':
         discovery = (
             f'<ParticipantIndex>none</ParticipantIndex><Tag>ros_discovery_off_{os.getpid()}</Tag>'
         )
-    elif peers and reach != 'SYSTEM_DEFAULT':
+    elif peers and discovery_range != 'SYSTEM_DEFAULT':
         addresses = ''.join(f'<Peer address="{peer}"/>' for peer in peers)
         discovery = (
             '<ParticipantIndex>auto</ParticipantIndex>'
             '<MaxAutoParticipantIndex>120</MaxAutoParticipantIndex>'
             f'<Peers>{addresses}</Peers>'
         )
-    # A reader that was killed must not keep each of a node's writers waiting for a second.
+    # By default each writer of a node waits up to 1 s at its deletion for a killed reader.
     linger = '<WriterLingerDuration>0.3 s</WriterLingerDuration>'
     xml = (
         f'<CycloneDDS><Domain><General>{general}</General><Discovery>{discovery}</Discovery>'
         f'<Internal>{linger}</Internal></Domain></CycloneDDS>'
     )
-    own = os.environ.get('CYCLONEDDS_URI', '')
-    return f'{xml},{own}' if own else xml
+    user_configuration = os.environ.get('CYCLONEDDS_URI', '')
+    return f'{xml},{user_configuration}' if user_configuration else xml

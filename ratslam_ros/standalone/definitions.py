@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Definitions of message and service types, from rosbags' type store."""
+"""Definitions of message and service types, from the type store of rosbags."""
 
 from __future__ import annotations
 
@@ -17,33 +17,36 @@ ARRAY_CODES = {
     'int8': 'b', 'uint8': 'B', 'char': 'B', 'int16': 'h', 'uint16': 'H', 'int32': 'i',
     'uint32': 'I', 'int64': 'q', 'uint64': 'Q', 'float32': 'f', 'float64': 'd',
 }  # fmt: skip
+"""Type codes of array.array."""
 _IDL_NAMES = {'float32': 'float', 'float64': 'double', 'byte': 'octet', 'bool': 'boolean',
               'char': 'uint8'}  # fmt: skip
 NO_FIELDS = 'structure_needs_at_least_one_member'
+"""Name of the field that empty messages have in their IDL."""
 
 
 class Field(NamedTuple):
     """One field of a message."""
 
     name: str
-    """What Python calls it."""
+    """Name of the Python attribute."""
     base: str
-    """A primitive type, or the full name of a message type."""
+    """Primitive type, or full name of a message type."""
     is_message: bool
     size: int | None
-    """None: one value. Otherwise a list: of this length if it is fixed, else of this at most."""
+    """None for a single value; else length of an array, or bound of a sequence (0: unbounded)."""
     is_fixed: bool
+    """Whether the field is an array of fixed length."""
     bound: int
-    """Greatest length of a string, 0 where there is no limit."""
+    """Maximum length of a string; 0 for no limit."""
 
     @property
     def is_numbers(self) -> bool:
-        """Whether it is a list of numbers, which rclpy keeps in one piece."""
+        """Whether the field is a list of numbers, which rclpy stores in contiguous memory."""
         return self.size is not None and self.base in ARRAY_CODES
 
     @property
     def is_converted(self) -> bool:
-        """Whether rosbags wants something else than what the message holds."""
+        """Whether the codec of rosbags needs another Python type than the message holds."""
         return (
             self.is_numbers
             or self.base == 'byte'
@@ -52,7 +55,7 @@ class Field(NamedTuple):
 
     @property
     def idl(self) -> str:
-        """The type as ``get_fields_and_field_types`` gives it."""
+        """IDL name of the type, as in ``get_fields_and_field_types``."""
         name = self.base.replace('/msg/', '/') if self.is_message else self.base
         name = _IDL_NAMES.get(name, name) + (f'<{self.bound}>' if self.bound else '')
         if self.size is None:
@@ -64,7 +67,7 @@ class Field(NamedTuple):
 
 @cache
 def _store() -> Any:
-    """Return rosbags' types and our services; the only one that can tell type hashes."""
+    """Return the type store with all messages and the supported services."""
     store = get_typestore(Stores.ROS2_JAZZY)
     for name, texts in SERVICES.items():
         for text, part in zip(texts, ('Request', 'Response'), strict=True):
@@ -76,29 +79,29 @@ def _store() -> Any:
 
 
 def definition(name: str) -> Any:
-    """Return the constants and fields of a message type as rosbags defines them.
+    """Return the constants and fields of a message type, in the format of rosbags.
 
     Raises:
-        KeyError: there is no such type.
+        KeyError: the type is unknown.
     """
     return _store().fielddefs[name]
 
 
 def packages() -> set[str]:
-    """Return the names of all packages that have messages or services here."""
+    """Return the names of all packages with known messages or services."""
     return {name.partition('/')[0] for name in _store().fielddefs} | {
         name.partition('/')[0] for name in SERVICES
     }
 
 
 def names_in(package: str, kind: str) -> list[str]:
-    """Return the names of a package's types, ``kind`` being msg or srv."""
+    """Return the sorted names of the types in a package; ``kind`` is msg or srv."""
     known = SERVICES if kind == 'srv' else _store().fielddefs
     return sorted(n.rpartition('/')[2] for n in known if n.startswith(f'{package}/{kind}/'))
 
 
 def fields_of(name: str) -> tuple[Field, ...]:
-    """Return the fields of a message type given by its full name; none for an empty one."""
+    """Return the fields of a message type given by its full name; () for an empty message."""
     return tuple(
         field_from_definition(*entry)
         for entry in _store().fielddefs[name][1]
@@ -107,12 +110,12 @@ def fields_of(name: str) -> tuple[Field, ...]:
 
 
 def type_hash(name: str) -> str:
-    """Return the hash (RIHS01) of a message type, by which ROS tells whether two are the same."""
+    """Return the RIHS01 hash of a message type, by which ROS compares type definitions."""
     return str(_store().hash_rihs01(name))
 
 
 def field_from_definition(name: str, desc: Any) -> Field:
-    """Return a field given by its name and rosbags' type description."""
+    """Return a field given by its name and its type in the format of rosbags."""
     size, is_fixed = None, False
     if desc[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE):
         size, is_fixed = desc[1][1], desc[0] == Nodetype.ARRAY

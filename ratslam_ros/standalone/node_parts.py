@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the parts of a node have in common, and callback groups."""
+"""Base class of the parts of a node, and callback groups."""
 
 from __future__ import annotations
 
@@ -10,50 +10,51 @@ from typing import Any, NamedTuple
 
 from ratslam_ros.standalone.exceptions import InvalidHandle, RCLError
 
-UNREADABLE = 'what came is left out, as it is no'
+INVALID_SAMPLE = 'dropped a sample that is not a valid'
+"""Beginning of the log message; the name of the type follows."""
 
 
-class Source(NamedTuple):
-    """Something an executor waits for, and what it then calls."""
+class Waitable(NamedTuple):
+    """A DDS entity that an executor waits for, and the function to run when it triggers."""
 
     reference: int
     run: Callable[[], bool]
-    """Returns whether there was anything to do."""
+    """Returns whether there was something to do."""
 
 
 class CallbackGroup:
-    """Which callbacks may run at the same time: none, as there is one thread."""
+    """A group of callbacks; without effect, because executors have a single thread."""
 
 
 class MutuallyExclusiveCallbackGroup(CallbackGroup):
-    """Callbacks one at a time."""
+    """Callbacks that must not run in parallel."""
 
 
 class ReentrantCallbackGroup(CallbackGroup):
-    """Callbacks that could run at the same time, if there were more than one thread."""
+    """Callbacks that may run in parallel, in executors with several threads."""
 
 
 class NodePart:
-    """Something that belongs to a node until it is destroyed."""
+    """A publisher, subscription, service, client or timer of a node."""
 
     def __init__(self, node: Any, callback_group: CallbackGroup | None = None) -> None:
         self._node = node
         self._closed = False
         self.callback_group = callback_group or node.default_callback_group
 
-    def sources(self) -> list[Source]:
-        """Return what to wait for."""
+    def waitables(self) -> list[Waitable]:
+        """Return the entities to wait for."""
         return []
 
     def gids(self) -> tuple[list[bytes], list[bytes]]:
-        """Return the readers and writers that the graph is told of."""
+        """Return the GIDs of the readers and of the writers to announce in the graph."""
         return [], []
 
     def close(self) -> None:
-        """Let go of what DDS holds."""
+        """Delete the DDS entities."""
 
     def destroy(self) -> None:
-        """Take it from its node."""
+        """Remove the part from its node, and delete it."""
         self._node.discard(self)
 
     def _check_alive(self) -> None:
@@ -63,15 +64,15 @@ class NodePart:
             raise RCLError("the node's context is invalid: it was shut down")
 
 
-def callable_with(callback: Any, *counts: int) -> int:
-    """Return how many of ``counts`` arguments a callback takes, the first that fits.
+def accepted_argument_count(callback: Any, *counts: int) -> int:
+    """Return the first of ``counts`` that is a number of arguments a callback accepts.
 
     Raises:
-        RuntimeError: it takes another number of them.
-        NotImplementedError: it is a coroutine.
+        RuntimeError: the callback accepts none of these numbers of arguments.
+        NotImplementedError: the callback is a coroutine function.
     """
     if inspect.iscoroutinefunction(callback):
-        raise NotImplementedError('the stand-in for rclpy does not offer async callbacks')
+        raise NotImplementedError('the stand-in for rclpy does not support async callbacks')
     try:
         signature = inspect.signature(callback)
     except (TypeError, ValueError):

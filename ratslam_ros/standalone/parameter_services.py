@@ -16,8 +16,8 @@ from ratslam_ros.standalone.parameters import Parameter, Parameters
 from ratslam_ros.standalone.types import message_class, service_class
 
 
-def offer_services(node: Any, parameters: Parameters, qos: Any) -> None:
-    """Let other nodes see and set a node's parameters."""
+def create_parameter_services(node: Any, parameters: Parameters, qos: Any) -> None:
+    """Create the services through which other nodes read and set a node's parameters."""
 
     def describe(request: Any, response: Any) -> Any:
         if all(map(parameters.has, request.names)):
@@ -26,8 +26,8 @@ def offer_services(node: Any, parameters: Parameters, qos: Any) -> None:
 
     def types(request: Any, response: Any) -> Any:
         if all(map(parameters.has, request.names)):
-            found = (parameters.get_or(name).type_.value for name in request.names)
-            response.types = array.array('B', found)
+            values = (parameters.get_or(name).type_.value for name in request.names)
+            response.types = array.array('B', values)
         return response
 
     def get(request: Any, response: Any) -> Any:
@@ -41,9 +41,9 @@ def offer_services(node: Any, parameters: Parameters, qos: Any) -> None:
         response.result = parameters.list(request.prefixes, request.depth)
         return response
 
-    def set_all(wanted: Sequence[Any]) -> Any:
+    def set_all(entries: Sequence[Any]) -> Any:
         try:
-            return parameters.set([Parameter.from_parameter_msg(entry) for entry in wanted])
+            return parameters.set([Parameter.from_parameter_msg(entry) for entry in entries])
         except (ParameterNotDeclaredException, ValueError) as error:
             return message_class('rcl_interfaces/msg/SetParametersResult')(reason=str(error))
 

@@ -11,26 +11,29 @@ import time
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from ratslam_ros.standalone.dds import SERVICE_HEADER, user_value
+from ratslam_ros.standalone.dds import SERVICE_HEADER_BYTES, user_value
 from ratslam_ros.standalone.node_parts import (
-    UNREADABLE,
+    INVALID_SAMPLE,
     CallbackGroup,
     NodePart,
-    Source,
-    callable_with,
+    Waitable,
+    accepted_argument_count,
 )
 from ratslam_ros.standalone.qos import QoSProfile, to_dds
 from ratslam_ros.standalone.task import Future
 from ratslam_ros.standalone.types import decode_or_none, encode
 
-_CLIENT_READER_S = 0.1
-"""How long a reply waits until its receiver is known; after that nobody would get it."""
-_POLL_S = 0.01
-_CDR_HEADER = 4
+_CLIENT_DISCOVERY_TIMEOUT_S = 0.1
+"""Time a reply waits for discovery of the client's reader, in seconds; then it is dropped."""
+_POLL_INTERVAL_S = 0.01
+_CDR_HEADER_BYTES = 4
 
 
-class _Correlated(NodePart):
-    """A service or a client: two endpoints, and a header in front of what they carry."""
+class _ServiceEndpoints(NodePart):
+    """Base of services and clients: a reader and a writer of samples with a service header.
+
+    The header correlates replies with requests: client ID and sequence number, 8 bytes each.
+    """
 
     def __init__(
         self,
@@ -53,53 +56,55 @@ class _Correlated(NodePart):
         self._reader = participant.reader(*(request if is_service else reply))
 
     def execute(self) -> bool:
-        """Take what came; return whether there was anything."""
+        """Take the next sample; return whether there was one."""
         raise NotImplementedError
 
-    def sources(self) -> list[Source]:
-        """Return what to wait for."""
-        return [Source(self._reader.condition, self.execute)]
+    def waitables(self) -> list[Waitable]:
+        """Return the entities to wait for."""
+        return [Waitable(self._reader.condition, self.execute)]
 
     def gids(self) -> tuple[list[bytes], list[bytes]]:
-        """Return the readers and writers that the graph is told of."""
+        """Return the GIDs of the readers and of the writers to announce in the graph."""
         return [self._reader.gid], [self._writer.gid]
 
     def close(self) -> None:
-        """Let go of what DDS holds."""
+        """Delete the DDS entities."""
         self._closed = True
         self._reader.close()
         self._writer.close()
 
     def _take(self, kind: Any) -> Any:
-        """Take the next message, with the client and number in front of it."""
+        """Take the next sample: client ID, sequence number and message (None if it is invalid)."""
 
         def read(data: memoryview) -> tuple[int, int, Any]:
-            if len(data) < _CDR_HEADER + SERVICE_HEADER:
+            if len(data) < _CDR_HEADER_BYTES + SERVICE_HEADER_BYTES:
                 return 0, 0, None
-            client_id, number = struct.unpack_from('<Qq' if data[1] else '>Qq', data, _CDR_HEADER)
-            return client_id, number, decode_or_none(data, kind, SERVICE_HEADER)
+            layout = '<Qq' if data[1] else '>Qq'
+            client_id, number = struct.unpack_from(layout, data, _CDR_HEADER_BYTES)
+            return client_id, number, decode_or_none(data, kind, SERVICE_HEADER_BYTES)
 
         taken = self._reader.take(read)
         if taken is not None and taken.value[2] is None:
-            self._node.logger.error(f'{self.service_name}: {UNREADABLE} {kind.__msgtype__}')
+            self._node.logger.error(f'{self.service_name}: {INVALID_SAMPLE} {kind.__msgtype__}')
         return None if self._closed else taken
 
     def _send(self, message: Any, client_id: int, number: int) -> None:
-        data = encode(message, SERVICE_HEADER)
-        struct.pack_into('<Qq', data, _CDR_HEADER, client_id, number)
+        data = encode(message, SERVICE_HEADER_BYTES)
+        struct.pack_into('<Qq', data, _CDR_HEADER_BYTES, client_id, number)
         self._writer.write(data)
 
 
 class RequestId(NamedTuple):
-    """Whom a reply is for."""
+    """Identification of a request."""
 
     client_id: int
     sequence_number: int
     writer: int
+    """Instance handle of the client's writer."""
 
 
-class Service(_Correlated):
-    """Answers requests."""
+class Service(_ServiceEndpoints):
+    """A service server."""
 
     def __init__(
         self,
@@ -110,12 +115,12 @@ class Service(_Correlated):
         qos_profile: QoSProfile,
         callback_group: CallbackGroup | None,
     ) -> None:
-        callable_with(callback, 2)
+        accepted_argument_count(callback, 2)
         super().__init__(node, srv_type, srv_name, qos_profile, callback_group, True)
         self.callback = callback
 
     def execute(self) -> bool:
-        """Answer the next request; return whether there was one."""
+        """Reply to the next request; return whether there was one."""
         taken = self._take(self.srv_type.Request)
         if taken is None:
             return False
@@ -126,17 +131,17 @@ class Service(_Correlated):
         return True
 
     def send_response(self, response: Any, header: RequestId) -> None:
-        """Send an answer to whoever asked."""
+        """Send the response to a request."""
         if not isinstance(response, self.srv_type.Response):
             raise TypeError(
                 f'{self.srv_name}: expected {self.srv_type.Response}, not {response!r}'
             )
-        if self._client_is_there(header.writer):
+        if self._client_is_reachable(header.writer):
             self._send(response, header.client_id, header.sequence_number)
 
-    def _client_is_there(self, writer: int) -> bool:
-        """Wait for the client's reader: a reply that is written before would get lost."""
-        end_s = time.monotonic() + _CLIENT_READER_S
+    def _client_is_reachable(self, writer: int) -> bool:
+        """Wait for discovery of the client's reader: earlier replies would be lost."""
+        end_s = time.monotonic() + _CLIENT_DISCOVERY_TIMEOUT_S
         while True:
             user_data = self._reader.user_data_of(writer)
             if user_data is None:
@@ -149,14 +154,14 @@ class Service(_Correlated):
                 return True
             if time.monotonic() > end_s:
                 self._node.logger.warning(
-                    f'{self.srv_name}: no answer is sent, since the client cannot be reached yet'
+                    f'{self.srv_name}: dropped a response: its client was not discovered in time'
                 )
                 return False
-            time.sleep(_POLL_S)
+            time.sleep(_POLL_INTERVAL_S)
 
 
-class Client(_Correlated):
-    """Sends requests; any thread may."""
+class Client(_ServiceEndpoints):
+    """A service client; thread-safe."""
 
     _numbers = itertools.count(1)
 
@@ -174,7 +179,7 @@ class Client(_Correlated):
         self._lock = threading.Lock()
 
     def call_async(self, request: Any) -> Future:
-        """Send a request, and return its answer to come."""
+        """Send a request, and return the future of its response."""
         self._check_alive()
         if not isinstance(request, self.srv_type.Request):
             raise TypeError(f'{self.srv_name}: expected {self.srv_type.Request}, not {request!r}')
@@ -190,7 +195,11 @@ class Client(_Correlated):
         return future
 
     def call(self, request: Any, timeout_sec: float | None = None) -> Any:
-        """Send a request while another thread spins; return the answer, None after the timeout."""
+        """Send a request and wait for the response while another thread spins.
+
+        Returns:
+            The response; None after the timeout.
+        """
         answered = threading.Event()
         future = self.call_async(request)
         future.add_done_callback(lambda _: answered.set())
@@ -199,20 +208,21 @@ class Client(_Correlated):
         return future.result()
 
     def remove_pending_request(self, future: Future) -> None:
-        """Wait no longer for an answer."""
+        """Stop waiting for a response."""
         with self._lock:
-            for number, known in self._pending.items():
-                if known is future:
+            for number, pending in self._pending.items():
+                if pending is future:
                     del self._pending[number]
                     break
 
     def execute(self) -> bool:
-        """Take the next answer; return whether there was one."""
+        """Take the next response; return whether there was one."""
         taken = self._take(self.srv_type.Response)
         if taken is None:
             return False
         client_id, number, response = taken.value
-        if client_id == self._id and response is not None:  # every client gets every answer
+        # Every client receives the responses to all clients.
+        if client_id == self._id and response is not None:
             with self._lock:
                 future = self._pending.get(number)
             if future is not None:
@@ -220,7 +230,7 @@ class Client(_Correlated):
         return True
 
     def service_is_ready(self) -> bool:
-        """Tell whether a server is there, with both its endpoints."""
+        """Return whether a server is discovered, with both of its endpoints."""
         self._check_alive()
         readers = {
             user_value(self._writer.user_data_of(reader) or '', 'serviceid')
@@ -233,12 +243,12 @@ class Client(_Correlated):
         return bool(readers & writers)
 
     def wait_for_service(self, timeout_sec: float | None = None) -> bool:
-        """Wait for a server; return whether one is there in time."""
+        """Wait for a server; return False after the timeout or at shutdown."""
         end_s = None if timeout_sec is None else time.monotonic() + timeout_sec
         while self._node.context.ok():
             if self.service_is_ready():
                 return True
             if end_s is not None and time.monotonic() >= end_s:
                 return False
-            time.sleep(_POLL_S)
+            time.sleep(_POLL_INTERVAL_S)
         return False

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Source of a node's ROS time: system time, or the messages on /clock."""
+"""Source of the ROS time of a node: system time or /clock."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _CLOCK_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 class TimeSource:
-    """Switches a node's clock between system time and /clock, as use_sim_time requests."""
+    """Switches the clock of a node between system time and /clock, following use_sim_time."""
 
     def __init__(self, node: Any, clock: ROSClock) -> None:
         self._node = node
@@ -24,7 +24,7 @@ class TimeSource:
         self._subscription: Any = None
 
     def attach(self) -> None:
-        """Declare use_sim_time unless it is declared, apply its value, and follow its changes."""
+        """Declare use_sim_time if necessary, apply its value, and follow its changes."""
         if not self._node.has_parameter(USE_SIM_TIME):
             self._node.declare_parameter(USE_SIM_TIME, False)
         self._apply(self._node.get_parameter(USE_SIM_TIME).value)

@@ -12,7 +12,7 @@ from ratslam_ros.standalone.node_parts import CallbackGroup, NodePart
 
 
 class Timer(NodePart):
-    """Calls something again and again."""
+    """A timer that runs a callback periodically."""
 
     def __init__(
         self,
@@ -34,43 +34,43 @@ class Timer(NodePart):
         clock.timers.add(self)
 
     def is_ready(self) -> bool:
-        """Tell whether it is to be called."""
+        """Return whether the callback is due."""
         return not self._canceled and self.clock.now_ns() >= self._next_ns
 
     def is_canceled(self) -> bool:
-        """Tell whether it was stopped."""
+        """Return whether the timer is cancelled."""
         return self._canceled
 
     def cancel(self) -> None:
-        """Stop it, until it is reset."""
+        """Cancel the timer until it is reset."""
         self._canceled = True
 
     def reset(self) -> None:
-        """Begin a new period now."""
+        """Start a new period now."""
         self._last_ns = self.clock.now_ns()
         self._next_ns = self._last_ns + self.timer_period_ns
         self._canceled = False
         self._node.wake()
 
     def time_until_next_call(self) -> int | None:
-        """Return when it is to be called, in ns of its clock; None if never."""
+        """Return the time until the next call, in ns of the clock; None if cancelled."""
         return None if self._canceled else self._next_ns - self.clock.now_ns()
 
     def wait_ns(self) -> int | None:
-        """Return how long to wait at most, None where simulated time decides."""
+        """Return the longest time to wait, in ns; None if cancelled or awaiting simulated time."""
         if self._canceled:
             return None
-        left_ns = self._next_ns - self.clock.now_ns()
-        return None if left_ns > 0 and self.clock.is_simulated else max(0, left_ns)
+        remaining_ns = self._next_ns - self.clock.now_ns()
+        return None if remaining_ns > 0 and self.clock.is_simulated else max(0, remaining_ns)
 
     def execute(self) -> bool:
-        """Call back if it is time; return whether it was."""
+        """Run the callback if it is due; return whether it was."""
         now_ns = self.clock.now_ns()
         if self._canceled or self._closed or now_ns < self._next_ns:
             return False
         self._last_ns = now_ns
         self._next_ns += self.timer_period_ns
-        if self._next_ns <= now_ns:  # periods were missed: they are left out
+        if self._next_ns <= now_ns:  # skip missed periods
             behind_ns, period_ns = now_ns - self._next_ns, self.timer_period_ns
             self._next_ns = (
                 self._next_ns + (1 + behind_ns // period_ns) * period_ns if period_ns else now_ns
@@ -80,10 +80,10 @@ class Timer(NodePart):
         return True
 
     def on_jump(self, jump: TimeJump, before_ns: int) -> None:
-        """Follow a jump of the clock."""
+        """Adjust the next call after a jump of the clock; ``before_ns`` is the time before it."""
         now_ns = self.clock.now_ns()
         if jump.clock_change != ClockChange.ROS_TIME_NO_CHANGE:
-            if now_ns and before_ns:  # what was left of the period is left still
+            if now_ns and before_ns:  # keep the remaining time of the period
                 self._next_ns += now_ns - before_ns
                 self._last_ns = self._next_ns - self.timer_period_ns
         elif now_ns < self._last_ns:
@@ -92,6 +92,6 @@ class Timer(NodePart):
             self._node.wake()
 
     def close(self) -> None:
-        """Let go of the clock."""
+        """Detach the timer from its clock."""
         self._closed = True
         self.clock.timers.discard(self)

@@ -12,18 +12,18 @@ from ratslam_ros.standalone.clock import Duration
 from ratslam_ros.standalone.dds import INFINITE_NS, Writer
 from ratslam_ros.standalone.events import Events
 from ratslam_ros.standalone.node_parts import (
-    UNREADABLE,
+    INVALID_SAMPLE,
     CallbackGroup,
     NodePart,
-    Source,
-    callable_with,
+    Waitable,
+    accepted_argument_count,
 )
 from ratslam_ros.standalone.qos import QoSProfile, to_dds
 from ratslam_ros.standalone.types import decode_or_none, encode
 
 
 class Publisher(NodePart):
-    """Sends messages; any thread may."""
+    """A publisher; thread-safe."""
 
     def __init__(
         self,
@@ -47,12 +47,12 @@ class Publisher(NodePart):
         self._events = Events(self._writer, callbacks, node.logger, self.topic_name)
 
     def publish(self, msg: Any) -> None:
-        """Send a message, or its CDR as bytes.
+        """Publish a message, given as an object or as its CDR.
 
-        Blocks while a subscription that keeps all cannot take more.
+        Blocks while a reliable KEEP_ALL subscription cannot accept more messages.
 
         Raises:
-            TypeError: it is of another type, or a field of it is.
+            TypeError: the message or one of its fields has another type.
         """
         self._check_alive()
         if isinstance(msg, self.msg_type):
@@ -65,32 +65,32 @@ class Publisher(NodePart):
         self._writer.write(data)
 
     def get_subscription_count(self) -> int:
-        """Return how many subscriptions it sends to."""
+        """Return the number of matched subscriptions."""
         return 0 if self._closed else len(self._writer.matched)
 
     def wait_for_all_acked(self, timeout: Duration = Duration(nanoseconds=-1)) -> bool:  # noqa: B008
-        """Wait until all reliable subscriptions have all messages; return whether they do."""
+        """Wait until reliable subscriptions acknowledged all messages; False after the timeout."""
         self._check_alive()
         timeout_ns = timeout.nanoseconds if timeout.nanoseconds >= 0 else INFINITE_NS
         return self._writer.wait_for_acks(timeout_ns)
 
-    def sources(self) -> list[Source]:
-        """Return what to wait for."""
+    def waitables(self) -> list[Waitable]:
+        """Return the entities to wait for."""
         reference = self._events.reference
-        return [] if reference is None else [Source(reference, self._events.execute)]
+        return [] if reference is None else [Waitable(reference, self._events.execute)]
 
     def gids(self) -> tuple[list[bytes], list[bytes]]:
-        """Return the readers and writers that the graph is told of."""
+        """Return the GIDs of the readers and of the writers to announce in the graph."""
         return [], [self._writer.gid]
 
     def close(self) -> None:
-        """Let go of what DDS holds."""
+        """Delete the DDS entities."""
         self._closed = True
         self._writer.close()
 
 
 class Subscription(NodePart):
-    """Takes messages."""
+    """A subscription."""
 
     def __init__(
         self,
@@ -109,19 +109,21 @@ class Subscription(NodePart):
         self.qos_profile = qos_profile
         self.raw = raw
         self.callback = callback
-        self._wants_info = callable_with(callback, 1, 2) == 2
+        self._wants_info = accepted_argument_count(callback, 1, 2) == 2
         self._reader = node.context.participant.reader(
             _dds_name(self.topic_name, qos_profile), msg_type.__msgtype__, to_dds(qos_profile)
         )
         self._events = Events(self._reader, callbacks, node.logger, self.topic_name)
 
     def execute(self) -> bool:
-        """Give the next message to the callback; return whether there was one."""
+        """Run the callback for the next message; return whether there was one."""
         taken = self._reader.take(self._read)
         if taken is None or self._closed:
             return False
         if taken.value is None:
-            self._node.logger.error(f'{self.topic_name}: {UNREADABLE} {self.msg_type.__msgtype__}')
+            self._node.logger.error(
+                f'{self.topic_name}: {INVALID_SAMPLE} {self.msg_type.__msgtype__}'
+            )
         elif self._wants_info:
             self.callback(
                 taken.value,
@@ -140,23 +142,23 @@ class Subscription(NodePart):
         return bytes(data) if self.raw else decode_or_none(data, self.msg_type)
 
     def get_publisher_count(self) -> int:
-        """Return how many publishers it takes from."""
+        """Return the number of matched publishers."""
         return 0 if self._closed else len(self._reader.matched)
 
-    def sources(self) -> list[Source]:
-        """Return what to wait for."""
-        found = [Source(self._reader.condition, self.execute)]
+    def waitables(self) -> list[Waitable]:
+        """Return the entities to wait for."""
+        waitables = [Waitable(self._reader.condition, self.execute)]
         reference = self._events.reference
         if reference is not None:
-            found.append(Source(reference, self._events.execute))
-        return found
+            waitables.append(Waitable(reference, self._events.execute))
+        return waitables
 
     def gids(self) -> tuple[list[bytes], list[bytes]]:
-        """Return the readers and writers that the graph is told of."""
+        """Return the GIDs of the readers and of the writers to announce in the graph."""
         return [self._reader.gid], []
 
     def close(self) -> None:
-        """Let go of what DDS holds."""
+        """Delete the DDS entities."""
         self._closed = True
         self._reader.close()
 
