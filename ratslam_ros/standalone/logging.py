@@ -192,14 +192,6 @@ def configure(levels: list[tuple[str, LoggingSeverity]], to_stderr: bool) -> Non
         set_logger_level(name, level)
 
 
-def reset() -> None:
-    """Reset all levels and the state of all filters."""
-    global _default, _to_stderr
-    _default, _to_stderr = LoggingSeverity.INFO, True
-    _levels.clear()
-    _call_sites.clear()
-
-
 def set_publisher(name: str, publish: Callable[[Record], None] | None) -> None:
     """Set the function that publishes the records of a logger and its children; None for none."""
     with _lock:
