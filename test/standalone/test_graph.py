@@ -23,6 +23,15 @@ rclpy.shutdown()
 """
 
 
+def wait_for_publisher(ros, node, topic: str, owner: str):
+    """Return the publisher of a topic, once discovery has assigned it to its node."""
+    found = ros.until(
+        lambda: [i for i in node.get_publishers_info_by_topic(topic) if i.node_name == owner]
+    )
+    assert len(found) == len(node.get_publishers_info_by_topic(topic)) == 1
+    return found[0]
+
+
 def test_another_process_comes_and_goes(ros, m, child) -> None:
     from rclpy.qos import ReliabilityPolicy
 
@@ -31,13 +40,15 @@ def test_another_process_comes_and_goes(ros, m, child) -> None:
     assert other.stdout.readline() == 'ready\n', other.stderr.read()
     ros.until(lambda: ('other', '/far') in node.get_node_names_and_namespaces())
     ros.until(lambda: node.count_publishers('/far/chat') == 1)
-    info = node.get_publishers_info_by_topic('/far/chat')[0]
+    info = wait_for_publisher(ros, node, '/far/chat', 'other')
     assert (info.node_name, info.node_namespace) == ('other', '/far')
     assert info.topic_type == 'std_msgs/msg/String' and len(info.endpoint_gid) == 16
     assert info.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
     assert info.endpoint_type.name == 'PUBLISHER'
-    assert ('/far/do', ['std_srvs/srv/Trigger']) in node.get_service_names_and_types()
-    assert ('/far/chat', ['std_msgs/msg/String']) in node.get_topic_names_and_types()
+    service = ('/far/do', ['std_srvs/srv/Trigger'])
+    ros.until(lambda: service in node.get_service_names_and_types())
+    topic = ('/far/chat', ['std_msgs/msg/String'])
+    ros.until(lambda: topic in node.get_topic_names_and_types())
     ros.until(lambda: node.get_subscriptions_info_by_topic('/near'))
     other.stdin.write('\n')
     other.stdin.flush()
@@ -57,7 +68,7 @@ def test_a_node_sees_itself(ros, m) -> None:
     ros.until(lambda: node.count_publishers('chat') == node.count_subscribers('/ns/chat') == 1)
     ros.until(lambda: 'self' in node.get_node_names())
     assert ('self', '/ns') in node.get_node_names_and_namespaces()
-    info = ros.until(lambda: node.get_publishers_info_by_topic('chat'))[0]
+    info = wait_for_publisher(ros, node, 'chat', 'self')
     assert (info.node_name, info.node_namespace) == ('self', '/ns')
     assert info.qos_profile.depth == 7
     assert publisher in node.publishers
