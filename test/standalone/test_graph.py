@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The graph, as a node sees itself and others."""
+"""The ROS graph: nodes, topics and services of this process and of another one."""
 
 OTHER = """
 import rclpy
@@ -32,11 +32,11 @@ def wait_for_publisher(ros, node, topic: str, owner: str):
     return found[0]
 
 
-def test_another_process_comes_and_goes(ros, m, child) -> None:
+def test_graph_follows_nodes_and_endpoints_of_another_process(ros, m, start_process) -> None:
     from rclpy.qos import ReliabilityPolicy
 
     node = ros.node('near')
-    other = child(OTHER)
+    other = start_process(OTHER)
     assert other.stdout.readline() == 'ready\n', other.stderr.read()
     ros.until(lambda: ('other', '/far') in node.get_node_names_and_namespaces())
     ros.until(lambda: node.count_publishers('/far/chat') == 1)
@@ -61,7 +61,7 @@ def test_another_process_comes_and_goes(ros, m, child) -> None:
     ros.until(lambda: ('other', '/far') not in node.get_node_names_and_namespaces())
 
 
-def test_a_node_sees_itself(ros, m) -> None:
+def test_node_lists_itself_and_its_endpoints(ros, m) -> None:
     node = ros.node('self', namespace='/ns')
     publisher = node.create_publisher(m.String, 'chat', 7)
     node.create_subscription(m.String, 'chat', print, 1)
@@ -78,7 +78,7 @@ def test_a_node_sees_itself(ros, m) -> None:
     assert publisher not in node.publishers
 
 
-def test_two_nodes_of_one_process_are_told_apart(ros, m) -> None:
+def test_endpoints_of_two_nodes_have_own_node_names(ros, m) -> None:
     a, b = ros.node('a'), ros.node('b')
     a.create_publisher(m.String, 'chat', 1)
     b.create_publisher(m.String, 'chat', 1)
@@ -92,9 +92,9 @@ def test_two_nodes_of_one_process_are_told_apart(ros, m) -> None:
     assert 'a' in a.get_node_names()
 
 
-def test_types_that_differ_are_listed_both(ros, m) -> None:
+def test_topic_with_two_types_lists_both(ros, m) -> None:
     node = ros.node()
     node.create_publisher(m.String, 'mixed', 1)
     node.create_subscription(m.Int32, 'mixed', print, 1)
-    wanted = ('/mixed', ['std_msgs/msg/Int32', 'std_msgs/msg/String'])
-    ros.until(lambda: wanted in [(n, sorted(t)) for n, t in node.get_topic_names_and_types()])
+    expected = ('/mixed', ['std_msgs/msg/Int32', 'std_msgs/msg/String'])
+    ros.until(lambda: expected in [(n, sorted(t)) for n, t in node.get_topic_names_and_types()])
