@@ -16,7 +16,7 @@ Callback = Callable[[Any], None] | None
 
 @dataclass
 class MessageLostInfo:
-    """Number of messages that DDS received but did not deliver."""
+    """Number of messages that were lost before delivery."""
 
     total_count: int
     total_count_change: int
