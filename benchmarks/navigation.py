@@ -44,7 +44,6 @@ from ratslam_ros.simulator.closed_loop import ClosedLoop
 from ratslam_ros.simulator.config import SimulatorParameters, make_simulator
 from ratslam_ros.simulator.drive import DriveOptions, Driver
 from ratslam_ros.simulator.picture import draw_plan
-from ratslam_ros.simulator.robot import Pose as TruePose
 from ratslam_ros.simulator.trials import Driven, Trial, attempt, choose_goals
 
 Job = TypeVar('Job')
@@ -169,9 +168,8 @@ def goals_run(setting: Setting, job: tuple[int, tuple[int, int]]) -> GoalsRow:
     places = explore_and_name(loop, setting.explore_s(60.0))
     explored = loop.log.truths()
     error_m, touched = map_error_m(loop), loop.simulator.collisions
-    t = loop.simulator.truth
     lots = np.random.Generator(np.random.PCG64(seed))
-    names = choose_goals(places, Pose(t.x_m, t.y_m, t.heading_rad), GOALS, lots)
+    names = choose_goals(places, loop.simulator.truth, GOALS, lots)
     trials = [attempt(loop, name, places[name]) for name in names]
     recall, graph = loop.navigator.recall, loop.experience_map
     spent = []
@@ -389,9 +387,8 @@ def goal_memory_run(setting: Setting, job: tuple[int, str]) -> list[GoalMemoryTr
         loop, setting.explore_s(13.0),
         lambda name: memory.mark(name, loop.ratslam.pose_cells.peak),
     )  # fmt: skip
-    t = loop.simulator.truth
     names = choose_goals(
-        places, Pose(t.x_m, t.y_m, t.heading_rad), 2, np.random.Generator(np.random.PCG64(seed))
+        places, loop.simulator.truth, 2, np.random.Generator(np.random.PCG64(seed))
     )
     by_memory = []
     for name in names:
@@ -420,8 +417,7 @@ def by_goal_memory(
     assert memory is not None
     goal = memory.goal(name)
     simulator = loop.simulator
-    t = simulator.truth
-    way = Driven(loop.log.truths()).way(Pose(t.x_m, t.y_m, t.heading_rad), at_m)
+    way = Driven(loop.log.truths()).way(simulator.truth, at_m)
     length_m = way.length_m if way else 50.0
     began_s = loop.now_s
     end_s = began_s + 3.0 * length_m / loop.config.goal_follower.speed_mps + 10.0
@@ -583,7 +579,7 @@ def kidnapped_run(setting: Setting, seed: int) -> list[tuple[bool, float, float]
         here = loop.simulator.truth
         away = np.hypot(known[:, 0] - here.x_m, known[:, 1] - here.y_m) > 8.0
         x_m, y_m, heading_rad = known[rng.choice(np.flatnonzero(away))].tolist()
-        loop.simulator.carry(TruePose(x_m, y_m, heading_rad))
+        loop.simulator.carry(Pose(x_m, y_m, heading_rad))
         began_s, began_m = loop.now_s, loop.simulator.odometer_m
         before, count = len(loop.log.jump_m), len(loop.experience_map)
 
@@ -626,9 +622,8 @@ def pruning_run(setting: Setting, seed: int) -> list[str]:
     limit = len(free.experience_map) // 3
     loop = setting.loop(seed, 'university_floor', pose_cells__exp_max=limit)
     places = explore_and_name(loop, setting.explore_s(120.0))
-    t = loop.simulator.truth
     names = choose_goals(
-        places, Pose(t.x_m, t.y_m, t.heading_rad), 3, np.random.Generator(np.random.PCG64(seed))
+        places, loop.simulator.truth, 3, np.random.Generator(np.random.PCG64(seed))
     )
     trials = [attempt(loop, name, places[name]) for name in names]
     done = sum(x.succeeded for x in trials)

@@ -14,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ratslam_ros.cli import main
+from ratslam_ros.core.odometry import Pose
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.evaluation import read_tum
 from ratslam_ros.recordings import open_recording
@@ -24,7 +25,6 @@ from ratslam_ros.simulator.config import (
     start_of,
 )
 from ratslam_ros.simulator.floor_plan import load_floor_plan, office
-from ratslam_ros.simulator.robot import Pose
 from ratslam_ros.simulator.simulation import Happening
 
 RUN = ('simulate', '--plan', 'office', '--explore', '0.5', '--quiet')

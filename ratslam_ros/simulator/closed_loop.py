@@ -95,9 +95,7 @@ class ClosedLoop:
                 if isinstance(sample, OdometrySample):
                     self._move(sample)
                 elif isinstance(sample, ImageSample):
-                    self._truth_at[sample.stamp_ns] = Pose(
-                        sample.truth.x_m, sample.truth.y_m, sample.truth.heading_rad
-                    )
+                    self._truth_at[sample.stamp_ns] = sample.truth
                     self._note(self.ratslam.image(sample.stamp_ns, sample.image))
                 else:
                     scan = scan_of(sample, simulator)
@@ -155,7 +153,7 @@ class ClosedLoop:
 
     def _move(self, sample: OdometrySample) -> None:
         o = sample.odometry
-        self.odometry_pose = Pose(o.pose.x_m, o.pose.y_m, o.pose.heading_rad)
+        self.odometry_pose = o.pose
         steps = self.ratslam.odometry(
             Odometry(
                 sample.stamp_ns, Twist(o.speed_mps, o.turn_rate_radps), self.odometry_pose
@@ -164,7 +162,7 @@ class ClosedLoop:
         log, truth = self.log, sample.truth
         at, peak = self.experience_map, self.ratslam.pose_cells.peak
         log.stamp_ns.append(sample.stamp_ns)
-        log.truth.append(Pose(truth.x_m, truth.y_m, truth.heading_rad))
+        log.truth.append(truth)
         log.believed.append(at.pose)
         log.dead_reckoning.append(self.ratslam.dead_reckoning)
         log.experience_id.append(at.current_id)

@@ -8,12 +8,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from ratslam_ros.core.odometry import Pose
 from ratslam_ros.core.section import Section, parameter
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.simulator.camera import CameraOptions
 from ratslam_ros.simulator.floor_plan import FloorPlan, load_floor_plan
 from ratslam_ros.simulator.laser import LaserOptions
-from ratslam_ros.simulator.robot import Pose, RobotOptions
+from ratslam_ros.simulator.robot import RobotOptions
 from ratslam_ros.simulator.simulation import Happening, SimulationOptions, Simulator
 from ratslam_ros.simulator.world import WorldOptions
 

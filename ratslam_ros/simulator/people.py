@@ -11,9 +11,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from ratslam_ros.core.odometry import Pose
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.simulator.bodies import fits, room_for, slide
-from ratslam_ros.simulator.robot import Pose
 from ratslam_ros.simulator.world import PERSON_RADIUS_M, World
 
 if TYPE_CHECKING:

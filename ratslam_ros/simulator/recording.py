@@ -17,8 +17,9 @@ from rosbags.interfaces import Connection
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
+from ratslam_ros.core.odometry import Pose
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.simulator.robot import Odometry, Pose
+from ratslam_ros.simulator.robot import OdometryReading
 from ratslam_ros.simulator.simulation import (
     ImageSample,
     Sample,
@@ -154,7 +155,7 @@ class RecordingWriter:
 
 
 def _rows(poses: Iterable[Pose]) -> NDArray[np.float64]:
-    return np.array([(pose.x_m, pose.y_m, pose.heading_rad) for pose in poses])
+    return np.array(list(poses))
 
 
 def tum_line(stamp_ns: int, pose: Pose) -> str:
@@ -220,7 +221,7 @@ class _Messages:
             self._make('sensor_msgs/msg/RegionOfInterest', 0, 0, 0, 0, False),
         )
 
-    def odometry(self, stamp_ns: int, odometry: Odometry) -> Any:
+    def odometry(self, stamp_ns: int, odometry: OdometryReading) -> Any:
         twist = self._make(
             'geometry_msgs/msg/Twist',
             self._vector(odometry.speed_mps, 0.0, 0.0),

@@ -9,26 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-
-@dataclass(frozen=True)
-class Pose:
-    """Where something is on the floor."""
-
-    x_m: float
-    y_m: float
-    heading_rad: float
-
-    def after_arc(self, distance_m: float, turn_rad: float) -> Pose:
-        """Return the pose after an exact arc of this length that turns by this much."""
-        half_rad = turn_rad / 2
-        # The chord of an arc is shorter than the arc; the series avoids 0/0 on straight lines.
-        shrink = math.sin(half_rad) / half_rad if abs(half_rad) > 1e-6 else 1 - half_rad**2 / 6
-        chord_m = distance_m * shrink
-        return Pose(
-            self.x_m + chord_m * math.cos(self.heading_rad + half_rad),
-            self.y_m + chord_m * math.sin(self.heading_rad + half_rad),
-            math.remainder(self.heading_rad + turn_rad, math.tau),
-        )
+from ratslam_ros.core.odometry import Pose
 
 
 @dataclass(frozen=True)
@@ -55,7 +36,7 @@ class RobotOptions:
 
 
 @dataclass(frozen=True)
-class Odometry:
+class OdometryReading:
     """What the driver reports: motion since the last report, and all of it added up."""
 
     pose: Pose
@@ -104,7 +85,9 @@ class Robot:
             slip_m = options.slip_m * math.sqrt(abs(ground_m)) * float(self._rng.standard_normal())
             rolled_m[wheel] = ground_m + slip_m
         left_m, right_m = rolled_m
-        self.pose = self.pose.after_arc((left_m + right_m) / 2, (right_m - left_m) / self._base_m)
+        self.pose = after_arc(
+            self.pose, (left_m + right_m) / 2, (right_m - left_m) / self._base_m
+        )
 
     def encoder_counts(self) -> tuple[int, int]:
         """Read the left and right encoder."""
@@ -121,7 +104,7 @@ class WheelOdometry:
         self._counts = (0, 0)
         self._pose = Pose(0.0, 0.0, 0.0)
 
-    def update(self, counts: tuple[int, int], duration_s: float) -> Odometry:
+    def update(self, counts: tuple[int, int], duration_s: float) -> OdometryReading:
         """Account for the counts since the last update, this long ago."""
         options = self._options
         m_per_count = math.tau * options.wheel_radius_m / options.encoder_counts_per_turn
@@ -129,8 +112,29 @@ class WheelOdometry:
         right_m = (counts[1] - self._counts[1]) * m_per_count
         self._counts = counts
         distance_m, turn_rad = (left_m + right_m) / 2, (right_m - left_m) / options.wheel_base_m
-        self._pose = self._pose.after_arc(distance_m, turn_rad)
-        return Odometry(self._pose, distance_m / duration_s, turn_rad / duration_s)
+        self._pose = after_arc(self._pose, distance_m, turn_rad)
+        return OdometryReading(self._pose, distance_m / duration_s, turn_rad / duration_s)
+
+
+def after_arc(pose: Pose, distance_m: float, turn_rad: float) -> Pose:
+    """Return the pose at the end of an arc of constant curvature.
+
+    Not the same as `core.odometry.moved`, from which it may differ in the last bit.
+
+    Args:
+        pose: start of the arc.
+        distance_m: length of the arc, negative when driving backwards.
+        turn_rad: change of heading along the arc, counter-clockwise positive.
+    """
+    half_rad = turn_rad / 2
+    # sin(x) / x, by its series near 0: the ratio of the chord to the arc.
+    shrink = math.sin(half_rad) / half_rad if abs(half_rad) > 1e-6 else 1 - half_rad**2 / 6
+    chord_m = distance_m * shrink
+    return Pose(
+        pose.x_m + chord_m * math.cos(pose.heading_rad + half_rad),
+        pose.y_m + chord_m * math.sin(pose.heading_rad + half_rad),
+        math.remainder(pose.heading_rad + turn_rad, math.tau),
+    )
 
 
 def _clamp(value: float, most: float) -> float:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ratslam_ros.core.odometry import Pose
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.simulator.bodies import fits, slide
 from ratslam_ros.simulator.camera import Camera, CameraOptions
@@ -19,7 +20,7 @@ from ratslam_ros.simulator.floor_plan import OFFICE_CIRCUIT, OFFICE_START, Floor
 from ratslam_ros.simulator.laser import Laser, LaserOptions
 from ratslam_ros.simulator.light import LightDrift
 from ratslam_ros.simulator.people import People
-from ratslam_ros.simulator.robot import Odometry, Pose, Robot, RobotOptions, WheelOdometry
+from ratslam_ros.simulator.robot import OdometryReading, Robot, RobotOptions, WheelOdometry
 from ratslam_ros.simulator.world import PERSON_RADIUS_M, WorldOptions, build_world
 
 # A fixed date (2026-01-01): a run must not depend on when it was made.
@@ -56,7 +57,7 @@ class OdometrySample:
     """A report of the wheel odometry, with the truth at the same stamp."""
 
     stamp_ns: int
-    odometry: Odometry
+    odometry: OdometryReading
     truth: Pose
 
 
@@ -251,15 +252,14 @@ class Simulator:
     def _sense(self) -> list[Sample]:
         samples: list[Sample] = []
         stamp_ns, truth = self.stamp_ns, self.truth
-        at = (truth.x_m, truth.y_m, truth.heading_rad)
         if self.odometry_due:
             counts = self._robot.encoder_counts()
             odometry = self._odometry.update(counts, ODOMETRY_STEPS / STEPS_PER_S)
             samples.append(OdometrySample(stamp_ns, odometry, truth))
         if self._laser is not None and self._step % self._laser_steps == 0:
-            samples.append(ScanSample(stamp_ns, self._laser.take(*at), truth))
+            samples.append(ScanSample(stamp_ns, self._laser.take(*truth), truth))
         if self._camera is not None and self._step % self._camera_steps == 0:
-            samples.append(ImageSample(stamp_ns, self._camera.take(*at), truth))
+            samples.append(ImageSample(stamp_ns, self._camera.take(*truth), truth))
         return samples
 
     def _move(self) -> None:

@@ -211,7 +211,7 @@ def attempt(loop: ClosedLoop, goal: str, at_m: tuple[float, float]) -> Trial:
     """
     simulator, p = loop.simulator, loop.config.goal_follower
     world, radius_m = simulator.world, simulator.options.robot.body_radius_m
-    start = Pose(simulator.truth.x_m, simulator.truth.y_m, simulator.truth.heading_rad)
+    start = simulator.truth
     obstructed = world.solid, simulator.plan.cell_m, radius_m
     floor = Floor(*obstructed).way(start, at_m)
     shortest = Driven(loop.log.truths()).without(*obstructed).way(start, at_m)

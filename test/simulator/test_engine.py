@@ -7,12 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ratslam_ros.core.odometry import Pose
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.simulator.camera import CameraOptions
 from ratslam_ros.simulator.floor_plan import load_floor_plan, office
 from ratslam_ros.simulator.laser import LaserOptions
 from ratslam_ros.simulator.light import LightDrift
-from ratslam_ros.simulator.robot import Pose, RobotOptions
+from ratslam_ros.simulator.robot import RobotOptions
 from ratslam_ros.simulator.simulation import (
     START_STAMP_NS,
     STEP_NS,

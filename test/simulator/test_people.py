@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
+from ratslam_ros.core.odometry import Pose
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.simulator.camera import Camera, CameraOptions
 from ratslam_ros.simulator.floor_plan import load_floor_plan, parse_floor_plan
 from ratslam_ros.simulator.people import People
-from ratslam_ros.simulator.robot import Pose
 from ratslam_ros.simulator.simulation import SimulationOptions, Simulator
 from ratslam_ros.simulator.world import PERSON_HEIGHT_M, PERSON_RADIUS_M, World, build_world
 

@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from ratslam_ros.simulator.robot import Pose, Robot, RobotOptions, WheelOdometry
+from ratslam_ros.core.odometry import Pose
+from ratslam_ros.simulator.robot import Robot, RobotOptions, WheelOdometry, after_arc
 
 EXACT = RobotOptions(
     wheel_radius_error=0.0, wheel_base_error=0.0, slip_m=0.0, encoder_counts_per_turn=10**9
@@ -31,10 +32,10 @@ def distance_m(a, b):
 
 
 def test_arc_is_exact():
-    quarter = START.after_arc(math.pi / 2, math.pi / 2)
+    quarter = after_arc(START, math.pi / 2, math.pi / 2)
     assert (quarter.x_m, quarter.y_m) == pytest.approx((1.0, 1.0), abs=1e-12)
     assert quarter.heading_rad == pytest.approx(math.pi / 2)
-    straight = START.after_arc(2.0, 0.0)
+    straight = after_arc(START, 2.0, 0.0)
     assert straight == Pose(2.0, 0.0, 0.0)
 
 

@@ -9,11 +9,12 @@ import pytest
 
 from ratslam_ros.config_files import load_config
 from ratslam_ros.core.goal_recall import UnreachableGoal
+from ratslam_ros.core.odometry import Pose
 from ratslam_ros.core.steering import Command
 from ratslam_ros.messages import encode_map
 from ratslam_ros.simulator.closed_loop import ClosedLoop
 from ratslam_ros.simulator.floor_plan import parse_floor_plan
-from ratslam_ros.simulator.robot import Pose, RobotOptions
+from ratslam_ros.simulator.robot import RobotOptions
 from ratslam_ros.simulator.simulation import SimulationOptions, Simulator
 from ratslam_ros.simulator.world import WorldOptions
 
@@ -144,7 +145,7 @@ def test_a_robot_that_was_carried_finds_out_where_it_is(seed):
     there = log.truth[len(log.truth) * 2 // 3]
     assert apart_m(there, loop.simulator.truth) > 2.0
     believed = log.believed[-1]
-    loop.simulator.carry(Pose(*there))
+    loop.simulator.carry(there)
     loop.explore(0.2)  # nothing has told it
     assert apart_m(log.believed[-1], believed) < 0.3
 

@@ -12,7 +12,6 @@ from ratslam_ros.core.movement_config import GoalFollowerParameters
 from ratslam_ros.core.odometry import Pose
 from ratslam_ros.simulator.closed_loop import ClosedLoop
 from ratslam_ros.simulator.floor_plan import load_floor_plan, parse_floor_plan
-from ratslam_ros.simulator.robot import Pose as TruePose
 from ratslam_ros.simulator.simulation import SimulationOptions, Simulator
 from ratslam_ros.simulator.trials import Driven, Floor, Trial, Way, attempt, choose_goals
 
@@ -109,7 +108,7 @@ def test_chosen_goals_are_apart_and_their_order_is_drawn():
 def test_a_goal_that_is_not_known_is_a_failed_trial():
     plan = load_floor_plan('obstacle_loop')
     x_m, y_m = plan.places['S']
-    simulator = Simulator(plan, TruePose(x_m, y_m, 0.0), 1, SimulationOptions(camera=None))
+    simulator = Simulator(plan, Pose(x_m, y_m, 0.0), 1, SimulationOptions(camera=None))
     loop = ClosedLoop(simulator, Config(), 1)
     loop.explore(5.0)
     trial = attempt(loop, 'G', plan.places['G'])
