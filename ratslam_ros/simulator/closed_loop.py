@@ -98,7 +98,7 @@ class ClosedLoop:
                     self._truth_at[sample.stamp_ns] = sample.truth
                     self._note(self.ratslam.image(sample.stamp_ns, sample.image))
                 else:
-                    scan = scan_of(sample, simulator)
+                    scan = scan_from_sample(sample, simulator)
                     self.ratslam.scan(scan)
                     self.command = steer(scan)
                     self.ratslam.behaviour = self.command.behaviour
@@ -186,7 +186,7 @@ class ClosedLoop:
                 self.log.jump_m.append(math.hypot(there.x_m - truth.x_m, there.y_m - truth.y_m))
 
 
-def scan_of(sample: ScanSample, simulator: Simulator) -> Scan:
+def scan_from_sample(sample: ScanSample, simulator: Simulator) -> Scan:
     """Return a simulated scan as a robot's driver gives it."""
     laser = simulator.options.laser
     assert laser is not None  # or there would be no sample
