@@ -71,14 +71,6 @@ class FloorPlan:
         """Whether there is wall at a point within the plan."""
         return bool(self.solid[int(y_m / self.cell_m), int(x_m / self.cell_m)])
 
-    def clearance_m(self, x_m: float, y_m: float) -> float:
-        """Distance from a point to the nearest wall, 0 inside one."""
-        rows, columns = np.nonzero(self.solid)
-        # To the nearest point of each wall cell, which is a square.
-        dx = np.maximum(np.abs(x_m - (columns + 0.5) * self.cell_m) - self.cell_m / 2, 0.0)
-        dy = np.maximum(np.abs(y_m - (rows + 0.5) * self.cell_m) - self.cell_m / 2, 0.0)
-        return float(np.sqrt(np.min(dx * dx + dy * dy)))
-
 
 def parse_floor_plan(text: str, cell_m: float | None = None, name: str = '') -> FloorPlan:
     """Read a plan drawn with `#` for wall, `.` or space for free and letters for named places.

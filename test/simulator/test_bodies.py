@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from floor_clearance import clearance_m
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -17,9 +18,9 @@ PLAN = parse_floor_plan('#######\n#.....#\n#..#..#\n#.....#\n#######', cell_m=1.
 def test_fits_is_what_the_clearance_says():
     plan = office()
     for x_m, y_m in np.random.Generator(np.random.PCG64(0)).uniform((0, 0), plan.size_m, (400, 2)):
-        clearance_m = plan.clearance_m(x_m, y_m)
-        assert fits(plan.solid, plan.cell_m, x_m, y_m, clearance_m * 0.999 + 1e-12)
-        assert not fits(plan.solid, plan.cell_m, x_m, y_m, clearance_m + 1e-6)
+        nearest_wall_m = clearance_m(plan, x_m, y_m)
+        assert fits(plan.solid, plan.cell_m, x_m, y_m, nearest_wall_m * 0.999 + 1e-12)
+        assert not fits(plan.solid, plan.cell_m, x_m, y_m, nearest_wall_m + 1e-6)
 
 
 def test_body_slides_along_a_wall_and_round_a_corner():
@@ -54,7 +55,7 @@ def test_body_never_enters_anything(x_m, y_m, dx_m, dy_m, other_x_m, other_y_m):
     to_x_m, to_y_m, touched = slide(
         PLAN.solid, 1.0, discs, 0.25, x_m, y_m, x_m + dx_m, y_m + dy_m, 0.2
     )
-    assert PLAN.clearance_m(to_x_m, to_y_m) >= 0.2 - 1e-8
+    assert clearance_m(PLAN, to_x_m, to_y_m) >= 0.2 - 1e-8
     assert math.hypot(other_x_m - to_x_m, other_y_m - to_y_m) >= 0.45 - 1e-8
     assert touched or (to_x_m, to_y_m) == (x_m + dx_m, y_m + dy_m)
 

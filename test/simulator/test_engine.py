@@ -1,9 +1,11 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from floor_clearance import clearance_m
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -93,7 +95,7 @@ def test_robot_in_front_of_a_wall_stops_while_its_wheels_turn_on():
     simulator.command(0.3, 0.0)
     samples = run(simulator, 20.0)
     # Some slip turns it a little, and along the wall it slides; but not through.
-    assert LOOP.clearance_m(simulator.truth.x_m, simulator.truth.y_m) >= RADIUS_M - 1e-6
+    assert clearance_m(LOOP, simulator.truth.x_m, simulator.truth.y_m) >= RADIUS_M - 1e-6
     assert simulator.odometer_m < 3.0
     assert samples[-1].odometry.pose.x_m == pytest.approx(5.8, abs=0.2)
     assert simulator.collisions >= 1
@@ -121,14 +123,13 @@ def test_body_never_enters_walls_obstacles_or_people(commands, place, seed):
     start = Pose(*plan.places[place], 0.3)
     simulator = Simulator(plan, start, seed, BLIND, people=10)
     simulator.put_obstacle('box', start.x_m + 1.2, start.y_m, 0.6, 0.6)
-    solid = load_floor_plan('university_floor')
-    solid.solid[:] = simulator.world.solid
+    with_box = replace(plan, solid=simulator.world.solid)
     for speed_mps, turn_rate_radps in commands:
         simulator.command(speed_mps, turn_rate_radps)
         for _ in range(20):
             simulator.step()
         at, people = simulator.truth, simulator.world.people
-        assert solid.clearance_m(at.x_m, at.y_m) >= RADIUS_M - 1e-6
+        assert clearance_m(with_box, at.x_m, at.y_m) >= RADIUS_M - 1e-6
         apart_m = np.hypot(people[:, 0] - at.x_m, people[:, 1] - at.y_m)
         assert apart_m.min() >= RADIUS_M + PERSON_RADIUS_M - 1e-6
 

@@ -1,9 +1,11 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from floor_clearance import clearance_m
 
 from ratslam_ros.core.odometry import Pose
 from ratslam_ros.errors import UnusableInput
@@ -39,7 +41,7 @@ def test_people_walk_all_the_time_never_in_walls_nor_in_each_other(plan):
     simulator = Simulator(plan, Pose(*plan.places['S'], 0.0), 2, BLIND, people=5)
     seen = walk(simulator, 240.0)
     for positions in seen:
-        assert min(plan.clearance_m(x_m, y_m) for x_m, y_m in positions) > PERSON_RADIUS_M - 1e-6
+        assert min(clearance_m(plan, x_m, y_m) for x_m, y_m in positions) > PERSON_RADIUS_M - 1e-6
         apart_m = np.hypot(*(positions[:, None] - positions[None]).transpose(2, 0, 1))
         assert apart_m[np.triu_indices(5, 1)].min() > 2 * PERSON_RADIUS_M
     steps_m = np.hypot(*np.diff(seen, axis=0).transpose(2, 0, 1))
@@ -96,12 +98,10 @@ def test_obstacles_make_people_step_aside_and_take_another_way():
     x_m, y_m, _, _ = simulator.world.people[0]
     simulator.put_obstacle('on somebody', x_m, y_m, 1.0, 1.0)
     simulator.put_obstacle('box', *LOOP.places['X'], 0.8, 2.0)
+    with_boxes = replace(LOOP, solid=simulator.world.solid)
     for positions in walk(simulator, 120.0):
         for x_m, y_m in positions:
-            rows, columns = np.nonzero(simulator.world.solid)
-            dx = np.maximum(np.abs(x_m - (columns + 0.5) * LOOP.cell_m) - LOOP.cell_m / 2, 0.0)
-            dy = np.maximum(np.abs(y_m - (rows + 0.5) * LOOP.cell_m) - LOOP.cell_m / 2, 0.0)
-            assert np.hypot(dx, dy).min() > PERSON_RADIUS_M - 1e-6
+            assert clearance_m(with_boxes, x_m, y_m) > PERSON_RADIUS_M - 1e-6
 
 
 def test_robot_that_is_set_down_on_somebody_finds_room():

@@ -4,6 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from floor_clearance import clearance_m
 
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.simulator.camera import CameraOptions
@@ -85,7 +86,7 @@ def test_tour_takes_minutes_at_walking_pace_with_rests(tour):
 
 def test_robot_keeps_clear_of_the_walls(tour):
     plan = office()
-    clearances_m = [plan.clearance_m(s.truth.x_m, s.truth.y_m) for s in tour[::10]]
+    clearances_m = [clearance_m(plan, s.truth.x_m, s.truth.y_m) for s in tour[::10]]
     assert min(clearances_m) > 0.4
 
 

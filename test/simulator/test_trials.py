@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from floor_clearance import clearance_m
 
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.movement_config import GoalFollowerParameters
@@ -41,7 +42,7 @@ def test_the_way_goes_round_walls_with_room_for_the_body():
     start, goal = Pose(1.0, 5.0, 0.0), (5.0, 5.0)
     found = Floor(WALLED.solid, WALLED.cell_m, RADIUS_M).way(start, goal)
     assert 8.0 < found.length_m < 9.5
-    assert min(WALLED.clearance_m(x, y) for x, y in found.positions_m) >= RADIUS_M - 1e-9
+    assert min(clearance_m(WALLED, x, y) for x, y in found.positions_m) >= RADIUS_M - 1e-9
 
 
 def test_there_is_no_way_through_walls_or_off_the_plan():

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 import numpy as np
 import pytest
+from floor_clearance import clearance_m
 
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.simulator.floor_plan import office, parse_floor_plan
@@ -17,8 +18,8 @@ def test_plan_has_its_first_line_in_the_north():
     assert plan.size_m == (10.0, 8.0)
     assert plan.places == {'A': (7.0, 3.0), 'B': (3.0, 5.0)}
     assert list(plan.places) == ['A', 'B']  # from the south
-    assert plan.clearance_m(5.0, 4.0) == pytest.approx(2.0)
-    assert plan.clearance_m(1.0, 1.0) == 0.0
+    assert clearance_m(plan, 5.0, 4.0) == pytest.approx(2.0)
+    assert clearance_m(plan, 1.0, 1.0) == 0.0
 
 
 @pytest.mark.parametrize('text', ['###\n#.#\n#.#', '####\n#.#\n####'])
