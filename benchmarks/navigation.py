@@ -302,9 +302,9 @@ def obstacle_run(setting: Setting, seed: int) -> list[str]:
     go_back(loop, at['S'])
     for number in (1, 2, 3):
         if number == 1:
-            simulator.put_obstacle('box', *plan.places['X'], *BOX_M)
+            simulator.add_obstacle('box', *plan.places['X'], *BOX_M)
         if number == 3:
-            simulator.take_obstacle('box')
+            simulator.remove_obstacle('box')
         if number > 1:
             loop.explore(360.0)
             go_back(loop, at['S'])

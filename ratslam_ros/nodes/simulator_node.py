@@ -38,13 +38,8 @@ from ratslam_ros.simulator.recording import (
     ROBOT_FRAME,
     WORLD_FRAME,
 )
-from ratslam_ros.simulator.simulation import (
-    STEP_NS,
-    ImageSample,
-    OdometrySample,
-    Sample,
-    ScanSample,
-)
+from ratslam_ros.simulator.samples import ImageSample, OdometrySample, Sample, ScanSample
+from ratslam_ros.simulator.simulation import STEP_NS
 
 PUMP_S = 0.01
 """So often time goes on, by as many steps as are due."""

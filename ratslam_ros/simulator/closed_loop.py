@@ -24,7 +24,8 @@ from ratslam_ros.core.route_following import Guidance
 from ratslam_ros.core.scan import Scan
 from ratslam_ros.core.steering import Command
 from ratslam_ros.core.torus import Place
-from ratslam_ros.simulator.simulation import ImageSample, OdometrySample, ScanSample, Simulator
+from ratslam_ros.simulator.samples import ImageSample, OdometrySample, ScanSample
+from ratslam_ros.simulator.simulation import Simulator
 
 Steering = Callable[[Scan], Command]
 

@@ -15,7 +15,7 @@ from ratslam_ros.simulator.camera import CameraOptions
 from ratslam_ros.simulator.floor_plan import FloorPlan, load_floor_plan
 from ratslam_ros.simulator.laser import LaserOptions
 from ratslam_ros.simulator.robot import RobotOptions
-from ratslam_ros.simulator.simulation import Happening, SimulationOptions, Simulator
+from ratslam_ros.simulator.simulation import ObstacleEvent, SimulationOptions, Simulator
 from ratslam_ros.simulator.world import WorldOptions
 
 NONE = 'none'
@@ -106,21 +106,19 @@ class SimulatorParameters(Section):
         )  # fmt: skip
 
 
-def make_simulator(p: SimulatorParameters, happenings: Sequence[Happening] = ()) -> Simulator:
-    """Return the simulator that is asked for; ``happenings`` besides the obstacles.
+def make_simulator(p: SimulatorParameters) -> Simulator:
+    """Return a simulator with these parameters.
 
     Raises:
         UnusableInput: there is no such plan, start or obstacle.
         UnusableParameter: the camera's rate does not fit.
     """
     plan = load_floor_plan(p.plan, p.cell_m or None)
-    return Simulator(
-        plan, start_of(p.start, plan), p.seed, p.options(),
-        [*obstacles_of(p.obstacles), *happenings], p.people,
-    )  # fmt: skip
+    start, obstacle_events = parse_start(p.start, plan), parse_obstacles(p.obstacles)
+    return Simulator(plan, start, p.seed, p.options(), obstacle_events, p.people)
 
 
-def start_of(text: str, plan: FloorPlan) -> Pose:
+def parse_start(text: str, plan: FloorPlan) -> Pose:
     """Return where to start: a place of the plan, `x,y,degrees`, or any place.
 
     Raises:
@@ -139,13 +137,13 @@ def start_of(text: str, plan: FloorPlan) -> Pose:
     return Pose(x_m, y_m, math.radians(degrees))
 
 
-def obstacles_of(text: str) -> list[Happening]:
+def parse_obstacles(text: str) -> list[ObstacleEvent]:
     """Return what happens to obstacles: `name,x,y,width,depth,from_s,to_s;...`, or none.
 
     Raises:
         UnusableInput: it is not that.
     """
-    happenings: list[Happening] = []
+    events: list[ObstacleEvent] = []
     for one in [] if text == NONE else text.split(';'):
         name, *rest = one.split(',')
         numbers = _numbers(rest)
@@ -155,15 +153,15 @@ def obstacles_of(text: str) -> list[Happening]:
                 'box,7.2,4.9,1,2,600,900'
             )
         x_m, y_m, width_m, depth_m, from_s = numbers[:5]
-        happenings.append(Happening(from_s, 'put', name, x_m, y_m, width_m, depth_m))
+        events.append(ObstacleEvent(from_s, 'add', name, x_m, y_m, width_m, depth_m))
         if len(numbers) == 6:
             if numbers[5] <= from_s:
                 raise UnusableInput(
                     f'the obstacle {name!r} is taken away at {numbers[5]:g} s, before it is put '
                     f'up at {from_s:g} s'
                 )
-            happenings.append(Happening(numbers[5], 'take', name))
-    return happenings
+            events.append(ObstacleEvent(numbers[5], 'remove', name))
+    return events
 
 
 def _numbers(texts: Sequence[str]) -> list[float] | None:

@@ -37,9 +37,6 @@ OFFICE = """
 ###########################
 """
 OFFICE_CELL_M = 0.7
-# Once round the building, then round its left wing, always counter-clockwise: a camera that looks
-# ahead recognises a place only in the direction in which it learned it.
-OFFICE_START, OFFICE_CIRCUIT = 'E', 'BCDAEFDAE'
 
 WALL, FREE = '#', '. '
 # Pixels at least as bright as this, of 0..255, are free.

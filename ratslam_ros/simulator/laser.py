@@ -47,7 +47,7 @@ class Laser:
         self._rng = rng
         self._options = options
 
-    def take(self, x_m: float, y_m: float, heading_rad: float) -> NDArray[np.float32]:
+    def scan(self, x_m: float, y_m: float, heading_rad: float) -> NDArray[np.float32]:
         """Scan from a pose on the free floor.
 
         Returns (beams,) float32 metres, infinite where nothing is within range

@@ -19,14 +19,10 @@ from rosbags.typesys import Stores, get_typestore
 
 from ratslam_ros.core.odometry import Pose
 from ratslam_ros.errors import UnusableInput
+from ratslam_ros.simulator.office_tour import OfficeTour
 from ratslam_ros.simulator.robot import OdometryReading
-from ratslam_ros.simulator.simulation import (
-    ImageSample,
-    Sample,
-    ScanSample,
-    Simulation,
-    SimulationOptions,
-)
+from ratslam_ros.simulator.samples import ImageSample, Sample, ScanSample
+from ratslam_ros.simulator.simulation import SimulationOptions
 from ratslam_ros.simulator.world import World
 
 IMAGE_TOPIC = '/camera/image/compressed'
@@ -81,11 +77,11 @@ def write_recording(
     The same seed gives the same bytes, for a folder of the same name.
     """
     options = replace(options or SimulationOptions(), laser=None)
-    simulation = Simulation(seed, duration_s, options)
+    tour = OfficeTour(seed, duration_s, options)
     believed: list[Pose] = []
     images = 0
     with RecordingWriter(path, options) as writer:
-        for sample in simulation:
+        for sample in tour:
             writer.write(sample)
             if isinstance(sample, ImageSample):
                 images += 1
@@ -95,7 +91,7 @@ def write_recording(
     return SimulatedRun(
         writer.path,
         writer.path / TRUTH_FILE,
-        simulation.world,
+        tour.world,
         (stamps_ns[-1] - stamps_ns[0]) / 1e9,
         images,
         np.array(stamps_ns, np.int64),

@@ -80,7 +80,7 @@ class World:
             )
         return np.stack([rows[within], columns[within]], axis=1)
 
-    def put(self, name: str, cells: NDArray[np.intp]) -> None:
+    def add_obstacle(self, name: str, cells: NDArray[np.intp]) -> None:
         """Put up an obstacle of cardboard, from the floor to the ceiling."""
         if name in self.obstacles:
             raise UnusableInput(f'there is an obstacle {name!r} already: take it away first')
@@ -94,7 +94,7 @@ class World:
             self.panel_u_m[rows, columns, side] = (along * self.plan.cell_m) % PANEL_WIDTH_M
         self.obstacles[name] = cells
 
-    def take(self, name: str) -> None:
+    def remove_obstacle(self, name: str) -> None:
         """Take an obstacle away."""
         if name not in self.obstacles:
             known = ', '.join(self.obstacles) or 'none'

@@ -5,7 +5,9 @@ import pytest
 
 from ratslam_ros.simulator.aliasing import measure_aliasing, nearest_errors
 from ratslam_ros.simulator.camera import CameraOptions
-from ratslam_ros.simulator.simulation import ImageSample, SimulationOptions, simulate
+from ratslam_ros.simulator.office_tour import OfficeTour
+from ratslam_ros.simulator.samples import ImageSample
+from ratslam_ros.simulator.simulation import SimulationOptions
 from ratslam_ros.simulator.world import WorldOptions
 
 
@@ -39,7 +41,7 @@ def shares(aliasing):
     options = SimulationOptions(
         camera=CameraOptions(rate_hz=2), world=WorldOptions(aliasing=aliasing)
     )
-    samples = [s for s in simulate(2, options=options) if isinstance(s, ImageSample)]
+    samples = [s for s in OfficeTour(2, options=options) if isinstance(s, ImageSample)]
     poses = np.array([(s.truth.x_m, s.truth.y_m, s.truth.heading_rad) for s in samples])
     views = np.stack([templates(s.image) for s in samples])
     return measure_aliasing(views, poses, threshold=0.05, shift=1)

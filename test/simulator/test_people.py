@@ -96,8 +96,8 @@ def test_obstacles_make_people_step_aside_and_take_another_way():
     simulator = Simulator(LOOP, Pose(*LOOP.places['S'], 0.0), 2, BLIND, people=4)
     walk(simulator, 5.0)
     x_m, y_m, _, _ = simulator.world.people[0]
-    simulator.put_obstacle('on somebody', x_m, y_m, 1.0, 1.0)
-    simulator.put_obstacle('box', *LOOP.places['X'], 0.8, 2.0)
+    simulator.add_obstacle('on somebody', x_m, y_m, 1.0, 1.0)
+    simulator.add_obstacle('box', *LOOP.places['X'], 0.8, 2.0)
     with_boxes = replace(LOOP, solid=simulator.world.solid)
     for positions in walk(simulator, 120.0):
         for x_m, y_m in positions:
