@@ -15,12 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import convolve1d
 
+from ratslam_ros.core.common.odometry import Motion, Odometry, Twist
+from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.config import LocalViewParameters, PoseCellsParameters
-from ratslam_ros.core.local_view import ViewMatch
-from ratslam_ros.core.odometry import Motion, Odometry, Pose, Twist
-from ratslam_ros.core.pose_cells import Action, MapAction
-from ratslam_ros.core.scan import Scan
-from ratslam_ros.core.torus import Place
+from ratslam_ros.core.pose_cells.pose_cells import Action, MapAction
+from ratslam_ros.core.pose_cells.torus import Place
+from ratslam_ros.core.vision.local_view import ViewMatch
 
 START_NS = 1_700_000_000_000_000_000
 PERIOD_NS = 100_000_000

@@ -16,16 +16,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry, moved
+from ratslam_ros.core.common.pose import Pose, composed
+from ratslam_ros.core.common.scan import Scan
+from ratslam_ros.core.common.stamp_order import Counts, Released, StampOrder
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.experience_map import ExperienceMap, Forgotten
-from ratslam_ros.core.goal_memory import GoalMemory
-from ratslam_ros.core.local_view import UNDECODABLE, LocalView, ViewMatch
-from ratslam_ros.core.odometry import MotionFromOdometry, Odometry, Pose, composed, moved
-from ratslam_ros.core.order import Counts, Released, StampOrder
-from ratslam_ros.core.pose_cells import MapAction, PoseCells
-from ratslam_ros.core.scan import Scan
-from ratslam_ros.core.scan_alignment import ScanAlignment
-from ratslam_ros.core.visual_odometry import VisualOdometry
+from ratslam_ros.core.goal_memory.goal_memory import GoalMemory
+from ratslam_ros.core.mapping.experience_map import ExperienceMap, Forgotten
+from ratslam_ros.core.mapping.scan_matching import ScanMatcher
+from ratslam_ros.core.pose_cells.pose_cells import MapAction, PoseCells
+from ratslam_ros.core.vision.local_view import UNDECODABLE, LocalView, ViewMatch
+from ratslam_ros.core.vision.visual_odometry import VisualOdometry
 from ratslam_ros.errors import UnusableParameter
 
 Stopwatch = Callable[[str], AbstractContextManager[object]]
@@ -86,7 +87,7 @@ class RatSLAM:
         """Learns beside the map, where ``goal_memory.goal_memory`` is set."""
         if config.goal_memory.goal_memory:
             self.goal_memory = GoalMemory(config.goal_memory, config.pose_cells)
-        self.scans = ScanAlignment() if config.experience_map.exp_align_scans else None
+        self.scans = ScanMatcher() if config.experience_map.exp_align_scans else None
         """Tells where at a recognised place the robot is, where there is a laser."""
         self.dead_reckoning = self.experience_map.origin
         self.order: StampOrder[Odometry | ViewMatch] = StampOrder(
@@ -128,9 +129,9 @@ class RatSLAM:
         if image is not None:
             if self.visual_odometry is not None:
                 with self._fitting(), self._watch('visual_odometry'):
-                    odometry = self.visual_odometry(stamp_ns, image)
+                    odometry = self.visual_odometry.estimate(stamp_ns, image)
             with self._fitting(), self._watch('local_view'):
-                match = self.local_view(image)
+                match = self.local_view.match(image)
                 self._looked = True
         steps = [] if odometry is None else self.odometry(odometry.as_received())
         return steps + self.template(stamp_ns, match)
@@ -174,7 +175,7 @@ class RatSLAM:
         ]
 
     def _move(self, odometry: Odometry) -> OdometryStep:
-        motion = self._motion(odometry)
+        motion = self._motion.update(odometry)
         if motion is not None:
             with self._watch('pose_cells'):
                 self.pose_cells.integrate(motion)
@@ -197,10 +198,10 @@ class RatSLAM:
             at, sight = self.experience_map, None
             if self.scans is not None:
                 expected = at.seen_from(action.target_id)
-                sight = self.scans(stamp_ns, action, at.current_id, at.offset, expected)
-            before = at.jumps.refused
+                sight = self.scans.locate(stamp_ns, action, at.current_id, at.offset, expected)
+            before = at.gate.refused
             forgotten = at.apply(action, self.behaviour, sight)
-            refused = at.jumps.refused > before
+            refused = at.gate.refused > before
             if refused and self.scans is not None:
                 self.scans.refused()
         return ViewStep(stamp_ns, match, action, forgotten, refused)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ratslam_ros.core.odometry import Pose
+from ratslam_ros.core.common.pose import Pose
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ class WheelOdometry:
 def after_arc(pose: Pose, distance_m: float, turn_rad: float) -> Pose:
     """Return the pose at the end of an arc of constant curvature.
 
-    Not the same as `core.odometry.moved`, from which it may differ in the last bit.
+    Not the same as `core.common.odometry.moved`, from which it may differ in the last bit.
 
     Args:
         pose: start of the arc.

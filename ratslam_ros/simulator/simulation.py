@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ratslam_ros.core.odometry import Pose
+from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.simulator.bodies import fits, slide
 from ratslam_ros.simulator.camera import Camera, CameraOptions

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from floor_clearance import clearance_m
 
-from ratslam_ros.core.odometry import Pose
+from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.simulator.camera import Camera, CameraOptions
 from ratslam_ros.simulator.floor_plan import load_floor_plan, parse_floor_plan

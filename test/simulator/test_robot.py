@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from ratslam_ros.core.odometry import Pose
+from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.simulator.robot import Robot, RobotOptions, WheelOdometry, after_arc
 
 EXACT = RobotOptions(
