@@ -46,7 +46,8 @@ from ratslam_ros.simulator.closed_loop import ClosedLoop
 from ratslam_ros.simulator.config import SimulatorParameters, make_simulator
 from ratslam_ros.simulator.drive import DriveOptions, Driver
 from ratslam_ros.simulator.picture import draw_plan
-from ratslam_ros.simulator.trials import Driven, Trial, attempt, choose_goals
+from ratslam_ros.simulator.shortest_paths import DrivenGraph
+from ratslam_ros.simulator.trials import Trial, attempt, choose_goals
 
 Job = TypeVar('Job')
 Row = TypeVar('Row')
@@ -429,8 +430,8 @@ def by_goal_memory(
     assert memory is not None
     goal = memory.goal(name)
     simulator = loop.simulator
-    way = Driven(loop.log.truths()).way(simulator.truth, at_m)
-    length_m = way.length_m if way else 50.0
+    path = DrivenGraph(loop.log.truths()).shortest_path(simulator.truth, at_m)
+    length_m = path.length_m if path else 50.0
     began_s = loop.now_s
     end_s = began_s + 3.0 * length_m / loop.config.goal_follower.speed_mps + 10.0
     tries = 0

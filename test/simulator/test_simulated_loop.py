@@ -74,7 +74,7 @@ def test_exploring_makes_a_map_and_a_log_of_it():
     rows = len(log.stamp_ns)
     assert rows == pytest.approx(80 * 20, abs=3)
     assert {
-        len(column) for column in (log.truth, log.believed, log.dead_reckoning,
+        len(column) for column in (log.truth, log.estimated, log.dead_reckoning,
                                    log.experience_id, log.packet)
     } == {rows}  # fmt: skip
     assert set(np.diff(log.stamp_ns)) == {50_000_000}
@@ -144,10 +144,10 @@ def test_a_robot_that_was_carried_finds_out_where_it_is(seed):
     closures = len(log.closures_ns)
     there = log.truth[len(log.truth) * 2 // 3]
     assert apart_m(there, loop.simulator.truth) > 2.0
-    believed = log.believed[-1]
+    believed = log.estimated[-1]
     loop.simulator.carry(there)
     loop.explore(0.2)  # nothing has told it
-    assert apart_m(log.believed[-1], believed) < 0.3
+    assert apart_m(log.estimated[-1], believed) < 0.3
 
     def off_m():
         """How much further it believes to be from the nearest old experience than it is."""

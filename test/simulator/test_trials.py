@@ -13,8 +13,9 @@ from ratslam_ros.core.config import Config
 from ratslam_ros.core.config.goal_follower import GoalFollowerParameters
 from ratslam_ros.simulator.closed_loop import ClosedLoop
 from ratslam_ros.simulator.floor_plan import load_floor_plan, parse_floor_plan
+from ratslam_ros.simulator.shortest_paths import DrivenGraph, FloorGraph, FloorPath
 from ratslam_ros.simulator.simulation import SimulationOptions, Simulator
-from ratslam_ros.simulator.trials import Driven, Floor, Trial, Way, attempt, choose_goals
+from ratslam_ros.simulator.trials import Trial, attempt, choose_goals
 
 ROOM = parse_floor_plan('\n'.join(['#' * 12, *['#..........#'] * 10, '#' * 12]), 0.5)
 WALLED = parse_floor_plan(
@@ -25,14 +26,14 @@ P = GoalFollowerParameters(speed_mps=0.5, braking_mps2=0.25, turn_rate_radps=1.0
 
 
 def way(*points):
-    return Way(np.array(points, np.float64))
+    return FloorPath(np.array(points, np.float64))
 
 
 @pytest.mark.parametrize('degrees', range(0, 91, 9))
 def test_the_way_across_a_room_is_as_long_as_a_straight_line(degrees):
     start = Pose(1.0, 1.0, 0.0)
     goal = 1.0 + 3.5 * math.cos(math.radians(degrees)), 1.0 + 3.5 * math.sin(math.radians(degrees))
-    found = Floor(ROOM.solid, ROOM.cell_m, RADIUS_M).way(start, goal)
+    found = FloorGraph(ROOM.solid, ROOM.cell_m, RADIUS_M).shortest_path(start, goal)
     assert 3.5 - 1e-9 <= found.length_m <= 3.5 * 1.04
     assert found.positions_m[0].tolist() == [1.0, 1.0]
     assert tuple(found.positions_m[-1]) == goal
@@ -40,7 +41,7 @@ def test_the_way_across_a_room_is_as_long_as_a_straight_line(degrees):
 
 def test_the_way_goes_round_walls_with_room_for_the_body():
     start, goal = Pose(1.0, 5.0, 0.0), (5.0, 5.0)
-    found = Floor(WALLED.solid, WALLED.cell_m, RADIUS_M).way(start, goal)
+    found = FloorGraph(WALLED.solid, WALLED.cell_m, RADIUS_M).shortest_path(start, goal)
     assert 8.0 < found.length_m < 9.5
     assert min(clearance_m(WALLED, x, y) for x, y in found.positions_m) >= RADIUS_M - 1e-9
 
@@ -48,27 +49,28 @@ def test_the_way_goes_round_walls_with_room_for_the_body():
 def test_there_is_no_way_through_walls_or_off_the_plan():
     solid = WALLED.solid.copy()
     solid[:, 5] = True
-    floor = Floor(solid, WALLED.cell_m, RADIUS_M)
-    assert floor.way(Pose(1.0, 5.0, 0.0), (5.0, 5.0)) is None
-    assert floor.way(Pose(1.0, 5.0, 0.0), (50.0, 5.0)) is None
-    assert Floor(np.ones_like(solid), 0.5, RADIUS_M).way(Pose(1.0, 5.0, 0.0), (2.0, 5.0)) is None
+    floor = FloorGraph(solid, WALLED.cell_m, RADIUS_M)
+    assert floor.shortest_path(Pose(1.0, 5.0, 0.0), (5.0, 5.0)) is None
+    assert floor.shortest_path(Pose(1.0, 5.0, 0.0), (50.0, 5.0)) is None
+    no_room = FloorGraph(np.ones_like(solid), 0.5, RADIUS_M)
+    assert no_room.shortest_path(Pose(1.0, 5.0, 0.0), (2.0, 5.0)) is None
 
 
 def test_driven_ways_lead_only_where_the_robot_has_been_and_where_it_still_fits():
     t = np.linspace(0.0, 1.0, 200)[:, None]
     corners = np.array([[1.0, 5.0], [1.0, 1.0], [5.0, 1.0], [5.0, 5.0]])
     path = np.concatenate([a + t * (b - a) for a, b in pairwise(corners)])
-    driven = Driven(path)
+    driven = DrivenGraph(path)
     assert len(driven.positions_m) < 150
     start = Pose(1.0, 5.0, 0.0)
-    assert driven.way(start, (5.0, 5.0)).length_m == pytest.approx(12.0, abs=0.3)
-    assert driven.way(start, (3.0, 5.0)) is None
+    assert driven.shortest_path(start, (5.0, 5.0)).length_m == pytest.approx(12.0, abs=0.3)
+    assert driven.shortest_path(start, (3.0, 5.0)) is None
     # Driving it twice, or to and fro, makes no other ways.
-    again = Driven(np.concatenate([path, path[::-1]]))
-    assert again.way(start, (5.0, 5.0)).length_m == pytest.approx(12.0, abs=0.3)
+    again = DrivenGraph(np.concatenate([path, path[::-1]]))
+    assert again.shortest_path(start, (5.0, 5.0)).length_m == pytest.approx(12.0, abs=0.3)
     solid = ROOM.solid.copy()
     solid[1:4, 6] = True
-    assert driven.without(solid, 0.5, RADIUS_M).way(start, (5.0, 5.0)) is None
+    assert driven.without(solid, 0.5, RADIUS_M).shortest_path(start, (5.0, 5.0)) is None
 
 
 def test_the_shortest_time_counts_turning_starting_and_stopping():
