@@ -67,7 +67,7 @@ class ClosedLoop:
 
     Attributes:
         tries_failed: number of behaviours of the goal follower that timed out without progress.
-        links_unlearned: number of links of the experience map marked as blocked because of them.
+        links_unlearned: number of links that the experience map unlearned because of them.
     """
 
     def __init__(self, simulator: Simulator, config: Config, exploring_seed: int) -> None:

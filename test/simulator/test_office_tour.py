@@ -14,7 +14,7 @@ from ratslam_ros.simulator.office_tour import OfficeTour
 from ratslam_ros.simulator.samples import ImageSample, OdometrySample
 from ratslam_ros.simulator.simulation import START_STAMP_NS, SimulationOptions
 
-# A camera that costs nothing: these tests look at the motion only.
+# Tiny images at a low rate: these tests check the motion only.
 BLIND = SimulationOptions(camera=CameraOptions(width=4, height=2, rate_hz=1))
 
 
@@ -27,7 +27,7 @@ def poses(samples):
     return np.array([(s.truth.x_m, s.truth.y_m, s.truth.heading_rad) for s in samples])
 
 
-def test_corners_are_rounded_and_points_equally_spaced():
+def test_rounded_path_has_radius_and_equal_spacing():
     path = rounded_path([(0.0, 0.0), (5.0, 0.0), (5.0, 5.0)], corner_radius_m=1.0)
     steps_m = np.hypot(*np.diff(path, axis=0).T)
     assert np.allclose(steps_m, 0.05, atol=1e-3)
@@ -35,7 +35,7 @@ def test_corners_are_rounded_and_points_equally_spaced():
     assert centre_m.min() == pytest.approx(1.0, abs=2e-3)
 
 
-def test_stamps_are_those_of_a_robot_with_20_hz_odometry_and_an_8_hz_camera():
+def test_tour_yields_odometry_at_20_hz_images_at_8():
     samples = list(OfficeTour(0, duration_s=3.0))
     odometry = [s.stamp_ns for s in samples if isinstance(s, OdometrySample)]
     images = [s.stamp_ns for s in samples if isinstance(s, ImageSample)]
@@ -49,12 +49,12 @@ def test_stamps_are_those_of_a_robot_with_20_hz_odometry_and_an_8_hz_camera():
         )
 
 
-def test_camera_rate_that_does_not_fit_is_refused():
+def test_camera_rate_not_dividing_steps_is_refused():
     with pytest.raises(UnusableParameter, match='7'):
         OfficeTour(0, options=SimulationOptions(camera=CameraOptions(rate_hz=7)))
 
 
-def test_same_seed_same_samples_and_another_seed_others():
+def test_equal_seeds_give_equal_tours():
     runs = [list(OfficeTour(seed, duration_s=1.0)) for seed in (7, 7, 8)]
     first, again, other = runs
     images = [[s.image for s in run if isinstance(s, ImageSample)] for run in runs]
@@ -64,12 +64,12 @@ def test_same_seed_same_samples_and_another_seed_others():
     assert not np.array_equal(poses(first), poses(other))
 
 
-def test_longer_duration_only_adds_to_a_run():
+def test_longer_tour_starts_like_shorter_one():
     short, long = (list(OfficeTour(1, duration_s=s, options=BLIND)) for s in (2.0, 5.0))
     assert np.array_equal(poses(short), poses(long)[: len(short)])
 
 
-def test_tour_takes_minutes_at_walking_pace_with_rests(tour):
+def test_tour_has_expected_duration_speed_and_stops(tour):
     duration_s = (tour[-1].stamp_ns - tour[0].stamp_ns) / 1e9
     assert 360.0 < duration_s < 480.0
     speeds_mps = np.array([s.odometry.speed_mps for s in tour])
@@ -80,13 +80,13 @@ def test_tour_takes_minutes_at_walking_pace_with_rests(tour):
     assert np.abs(np.diff(speeds_mps)).max() < 0.1
 
 
-def test_robot_keeps_clear_of_the_walls(tour):
+def test_tour_keeps_distance_from_walls(tour):
     plan = office()
     clearances_m = [clearance_m(plan, s.truth.x_m, s.truth.y_m) for s in tour[::10]]
     assert min(clearances_m) > 0.4
 
 
-def test_places_are_visited_again_in_the_same_direction_but_not_in_the_same_lane(tour):
+def test_tour_revisits_places_with_lateral_offset(tour):
     seen = poses(tour[::10])
     turn_rad = np.angle(np.exp(1j * (seen[:, None, 2] - seen[None, :, 2])))
     distance_m = np.hypot(*(seen[:, None, :2] - seen[None, :, :2]).transpose(2, 0, 1))
@@ -98,10 +98,10 @@ def test_places_are_visited_again_in_the_same_direction_but_not_in_the_same_lane
     assert 0.01 < np.median(closest_m[np.isfinite(closest_m)]) < 0.2
 
 
-def test_dead_reckoning_is_metres_off_after_the_tour(tour):
+def test_tour_dead_reckoning_error_is_metres(tour):
     truth = np.array([s.truth.x_m + 1j * s.truth.y_m for s in tour])
-    believed = np.array([s.odometry.pose.x_m + 1j * s.odometry.pose.y_m for s in tour])
-    truth, believed = truth - truth.mean(), believed - believed.mean()
-    turn = np.vdot(believed, truth)
-    ate_m = np.sqrt(np.mean(np.abs(truth - turn / abs(turn) * believed) ** 2))
+    reckoned = np.array([s.odometry.pose.x_m + 1j * s.odometry.pose.y_m for s in tour])
+    truth, reckoned = truth - truth.mean(), reckoned - reckoned.mean()
+    turn = np.vdot(reckoned, truth)
+    ate_m = np.sqrt(np.mean(np.abs(truth - turn / abs(turn) * reckoned) ** 2))
     assert 1.0 < ate_m < 6.0

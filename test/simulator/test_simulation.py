@@ -52,7 +52,7 @@ def same(first, second):
     return True
 
 
-def test_samples_come_when_due_odometry_before_scan_before_image():
+def test_step_returns_due_samples_in_order():
     simulator = Simulator(LOOP, START, 0, SMALL)
     assert simulator.stamp_ns == START_STAMP_NS
     assert [type(sample) for sample in simulator.step()] == [
@@ -65,7 +65,7 @@ def test_samples_come_when_due_odometry_before_scan_before_image():
     assert sum(isinstance(s, ImageSample) for s in samples) == 80
 
 
-def test_sensors_that_are_not_there_give_nothing_and_disturb_nothing():
+def test_absent_sensors_do_not_change_motion():
     with_all, without = Simulator(LOOP, START, 3, SMALL), Simulator(LOOP, START, 3, BLIND)
     for simulator in (with_all, without):
         simulator.command(0.4, 0.1)
@@ -74,7 +74,7 @@ def test_sensors_that_are_not_there_give_nothing_and_disturb_nothing():
     assert with_all.truth == without.truth
 
 
-def test_command_holds_and_the_way_is_measured():
+def test_command_holds_until_next_and_odometer_counts():
     simulator = Simulator(LOOP, START, 1, BLIND)
     simulator.command(0.4, 0.0)
     run(simulator, 12.0)
@@ -88,18 +88,18 @@ def test_command_holds_and_the_way_is_measured():
     assert simulator.truth == at
 
 
-def test_robot_in_front_of_a_wall_stops_while_its_wheels_turn_on():
+def test_robot_at_wall_stops_while_wheels_turn():
     simulator = Simulator(LOOP, Pose(START.x_m, START.y_m, math.pi), 1, BLIND)
     simulator.command(0.3, 0.0)
     samples = run(simulator, 20.0)
-    # Some slip turns it a little, and along the wall it slides; but not through.
+    # Slip turns the robot slightly, so that it slides along the wall.
     assert clearance_m(LOOP, simulator.truth.x_m, simulator.truth.y_m) >= RADIUS_M - 1e-6
     assert simulator.odometer_m < 3.0
     assert samples[-1].odometry.pose.x_m == pytest.approx(5.8, abs=0.2)
     assert simulator.collisions >= 1
 
 
-def test_each_touch_counts_once():
+def test_each_contact_counts_as_one_collision():
     simulator = Simulator(LOOP, Pose(START.x_m, START.y_m, math.pi), 1, BLIND)
     for touches in (1, 2, 3):
         simulator.command(0.3, 0.0)
@@ -116,7 +116,7 @@ def test_each_touch_counts_once():
     st.sampled_from('Secg'),
     st.integers(0, 2**32),
 )
-def test_body_never_enters_walls_obstacles_or_people(commands, place, seed):
+def test_robot_never_overlaps_walls_obstacles_people(commands, place, seed):
     plan = load_floor_plan('university_floor')
     start = Pose(*plan.places[place], 0.3)
     simulator = Simulator(plan, start, seed, BLIND, people=10)
@@ -132,7 +132,7 @@ def test_body_never_enters_walls_obstacles_or_people(commands, place, seed):
         assert apart_m.min() >= RADIUS_M + PERSON_RADIUS_M - 1e-6
 
 
-def test_same_seed_same_samples_and_another_seed_others():
+def test_equal_seeds_give_equal_samples():
     def drive(seed):
         options = SimulationOptions(
             camera=CameraOptions(width=16, height=12), world=WorldOptions(light_change=0.15)
@@ -147,15 +147,15 @@ def test_same_seed_same_samples_and_another_seed_others():
     assert not same(first, drive(2))
 
 
-def test_being_carried_is_noticed_by_no_wheel():
-    relocated, left = Simulator(LOOP, START, 1, BLIND), Simulator(LOOP, START, 1, BLIND)
-    for simulator in (relocated, left):
+def test_carry_changes_pose_but_not_odometry():
+    relocated, undisturbed = Simulator(LOOP, START, 1, BLIND), Simulator(LOOP, START, 1, BLIND)
+    for simulator in (relocated, undisturbed):
         simulator.command(0.3, 0.0)
         run(simulator, 2.0)
     relocated.carry(Pose(*LOOP.places['b'], math.pi / 2))
     assert relocated.truth == Pose(*LOOP.places['b'], math.pi / 2)
     odometer_m = relocated.odometer_m
-    for a, b in zip(run(relocated, 3.0), run(left, 3.0), strict=True):
+    for a, b in zip(run(relocated, 3.0), run(undisturbed, 3.0), strict=True):
         assert a.odometry == b.odometry
     assert relocated.odometer_m == pytest.approx(odometer_m + 0.9, abs=0.05)
     with pytest.raises(UnusableInput, match='does not fit'):
@@ -164,15 +164,15 @@ def test_being_carried_is_noticed_by_no_wheel():
         relocated.carry(Pose(-5.0, 1.0, 0.0))
 
 
-def test_obstacle_blocks_the_corridor_and_is_gone_again():
+def test_obstacle_event_blocks_corridor_until_removed():
     events = [ObstacleEvent(30.0, 'remove', 'box'), ObstacleEvent(0.0, 'add', 'box', *BOX)]
     simulator = Simulator(LOOP, START, 1, SMALL, events)
     simulator.command(0.6, 0.0)
     before = run(simulator, 0.1)
-    first_cut = next(s for s in before if isinstance(s, ScanSample))
-    assert first_cut.ranges_m[90] == pytest.approx(BOX[0] - 0.4 - START.x_m, abs=0.2)
+    first_scan = next(s for s in before if isinstance(s, ScanSample))
+    assert first_scan.ranges_m[90] == pytest.approx(BOX[0] - 0.4 - START.x_m, abs=0.2)
     for _ in range(29 * 40):
-        # Steered along the middle by somebody who knows where it is.
+        # Steer along the middle of the corridor by the true pose.
         aside_m = simulator.truth.y_m - START.y_m
         simulator.command(0.6, -0.8 * aside_m - 1.5 * simulator.truth.heading_rad)
         simulator.step()
@@ -184,7 +184,7 @@ def test_obstacle_blocks_the_corridor_and_is_gone_again():
     assert simulator.truth.x_m > BOX[0] + 1.0
 
 
-def test_obstacle_is_seen_by_the_camera_and_leaves_no_trace():
+def test_obstacle_changes_image_until_removed():
     options = SimulationOptions(
         camera=CameraOptions(width=32, height=24, noise_grey=0.0, exposure_spread=0.0)
     )
@@ -195,7 +195,7 @@ def test_obstacle_is_seen_by_the_camera_and_leaves_no_trace():
     assert np.array_equal(images[0], images[20])
 
 
-def test_obstacles_that_cannot_be_are_refused_and_change_nothing():
+def test_unusable_obstacles_are_refused_without_changes():
     simulator = Simulator(LOOP, START, 1, BLIND)
     solid = simulator.world.solid.copy()
     with pytest.raises(UnusableInput, match='on the robot'):
@@ -215,7 +215,7 @@ def test_obstacles_that_cannot_be_are_refused_and_change_nothing():
         ObstacleEvent(1.0, 'burn', 'box')
 
 
-def test_bad_starts_rates_and_commands_are_refused():
+def test_unusable_starts_rates_and_commands_are_refused():
     with pytest.raises(UnusableInput, match='does not fit'):
         Simulator(LOOP, Pose(0.2, 0.2, 0.0), 0, BLIND)
     with pytest.raises(UnusableParameter, match='laser cannot take 7'):
@@ -227,7 +227,7 @@ def test_bad_starts_rates_and_commands_are_refused():
     assert max(s.odometry.speed_mps for s in run(fast, 6.0)) < 1.7
 
 
-def test_light_drifts_over_minutes_by_the_share_asked_for():
+def test_light_drift_has_requested_size_and_is_smooth():
     rng = np.random.Generator(np.random.PCG64(5))
     world = build_world(office(), rng)
     drift = LightDrift(world, rng, 0.12)
@@ -237,13 +237,13 @@ def test_light_drifts_over_minutes_by_the_share_asked_for():
         lights.append(world.light.copy())
     lights = np.array(lights)
     assert 0.06 < lights.std(axis=0).mean() < 0.2
-    # Smoothly, and not everywhere alike.
+    # Smooth in time, and different from place to place.
     assert np.abs(np.diff(lights, axis=0)).max() < 0.05
     assert np.ptp(lights[-1] - lights[0]) > 0.05
     assert lights.min() > 0.1
 
 
-def test_light_changes_only_where_it_is_asked_for():
+def test_light_change_zero_keeps_light_constant():
     for change, changes in ((0.0, False), (0.12, True)):
         options = SimulationOptions(
             camera=None, laser=None, world=WorldOptions(light_change=change)
