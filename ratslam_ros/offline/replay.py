@@ -149,7 +149,7 @@ class _Run:
         self._recording = recording
         self._config = config
         self._folder = folder
-        self._without_scans = self.slam.scans is not None and selection.scan_topic is None
+        self._without_scans = self.slam.scan_matcher is not None and selection.scan_topic is None
         self._unused: Counter[str] = Counter()
         self._why_unused: dict[str, str] = {}
         self._start_s = time.perf_counter()

@@ -86,7 +86,7 @@ class ClosedLoop:
         )
         self.follower = GoalFollower(config.goal_follower)
         self.navigator = Navigator(config.goal_recall, self.experience_map)
-        self.experience_map.on_forgotten.append(self.navigator.forgotten)
+        self.experience_map.on_pruned.append(self.navigator.forgotten)
         self.guidance = Guidance('idle')
         self.tries_failed = self.links_unlearned = 0
         self.log = Log()
@@ -171,7 +171,7 @@ class ClosedLoop:
             self.tries_failed += 1
             if self.navigator.report_blocked():
                 ahead_rad = wrap(pose.heading_rad + command.ahead_rad)
-                self.links_unlearned += graph.fail(command.behaviour, ahead_rad, pose)
+                self.links_unlearned += graph.report_blocked(command.behaviour, ahead_rad, pose)
         return command
 
     def _move(self, sample: OdometrySample) -> None:
@@ -197,7 +197,7 @@ class ClosedLoop:
             if action.action == 'create':
                 heading_rad = wrap(truth.heading_rad - action.relative_rad)
                 self.log.truth_of[action.target_id] = truth._replace(heading_rad=heading_rad)
-            elif action.action == 'none' or step.refused:
+            elif action.action == 'none' or step.rejected:
                 continue
             elif action.target_id < len(self.experience_map) - NEWEST_COUNT:
                 self.log.closures_ns.append(step.stamp_ns)

@@ -114,7 +114,7 @@ for n in range(40):
     for located in (True, False):
         navigator.update(n * 10**8, located=located)
     graph.integrate(Motion(0.1, 0.1, 0.03))
-    graph.fail('turn', 0.1 * n)
+    graph.report_blocked('turn', 0.1 * n)
 """
 )
 

@@ -107,8 +107,8 @@ class ScanMatcher:
         self._track.clear()
         self._variance_m2 = self._variance_before_m2 = math.inf
 
-    def refused(self) -> None:
-        """Take note that the map did not believe the last action: the robot is where it was."""
+    def undo_last(self) -> None:
+        """Restore the variance from before the last action, which the map rejected."""
         self._variance_m2 = self._variance_before_m2
 
     def locate(

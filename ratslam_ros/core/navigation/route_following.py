@@ -132,7 +132,7 @@ class RouteFollowing:
         self._unknown_m = self._stray_m = 0.0
         self._known_m = 0.0
         """How far the robot had come when it last was at an experience that it knew."""
-        self._scans_fitted_m = 0.0
+        self._scan_confirmed_m = 0.0
         self._longer_since_ns: int | None = None
         self._near: tuple[float, int] | None = None
         """The closest that the robot has come to the goal since it was within its radius, and
@@ -262,10 +262,10 @@ class RouteFollowing:
     def _recognise(self, here: Pose) -> None:
         """Add up how far the robot has come from where it had been before it lost its way."""
         graph = self._map
-        fit = graph.scans_fitted_m > self._scans_fitted_m
+        fit = graph.scan_confirmed_m > self._scan_confirmed_m
         if self._last is None or fit or graph.made_m(graph.current_id) <= self._known_m:
             self._unknown_m, self._known_m = 0.0, graph.odometer_m
-            self._scans_fitted_m = graph.scans_fitted_m
+            self._scan_confirmed_m = graph.scan_confirmed_m
         if self._last is not None:
             step_m = math.hypot(here.x_m - self._last.x_m, here.y_m - self._last.y_m)
             self._unknown_m += min(step_m, LONGEST_STEP_M)

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers import restored
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -256,7 +257,7 @@ def test_many_small_sweeps_end_at_the_same_fixed_point() -> None:
     close(graph)
     slow = replace(PARAMETERS, exp_relaxation='sweep', exp_loops=10_000, exp_correction=0.002)
     expected = fixed_point(graph)
-    graph._p = slow
+    graph = restored(graph, slow)
     for _ in range(40):
         graph.apply(action('none', 0, 0))
     assert apart(graph.poses, expected) < 5e-3

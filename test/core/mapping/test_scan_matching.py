@@ -185,12 +185,12 @@ def test_along_a_bare_corridor_view_and_map_tell_together(
 
 def test_what_the_map_refused_tells_nothing_of_how_sure_it_is() -> None:
     found = []
-    for refused in (False, True):
+    for undo_last in (False, True):
         scans = ScanMatcher()
         tick = known_in_a_corridor(scans, 300.0)
-        if refused:
+        if undo_last:
             scans.locate(tick * TICK_NS, action('link', 0), -1, HERE, Pose(50.0, 0.0, 0.0))
-            scans.refused()
+            scans.undo_last()
         expected = Pose(0.6, 0.0, 0.0)
         match = scans.locate(tick * TICK_NS, action('link', 0), -1, HERE, expected)
         found.append(match.from_target)
@@ -338,8 +338,8 @@ def test_the_map_takes_what_the_scans_tell() -> None:
     graph.integrate(Motion(1.0, 1.0, 0.0))
     graph.apply(MapAction('create', 0, 1, 1, 0.0, place))
     graph.integrate(Motion(1.0, -0.8, 0.0))
-    sight = ScanMatch(Pose(-0.9, 0.0, 0.0), Pose(0.1, 0.0, 0.0))
-    graph.apply(MapAction('link', 1, 0, 0, 0.0, place), sight=sight)
+    scan_match = ScanMatch(Pose(-0.9, 0.0, 0.0), Pose(0.1, 0.0, 0.0))
+    graph.apply(MapAction('link', 1, 0, 0, 0.0, place), scan_match=scan_match)
     assert graph.pose == pytest.approx((0.1, 0.0, 0.0))
     assert graph.link_shapes[1] == pytest.approx((1.0, math.pi, 0.0))  # no contradiction
     graph.settle()

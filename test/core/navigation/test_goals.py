@@ -130,7 +130,7 @@ def test_what_no_link_leads_to_is_refused() -> None:
 
 def test_a_place_stays_where_its_experience_is_forgotten() -> None:
     graph, goals = line(), Goals()
-    graph.on_forgotten.append(goals.forgotten)
+    graph.on_pruned.append(goals.forgotten)
     goals.name_place(graph, 'last')
     go(graph, 2, -2.0)
     graph.integrate(Motion(1.0, 0.2, 0.0))
@@ -167,7 +167,7 @@ def test_a_place_that_pruning_left_far_off_is_told_from_where_it_is(
 
 def test_a_place_that_nothing_stands_in_for_is_found_where_it_was() -> None:
     graph, goals = line(), Goals()
-    graph.on_forgotten.append(goals.forgotten)
+    graph.on_pruned.append(goals.forgotten)
     go(graph, 5, linked=False)
     graph.integrate(Motion(1.0, -1.3, 0.0))
     goals.name_place(graph, 'island')

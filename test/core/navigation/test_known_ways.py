@@ -84,7 +84,7 @@ def test_places_stay_joined_where_the_way_that_connects_them_is_unlearned(
     """To and fro along a corridor, which is closed before the robot's turning point later."""
     graph = in_and_out(7)
     last = len(graph) - 1
-    while graph.fail('centreline', 0.0, Pose(2.9, 0.0, 0.0)) == 0:
+    while graph.report_blocked('centreline', 0.0, Pose(2.9, 0.0, 0.0)) == 0:
         pass
     with pytest.raises(UnreachableGoal, match='no link leads'):
         RoutePlanner(GoalRecallParameters()).route_to(graph, 0)
@@ -212,7 +212,7 @@ def test_where_a_scan_fits_it_counts_from_there() -> None:
         step(graph)
         guidance = navigator.update(stamp_ns)
     assert guidance.unknown_m > 2.0
-    graph.scans_fitted_m = 1.0
+    graph.scan_confirmed_m = 1.0
     assert navigator.update(12).unknown_m < 0.3
     for stamp_ns in range(13, 24):
         step(graph)

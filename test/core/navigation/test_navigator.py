@@ -190,7 +190,7 @@ def test_a_goal_that_no_route_is_found_to_fails_after_a_time_of_exploring() -> N
 def test_goals_in_the_queue_outlive_their_experiences() -> None:
     made = robot(12)
     nav = made.navigator
-    made.map.on_forgotten.append(nav.forgotten)
+    made.map.on_pruned.append(nav.forgotten)
     nav.go_to(10, 5)
     made.run(1.0)
     for forgotten in (10, 5):

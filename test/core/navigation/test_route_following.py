@@ -399,7 +399,7 @@ def unlearn(robot: Robot, x_m: float, heading: float) -> None:
     graph.offset = Pose(there.x_m - at.x_m, there.y_m - at.y_m, 0.0)
     before = graph.link_count
     for _ in range(50):
-        if graph.fail('centreline', heading):
+        if graph.report_blocked('centreline', heading):
             break
     assert graph.link_count < before
     graph.current_id, graph.offset = was
@@ -434,7 +434,7 @@ def test_a_forgotten_experience_takes_neither_route_nor_goal_away() -> None:
     robot.set_out(20)
     following = robot.following
     assert following is not None
-    robot.map.on_forgotten.append(following.forgotten)
+    robot.map.on_pruned.append(following.forgotten)
     x_m = []
     for forgotten in (20, 12, 13):  # the robot finds a place that it has no number left for
         robot.map.apply(MapAction('create', 0, forgotten, 99, 0.0, NOWHERE))

@@ -359,7 +359,7 @@ def test_no_way_leads_over_a_link_that_is_no_more(
     for _ in range(60):
         if rng.uniform() < 0.5:
             wander(graph, rng)
-        unlearned += graph.fail('centreline', float(rng.uniform(-math.pi, math.pi)))
+        unlearned += graph.report_blocked('centreline', float(rng.uniform(-math.pi, math.pi)))
         if rng.uniform() < 0.1:  # the number of another one is used anew
             again = int(rng.integers(1, len(graph)))
             graph.integrate(Motion(1.0, 1.0, 0.0))
