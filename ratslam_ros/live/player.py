@@ -30,14 +30,16 @@ from ratslam_ros.live.messages import camera_info, message_of, time_message
 from ratslam_ros.live.pacing import Pacing
 from ratslam_ros.nodes.qos import CLOCK, INPUT, PLAYED
 from ratslam_ros.recordings import Event, ImageEvent, OdometryEvent, Recording, Selection
-from ratslam_ros.recordings.decode import (
+from ratslam_ros.recordings.topics import (
     COMPRESSED_IMAGE,
+    IMAGE_FILES,
     LASER_SCAN,
     ODOMETRY,
     RAW_IMAGE,
     STRING,
+    TABLE,
+    VIDEO,
 )
-from ratslam_ros.recordings.selection import IMAGE_FILES, TABLE, VIDEO
 
 ODOM, SCAN, ACTION, TEMPLATE = 'odom', 'scan', 'pose_cells/action', 'local_view/template'
 CAMERA_INFO = 'camera_info'

@@ -18,7 +18,7 @@ from ratslam_ros.recordings.events import (
 )
 from ratslam_ros.recordings.opening import open_recording
 from ratslam_ros.recordings.recording import Recording
-from ratslam_ros.recordings.selection import Selection, Topic
+from ratslam_ros.recordings.topics import Selection, Topic
 
 __all__ = [
     'Description',

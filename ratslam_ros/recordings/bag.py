@@ -13,7 +13,6 @@ from pathlib import Path
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.images import image_of
 from ratslam_ros.recordings.decode import (
-    STRING,
     UndecodableMessage,
     decode,
     event_of,
@@ -23,7 +22,7 @@ from ratslam_ros.recordings.decode import (
 from ratslam_ros.recordings.events import Calibration, Event
 from ratslam_ros.recordings.files import Workspace
 from ratslam_ros.recordings.recording import Recording
-from ratslam_ros.recordings.selection import CAMERA_INFO, Selection, Topic, camera_info_of
+from ratslam_ros.recordings.selection import camera_info_of
 from ratslam_ros.recordings.stream import (
     Channel,
     Message,
@@ -32,6 +31,7 @@ from ratslam_ros.recordings.stream import (
     Warnings,
     in_time_order,
 )
+from ratslam_ros.recordings.topics import CAMERA_INFO, STRING, Selection, Topic
 
 _PEEK = 5  # messages of a stream that must all be unstamped before it is taken as unstamped
 

@@ -19,12 +19,7 @@ from ratslam_ros.recordings.events import (
     TemplateEvent,
 )
 from ratslam_ros.recordings.stream import Message
-
-RAW_IMAGE = 'sensor_msgs/msg/Image'
-COMPRESSED_IMAGE = 'sensor_msgs/msg/CompressedImage'
-ODOMETRY = 'nav_msgs/msg/Odometry'
-LASER_SCAN = 'sensor_msgs/msg/LaserScan'
-STRING = 'std_msgs/msg/String'
+from ratslam_ros.recordings.topics import LASER_SCAN, ODOMETRY, STRING
 
 _ZSTD = b'\x28\xb5\x2f\xfd'  # no CDR message begins so: its first byte is zero
 

@@ -9,14 +9,16 @@ from ratslam_ros.errors import RatslamError, UnusableInput
 from ratslam_ros.recordings.events import ImageEvent
 from ratslam_ros.recordings.recording import Recording
 from ratslam_ros.recordings.selection import (
+    image_candidates,
+    odometry_candidates,
+    scan_candidates,
+)
+from ratslam_ros.recordings.topics import (
     IMAGE_TYPES,
     ODOMETRY_TYPES,
     SCAN_TYPES,
     Selection,
     Topic,
-    image_candidates,
-    odometry_candidates,
-    scan_candidates,
 )
 
 _TRIES = 5  # images to try before a topic counts as undecodable

@@ -9,7 +9,9 @@ from pathlib import Path
 import zstandard
 
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.recordings import mcap_file, rosbag1, sqlite_file
+from ratslam_ros.recordings.mcap_file import MCAP_MAGIC
+from ratslam_ros.recordings.rosbag1 import ROSBAG1_MAGIC
+from ratslam_ros.recordings.sqlite_file import SQLITE_MAGIC
 
 ZSTD = b'\x28\xb5\x2f\xfd'
 
@@ -35,9 +37,9 @@ def starts_with(path: Path) -> bytes:
 def storage_kind(head: bytes) -> str | None:
     """Return 'mcap', 'sqlite3', 'ros1' or 'zstd' for the first bytes of such a file."""
     magics = {
-        'mcap': mcap_file.MAGIC,
-        'sqlite3': sqlite_file.MAGIC,
-        'ros1': rosbag1.MAGIC,
+        'mcap': MCAP_MAGIC,
+        'sqlite3': SQLITE_MAGIC,
+        'ros1': ROSBAG1_MAGIC,
         'zstd': ZSTD,
     }
     return next((kind for kind, magic in magics.items() if head.startswith(magic)), None)

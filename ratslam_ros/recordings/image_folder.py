@@ -23,9 +23,9 @@ from ratslam_ros.errors import UnusableInput
 from ratslam_ros.images import EncodedImage
 from ratslam_ros.recordings.events import Event, ImageEvent, OdometryEvent, Orientation
 from ratslam_ros.recordings.recording import Recording
-from ratslam_ros.recordings.selection import IMAGE_FILES, TABLE, Selection, Topic
+from ratslam_ros.recordings.topics import IMAGE_FILES, TABLE, Selection, Topic
 
-SUFFIXES = frozenset(
+IMAGE_SUFFIXES = frozenset(
     {
         '.jpg',
         '.jpeg',
@@ -66,7 +66,7 @@ def image_files(folder: Path) -> list[Path]:
         (
             path
             for path in folder.iterdir()
-            if path.suffix.lower() in SUFFIXES and not path.name.startswith('.')
+            if path.suffix.lower() in IMAGE_SUFFIXES and not path.name.startswith('.')
         ),
         key=lambda path: natural(path.name),
     )

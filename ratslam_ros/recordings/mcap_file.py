@@ -29,7 +29,7 @@ from ratslam_ros.recordings.stream import (
     in_time_order,
 )
 
-MAGIC = b'\x89MCAP0\r\n'
+MCAP_MAGIC = b'\x89MCAP0\r\n'
 _RECORD = struct.Struct('<BQ')  # opcode, length
 _MESSAGE = struct.Struct('<HIQQ')  # channel, sequence, log time, publish time
 _TIMES = struct.Struct('<QQ')  # of the first and the last message, where a chunk begins
@@ -132,12 +132,12 @@ class McapFile:
     def _read_summary(self) -> Summary | None:
         """Return the summary, or None where there is none or it cannot be trusted."""
         try:
-            self._file.seek(-len(MAGIC) - _FOOTER.size, 2)
+            self._file.seek(-len(MCAP_MAGIC) - _FOOTER.size, 2)
             start, _, checksum = _FOOTER.unpack(self._file.read(_FOOTER.size))
-            if self._file.read() != MAGIC or not start:
+            if self._file.read() != MCAP_MAGIC or not start:
                 return None
             self._file.seek(start)
-            tail = self._file.read(self._size - start - len(MAGIC) - 4)
+            tail = self._file.read(self._size - start - len(MCAP_MAGIC) - 4)
             if checksum and zlib.crc32(tail) != checksum:
                 return None
             self._file.seek(0)
@@ -166,7 +166,7 @@ class McapFile:
 
     def _scan(self) -> None:
         """Find the channels, the messages and their times by reading the whole file."""
-        position, loose = len(MAGIC), None
+        position, loose = len(MCAP_MAGIC), None
         while position + _RECORD.size <= self._size:
             self._file.seek(position)
             opcode, length = _RECORD.unpack(self._file.read(_RECORD.size))

@@ -5,10 +5,16 @@
 from pathlib import Path
 
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.recordings import image_folder, video
 from ratslam_ros.recordings.files import starts_with, storage_kind
+from ratslam_ros.recordings.image_folder import (
+    IMAGE_SUFFIXES,
+    ImageFolder,
+    find_table,
+    image_files,
+)
 from ratslam_ros.recordings.recording import Recording
 from ratslam_ros.recordings.rosbag2 import METADATA, bag_files, open_bag
+from ratslam_ros.recordings.video import VIDEO_SUFFIXES, Video
 
 EXPECTED = 'a rosbag2 folder, a .mcap, .db3 or ROS 1 .bag file, a video or a folder of images'
 
@@ -37,8 +43,8 @@ def open_recording(path: str | Path, *, images_rate_hz: float = 10.0) -> Recordi
 def _open_folder(path: Path, rate_hz: float) -> Recording:
     if (path / METADATA).is_file() or bag_files(path):
         return open_bag(path)
-    if image_folder.image_files(path) or image_folder.find_table(path):
-        return image_folder.ImageFolder(path, rate_hz)
+    if image_files(path) or find_table(path):
+        return ImageFolder(path, rate_hz)
     entries = sorted(entry for entry in path.iterdir() if not entry.name.startswith('.'))
     if not entries:
         raise UnusableInput(f'{path} is an empty folder: expected {EXPECTED}; check the path')
@@ -47,11 +53,9 @@ def _open_folder(path: Path, rate_hz: float) -> Recording:
         for entry in entries
         if (
             entry.is_dir()
-            and (
-                (entry / METADATA).is_file() or bag_files(entry) or image_folder.image_files(entry)
-            )
+            and ((entry / METADATA).is_file() or bag_files(entry) or image_files(entry))
         )
-        or entry.suffix.lower() in video.SUFFIXES
+        or entry.suffix.lower() in VIDEO_SUFFIXES
     ]
     advice = (
         'give one of ' + ', '.join(map(str, inside[:5]))
@@ -68,11 +72,11 @@ def _open_file(path: Path, rate_hz: float) -> Recording:
         return open_bag(path)
     if path.name == METADATA:
         return open_bag(path.parent)
-    if suffix in video.SUFFIXES:
-        return video.Video(path, rate_hz)
+    if suffix in VIDEO_SUFFIXES:
+        return Video(path, rate_hz)
     if suffix == '.csv':
-        return image_folder.ImageFolder(path, rate_hz)
-    if suffix in image_folder.SUFFIXES:
+        return ImageFolder(path, rate_hz)
+    if suffix in IMAGE_SUFFIXES:
         raise UnusableInput(
             f'{path} is a single image: expected {EXPECTED}; give its folder {path.parent}'
         )

@@ -10,8 +10,9 @@ from typing import Self
 
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.recordings.events import Calibration, Event
-from ratslam_ros.recordings.selection import Selection, Topic, select
+from ratslam_ros.recordings.selection import select
 from ratslam_ros.recordings.stream import Warnings
+from ratslam_ros.recordings.topics import Selection, Topic
 
 
 class Recording(ABC):

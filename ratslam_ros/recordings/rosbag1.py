@@ -24,7 +24,7 @@ from ratslam_ros.recordings.stream import (
     in_time_order,
 )
 
-MAGIC = b'#ROSBAG V2.0\n'
+ROSBAG1_MAGIC = b'#ROSBAG V2.0\n'
 _U32 = struct.Struct('<I')
 _TIME = struct.Struct('<II')
 _MESSAGE, _BAG_HEADER, _CHUNK, _CHUNK_INFO, _CONNECTION = (
@@ -124,7 +124,7 @@ class Rosbag1File:
     def _read_index(self) -> bool:
         """Read the connections and chunks that the end of a closed bag lists; False without."""
         try:
-            header, _, _ = self._record(len(MAGIC))
+            header, _, _ = self._record(len(ROSBAG1_MAGIC))
             if header.get(b'encryptor'):
                 raise UnusableInput(
                     f'{self.path} is encrypted: expected a plain ROS 1 bag; decrypt it with '
@@ -154,7 +154,7 @@ class Rosbag1File:
 
     def _scan(self, expected: int | None) -> None:
         """Find the connections, the messages and their times by reading the whole file."""
-        self._spans, read, position = [], 0, len(MAGIC)
+        self._spans, read, position = [], 0, len(ROSBAG1_MAGIC)
         whole = True
         while position < self._size:
             try:

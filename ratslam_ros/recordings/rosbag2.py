@@ -18,7 +18,7 @@ from ratslam_ros.recordings.sqlite_file import SqliteFile
 from ratslam_ros.recordings.stream import Storage, Warnings
 
 METADATA = 'metadata.yaml'
-SUFFIXES = ('.mcap', '.db3', '.bag', '.mcap.zstd', '.db3.zstd')
+BAG_SUFFIXES = ('.mcap', '.db3', '.bag', '.mcap.zstd', '.db3.zstd')
 
 
 @dataclass(slots=True)
@@ -35,7 +35,7 @@ class _Metadata:
 def bag_files(folder: Path) -> list[Path]:
     """Return the files in a folder that look like parts of a recording, in order."""
     return sorted(
-        (path for path in folder.iterdir() if path.name.endswith(SUFFIXES) and path.is_file()),
+        (path for path in folder.iterdir() if path.name.endswith(BAG_SUFFIXES) and path.is_file()),
         key=lambda path: natural(path.name),
     )
 

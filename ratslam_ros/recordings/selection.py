@@ -2,63 +2,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which topics of a recording to use: guessed where that is safe, asked for where it is not."""
 
-from __future__ import annotations
-
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
-
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.recordings.decode import (
-    COMPRESSED_IMAGE,
-    LASER_SCAN,
-    ODOMETRY,
-    RAW_IMAGE,
+from ratslam_ros.recordings.topics import (
+    IMAGE_TYPES,
+    ODOMETRY_TYPES,
+    SCAN_TYPES,
     STRING,
+    Selection,
+    Topic,
+    TopicSource,
 )
 
-if TYPE_CHECKING:
-    from ratslam_ros.recordings.recording import Recording
-
-VIDEO, IMAGE_FILES, TABLE = 'video', 'image files', 'table'  # what is not a message
-IMAGE_TYPES = frozenset({RAW_IMAGE, COMPRESSED_IMAGE, VIDEO, IMAGE_FILES})
-ODOMETRY_TYPES = frozenset({ODOMETRY, TABLE})
-SCAN_TYPES = frozenset({LASER_SCAN})
 TEMPLATE_NAME = 'local_view/template'
-CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
-
-
-@dataclass(frozen=True, slots=True)
-class Topic:
-    """A topic; ``count`` is None where only a scan could tell, ``readable`` why it is not."""
-
-    name: str
-    type: str
-    count: int | None
-    readable: str | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Selection:
-    """The topics to use; without ``odom_topic`` the motion comes from the images.
-
-    Scans are read only where ``scan_topic`` is set.
-    """
-
-    image_topic: str | None
-    odom_topic: str | None
-    template_topic: str | None
-    scan_topic: str | None = None
-    notices: tuple[str, ...] = ()
-
-    @property
-    def topics(self) -> frozenset[str]:
-        """The names of all selected topics."""
-        names = (self.image_topic, self.odom_topic, self.template_topic, self.scan_topic)
-        return frozenset(name for name in names if name is not None)
 
 
 def select(
-    recording: Recording,
+    recording: TopicSource,
     image_topic: str | None = None,
     odom_topic: str | None = None,
     visual_odometry: bool = False,
@@ -137,7 +96,7 @@ def camera_info_of(image_topic: str) -> str:
     return f'{image_topic.removesuffix("/compressed").rpartition("/")[0]}/camera_info'
 
 
-def image_candidates(recording: Recording) -> list[Topic]:
+def image_candidates(recording: TopicSource) -> list[Topic]:
     """Return the topics of cameras: no depth images, no compressed twins of a raw topic."""
     topics = [topic for topic in _usable(recording, IMAGE_TYPES) if not recording.is_depth(topic)]
     names = {topic.name for topic in topics}
@@ -150,17 +109,17 @@ def image_candidates(recording: Recording) -> list[Topic]:
     ]
 
 
-def odometry_candidates(recording: Recording) -> list[Topic]:
+def odometry_candidates(recording: TopicSource) -> list[Topic]:
     """Return the topics with odometry."""
     return _usable(recording, ODOMETRY_TYPES)
 
 
-def scan_candidates(recording: Recording) -> list[Topic]:
+def scan_candidates(recording: TopicSource) -> list[Topic]:
     """Return the topics with laser scans."""
     return _usable(recording, SCAN_TYPES)
 
 
-def template_candidates(recording: Recording) -> list[Topic]:
+def template_candidates(recording: TopicSource) -> list[Topic]:
     """Return the topics with recorded local_view templates."""
     return [
         topic
@@ -169,7 +128,7 @@ def template_candidates(recording: Recording) -> list[Topic]:
     ]
 
 
-def _usable(recording: Recording, types: frozenset[str]) -> list[Topic]:
+def _usable(recording: TopicSource, types: frozenset[str]) -> list[Topic]:
     return [
         topic
         for topic in recording.topics
@@ -178,7 +137,7 @@ def _usable(recording: Recording, types: frozenset[str]) -> list[Topic]:
 
 
 def _named(
-    recording: Recording, name: str, types: frozenset[str], what: str, option: str
+    recording: TopicSource, name: str, types: frozenset[str], what: str, option: str
 ) -> Topic:
     """Return the topic that the user named, with or without its leading slash."""
     fitting = [topic for topic in recording.topics if topic.type in types]
@@ -206,7 +165,7 @@ def _named(
     )
 
 
-def _only(recording: Recording, found: list[Topic], what: str, option: str) -> Topic | None:
+def _only(recording: TopicSource, found: list[Topic], what: str, option: str) -> Topic | None:
     if len(found) > 1:
         raise UnusableInput(
             f'{recording.path} holds {len(found)} topics with {what}: expected a choice; give '

@@ -24,7 +24,7 @@ from ratslam_ros.recordings.stream import (
     in_time_order,
 )
 
-MAGIC = b'SQLite format 3\x00'
+SQLITE_MAGIC = b'SQLite format 3\x00'
 _ROWS = 64  # rows read at once where the index on the times cannot be used
 _STEPS = 1_000_000  # of SQLite's machine, between two looks at whether it goes round in circles
 

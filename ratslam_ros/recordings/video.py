@@ -15,9 +15,9 @@ from ratslam_ros.errors import UnusableInput
 from ratslam_ros.images import Frame, Pixels
 from ratslam_ros.recordings.events import Event, ImageEvent
 from ratslam_ros.recordings.recording import Recording
-from ratslam_ros.recordings.selection import VIDEO, Selection, Topic
+from ratslam_ros.recordings.topics import VIDEO, Selection, Topic
 
-SUFFIXES = frozenset(
+VIDEO_SUFFIXES = frozenset(
     {
         '.mp4',
         '.avi',
