@@ -1,11 +1,11 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Finding out what kind of recording a path is."""
+"""Detection of the recording format of a path."""
 
 from pathlib import Path
 
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.recordings.files import starts_with, storage_kind
+from ratslam_ros.recordings.files import first_bytes, storage_kind
 from ratslam_ros.recordings.image_folder import (
     IMAGE_SUFFIXES,
     ImageFolder,
@@ -20,9 +20,15 @@ EXPECTED = 'a rosbag2 folder, a .mcap, .db3 or ROS 1 .bag file, a video or a fol
 
 
 def open_recording(path: str | Path, *, images_rate_hz: float = 10.0) -> Recording:
-    """Open a recording of any kind; ``images_rate_hz`` is for images without a table of times.
+    """Open a recording of any supported format.
 
-    Raises UnusableInput with one line that says what was seen, expected, and what to do.
+    Args:
+        path: a file or folder.
+        images_rate_hz: rate of images that have no table of times, and of a video that does not
+            state its frame rate.
+
+    Raises:
+        UnusableInput: the path holds no usable recording. The message is one line.
     """
     path = Path(path)
     try:
@@ -66,7 +72,7 @@ def _open_folder(path: Path, rate_hz: float) -> Recording:
 
 
 def _open_file(path: Path, rate_hz: float) -> Recording:
-    head = starts_with(path)
+    head = first_bytes(path)
     suffix = path.suffix.lower()
     if storage_kind(head) is not None or path.name.endswith(('.mcap', '.db3', '.bag', '.zstd')):
         return open_bag(path)
@@ -81,5 +87,5 @@ def _open_file(path: Path, rate_hz: float) -> Recording:
             f'{path} is a single image: expected {EXPECTED}; give its folder {path.parent}'
         )
     raise UnusableInput(
-        f'{path} begins with {head!r} and is not known as a recording: expected {EXPECTED}'
+        f'{path} begins with {head!r}, which is no known recording format: expected {EXPECTED}'
     )

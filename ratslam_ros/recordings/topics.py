@@ -30,7 +30,7 @@ class Topic:
     type: str
     count: int | None
     """Number of messages; None if counting them requires a scan of the recording."""
-    readable: str | None = None
+    problem: str | None = None
     """Reason why the messages cannot be decoded; None if they can."""
 
 
