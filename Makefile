@@ -31,7 +31,7 @@ lint: $(DEV)
 	$(BIN)/mypy
 
 docs: $(RUN)
-	$(BIN)/python -m ratslam_ros.parameter_docs
+	$(BIN)/python -m ratslam_ros.cli.parameter_docs
 
 clean:
 	rm -rf $(VENV) $(VENV)-jazzy

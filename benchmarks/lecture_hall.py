@@ -34,15 +34,15 @@ from numpy.typing import NDArray
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from ratslam_ros.config_files import load_config
+from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.local_view import ViewMatch
-from ratslam_ros.core.odometry import Pose
-from ratslam_ros.evaluation import Trajectory, evaluate, read_tum
-from ratslam_ros.messages import encode_template
+from ratslam_ros.core.vision.local_view import ViewMatch
+from ratslam_ros.files.config import load_config
+from ratslam_ros.messages.mapping import encode_template
+from ratslam_ros.offline.replay import ReplayOptions, replay
 from ratslam_ros.recordings import open_recording
-from ratslam_ros.replay import ReplayOptions, replay
-from ratslam_ros.results import tum_line
+from ratslam_ros.results.evaluation import Trajectory, evaluate, read_tum
+from ratslam_ros.results.writer import tum_line
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = 'lecture_hall'

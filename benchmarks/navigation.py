@@ -29,17 +29,17 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from tqdm import tqdm
 
-from ratslam_ros.config_files import load_config
+from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.goal_recall import GoalRecall, UnreachableGoal
-from ratslam_ros.core.odometry import Pose
-from ratslam_ros.core.route_following import STRAY_M
-from ratslam_ros.core.scan import Scan
-from ratslam_ros.core.section import Value
-from ratslam_ros.core.steering import Command
-from ratslam_ros.goal_memory_pictures import draw_temporal_array
-from ratslam_ros.goal_pictures import draw_temporal_map
-from ratslam_ros.pictures import new_figure, save_figure
+from ratslam_ros.core.config.parameter import Value
+from ratslam_ros.core.driving.steering import Command
+from ratslam_ros.core.navigation.route_following import STRAY_M
+from ratslam_ros.core.navigation.route_planner import RoutePlanner, UnreachableGoal
+from ratslam_ros.files.config import load_config
+from ratslam_ros.results.goal_memory_plots import draw_temporal_array
+from ratslam_ros.results.goal_plots import draw_temporal_map
+from ratslam_ros.results.plots import new_figure, save_figure
 from ratslam_ros.simulator.closed_loop import ClosedLoop
 from ratslam_ros.simulator.config import SimulatorParameters, make_simulator
 from ratslam_ros.simulator.drive import DriveOptions, Driver
@@ -176,7 +176,7 @@ def goals_run(setting: Setting, job: tuple[int, tuple[int, int]]) -> GoalsRow:
     recall, graph = loop.navigator.recall, loop.experience_map
     spent = []
     for _ in range(5):
-        recall = GoalRecall(recall.parameters)  # what is kept from before must not count
+        recall = RoutePlanner(recall.parameters)  # what is kept from before must not count
         start = time.perf_counter()
         times = recall.temporal_map(graph)
         spent.append(1e3 * (time.perf_counter() - start))
@@ -441,7 +441,7 @@ def by_goal_memory(
         route = memory.route_ahead(memory.recall(goal), cells.peak, 3.0)
         if len(route) < 2 or not np.diff(route, axis=0).any():
             return stray(scan)
-        command = loop.follower(scan, route)
+        command = loop.follower.command(scan, route)
         if command.failed:
             tries += 1
             memory.blocked(

@@ -36,16 +36,16 @@ from numpy.typing import NDArray
 from town import resident_mb
 from views import QUERIES, Kind, kinds
 
-from ratslam_ros.config_files import load_config
+from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.config import ExperienceMapParameters, PoseCellsParameters
-from ratslam_ros.core.experience_map import ExperienceMap
-from ratslam_ros.core.odometry import Motion
-from ratslam_ros.core.pose_cells import MapAction, PoseCells
-from ratslam_ros.core.relaxation import sweep
-from ratslam_ros.core.template_memory import TemplateMemory
-from ratslam_ros.core.torus import Place
-from ratslam_ros.core.visual_odometry import VisualOdometry
+from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.mapping.relaxation import sweep
+from ratslam_ros.core.pose_cells.pose_cells import MapAction, PoseCells
+from ratslam_ros.core.pose_cells.torus import Place
+from ratslam_ros.core.vision.template_memory import TemplateMemory
+from ratslam_ros.core.vision.visual_odometry import VisualOdometry
 from ratslam_ros.core.warm_up import warm_up
+from ratslam_ros.files.config import load_config
 
 matplotlib.use('Agg')
 import matplotlib.pyplot as plt

@@ -42,9 +42,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ratslam_ros.config_files import load_config
 from ratslam_ros.core.config import LocalViewParameters
-from ratslam_ros.core.local_view import LocalView, make_view
+from ratslam_ros.core.vision.local_view import LocalView, make_view
+from ratslam_ros.files.config import load_config
 from ratslam_ros.recordings import ImageEvent, open_recording
 
 Image = NDArray[np.uint8]
@@ -128,7 +128,7 @@ def best_matches(
         local_view.learn(make_view(image, parameters))
     best = []
     for image in queries:
-        match = local_view.match(make_view(image, parameters))
+        match = local_view.best_match(make_view(image, parameters))
         if match is None:
             raise ValueError('there are no references')
         best.append(match[0])
@@ -170,7 +170,7 @@ def template_ids(recording_path: Path, parameters: LocalViewParameters) -> list[
         for event in recording.events(selection):
             if isinstance(event, ImageEvent) and event.stamp_ns > last_ns:
                 last_ns = event.stamp_ns
-                ids.append(local_view(event.grey()).template_id)
+                ids.append(local_view.match(event.grey()).template_id)
     return ids
 
 

@@ -15,12 +15,12 @@ from collections.abc import Callable
 
 import numpy as np
 
+from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.config import ExperienceMapParameters, GoalRecallParameters
-from ratslam_ros.core.experience_map import ExperienceMap
-from ratslam_ros.core.goal_recall import GoalRecall, GoalTree
-from ratslam_ros.core.odometry import Motion
-from ratslam_ros.core.pose_cells import MapAction
-from ratslam_ros.core.torus import Place
+from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.navigation.route_planner import GoalTree, RoutePlanner
+from ratslam_ros.core.pose_cells.pose_cells import MapAction
+from ratslam_ros.core.pose_cells.torus import Place
 
 REPEATS = 100
 ACTIONS = 500
@@ -64,7 +64,7 @@ def route_ms(count: int, repeats: int, revisits: float = 0.1) -> list[float]:
     """Return the times of routes from the newest experience to goals anywhere, warm."""
     rng = np.random.default_rng(0)
     graph = make_map(count, revisits)
-    recall = GoalRecall(GoalRecallParameters())
+    recall = RoutePlanner(GoalRecallParameters())
     recall.route_to(graph, 0)
     goals = rng.integers(0, count, repeats).tolist()
     return [call_ms(lambda goal=goal: recall.route_to(graph, goal)) for goal in goals]
@@ -74,7 +74,7 @@ def first_route_ms(count: int) -> float:
     """Return the time of a route to the oldest experience right after a link has changed."""
     rng = np.random.default_rng(0)
     graph = make_map(count)
-    recall = GoalRecall(GoalRecallParameters())
+    recall = RoutePlanner(GoalRecallParameters())
     recall.route_to(graph, 0)
     go(graph, older(graph, rng), rng)
     return call_ms(lambda: recall.route_to(graph, 0))
@@ -83,7 +83,7 @@ def first_route_ms(count: int) -> float:
 def replan_ms(count: int, actions: int) -> list[float]:
     """Return what each action costs a robot that asks for the time left and the way ahead."""
     graph = make_map(count)
-    tree = GoalTree(GoalRecall(GoalRecallParameters()), graph, 0)
+    tree = GoalTree(RoutePlanner(GoalRecallParameters()), graph, 0)
     tree.route()
     return _driving_ms(graph, actions, lambda: (tree.remaining_s(), tree.route(most=NEXT)))
 
@@ -91,7 +91,7 @@ def replan_ms(count: int, actions: int) -> list[float]:
 def follow_ms(count: int, actions: int) -> list[float]:
     """Return what each action costs with the whole route to a place, as the node sends it."""
     graph = make_map(count)
-    recall = GoalRecall(GoalRecallParameters())
+    recall = RoutePlanner(GoalRecallParameters())
     x_m, y_m, _ = graph.poses[0].tolist()
     recall.follow(graph, x_m, y_m)
     return _driving_ms(graph, actions, lambda: recall.follow(graph, x_m, y_m))

@@ -27,14 +27,14 @@ import numpy as np
 from numpy.typing import NDArray
 from town import At, Camera, Laps, Pixels, Town, drive, resident_mb
 
-from ratslam_ros.config_files import load_config
 from ratslam_ros.core.config import Value
 from ratslam_ros.core.ratslam import RatSLAM, ViewStep
 from ratslam_ros.core.warm_up import warm_up
-from ratslam_ros.evaluation import fit
+from ratslam_ros.files.config import load_config
 from ratslam_ros.images import RawImage
 from ratslam_ros.recordings import ImageEvent
 from ratslam_ros.recordings.prefetch import prefetch_images
+from ratslam_ros.results.evaluation import fit
 
 matplotlib.use('Agg')
 import matplotlib.pyplot as plt

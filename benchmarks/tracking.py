@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from ratslam_ros.core.attractor import Network, kernel
+from ratslam_ros.core.pose_cells.attractor import Network, kernel
 
 DIMS = (36, 30, 30)
 

@@ -114,7 +114,7 @@ class Bench:
         from rclpy.executors import SingleThreadedExecutor
         from sensor_msgs.msg import Image
 
-        from ratslam_ros import messages
+        from ratslam_ros.messages import mapping
         from ratslam_ros.nodes import experience_map_node
         from ratslam_ros.nodes.local_view_node import LocalViewNode
         from ratslam_ros.nodes.pose_cells_node import PoseCellsNode
@@ -123,7 +123,7 @@ class Bench:
         self.laps = NodeLaps()
         self._clock = SimulatedClock()
         experience_map_node.time = self._clock
-        experience_map_node.encode_map = self._encode(messages.encode_map)
+        experience_map_node.encode_map = self._encode(mapping.encode_map)
         self.local_view = LocalViewNode()
         self.pose_cells = PoseCellsNode()
         self.map = experience_map_node.ExperienceMapNode()
@@ -402,9 +402,9 @@ def main() -> int:
     options.out.mkdir(parents=True, exist_ok=True)
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     os.environ.setdefault('ROS_DOMAIN_ID', '96')
-    from ratslam_ros.config_files import to_yaml
     from ratslam_ros.core.config import Config
     from ratslam_ros.core.warm_up import warm_up
+    from ratslam_ros.files.config import to_yaml
     from ratslam_ros.live import ros
 
     ros.require()

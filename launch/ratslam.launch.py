@@ -19,8 +19,8 @@ from launch.event_handlers import OnShutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
-from ratslam_ros.config_files import load_config, to_yaml
 from ratslam_ros.errors import RatslamError
+from ratslam_ros.files.config import load_config, to_yaml
 from ratslam_ros.live.launch import nodes, remappings
 
 YES_OR_NO = ['true', 'false']

@@ -11,11 +11,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ratslam_ros.core.goal_follower import GoalFollower, rest_of, seen_from
-from ratslam_ros.core.movement_config import GoalFollowerParameters
-from ratslam_ros.core.odometry import Motion, Pose, moved
-from ratslam_ros.core.scan import Scan
-from ratslam_ros.core.steering import Command
+from ratslam_ros.core.common.odometry import Motion, moved
+from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.common.scan import Scan
+from ratslam_ros.core.config.goal_follower import GoalFollowerParameters
+from ratslam_ros.core.driving.goal_follower import GoalFollower, rest_of, seen_from
+from ratslam_ros.core.driving.steering import Command
 
 Line = Sequence[tuple[float, float]]
 
@@ -108,7 +109,7 @@ class Drive:
     def step(self) -> Command:
         scan = scan_in(self.walls, self.pose, self.stamp_ns, beams=181)
         self.left_m = rest_of(self.left_m, self.pose.x_m, self.pose.y_m)
-        command = self.follower(scan, seen_from(self.pose, self.left_m), self.behaviour)
+        command = self.follower.command(scan, seen_from(self.pose, self.left_m), self.behaviour)
         self.pose = moved(
             self.pose,
             Motion(SCAN_S, command.speed_mps * SCAN_S, command.turn_rate_radps * SCAN_S),

@@ -9,16 +9,16 @@ from pathlib import Path
 
 import pytest
 
-from ratslam_ros.cli import _parser
-from ratslam_ros.config_files import load_config, parse_setting
+from ratslam_ros.cli.main import _parser
+from ratslam_ros.cli.parameter_docs import ROOT, documents, main
+from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.config import SECTIONS, Config, section_of
-from ratslam_ros.core.experience_map import ExperienceMap
-from ratslam_ros.core.odometry import Motion
-from ratslam_ros.core.pose_cells import MapAction
-from ratslam_ros.core.torus import Place
-from ratslam_ros.messages import encode_map
-from ratslam_ros.parameter_docs import ROOT, documents, main
-from ratslam_ros.results import FRAMES_HEADER
+from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.pose_cells.pose_cells import MapAction
+from ratslam_ros.core.pose_cells.torus import Place
+from ratslam_ros.files.config import load_config, parse_setting
+from ratslam_ros.messages.mapping import encode_map
+from ratslam_ros.results.writer import FRAMES_HEADER
 
 PAGES = [ROOT / 'README.md', ROOT / 'CONTRIBUTING.md', *sorted((ROOT / 'docs').glob('*.md'))]
 
@@ -41,7 +41,7 @@ def test_generated_file_is_up_to_date(path: Path):
 
 
 def test_check_writes_nothing_and_tells_what_is_out_of_date(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr('ratslam_ros.parameter_docs.ROOT', tmp_path)
+    monkeypatch.setattr('ratslam_ros.cli.parameter_docs.ROOT', tmp_path)
     assert main(['--check']) == 1
     assert 'make docs' in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
@@ -99,7 +99,7 @@ def test_every_column_and_key_of_the_results_is_described():
         graph.integrate(Motion(1.0, 1.0, 0.1))
         graph.apply(MapAction('create', source, target, target, 0.0, Place(0.0, 0.0, 0.0)))
     content = json.loads(encode_map(1, graph))
-    summary = (ROOT / 'ratslam_ros/replay.py').read_text('utf-8')
+    summary = (ROOT / 'ratslam_ros/offline/replay.py').read_text('utf-8')
     names = [
         *FRAMES_HEADER.strip().split(','),
         *content, *content['experiences'][0], *content['links'][0],

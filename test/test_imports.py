@@ -111,7 +111,7 @@ def test_core_can_be_imported_alone() -> None:
         'import sys\n'
         'for name in ("cv2", "scipy", "rosbags", "matplotlib", "yaml", "tqdm", "rclpy"):\n'
         '    sys.modules[name] = None\n'
-        'import ratslam_ros.core.ratslam, ratslam_ros.core.config, ratslam_ros.messages\n'
+        'import ratslam_ros.core.ratslam, ratslam_ros.core.config, ratslam_ros.messages.mapping\n'
         'print(sorted(m for m in sys.modules if m.startswith("ratslam_ros.")))\n'
     )
     run = subprocess.run(

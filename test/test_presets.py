@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from ratslam_ros.config_files import load_config, presets
 from ratslam_ros.core.config import Config
+from ratslam_ros.files.config import load_config, presets
 
 FOLDER = Path(__file__).resolve().parents[1] / 'config'
 NAMES = sorted(path.stem for path in FOLDER.glob('*.yaml'))

@@ -10,15 +10,16 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ratslam_ros.core.adaptation import has_detour
-from ratslam_ros.core.angles import wrap
+from ratslam_ros.core.common.angles import wrap
+from ratslam_ros.core.common.odometry import Motion, MotionFromOdometry, Odometry, Twist
+from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.experience_map import ExperienceMap
-from ratslam_ros.core.local_view import LocalView, ViewMatch
-from ratslam_ros.core.odometry import Motion, MotionFromOdometry, Odometry, Pose, Twist
-from ratslam_ros.core.pose_cells import Action, MapAction, PoseCells
-from ratslam_ros.core.torus import Place
-from ratslam_ros.core.visual_odometry import VisualOdometry
+from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.mapping.link_learning import has_detour
+from ratslam_ros.core.pose_cells.pose_cells import Action, MapAction, PoseCells
+from ratslam_ros.core.pose_cells.torus import Place
+from ratslam_ros.core.vision.local_view import LocalView, ViewMatch
+from ratslam_ros.core.vision.visual_odometry import VisualOdometry
 
 _SMALL = {
     'local_view.template_x_size': 4, 'local_view.template_y_size': 2,
@@ -46,13 +47,13 @@ def _images() -> list[NDArray[np.uint8]]:
 def _visual_odometry(config: Config) -> None:
     visual_odometry = VisualOdometry(config.visual_odometry)
     for frame, image in enumerate(_images()):
-        visual_odometry(frame, image)
+        visual_odometry.estimate(frame, image)
 
 
 def _local_view(config: Config) -> None:
     local_view = LocalView(config.local_view)
     for image in _images():
-        local_view(image)
+        local_view.match(image)
 
 
 def _pose_cells(config: Config) -> None:
@@ -60,7 +61,7 @@ def _pose_cells(config: Config) -> None:
     for views in (0.0, 1.0):  # with none that need agree, all that is known injects
         pose_cells = PoseCells(replace(config.pose_cells, pc_vt_agree_views=views))
         for n in range(30):  # twice the same way: the second time activity is injected
-            motion_from(Odometry(n * 10**9, Twist(1.0, 0.1), Pose(0.0, 0.0, 0.0)))
+            motion_from.update(Odometry(n * 10**9, Twist(1.0, 0.1), Pose(0.0, 0.0, 0.0)))
             pose_cells.integrate(_MOTION)
             pose_cells.view(ViewMatch(n % 15, n < 15, 0.0, 0.0))
     pose_cells.activity()
@@ -75,7 +76,7 @@ def _experience_map(config: Config) -> ExperienceMap:
             kind: Action = 'create' if n == len(experience_map) else 'link'
             source = experience_map.current_id
             experience_map.apply(MapAction(kind, source, n, n, 0.0, Place(0.0, 0.0, 0.0)))
-    experience_map.fail('wait', 0.0)
+    experience_map.report_blocked('wait', 0.0)
     experience_map.apply(MapAction('create', 0, 2, 3, 0.0, Place(0.0, 0.0, 0.0)))
     links = experience_map.link_ends, experience_map.link_durations_s
     has_detour(*links, 0, len(experience_map))
@@ -83,14 +84,14 @@ def _experience_map(config: Config) -> ExperienceMap:
 
 
 def _scan_alignment(config: Config) -> None:
-    from ratslam_ros.core.scan_alignment import VIEW_SD_M, align
+    from ratslam_ros.core.mapping.scan_matching import VIEW_SD_M, align
 
     corner = np.concatenate([np.arange(40.0)[:, None] * step for step in ((0.1, 0.0), (0.0, 0.1))])
     align(corner, corner, Pose(0.0, 0.0, 0.0), VIEW_SD_M)
 
 
 def _goal_recall(config: Config) -> None:
-    from ratslam_ros.core.navigator import Navigator  # takes long: it needs SciPy
+    from ratslam_ros.core.navigation.navigator import Navigator  # takes long: it needs SciPy
 
     experience_map = _experience_map(config)
     navigator = Navigator(replace(config.goal_recall, goal_radius_m=0.0), experience_map)
@@ -101,7 +102,7 @@ def _goal_recall(config: Config) -> None:
 
 
 def _goal_memory(config: Config) -> None:
-    from ratslam_ros.core.goal_memory import GoalMemory  # as long
+    from ratslam_ros.core.goal_memory.goal_memory import GoalMemory  # as long
 
     memory, pose_cells = (
         GoalMemory(config.goal_memory, config.pose_cells), PoseCells(config.pose_cells)
@@ -114,13 +115,13 @@ def _goal_memory(config: Config) -> None:
 
 
 def _goal_follower(config: Config) -> None:
-    from ratslam_ros.core.goal_follower import GoalFollower
-    from ratslam_ros.core.scan import Scan
+    from ratslam_ros.core.common.scan import Scan
+    from ratslam_ros.core.driving.goal_follower import GoalFollower
 
     follow = GoalFollower(config.goal_follower)
     for ahead_m in (2.0, 0.5):  # the second time something stands there
         scan = Scan(0, -1.0, 1.0, np.array([1.0, ahead_m, 1.0]))
-        follow(scan, np.array([[0.0, 0.0], [1.0, 0.0]]))
+        follow.command(scan, np.array([[0.0, 0.0], [1.0, 0.0]]))
 
 
 _MAPPING: dict[str, Callable[[Config], object]] = {

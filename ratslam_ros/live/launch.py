@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
-from ratslam_ros.config_files import to_yaml
 from ratslam_ros.core.config import Config
+from ratslam_ros.files.config import to_yaml
 
 GRACE_S = 20.0  # to end in, which includes writing a map
 POLL_S = 0.05

@@ -4,8 +4,9 @@
 
 from __future__ import annotations
 
-from ratslam_ros.core.odometry import MotionFromOdometry, Odometry, Pose, Twist
-from ratslam_ros.core.order import Released, StampOrder
+from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry, Twist
+from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.common.stamp_order import Released, StampOrder
 from ratslam_ros.recordings import Event, ImageEvent, OdometryEvent, ScanEvent
 
 NEVER_NS = 2**63  # the nodes' own bound on lateness is not known here, and waits need none

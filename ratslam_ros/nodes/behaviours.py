@@ -10,8 +10,8 @@ from collections.abc import Callable
 from rclpy.node import Node
 from std_msgs.msg import String
 
-from ratslam_ros.goal_messages import BehaviourNote, decode_behaviour
-from ratslam_ros.messages import MalformedMessage
+from ratslam_ros.messages.goals import BehaviourNote, decode_behaviour
+from ratslam_ros.messages.mapping import MalformedMessage
 from ratslam_ros.nodes.qos import RESULT
 
 HOLDS_NS = 2_000_000_000

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
-from ratslam_ros.core.odometry import Odometry, Pose, Twist, heading_of, quaternion_of
-from ratslam_ros.messages import NS_PER_S
+from ratslam_ros.core.common.odometry import Odometry, Twist
+from ratslam_ros.core.common.pose import Pose, heading_of, quaternion_of
+from ratslam_ros.messages.mapping import NS_PER_S
 
 
 def stamp_ns(header: Header) -> int:

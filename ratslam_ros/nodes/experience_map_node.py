@@ -7,7 +7,6 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped
@@ -17,15 +16,17 @@ from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
-from ratslam_ros.core.experience_map import ExperienceMap
-from ratslam_ros.core.joining import Joining
-from ratslam_ros.core.local_view import NO_TEMPLATE
-from ratslam_ros.core.odometry import MotionFromOdometry, Odometry, Pose, composed, inverse
-from ratslam_ros.core.pose_cells import MapAction
-from ratslam_ros.core.scan_alignment import ScanAlignment
-from ratslam_ros.core.state import State
+from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry
+from ratslam_ros.core.common.pose import Pose, composed, inverse
+from ratslam_ros.core.common.state import State
+from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.mapping.late_join import LateJoin
+from ratslam_ros.core.mapping.mapping_step import apply_action
+from ratslam_ros.core.mapping.scan_matching import ScanMatcher
+from ratslam_ros.core.pose_cells.pose_cells import MapAction
+from ratslam_ros.core.vision.local_view import NO_TEMPLATE
 from ratslam_ros.core.warm_up import warm_up
-from ratslam_ros.messages import MalformedMessage, MapText, decode_action, encode_map
+from ratslam_ros.messages.mapping import MalformedMessage, MapText, decode_action, encode_map
 from ratslam_ros.nodes.behaviours import Behaviours
 from ratslam_ros.nodes.convert import header_of, odometry_of, pose_message, transform
 from ratslam_ros.nodes.goal_navigation import GoalNavigation
@@ -33,7 +34,7 @@ from ratslam_ros.nodes.markers import markers_of
 from ratslam_ros.nodes.node import FLUSH_CHECK_S, RatslamNode
 from ratslam_ros.nodes.qos import LATCHED, STATE
 from ratslam_ros.nodes.run import run
-from ratslam_ros.nodes.scans import usable_scan
+from ratslam_ros.nodes.scans import accepted_scan
 
 LARGEST_SHARE = 0.1
 """Of one core, for sending the map: a large map is sent less often than map_period_s."""
@@ -82,8 +83,8 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
         self._core = ExperienceMap(self._section)
         self._core.mapping = self._mapping
         self._map_text = MapText()
-        self._joining = Joining(self._core)
-        self._scans = ScanAlignment()
+        self._late_join = LateJoin(self._core)
+        self._scans = ScanMatcher()
         self._motion = MotionFromOdometry(self._section.odom_source)
         self._action_ns = 0
         self._changed = self._sent  # whoever has the old map is told that it is no more
@@ -96,7 +97,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
     def _carried(self) -> None:
         self._motion.restart()
         self._scans.restart()
-        self._core.jumps.restart()
+        self._core.gate.restart()
         self._behaviours.forget()
 
     def _set_mapping(self, mapping: bool) -> None:
@@ -105,7 +106,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
     def _learned(self) -> State:
         return {
             'action_ns': self._action_ns,
-            'joining': self._joining.state(),
+            'joining': self._late_join.state(),
             'core': self._core.state(),
             'goals': self._goals.learned(),
             'scans': self._scans.state(),
@@ -114,16 +115,15 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
     def _restore(self, state: State) -> None:
         core = ExperienceMap(self._section)
         core.restore(state['core'])
-        core.jumps.restart()
-        joining = Joining(core)
-        joining.restore(state['joining'])
+        core.gate.restart()
+        late_join = LateJoin(core)
+        late_join.restore(state['joining'])
         action_ns = int(state['action_ns'])
-        scans = ScanAlignment()
-        if 'scans' in state:  # memories of before there were any have none
-            scans.restore(state['scans'])
-        self._goals.begin(core, state.get('goals'))  # memories of before goals had names have none
+        scans = ScanMatcher()
+        scans.restore(state['scans'])
+        self._goals.begin(core, state['goals'])
         self._action_ns = action_ns
-        self._core, self._joining, self._scans = core, joining, scans
+        self._core, self._late_join, self._scans = core, late_join, scans
         self._map_text = MapText()
         self._core.mapping = self._mapping
         self._motion.restart()
@@ -146,7 +146,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
             self._locate(odometry)
 
     def _on_scan(self, message: LaserScan) -> None:
-        scan = usable_scan(message, self._refuse)
+        scan = accepted_scan(message, self._refuse)
         if scan is not None and not self._paused:
             self._scans.scan(scan)
 
@@ -164,22 +164,18 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
     def _use(self, stamp_ns: int, stream: str, item: Odometry | Action) -> None:
         if isinstance(item, Odometry):
             self._fail(stamp_ns - 1)
-            motion = self._motion(item)
+            motion = self._motion.update(item)
             if motion is not None:
                 self._core.integrate(motion)
                 self._scans.integrate(stamp_ns, motion)
             return
         self._fail(stamp_ns)
-        joining = self._joining
-        missed, forgotten = joining.missed, joining.forgotten
-        refused = self._core.jumps.refused
+        joining, behaviour = self._late_join, self._behaviours.at(stamp_ns)
+        missed, restarts = joining.missed, joining.restarts
         with self._diagnostics.times('experience_map'):
-            joining.apply(
-                item.action, item.sequence, item.memory_ns, self._behaviours.at(stamp_ns),
-                partial(self._scans, stamp_ns),
-            )
-            if self._core.jumps.refused > refused:
-                self._scans.refused()
+            action = joining.translate(item.action, item.sequence, item.memory_ns)
+            if action is not None:
+                apply_action(self._core, self._scans, stamp_ns, action, behaviour)
         if item.action.template_id != NO_TEMPLATE:
             self._action_ns = stamp_ns
             self._changed = True
@@ -187,7 +183,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
             'missed', f'{joining.missed - missed} actions of pose_cells never came: the map is '
             'not the one of a replay', joining.missed - missed,
         )  # fmt: skip
-        if joining.forgotten > forgotten:
+        if joining.restarts > restarts:
             self._miss('pose_cells has begun with an empty memory: the map goes on, but what was '
                        'mapped before will not be recognised. To start over call '
                        'experience_map/reset')  # fmt: skip
@@ -199,9 +195,9 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
     def _fail(self, stamp_ns: int) -> None:
         """Count the tries up to a stamp that have failed."""
         for note in self._behaviours.take(stamp_ns):
-            if not self._goals.try_failed():
+            if not self._goals.report_blocked():
                 continue
-            unlearned = self._core.fail(note.behaviour, note.ahead_rad)
+            unlearned = self._core.report_blocked(note.behaviour, note.ahead_rad)
             if unlearned > 0:
                 self._changed = True
                 self.get_logger().info(
@@ -285,8 +281,8 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
             'experiences': len(self._core),
             'links': self._core.link_count,
             'experience': self._core.current_id,
-            'jumps_refused': self._core.jumps.refused,
-            'carried': self._core.jumps.believed,
+            'jumps_refused': self._core.gate.rejected_count,
+            'carried': self._core.gate.relocation_count,
             **self._goals.state(),
         }
 

@@ -15,19 +15,19 @@ from nav_msgs.msg import Path
 from sensor_msgs.msg import LaserScan
 from std_msgs.msg import String
 
-from ratslam_ros.core.angles import wrap
-from ratslam_ros.core.exploration import Exploration
-from ratslam_ros.core.goal_follower import GoalFollower, rest_of, seen_from
-from ratslam_ros.core.odometry import Pose
-from ratslam_ros.core.scan import Scan
-from ratslam_ros.core.steering import Command
-from ratslam_ros.goal_messages import BehaviourNote, decode_status, encode_behaviour
-from ratslam_ros.messages import MalformedMessage
+from ratslam_ros.core.common.angles import wrap
+from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.common.scan import Scan
+from ratslam_ros.core.driving.exploration import Exploration
+from ratslam_ros.core.driving.goal_follower import GoalFollower, rest_of, seen_from
+from ratslam_ros.core.driving.steering import Command
+from ratslam_ros.messages.goals import BehaviourNote, decode_status, encode_behaviour
+from ratslam_ros.messages.mapping import MalformedMessage
 from ratslam_ros.nodes.convert import place_of, stamp_ns
 from ratslam_ros.nodes.node import FLUSH_CHECK_S, RatslamNode
 from ratslam_ros.nodes.qos import LATCHED, RESULT, STATE
 from ratslam_ros.nodes.run import run
-from ratslam_ros.nodes.scans import usable_scan
+from ratslam_ros.nodes.scans import accepted_scan
 
 WATCH_S = 0.05
 """So often it is looked whether the robot has what it needs to be moved."""
@@ -83,7 +83,7 @@ class GoalFollowerNode(RatslamNode[Scan]):
     # Inputs
 
     def _on_scan(self, message: LaserScan) -> None:
-        scan = usable_scan(message, self._refuse)
+        scan = accepted_scan(message, self._refuse)
         if scan is not None:
             self._push('scan', scan.stamp_ns, scan)
 
@@ -144,9 +144,9 @@ class GoalFollowerNode(RatslamNode[Scan]):
 
     def _steer(self, scan: Scan) -> Command:
         if self._task == 'exploring':
-            return self._exploration(scan, self._odom_pose)
+            return self._exploration.command(scan, self._odom_pose)
         self._route = rest_of(self._route, self._pose.x_m, self._pose.y_m)
-        return self._follower(scan, seen_from(self._pose, self._route), self._wall)
+        return self._follower.command(scan, seen_from(self._pose, self._route), self._wall)
 
     def _tell(self, stamp_ns: int, command: Command) -> None:
         self._tries_failed += command.failed

@@ -18,22 +18,22 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
+from ratslam_ros.core.common.pose import Pose, composed, inverse
+from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config, ExperienceMapParameters
-from ratslam_ros.core.experience_map import ExperienceMap
-from ratslam_ros.core.goal_recall import UnreachableGoal
-from ratslam_ros.core.goals import Goal, Position, Target
-from ratslam_ros.core.navigator import Navigator
-from ratslam_ros.core.odometry import Pose, composed, inverse
-from ratslam_ros.core.route_following import Guidance
-from ratslam_ros.core.state import State
-from ratslam_ros.goal_messages import (
+from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.navigation.goals import Goal, Position, Target
+from ratslam_ros.core.navigation.navigator import Navigator
+from ratslam_ros.core.navigation.route_following import Guidance
+from ratslam_ros.core.navigation.route_planner import UnreachableGoal
+from ratslam_ros.messages.goals import (
     decode_goal,
     decode_name,
     encode_goals,
     encode_status,
     encode_times,
 )
-from ratslam_ros.messages import MalformedMessage
+from ratslam_ros.messages.mapping import MalformedMessage
 from ratslam_ros.nodes.convert import header_of, place_of, pose_message
 from ratslam_ros.nodes.diagnostics import Diagnostics
 from ratslam_ros.nodes.paths import cloud_of, path_of
@@ -97,7 +97,7 @@ class GoalNavigation:
         navigator = Navigator(self._config().goal_recall, experience_map)
         if state is not None:
             navigator.goals.restore(state)
-        experience_map.on_forgotten.append(navigator.forgotten)
+        experience_map.on_pruned.append(navigator.forgotten)
         self._map, self._navigator = experience_map, navigator
         self._begin_telling()
         self._end_route()
@@ -115,9 +115,9 @@ class GoalNavigation:
         """Return the names and their places."""
         return self._navigator.goals.state()
 
-    def try_failed(self) -> bool:
+    def report_blocked(self) -> bool:
         """Take note of a try that led nowhere; return whether the map shall count it."""
-        return self._navigator.try_failed()
+        return self._navigator.report_blocked()
 
     def locate(self, stamp_ns: int, pose: Pose, odom_pose: Pose) -> None:
         """Take where the robot is on the map and in the frame of the odometry."""

@@ -11,13 +11,13 @@ from rclpy.node import Node
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
+from ratslam_ros.core.common.odometry import Motion
+from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.goal_memory import GoalMemory
-from ratslam_ros.core.goal_recall import UnreachableGoal
-from ratslam_ros.core.odometry import Motion
-from ratslam_ros.core.pose_cells import PoseCells
-from ratslam_ros.core.state import State
-from ratslam_ros.messages import encode_goal_memory
+from ratslam_ros.core.goal_memory.goal_memory import GoalMemory
+from ratslam_ros.core.navigation.route_planner import UnreachableGoal
+from ratslam_ros.core.pose_cells.pose_cells import PoseCells
+from ratslam_ros.messages.mapping import encode_goal_memory
 from ratslam_ros.nodes.diagnostics import Diagnostics
 from ratslam_ros.nodes.qos import GOAL, STATE
 
@@ -45,9 +45,9 @@ class GoalSeeking:
         self._pose_cells, self._memory = pose_cells, memory
         self._goal = ''
 
-    def carried(self) -> None:
+    def relocated(self) -> None:
         """Link nothing to what was active before."""
-        self._memory.carried()
+        self._memory.relocated()
 
     def learned(self) -> State:
         """Return all that was learned."""

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
-from ratslam_ros.core.local_view import UNDECODABLE, LocalView, ViewMatch, make_view
-from ratslam_ros.core.numbering import FIRST_MEMORY, NOTHING_LEARNED
-from ratslam_ros.core.state import State
-from ratslam_ros.messages import encode_template
+from ratslam_ros.core.common.state import State
+from ratslam_ros.core.mapping.id_map import FIRST_MEMORY, NOTHING_LEARNED
+from ratslam_ros.core.vision.local_view import UNDECODABLE, LocalView, ViewMatch, make_view
+from ratslam_ros.messages.mapping import encode_template
 from ratslam_ros.nodes.convert import grey_image
 from ratslam_ros.nodes.image_node import ImageNode
 from ratslam_ros.nodes.qos import RESULT, VIEW
@@ -58,7 +58,7 @@ class LocalViewNode(ImageNode):
 
     def _see(self, stamp_ns: int, image: NDArray[np.uint8], frame_id: str) -> None:
         with self._diagnostics.times('local_view'):
-            match = self._core(image)
+            match = self._core.match(image)
         if match.is_new and self._memory_ns == NOTHING_LEARNED:
             self._memory_ns = max(stamp_ns, FIRST_MEMORY)
         self._publish(stamp_ns, match)

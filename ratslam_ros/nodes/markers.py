@@ -8,7 +8,7 @@ from geometry_msgs.msg import Point
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
-from ratslam_ros.core.experience_map import ExperienceMap
+from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.nodes.convert import header_of
 
 PLACES = ColorRGBA(r=0.12, g=0.33, b=0.66, a=1.0)

@@ -13,12 +13,12 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
-from ratslam_ros import memory_files
+from ratslam_ros.core.common.stamp_order import Counts, Released, StampOrder
+from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.order import Counts, Released, StampOrder
-from ratslam_ros.core.state import State
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.errors import RatslamError
+from ratslam_ros.files import memory as memory_files
 from ratslam_ros.nodes.diagnostics import Diagnostics
 from ratslam_ros.nodes.inputs import Input
 from ratslam_ros.nodes.parameters import NodeParameters

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Declare a node's parameters from the dataclasses of core/config.py, and keep them checked."""
+"""Declare a node's parameters from the dataclasses of core/config, and keep them checked."""
 
 from __future__ import annotations
 

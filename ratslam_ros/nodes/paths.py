@@ -14,7 +14,7 @@ from nav_msgs.msg import Path
 from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2, PointField
 
-from ratslam_ros.core.odometry import Pose
+from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.nodes.convert import header_of, pose_message, time_of
 
 SHORTEST_M = 1e-6

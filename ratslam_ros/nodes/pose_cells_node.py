@@ -13,12 +13,12 @@ from nav_msgs.msg import Odometry as OdometryMessage
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
-from ratslam_ros.core.local_view import NO_TEMPLATE, ViewMatch
-from ratslam_ros.core.numbering import FIRST_MEMORY, NOTHING_LEARNED, Numbering
-from ratslam_ros.core.odometry import MotionFromOdometry, Odometry
-from ratslam_ros.core.pose_cells import PoseCells
-from ratslam_ros.core.state import State
-from ratslam_ros.messages import (
+from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry
+from ratslam_ros.core.common.state import State
+from ratslam_ros.core.mapping.id_map import FIRST_MEMORY, NOTHING_LEARNED, IdMap
+from ratslam_ros.core.pose_cells.pose_cells import PoseCells
+from ratslam_ros.core.vision.local_view import NO_TEMPLATE, ViewMatch
+from ratslam_ros.messages.mapping import (
     MalformedMessage,
     decode_template,
     encode_action,
@@ -73,14 +73,14 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
         if self._goals is not None:
             self._goals.begin(self._core)
         self._motion = MotionFromOdometry(self._section.odom_source)
-        self._numbering = Numbering()
+        self._numbering = IdMap()
         self._memory_ns = NOTHING_LEARNED
         self._sequence = 0
 
     def _carried(self) -> None:
         self._motion.restart()
         if self._goals is not None:
-            self._goals.carried()
+            self._goals.relocated()
 
     def _set_mapping(self, mapping: bool) -> None:
         self._core.mapping = mapping
@@ -95,7 +95,7 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
         return state if self._goals is None else state | {'goal_memory': self._goals.learned()}
 
     def _restore(self, state: State) -> None:
-        core, numbering = PoseCells(self._section), Numbering()
+        core, numbering = PoseCells(self._section), IdMap()
         core.restore(state['core'])
         numbering.restore(state['numbering'])
         memory_ns, sequence = int(state['memory_ns']), int(state['sequence'])
@@ -123,7 +123,7 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
 
     def _use(self, stamp_ns: int, stream: str, item: Odometry | Template) -> None:
         if isinstance(item, Odometry):
-            motion = self._motion(item)
+            motion = self._motion.update(item)
             if motion is not None:
                 with self._diagnostics.times('pose_cells'):
                     self._core.integrate(motion)

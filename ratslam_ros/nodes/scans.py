@@ -8,23 +8,22 @@ from collections.abc import Callable
 
 from sensor_msgs.msg import LaserScan
 
-from ratslam_ros import scans
-from ratslam_ros.core.scan import Scan
+from ratslam_ros.core.common.scan import Scan, UnusableScan, checked_scan
 from ratslam_ros.nodes.convert import stamp_ns
 
 
-def usable_scan(message: LaserScan, refuse: Callable[[str, str], None]) -> Scan | None:
+def accepted_scan(message: LaserScan, refuse: Callable[[str, str], None]) -> Scan | None:
     """Return what core takes of a scan; None where nothing can be, which ``refuse`` is told."""
     try:
-        return scan_of(message)
-    except scans.UnusableScan as error:
+        return scan_from_message(message)
+    except UnusableScan as error:
         refuse('scan', str(error))
         return None
 
 
-def scan_of(message: LaserScan) -> Scan:
+def scan_from_message(message: LaserScan) -> Scan:
     """Return what core takes of a scan; raises UnusableScan."""
-    return scans.usable_scan(
+    return checked_scan(
         stamp_ns(message.header),
         float(message.angle_min),
         float(message.angle_increment),

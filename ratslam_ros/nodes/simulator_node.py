@@ -17,7 +17,7 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import CameraInfo, Image, LaserScan
 from tf2_msgs.msg import TFMessage
 
-from ratslam_ros.core.odometry import Pose
+from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.nodes.convert import (
     grey_image,
     header_of,

@@ -16,8 +16,8 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo
 from tf2_msgs.msg import TFMessage
 
-from ratslam_ros.core.odometry import Odometry
-from ratslam_ros.core.visual_odometry import VisualOdometry, field_of_view_deg
+from ratslam_ros.core.common.odometry import Odometry
+from ratslam_ros.core.vision.visual_odometry import VisualOdometry, field_of_view_deg
 from ratslam_ros.nodes.convert import header_of, pose_message, transform
 from ratslam_ros.nodes.image_node import ImageNode, Message
 from ratslam_ros.nodes.inputs import publisher_count
@@ -107,7 +107,7 @@ class VisualOdometryNode(ImageNode):
 
     def _see(self, stamp_ns: int, image: NDArray[np.uint8], frame_id: str) -> None:
         with self._diagnostics.times('visual_odometry'):
-            odometry = self._core(stamp_ns, image)
+            odometry = self._core.estimate(stamp_ns, image)
         if odometry is not None:
             self._publish(odometry)
         self._last_ns = stamp_ns

@@ -11,19 +11,20 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ratslam_ros.core.angles import wrap
+from ratslam_ros.core.common.angles import wrap
+from ratslam_ros.core.common.odometry import Odometry, Twist
+from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.experience_map import ExperienceMap
-from ratslam_ros.core.exploration import Exploration
-from ratslam_ros.core.goal_follower import GoalFollower, seen_from
-from ratslam_ros.core.goals import Target
-from ratslam_ros.core.navigator import Errand, Navigator
-from ratslam_ros.core.odometry import Odometry, Pose, Twist
+from ratslam_ros.core.driving.exploration import Exploration
+from ratslam_ros.core.driving.goal_follower import GoalFollower, seen_from
+from ratslam_ros.core.driving.steering import Command
+from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.navigation.goals import Target
+from ratslam_ros.core.navigation.navigator import GoalTask, Navigator
+from ratslam_ros.core.navigation.route_following import Guidance
+from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.core.ratslam import RatSLAM, Step, ViewStep
-from ratslam_ros.core.route_following import Guidance
-from ratslam_ros.core.scan import Scan
-from ratslam_ros.core.steering import Command
-from ratslam_ros.core.torus import Place
 from ratslam_ros.simulator.simulation import ImageSample, OdometrySample, ScanSample, Simulator
 
 Steering = Callable[[Scan], Command]
@@ -68,7 +69,7 @@ class ClosedLoop:
         )
         self.follower = GoalFollower(config.goal_follower)
         self.navigator = Navigator(config.goal_recall, self.experience_map)
-        self.experience_map.on_forgotten.append(self.navigator.forgotten)
+        self.experience_map.on_pruned.append(self.navigator.forgotten)
         self.guidance = Guidance('idle')
         self.tries_failed = self.links_unlearned = 0
         self.log = Log()
@@ -115,13 +116,13 @@ class ClosedLoop:
 
     def exploring(self, scan: Scan) -> Command:
         """Steer as the exploration says."""
-        return self.exploration(scan, self.odometry_pose)
+        return self.exploration.command(scan, self.odometry_pose)
 
     def name_place(self, name: str) -> None:
         """Call the place where the robot is by a name, as somebody who walks beside it would."""
         self.navigator.goals.name_place(self.experience_map, name, self.ratslam.offset)
 
-    def go_to(self, *targets: Target, until: Callable[[], bool] = lambda: False) -> list[Errand]:
+    def go_to(self, *targets: Target, until: Callable[[], bool] = lambda: False) -> list[GoalTask]:
         """Go to some places; return what became of each.
 
         ``until``: give up when this holds.
@@ -145,12 +146,12 @@ class ClosedLoop:
         if len(self.guidance.positions_m) == 0:
             return Command(0.0, 0.0, 'turn')
         route = seen_from(here, self.guidance.positions_m)
-        command = self.follower(scan, route, self.guidance.behaviour)
+        command = self.follower.command(scan, route, self.guidance.behaviour)
         if command.failed:
             self.tries_failed += 1
-            if self.navigator.try_failed():
+            if self.navigator.report_blocked():
                 ahead_rad = wrap(here.heading_rad + command.ahead_rad)
-                self.links_unlearned += graph.fail(command.behaviour, ahead_rad, here)
+                self.links_unlearned += graph.report_blocked(command.behaviour, ahead_rad, here)
         return command
 
     def _move(self, sample: OdometrySample) -> None:
@@ -180,7 +181,7 @@ class ClosedLoop:
             if action.action == 'create':
                 heading_rad = wrap(truth.heading_rad - action.relative_rad)
                 self.log.truth_of[action.target_id] = truth._replace(heading_rad=heading_rad)
-            elif action.action == 'none' or step.refused:
+            elif action.action == 'none' or step.rejected:
                 continue
             elif action.target_id < len(self.experience_map) - 10:
                 self.log.closures_ns.append(step.stamp_ns)

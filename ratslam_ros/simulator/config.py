@@ -8,7 +8,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from ratslam_ros.core.section import Section, parameter
+from ratslam_ros.core.config.parameter import Section, parameter
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.simulator.camera import CameraOptions
 from ratslam_ros.simulator.floor_plan import FloorPlan, load_floor_plan

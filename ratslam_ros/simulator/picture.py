@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from ratslam_ros.pictures import BLUE, GREEN, VERMILLION, new_figure, save_figure
+from ratslam_ros.results.plots import BLUE, GREEN, VERMILLION, new_figure, save_figure
 from ratslam_ros.simulator.camera import Camera, CameraOptions
 from ratslam_ros.simulator.floor_plan import FloorPlan
 from ratslam_ros.simulator.recording import SimulatedRun

@@ -15,9 +15,9 @@ from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
-from ratslam_ros.core.goal_recall import UnreachableGoal
-from ratslam_ros.core.movement_config import GoalFollowerParameters
-from ratslam_ros.core.odometry import Pose
+from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.config.goal_follower import GoalFollowerParameters
+from ratslam_ros.core.navigation.route_planner import UnreachableGoal
 from ratslam_ros.simulator.bodies import fits, room_for
 from ratslam_ros.simulator.closed_loop import ClosedLoop
 

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from helpers import START_NS, panorama, picture, twist
 
-from ratslam_ros.core.angles import wrap
+from ratslam_ros.core.common.angles import wrap
+from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.odometry import Pose
 from ratslam_ros.core.ratslam import OdometryStep, RatSLAM, Step, ViewStep
-from ratslam_ros.messages import encode_map
+from ratslam_ros.messages.mapping import encode_map
 
 COLUMNS = 60
 COLUMN_RAD = 2.0 * math.pi / COLUMNS
@@ -288,7 +288,7 @@ def test_visual_odometry_takes_motion_from_the_images() -> None:
 
 
 def test_odometry_from_poses_gives_the_same_map_as_from_twists() -> None:
-    from ratslam_ros.core.odometry import Motion, Odometry, Twist, moved
+    from ratslam_ros.core.common.odometry import Motion, Odometry, Twist, moved
 
     maps = []
     for source in ('twist', 'pose'):

@@ -17,14 +17,15 @@ import sys
 import numpy as np
 from numba.core.dispatcher import Dispatcher
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.experience_map import ExperienceMap
-from ratslam_ros.core.goal_recall import GoalRecall
-from ratslam_ros.core.local_view import LocalView, ViewMatch
-from ratslam_ros.core.odometry import Motion, MotionFromOdometry, Odometry, Pose, Twist
-from ratslam_ros.core.pose_cells import PoseCells
+from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.navigation.route_planner import RoutePlanner
+from ratslam_ros.core.vision.local_view import LocalView, ViewMatch
+from ratslam_ros.core.common.odometry import Motion, MotionFromOdometry, Odometry, Twist
+from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.ratslam import RatSLAM
-from ratslam_ros.core.torus import Place
-from ratslam_ros.core.visual_odometry import VisualOdometry
+from ratslam_ros.core.pose_cells.torus import Place
+from ratslam_ros.core.vision.visual_odometry import VisualOdometry
 from ratslam_ros.core.warm_up import warm_up
 
 def loaded():
@@ -50,7 +51,7 @@ assert before
 VISUAL_ODOMETRY = """
 visual_odometry = VisualOdometry(config.visual_odometry)
 for n, image in enumerate(images()):
-    visual_odometry(n * 10**8, image)
+    visual_odometry.estimate(n * 10**8, image)
 """
 
 LOCAL_VIEW = """
@@ -62,17 +63,17 @@ for changed in (
         config.with_values({f'local_view.{k}': v for k, v in changed.items()}).local_view
     )
     for image in images():
-        local_view(image)
+        local_view.match(image)
     again = LocalView(local_view._p)
     again.restore(local_view.state())
-    again(images()[0])
+    again.match(images()[0])
 """
 
 POSE_CELLS = """
 pose_cells = PoseCells(config.pose_cells)
 motion_from = MotionFromOdometry('twist')
 for n in range(300):
-    motion = motion_from(Odometry(n * 10**8, Twist(0.5, 0.3), Pose(0.0, 0.0, 0.0)))
+    motion = motion_from.update(Odometry(n * 10**8, Twist(0.5, 0.3), Pose(0.0, 0.0, 0.0)))
     if motion is not None:
         pose_cells.integrate(motion)
     if n % 3 == 0:
@@ -102,10 +103,10 @@ again.integrate(Motion(1.0, 1.0, 0.1))
 GOAL_RECALL = (
     EXPERIENCE_MAP
     + """
-GoalRecall(config.goal_recall).route_to(graph, 0)
-GoalRecall(config.goal_recall).route_to_place(graph, 0.0, 0.0, 50.0)
-GoalRecall(config.goal_recall).follow(graph, *graph.pose_of(0)[:2])
-from ratslam_ros.core.navigator import Navigator
+RoutePlanner(config.goal_recall).route_to(graph, 0)
+RoutePlanner(config.goal_recall).route_to_place(graph, 0.0, 0.0, 50.0)
+RoutePlanner(config.goal_recall).follow(graph, *graph.pose_of(0)[:2])
+from ratslam_ros.core.navigation.navigator import Navigator
 navigator = Navigator(config.goal_recall, graph)
 goal, count = len(graph) // 2, graph.link_count
 navigator.go_to(goal)
@@ -113,12 +114,12 @@ for n in range(40):
     for located in (True, False):
         navigator.update(n * 10**8, located=located)
     graph.integrate(Motion(0.1, 0.1, 0.03))
-    graph.fail('turn', 0.1 * n)
+    graph.report_blocked('turn', 0.1 * n)
 """
 )
 
 GOAL_MEMORY = """
-from ratslam_ros.core.goal_memory import GoalMemory
+from ratslam_ros.core.goal_memory.goal_memory import GoalMemory
 pose_cells = PoseCells(config.pose_cells)
 memory = GoalMemory(config.goal_memory, config.pose_cells)
 for n in range(100):
@@ -131,8 +132,8 @@ assert memory.bearing(times, pose_cells.peak) is not None
 """
 
 GOAL_FOLLOWER = """
-from ratslam_ros.core.goal_follower import GoalFollower
-from ratslam_ros.core.scan import Scan
+from ratslam_ros.core.driving.goal_follower import GoalFollower
+from ratslam_ros.core.common.scan import Scan
 modules = set(sys.modules)
 follow = GoalFollower(config.goal_follower)
 for n in range(40):
@@ -141,7 +142,7 @@ for n in range(40):
     ranges_m[100] = np.inf
     for behaviour in ('', 'left_wall'):
         scan = Scan(n * 10**8, -np.pi / 2, np.pi / 180, ranges_m)
-        follow(scan, np.array([[0.0, 0.0], [2.5, 0.0], [3.0, 1.0]]), behaviour)
+        follow.command(scan, np.array([[0.0, 0.0], [2.5, 0.0], [3.0, 1.0]]), behaviour)
 assert modules == set(sys.modules)
 """
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from ratslam_ros.cli import _parser, main
+from ratslam_ros.cli.main import _parser, main
 from ratslam_ros.live import entry
 from ratslam_ros.live.run import NODES
 
@@ -111,7 +111,7 @@ def test_the_commands_start_quickly() -> None:
     """A node and the launch load neither the reader of recordings nor what draws."""
     run = python(
         'import sys\n'
-        'import ratslam_ros.cli, ratslam_ros.live.run, ratslam_ros.live.launch\n'
+        'import ratslam_ros.cli.main, ratslam_ros.live.run, ratslam_ros.live.launch\n'
         'import ratslam_ros.live.ros\n'
         'print(*sorted(sys.modules))\n'
     )

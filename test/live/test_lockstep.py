@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from helpers import PERIOD_NS, START_NS
 
+from ratslam_ros.core.common.odometry import Odometry, Twist
+from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.odometry import Odometry, Pose, Twist
 from ratslam_ros.core.ratslam import RatSLAM, ViewStep
 from ratslam_ros.images import Frame
 from ratslam_ros.live.lockstep import Lockstep

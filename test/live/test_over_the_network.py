@@ -21,7 +21,7 @@ from helpers import (
 )
 from processes import Commands
 
-from ratslam_ros.core.odometry import Pose
+from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.errors import UnusableInput
 
 TEMPLATES = 40

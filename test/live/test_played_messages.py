@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from helpers import PERIOD_NS, START_NS, image_message, odometry_message, write_bag
 
-from ratslam_ros.core.odometry import Pose
+from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.images import EncodedImage, Frame, RawImage, image_of
 from ratslam_ros.recordings import (
@@ -110,7 +110,7 @@ def test_odometry_is_received_to_the_last_bit(seed: int) -> None:
 
 def test_recorded_odometry_and_that_of_tables_is_the_same_live(tmp_path: Path) -> None:
     from ratslam_ros.nodes.convert import odometry_of
-    from ratslam_ros.replay import _odometry
+    from ratslam_ros.offline.replay import _odometry
 
     chance = Random(7)
     table = ['image,stamp_ns,linear_x_mps,angular_z_radps']
@@ -140,9 +140,9 @@ def test_recorded_odometry_and_that_of_tables_is_the_same_live(tmp_path: Path) -
 
 @pytest.mark.parametrize('beams', [0, 1, 181])
 def test_a_scan_is_received_to_the_last_bit(beams: int) -> None:
-    from ratslam_ros.nodes.scans import scan_of
-    from ratslam_ros.replay import _scan
-    from ratslam_ros.scans import UnusableScan
+    from ratslam_ros.core.common.scan import UnusableScan
+    from ratslam_ros.nodes.scans import scan_from_message
+    from ratslam_ros.offline.replay import _scan
 
     first, step = (float(np.float32(number)) for number in (-1.57, 0.017))
     ranges_m = np.random.default_rng(4).uniform(-1.0, 40.0, beams).astype(np.float32)
@@ -151,9 +151,9 @@ def test_a_scan_is_received_to_the_last_bit(beams: int) -> None:
     message = message_of(sent)
     if not beams:
         with pytest.raises(UnusableScan):
-            scan_of(message)
+            scan_from_message(message)
         return
-    got, expected = scan_of(message), _scan(sent)
+    got, expected = scan_from_message(message), _scan(sent)
     assert got.ranges_m.tobytes() == expected.ranges_m.tobytes()
     assert got.stamp_ns == expected.stamp_ns == START_NS + 5
     assert bits(got.angle_min_rad, got.angle_increment_rad) == bits(first, step)

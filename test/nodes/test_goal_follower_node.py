@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from helpers import START_NS
 
-from ratslam_ros.core.experience_map import ExperienceMap
-from ratslam_ros.core.route_following import Guidance
-from ratslam_ros.goal_messages import decode_behaviour, encode_status
+from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.navigation.route_following import Guidance
+from ratslam_ros.messages.goals import decode_behaviour, encode_status
 
 MakeWorld = Callable[..., Any]
 BEAMS = 181
@@ -53,7 +53,7 @@ class Robot:
     def pose(self, x: float = 0.0, y: float = 0.0, heading: float = 0.0) -> None:
         from geometry_msgs.msg import PoseStamped
 
-        from ratslam_ros.core.odometry import Pose
+        from ratslam_ros.core.common.pose import Pose
         from ratslam_ros.nodes.convert import header_of, pose_message
 
         message = PoseStamped(header=header_of(self.stamp_ns, 'map'))

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ratslam_ros.core.pose_cells import MapAction
-from ratslam_ros.core.torus import Place
-from ratslam_ros.goal_messages import BehaviourNote, decode_status, encode_behaviour
-from ratslam_ros.messages import encode_action
+from ratslam_ros.core.pose_cells.pose_cells import MapAction
+from ratslam_ros.core.pose_cells.torus import Place
+from ratslam_ros.messages.goals import BehaviourNote, decode_status, encode_behaviour
+from ratslam_ros.messages.mapping import encode_action
 
 S = 10**9
 START_NS = 1_700_000_000 * S

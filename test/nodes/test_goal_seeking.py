@@ -12,9 +12,10 @@ from typing import Any
 
 import pytest
 
-from ratslam_ros.core.goal_memory import GoalMemory
-from ratslam_ros.core.odometry import MotionFromOdometry, Odometry, Pose, Twist
-from ratslam_ros.core.pose_cells import PoseCells
+from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry, Twist
+from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.goal_memory.goal_memory import GoalMemory
+from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 
 PAGE = (Path(__file__).parents[2] / 'docs/topics.md').read_text(encoding='utf-8')
 ON = ('-p', 'goal_memory.goal_memory:=true', '-p', 'flush_after_s:=0.3')
@@ -101,7 +102,7 @@ def test_the_node_learns_what_core_learns(world: MakeWorld) -> None:
     for second in range(12):
         speed = 0.5 if second < 3 else 1.0
         message = Odometry(START_NS + second * S, Twist(speed, 0.0), Pose(0.0, 0.0, 0.0))
-        motion = motion_from(message)
+        motion = motion_from.update(message)
         if motion is not None:
             cells.integrate(motion)
             memory.integrate(motion, cells)

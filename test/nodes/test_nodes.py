@@ -15,8 +15,8 @@ import pytest
 from helpers import PERIOD_NS, START_NS, picture, template_text
 
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.local_view import LocalView
-from ratslam_ros.messages import decode_action, decode_template
+from ratslam_ros.core.vision.local_view import LocalView
+from ratslam_ros.messages.mapping import decode_action, decode_template
 
 S = 1_000_000_000
 SMALL = (
@@ -58,9 +58,9 @@ def string(text: str) -> Any:
 
 
 def action_text(stamp_ns: int, sequence: int, kind: str, source: int, target: int) -> str:
-    from ratslam_ros.core.pose_cells import MapAction
-    from ratslam_ros.core.torus import Place
-    from ratslam_ros.messages import encode_action
+    from ratslam_ros.core.pose_cells.pose_cells import MapAction
+    from ratslam_ros.core.pose_cells.torus import Place
+    from ratslam_ros.messages.mapping import encode_action
 
     action = MapAction(kind, source, target, max(target, 0), 0.0, Place(1.0, 2.0, 3.0))  # type: ignore[arg-type]
     return encode_action(stamp_ns, sequence, action, START_NS)
@@ -91,7 +91,7 @@ def test_every_image_gives_a_template_message_and_the_same_as_core(world: MakeWo
     for n, (seed, message) in enumerate(zip(seeds, heard, strict=True)):
         stamp_ns, match, memory_ns = decode_template(message.data)
         assert (stamp_ns, memory_ns) == (START_NS + n * PERIOD_NS, START_NS)
-        assert match == core(picture(seed, 24, 32))
+        assert match == core.estimate(picture(seed, 24, 32))
 
 
 def test_images_that_are_wrong_are_counted_and_change_nothing(world: MakeWorld) -> None:
@@ -340,7 +340,7 @@ def test_the_activity_is_shown_to_who_looks(world: MakeWorld) -> None:
 def test_active_experiences_are_told_to_who_listens(world: MakeWorld) -> None:
     from std_msgs.msg import String
 
-    from ratslam_ros.messages import decode_active
+    from ratslam_ros.messages.mapping import decode_active
 
     made, actions = pose_cells(world)
     heard = made.listen(String, 'pose_cells/active_experiences')
@@ -650,7 +650,7 @@ def test_visual_odometry_gives_what_core_gives_and_a_whole_tree(world: MakeWorld
     from nav_msgs.msg import Odometry
     from tf2_msgs.msg import TFMessage
 
-    from ratslam_ros.core.visual_odometry import VisualOdometry
+    from ratslam_ros.core.vision.visual_odometry import VisualOdometry
     from ratslam_ros.nodes.convert import odometry_of
     from ratslam_ros.nodes.visual_odometry_node import VisualOdometryNode
 
@@ -662,7 +662,7 @@ def test_visual_odometry_gives_what_core_gives_and_a_whole_tree(world: MakeWorld
     for n in range(5):
         stamp_ns = START_NS + n * PERIOD_NS
         made.send('image', image(stamp_ns, n))
-        expected.append(core(stamp_ns, picture(n, 24, 32)))
+        expected.append(core.estimate(stamp_ns, picture(n, 24, 32)))
     made.until(lambda: len(heard) == len(transforms) == 4)
     assert [odometry_of(message) for message in heard] == [
         odometry.as_received() for odometry in expected if odometry is not None

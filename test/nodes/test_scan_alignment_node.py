@@ -13,7 +13,7 @@ import pytest
 from rooms import Line, scan_in
 from test_goal_navigation import Robot
 
-from ratslam_ros.core.odometry import Pose
+from ratslam_ros.core.common.pose import Pose
 
 MakeWorld = Callable[..., Any]
 

@@ -48,7 +48,7 @@ def test_it_senses_what_a_robot_senses(world: MakeWorld) -> None:
     from rosgraph_msgs.msg import Clock
     from sensor_msgs.msg import CameraInfo, Image, LaserScan
 
-    from ratslam_ros.nodes.scans import scan_of
+    from ratslam_ros.nodes.scans import scan_from_message
 
     made = simulator(world)
     kinds = {
@@ -68,7 +68,7 @@ def test_it_senses_what_a_robot_senses(world: MakeWorld) -> None:
     assert (image.width, image.height, image.encoding) == (80, 60, 'mono8')
     assert np.frombuffer(image.data, np.uint8).std() > 5.0
     assert (info.width, info.k[2]) == (80, 40.0)
-    ranges_m = scan_of(scan).ranges_m
+    ranges_m = scan_from_message(scan).ranges_m
     assert len(ranges_m) == 181
     x_m, y_m = office().places['E']
     assert ranges_m[0] == pytest.approx(office().clearance_m(x_m, y_m), abs=0.01)

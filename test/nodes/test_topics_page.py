@@ -67,8 +67,8 @@ def test_every_topic_of_the_page_is_there(world: Callable[..., Any]) -> None:
 
 
 def test_the_examples_are_payloads() -> None:
-    from ratslam_ros.core.goals import Position
-    from ratslam_ros.goal_messages import (
+    from ratslam_ros.core.navigation.goals import Position
+    from ratslam_ros.messages.goals import (
         GoalRequest,
         NameRequest,
         decode_behaviour,
@@ -77,7 +77,12 @@ def test_the_examples_are_payloads() -> None:
         decode_status,
         encode_behaviour,
     )
-    from ratslam_ros.messages import decode_action, decode_template, encode_action, encode_template
+    from ratslam_ros.messages.mapping import (
+        decode_action,
+        decode_template,
+        encode_action,
+        encode_template,
+    )
 
     template, action, goal, name, status, behaviour = re.findall(r'```json\n(.*?)\n```', PAGE)
     assert encode_template(*decode_template(template)) == template
@@ -92,13 +97,13 @@ def test_the_examples_are_payloads() -> None:
 
 def example_of_status() -> str:
     """Return the status of the page's example, as it is sent."""
+    from ratslam_ros.core.common.pose import Pose
     from ratslam_ros.core.config import ExperienceMapParameters
-    from ratslam_ros.core.experience_map import Direction, ExperienceMap
-    from ratslam_ros.core.goals import Goal
-    from ratslam_ros.core.navigator import Errand
-    from ratslam_ros.core.odometry import Pose
-    from ratslam_ros.core.route_following import Guidance
-    from ratslam_ros.goal_messages import encode_status
+    from ratslam_ros.core.mapping.experience_map import Direction, ExperienceMap
+    from ratslam_ros.core.navigation.goals import Goal
+    from ratslam_ros.core.navigation.navigator import GoalTask
+    from ratslam_ros.core.navigation.route_following import Guidance
+    from ratslam_ros.messages.goals import encode_status
 
     class Around(ExperienceMap):
         def neighbours(self, experience_id: int) -> list[int]:
@@ -110,8 +115,8 @@ def example_of_status() -> str:
     around = Around(ExperienceMapParameters())
     around.current_id = 40
     here = Goal(12)
-    active = Errand(3, here, 'kitchen', status='active', expected_s=24.0)
-    over = Errand(
+    active = GoalTask(3, here, 'kitchen', status='active', expected_s=24.0)
+    over = GoalTask(
         2, here, '(1, 0)', status='timed_out', reason='not reached within 60 s', started_ns=0,
         expected_s=12.5, ended_ns=60_000_000_000,
     )  # fmt: skip

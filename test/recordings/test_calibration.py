@@ -22,8 +22,8 @@ from helpers import (
 )
 
 from ratslam_ros.core.config import Config
+from ratslam_ros.offline.replay import ReplayOptions, replay
 from ratslam_ros.recordings import open_recording
-from ratslam_ros.replay import ReplayOptions, replay
 
 
 def write(folder: Path, infos: dict[str, float]) -> Path:

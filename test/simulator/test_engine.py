@@ -148,20 +148,20 @@ def test_same_seed_same_samples_and_another_seed_others():
 
 
 def test_being_carried_is_noticed_by_no_wheel():
-    carried, left = Simulator(LOOP, START, 1, BLIND), Simulator(LOOP, START, 1, BLIND)
-    for simulator in (carried, left):
+    relocated, left = Simulator(LOOP, START, 1, BLIND), Simulator(LOOP, START, 1, BLIND)
+    for simulator in (relocated, left):
         simulator.command(0.3, 0.0)
         run(simulator, 2.0)
-    carried.carry(Pose(*LOOP.places['b'], math.pi / 2))
-    assert carried.truth == Pose(*LOOP.places['b'], math.pi / 2)
-    odometer_m = carried.odometer_m
-    for a, b in zip(run(carried, 3.0), run(left, 3.0), strict=True):
+    relocated.carry(Pose(*LOOP.places['b'], math.pi / 2))
+    assert relocated.truth == Pose(*LOOP.places['b'], math.pi / 2)
+    odometer_m = relocated.odometer_m
+    for a, b in zip(run(relocated, 3.0), run(left, 3.0), strict=True):
         assert a.odometry == b.odometry
-    assert carried.odometer_m == pytest.approx(odometer_m + 0.9, abs=0.05)
+    assert relocated.odometer_m == pytest.approx(odometer_m + 0.9, abs=0.05)
     with pytest.raises(UnusableInput, match='does not fit'):
-        carried.carry(Pose(0.1, 0.1, 0.0))
+        relocated.carry(Pose(0.1, 0.1, 0.0))
     with pytest.raises(UnusableInput, match='does not fit'):
-        carried.carry(Pose(-5.0, 1.0, 0.0))
+        relocated.carry(Pose(-5.0, 1.0, 0.0))
 
 
 def test_obstacle_blocks_the_corridor_and_is_gone_again():

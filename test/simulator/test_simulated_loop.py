@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from ratslam_ros.config_files import load_config
-from ratslam_ros.core.goal_recall import UnreachableGoal
-from ratslam_ros.core.steering import Command
-from ratslam_ros.messages import encode_map
+from ratslam_ros.core.driving.steering import Command
+from ratslam_ros.core.navigation.route_planner import UnreachableGoal
+from ratslam_ros.files.config import load_config
+from ratslam_ros.messages.mapping import encode_map
 from ratslam_ros.simulator.closed_loop import ClosedLoop
 from ratslam_ros.simulator.floor_plan import parse_floor_plan
 from ratslam_ros.simulator.robot import Pose, RobotOptions

@@ -7,9 +7,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.movement_config import GoalFollowerParameters
-from ratslam_ros.core.odometry import Pose
+from ratslam_ros.core.config.goal_follower import GoalFollowerParameters
 from ratslam_ros.simulator.closed_loop import ClosedLoop
 from ratslam_ros.simulator.floor_plan import load_floor_plan, parse_floor_plan
 from ratslam_ros.simulator.robot import Pose as TruePose

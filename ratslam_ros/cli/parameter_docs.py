@@ -1,0 +1,120 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Write docs/parameters.md and config/default.yaml from the dataclasses of core/config.
+
+    python -m ratslam_ros.cli.parameter_docs            write both
+    python -m ratslam_ros.cli.parameter_docs --check    only tell whether they are up to date
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from ratslam_ros.core.config import SECTIONS, ParameterInfo, Section, Value
+from ratslam_ros.files.config import documented_yaml
+from ratslam_ros.simulator.config import SimulatorParameters
+
+ROOT = Path(__file__).resolve().parents[2]
+
+_INTRODUCTION = """\
+<!-- Made from ratslam_ros/core/config/ by `make docs`; do not edit. -->
+
+# Parameters
+
+Each parameter belongs to the part of RatSLAM that uses it. On the command line a parameter is
+named with its section, `--set local_view.vt_match_threshold=0.05`; in a YAML file it stands
+below its section:
+
+```yaml
+/**/local_view:
+  ros__parameters:
+    vt_match_threshold: 0.05
+```
+
+Most names are those of OpenRatSLAM (Ball et al. 2013), whose own INI files can be given to
+`--config` as they are. [config/](../config) holds `default.yaml`, with all of what follows, and
+one preset a robot or data set; [tuning.md](tuning.md) goes from what you see to what to change.
+
+The last section, `simulator`, is of the simulated robot and in no such file: its parameters are
+given to the node, `-p plan:=office`, or are options of `ratslam simulate`.
+"""
+
+
+def parameters_markdown() -> str:
+    """Return docs/parameters.md: what each parameter does and may be, and when to change it."""
+    parts = [_INTRODUCTION]
+    sections: dict[str, type[Section]] = {**SECTIONS, 'simulator': SimulatorParameters}
+    for section, cls in sections.items():
+        parts.append(f'\n## {section}\n\n{cls.__doc__}\n')
+        for name, info, default in cls.parameters():
+            parts.append(_entry(name, info, default))
+    return ''.join(parts)
+
+
+def documents() -> dict[Path, str]:
+    """Return the generated files, relative to the root of the repository, and their contents."""
+    return {
+        Path('docs/parameters.md'): parameters_markdown(),
+        Path('config/default.yaml'): documented_yaml(),
+    }
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Write the files, or check them; return 1 if a checked one is out of date."""
+    parser = argparse.ArgumentParser(
+        prog='python -m ratslam_ros.cli.parameter_docs',
+        description='Write docs/parameters.md and config/default.yaml.',
+    )
+    parser.add_argument('--check', action='store_true', help='write nothing; 1 if out of date')
+    options = parser.parse_args(arguments)
+    outdated = [path for path, text in documents().items() if _read(ROOT / path) != text]
+    for path in outdated:
+        if options.check:
+            print(f'{path} is out of date: run "make docs"', file=sys.stderr)
+        else:
+            (ROOT / path).parent.mkdir(exist_ok=True)
+            (ROOT / path).write_text(documents()[path], encoding='utf-8', newline='\n')
+            print(f'{path} written')
+    return int(options.check and bool(outdated))
+
+
+def _entry(name: str, info: ParameterInfo, default: Value) -> str:
+    lines = [f'\n### {name}\n', info.effect, '']
+    facts = [f'default `{_shown(default)}`']
+    if info.choices:
+        facts.append('one of ' + ', '.join(f'`{choice}`' for choice in info.choices))
+    elif isinstance(default, str):
+        facts.append('any name')
+    elif not isinstance(default, bool):
+        facts.append(f'from {_shown(info.low)} to {_shown(info.high)}')
+    if info.unit:
+        facts.append(f'unit: {info.unit}')
+    lines.append('- ' + '; '.join(facts))
+    change, back = ('set it', 'leave it') if isinstance(default, bool) else ('raise', 'lower')
+    if isinstance(default, str):
+        lines += [f'- {advice}' for advice in (info.raise_if, info.lower_if) if advice]
+    else:
+        if info.raise_if:
+            lines.append(f'- {change} if {info.raise_if}')
+        if info.lower_if:
+            lines.append(f'- {back} if {info.lower_if}')
+    return '\n'.join(lines) + '\n'
+
+
+def _shown(value: Value) -> str:
+    if isinstance(value, bool):
+        return 'true' if value else 'false'
+    if isinstance(value, float):
+        return f'{value:g}' if value < 1e6 else f'{value:.0f}'
+    return str(value)
+
+
+def _read(path: Path) -> str | None:
+    return path.read_text(encoding='utf-8') if path.is_file() else None
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,23 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Angles in radians, counter-clockwise."""
+
+from __future__ import annotations
+
+import math
+
+from ratslam_ros.core.common.compiled import compiled
+
+TWO_PI = 2.0 * math.pi
+
+
+@compiled
+def wrap(angle_rad: float) -> float:
+    """Map an angle to (-pi, pi]."""
+    if -math.pi < angle_rad <= math.pi:
+        return angle_rad
+    wrapped = angle_rad - TWO_PI * math.ceil((angle_rad - math.pi) / TWO_PI)
+    # Rounding may leave the lower end itself, which belongs to the other side.
+    if wrapped <= -math.pi:
+        return wrapped + TWO_PI
+    return min(wrapped, math.pi)

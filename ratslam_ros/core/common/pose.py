@@ -1,0 +1,46 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Poses in the plane, their composition, and the quaternions that messages carry."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from ratslam_ros.core.common.angles import wrap
+
+
+class Pose(NamedTuple):
+    """A place in the plane; the heading is counter-clockwise from x."""
+
+    x_m: float
+    y_m: float
+    heading_rad: float
+
+
+def heading_of(x: float, y: float, z: float, w: float) -> float:
+    """Return the heading in rad that a quaternion means in the plane."""
+    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+
+def quaternion_of(heading_rad: float) -> tuple[float, float]:
+    """Return z and w of the quaternion that means a heading."""
+    return math.sin(0.5 * heading_rad), math.cos(0.5 * heading_rad)
+
+
+def composed(base: Pose, offset: Pose) -> Pose:
+    """Return the pose that lies at ``offset`` in the frame of ``base``."""
+    c, s = math.cos(base.heading_rad), math.sin(base.heading_rad)
+    return Pose(
+        base.x_m + c * offset.x_m - s * offset.y_m,
+        base.y_m + s * offset.x_m + c * offset.y_m,
+        wrap(base.heading_rad + offset.heading_rad),
+    )
+
+
+def inverse(pose: Pose) -> Pose:
+    """Return where the origin lies as seen from a pose."""
+    c, s = math.cos(pose.heading_rad), math.sin(pose.heading_rad)
+    return Pose(
+        -c * pose.x_m - s * pose.y_m, s * pose.x_m - c * pose.y_m, -pose.heading_rad
+    )

@@ -1,0 +1,25 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Every parameter, defined once: name, unit, range, default and effect.
+
+YAML files, ``--set``, the ROS parameter descriptors and docs/parameters.md are derived from these
+dataclasses. Names follow OpenRatSLAM (Ball et al., 2013), so that its configurations carry over.
+"""
+
+from ratslam_ros.core.config.config import SECTIONS, SETTABLE, Config, section_of
+from ratslam_ros.core.config.experience_map import ExperienceMapParameters
+from ratslam_ros.core.config.goal_follower import GoalFollowerParameters
+from ratslam_ros.core.config.goal_memory import GoalMemoryParameters
+from ratslam_ros.core.config.goal_recall import GoalRecallParameters
+from ratslam_ros.core.config.inputs import WHOLE, LiveInput
+from ratslam_ros.core.config.local_view import LocalViewParameters
+from ratslam_ros.core.config.parameter import ParameterInfo, Section, Value, parameter
+from ratslam_ros.core.config.pose_cells import LEAST_EXP_MAX, PoseCellsParameters
+from ratslam_ros.core.config.visual_odometry import VisualOdometryParameters
+
+__all__ = [
+    'LEAST_EXP_MAX', 'SECTIONS', 'SETTABLE', 'WHOLE', 'Config', 'ExperienceMapParameters',
+    'GoalFollowerParameters', 'GoalMemoryParameters', 'GoalRecallParameters', 'LiveInput',
+    'LocalViewParameters', 'ParameterInfo', 'PoseCellsParameters', 'Section', 'Value',
+    'VisualOdometryParameters', 'parameter', 'section_of',
+]

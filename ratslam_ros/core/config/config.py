@@ -1,0 +1,130 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""All sections together, and the names of their parameters."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, Self
+
+from ratslam_ros.core.config.experience_map import ExperienceMapParameters
+from ratslam_ros.core.config.goal_follower import GoalFollowerParameters
+from ratslam_ros.core.config.goal_memory import GoalMemoryParameters
+from ratslam_ros.core.config.goal_recall import GoalRecallParameters
+from ratslam_ros.core.config.local_view import LocalViewParameters
+from ratslam_ros.core.config.parameter import Section, Value
+from ratslam_ros.core.config.pose_cells import PoseCellsParameters
+from ratslam_ros.core.config.visual_odometry import VisualOdometryParameters
+from ratslam_ros.errors import UnusableParameter
+
+
+@dataclass(frozen=True)
+class Config:
+    """All parameters, a section for each of the five core modules."""
+
+    visual_odometry: VisualOdometryParameters = field(default_factory=VisualOdometryParameters)
+    local_view: LocalViewParameters = field(default_factory=LocalViewParameters)
+    pose_cells: PoseCellsParameters = field(default_factory=PoseCellsParameters)
+    goal_memory: GoalMemoryParameters = field(default_factory=GoalMemoryParameters)
+    experience_map: ExperienceMapParameters = field(default_factory=ExperienceMapParameters)
+    goal_recall: GoalRecallParameters = field(default_factory=GoalRecallParameters)
+    goal_follower: GoalFollowerParameters = field(default_factory=GoalFollowerParameters)
+
+    def __post_init__(self) -> None:
+        sources = self.pose_cells.odom_source, self.experience_map.odom_source
+        if sources[0] != sources[1]:
+            raise UnusableParameter(
+                'pose_cells.odom_source and experience_map.odom_source are '
+                f'{sources[0]} and {sources[1]}; expected the same, or the map would not be that '
+                'of the pose cells: set both'
+            )
+
+    def with_values(self, values: Mapping[str, Value]) -> Self:
+        """Return a copy with ``section.name`` keys set; all or nothing.
+
+        Raises:
+            UnusableParameter: an unknown section or name (the nearest known ones are told), or a
+                value of the wrong type or out of range.
+        """
+        changes: dict[str, dict[str, Value]] = {}
+        for key, value in values.items():
+            for section, name in _targets(key):
+                changes.setdefault(section, {})[name] = value
+        sections = {
+            section: _replaced(section, getattr(self, section), change)
+            for section, change in changes.items()
+        }
+        return replace(self, **sections)
+
+    def values(self) -> dict[str, dict[str, Value]]:
+        """Return every value as ``{section: {name: value}}`` in declared order."""
+        return {
+            item.name: {
+                name: getattr(getattr(self, item.name), name)
+                for name, _, _ in getattr(self, item.name).parameters()
+            }
+            for item in fields(self)
+        }
+
+
+def _replaced(section: str, old: Any, change: Mapping[str, Value]) -> Any:
+    try:
+        return replace(old, **change)
+    except UnusableParameter as error:
+        raise UnusableParameter(f'{section}.{error}') from None
+
+
+SECTIONS: dict[str, type[Section]] = {
+    'visual_odometry': VisualOdometryParameters,
+    'local_view': LocalViewParameters,
+    'pose_cells': PoseCellsParameters,
+    'goal_memory': GoalMemoryParameters,
+    'experience_map': ExperienceMapParameters,
+    'goal_recall': GoalRecallParameters,
+    'goal_follower': GoalFollowerParameters,
+}
+
+SETTABLE = frozenset(
+    {
+        'watchdog_after_s', 'on_jump_back', 'flush_after_s', 'publish_tf', 'map_period_s',
+        'goal_tolerance_m', 'memory_folder', 'goal_radius_m', 'goal_timeout_s',
+        'goal_timeout_factor', 'goal_timeout_least_s', 'goal_explore_s', 'route_keep_s',
+        'route_switch_s', 'route_width_m', 'waypoint_ahead_m', 'explore',
+    }
+)  # fmt: skip
+"""What a node lets be set while it runs. All else decides what the map becomes: one map is made
+with one set of values."""
+
+
+def section_of(name: str) -> str | None:
+    """Return the first section that has a parameter of this name, None if there is none."""
+    if name == 'pc_dim_xy':
+        return 'pose_cells'
+    for section, cls in SECTIONS.items():
+        if name in {known for known, _, _ in cls.parameters()}:
+            return section
+    return None
+
+
+def _targets(key: str) -> list[tuple[str, str]]:
+    """Return the (section, name) pairs that a ``section.name`` key stands for."""
+    section, _, name = key.partition('.')
+    if section not in SECTIONS:
+        guess = section_of(name or section)
+        hint = f'did you mean {guess}.{name or section}?' if guess else (
+            f'the sections are {", ".join(SECTIONS)}'
+        )
+        raise UnusableParameter(f'{key!r} names no parameter; expected section.name: {hint}')
+    if key == 'pose_cells.pc_dim_xy':
+        return [('pose_cells', 'pc_dim_x'), ('pose_cells', 'pc_dim_y')]
+    known = [item for item, _, _ in SECTIONS[section].parameters()]
+    if name not in known:
+        elsewhere = section_of(name)
+        close = difflib.get_close_matches(name, known, 3, 0.5) or known
+        hint = f'did you mean {elsewhere}.{name}?' if elsewhere else (
+            f'the nearest known: {", ".join(close)}'
+        )
+        raise UnusableParameter(f'{section} has no parameter {name!r}; {hint}')
+    return [(section, name)]

@@ -1,0 +1,382 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Experience map: the pose graph that map actions and odometry build (MapAction, Motion)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from ratslam_ros.core.common.angles import wrap
+from ratslam_ros.core.common.odometry import Motion, moved
+from ratslam_ros.core.common.pose import Pose, composed, inverse
+from ratslam_ros.core.common.state import State
+from ratslam_ros.core.config import ExperienceMapParameters
+from ratslam_ros.core.mapping.graph import ExperienceGraph, NotLinked
+from ratslam_ros.core.mapping.link_learning import (
+    count_other_transitions,
+    count_time_out,
+    least_confident,
+)
+from ratslam_ros.core.mapping.links import Link, outgoing_from, with_capacity
+from ratslam_ros.core.mapping.loop_closure_gate import (
+    LoopClosureGate,
+    exceeds_drift,
+    long_known_experience,
+)
+from ratslam_ros.core.mapping.optimiser import PoseGraphOptimiser
+from ratslam_ros.core.mapping.scan_matching import ScanMatch
+from ratslam_ros.core.pose_cells.pose_cells import NO_EXPERIENCE, MapAction
+from ratslam_ros.core.pose_cells.torus import Place
+from ratslam_ros.core.vision.local_view import NO_TEMPLATE
+from ratslam_ros.errors import UnusableInput
+
+SCAN_CHECK_SPACING_M = 1.0
+"""Travelled distance between two checks of the scan against long-known experiences."""
+
+
+class Direction(NamedTuple):
+    """Distance, and bearing from straight ahead, of a point in the robot's frame."""
+
+    distance_m: float
+    direction_rad: float
+
+
+class PrunedExperience(NamedTuple):
+    """An experience whose id is free, and the neighbour that represents it from now on.
+
+    ``stand_in_id``: -1 if it had no neighbour. ``pose``: pose of the pruned experience in the
+    frame of that neighbour, or of the start if there is none.
+    """
+
+    experience_id: int
+    stand_in_id: int
+    pose: Pose
+
+
+@dataclass(frozen=True, slots=True)
+class MapUpdate:
+    """What one map action changed.
+
+    ``pruned``: the experience that made room for a new one. ``rejected``: the loop-closure gate
+    rejected the transition, and the robot stays where the map has it.
+    """
+
+    pruned: PrunedExperience | None = None
+    rejected: bool = False
+
+
+class ExperienceMap(ExperienceGraph):
+    """The experience graph, and the robot's pose relative to its current experience."""
+
+    def __init__(self, parameters: ExperienceMapParameters) -> None:
+        heading_rad = wrap(math.radians(parameters.exp_initial_em_deg))
+        super().__init__(Pose(0.0, 0.0, heading_rad), parameters.map_frame)
+        self._p = parameters
+        self.mapping = True
+        """Whether the graph is extended and relaxed; False: the robot is only localised on it."""
+        self.on_pruned: list[Callable[[int, int, Pose], None]] = []
+        """Called with the fields of ``PrunedExperience`` before an id is used again."""
+        self.current_id = NO_EXPERIENCE
+        self.offset = Pose(0.0, 0.0, 0.0)
+        """Pose in the frame of the current experience; before the first one, of the start."""
+        self.gate = LoopClosureGate()
+        """Evidence for and against transitions that exceed the drift (``exp_jump_drift``)."""
+        self.scan_confirmed_m = 0.0
+        """Odometer reading, in m, when a scan last matched a long-known experience nearby."""
+        self._duration_s = 0.0
+        self._travelled_m = 0.0
+        self._odometer_m = self._scan_checked_m = 0.0
+        self._optimiser = PoseGraphOptimiser(parameters)
+
+    @property
+    def pose(self) -> Pose:
+        """Pose of the robot on the map, the motion since the current experience included."""
+        return composed(self.pose_of(self.current_id), self.offset)
+
+    def seen_from(self, experience_id: int) -> Pose | None:
+        """Return the robot's pose in the frame of an experience; None if there is none."""
+        if not 0 <= experience_id < len(self):
+            return None
+        return composed(inverse(self.pose_of(experience_id)), self.pose)
+
+    @property
+    def odometer_m(self) -> float:
+        """Distance travelled since the start."""
+        return self._odometer_m
+
+    def distance_and_direction(self, target_id: int) -> Direction:
+        """Return where a neighbour of the current experience lies as seen from the robot.
+
+        Computed along the shortest of the links that join the two.
+
+        Raises:
+            NotLinked: the target is not a neighbour of the current experience.
+        """
+        here = self.current_id
+        outgoing = [] if here == NO_EXPERIENCE else [
+            link for link in map(outgoing_from(here), self._links.of(here))
+            if link.target_id == target_id
+        ]
+        if not outgoing:
+            known = [] if here == NO_EXPERIENCE else self.neighbours(here)
+            raise NotLinked(
+                f'no link joins experience {target_id} and the current one, {here}; its '
+                f'neighbours are {", ".join(map(str, known)) or "none"}: choose one of them, or '
+                'ask for a route'
+            )
+        shortest = min(outgoing, key=lambda link: link.distance_m)
+        x, y, _ = composed(inverse(self.offset), shortest.relative_pose)
+        return Direction(math.hypot(x, y), math.atan2(y, x))
+
+    def state(self) -> State:
+        """Return the whole map and the robot's place on it, for ``restore``."""
+        return {
+            'poses': self.poses,
+            'labels': [[template, *place] for template, place in self._labels],
+            **self._links.state(),
+            'unlearned': self.unlearned_ends,
+            'current': self.current_id,
+            'offset': list(self.offset),
+            'duration_s': self._duration_s,
+            'way_m': self._travelled_m,
+            'made_m': self._made_m[: len(self)].copy(),
+            'odometer_m': self._odometer_m,
+            'relaxation': self._optimiser.relaxation_state(),
+            'planning_work': self._optimiser.planning_work,
+            'jumps': self.gate.state(),
+        }
+
+    def restore(self, state: State) -> None:
+        """Restore what ``state`` returned; the present map must be empty."""
+        self._poses = with_capacity(state['poses'])
+        self._made_m = np.zeros(len(self._poses))
+        self._made_m[: len(state['poses'])] = state['made_m']
+        self._odometer_m = self._scan_checked_m = state['odometer_m']
+        self._labels = [(t, Place(x, y, theta)) for t, x, y, theta in state['labels']]
+        self._links.restore(state)
+        self._unlearned = {(i, j) for i, j in state['unlearned'].tolist()}
+        self.current_id = state['current']
+        self.offset = Pose(*state['offset'])
+        self._duration_s = state['duration_s']
+        self._travelled_m = state['way_m']
+        self._optimiser.restore(state, len(self))
+        self.gate.restore(state['jumps'])
+
+    def integrate(self, motion: Motion) -> None:
+        """Compose one motion with the offset from the current experience."""
+        self.offset = moved(self.offset, motion)
+        self._duration_s += motion.dt_s
+        self._travelled_m += abs(motion.distance_m)
+        self._odometer_m += abs(motion.distance_m)
+
+    def apply(
+        self, action: MapAction, behaviour: str = '', scan_match: ScanMatch | None = None
+    ) -> MapUpdate:
+        """Execute one action of the pose cells, then relax the graph within its budget.
+
+        Args:
+            action: create, link, set or none. Creating an experience whose id is in use prunes
+                the experience that has it.
+            behaviour: name of what the robot was doing, stored in the link; '' if unknown. A
+                transition by a named behaviour counts as a failed attempt of the other links
+                from the same experience by the same behaviour.
+            scan_match: the robot's pose by scan matching; overrides odometry and view where set.
+        """
+        if action.template_id == NO_TEMPLATE:
+            return MapUpdate()  # an undecodable image leaves the map as it is
+        if not self.mapping and (action.action == 'create' or action.target_id >= len(self)):
+            return MapUpdate()
+        if action.action == 'none':
+            self._relax()
+            return MapUpdate()
+        # After a rejected closure the pose cells are elsewhere than the map: their source is not
+        # where the robot comes from.
+        was_rejecting = self.gate.rejecting
+        source = self.current_id if was_rejecting else action.source_id
+        target_offset = Pose(0.0, 0.0, action.relative_rad)
+        if scan_match is not None:
+            self.offset = scan_match.from_current or self.offset
+            target_offset = scan_match.from_target or target_offset
+        pruned, relocated = None, False
+        if action.action == 'create':
+            pose = self.pose
+            self.gate.record_new_place(pose)
+            if action.target_id < len(self):
+                pruned = self._prune(action.target_id)
+                if source == action.target_id:  # possible if the map has missed actions
+                    source = self.current_id
+            self._place(action, composed(pose, inverse(target_offset)), self._odometer_m)
+        elif self._exceeds_drift(action.target_id, target_offset):
+            if self._scan_confirms_pose(scan_match):
+                self.gate.reject_by_scan(self.pose)
+            else:
+                claimed = composed(self.pose_of(action.target_id), target_offset)
+                relocated = self.gate.accepts(self.pose, claimed)
+            if not relocated:
+                self._relax()
+                return MapUpdate(rejected=True)
+        else:
+            self.gate.record_agreement(self.pose)
+        returned = was_rejecting and source == action.target_id
+        if source != NO_EXPERIENCE and self.mapping and not relocated and not returned:
+            is_leaf = action.action == 'create'
+            self._connect(source, action.target_id, target_offset, behaviour, is_leaf)
+        self.current_id = action.target_id
+        self.offset = target_offset
+        self._duration_s = self._travelled_m = 0.0
+        self._record_scan_confirmation(scan_match)
+        self._relax()
+        return MapUpdate(pruned)
+
+    # Loop-closure gating
+
+    def _exceeds_drift(self, target: int, target_offset: Pose) -> bool:
+        """Return whether a transition displaces the robot more than the map can have drifted."""
+        p, source = self._p, self.current_id
+        if p.exp_jump_drift == 0.0 or not self.mapping or source == NO_EXPERIENCE:
+            return False
+        if self._links.row(source, target) is not None and not self.gate.rejecting:
+            return False
+        if not self._displacement_exceeds_drift(target, target_offset):
+            return False
+        optimiser = self._optimiser
+        if optimiser.is_settled or not optimiser.is_enabled or p.exp_relaxation != 'solve':
+            return True
+        # Before relaxation the poses may be as far off as the loop that was closed last.
+        self.settle()
+        optimiser.discard_budget()
+        return self._displacement_exceeds_drift(target, target_offset)
+
+    def _displacement_exceeds_drift(self, target: int, target_offset: Pose) -> bool:
+        claimed = composed(self.pose_of(target), target_offset)
+        return exceeds_drift(
+            self.pose, claimed, self._p.exp_jump_drift, self.link_ends, self.link_shapes[:, 0],
+            self.current_id, target, self._travelled_m,
+        )  # fmt: skip
+
+    def _record_scan_confirmation(self, scan_match: ScanMatch | None) -> None:
+        """Check at intervals whether the scan fits a long-known experience, even in new views."""
+        if scan_match is None or scan_match.fits is None:
+            return
+        if self._odometer_m - self._scan_checked_m >= SCAN_CHECK_SPACING_M:
+            self._scan_checked_m = self._odometer_m
+            if self._scan_confirms_pose(scan_match):
+                self.scan_confirmed_m = self._odometer_m
+
+    def _scan_confirms_pose(self, scan_match: ScanMatch | None) -> bool:
+        """Return whether the scan fits a long-known experience at the robot's present pose."""
+        if scan_match is None or scan_match.fits is None or self.gate.accepts_next:
+            return False
+        n, here = len(self), self.pose
+        known = long_known_experience(self._poses[:n], self._made_m[:n], self._odometer_m, here)
+        return known is not None and scan_match.fits(
+            known, composed(inverse(self.pose_of(known)), here)
+        )
+
+    # Links
+
+    def report_blocked(self, behaviour: str, ahead_rad: float, here: Pose | None = None) -> int:
+        """Count a behaviour that timed out at the robot's pose, and unlearn blocked links.
+
+        It is a failed attempt of every link that passes within ``exp_try_radius_m`` of the robot
+        and leads ahead, in either direction and by any behaviour, because routes use links so;
+        see ``link_learning.leading_ahead``.
+
+        Args:
+            behaviour: its name; with '' nothing is counted.
+            ahead_rad: the direction that it should have led in, in the map frame.
+            here: pose of the robot on the map; None: the map's own estimate.
+
+        Returns:
+            The number of links that were unlearned.
+
+        Raises:
+            UnusableInput: the direction is not finite.
+        """
+        if not math.isfinite(ahead_rad):
+            raise UnusableInput(f'ahead_rad is {ahead_rad}; expected a finite angle')
+        if not behaviour or not self.mapping or self.current_id == NO_EXPERIENCE:
+            return 0
+        blocked = count_time_out(self._links, self._poses, here or self.pose, ahead_rad, self._p)
+        if blocked:
+            self._unlearn(blocked)
+        return len(blocked)
+
+    def _connect(
+        self, source: int, target: int, target_offset: Pose, behaviour: str, is_leaf: bool
+    ) -> None:
+        """Add the link of a transition, or average it with the link that exists.
+
+        Milford, Wyeth and Prasser (2006), equation (6), in polar form. ``is_leaf``: the target is
+        new, so this link alone determines its pose, and nothing has to be relaxed.
+        """
+        x_m, y_m, facing_rad = composed(self.offset, inverse(target_offset))
+        link = Link(
+            source, target, math.hypot(x_m, y_m), math.atan2(y_m, x_m), facing_rad,
+            self._duration_s, behaviour, 1,
+        )  # fmt: skip
+        row = self._links.row(source, target)
+        if row is None:
+            self._links.append(link)
+            if not is_leaf:
+                self._optimiser.structure_changed()
+        else:
+            self._links.average(row, link)
+            self._optimiser.measurement_changed()
+        if behaviour:
+            count_other_transitions(self._links, source, target, behaviour)
+            while True:
+                unlikely = least_confident(self._links, source, behaviour, self._p, len(self))
+                if unlikely is None:
+                    break
+                self._unlearn([unlikely])
+
+    def _unlearn(self, rows: list[int]) -> None:
+        """Delete links that can no longer be driven; they still constrain how places lie."""
+        self._unlearned.update((i, j) for i, j in self.link_ends[rows].tolist())
+        self._delete(rows)
+
+    def _delete(self, rows: list[int]) -> None:
+        self._links.delete(rows)
+        self._optimiser.structure_changed()
+
+    def _prune(self, pruned_id: int) -> PrunedExperience:
+        """Remove an experience from the graph, and link its neighbours past it.
+
+        The neighbour at the shortest link stands in for it: all others are linked to that one.
+        """
+        links = self._links.of(pruned_id)
+        stand_in, pose = NO_EXPERIENCE, composed(inverse(self.origin), self.pose_of(pruned_id))
+        if links:
+            shortest = min(links, key=lambda link: link.distance_m)
+            to_stand_in = outgoing_from(pruned_id)(shortest)
+            stand_in = to_stand_in.target_id
+            pose = composed(inverse(self.pose_of(stand_in)), self.pose_of(pruned_id))
+            others = {end for k in links for end in (k.source_id, k.target_id)}
+            for other in sorted(others - {pruned_id, stand_in}):
+                self._links.bridge(links, pruned_id, stand_in, other)
+            if self.current_id == pruned_id:
+                self.offset = composed(to_stand_in.reversed().relative_pose, self.offset)
+                self._duration_s += to_stand_in.duration_s
+        if self.current_id == pruned_id:
+            self.current_id = stand_in
+        for notify in self.on_pruned:
+            notify(pruned_id, stand_in, pose)
+        self._delete(self._links.rows_at(pruned_id))
+        self._unlearned = {ends for ends in self._unlearned if pruned_id not in ends}
+        return PrunedExperience(pruned_id, stand_in, pose)
+
+    # Relaxation
+
+    def _relax(self) -> None:
+        if self.mapping:
+            self._optimiser.step(self._poses, len(self), self._links)
+
+    def settle(self) -> None:
+        """Move all experiences to the fixed point of relaxation, whatever it costs."""
+        self._optimiser.settle(self._poses, len(self), self._links)

@@ -1,0 +1,83 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Late join: map actions with the pose cells' ids, translated to what the map has seen of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from ratslam_ros.core.common.state import State
+from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.mapping.id_map import DenseIdMap
+from ratslam_ros.core.pose_cells.pose_cells import MapAction
+
+
+class LateJoin:
+    """Translates actions for an experience map, whichever node was started first.
+
+    If both were started together and no action was lost, every action is returned unchanged.
+    """
+
+    def __init__(self, experience_map: ExperienceMap) -> None:
+        self._map = experience_map
+        self._ids = DenseIdMap()
+        self.missed = 0
+        """Number of actions that never arrived, those before the map started included."""
+        self.restarts = 0
+        """Number of times the pose cells were restarted with an empty memory."""
+        self._next = 0
+        self.first_sequence: int | None = None
+        """Sequence number of the first action received; above 0 the map started late."""
+
+    def state(self) -> State:
+        """Return the ids and counts, for ``restore``."""
+        return {
+            'missed': self.missed, 'forgotten': self.restarts, 'next': self._next,
+            'first_sequence': self.first_sequence, 'numbering': self._ids.state(),
+        }  # fmt: skip
+
+    def restore(self, state: State) -> None:
+        """Restore what ``state`` returned."""
+        self.missed, self.restarts = state['missed'], state['forgotten']
+        self._next, self.first_sequence = state['next'], state['first_sequence']
+        self._ids.restore(state['numbering'])
+
+    def translate(self, action: MapAction, sequence: int, memory_ns: int) -> MapAction | None:
+        """Return the action with the ids of the map; None if the map cannot execute it.
+
+        A link or set to an experience that the map has not seen becomes the creation of one at
+        the robot's pose. If the map has an experience with that id but another template or place,
+        it missed that the pose cells pruned it, and creation prunes it first. The source is the
+        map's current experience, because odometry was integrated from there.
+
+        Args:
+            action: with the ids of the pose cells.
+            sequence: number of the action; a gap counts as missed actions.
+            memory_ns: identifies the memory of the pose cells that the ids belong to.
+        """
+        if self.first_sequence is None:
+            self.first_sequence = self.missed = sequence
+        elif sequence < self._next:  # pose cells were restarted, or loaded an older memory
+            self.restarts += 1
+            self._ids.forget()
+        else:
+            self.missed += sequence - self._next
+        self._next = sequence + 1
+        self._ids.remember(memory_ns)
+        kind = action.action
+        if kind == 'none':
+            return action
+        known = self._ids.knows(action.target_id) and (
+            self._map.labels[self._ids.number(action.target_id)]
+            == (action.template_id, action.place)
+        )
+        if not known:
+            if not self._map.mapping:
+                return None
+            kind = 'create'
+        elif kind == 'create':
+            kind = 'link'
+        target = self._ids.number(action.target_id)
+        return replace(
+            action, action=kind, source_id=self._map.current_id, target_id=target
+        )

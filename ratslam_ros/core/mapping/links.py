@@ -1,0 +1,284 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Links: the edges of the experience graph, with geometry, duration, behaviour and counts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ratslam_ros.core.common.angles import wrap
+from ratslam_ros.core.common.compiled import compiled
+from ratslam_ros.core.common.pose import Pose, composed, inverse
+from ratslam_ros.core.common.state import State
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """A transition: pose of the target in the source's frame, duration, behaviour and count."""
+
+    source_id: int
+    target_id: int
+    distance_m: float
+    heading_rad: float
+    facing_rad: float
+    duration_s: float
+    behaviour: str
+    count: int
+
+    @property
+    def relative_pose(self) -> Pose:
+        """Pose of the target in the frame of the source."""
+        return Pose(
+            self.distance_m * math.cos(self.heading_rad),
+            self.distance_m * math.sin(self.heading_rad),
+            self.facing_rad,
+        )
+
+    def reversed(self) -> Link:
+        """Return the link in the opposite direction."""
+        back = inverse(self.relative_pose)
+        return replace(
+            self,
+            source_id=self.target_id,
+            target_id=self.source_id,
+            heading_rad=math.atan2(back.y_m, back.x_m),
+            facing_rad=wrap(back.heading_rad),
+        )
+
+
+class Links:
+    """Arrays with a row for each ordered pair of experiences, in the order of creation."""
+
+    def __init__(self) -> None:
+        self._ends = np.empty((64, 2), np.int64)
+        self._shapes = np.empty((64, 3), np.float64)
+        self._durations_s = np.empty(64, np.float64)
+        self._failures = np.empty((64, 2), np.int64)
+        self.notes: list[tuple[str, int]] = []
+        """Behaviour and count of every link."""
+        # Deleting links changes rows but not serial numbers, which ascend with the rows.
+        self._serial: dict[tuple[int, int], int] = {}
+        self._serials = np.empty(64, np.int64)
+        self._next_serial = 0
+        self.version = 0
+        """Counter that grows with every change of a link."""
+        self.rebuilt = 0
+        """Counter that grows when links are deleted, which moves later links to other rows."""
+
+    def __len__(self) -> int:
+        return len(self.notes)
+
+    def __getitem__(self, row: int) -> Link:
+        source, target = self._ends[row].tolist()
+        distance, heading, facing = self._shapes[row].tolist()
+        duration = float(self._durations_s[row])
+        return Link(source, target, distance, heading, facing, duration, *self.notes[row])
+
+    # Views, valid until the next link is added or deleted
+
+    @property
+    def ends(self) -> NDArray[np.int64]:
+        """(links, 2) source and target."""
+        return self._ends[: len(self)]
+
+    @property
+    def shapes(self) -> NDArray[np.float64]:
+        """(links, 3) distance, heading and facing."""
+        return self._shapes[: len(self)]
+
+    @property
+    def durations_s(self) -> NDArray[np.float64]:
+        """(links,) duration."""
+        return self._durations_s[: len(self)]
+
+    @property
+    def failures(self) -> NDArray[np.int64]:
+        """(links, 2) numbers of failed attempts, see ``link_learning``."""
+        return self._failures[: len(self)]
+
+    def row(self, source: int, target: int) -> int | None:
+        """Return the row of a link, None if there is no such link."""
+        serial = self._serial.get((source, target))
+        if serial is None:
+            return None
+        return int(np.searchsorted(self._serials[: len(self)], serial))
+
+    def rows_at(self, experience_id: int) -> list[int]:
+        """Return the rows of the links from and to an experience."""
+        rows: list[int] = _rows_at(self.ends, experience_id).tolist()
+        return rows
+
+    def rows_by(self, source: int, behaviour: str) -> list[int]:
+        """Return the rows of the links from an experience that a behaviour made."""
+        return [
+            row for row in self.rows_at(source)
+            if self.notes[row][0] == behaviour and self._ends[row, 0] == source
+        ]  # fmt: skip
+
+    def of(self, experience_id: int) -> list[Link]:
+        """Return the links from and to an experience, except for one from it to itself."""
+        links = (self[row] for row in self.rows_at(experience_id))
+        return [link for link in links if link.source_id != link.target_id]
+
+    def append(self, link: Link) -> None:
+        """Add a link between a pair of experiences that has none."""
+        row = len(self)
+        if row == len(self._ends):
+            self._ends = with_capacity(self._ends, 2 * row)
+            self._shapes = with_capacity(self._shapes, 2 * row)
+            self._durations_s = with_capacity(self._durations_s, 2 * row)
+            self._failures = with_capacity(self._failures, 2 * row)
+            self._serials = with_capacity(self._serials, 2 * row)
+        self._ends[row] = link.source_id, link.target_id
+        self._shapes[row] = link.distance_m, link.heading_rad, link.facing_rad
+        self._durations_s[row] = link.duration_s
+        self._failures[row] = 0
+        self._serial[link.source_id, link.target_id] = self._next_serial
+        self._serials[row] = self._next_serial
+        self._next_serial += 1
+        self.notes.append((link.behaviour, link.count))
+        self.version += 1
+
+    def average(self, row: int, again: Link) -> None:
+        """Average a link with a repetition of its transition, each weighted one half."""
+        distance, heading, facing = self._shapes[row].tolist()
+        self._shapes[row] = (
+            0.5 * (distance + again.distance_m),
+            wrap(heading + 0.5 * wrap(again.heading_rad - heading)),
+            wrap(facing + 0.5 * wrap(again.facing_rad - facing)),
+        )
+        self._durations_s[row] = 0.5 * (self._durations_s[row] + again.duration_s)
+        known, count = self.notes[row]
+        self.notes[row] = again.behaviour or known, count + again.count
+        self._failures[row] = 0
+        self.version += 1
+
+    def delete(self, rows: list[int]) -> None:
+        """Delete links; later ones move up and keep their order."""
+        for source, target in self._ends[rows].tolist():
+            del self._serial[source, target]
+        gone = np.zeros(len(self), np.bool_)
+        gone[rows] = True
+        _move_up(
+            gone, self._ends, self._shapes, self._durations_s, self._failures, self._serials
+        )
+        for row in sorted(rows, reverse=True):
+            del self.notes[row]
+        self.version += 1
+        self.rebuilt += 1
+
+    def bridge(self, links: list[Link], middle: int, a: int, b: int) -> None:
+        """Add links between a and b that replace the ways through an experience to be removed.
+
+        One for each direction that was driven throughout, else one from a to b; none if a and b
+        are already linked.
+
+        Args:
+            links: those of the experience to be removed, from ``of``.
+            middle: its id.
+            a, b: ids of two of its neighbours.
+        """
+        if self.row(a, b) is not None or self.row(b, a) is not None:
+            return
+        driven = {(k.source_id, k.target_id): k for k in links}
+        through = [
+            (driven[i, middle], driven[middle, j])
+            for i, j in ((a, b), (b, a)) if (i, middle) in driven and (middle, j) in driven
+        ] or [
+            (
+                driven.get((a, middle)) or driven[middle, a].reversed(),
+                driven.get((middle, b)) or driven[b, middle].reversed(),
+            )
+        ]  # fmt: skip
+        for first, second in through:
+            self.append(concatenated(first, second))
+
+    def state(self) -> State:
+        """Return all links, for ``restore``."""
+        return {
+            'ends': self.ends.copy(),
+            'shapes': self.shapes.copy(),
+            'notes': [
+                [duration, *note]
+                for duration, note in zip(self.durations_s.tolist(), self.notes, strict=True)
+            ],
+            'failures': self.failures.copy(),
+        }
+
+    def restore(self, state: State) -> None:
+        """Replace all links by what ``state`` returned."""
+        self._ends = with_capacity(state['ends'])
+        self._shapes = with_capacity(state['shapes'])
+        self._durations_s = with_capacity(np.array([duration for duration, *_ in state['notes']]))
+        self.notes = [(name, count) for _, name, count in state['notes']]
+        links = len(self)
+        self._failures = with_capacity(state['failures'])
+        self._serial = {(i, j): row for row, (i, j) in enumerate(state['ends'].tolist())}
+        self._serials = with_capacity(np.arange(links))
+        self._next_serial = links
+        self.version += 1
+
+
+def outgoing_from(experience_id: int) -> Callable[[Link], Link]:
+    """Return a function that reverses an experience's links where they do not start at it."""
+    return lambda link: link if link.source_id == experience_id else link.reversed()
+
+
+def concatenated(first: Link, second: Link) -> Link:
+    """Return the link from the source of the first to the target of the second."""
+    x, y, turn = composed(first.relative_pose, second.relative_pose)
+    return Link(
+        first.source_id,
+        second.target_id,
+        math.hypot(x, y),
+        math.atan2(y, x),
+        turn,
+        first.duration_s + second.duration_s,
+        first.behaviour if first.behaviour == second.behaviour else '',
+        min(first.count, second.count),
+    )
+
+
+def with_capacity(rows: NDArray[Any], capacity: int = 64) -> NDArray[Any]:
+    """Return an array that begins with the given rows and has at least ``capacity`` rows."""
+    grown = np.empty((max(capacity, len(rows)), *rows.shape[1:]), rows.dtype)
+    grown[: len(rows)] = rows
+    return grown
+
+
+@compiled
+def _rows_at(ends: NDArray[np.int64], experience_id: int) -> NDArray[np.int64]:
+    """Return the rows of the links from and to an experience."""
+    rows = np.empty(ends.shape[0], np.int64)
+    count = 0
+    for row in range(ends.shape[0]):
+        if ends[row, 0] == experience_id or ends[row, 1] == experience_id:
+            rows[count] = row
+            count += 1
+    return rows[:count].copy()
+
+
+@compiled
+def _move_up(
+    gone: NDArray[np.bool_], ends: NDArray[np.int64], shapes: NDArray[np.float64],
+    durations_s: NDArray[np.float64], failures: NDArray[np.int64], serials: NDArray[np.int64],
+) -> None:  # fmt: skip
+    """Remove the marked rows from all arrays, keeping the order of the others."""
+    to = 0
+    for row in range(gone.shape[0]):
+        if gone[row]:
+            continue
+        for column in range(2):
+            ends[to, column] = ends[row, column]
+            failures[to, column] = failures[row, column]
+        for column in range(3):
+            shapes[to, column] = shapes[row, column]
+        durations_s[to] = durations_s[row]
+        serials[to] = serials[row]
+        to += 1

@@ -1,0 +1,193 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Loop-closure gate: which transitions may displace the robot further than the map can drift.
+
+One false match must not fold the map. The error of the relative pose of two places grows with
+the length of the way between them. A transition that displaces the robot further is rejected
+until closures along two metres of driving agree; then the robot has been relocated. It is also
+rejected if the scan fits experiences that were created long before at the present pose. Not in the
+papers; off by default.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ratslam_ros.core.common.angles import wrap
+from ratslam_ros.core.common.pose import Pose, composed, inverse
+from ratslam_ros.core.common.state import State
+
+FREE_DISPLACEMENT_M, FREE_ROTATION_RAD = 1.0, 0.6
+"""Displacement and rotation up to which a transition is accepted without a test."""
+
+SPOT_COUNT, REQUIRED_COUNT = 8, 6
+"""Number of most recent spots considered, and how many of them must support a relocation."""
+
+SPOT_SPACING_M = 0.3
+"""Distance between spots; a robot that turns in place gives one spot, not many."""
+
+AGREEMENT_M = 1.0
+"""Largest distance between the poses that two agreeing closures imply."""
+
+LONG_KNOWN_M = 60.0
+"""Least distance travelled since an experience was created for it to confirm the robot's pose.
+
+Experiences created later may lie at the place that the robot was relocated to.
+"""
+
+NEARBY_M, NEARBY_RAD = 0.7, math.radians(45.0)
+"""Largest distance and rotation to an experience that may confirm the robot's pose."""
+
+
+class Spot(NamedTuple):
+    """Position where a spot begins; pose and claimed pose of the last closure there, if any."""
+
+    x_m: float
+    y_m: float
+    here: Pose | None = None
+    claimed: Pose | None = None
+
+
+class LoopClosureGate:
+    """Recent evidence for and against a relocation of the robot."""
+
+    def __init__(self) -> None:
+        self._spots: deque[Spot] = deque(maxlen=SPOT_COUNT)
+        self.accepts_next = False
+        """Whether the next relocation is accepted at once, as after ``restart``."""
+        self.rejecting = False
+        """Whether the last closure was rejected, so that map and pose cells disagree."""
+        self.rejected_count = 0
+        """Number of rejected closures."""
+        self.relocation_count = 0
+        """Number of accepted relocations."""
+
+    def state(self) -> State:
+        """Return the evidence, for ``restore``."""
+        return {
+            'spots': [
+                [x_m, y_m, here and list(here), claimed and list(claimed)]
+                for x_m, y_m, here, claimed in self._spots
+            ],
+            'lost': self.accepts_next, 'doubting': self.rejecting,
+            'refused': self.rejected_count, 'believed': self.relocation_count,
+        }  # fmt: skip
+
+    def restore(self, state: State) -> None:
+        """Restore what ``state`` returned."""
+        self.accepts_next, self.rejecting = state['lost'], state['doubting']
+        self.rejected_count, self.relocation_count = state['refused'], state['believed']
+        self._spots.extend(
+            Spot(x_m, y_m, here and Pose(*here), claimed and Pose(*claimed))
+            for x_m, y_m, here, claimed in state['spots']
+        )
+
+    def restart(self) -> None:
+        """Accept the next relocation: the robot may have been moved while nothing was sensed."""
+        self._spots.clear()
+        self.accepts_next = True
+
+    def record_new_place(self, here: Pose) -> None:
+        """Record that no place was recognised; an earlier closure at this spot still counts."""
+        self.rejecting = False
+        if not self._is_last(here.x_m, here.y_m):
+            self._spots.append(Spot(here.x_m, here.y_m))
+
+    def record_agreement(self, here: Pose) -> None:
+        """Record a recognition that agrees with the present pose estimate."""
+        self.rejecting = self.accepts_next = False
+        self._record(Spot(here.x_m, here.y_m))
+
+    def accepts(self, here: Pose, claimed: Pose) -> bool:
+        """Record a closure from one pose on the map to another; return whether it is accepted."""
+        self._record(Spot(here.x_m, here.y_m, here, claimed))
+        agreeing = sum(
+            math.dist(composed(claim, composed(inverse(there), here))[:2], claimed[:2])
+            < AGREEMENT_M
+            for _, _, there, claim in self._spots if there is not None and claim is not None
+        )  # fmt: skip
+        self.rejecting = agreeing < REQUIRED_COUNT and not self.accepts_next
+        if self.rejecting:
+            self.rejected_count += 1
+            return False
+        self.relocation_count += 1
+        self.accepts_next = False
+        self._spots.clear()
+        return True
+
+    def reject_by_scan(self, here: Pose) -> None:
+        """Reject a closure because the scan confirms the present pose estimate."""
+        self._record(Spot(here.x_m, here.y_m))
+        self.rejecting = True
+        self.rejected_count += 1
+
+    def _is_last(self, x_m: float, y_m: float) -> bool:
+        return bool(self._spots) and math.dist(self._spots[-1][:2], (x_m, y_m)) < SPOT_SPACING_M
+
+    def _record(self, spot: Spot) -> None:
+        """Append a spot, or replace the evidence of the last one if the robot is still there."""
+        if self._is_last(spot.x_m, spot.y_m):
+            last = self._spots.pop()
+            spot = spot._replace(x_m=last.x_m, y_m=last.y_m)
+        self._spots.append(spot)
+
+
+def long_known_experience(
+    poses: NDArray[np.float64], made_m: NDArray[np.float64], odometer_m: float, here: Pose
+) -> int | None:
+    """Return the nearest long-known experience close to a pose, None if there is none.
+
+    Args:
+        poses: (n, 3) m, m, rad.
+        made_m: (n,) odometer reading at which each experience was created.
+        odometer_m: present odometer reading.
+        here: pose of the robot on the map.
+    """
+    away_m = np.hypot(poses[:, 0] - here.x_m, poses[:, 1] - here.y_m)
+    turned_rad = np.abs((poses[:, 2] - here.heading_rad + np.pi) % math.tau - np.pi)
+    away_m[(made_m > odometer_m - LONG_KNOWN_M) | (turned_rad > NEARBY_RAD)] = math.inf
+    near = np.flatnonzero(away_m < NEARBY_M)
+    return int(near[away_m[near].argmin()]) if len(near) else None
+
+
+def exceeds_drift(
+    here: Pose, claimed: Pose, drift: float, ends: NDArray[np.int64],
+    lengths_m: NDArray[np.float64], source_id: int, target_id: int, driven_m: float = 0.0,
+) -> bool:  # fmt: skip
+    """Return whether a transition displaces the robot further than the map can have drifted.
+
+    Args:
+        here, claimed: poses on the map before and after the transition.
+        drift: largest error of a relative pose, in metres per metre of way between the places.
+        ends: (links, 2) source and target.
+        lengths_m: (links,) length of each link.
+        source_id, target_id: the experiences; False if no links connect them, because then the
+            map contains no estimate of their relative pose.
+        driven_m: distance driven since the first of them.
+    """
+    away_m = math.dist(here[:2], claimed[:2])
+    # A constant heading error of e rad displaces the end of a way by up to e metres per metre.
+    turned_rad = abs(wrap(claimed.heading_rad - here.heading_rad))
+    if turned_rad > FREE_ROTATION_RAD + 2.0 * drift:
+        return _are_connected(ends, lengths_m, source_id, target_id, math.inf)
+    most_m = (away_m - FREE_DISPLACEMENT_M) / drift - driven_m
+    return most_m > 0.0 and _are_connected(ends, lengths_m, source_id, target_id, most_m)
+
+
+def _are_connected(
+    ends: NDArray[np.int64], lengths_m: NDArray[np.float64], source_id: int, target_id: int,
+    most_m: float,
+) -> bool:  # fmt: skip
+    """Return whether a path over links of at most ``most_m`` connects two experiences."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import dijkstra
+
+    count = 1 + int(max(ends.max(initial=0), source_id, target_id))
+    graph = coo_array((np.maximum(lengths_m, 1e-9), ends.T), shape=(count, count)).tocsr()
+    reached_m = dijkstra(graph, directed=False, indices=source_id, limit=most_m)
+    return bool(np.isfinite(reached_m[target_id]))

@@ -1,0 +1,149 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Visual odometry: image -> Odometry, from the shift and change of intensity profiles."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ratslam_ros.core.common.compiled import compiled
+from ratslam_ros.core.common.odometry import Motion, Odometry, Twist, moved
+from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.config import VisualOdometryParameters
+from ratslam_ros.core.vision.image_window import Window, plain, window_of
+
+Profile = NDArray[np.int64]
+"""Sum of each column of a window: integers, so that ties are ties and not decided by rounding."""
+
+MAX_SHIFT_PX = 39
+BAND_ROWS = 257
+"""So many rows add up to 65535 at most: four times as many columns at once as in 64 bits."""
+
+
+def field_of_view_deg(focal_px: float, width_px: int) -> float:
+    """Return the horizontal field of view of a pinhole camera."""
+    return math.degrees(2.0 * math.atan(0.5 * width_px / focal_px))
+
+
+class VisualOdometry:
+    """Turn rate from the shift of the view, speed from how much it changed."""
+
+    def __init__(self, parameters: VisualOdometryParameters) -> None:
+        self._p = parameters
+        self._last: tuple[int, tuple[int, ...], Profile, Profile] | None = None
+        self._pose = Pose(0.0, 0.0, 0.0)
+        self._shape: tuple[int, ...] = ()
+        self._windows: tuple[Window, Window]
+
+    def estimate(self, stamp_ns: int, image: NDArray[np.uint8]) -> Odometry | None:
+        """Return the motion since the previous image, and all motions together as a pose.
+
+        None for the first image, and where the size has changed.
+
+        Args:
+            stamp_ns: the image's stamp; stamps must increase.
+            image: (H, W) uint8 grey, always of one size.
+
+        Raises:
+            UnusableParameter: a window lies outside the image.
+        """
+        p = self._p
+        if self._shape != image.shape:
+            self._windows = self.rotation_window(image), self.translation_window(image)
+            self._shape = image.shape
+        pixels = plain(image)
+        window = self._windows[1]
+        rotation = _profile_of(pixels, self._windows[0])
+        translation = _profile_of(pixels, window)
+        last, self._last = self._last, (stamp_ns, image.shape, rotation, translation)
+        if last is None or last[1] != image.shape:
+            return None  # of another image size there is nothing to compare with
+        dt_s = (stamp_ns - last[0]) * 1e-9
+        offset_px, _ = _compare(rotation, last[2])
+        _, least = _compare(translation, last[3])
+        difference = least / (255.0 * (window.y_max - window.y_min))
+        rad_per_px = p.camera_fov_deg / image.shape[1] * (math.pi / 180.0)
+        speed_mps = difference * p.vtrans_scaling / (dt_s * p.camera_hz)
+        twist = Twist(min(speed_mps, p.vtrans_max), offset_px * rad_per_px / dt_s)
+        motion = Motion(dt_s, twist.linear_x_mps * dt_s, twist.angular_z_radps * dt_s)
+        self._pose = moved(self._pose, motion)
+        return Odometry(stamp_ns, twist, self._pose)
+
+    def set_field_of_view(self, camera_fov_deg: float) -> None:
+        """Use another field of view from the next image on."""
+        self._p = replace(self._p, camera_fov_deg=camera_fov_deg)
+
+    def restart(self) -> None:
+        """Take the next image for the first one; the pose stays."""
+        self._last = None
+
+    def rotation_window(self, image: NDArray[np.uint8]) -> Window:
+        """Return the window that the turn rate is measured in."""
+        p = self._p
+        return window_of(
+            image, 'visual_odometry.vrot_image',
+            (p.vrot_image_x_min, p.vrot_image_x_max), (p.vrot_image_y_min, p.vrot_image_y_max),
+        )  # fmt: skip
+
+    def translation_window(self, image: NDArray[np.uint8]) -> Window:
+        """Return the window that the speed is measured in."""
+        p = self._p
+        return window_of(
+            image, 'visual_odometry.vtrans_image',
+            (p.vtrans_image_x_min, p.vtrans_image_x_max),
+            (p.vtrans_image_y_min, p.vtrans_image_y_max),
+        )  # fmt: skip
+
+
+def _profile_of(image: NDArray[np.uint8], window: Window) -> Profile:
+    profile = np.zeros(window.x_max - window.x_min, np.int64)
+    _profile(image, *window, profile)
+    return profile
+
+
+@compiled
+def _profile(
+    image: NDArray[np.uint8], x_min: int, x_max: int, y_min: int, y_max: int, profile: Profile
+) -> None:
+    """Add the sum of each of a window's columns to ``profile`` (w,)."""
+    width = x_max - x_min
+    band = np.empty(width, np.uint16)
+    for top in range(y_min, y_max, BAND_ROWS):
+        band[:] = 0
+        for y in range(top, min(top + BAND_ROWS, y_max)):
+            row = image[y, x_min:x_max]
+            for x in range(width):
+                band[x] += row[x]
+        for x in range(width):
+            profile[x] += band[x]
+
+
+@compiled
+def _compare(now: Profile, before: Profile) -> tuple[int, float]:
+    """Return the shift in px with the least mean difference, and that difference.
+
+    Content that moved left gives a negative shift. Ties: left before right, then the smaller.
+    Algorithm.md, Visual odometry: L(s) and R(s).
+    """
+    width = now.shape[0]
+    best_total = np.int64(0)
+    best_count = np.int64(0)
+    offset = 0
+    for side in range(2):
+        for s in range(min(MAX_SHIFT_PX, width // 2) + 1):
+            total = np.int64(0)
+            count = np.int64(width - s)
+            for k in range(count):
+                if side == 0:
+                    total += abs(now[k] - before[k + s])
+                else:
+                    total += abs(now[k + s] - before[k])
+            if best_count == 0 or total * best_count < best_total * count:
+                best_total = total
+                best_count = count
+                offset = -s if side == 0 else s
+    return offset, best_total / best_count

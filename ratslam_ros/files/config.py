@@ -1,0 +1,221 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Configurations in files: presets, ROS 2 parameter YAML, and OpenRatSLAM's own INI files."""
+
+from __future__ import annotations
+
+import configparser
+import json
+import os
+import sys
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from ratslam_ros.core.config import SECTIONS, Config, Value, section_of
+from ratslam_ros.errors import UnusableInput, UnusableParameter
+
+PACKAGE = 'ratslam_ros'
+PART_OF = {'pose_cells': 'goal_memory', 'experience_map': 'goal_recall'}
+"""A section that another section's node reads: below that node in ROS's YAML, and after it."""
+
+
+def preset_folders() -> list[Path]:
+    """Return where presets may lie: beside a checkout, in an environment, in a ROS workspace."""
+    prefixes = [sys.prefix, *os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)]
+    shares = [Path(prefix) / 'share' / PACKAGE / 'config' for prefix in prefixes if prefix]
+    return [
+        folder
+        for folder in [Path(__file__).resolve().parents[2] / 'config', *shares]
+        if (folder / 'default.yaml').is_file()
+    ]
+
+
+def presets() -> dict[str, Path]:
+    """Return the presets by name."""
+    return {
+        path.stem: path
+        for folder in reversed(preset_folders())
+        for path in sorted(folder.glob('*.yaml'))
+    }
+
+
+def load_config(source: str | None) -> tuple[Config, list[str]]:
+    """Read a configuration.
+
+    Args:
+        source: a preset's name, a YAML file, or an INI file of OpenRatSLAM; None: the defaults.
+
+    Returns:
+        The configuration, and notices about what of the file was not used.
+
+    Raises:
+        UnusableInput: no such preset or file, or not in either format.
+        UnusableParameter: a parameter that is unknown or out of range.
+    """
+    if source is None:
+        return Config(), []
+    path = Path(source)
+    if not path.is_file():
+        known = presets()
+        if source not in known:
+            raise UnusableInput(
+                f'--config {source}: no such file or preset; the presets are '
+                f'{", ".join(sorted(known)) or "not installed"}'
+            )
+        path = known[source]
+    try:
+        text = path.read_text(encoding='utf-8')
+    except (OSError, UnicodeDecodeError) as error:
+        raise UnusableInput(f'{path}: {error}; expected a YAML or INI text file') from None
+    try:
+        if path.suffix.lower() in ('.yaml', '.yml'):
+            return Config().with_values(dict(_yaml_values(text))), []
+        return _from_ini(text)
+    except (UnusableInput, UnusableParameter) as error:
+        raise type(error)(f'{path}: {error}') from None
+    except (yaml.YAMLError, configparser.Error, ValueError) as error:
+        reason = ' '.join(str(error).split())[:200]
+        raise UnusableInput(f'{path} cannot be read: {reason}') from None
+
+
+def parse_setting(text: str) -> tuple[str, Value]:
+    """Split ``section.name=value`` and read the value as YAML does.
+
+    Raises:
+        UnusableParameter: there is no ``=``.
+    """
+    key, equals, value = text.partition('=')
+    if not equals:
+        raise UnusableParameter(f'--set {text}: expected section.name=value')
+    return key.strip(), _scalar(value)
+
+
+def to_yaml(config: Config) -> str:
+    """Return a whole configuration as a ROS 2 parameter file."""
+    lines = []
+    for section, values in config.values().items():
+        lines.append(_heading(section))
+        for name, value in values.items():
+            lines.append(f'{_indent(section)}{name}: {_written(value)}\n')
+    return ''.join(lines)
+
+
+def documented_yaml() -> str:
+    """Return config/default.yaml: every parameter with its default, unit and effect."""
+    lines = [
+        '# Every parameter, its default, its unit and its effect. Made from '
+        'ratslam_ros/core/config/\n# by `make docs`; do not edit.\n'
+    ]
+    for section, cls in SECTIONS.items():
+        lines.append(f'\n{_heading(section)}')
+        for name, info, default in cls.parameters():
+            unit = f'  # {info.unit}' if info.unit else ''
+            indent = _indent(section)
+            lines.append(f'{indent}# {info.effect}\n{indent}{name}: {_written(default)}{unit}\n')
+    return ''.join(lines)
+
+
+def _heading(section: str) -> str:
+    """Return what stands above a section's values; a node's own parts stand below the node."""
+    if section in PART_OF.values():
+        return f'    {section}:\n'
+    return f'/**/{section}:\n  ros__parameters:\n'
+
+
+def _indent(section: str) -> str:
+    return '      ' if section in PART_OF.values() else '    '
+
+
+def _written(value: Value) -> str:
+    if isinstance(value, bool):
+        return 'true' if value else 'false'
+    if isinstance(value, float) and 'e' in repr(value) and '.' not in repr(value):
+        return repr(value).replace('e', '.0e')  # YAML takes 2e-05 for a text
+    return json.dumps(value) if isinstance(value, str) and not value.isalpha() else str(value)
+
+
+def _scalar(text: str) -> Value:
+    """Read one value; numbers also in forms that YAML 1.1 takes for text, such as 2e-5."""
+    text = text.strip()
+    if text.lower() in ('true', 'false'):
+        return text.lower() == 'true'
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text
+
+
+def _read(value: Any) -> Any:
+    """Return a value as YAML read it, numbers that it took for text put right."""
+    return _scalar(value) if isinstance(value, str) else value
+
+
+def _yaml_values(text: str) -> Iterator[tuple[str, Value]]:
+    document = yaml.safe_load(text)
+    if document is None:
+        return
+    if not isinstance(document, Mapping):
+        raise UnusableInput('expected sections such as local_view: with parameters below them')
+    for key, section in document.items():
+        name = str(key).rstrip('/').rsplit('/', 1)[-1]
+        if isinstance(section, Mapping) and 'ros__parameters' in section:
+            section = section['ros__parameters']
+        if name == '**' and isinstance(section, Mapping):
+            # Parameters for every node: each goes where it belongs.
+            yield from _by_name(section)
+            continue
+        if section is None:
+            continue
+        if not isinstance(section, Mapping):
+            raise UnusableParameter(f'{name} is {section!r}; expected parameters below it')
+        for item, value in section.items():
+            if isinstance(value, Mapping) and PART_OF.get(name) == item:
+                for inner, inner_value in value.items():
+                    yield f'{item}.{inner}', _read(inner_value)
+            elif item != 'use_sim_time':
+                yield f'{name}.{item}', _read(value)
+
+
+def _by_name(values: Mapping[Any, Any]) -> Iterator[tuple[str, Value]]:
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            for item, inner in value.items():
+                yield f'{name}.{item}', _read(inner)
+        elif str(name) != 'use_sim_time':
+            found = [
+                section
+                for section, cls in SECTIONS.items()
+                if name in [known for known, _, _ in cls.parameters()]
+            ]
+            for section in found or [section_of(str(name)) or str(name)]:
+                yield f'{section}.{name}', _read(value)
+
+
+def _from_ini(text: str) -> tuple[Config, list[str]]:
+    """Read OpenRatSLAM's INI files, in which a parameter is known by its name alone."""
+    parser = configparser.ConfigParser(
+        interpolation=None, strict=False, inline_comment_prefixes=('#', ';'), delimiters=('=',)
+    )
+    parser.optionxform = str  # type: ignore[assignment,method-assign]
+    parser.read_string('[general]\n' + text)
+    values: dict[str, Value] = {}
+    unused = []
+    for section in parser.sections():
+        for name, value in parser.items(section):
+            target = section_of(name)
+            if target is None:
+                unused.append(f'{section}.{name}')
+            else:
+                values[f'{target}.{name}'] = _scalar(value)
+    if not values:
+        raise UnusableInput(
+            'none of its lines sets a parameter that RatSLAM knows; expected YAML, or '
+            "name=value lines as in OpenRatSLAM's configurations"
+        )
+    notices = [f'not used of the configuration: {", ".join(unused)}'] if unused else []
+    return Config().with_values(values), notices

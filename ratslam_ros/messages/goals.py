@@ -1,0 +1,291 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The JSON payloads of goals and behaviours: encode, and decode strictly.
+
+What people type, goals and names, may leave ``schema_version`` out; a key that is not known is
+refused, so that a wrong one is not passed over.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.navigation.goals import Goal, Position, Target
+from ratslam_ros.core.navigation.navigator import GoalTask
+from ratslam_ros.core.navigation.route_following import Guidance
+from ratslam_ros.core.navigation.route_planner import TemporalMap
+from ratslam_ros.messages.mapping import (
+    MOST_ID,
+    NS_PER_S,
+    SCHEMA_VERSION,
+    MalformedMessage,
+    _check,
+    _check_types,
+    _dumps,
+    _loads,
+    _stamp,
+    _stamp_ns,
+)
+
+OUTCOMES_TOLD = 10
+"""Of the goals that have ended, the status tells so many."""
+
+LONGEST_BEHAVIOUR = 100
+
+
+@dataclass(frozen=True, slots=True)
+class GoalRequest:
+    """What to go to, one after the other; see ``Navigator.go_to``."""
+
+    targets: tuple[Target, ...]
+    append: bool = False
+    timeout_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class NameRequest:
+    """A name for the place where the robot is, or what else to do with it."""
+
+    name: str
+    rename_to: str | None = None
+    remove: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class BehaviourNote:
+    """What the robot does from a stamp on.
+
+    ``failed``: it was tried and led nowhere; ``ahead_rad``: where it should have led, on the map.
+    """
+
+    stamp_ns: int
+    behaviour: str
+    failed: bool = False
+    ahead_rad: float = 0.0
+
+
+def decode_goal(payload: str) -> GoalRequest:
+    """Return what an ``experience_map/goal`` payload asks for.
+
+    Raises:
+        MalformedMessage: it is not such a payload, to the last field.
+    """
+    name = 'experience_map/goal'
+    fields = _typed(payload, name)
+    targets = [fields]
+    options = {'append': bool, 'timeout_s': float}
+    if 'goals' in fields:
+        targets = fields['goals']
+        if not isinstance(targets, list) or not targets:
+            raise MalformedMessage(f'{name}: goals is {targets!r}; expected a list of goals')
+        _check_keys(fields, name, ('goals', *options))
+    _check_types(fields, name, {key: options[key] for key in options if key in fields})
+    allowed = () if 'goals' in fields else tuple(options)
+    timeout_s = fields.get('timeout_s')
+    if timeout_s is not None:
+        _check(name, 'timeout_s', timeout_s, 0.0, 1e9)
+    return GoalRequest(
+        tuple(_target(target, name, allowed) for target in targets),
+        fields.get('append', False), timeout_s,
+    )  # fmt: skip
+
+
+def _target(fields: Any, name: str, allowed: Sequence[str]) -> Target:
+    if not isinstance(fields, dict):
+        raise MalformedMessage(f'{name}: {fields!r} is no goal; expected an object')
+    kinds: tuple[Mapping[str, type], ...] = (
+        {'name': str}, {'experience_id': int}, {'x_m': float, 'y_m': float},
+    )  # fmt: skip
+    given = [types for types in kinds if not types.keys().isdisjoint(fields)]
+    if len(given) != 1:
+        raise MalformedMessage(
+            f'{name}: {_shown(fields)} names {len(given) or "no"} places; expected one by name, '
+            'by experience_id, or by x_m and y_m'
+        )
+    [types] = given
+    _check_types(fields, name, types)
+    _check_keys(fields, name, (*types, *allowed))
+    if 'x_m' in types:
+        return Position(fields['x_m'], fields['y_m'])
+    if 'name' in types:
+        return str(fields['name'])
+    _check(name, 'experience_id', fields['experience_id'], 0, MOST_ID)
+    return int(fields['experience_id'])
+
+
+def decode_name(payload: str) -> NameRequest:
+    """Return what an ``experience_map/name_place`` payload asks for.
+
+    Raises:
+        MalformedMessage: it is not such a payload, to the last field.
+    """
+    topic = 'experience_map/name_place'
+    fields = _typed(payload, topic)
+    types = {'name': str, 'rename_to': str, 'remove': bool}
+    _check_types(
+        fields, topic, {key: types[key] for key in types if key == 'name' or key in fields}
+    )
+    _check_keys(fields, topic, tuple(types))
+    request = NameRequest(**{key: fields[key] for key in types if key in fields})
+    if request.remove and request.rename_to is not None:
+        raise MalformedMessage(f'{topic}: {_shown(fields)}; expected rename_to or remove')
+    return request
+
+
+def encode_behaviour(note: BehaviourNote) -> str:
+    """Return the payload of ``goal_follower/behaviour``."""
+    return _dumps(
+        {
+            'schema_version': SCHEMA_VERSION,
+            'stamp': _stamp(note.stamp_ns),
+            'behaviour': note.behaviour,
+            'failed': note.failed,
+            'ahead_rad': note.ahead_rad,
+        }
+    )
+
+
+def decode_behaviour(payload: str) -> BehaviourNote:
+    """Return what a ``goal_follower/behaviour`` payload says.
+
+    Raises:
+        MalformedMessage: it is not such a payload, to the last field.
+    """
+    name = 'goal_follower/behaviour'
+    types = {'stamp': dict, 'behaviour': str, 'failed': bool, 'ahead_rad': float}
+    fields = _loads(payload, name, types)
+    _check(name, 'ahead_rad', fields['ahead_rad'], -math.tau, math.tau)
+    if len(fields['behaviour']) > LONGEST_BEHAVIOUR:
+        raise MalformedMessage(f'{name}: expected a behaviour of {LONGEST_BEHAVIOUR} characters')
+    return BehaviourNote(
+        _stamp_ns(fields['stamp']), fields['behaviour'], fields['failed'], fields['ahead_rad']
+    )
+
+
+def encode_status(
+    stamp_ns: int, experience_map: ExperienceMap, guidance: Guidance, queue: Iterable[GoalTask],
+    outcomes: Iterable[GoalTask], reason: str = '',
+) -> str:  # fmt: skip
+    """Return the payload of ``experience_map/status``.
+
+    Args:
+        stamp_ns: of the odometry that the status is of.
+        experience_map: with the neighbours of the current experience.
+        guidance: where to go.
+        queue: the goals that have not ended.
+        outcomes: those that have, of which the last ones are told.
+        reason: why there is no route to what was asked for last.
+    """
+    here = experience_map.current_id
+    neighbours = experience_map.neighbours(here) if here >= 0 else []
+    seen = [(other, experience_map.distance_and_direction(other)) for other in neighbours]
+    goal, left_s = guidance.goal, guidance.remaining_s
+    return _dumps(
+        {
+            'schema_version': SCHEMA_VERSION,
+            'stamp': _stamp(stamp_ns),
+            'status': guidance.status,
+            'explore': guidance.explore,
+            'behaviour': guidance.behaviour,
+            'reason': reason,
+            'experience_id': here,
+            'neighbours': [
+                {'id': i, 'distance_m': at.distance_m, 'direction_rad': at.direction_rad}
+                for i, at in seen
+            ],
+            'goal': None if goal is None else {'x_m': goal.x_m, 'y_m': goal.y_m},
+            'remaining_s': left_s if math.isfinite(left_s) else None,
+            'replanned': guidance.replanned,
+            'switched': guidance.switched,
+            'queue': [_errand(errand) for errand in queue],
+            'outcomes': [_errand(errand) for errand in list(outcomes)[-OUTCOMES_TOLD:]],
+        }
+    )
+
+
+def decode_status(payload: str) -> dict[str, Any]:
+    """Return the fields of an ``experience_map/status`` payload, and its ``stamp_ns``.
+
+    A payload without ``behaviour``, of an earlier release, has an empty one.
+
+    Raises:
+        MalformedMessage: it is not such a payload.
+    """
+    fields = _loads(
+        payload, 'experience_map/status',
+        {
+            'stamp': dict, 'status': str, 'explore': bool, 'reason': str, 'experience_id': int,
+            'neighbours': list, 'replanned': int, 'switched': int, 'queue': list,
+            'outcomes': list,
+        },
+    )  # fmt: skip
+    behaviour = str(fields.get('behaviour', ''))
+    return {**fields, 'behaviour': behaviour, 'stamp_ns': _stamp_ns(fields['stamp'])}
+
+
+def _errand(errand: GoalTask) -> dict[str, Any]:
+    took_s = None
+    if errand.started_ns is not None and errand.ended_ns is not None:
+        took_s = (errand.ended_ns - errand.started_ns) / NS_PER_S
+    return {
+        'number': errand.number, 'goal': errand.asked, 'status': errand.status,
+        'reason': errand.reason, 'expected_s': errand.expected_s, 'took_s': took_s,
+    }  # fmt: skip
+
+
+def encode_goals(experience_map: ExperienceMap, goals: Iterable[Goal]) -> str:
+    """Return the answer of ``experience_map/list_goals``: names, and where their places are."""
+    places = [(goal, goal.pose_on(experience_map)) for goal in goals]
+    return _dumps(
+        {
+            'schema_version': SCHEMA_VERSION,
+            'goals': [
+                {
+                    'name': goal.name, 'experience_id': goal.experience_id, 'x_m': pose.x_m,
+                    'y_m': pose.y_m, 'heading_rad': pose.heading_rad,
+                }
+                for goal, pose in places
+            ],
+        }
+    )  # fmt: skip
+
+
+def encode_times(times: TemporalMap) -> str:
+    """Return the answer of ``experience_map/temporal_map``; null where no link leads."""
+    return _dumps(
+        {
+            'schema_version': SCHEMA_VERSION,
+            'experience_id': times.start_id,
+            'arrival_s': [t if math.isfinite(t) else None for t in times.arrival_s.tolist()],
+        }
+    )
+
+
+def _typed(payload: str, name: str) -> dict[str, Any]:
+    """Return the fields of a payload that people type."""
+    try:
+        fields = json.loads(payload)
+    except (ValueError, RecursionError):
+        fields = None
+    if isinstance(fields, dict) and 'schema_version' not in fields:
+        version = f'"schema_version":{SCHEMA_VERSION}{"," if fields else ""}'
+        payload = f'{{{version}{payload.lstrip()[1:]}'
+    return _loads(payload, name, {})
+
+
+def _check_keys(fields: Mapping[str, Any], name: str, known: Sequence[str]) -> None:
+    unknown = fields.keys() - {*known, 'schema_version'}
+    if unknown:
+        raise MalformedMessage(
+            f'{name}: {", ".join(sorted(unknown))} is not known here; expected {", ".join(known)}'
+        )
+
+
+def _shown(fields: object) -> str:
+    text = repr(fields)
+    return text if len(text) < 100 else f'{text[:97]}...'

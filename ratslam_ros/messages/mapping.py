@@ -1,0 +1,373 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The JSON payloads: encode, and decode strictly.
+
+Stamps are integers ``sec`` and ``nanosec``; numbers are written as Python's repr gives them, keys
+in a fixed order, and never NaN, so that equal content gives equal bytes.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from operator import is_not
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.pose_cells.pose_cells import MapAction
+from ratslam_ros.core.pose_cells.torus import Place
+from ratslam_ros.core.vision.local_view import ViewMatch
+from ratslam_ros.errors import UnusableInput
+
+SCHEMA_VERSION = 1
+NS_PER_S = 1_000_000_000
+MOST_ID = 2**31 - 1
+MOST_COUNT = 2**63 - 1
+MOST_CELLS = 100_000.0
+MOST_ACTIVITY = 2.0
+
+
+class MalformedMessage(UnusableInput):
+    """A payload that does not fit its schema; none of it is used."""
+
+
+def encode_template(stamp_ns: int, match: ViewMatch, memory_ns: int) -> str:
+    """Return the payload of ``local_view/template``; ``memory_ns``: when the first was learned."""
+    return _dumps(
+        {
+            'schema_version': SCHEMA_VERSION,
+            'stamp': _stamp(stamp_ns),
+            'id': match.template_id,
+            'is_new': match.is_new,
+            'error': match.error,
+            'relative_rad': match.relative_rad,
+            'memory': memory_ns,
+        }
+    )
+
+
+def decode_template(payload: str) -> tuple[int, ViewMatch, int]:
+    """Return (stamp_ns, match, memory_ns) of a ``local_view/template`` payload.
+
+    Raises:
+        MalformedMessage: it is not such a payload, to the last field.
+    """
+    fields = _loads(
+        payload,
+        'local_view/template',
+        {
+            'stamp': dict, 'id': int, 'is_new': bool, 'error': float, 'relative_rad': float,
+            'memory': int,
+        },
+    )  # fmt: skip
+    for key, low, high in (
+        ('id', -1, MOST_ID), ('error', -1.0, 1.0), ('relative_rad', -math.pi, math.pi),
+        ('memory', 0, MOST_COUNT),
+    ):  # fmt: skip
+        _check('local_view/template', key, fields[key], low, high)
+    match = ViewMatch(fields['id'], fields['is_new'], fields['error'], fields['relative_rad'])
+    return _stamp_ns(fields['stamp']), match, fields['memory']
+
+
+def encode_action(stamp_ns: int, sequence: int, action: MapAction, memory_ns: int) -> str:
+    """Return the payload of ``pose_cells/action``.
+
+    ``sequence`` counts all actions from 0, so that a lost one is noticed; ``memory_ns``: when the
+    first experience was made, 0 before.
+    """
+    return _dumps(
+        {
+            'schema_version': SCHEMA_VERSION,
+            'stamp': _stamp(stamp_ns),
+            'sequence': sequence,
+            'action': action.action,
+            'source_id': action.source_id,
+            'target_id': action.target_id,
+            'template_id': action.template_id,
+            'relative_rad': action.relative_rad,
+            'pc_x': action.place.x,
+            'pc_y': action.place.y,
+            'pc_theta': action.place.theta,
+            'memory': memory_ns,
+        }
+    )
+
+
+def decode_action(payload: str) -> tuple[int, int, MapAction, int]:
+    """Return (stamp_ns, sequence, action, memory_ns) of a ``pose_cells/action`` payload.
+
+    Raises:
+        MalformedMessage: it is not such a payload, to the last field.
+    """
+    name = 'pose_cells/action'
+    fields = _loads(
+        payload,
+        name,
+        {
+            'stamp': dict, 'sequence': int, 'action': str, 'source_id': int, 'target_id': int,
+            'template_id': int, 'relative_rad': float, 'pc_x': float, 'pc_y': float,
+            'pc_theta': float, 'memory': int,
+        },
+    )  # fmt: skip
+    kind = fields['action']
+    if kind not in ('create', 'link', 'set', 'none'):
+        raise MalformedMessage(f'{name}: action is {kind!r}; expected create, link, set or none')
+    least = -1 if kind == 'none' else 0
+    for key, low, high in (
+        ('sequence', 0, MOST_COUNT), ('source_id', -1, MOST_ID), ('target_id', least, MOST_ID),
+        ('template_id', least, MOST_ID), ('relative_rad', -math.pi, math.pi),
+        ('pc_x', 0.0, MOST_CELLS), ('pc_y', 0.0, MOST_CELLS), ('pc_theta', 0.0, MOST_CELLS),
+        ('memory', 0, MOST_COUNT),
+    ):  # fmt: skip
+        _check(name, key, fields[key], low, high)
+    action = MapAction(
+        kind, fields['source_id'], fields['target_id'], fields['template_id'],
+        fields['relative_rad'], Place(fields['pc_x'], fields['pc_y'], fields['pc_theta']),
+    )  # fmt: skip
+    return _stamp_ns(fields['stamp']), fields['sequence'], action, fields['memory']
+
+
+def encode_goal_memory(
+    stamp_ns: int, goal: str, bearing_rad: float | None, remaining_s: float, reached: bool
+) -> str:
+    """Return the payload of ``pose_cells/goal_memory``.
+
+    ``bearing_rad``: from ahead, to the left positive, None where none is known; ``remaining_s``:
+    infinite where no way is known.
+    """
+    return _dumps(
+        {
+            'schema_version': SCHEMA_VERSION,
+            'stamp': _stamp(stamp_ns),
+            'goal': goal,
+            'bearing_rad': bearing_rad,
+            'remaining_s': remaining_s if math.isfinite(remaining_s) else None,
+            'reached': reached,
+        }
+    )
+
+
+def encode_active(stamp_ns: int, template_id: int, active: Sequence[tuple[int, float]]) -> str:
+    """Return the payload of ``pose_cells/active_experiences``.
+
+    ``active``: (id, activity) of the experiences of the template that are near the peak.
+    """
+    return _dumps(
+        {
+            'schema_version': SCHEMA_VERSION,
+            'stamp': _stamp(stamp_ns),
+            'template_id': template_id,
+            'experiences': [{'id': i, 'activity': activity} for i, activity in active],
+        }
+    )
+
+
+def decode_active(payload: str) -> tuple[int, int, list[tuple[int, float]]]:
+    """Return (stamp_ns, template_id, active) of a ``pose_cells/active_experiences`` payload.
+
+    Raises:
+        MalformedMessage: it is not such a payload, to the last field.
+    """
+    name = 'pose_cells/active_experiences'
+    fields = _loads(payload, name, {'stamp': dict, 'template_id': int, 'experiences': list})
+    _check(name, 'template_id', fields['template_id'], -1, MOST_ID)
+    active = []
+    for item in fields['experiences']:
+        if not isinstance(item, dict):
+            raise MalformedMessage(f'{name}: {item!r} is no experience; expected an object')
+        _check_types(item, name, {'id': int, 'activity': float})
+        _check(name, 'id', item['id'], 0, MOST_ID)
+        _check(name, 'activity', item['activity'], 0.0, MOST_ACTIVITY)
+        active.append((item['id'], item['activity']))
+    return _stamp_ns(fields['stamp']), fields['template_id'], active
+
+
+def encode_map(
+    stamp_ns: int, experience_map: ExperienceMap, map_text: MapText | None = None
+) -> str:
+    """Return the whole graph, for map.json and ``experience_map/map`` alike.
+
+    Args:
+        stamp_ns: that of the last action applied, 0 before the first; an action without a
+            template is not.
+        experience_map: the graph.
+        map_text: what is left from the last call, to be quick; it does not change the result.
+
+    Raises:
+        ValueError: a number of the graph is not finite.
+    """
+    experiences, links = (map_text or MapText()).of(experience_map)
+    head = _dumps(
+        {
+            'schema_version': SCHEMA_VERSION,
+            'frame_id': experience_map.frame_id,
+            'stamp': _stamp(stamp_ns),
+            'current_experience_id': experience_map.current_id,
+        }
+    )
+    # One join: copying megabytes takes longer than finding out what to write anew.
+    return ''.join([head[:-1], ',"experiences":[', *experiences, '],"links":[', *links, ']}'])
+
+
+class MapText:
+    """The JSON of a map's experiences and links, kept to write only anew what has changed.
+
+    All is compared with what its text was made of, so that any map may come next. No container
+    is kept for an item: the garbage collector would look through them all.
+    """
+
+    def __init__(self) -> None:
+        self._places = _Texts(numbers=0)
+        self._experiences = _Texts(numbers=3)
+        self._links = _Texts(numbers=6)
+
+    def of(self, experience_map: ExperienceMap) -> tuple[list[str], list[str]]:
+        """Return the text of every experience and of every link, a comma before all but the first.
+
+        Both are valid until the next call, and not to be changed.
+        """
+        return self._experiences_of(experience_map), self._links_of(experience_map)
+
+    def _experiences_of(self, experience_map: ExperienceMap) -> list[str]:
+        labels, poses = experience_map.labels, experience_map.poses
+
+        def write_places(rows: list[int]) -> list[str]:
+            axes = (_numbers([labels[row][1][axis] for row in rows]) for axis in range(3))
+            return [
+                f',"pc_x":{x},"pc_y":{y},"pc_theta":{theta}'
+                for x, y, theta in zip(*axes, strict=True)
+            ]
+
+        # Kept for themselves: a relaxation moves all poses, and no place in the pose cells.
+        places = self._places.update(labels, poses[:, :0], write_places)
+
+        def write(rows: list[int]) -> list[str]:
+            axes = map(_numbers, poses[rows].T.tolist())
+            return [
+                f'{"," if row else ""}{{"id":{row},"template_id":{labels[row][0]},'
+                f'"x_m":{x},"y_m":{y},"heading_rad":{heading}{places[row]}}}'
+                for row, x, y, heading in zip(rows, *axes, strict=True)
+            ]
+
+        return self._experiences.update(labels, poses, write)
+
+    def _links_of(self, experience_map: ExperienceMap) -> list[str]:
+        ends, notes = experience_map.link_ends, experience_map.link_notes
+        lengths = np.column_stack([experience_map.link_shapes, experience_map.link_durations_s])
+
+        def write(rows: list[int]) -> list[str]:
+            behaviours = {name: _dumps(name) for name in {notes[row][0] for row in rows}}
+            columns = *ends[rows].T.tolist(), *map(_numbers, lengths[rows].T.tolist())
+            return [
+                f'{"," if row else ""}{{"source_id":{source},"target_id":{target},'
+                f'"distance_m":{distance},"heading_rad":{heading},"facing_rad":{facing},'
+                f'"duration_s":{duration},"behaviour":{behaviours[notes[row][0]]},'
+                f'"count":{notes[row][1]}}}'
+                for row, source, target, distance, heading, facing, duration in zip(
+                    rows, *columns, strict=True
+                )
+            ]
+
+        return self._links.update(notes, np.column_stack([ends, lengths]), write)
+
+
+class _Texts:
+    """A list of texts, each kept until what it was made of is something else."""
+
+    def __init__(self, numbers: int) -> None:
+        self._things: list[object] = []
+        self._bits = np.empty((0, numbers), np.int64)
+        self._texts: list[str] = []
+
+    def update(
+        self,
+        things: Sequence[object],
+        numbers: NDArray[np.float64],
+        write: Callable[[list[int]], list[str]],
+    ) -> list[str]:
+        """Return a text for every row.
+
+        Args:
+            things: what cannot be changed, only replaced: compared by identity, which is quick.
+            numbers: (things, as many as were said) what else the texts are made of.
+            write: returns the texts of some rows.
+        """
+        bits = numbers.view(np.int64)  # 0.0 and -0.0 are equal, and their texts are not
+        kept = min(len(things), len(self._things))
+        stale = np.ones(len(things), np.bool_)
+        stale[:kept] = np.fromiter(map(is_not, things, self._things), np.bool_, kept)
+        stale[:kept] |= (bits[:kept] != self._bits[:kept]).any(axis=1)
+        rows = np.flatnonzero(stale).tolist()
+        texts = write(rows) if rows else []
+        self._bits = bits
+        self._things[kept:] = things[kept:]
+        self._texts[kept:] = [''] * (len(things) - kept)
+        for row, text in zip(rows, texts, strict=True):
+            self._things[row], self._texts[row] = things[row], text
+        return self._texts
+
+
+def _numbers(values: list[float]) -> list[str]:
+    """Return numbers as JSON writes them; all at once, as a call takes as long as a number."""
+    return _dumps(values)[1:-1].split(',')
+
+
+def _check(name: str, key: str, value: float, low: float, high: float) -> None:
+    if not low <= value <= high:
+        raise MalformedMessage(f'{name}: {key} is {value}; expected {low:.4g} to {high:.4g}')
+
+
+def _dumps(value: Any) -> str:
+    return json.dumps(value, allow_nan=False, separators=(',', ':'))
+
+
+def _loads(payload: str, name: str, types: Mapping[str, type]) -> dict[str, Any]:
+    """Return the fields of a payload that has the schema version and exactly these types."""
+    try:
+        fields = json.loads(payload)
+    except (ValueError, RecursionError) as error:
+        raise MalformedMessage(f'{name}: not JSON ({error}); expected an object') from None
+    if not isinstance(fields, dict):
+        raise MalformedMessage(f'{name}: {type(fields).__name__}; expected an object')
+    version = fields.get('schema_version')
+    if type(version) is not int or version != SCHEMA_VERSION:
+        raise MalformedMessage(
+            f'{name}: schema_version is {version!r}; expected '
+            f'{SCHEMA_VERSION}: sender and receiver are of different versions'
+        )
+    _check_types(fields, name, types)
+    return fields
+
+
+def _check_types(fields: dict[str, Any], name: str, types: Mapping[str, type]) -> None:
+    """Refuse fields that are not of these types; make floats of whole numbers where expected."""
+    for key, expected in types.items():
+        value = fields.get(key)
+        if expected is float and type(value) is int and abs(value) < 2**53:
+            value = fields[key] = float(value)
+        if not isinstance(value, expected) or (expected is int and isinstance(value, bool)):
+            raise MalformedMessage(f'{name}: {key} is {value!r}; expected {expected.__name__}')
+        if isinstance(value, float) and not math.isfinite(value):
+            raise MalformedMessage(f'{name}: {key} is {value!r}; expected a finite number')
+
+
+def _stamp(stamp_ns: int) -> dict[str, int]:
+    return {'sec': stamp_ns // NS_PER_S, 'nanosec': stamp_ns % NS_PER_S}
+
+
+def _stamp_ns(stamp: Mapping[str, Any]) -> int:
+    sec, nanosec = stamp.get('sec'), stamp.get('nanosec')
+    if (
+        type(sec) is not int
+        or type(nanosec) is not int
+        or not 0 <= sec < 2**31
+        or not 0 <= nanosec < NS_PER_S
+    ):
+        raise MalformedMessage(
+            f'stamp is {dict(stamp)!r}; expected integers, sec below 2^31 and nanosec below 10^9'
+        )
+    return sec * NS_PER_S + nanosec

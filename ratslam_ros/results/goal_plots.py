@@ -1,0 +1,175 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Pictures of temporal maps: how long it takes from one place to all others, and the route."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ratslam_ros.core.common.state import State
+from ratslam_ros.core.config import ExperienceMapParameters, GoalRecallParameters
+from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.navigation.goals import Goal
+from ratslam_ros.core.navigation.route_planner import RoutePlanner, TemporalMap
+from ratslam_ros.errors import UnusableInput
+from ratslam_ros.results.plots import (
+    BLACK,
+    PALE_GREY,
+    VERMILLION,
+    equal_axes,
+    new_figure,
+    save_figure,
+)
+
+Floats = NDArray[np.float64]
+
+ARROW_EVERY = 0.12
+"""Of the larger side of the route's box: so far apart are the arrows on it."""
+
+
+def draw_temporal_map(
+    experience_map: ExperienceMap, times: TemporalMap, file: str | Path,
+    route_m: Floats | None = None, goals: Iterable[Goal] = (), driven_m: Floats | None = None,
+    title: str = '',
+) -> Path:  # fmt: skip
+    """Draw experiences in the colour of their time, as figures 12 and 14 of seed 000 do.
+
+    Args:
+        experience_map: where the experiences are.
+        times: how long it takes to each; those that no link leads to are grey.
+        file: a PNG to write.
+        route_m: (n, 2) a route, drawn with arrows.
+        goals: places to mark, by their names.
+        driven_m: (n, 2) where the robot went, drawn as well.
+        title: what the picture shows.
+
+    Returns:
+        The file.
+    """
+    from matplotlib.collections import LineCollection
+
+    places = experience_map.poses[:, :2]
+    figure = new_figure(8.0, 7.0)
+    axes = figure.add_subplot()
+    ends = places[experience_map.link_ends]
+    axes.add_collection(LineCollection(list(ends), colors=PALE_GREY, linewidths=0.8, zorder=1))
+    there = np.isfinite(times.arrival_s)
+    size = 24.0 if len(places) < 1000 else 6.0
+    x_m, y_m = places.T
+    axes.scatter(x_m[~there], y_m[~there], s=size, color=PALE_GREY, zorder=2)
+    shown = axes.scatter(
+        x_m[there], y_m[there], s=size, c=times.arrival_s[there], cmap='viridis', vmin=0.0,
+        zorder=3,
+    )  # fmt: skip
+    figure.colorbar(shown, ax=axes, label='time from the robot in s', shrink=0.85)
+    if driven_m is not None:
+        axes.plot(*driven_m.T, color=BLACK, linewidth=1.0, label='driven', zorder=4)
+    if route_m is not None and len(route_m) > 1:
+        axes.plot(*route_m.T, color=VERMILLION, linewidth=2.0, label='route', zorder=5)
+        for tail, tip in _arrows(route_m):
+            axes.annotate(
+                '', xy=(tip[0], tip[1]), xytext=(tail[0], tail[1]), zorder=6,
+                arrowprops={'arrowstyle': '-|>', 'color': VERMILLION, 'mutation_scale': 18},
+            )  # fmt: skip
+    axes.plot(*places[times.start_id], linestyle='', marker='X', markersize=10, color=BLACK,
+              markeredgecolor='white', label='robot', zorder=7)  # fmt: skip
+    for goal in goals:
+        at = goal.pose_on(experience_map)
+        axes.plot(at.x_m, at.y_m, linestyle='', marker='o', markersize=11, markerfacecolor='none',
+                  markeredgewidth=2.0, color=BLACK, zorder=7)  # fmt: skip
+        axes.annotate(
+            str(goal), (at.x_m, at.y_m), textcoords='offset points', xytext=(8, 8), zorder=8
+        )
+    equal_axes(axes)
+    axes.set_title(title or f'{len(places)} experiences, from {times.start_id}', fontsize=11)
+    axes.legend(loc='best', fontsize=8)
+    return save_figure(figure, file)
+
+
+def draw_times(folder: str | Path, start_id: int | None, goal_id: int | None) -> Path:
+    """Draw `times.png` of a results folder: the temporal map, and the route to a goal.
+
+    Args:
+        folder: with a map.json.
+        start_id: where to start, None for where the robot was last.
+        goal_id: an experience to go to, None for none.
+
+    Raises:
+        UnusableInput: there is no such map, or nothing to start from.
+        UnreachableGoal: there is no such experience, or no link leads to it.
+    """
+    folder = Path(folder)
+    graph = read_map(folder / 'map.json')
+    start = graph.current_id if start_id is None else start_id
+    if not 0 <= start < len(graph):
+        raise UnusableInput(
+            f'there is no experience {start} to start from; expected 0 to {len(graph) - 1}'
+        )
+    times = RoutePlanner(GoalRecallParameters()).temporal_map(graph, start)
+    route_m, goals = None, []
+    if goal_id is not None:
+        route_m = graph.poses[list(times.route_to(goal_id).experience_ids), :2]
+        goals.append(Goal(goal_id))
+    return draw_temporal_map(graph, times, folder / 'times.png', route_m, goals)
+
+
+def read_map(path: Path) -> ExperienceMap:
+    """Return the map that a map.json holds, to look for routes on.
+
+    Raises:
+        UnusableInput: it is no such file.
+    """
+    try:
+        payload = json.loads(path.read_text(encoding='utf-8'))
+        experiences, links = payload['experiences'], payload['links']
+        ends = _numbers(links, 'source_id', 'target_id').astype(np.int64)
+        state: State = {
+            'poses': _numbers(experiences, 'x_m', 'y_m', 'heading_rad'),
+            'labels': [
+                [int(e['template_id']), *(float(e[axis]) for axis in ('pc_x', 'pc_y', 'pc_theta'))]
+                for e in experiences
+            ],
+            'ends': ends,
+            'shapes': _numbers(links, 'distance_m', 'heading_rad', 'facing_rad'),
+            'notes': [
+                [float(k['duration_s']), str(k['behaviour']), int(k['count'])] for k in links
+            ],
+            'current': int(payload['current_experience_id']),
+            'offset': [0.0, 0.0, 0.0],
+            'duration_s': 0.0,
+            'relaxation': [0, False, True, 0],
+        }
+        if not ((ends >= 0) & (ends < len(experiences))).all():
+            raise ValueError('a link leads to an experience that is not in the map')
+    except OSError as error:
+        raise UnusableInput(f'{path}: {error.strerror or error}; give the folder that '
+                            'ratslam replay wrote') from None  # fmt: skip
+    except (ValueError, KeyError, TypeError) as error:
+        raise UnusableInput(f'{path}: not a map of ratslam_ros ({error!r})') from None
+    graph = ExperienceMap(ExperienceMapParameters())
+    graph.restore(state)
+    return graph
+
+
+def _numbers(items: list[dict[str, float]], *keys: str) -> Floats:
+    rows = [[float(item[key]) for key in keys] for item in items]
+    return np.array(rows, np.float64).reshape(-1, len(keys))
+
+
+def _arrows(route_m: Floats) -> list[tuple[Floats, Floats]]:
+    """Return tail and tip of arrows along a route."""
+    gone_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(route_m, axis=0).T))])
+    apart_m = ARROW_EVERY * float(np.ptp(route_m, axis=0).max())
+    if apart_m == 0.0:
+        return []
+    marks = np.arange(apart_m, gone_m[-1] + 0.5 * apart_m, apart_m)
+    tips, tails = (
+        np.column_stack([np.interp(at, gone_m, route_m[:, axis]) for axis in range(2)])
+        for at in (marks, marks - 0.2 * apart_m)
+    )
+    return list(zip(tails, tips, strict=True))

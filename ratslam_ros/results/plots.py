@@ -1,0 +1,332 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Pictures of a results folder: the map, what was recognised when, and the error to the truth.
+
+matplotlib is imported when something is drawn, and drawn to memory: no display is needed. The
+same folder gives the same bytes. Colours are Okabe and Ito's, told apart by the colour-blind too.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ratslam_ros.errors import UnusableInput
+from ratslam_ros.results.evaluation import (
+    NS_PER_S,
+    Evaluation,
+    Floats,
+    Trajectory,
+    Transform2D,
+    associate,
+    fit,
+    read_tum,
+    thinned,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+BLUE, VERMILLION, GREEN = '#0072B2', '#D55E00', '#009E73'
+BLACK, GREY, PALE_GREY = '#000000', '#777777', '#CFCFCF'
+
+DOTS_PER_INCH = 120
+MOST_POINTS = 100_000  # more than a picture can show; longer recordings are thinned to this
+RECENT_EXPERIENCES = 10  # a link further back than this closes a loop
+
+Links = Iterable[tuple[int, int]]
+
+
+def draw_all(folder: str | Path, truth: str | Path | Trajectory | None = None,
+             threshold: float | None = None) -> list[Path]:
+    """Draw every picture of a results folder; return their paths.
+
+    Without a threshold, that of the folder's config.yaml is used.
+    """
+    if threshold is None:
+        threshold = _threshold_of(Path(folder) / 'config.yaml')
+    return [draw_map(folder, truth), draw_matches(folder, threshold)]
+
+
+def draw_map(folder: str | Path, truth: str | Path | Trajectory | None = None,
+             loop_closures: Links | None = None) -> Path:
+    """Draw `map.png`: experiences and links over dead reckoning, in the map's own metres.
+
+    Truth is turned and shifted onto the map by least squares (trajectory_final.tum says when the
+    robot was where). Loop closures are those given, as (source, target) ids, else those that
+    frames.csv tells of, else the links over more than ten ids. Raises UnusableInput where the
+    folder or the truth cannot be used.
+    """
+    from matplotlib.collections import LineCollection
+
+    folder = Path(folder)
+    graph = _read_map(folder / 'map.json')
+    believed = _read_if_there(folder / 'trajectory.tum')
+    dead_reckoning = _read_if_there(folder / 'dead_reckoning.tum')
+    closures = set(loop_closures) if loop_closures is not None else _closures(folder, graph)
+
+    figure = new_figure(8.0, 7.6)
+    axes = figure.add_subplot()
+    if dead_reckoning is not None:
+        start = _frame_change(dead_reckoning, believed)
+        axes.plot(*start.apply(dead_reckoning.position_m).T, color=PALE_GREY, linewidth=1.0,
+                  label='dead reckoning', zorder=1)
+    if truth is not None:
+        axes.plot(*_truth_on_map(folder, truth).T, color=GREEN, alpha=0.45, linewidth=5.0,
+                  solid_joinstyle='round', label='truth', zorder=2)
+    for label, colour, chosen in (
+        ('experiences and links', BLUE, [k for k in graph.links if k not in closures]),
+        ('loop closures', VERMILLION, [k for k in graph.links if k in closures]),
+    ):
+        ends = [(graph.places[source], graph.places[target]) for source, target in chosen]
+        if ends:
+            axes.add_collection(LineCollection(ends, colors=colour, linewidths=1.4, label=label,
+                                               zorder=3 if colour == BLUE else 5))
+    places_m = np.array(list(graph.places.values())).reshape(-1, 2)
+    axes.plot(*places_m.T, linestyle='', color=BLUE, marker='o', zorder=4,
+              markersize=3.0 if len(places_m) < 1000 else 1.5)
+    if len(places_m):
+        first = places_m[0]
+        last = graph.places.get(graph.current, places_m[-1])
+        axes.plot(*first, linestyle='', marker='o', markersize=11, markerfacecolor='none',
+                  markeredgewidth=2.0, color=BLACK, label='start', zorder=6)
+        axes.plot(*last, linestyle='', marker='X', markersize=10, markeredgecolor='white',
+                  color=BLACK, label='end', zorder=6)
+    equal_axes(axes)
+    axes.set_title(f'{_count(len(places_m), "experience")}, {_count(len(graph.links), "link")}, '
+                   f'{_count(len(closures), "closing link")}', fontsize=11)
+    _legend_below(figure, axes)
+    return save_figure(figure, folder / 'map.png')
+
+
+def draw_matches(folder: str | Path, threshold: float | None = None) -> Path:
+    """Draw `matches.png`: template ids and match errors over time, from frames.csv.
+
+    Raises UnusableInput where frames.csv cannot be used.
+    """
+    folder = Path(folder)
+    counts = [0, 0]
+    rows = thinned(_frames(folder / 'frames.csv', counts), MOST_POINTS)
+    table = np.array(rows, dtype=np.float64).reshape(-1, 4)
+    time_s, template_id, is_new, error = table.T
+    new = (template_id >= 0) & (is_new == 1)
+    recognised = (template_id >= 0) & (is_new == 0)
+    compared = error >= 0.0  # the first view has nothing to be compared with
+
+    figure = new_figure(10.0, 6.4)
+    ids, errors = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+    for which, colour, label, size in ((recognised, BLUE, 'recognised', 2.5),
+                                       (new, VERMILLION, 'new template', 3.5)):
+        look = {'linestyle': '', 'marker': '.', 'color': colour, 'markersize': size}
+        ids.plot(time_s[which], template_id[which], label=label, **look)
+        errors.plot(time_s[which & compared], error[which & compared], **look)
+    if threshold is not None:
+        errors.axhline(threshold, color=BLACK, linewidth=1.0, linestyle='--',
+                       label=f'threshold {threshold:g}')
+        errors.legend(loc='upper right', fontsize=8)
+    frames = counts[0] + counts[1]
+    share = f' ({100.0 * counts[0] / frames:.0f} %)' if frames else ''
+    ids.set_title(f'{_count(frames, "frame")}: {_count(counts[1], "new template")}, '
+                  f'{counts[0]} recognised{share}', fontsize=11)
+    ids.set_ylabel('template')
+    errors.set(xlabel='time [s]', ylabel='match error', ylim=(0.0, None))
+    errors.margins(x=0.01)
+    if frames:
+        ids.legend(loc='upper left', fontsize=8, markerscale=3.0)
+    return save_figure(figure, folder / 'matches.png')
+
+
+def plot_evaluation(evaluation: Evaluation, path: str | Path) -> Path:
+    """Draw the aligned trajectory over the truth, coloured by error, and the error over time."""
+    from matplotlib.collections import LineCollection
+
+    stride = -(-len(evaluation.error_m) // 50_000)
+    truth_m, aligned_m = evaluation.truth_m[::stride], evaluation.aligned_m[::stride]
+    error_m = evaluation.error_m[::stride]
+    time_s = (evaluation.stamp_ns[::stride] - evaluation.stamp_ns[0]) / NS_PER_S
+
+    figure = new_figure(11.0, 5.0)
+    plan, course = figure.subplots(1, 2)
+    plan.plot(*truth_m.T, color=GREY, linewidth=1.0, label='truth', zorder=1)
+    coloured = plan.add_collection(LineCollection(
+        list(np.stack((aligned_m[:-1], aligned_m[1:]), axis=1)), array=error_m[1:],
+        cmap='viridis', linewidth=1.8, label=f'trajectory, {evaluation.align}', zorder=2))
+    figure.colorbar(coloured, ax=plan, label='error [m]', shrink=0.8)
+    equal_axes(plan)
+    plan.set_title(f'ATE {evaluation.ate.rmse:.3f} m rmse, {evaluation.ate.max:.3f} m max',
+                   fontsize=10)
+    plan.legend(loc='upper left', fontsize=8)
+
+    course.plot(time_s, error_m, color=BLUE, linewidth=1.0)
+    course.axhline(evaluation.ate.rmse, color=VERMILLION, linewidth=1.0, linestyle='--',
+                   label=f'rmse {evaluation.ate.rmse:.3f} m')
+    course.set(xlabel='time [s]', ylabel='error [m]', ylim=(0.0, None))
+    course.margins(x=0.01)
+    course.legend(loc='upper left', fontsize=8)
+    return save_figure(figure, path)
+
+
+def new_figure(width_in: float, height_in: float) -> Figure:
+    """Return an empty figure that is drawn to memory."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width_in, height_in), dpi=DOTS_PER_INCH, layout='constrained')
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def save_figure(figure: Figure, path: str | Path) -> Path:
+    """Write a PNG that holds nothing but the picture: no date, no program's version."""
+    path = Path(path)
+    try:
+        figure.savefig(path, format='png', metadata={'Software': None})
+    except OSError as error:
+        raise UnusableInput(f'{path}: cannot be written: {error.strerror or error}') from None
+    return path
+
+
+def equal_axes(axes: Axes) -> None:
+    """Make a metre as long on x as on y, and say that it is metres."""
+    axes.autoscale_view()
+    axes.set_aspect('equal', adjustable='datalim')
+    axes.set(xlabel='x [m]', ylabel='y [m]')
+    axes.grid(color='#EEEEEE', linewidth=0.8)
+    axes.set_axisbelow(True)
+
+
+@dataclass(frozen=True)
+class _Graph:
+    """places: id -> (x, y) in m; links: (source, target); current: id or -1."""
+
+    places: dict[int, tuple[float, float]]
+    links: list[tuple[int, int]]
+    current: int
+
+
+def _read_map(path: Path) -> _Graph:
+    try:
+        payload = json.loads(path.read_text(encoding='utf-8'))
+        places = {int(e['id']): (float(e['x_m']), float(e['y_m']))
+                  for e in payload['experiences']}
+        links = [(int(k['source_id']), int(k['target_id'])) for k in payload['links']]
+        current = int(payload['current_experience_id'])
+    except OSError as error:
+        raise UnusableInput(f'{path}: {error.strerror or error}; give the folder that '
+                            'ratslam replay wrote') from None
+    except (ValueError, KeyError, TypeError) as error:
+        raise UnusableInput(f'{path}: not a map of ratslam_ros ({error!r})') from None
+    if any(end not in places for link in links for end in link):
+        raise UnusableInput(f'{path}: a link leads to an experience that is not in the map')
+    return _Graph(places, links, current)
+
+
+def _closures(folder: Path, graph: _Graph) -> set[tuple[int, int]]:
+    """Return the links to an experience that was not among the ten newest when it was reached.
+
+    Whenever the experience changes from one row of frames.csv to the next, and not to a new one,
+    a link was made or used.
+    """
+    path = folder / 'frames.csv'
+    if not path.exists():
+        return {link for link in graph.links if abs(link[0] - link[1]) > RECENT_EXPERIENCES}
+    closures = set()
+    last, known = -1, 0
+    for *_, experience in _rows(path):
+        if experience < 0:
+            continue  # before the first
+        if experience >= known:
+            known = experience + 1
+        elif experience != last and experience < known - RECENT_EXPERIENCES:
+            closures.add((last, experience))
+        last = experience
+    return closures
+
+
+def _rows(path: Path) -> Iterator[tuple[int, int, int, float, int]]:
+    """Yield stamp_ns, template_id, is_new, match_error and experience_id of each row."""
+    columns = ('stamp_ns', 'template_id', 'is_new', 'match_error', 'experience_id')
+    try:
+        with path.open(encoding='utf-8', newline='') as file:
+            reader = csv.reader(file)
+            header = next(reader, [])
+            if not set(columns) <= set(header):
+                raise UnusableInput(f'{path}: the first line has to name {", ".join(columns)}')
+            where = [header.index(column) for column in columns]
+            for row in reader:
+                stamp, template, new, error, experience = (row[index] for index in where)
+                yield (int(stamp), int(template), ('0', '1').index(new), float(error),
+                       int(experience))
+    except OSError as refusal:
+        raise UnusableInput(f'{path}: {refusal.strerror or refusal}; give the folder that '
+                            'ratslam replay wrote') from None
+    except (ValueError, IndexError):
+        raise UnusableInput(f'{path}, line {reader.line_num}: not a row of '
+                            f'{", ".join(columns)}') from None
+
+
+def _frames(path: Path, counts: list[int]) -> Iterator[tuple[float, float, float, float]]:
+    """Yield seconds since the first frame, template id, is_new and match error of each row.
+
+    `counts` receives how many rows were recognised and new, thinned out later or not.
+    """
+    first_ns = None
+    for stamp_ns, template, new, error, _ in _rows(path):
+        first_ns = stamp_ns if first_ns is None else first_ns
+        if template >= 0:
+            counts[new] += 1
+        yield (stamp_ns - first_ns) / NS_PER_S, template, new, error
+
+
+def _read_if_there(path: Path) -> Trajectory | None:
+    there = path.exists() and path.stat().st_size > 0  # a run without odometry has no poses
+    return read_tum(path, MOST_POINTS) if there else None
+
+
+def _frame_change(source: Trajectory, target: Trajectory | None) -> Transform2D:
+    """Return the transform that lays the first pose of one trajectory onto another's."""
+    if target is None:
+        return Transform2D()
+    turn_rad = float(target.heading_rad[0] - source.heading_rad[0])
+    moved = Transform2D(heading_rad=turn_rad).apply(source.position_m[:1])[0]
+    x_m, y_m = target.position_m[0] - moved
+    return Transform2D(float(x_m), float(y_m), turn_rad)
+
+
+def _truth_on_map(folder: Path, truth: str | Path | Trajectory) -> Floats:
+    """Return the positions of the truth, (n, 2), moved onto the final trajectory."""
+    if not isinstance(truth, Trajectory):
+        truth = read_tum(truth, MOST_POINTS)
+    final = read_tum(folder / 'trajectory_final.tum', MOST_POINTS)
+    of_final, of_truth = associate(final.stamp_ns, truth.stamp_ns, max_difference_s=0.5)
+    if len(of_final) < 2:
+        raise UnusableInput('the truth and the trajectory have no times in common; '
+                            'bring both to the same clock')
+    onto_map = fit(truth.position_m[of_truth], final.position_m[of_final])
+    return onto_map.apply(truth.position_m)
+
+
+def _threshold_of(config: Path) -> float | None:
+    if not config.exists():
+        return None
+    found = re.search(r'^\s*vt_match_threshold:\s*([0-9.eE+-]+)', config.read_text('utf-8'), re.M)
+    return float(found[1]) if found else None
+
+
+def _legend_below(figure: Figure, axes: Axes) -> None:
+    handles, labels = axes.get_legend_handles_labels()
+    if handles:
+        figure.legend(handles, labels, loc='outside lower center', ncols=len(handles),
+                      fontsize=8, frameon=False)
+
+
+def _count(number: int, noun: str) -> str:
+    return f'{number} {noun}' if number == 1 else f'{number} {noun}s'

@@ -1,0 +1,409 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The command: what it writes, what it says and how it ends."""
+
+import errno
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from helpers import ODOM_TOPIC, PERIOD_NS, START_NS, circles, write_bag
+
+from ratslam_ros import __version__
+from ratslam_ros.cli import main
+from ratslam_ros.core.ratslam import RatSLAM, Step
+from ratslam_ros.recordings import Event
+from ratslam_ros.recordings.bag import BagRecording
+from ratslam_ros.results.writer import Results
+
+REPOSITORY = Path(__file__).parents[2]
+SMALL = [
+    '--set', 'local_view.template_x_size=16', '--set', 'local_view.template_y_size=8',
+    '--set', 'local_view.vt_shift_match=2', '--set', 'pose_cells.pc_cell_x_size=0.5',
+]  # fmt: skip
+WRITTEN = [
+    'config.yaml', 'dead_reckoning.tum', 'frames.csv', 'map.json', 'map.png', 'matches.png',
+    'summary.json', 'trajectory.tum', 'trajectory_final.tum',
+]  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def signals() -> Iterator[None]:
+    """Leave the signals of the test run as they were."""
+    before = signal.getsignal(signal.SIGTERM)
+    yield
+    signal.signal(signal.SIGTERM, before)
+
+
+@pytest.fixture(scope='module')
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_bag(tmp_path_factory.mktemp('recordings') / 'circles', circles(2, 20))
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Work in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture(scope='module')
+def results(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp('run') / 'results'
+    before = signal.getsignal(signal.SIGTERM)
+    assert main(['replay', str(bag), *SMALL, '--out', str(folder), '--quiet']) == 0
+    signal.signal(signal.SIGTERM, before)
+    return folder
+
+
+def test_replay_writes_all_files(results: Path) -> None:
+    assert sorted(path.name for path in results.iterdir()) == WRITTEN
+    header = (results / 'frames.csv').read_text().splitlines()[0]
+    assert header == 'stamp_ns,template_id,is_new,match_error,relative_rad,experience_id'
+    assert list(json.loads((results / 'summary.json').read_text())) == [
+        'frames', 'odometry', 'templates', 'experiences', 'links', 'loop_closures', 'dropped',
+        'late', 'refused', 'duration_s', 'wall_s', 'times_realtime', 'step_ms',
+    ]  # fmt: skip
+    for picture in ('map.png', 'matches.png'):
+        assert (results / picture).read_bytes().startswith(b'\x89PNG')
+
+
+def test_replay_as_a_module_end_to_end_gives_the_same_map(
+    bag: Path, results: Path, here: Path
+) -> None:
+    run = subprocess.run(
+        [sys.executable, '-m', 'ratslam_ros', 'replay', str(bag), *SMALL, '--out', 'out'],
+        cwd=here, capture_output=True, text=True, check=False,
+        env={**os.environ, 'PYTHONPATH': str(REPOSITORY)},
+    )  # fmt: skip
+    assert run.returncode == 0, run.stderr
+    assert '40 frames and 40 odometry messages' in run.stdout
+    assert '20 templates' in run.stdout
+    assert 'Traceback' not in run.stderr
+    for name in ('map.json', 'frames.csv', 'trajectory_final.tum', 'map.png'):
+        assert (here / 'out' / name).read_bytes() == (results / name).read_bytes()
+
+
+def test_quiet_says_nothing(
+    bag: Path, here: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert main(['replay', str(bag), *SMALL, '--out', 'out', '--quiet']) == 0
+    assert capfd.readouterr() == ('', '')
+
+
+def test_without_out_results_go_below_results_and_latest_points_to_them(
+    bag: Path, here: Path
+) -> None:
+    assert main(['replay', str(bag), *SMALL, '--quiet']) == 0
+    (folder,) = [path for path in (here / 'results').iterdir() if not path.is_symlink()]
+    assert folder.name.startswith('circles-')
+    assert (here / 'results' / 'latest').resolve() == folder
+    assert sorted(path.name for path in folder.iterdir()) == WRITTEN
+
+
+def test_the_error_against_the_truth_is_told(
+    bag: Path, results: Path, here: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    truth = results / 'dead_reckoning.tum'  # the fabricated odometry is perfect
+    assert main(['replay', str(bag), *SMALL, '--out', 'out', '--truth', str(truth)]) == 0
+    out = capfd.readouterr().out
+    assert 'dead reckoning    ATE   0.000 m' in out
+    assert 'trajectory final' in out
+
+
+# Wrong use: exit code 2 and one line that tells what to do
+
+
+def told(arguments: list[str], capfd: pytest.CaptureFixture[str]) -> str:
+    """Return the one line on stderr of a command that is refused."""
+    assert main(arguments) == 2
+    out, err = capfd.readouterr()
+    assert out == ''
+    lines = err.splitlines()
+    assert len(lines) == 1, err
+    assert lines[0].startswith('ratslam: ')
+    return lines[0]
+
+
+@pytest.mark.parametrize(('extra', 'hint'), [
+    (['--set', 'local_view.nonsense=1'], 'nonsense'),
+    (['--set', 'local_view.vt_match_treshold=0.1'], 'vt_match_threshold'),
+    (['--set', 'local_view.vt_match_threshold=7'], '0 to 1'),
+    (['--set', 'local_view.vt_match_threshold'], 'section.name=value'),
+    (['--set', 'pose_cells.pc_w_e_dim=6'], 'odd'),
+    (['--config', 'no_such_preset'], 'no such file or preset'),
+    (['--image-topic', '/nowhere'], '/nowhere'),
+    (['--odom-topic', '/nowhere'], '/nowhere'),
+    (['--image-topic', ODOM_TOPIC], ODOM_TOPIC),
+    (['--odom-topic', ODOM_TOPIC, '--visual-odometry'], '--visual-odometry'),
+    (['--truth', 'no_such_file.tum'], 'no_such_file.tum'),
+    (['--start', '1000'], '1000'),
+    (['--duration', '0'], 'duration'),
+    (['--start', 'soon'], 'soon'),
+    (['--nonsense'], '--nonsense'),
+], ids=' '.join)  # fmt: skip
+def test_wrong_options_are_told_in_one_line(
+    bag: Path, here: Path, capfd: pytest.CaptureFixture[str], extra: list[str], hint: str
+) -> None:
+    assert hint in told(['replay', str(bag), *SMALL, *extra, '--out', 'out'], capfd)
+    assert not (here / 'out').exists()
+
+
+@pytest.mark.parametrize('quiet', [['--quiet'], []])
+@pytest.mark.parametrize('setting', [
+    'local_view.image_crop_x_max=1000', 'local_view.image_crop_y_min=30',
+    'local_view.image_crop_x_min=30',
+])  # fmt: skip
+def test_a_crop_outside_the_image_is_told_in_one_line(
+    bag: Path, here: Path, capfd: pytest.CaptureFixture[str], setting: str, quiet: list[str]
+) -> None:
+    line = told(['replay', str(bag), *SMALL, '--set', setting, '--out', 'out', *quiet], capfd)
+    assert 'local_view.image_crop' in line
+    assert '32 x 24 px' in line
+
+
+def test_a_missing_recording_is_told_in_one_line(
+    here: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    for command in ('replay', 'info', 'tune'):
+        assert 'no_such_bag' in told([command, 'no_such_bag'], capfd)
+
+
+@pytest.mark.parametrize('text', ['', 'x y\n', '1 2 3\n', '\x00\x01\x02'])
+def test_a_bad_truth_is_told_before_anything_is_done(
+    bag: Path, here: Path, capfd: pytest.CaptureFixture[str], text: str
+) -> None:
+    (here / 'truth.tum').write_text(text)
+    arguments = ['replay', str(bag), *SMALL, '--truth', 'truth.tum', '--out', 'out']
+    assert 'truth.tum' in told(arguments, capfd)
+    assert not (here / 'out').exists()
+
+
+@pytest.mark.parametrize('arguments', [
+    [], ['nonsense'], ['replay'], ['evaluate', 'one.tum'], ['demo', '--seed', '-1'],
+    ['demo', '--seeds', '0'], ['info'],
+], ids=' '.join)  # fmt: skip
+def test_no_command_or_half_of_one_is_told_in_one_line(
+    arguments: list[str], capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert '--help' in told(arguments, capfd)
+
+
+def test_a_file_that_is_no_recording_is_told_in_one_line(
+    here: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (here / 'notes.txt').write_text('hello')
+    (here / 'empty').mkdir()
+    assert 'notes.txt' in told(['replay', 'notes.txt'], capfd)
+    assert 'empty' in told(['replay', 'empty'], capfd)
+
+
+def test_an_output_that_cannot_be_written_is_told_in_one_line(
+    bag: Path, here: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (here / 'file').write_text('')
+    arguments = ['replay', str(bag), *SMALL, '--out', 'file', '--quiet']
+    assert '--out' in told(arguments, capfd)
+
+
+def test_tune_and_demo_tell_of_an_output_that_cannot_be_written(
+    here: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (here / 'file').write_text('')
+    bag = write_bag(here / 'circles', circles(5, 20))  # long enough to tune on
+    assert '--out' in told(['tune', str(bag), *SMALL, '--out', 'file'], capfd)
+    assert '--out' in told(['demo', '--out', 'file/below'], capfd)
+
+
+def test_a_full_disk_is_told_in_one_line(
+    bag: Path, here: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*arguments: Any) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Results, 'add', full)
+    line = told(['replay', str(bag), *SMALL, '--out', 'out', '--quiet'], capfd)
+    assert 'No space left' in line
+
+
+def test_a_replay_without_motion_says_so(
+    bag: Path, here: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """One image, and thus no visual odometry: no poses, and no error for that."""
+    arguments = ['replay', str(bag), *SMALL, '--visual-odometry', '--duration', '0.05']
+    assert main([*arguments, '--out', 'out', '--quiet']) == 0
+    assert 'warning: no odometry could be used' in capfd.readouterr().err
+    assert json.loads((here / 'out' / 'summary.json').read_text())['frames'] == 1
+    assert (here / 'out' / 'map.png').exists()
+
+
+def test_a_broken_video_is_told_in_one_line(here: Path) -> None:
+    """FFmpeg writes past Python, and reads how much once a process."""
+    (here / 'broken.mp4').write_bytes(b'nothing of a video' * 100)
+    done = subprocess.run(
+        [sys.executable, '-m', 'ratslam_ros', 'info', 'broken.mp4'],
+        capture_output=True, text=True, env={**os.environ, 'PYTHONPATH': str(REPOSITORY)},
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert len(done.stderr.splitlines()) == 1, done.stderr
+
+
+def test_plotting_a_folder_without_results_is_told_in_one_line(
+    here: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert 'nowhere' in told(['plot', 'nowhere'], capfd)
+
+
+# Interrupts
+
+
+def test_an_interrupted_replay_keeps_its_results_and_returns_130(
+    bag: Path, here: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = BagRecording.events
+
+    def interrupted(self: BagRecording, *arguments: Any) -> Iterator[Event]:
+        for number, event in enumerate(whole(self, *arguments)):
+            if number == 50:
+                raise KeyboardInterrupt
+            yield event
+
+    monkeypatch.setattr(BagRecording, 'events', interrupted)
+    assert main(['replay', str(bag), *SMALL, '--out', 'out', '--quiet']) == 130
+    assert 'the results so far are in out' in capfd.readouterr().err
+    assert json.loads((here / 'out' / 'map.json').read_text())['experiences']
+    frames = json.loads((here / 'out' / 'summary.json').read_text())['frames']
+    assert len((here / 'out' / 'frames.csv').read_text().splitlines()) == frames + 1
+    assert 0 < frames < 40
+
+
+def test_an_interrupt_before_the_first_message_returns_130(
+    bag: Path, here: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*arguments: Any) -> Iterator[Event]:
+        raise KeyboardInterrupt
+        yield
+
+    monkeypatch.setattr(BagRecording, 'events', interrupted)
+    assert main(['replay', str(bag), *SMALL, '--out', 'out', '--quiet']) == 130
+    assert 'Traceback' not in capfd.readouterr().err
+
+
+def test_an_interrupt_before_the_first_result_keeps_those_of_an_earlier_run(
+    results: Path, bag: Path, here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(results, here / 'out')
+
+    def interrupted(*arguments: Any) -> Iterator[Event]:
+        raise KeyboardInterrupt
+        yield
+
+    monkeypatch.setattr(BagRecording, 'events', interrupted)
+    assert main(['replay', str(bag), *SMALL, '--out', 'out', '--quiet']) == 130
+    for name in WRITTEN:
+        assert (here / 'out' / name).read_bytes() == (results / name).read_bytes(), name
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_within_a_step_waits_for_its_end(
+    bag: Path, here: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals
+) -> None:
+    """A half-made step would be in the map and not in the files."""
+    calls = []
+
+    class Signalled(RatSLAM):
+        def image(self, *arguments: Any) -> list[Step]:
+            calls.append(1)
+            if len(calls) == 20:
+                signal.raise_signal(number)
+            return super().image(*arguments)
+
+    monkeypatch.setattr('ratslam_ros.offline.replay.RatSLAM', Signalled)
+    assert main(['replay', str(bag), *SMALL, '--out', 'out', '--quiet']) == 130
+    assert len(calls) == 20
+    assert json.loads((here / 'out' / 'summary.json').read_text())['frames'] == 20
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_an_interrupt_that_falls_in_compiled_code_is_one(
+    here: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Python makes a SystemError of it, as Numba returns a result all the same."""
+    def interrupted(*arguments: Any, **options: Any) -> str:
+        raise SystemError('returned a result with an exception set') from KeyboardInterrupt()
+
+    monkeypatch.setattr('ratslam_ros.offline.demo.run_demo', interrupted)
+    assert main(['demo', '--out', 'out']) == 130
+    assert capfd.readouterr().err == 'ratslam: interrupted\n'
+
+
+def test_sigterm_is_an_interrupt(
+    bag: Path, here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = BagRecording.events
+
+    def terminated(self: BagRecording, *arguments: Any) -> Iterator[Event]:
+        for number, event in enumerate(whole(self, *arguments)):
+            if number == 50:
+                signal.raise_signal(signal.SIGTERM)
+            yield event
+
+    monkeypatch.setattr(BagRecording, 'events', terminated)
+    assert main(['replay', str(bag), *SMALL, '--out', 'out', '--quiet']) == 130
+
+
+# The other commands that need no more than a recording
+
+
+def test_info_tells_topics_and_the_next_command(
+    bag: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert main(['info', str(bag)]) == 0
+    out = capfd.readouterr().out
+    for part in (ODOM_TOPIC, '/camera/image', 'ratslam replay'):
+        assert part in out
+
+
+def test_evaluate_prints_text_or_json(
+    results: Path, here: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    files = [str(results / 'trajectory.tum'), str(results / 'dead_reckoning.tum')]
+    assert main(['evaluate', *files, '--plot', 'error.png']) == 0
+    assert (here / 'error.png').is_file()
+    assert 'ATE' in capfd.readouterr().out
+    assert main(['evaluate', *files, '--plot', 'error.png', '--json']) == 0
+    assert isinstance(json.loads(capfd.readouterr().out), dict)
+
+
+@pytest.mark.parametrize('name', ['matches.png', 'map.png'])
+def test_plot_draws_the_pictures_of_the_replay_again(
+    results: Path, here: Path, capfd: pytest.CaptureFixture[str], name: str
+) -> None:
+    shutil.copytree(results, here / 'copy')
+    (here / 'copy' / name).unlink()
+    assert main(['plot', 'copy']) == 0
+    assert name in capfd.readouterr().out
+    assert (here / 'copy' / name).read_bytes() == (results / name).read_bytes()
+
+
+def test_version_and_help(capfd: pytest.CaptureFixture[str]) -> None:
+    for arguments in (['--version'], ['--help'], ['replay', '--help']):
+        with pytest.raises(SystemExit) as end:
+            main(arguments)
+        assert end.value.code == 0
+    assert __version__ in capfd.readouterr().out
+
+
+def test_a_part_of_a_recording_may_be_replayed(bag: Path, here: Path) -> None:
+    arguments = ['--start', '1', '--duration', '2', '--out', 'out', '--quiet']
+    assert main(['replay', str(bag), *SMALL, *arguments]) == 0
+    lines = (here / 'out' / 'frames.csv').read_text().splitlines()[1:]
+    assert len(lines) == 20
+    assert lines[0].startswith(str(START_NS + 10 * PERIOD_NS))

@@ -1,0 +1,126 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+import math
+
+import pytest
+from helpers import twist
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ratslam_ros.core.common.angles import wrap
+from ratslam_ros.core.common.odometry import Motion, MotionFromOdometry, Odometry, Twist, moved
+from ratslam_ros.core.common.pose import Pose
+
+SECOND = 10**9
+START = Pose(1.0, -2.0, 0.7)
+
+
+def end_of(pose: Pose, speed: float, rate: float, dt_s: float) -> Pose:
+    """Return the closed form of driving at constant speed and turn rate."""
+    if rate == 0.0:
+        return Pose(
+            pose.x_m + speed * dt_s * math.cos(pose.heading_rad),
+            pose.y_m + speed * dt_s * math.sin(pose.heading_rad),
+            pose.heading_rad,
+        )
+    radius = speed / rate
+    end = pose.heading_rad + rate * dt_s
+    return Pose(
+        pose.x_m + radius * (math.sin(end) - math.sin(pose.heading_rad)),
+        pose.y_m - radius * (math.cos(end) - math.cos(pose.heading_rad)),
+        wrap(end),
+    )
+
+
+def assert_same(a: Pose, b: Pose, tolerance: float = 1e-12) -> None:
+    assert math.hypot(a.x_m - b.x_m, a.y_m - b.y_m) < tolerance
+    assert abs(wrap(a.heading_rad - b.heading_rad)) < tolerance
+
+
+@given(st.floats(-3, 3), st.floats(-2.0, 2.0).filter(lambda w: w == 0 or abs(w) > 1e-3),
+       st.floats(0.01, 2.0))  # fmt: skip
+def test_a_step_moves_along_the_exact_arc(speed: float, rate: float, dt_s: float) -> None:
+    motion = Motion(dt_s, speed * dt_s, rate * dt_s)
+    assert_same(moved(START, motion), end_of(START, speed, rate, dt_s), 1e-10)
+
+
+def test_one_long_step_ends_where_many_short_ones_do() -> None:
+    """Also for most of a circle, where the ends' chord is a fraction of the way."""
+    at = START
+    for _ in range(1000):
+        at = moved(at, Motion(0.001, 0.002, 0.006))
+    assert_same(at, moved(START, Motion(1.0, 2.0, 6.0)), 1e-10)
+
+
+def test_a_full_circle_ends_where_it_began() -> None:
+    assert_same(moved(START, Motion(1.0, 5.0, 2.0 * math.pi)), START)
+
+
+def test_the_twist_acts_up_to_its_own_stamp() -> None:
+    """Twist n over (t[n-1], t[n]]; the first message only sets the clock."""
+    motion_of = MotionFromOdometry('twist')
+    assert motion_of.update(twist(SECOND, 9.0, 9.0)) is None
+    assert motion_of.update(twist(SECOND + SECOND // 4, 2.0, -1.0)) == Motion(0.25, 0.5, -0.25)
+    assert motion_of.update(twist(2 * SECOND, 1.0, 0.0)) == Motion(0.75, 0.75, 0.0)
+
+
+def test_time_is_the_difference_of_integer_stamps() -> None:
+    """Stamps of today's epoch in float seconds would lose the last hundred ns."""
+    motion_of = MotionFromOdometry('twist')
+    now = 1_700_000_000_123_456_789
+    motion_of.update(twist(now))
+    motion = motion_of.update(twist(now + 1_000_001, 1.0))
+    assert motion is not None
+    assert motion.dt_s == pytest.approx(0.001000001, rel=1e-12)
+
+
+@given(st.lists(st.tuples(st.floats(-2, 2), st.floats(-3.0, 3.0)), min_size=1, max_size=20))
+def test_pose_and_twist_agree_on_arcs(twists: list[tuple[float, float]]) -> None:
+    from_twist, from_pose = MotionFromOdometry('twist'), MotionFromOdometry('pose')
+    wheel = Pose(4.0, 5.0, 3.0)
+    a = b = START
+    for n, (speed, rate) in enumerate([(0.0, 0.0), *twists]):
+        if n > 0:
+            wheel = moved(wheel, Motion(0.5, 0.5 * speed, 0.5 * rate))
+        stamp = n * SECOND // 2
+        motions = (
+            from_twist.update(Odometry(stamp, Twist(speed, rate), wheel)),
+            from_pose.update(Odometry(stamp, Twist(0.0, 0.0), wheel)),
+        )
+        if n == 0:
+            assert motions == (None, None)
+            continue
+        assert motions[0] is not None
+        assert motions[1] is not None
+        a, b = moved(a, motions[0]), moved(b, motions[1])
+    assert_same(a, b, 1e-9)
+
+
+def test_poses_are_differenced_in_the_robots_frame() -> None:
+    """Where the odometry's own frame lies does not matter, nor headings across half a turn."""
+    for origin in (Pose(0.0, 0.0, 0.0), Pose(100.0, -7.0, 3.1), Pose(0.0, 0.0, -3.1)):
+        motion_of = MotionFromOdometry('pose')
+        motion_of.update(Odometry(0, Twist(0.0, 0.0), origin))
+        end = moved(origin, Motion(1.0, 0.6, 0.4))
+        motion = motion_of.update(Odometry(1, Twist(0.0, 0.0), end))
+        assert motion is not None
+        assert motion.distance_m == pytest.approx(0.6, abs=1e-12)
+        assert motion.turn_rad == pytest.approx(0.4, abs=1e-12)
+
+
+def test_driving_back_is_negative_from_poses_as_well() -> None:
+    motion_of = MotionFromOdometry('pose')
+    motion_of.update(Odometry(0, Twist(0.0, 0.0), Pose(0.0, 0.0, 1.0)))
+    back = moved(Pose(0.0, 0.0, 1.0), Motion(1.0, -0.5, 0.1))
+    motion = motion_of.update(Odometry(1, Twist(0.0, 0.0), back))
+    assert motion is not None
+    assert motion.distance_m == pytest.approx(-0.5)
+
+
+@pytest.mark.parametrize('source', ['twist', 'pose'])
+def test_after_a_minute_without_odometry_nothing_is_known_of_the_motion(source: str) -> None:
+    motion_from = MotionFromOdometry(source)
+    assert motion_from.update(twist(SECOND, 1.0)) is None
+    assert motion_from.update(twist(SECOND + 60 * 10**9, 1.0)) is not None
+    assert motion_from.update(twist(SECOND + 121 * 10**9, 1.0)) is None
+    assert motion_from.update(twist(SECOND + 122 * 10**9, 1.0)) is not None

@@ -1,0 +1,289 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Of the ways on the one along the route, and never into what stands there."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from rooms import (
+    SCAN_NS,
+    SCAN_S,
+    Drive,
+    Line,
+    corridor,
+    dead_end,
+    scan_in,
+    scan_of_ranges,
+    t_junction,
+    way_to_point_m,
+)
+
+from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.config.goal_follower import GoalFollowerParameters
+from ratslam_ros.core.driving.goal_follower import GoalFollower, seen_from
+from ratslam_ros.core.driving.steering import Command
+
+P = GoalFollowerParameters()
+AHEAD = np.array([[0.0, 0.0], [5.0, 0.0]])
+
+
+def command_for(walls: list[Line], route: NDArray[np.float64]) -> Command:
+    return GoalFollower(P).command(scan_in(walls), route)
+
+
+# Along the route
+
+
+def test_a_route_ahead_is_driven_along_to_its_end() -> None:
+    drive = Drive(corridor(1.0), [(0.0, 0.0), (6.0, 0.0)])
+    commands = drive.steps(8.0)
+    assert commands[0].speed_mps > 0.95 * P.speed_mps
+    assert all(abs(command.turn_rate_radps) < 0.15 for command in commands)
+    drive.steps(8.0)
+    assert drive.away_m(6.0, 0.0) < 0.2
+    assert abs(drive.pose.y_m) < 0.1
+
+
+@pytest.mark.parametrize('side', [1.0, -1.0])
+def test_at_a_junction_the_branch_of_the_route_is_taken(side: float) -> None:
+    drive = Drive(t_junction(5.0), [(0.0, 0.0), (4.0, 0.0), (4.0, side * 5.0)])
+    commands = drive.steps(25.0)
+    assert drive.away_m(4.0, side * 5.0) < 0.3
+    assert drive.nearest_m > P.robot_radius_m
+    assert not any(command.failed for command in commands)
+    assert 'turn' not in {command.behaviour for command in commands[:40]}
+
+
+def test_a_door_beside_is_gone_through() -> None:
+    walls: list[Line] = [
+        [(-20.0, 1.0), (2.5, 1.0), (2.5, 6.0), (5.5, 6.0), (5.5, 1.0)],
+        [(2.5, 1.0), (3.5, 1.0)], [(4.5, 1.0), (20.0, 1.0)],
+        [(-20.0, -1.0), (20.0, -1.0)],
+    ]  # fmt: skip
+    drive = Drive(walls, [(0.0, 0.0), (4.0, 0.0), (4.0, 4.0)])
+    commands = drive.steps(25.0)
+    assert drive.away_m(4.0, 4.0) < 0.3
+    assert drive.nearest_m > P.robot_radius_m
+    assert not any(command.failed for command in commands)
+
+
+def test_a_route_that_is_off_by_some_is_followed_along_the_corridor() -> None:
+    """A map is bent: its route leads into the wall, the corridor does not."""
+    drive = Drive(corridor(0.8), [(0.0, 0.0), (10.0, 1.0)])
+    drive.steps(12.0)
+    assert drive.pose.x_m > 6.0
+    assert drive.nearest_m > P.robot_radius_m
+
+
+@pytest.mark.parametrize('bearing_deg', [180.0 - 1e-6, -180.0 + 1e-6, 120.0, -120.0, 96.0, -96.0])
+def test_a_route_that_begins_behind_is_turned_to_the_short_way(
+    bearing_deg: float,
+) -> None:
+    bearing = math.radians(bearing_deg)
+    drive = Drive(corridor(1.0), [(0.0, 0.0), (9.0 * math.cos(bearing), 9.0 * math.sin(bearing))])
+    turned_rad = 0.0
+    for _ in range(100):
+        before = drive.pose
+        command = drive.step()
+        if command.behaviour != 'turn':
+            break
+        assert command.speed_mps == 0.0
+        assert abs(command.turn_rate_radps) <= P.turn_rate_radps
+        turned_rad += math.remainder(drive.pose.heading_rad - before.heading_rad, math.tau)
+    left_rad = bearing - turned_rad
+    # It turns until it faces the route, and no further.
+    assert 0.0 <= left_rad * math.copysign(1.0, bearing) < math.radians(25.0)
+
+
+@pytest.mark.parametrize('bearing_deg', [94.0, 70.0, -70.0, -94.0])
+def test_a_route_that_begins_beside_is_taken_without_turning_first(bearing_deg: float) -> None:
+    bearing = math.radians(bearing_deg)
+    command = command_for([], np.array([[0.0, 0.0], [math.cos(bearing), math.sin(bearing)]]))
+    assert command.behaviour != 'turn'
+    assert command.ahead_rad == pytest.approx(bearing, abs=math.radians(4.5))
+
+
+def test_turning_does_not_end_where_it_would_not_have_begun() -> None:
+    """Or else the robot would turn to and fro."""
+    route = 5.0 * np.array([[0.0, 0.0], [math.cos(0.7), math.sin(0.7)]])
+    assert command_for([], route).behaviour != 'turn'
+    follower = GoalFollower(P)
+    assert follower.command(scan_in([]), -AHEAD).behaviour == 'turn'
+    assert follower.command(scan_in([]), route).behaviour == 'turn'
+
+
+def test_it_slows_down_before_the_end_of_the_route() -> None:
+    lengths_m = [0.02, 0.1, 0.2, 0.5, 1.0, 3.0]
+    speeds = [
+        command_for(corridor(), AHEAD * length_m / 5.0).speed_mps for length_m in lengths_m
+    ]
+    assert speeds == sorted(speeds)
+    assert speeds[-1] > 0.95 * P.speed_mps
+    for speed, length_m in zip(speeds, lengths_m, strict=True):
+        # As far as it takes to stop, and a little to come there at all.
+        assert 0.0 < speed <= 0.1 + math.sqrt(2.0 * P.braking_mps2 * length_m)
+
+
+# Where nothing leads along it
+
+
+def test_a_closed_way_is_waited_at_and_has_failed_again_and_again() -> None:
+    follower = GoalFollower(P)
+    failed_s = []
+    for step in range(100):
+        stamp_ns = step * SCAN_NS
+        command = follower.command(scan_in(dead_end(0.42), stamp_ns=stamp_ns), AHEAD)
+        assert command.speed_mps == 0.0
+        assert command.ahead_rad == pytest.approx(0.0)
+        if command.failed:
+            failed_s.append(stamp_ns * 1e-9)
+    assert failed_s == pytest.approx([P.try_timeout_s * n for n in (1, 2, 3)])
+
+
+def test_a_robot_that_waits_turns_to_the_route_and_says_where_it_was() -> None:
+    turned = np.array([[0.0, 0.0], [5.0 * math.cos(0.8), 5.0 * math.sin(0.8)]])
+    command = command_for(dead_end(0.4, 0.4), turned)
+    assert (command.speed_mps, command.ahead_rad) == pytest.approx((0.0, 0.8))
+    assert 0.0 < command.turn_rate_radps <= P.turn_rate_radps
+
+
+@pytest.mark.parametrize(('at_m', 'half_width_m'), [(2.1, 0.7), (2.1, 1.5), (2.17, 1.0)])
+def test_before_a_closed_way_the_robot_comes_to_rest_wherever_that_is(
+    at_m: float, half_width_m: float
+) -> None:
+    drive = Drive(dead_end(at_m, half_width_m), [(0.0, 0.0), (9.0, 0.0)])
+    drive.steps(6.0)
+    commands = drive.steps(2.0 * P.try_timeout_s)
+    assert all(command.speed_mps == 0.0 for command in commands)
+    assert sum(command.failed for command in commands) == 2
+    assert drive.nearest_m > P.robot_radius_m
+
+
+def test_somebody_who_goes_away_makes_no_way_fail() -> None:
+    free, closed = corridor(0.7), [*corridor(0.7), [(2.0, 0.7), (2.0, -0.7)]]
+    drive = Drive(free, [(0.0, 0.0), (9.0, 0.0)])
+    stood = 0.0
+    for _ in range(3):
+        drive.steps(0.5)
+        drive.walls = [*free, [(drive.pose.x_m + 0.8, 0.7), (drive.pose.x_m + 0.8, -0.7)]]
+        waiting = drive.steps(P.try_timeout_s - 0.5)
+        assert not any(command.failed for command in waiting)
+        stood += sum(command.speed_mps == 0.0 for command in waiting) * SCAN_S
+        drive.walls = free
+    assert stood > P.try_timeout_s  # in all
+    assert not any(command.failed for command in drive.steps(20.0))
+    assert drive.away_m(9.0, 0.0) < 0.3
+    drive = Drive(closed, [(0.0, 0.0), (9.0, 0.0)])  # and who stays does
+    assert any(command.failed for command in drive.steps(10.0))
+    assert drive.nearest_m > P.robot_radius_m
+
+
+# Never into anything
+
+SCANS = st.lists(st.floats(0.05, 3.0) | st.just(math.inf), min_size=1, max_size=40)
+ROUTES = st.lists(
+    st.tuples(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0)), min_size=2, max_size=6
+)
+
+
+@given(SCANS, ROUTES)
+def test_it_can_always_stop_before_what_is_ahead(
+    ranges_m: list[float], route: list[tuple[float, float]]
+) -> None:
+    scan = scan_of_ranges(ranges_m)
+    command = GoalFollower(P).command(scan, np.array(route))
+    assert 0.0 <= command.speed_mps <= P.speed_mps
+    assert abs(command.turn_rate_radps) <= P.turn_rate_radps
+    if command.speed_mps == 0.0:
+        return
+    # So far on, and the distance that must stay, the body is at no point that is ahead of it.
+    stop_m = command.speed_mps**2 / (2.0 * P.braking_mps2) + P.stop_distance_m
+    angles = scan.angle_min_rad + scan.angle_increment_rad * np.arange(len(ranges_m))
+    for range_m, angle in zip(ranges_m, angles.tolist(), strict=True):
+        point = range_m * math.cos(angle), range_m * math.sin(angle)
+        if math.isfinite(range_m) and point[0] > 1e-9:
+            gap_m = way_to_point_m((0.0, 0.0), (stop_m, 0.0), point) - P.robot_radius_m
+            assert gap_m > -1e-6
+
+
+@pytest.mark.parametrize('at_m', [0.27, 0.3, 0.36])
+def test_within_the_stop_distance_it_does_not_go_on(at_m: float) -> None:
+    post: list[Line] = [[(at_m, 0.05), (at_m, -0.05)]]
+    assert command_for(post, AHEAD).speed_mps == 0.0
+
+
+@pytest.mark.parametrize('aside_m', [0.1, 0.0, -0.1])
+def test_what_stands_on_the_route_is_gone_round(aside_m: float) -> None:
+    box: Line = [(3.0, aside_m + 0.2), (3.0, aside_m - 0.2), (3.3, aside_m - 0.2),
+                 (3.3, aside_m + 0.2), (3.0, aside_m + 0.2)]  # fmt: skip
+    drive = Drive([*corridor(1.5), box], [(0.0, 0.0), (7.0, 0.0)])
+    assert not any(command.failed for command in drive.steps(20.0))
+    assert drive.away_m(7.0, 0.0) < 0.3
+    assert drive.nearest_m > P.robot_radius_m
+
+
+# Along the wall that it learned
+
+
+@pytest.mark.parametrize(('behaviour', 'side'), [('left_wall', 1.0), ('right_wall', -1.0)])
+def test_the_wall_of_the_route_is_followed_until_its_last_piece(
+    behaviour: str, side: float
+) -> None:
+    drive = Drive(corridor(2.0), [(0.0, 0.0), (6.0, 0.0)])
+    drive.behaviour = behaviour
+    commands = drive.steps(7.0)
+    assert {command.behaviour for command in commands} == {behaviour}
+    assert drive.pose.y_m * side == pytest.approx(2.0 - P.wall_distance_most_m, abs=0.1)
+    drive.steps(9.0)
+    assert drive.away_m(6.0, 0.0) < 0.2
+    assert drive.nearest_m > P.robot_radius_m
+
+
+@pytest.mark.parametrize('bearing_deg', [94.0, -94.0, 96.0, -96.0, 180.0])
+def test_where_the_route_runs_back_the_robot_turns_before_it_follows_a_wall(
+    bearing_deg: float,
+) -> None:
+    bearing = math.radians(bearing_deg)
+    route = np.array([[0.0, 0.0], [2.0 * math.cos(bearing), 2.0 * math.sin(bearing)]])
+    command = GoalFollower(P).command(scan_in([]), route, 'left_wall')
+    assert (command.behaviour == 'turn') == (abs(bearing_deg) > 95.0)
+
+
+def test_a_wall_that_leads_elsewhere_is_left() -> None:
+    drive = Drive(t_junction(5.0), [(0.0, 0.0), (4.0, 0.0), (4.0, -5.0)])
+    drive.behaviour = 'left_wall'  # on beyond the branch, and the map does not know better
+    drive.steps(25.0)
+    assert drive.away_m(4.0, -5.0) < 0.3
+    assert drive.nearest_m > P.robot_radius_m
+
+
+# Seen from the robot
+
+
+@pytest.mark.parametrize('seed', range(5))
+def test_places_are_seen_as_a_rotation_says(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    x_m, y_m, heading = rng.uniform(-3.0, 3.0, 3).tolist()
+    positions_m = rng.normal(0.0, 5.0, (7, 2))
+    turned = np.array(
+        [[math.cos(heading), -math.sin(heading)], [math.sin(heading), math.cos(heading)]]
+    )
+    seen = seen_from(Pose(x_m, y_m, heading), positions_m)
+    assert seen @ turned.T + [x_m, y_m] == pytest.approx(positions_m)
+    for a, b in itertools.combinations(range(7), 2):
+        assert math.dist(seen[a], seen[b]) == pytest.approx(
+            math.dist(positions_m[a], positions_m[b])
+        )
+
+
+def test_ahead_is_x_and_left_is_y() -> None:
+    seen = seen_from(Pose(1.0, 2.0, math.pi / 2), np.array([[1.0, 3.0], [0.0, 2.0]]))
+    assert seen == pytest.approx(np.array([[1.0, 0.0], [0.0, 1.0]]))
+    assert seen_from(Pose(1.0, 2.0, 0.3), np.empty((0, 2))).shape == (0, 2)

@@ -1,0 +1,406 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Views and matches are those of the plain definition in helpers.py, ties included."""
+
+import contextlib
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import picture, plain_brightness, plain_match, plain_view
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from ratslam_ros.core.config import LocalViewParameters
+from ratslam_ros.core.vision.local_view import LocalView, make_view
+from ratslam_ros.errors import UnusableParameter
+
+Image = NDArray[np.uint8]
+
+
+def parameters(
+    width: int = 8, height: int = 4, shift: int = 1, **more: Any
+) -> LocalViewParameters:
+    return LocalViewParameters(
+        template_x_size=width, template_y_size=height, vt_shift_match=shift, **more
+    )
+
+
+def assert_same_view(image: Image, p: LocalViewParameters) -> None:
+    """Compare with the definition; a value on the edge of rounding may go either way."""
+    difference = np.abs(make_view(image, p).astype(int) - plain_view(image, p))
+    brightness = plain_brightness(image, p)
+    on_the_edge = np.abs(brightness - np.floor(brightness) - 0.5) < 1e-9
+    assert difference.max() <= 1
+    assert not difference[~on_the_edge].any()
+
+
+# From image to view
+
+
+@pytest.mark.parametrize('size', [(4, 8), (5, 9), (7, 13), (24, 32), (31, 50), (4, 15)])
+def test_blocks_end_at_the_floor_of_their_share(size: tuple[int, int]) -> None:
+    image = picture(3, *size)
+    p = parameters()
+    assert np.array_equal(make_view(image, p), plain_view(image, p))
+
+
+def test_a_block_is_the_mean_of_its_pixels_rounded_to_nearest() -> None:
+    image = np.array([[10, 11, 0, 255], [10, 11, 0, 255], [7, 7, 7, 8], [7, 7, 7, 8]], np.uint8)
+    assert make_view(image, parameters(2, 2, 0)).tolist() == [[11, 128], [7, 8]]
+
+
+def test_an_image_as_large_as_the_template_is_taken_as_it_is() -> None:
+    image = picture(1, 4, 8)
+    assert np.array_equal(make_view(image, parameters()), image)
+
+
+def test_the_crop_leaves_the_rest_out() -> None:
+    image = np.full((20, 30), 200, np.uint8)
+    image[5:13, 6:22] = 40
+    p = parameters(image_crop_x_min=6, image_crop_x_max=22,
+                   image_crop_y_min=5, image_crop_y_max=13)  # fmt: skip
+    assert (make_view(image, p) == 40).all()
+    assert_same_view(picture(5, 20, 30), p)
+
+
+def test_a_crop_of_minus_1_goes_to_the_edge() -> None:
+    image = picture(9, 20, 30)
+    assert np.array_equal(
+        make_view(image, parameters(image_crop_x_min=10)), make_view(image[:, 10:], parameters())
+    )
+
+
+@pytest.mark.parametrize('crop', [
+    {'image_crop_x_max': 31}, {'image_crop_y_max': 21}, {'image_crop_x_min': 23},
+    {'image_crop_y_min': 17}, {'image_crop_x_min': 12, 'image_crop_x_max': 10},
+])  # fmt: skip
+def test_a_crop_that_does_not_fit_is_named(crop: dict[str, int]) -> None:
+    with pytest.raises(UnusableParameter, match=r'local_view\.image_crop_[xy].*30 x 20 px'):
+        make_view(picture(1, 20, 30), parameters(**crop))
+
+
+@settings(max_examples=80)
+@given(
+    st.integers(0, 10_000), st.integers(4, 30), st.integers(8, 40), st.sampled_from([0, 1, 2, 5]),
+    st.sampled_from([0.0, 0.2, 0.5, 0.9]), st.sampled_from([0.0, 0.05, 0.3]),
+    st.sampled_from([2, 16, 256]),
+)  # fmt: skip
+def test_any_view_is_that_of_the_definition(
+    seed: int, rows: int, columns: int, patch: int, mean: float, least_std: float, levels: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    image = (rng.integers(0, levels, (rows, columns)) * (255 // (levels - 1))).astype(np.uint8)
+    assert_same_view(image, parameters(
+        vt_patch_normalise=patch, vt_normalisation=mean, vt_min_patch_normalisation_std=least_std,
+    ))  # fmt: skip
+
+
+def test_normalisation_sets_the_mean_and_cuts_at_white() -> None:
+    image = np.full((4, 8), 50, np.uint8)
+    assert (make_view(image, parameters(vt_normalisation=0.4)) == 102).all()
+    image[0, 0] = 255
+    view = make_view(image, parameters(vt_normalisation=0.6))
+    assert view[0, 0] == 255
+    assert view[1, 1] == math.floor(50 * 0.6 / (image.mean() / 255.0) + 0.5)
+
+
+@pytest.mark.parametrize('patch', [0, 2])
+def test_a_black_view_stays_black_under_normalisation(patch: int) -> None:
+    view = make_view(
+        np.zeros((8, 16), np.uint8), parameters(vt_normalisation=0.5, vt_patch_normalise=patch)
+    )
+    assert (view == (128 if patch else 0)).all()
+
+
+@pytest.mark.parametrize('value', range(0, 256, 15))
+@pytest.mark.parametrize('mean', [0.0, 0.37])
+def test_flat_patches_are_a_half_and_never_nan(value: int, mean: float) -> None:
+    """The original divides by a deviation of 0, or of rounding errors."""
+    image = np.full((7, 13), value, np.uint8)
+    for n in (1, 2, 3, 9):
+        view = make_view(image, parameters(vt_patch_normalise=n, vt_normalisation=mean))
+        assert (view == 128).all()  # floor(255 * 0.5 + 0.5)
+
+
+def test_only_the_flat_patches_of_a_view_are_a_half() -> None:
+    image = np.full((12, 24), 77, np.uint8)
+    image[4:, 16:] = picture(1, 8, 8)
+    p = parameters(24, 12, 0, vt_patch_normalise=2)
+    view = make_view(image, p)
+    assert (view[:, :14] == 128).all()
+    assert (view[:2, :] == 128).all()
+    assert (view[6:, 18:] != 128).mean() > 0.9
+    assert_same_view(image, p)
+
+
+@pytest.mark.parametrize('patch', [1, 2, 3])
+def test_flat_patches_are_a_half_for_every_grey_and_whatever_lies_beside(patch: int) -> None:
+    """What is left of rounding in their deviation is none."""
+    for value in range(256):
+        image = np.full((8, 24), value, np.uint8)
+        image[:, 16:] = picture(value, 8, 8)
+        view = make_view(image, parameters(24, 8, 0, vt_patch_normalise=patch))
+        assert (view[:, : 16 - patch] == 128).all(), value
+
+
+def test_faint_patches_are_a_half_below_the_least_deviation() -> None:
+    image = np.full((8, 16), 100, np.uint8)
+    image[:, 8:] = picture(2, 8, 8)
+    image[:, :8] += picture(3, 8, 8) % 3
+    faint = parameters(16, 8, 0, vt_patch_normalise=1, vt_min_patch_normalisation_std=0.02)
+    view = make_view(image, faint)
+    assert (view[:, :7] == 128).all()
+    assert (view[:, 9:] != 128).mean() > 0.9
+    assert (make_view(image, parameters(16, 8, 0, vt_patch_normalise=1))[:, :7] != 128).any()
+
+
+def test_patches_are_cut_at_three_deviations() -> None:
+    image = np.full((9, 9), 100, np.uint8)
+    image[4, 4] = 200
+    view = make_view(image, parameters(9, 9, 0, vt_patch_normalise=4))
+    assert view[4, 4] == 255
+    assert view.min() > 100
+
+
+# Matching
+
+
+def memory(templates: list[Image], p: LocalViewParameters) -> LocalView:
+    local_view = LocalView(p)
+    for template in templates:
+        local_view.learn(template)
+    return local_view
+
+
+@st.composite
+def worlds(draw: st.DrawFn) -> tuple[LocalViewParameters, list[Image], list[Image]]:
+    """Return parameters, templates and views that are alike, so that ties are common."""
+    width, height = draw(st.integers(4, 12)), draw(st.integers(1, 4))
+    panoramic = draw(st.booleans())
+    shift = draw(st.integers(0, (width - 1) // 2))
+    p = parameters(width, height, shift, vt_panoramic=panoramic,
+                   vt_step_match=draw(st.integers(1, 3)))  # fmt: skip
+    rng = np.random.default_rng(draw(st.integers(0, 9999)))
+    levels = draw(st.sampled_from([1, 2, 3, 256]))
+    count = draw(st.integers(1, 12))
+    images = (rng.integers(0, levels, (count + 4, height, width)) * 31).astype(np.uint8)
+    templates = list(images[:count])
+    for template in templates[: count // 3]:  # the same again, turned, or nearly the same
+        templates.append(np.roll(template, 1, axis=1))
+        near = template.copy()
+        near[0, 0] ^= 1
+        templates.append(near)
+    views = [*images[count:], templates[0], np.roll(templates[-1], 2, axis=1)]
+    return p, templates, views
+
+
+@settings(max_examples=150)
+@given(worlds())
+def test_matches_are_those_of_the_definition_ties_included(
+    world: tuple[LocalViewParameters, list[Image], list[Image]],
+) -> None:
+    p, templates, views = world
+    local_view = memory(templates, p)
+    for view in views:
+        assert local_view.best_match(view) == plain_match(templates, view, p)
+
+
+def test_among_constant_views_ties_go_to_the_lowest_id_and_offset() -> None:
+    flat = [np.full((4, 8), value, np.uint8) for value in (90, 100, 110, 100)]
+    for panoramic in (False, True):
+        local_view = memory(flat, parameters(vt_panoramic=panoramic))
+        assert local_view.best_match(np.full((4, 8), 100, np.uint8)) == (1, 0, 0)
+        found = local_view.best_match(np.full((4, 8), 105, np.uint8))
+        assert found is not None
+        assert found[:2] == (1, 0)
+
+
+def test_a_forward_view_is_found_shifted_to_either_side() -> None:
+    p = parameters(20, 4, 3)
+    wide = picture(5, 4, 40)
+    local_view = memory([np.ascontiguousarray(wide[:, 10:30])], p)
+    for shift in range(-3, 4):
+        view = np.ascontiguousarray(wide[:, 10 + shift : 30 + shift])
+        assert local_view.best_match(view) == (0, 3 + shift, 0)
+    beyond = local_view.best_match(np.ascontiguousarray(wide[:, 15:35]))
+    assert beyond is not None
+    assert beyond[2] > 0
+
+
+@pytest.mark.parametrize('turned', range(-9, 10))
+def test_a_panoramic_view_tells_how_far_the_robot_turned(turned: int) -> None:
+    """Columns run clockwise: after a turn to the left the same thing is further right."""
+    p = parameters(20, 4, 0, vt_panoramic=True)
+    local_view = LocalView(p)
+    first = picture(8, 4, 20)
+    assert local_view.match(first).is_new
+    match = local_view.match(np.roll(first, turned, axis=1))
+    assert match.template_id == 0
+    assert match.error == 0.0
+    assert match.relative_rad == pytest.approx(2.0 * math.pi * turned / 20, abs=1e-12)
+
+
+def test_half_a_turn_is_plus_pi() -> None:
+    local_view = LocalView(parameters(20, 4, 0, vt_panoramic=True))
+    local_view.match(picture(8, 4, 20))
+    match = local_view.match(np.roll(picture(8, 4, 20), 10, axis=1))
+    assert match.relative_rad == pytest.approx(math.pi)
+
+
+def test_a_forward_camera_has_no_relative_heading() -> None:
+    local_view = LocalView(parameters(20, 4, 5))
+    wide = picture(5, 4, 40)
+    local_view.match(np.ascontiguousarray(wide[:, 10:30]))
+    match = local_view.match(np.ascontiguousarray(wide[:, 13:33]))
+    assert not match.is_new
+    assert match.relative_rad == 0.0
+
+
+def test_a_template_of_quite_another_mean_is_found_still() -> None:
+    """The original skips templates whose mean differs by more than the threshold + 0.005.
+
+    The means here differ by 0.1, for what lies outside of the columns compared.
+    """
+    template = picture(1, 4, 20)
+    view = template.copy()
+    template[:, 16:] = 0
+    view[:, :4] = np.maximum(view[:, :4], 128)
+    view[:, 16:] = 255
+    p = parameters(20, 4, 4, vt_match_threshold=0.03)
+    assert abs(float(view.mean()) - float(template.mean())) / 255 > 0.035 + 0.05
+    local_view = memory([picture(7, 4, 20), template], p)
+    match = local_view.match(view)
+    assert (match.template_id, match.is_new, match.error) == (1, False, 0.0)
+
+
+# Recognising and learning
+
+
+def test_the_first_view_is_learned_and_recognised_from_then_on() -> None:
+    local_view = LocalView(parameters())
+    first = local_view.match(picture(0))
+    assert (first.template_id, first.is_new, first.error) == (0, True, -1.0)
+    again = local_view.match(picture(0))
+    assert (again.template_id, again.is_new, again.error) == (0, False, 0.0)
+    other = local_view.match(picture(1))
+    assert (other.template_id, other.is_new) == (1, True)
+    assert other.error > 0.03
+
+
+@pytest.mark.parametrize('threshold', [0.0, 0.02, 0.03, 0.1, 0.5, 1.0])
+@pytest.mark.parametrize('panoramic', [False, True])
+def test_exactly_the_threshold_is_recognised_and_one_more_is_not(
+    threshold: float, panoramic: bool
+) -> None:
+    p = parameters(20, 4, 2, vt_match_threshold=threshold, vt_panoramic=panoramic)
+    area = 80 if panoramic else 64
+    limit = math.floor(threshold * 255 * area)
+    for sad in {max(limit - 1, 0), limit, min(limit + 1, 255 * area)}:
+        view = np.zeros((4, 20), np.uint8)
+        columns = view if panoramic else view[:, 2:18]
+        rest = sad
+        for y in range(columns.shape[0]):
+            for x in range(columns.shape[1]):
+                columns[y, x] = min(rest, 255)
+                rest -= int(columns[y, x])
+        assert rest == 0
+        local_view = memory([np.zeros((4, 20), np.uint8)], p)
+        match = local_view.match(view)
+        assert match.is_new == (sad > threshold * 255 * area)
+        assert match.error == pytest.approx(sad / (255 * area), abs=1e-15)
+
+
+@pytest.mark.parametrize('panoramic', [False, True])
+def test_the_error_told_is_the_exact_minimum_also_of_a_new_view(panoramic: bool) -> None:
+    """People tune the threshold with it."""
+    p = parameters(10, 4, 2, vt_panoramic=panoramic)
+    area = 40 if panoramic else 24
+    local_view = LocalView(p)
+    for seed in range(30):
+        view = make_view(picture(seed % 23, 4, 10), p)
+        expected = plain_match(list(local_view.templates), view, p)
+        match = local_view.match(picture(seed % 23, 4, 10))
+        assert match.error == (-1.0 if expected is None else expected[2] / (255.0 * area))
+
+
+def test_templates_are_numbered_in_the_order_of_learning_however_many() -> None:
+    local_view = LocalView(parameters())
+    ids = [local_view.match(picture(seed)).template_id for seed in range(200)]
+    assert ids == list(range(200))
+    assert local_view.templates.shape == (200, 4, 8)
+    again = [0, 63, 64, 199]
+    assert [local_view.match(picture(seed)).template_id for seed in again] == again
+
+
+def test_templates_cannot_be_changed_from_outside() -> None:
+    local_view = LocalView(parameters())
+    local_view.match(picture(0))
+    given_out = local_view.templates
+    with contextlib.suppress(ValueError):  # read-only, or a copy
+        given_out[:] = 1
+    assert not local_view.match(picture(0)).is_new
+
+
+def test_a_threshold_of_1_recognises_everything_as_the_nearest() -> None:
+    local_view = memory([picture(s, 4, 8) for s in range(5)], parameters(vt_match_threshold=1.0))
+    match = local_view.match(picture(99))
+    assert not match.is_new
+    assert match.template_id < 5
+
+
+def test_a_black_view_is_a_template_like_any_other() -> None:
+    for p in (parameters(vt_normalisation=0.4), parameters(vt_patch_normalise=1), parameters()):
+        local_view = LocalView(p)
+        black = np.zeros((8, 16), np.uint8)
+        assert local_view.match(black).is_new
+        assert not local_view.match(black).is_new
+        assert local_view.match(picture(3)).is_new
+
+
+# Vertical shifts and recent templates, beyond the original
+
+
+def test_a_view_is_found_shifted_up_or_down() -> None:
+    p = parameters(12, 9, 1, vt_shift_match_y=2)
+    tall = picture(4, 20, 12)
+    local_view = memory([np.ascontiguousarray(tall[5:14])], p)
+    for shift in range(-2, 3):
+        found = local_view.best_match(np.ascontiguousarray(tall[5 + shift : 14 + shift]))
+        assert found == (0, 1, 0)
+
+
+def test_recent_templates_are_recognised_by_the_narrow_threshold_only() -> None:
+    p = parameters(8, 4, 0, vt_match_threshold=0.1, vt_recent_templates=2,
+                   vt_recent_threshold=0.5)  # fmt: skip
+    base = picture(1, 4, 8) // 2
+    near, far = base + np.uint8(10), base + np.uint8(20)  # 0.04 and 0.08
+    recent = memory([picture(2, 4, 8), base], p)
+    assert not recent.match(near).is_new
+    assert recent.match(far).is_new
+    old = memory([base, picture(2, 4, 8), picture(3, 4, 8)], p)
+    assert old.match(far).template_id == 0
+
+
+def test_no_kind_of_image_has_to_be_compiled_for() -> None:
+    """Crops, read-only buffers and every other stride would each compile again, mid-run."""
+    from ratslam_ros.core.config import VisualOdometryParameters
+    from ratslam_ros.core.vision import local_view, visual_odometry
+
+    whole = np.random.default_rng(0).integers(0, 256, (40, 60), dtype=np.uint8)
+    frozen = whole.copy()
+    frozen.flags.writeable = False
+    size = {'template_x_size': 12, 'template_y_size': 8, 'vt_shift_match': 1}
+    views = [
+        local_view.make_view(image, LocalViewParameters(**size))
+        for image in (whole, frozen, np.asfortranarray(whole), np.repeat(whole, 2, 1)[:, ::2])
+    ]
+    assert all((view == views[0]).all() for view in views)
+    local_view.make_view(frozen, LocalViewParameters(**size, image_crop_x_min=5))
+    odometry = visual_odometry.VisualOdometry(VisualOdometryParameters(vrot_image_x_min=3))
+    odometry.estimate(0, whole)
+    odometry.estimate(1, frozen)
+    assert len(local_view._make_view.signatures) == 1
+    assert len(visual_odometry._profile.signatures) == 1

@@ -1,0 +1,226 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The search returns what comparing every template at every place returns."""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from ratslam_ros.core.config import LocalViewParameters
+from ratslam_ros.core.vision import template_memory
+from ratslam_ros.core.vision.local_view import LocalView, make_view
+from ratslam_ros.core.vision.sad import PIECE, pieces_of, sad_by
+from ratslam_ros.core.vision.template_memory import Match, TemplateMemory
+from ratslam_ros.recordings import ImageEvent, open_recording
+
+DATA = Path(os.environ.get('RATSLAM_DATA', Path(__file__).parents[4] / 'shared' / 'data'))
+Views = NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class Shape:
+    """What a memory is made with."""
+
+    width: int = 60
+    height: int = 10
+    shift_x: int = 5
+    shift_y: int = 0
+    step: int = 1
+    panoramic: bool = False
+    signed: bool = False
+
+    def memory(self, views: Views) -> TemplateMemory:
+        memory = TemplateMemory(
+            self.width, self.height, self.shift_x, self.shift_y, self.step,
+            panoramic=self.panoramic, signed=self.signed,
+        )  # fmt: skip
+        for view in views:
+            memory.append(view)
+        return memory
+
+
+def all_sads(views: Views, view: Views, s: Shape) -> tuple[NDArray[np.int64], list[int]]:
+    """Return (n, places) SADs by plain NumPy, and the offset of each place."""
+    left = 0 if s.panoramic else s.shift_x
+    columns, rows = s.width - 2 * left, s.height - 2 * s.shift_y
+    now = view[s.shift_y : s.shift_y + rows, left : left + columns].astype(np.int64)
+    sads, places = [], []
+    for fall in range(2 * s.shift_y + 1):
+        known = views[:, fall : fall + rows].astype(np.int64)
+        for offset in range(0, s.width if s.panoramic else 2 * s.shift_x + 1, s.step):
+            part = np.roll(known, -offset, 2) if s.panoramic else known[:, :, offset:]
+            sads.append(np.abs(part[:, :, :columns] - now).sum((1, 2)))
+            places.append(offset)
+    return np.stack(sads, 1), places
+
+
+def check(views: Views, queries: Views, s: Shape) -> None:
+    memory = s.memory(views)
+    assert np.array_equal(memory.views(), views)
+    for query in queries:
+        sads, offsets = all_sads(views, query, s)
+        search = memory.search(query)
+        at, place = divmod(int(sads.argmin()), len(offsets))
+        least = int(sads[at, place])
+        right = Match(at, offsets[place], least)
+        assert search.best() == right
+        assert search.best(limit=least) == right
+        assert search.best(limit=least + 1) == right
+        assert search.best(limit=least - 1) is None
+        half = len(views) // 2
+        older = search.best(half)
+        if half == 0:
+            assert older is None
+        else:
+            at, place = divmod(int(sads[:half].argmin()), len(offsets))
+            assert older == (at, offsets[place], int(sads[at, place]))
+
+
+SHAPES = [
+    Shape(),
+    Shape(signed=True),
+    Shape(panoramic=True, shift_x=0),
+    Shape(panoramic=True, shift_x=0, signed=True, step=5),
+    Shape(shift_y=1, step=2),
+    Shape(61, 11, 4, 2, signed=True),
+    Shape(31, 7, 0, 1, panoramic=True),
+    Shape(60, 20, 4),
+    Shape(11, 1, 5),
+    Shape(3, 3, 1, 1, signed=True),
+    Shape(1, 1, 0),
+    Shape(160, 120, 3),
+]
+
+
+@pytest.mark.parametrize('s', SHAPES, ids=str)
+def test_noise_of_few_and_many_levels(s: Shape) -> None:
+    rng = np.random.default_rng(4)
+    for levels, scale in ((2, 1), (3, 100), (256, 1)):
+        images = (rng.integers(0, levels, (48, s.height, s.width)) * scale).astype(np.uint8)
+        check(images[:40], images[36:], s)
+
+
+@pytest.mark.parametrize('s', SHAPES[:6], ids=str)
+def test_near_ties(s: Shape) -> None:
+    """Copies of one view that differ by single pixels, in no order, and the same again."""
+    rng = np.random.default_rng(5)
+    base = rng.integers(1, 255, (s.height, s.width))
+    views = np.repeat(base[None], 60, 0)
+    for view in views:
+        for _ in range(rng.integers(0, 3)):
+            view[rng.integers(s.height), rng.integers(s.width)] += rng.choice([-1, 1])
+    check(views.astype(np.uint8), np.stack([base, 255 - base, views[7]]).astype(np.uint8), s)
+
+
+@pytest.mark.parametrize('s', SHAPES[:6], ids=str)
+def test_constant_views(s: Shape) -> None:
+    grey = np.array([90, 100, 110, 100, 0, 255, 105], np.uint8)
+    views = np.broadcast_to(grey[:, None, None], (7, s.height, s.width)).copy()
+    check(views, views, s)
+
+
+@pytest.mark.parametrize('s', SHAPES[:6], ids=str)
+def test_views_whose_blocks_all_sum_to_the_same(s: Shape) -> None:
+    """No bound can tell them apart: what differs cancels within every block and every mean."""
+    rng = np.random.default_rng(6)
+    views = np.empty((50, s.height, s.width), np.uint8)
+    for view in views:
+        depth = rng.integers(0, 100, (s.height, (s.width + 1) // 2))
+        view[:, ::2] = 128 + depth
+        view[:, 1::2] = (128 - depth)[:, : s.width // 2]
+    check(views[:44], views[40:], s)
+
+
+@settings(max_examples=60)
+@given(st.integers(0, 10**6), st.booleans(), st.booleans())
+def test_the_bound_never_exceeds_the_least_sad(
+    seed: int, panoramic: bool, signed: bool
+) -> None:
+    rng = np.random.default_rng(seed)
+    s = Shape(
+        int(rng.integers(3, 40)), int(rng.integers(1, 13)), 1, panoramic=panoramic, signed=signed
+    )
+    shape = (9, s.height, s.width)
+    images = rng.choice([0, 1, 127, 128, 254, 255], shape).astype(np.uint8)
+    memory = s.memory(images[:8])
+    memory.search(images[8])
+    least = memory._shelves[0].least[:8].astype(np.int64)
+    sads, _ = all_sads(images[:8], images[8], s)
+    assert (least * memory._divisor - memory._slack <= sads.min(1)).all()
+
+
+def test_more_than_one_shelf(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(template_memory, 'SHELF_BYTES', 5000)
+    rng = np.random.default_rng(7)
+    views = rng.integers(0, 256, (40, 10, 60), dtype=np.uint8)
+    views[31] = views[3]
+    check(views, np.concatenate([views[[3, 31, 20, 39]], views[:2] // 2]), Shape())
+
+
+def test_what_was_learned_never_moves_and_takes_little_more_than_itself() -> None:
+    memory = Shape().memory(np.zeros((1, 10, 60), np.uint8))
+    before = memory._shelves[0].pixels.ctypes.data
+    for value in range(1000):
+        memory.append(np.full((10, 60), value % 256, np.uint8))
+    assert memory._shelves[0].pixels.ctypes.data == before
+    assert memory.nbytes <= 1.5 * 600 * len(memory)
+
+
+@pytest.mark.parametrize('width', [None, 16, 0])
+def test_every_kind_of_register_gives_the_same_sum(width: int | None) -> None:
+    """16 bytes: every x86 has them; 0: what other processors are given."""
+    if width and not numba.core.registry.cpu_target.target_context.codegen().magic_tuple()[
+        0
+    ].startswith('x86_64'):
+        pytest.skip('psadbw is an instruction of x86')
+    sad_of = sad_by(width)
+
+    @numba.njit
+    def call(a: Any, at_a: int, b: Any, at_b: int, pieces: int, inside: Any) -> int:
+        return sad_of(a, at_a, b, at_b, pieces, inside)
+
+    rng = np.random.default_rng(8)
+    a, b = rng.integers(0, 256, (2, 2000 + PIECE), dtype=np.uint8)
+    for length in (0, 1, 63, 64, 65, 127, 500, 600, 640, 641, 1500):
+        for at_a, at_b in ((0, 0), (1, 64), (77, 3)):
+            parts = a[at_a : at_a + length].astype(int), b[at_b : at_b + length].astype(int)
+            assert call(a, at_a, b, at_b, *pieces_of(length)) == np.abs(parts[0] - parts[1]).sum()
+
+
+@pytest.mark.parametrize('patch', [0, 2])
+@pytest.mark.parametrize('panoramic', [False, True])
+def test_real_views(patch: int, panoramic: bool) -> None:
+    if not (DATA / 'donkeycar_track').is_dir():
+        pytest.skip(f'there is no {DATA / "donkeycar_track"}')
+    p = LocalViewParameters(template_x_size=60, template_y_size=10, vt_patch_normalise=patch)
+    with open_recording(DATA / 'donkeycar_track') as recording:
+        events = recording.events(recording.select(), 0.0, 10.0)
+        images = [event.grey() for event in events if isinstance(event, ImageEvent)]
+    views = np.stack([make_view(image, p) for image in images])
+    queries = views[::20] // 2 + views[10::20][: len(views[::20])] // 2
+    s = Shape(shift_x=0 if panoramic else 5, panoramic=panoramic, signed=patch > 0)
+    check(views, np.concatenate([queries, views[::25]]), s)
+
+
+def test_unknown_views_need_not_be_told_how_unknown_they_are() -> None:
+    rng = np.random.default_rng(9)
+    images = rng.integers(0, 256, (30, 10, 60), dtype=np.uint8)
+    found = []
+    for exact in (True, False):
+        p = LocalViewParameters(template_x_size=60, template_y_size=10, vt_exact_error=exact)
+        local_view = LocalView(p)
+        found.append([local_view.match(image) for image in [*images, *images[::3]]])
+    assert [(m.template_id, m.is_new) for m in found[0]] == [
+        (m.template_id, m.is_new) for m in found[1]
+    ]
+    assert all(m.error > 0.03 for m in found[0][1:30])
+    assert all(m.error == -1.0 for m in found[1][:30])
+    assert all(m.error == 0.0 for both in found for m in both[30:])

@@ -1,0 +1,178 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+import math
+
+import numpy as np
+import pytest
+from helpers import picture
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from ratslam_ros.core.common.odometry import Twist
+from ratslam_ros.core.config import VisualOdometryParameters
+from ratslam_ros.core.vision.visual_odometry import VisualOdometry
+from ratslam_ros.errors import UnusableParameter
+
+FRAME_NS = 100_000_000
+Image = NDArray[np.uint8]
+
+
+def scene(width: int = 400, height: int = 10, seed: int = 1) -> Image:
+    """Return a wide view of columns that differ, to cut frames from."""
+    columns = np.random.default_rng(seed).integers(20, 236, width, dtype=np.uint8)
+    return np.tile(columns, (height, 1))
+
+
+def frame(shift: int, width: int = 120) -> Image:
+    """Return what is seen when the content has moved right by so many columns."""
+    return np.ascontiguousarray(scene()[:, 150 - shift : 150 - shift + width])
+
+
+def twists(
+    frames: list[tuple[int, Image]], **parameters: float
+) -> list[Twist | None]:
+    odometry = VisualOdometry(VisualOdometryParameters(**parameters))
+    return [found and found.twist for found in (odometry.estimate(*item) for item in frames)]
+
+
+def plain_compare(now: NDArray[np.float64], before: NDArray[np.float64]) -> tuple[int, float]:
+    """Return offset and least difference by the formulas L(s) and R(s)."""
+    width = len(now)
+    best: tuple[int, float] | None = None
+    shifts = range(min(39, width // 2) + 1)
+    left = [(-s, float(np.abs(now[: width - s] - before[s:]).mean())) for s in shifts]
+    right = [(s, float(np.abs(now[s:] - before[: width - s]).mean())) for s in shifts]
+    for offset, difference in left + right:
+        if best is None or difference < best[1] - 1e-12:
+            best = offset, difference
+    assert best is not None
+    return best
+
+
+def test_the_first_frame_gives_no_odometry() -> None:
+    """The original publishes garbage for it."""
+    assert twists([(0, frame(0))]) == [None]
+
+
+@pytest.mark.parametrize('shift', [-39, -7, -1, 0, 1, 12, 39])
+def test_content_that_moves_left_is_a_turn_to_the_right(shift: int) -> None:
+    _, motion = twists([(0, frame(0)), (FRAME_NS, frame(shift))], camera_fov_deg=60.0)
+    assert motion is not None
+    # 60 degrees over 120 px, in 0.1 s; counter-clockwise is positive.
+    assert motion.angular_z_radps == pytest.approx(math.radians(shift * 0.5) / 0.1)
+    assert math.copysign(1, motion.angular_z_radps) == math.copysign(1, shift) or shift == 0
+
+
+def test_shifts_go_to_39_px_and_not_beyond() -> None:
+    for shift in (41, 60):
+        _, motion = twists([(0, frame(0)), (FRAME_NS, frame(shift))], camera_fov_deg=120.0)
+        assert motion is not None
+        assert abs(motion.angular_z_radps) <= math.radians(39) / 0.1 + 1e-9
+
+
+def test_in_a_narrow_window_shifts_go_to_half_its_width() -> None:
+    window = {'vrot_image_x_min': 50, 'vrot_image_x_max': 60, 'camera_fov_deg': 120.0}
+    offsets = set()
+    for shift in range(-12, 13):
+        _, motion = twists([(0, frame(0)), (FRAME_NS, frame(shift))], **window)
+        assert motion is not None
+        offsets.add(round(motion.angular_z_radps * 0.1 / math.radians(1.0)))
+    assert max(map(abs, offsets)) <= 5
+    assert {-5, 0, 5} <= offsets
+
+
+def test_a_dropped_frame_does_not_change_the_speed() -> None:
+    """The original takes dt as 1 / camera_hz, and so over-estimates after a dropped frame."""
+    half, full = frame(0).copy(), frame(0).copy()
+    half[:, :] = 100
+    full[:, :] = 100
+    half, full = half + np.uint8(2), full + np.uint8(4)
+    start = np.full_like(half, 100)
+    _, at_rate = twists([(0, start), (FRAME_NS, half)])
+    _, dropped = twists([(0, start), (2 * FRAME_NS, full)])
+    assert at_rate is not None
+    assert dropped is not None
+    assert dropped.linear_x_mps == pytest.approx(at_rate.linear_x_mps)
+    _, turn = twists([(0, frame(0)), (FRAME_NS, frame(3))])
+    _, turn_dropped = twists([(0, frame(0)), (2 * FRAME_NS, frame(6))])
+    assert turn is not None
+    assert turn_dropped is not None
+    assert turn_dropped.angular_z_radps == pytest.approx(turn.angular_z_radps)
+
+
+def test_speed_is_the_least_difference_scaled_and_limited() -> None:
+    start, brighter = np.full((4, 20), 100, np.uint8), np.full((4, 20), 151, np.uint8)
+    frames = [(0, start), (FRAME_NS // 2, brighter)]
+    _, motion = twists(frames, vtrans_scaling=10.0, camera_hz=8.0, vtrans_max=20.0)
+    assert motion is not None
+    assert motion.linear_x_mps == pytest.approx(0.2 * 10.0 / (0.05 * 8.0))
+    assert motion.angular_z_radps == 0.0
+    _, limited = twists(frames, vtrans_scaling=10.0, camera_hz=8.0, vtrans_max=1.5)
+    assert limited is not None
+    assert limited.linear_x_mps == 1.5
+
+
+def test_ties_go_to_the_left_and_to_the_smaller_shift() -> None:
+    """Stripes 8 px apart, moved by half a period: 4 px to either side fit equally."""
+    columns = np.tile(np.repeat(np.array([10, 200], np.uint8), 4), 10)
+    before, now = np.tile(columns, (3, 1)), np.tile(np.roll(columns, 4), (3, 1))
+    _, motion = twists([(0, before), (FRAME_NS, now)], camera_fov_deg=80.0)
+    assert motion is not None
+    assert motion.angular_z_radps == pytest.approx(-math.radians(4.0) / 0.1)
+
+
+@pytest.mark.parametrize('brighter', [0, 1, 51, 77])
+def test_a_view_without_any_structure_does_not_turn(brighter: int) -> None:
+    """All shifts are equal: the least wins, and not the one that rounding favours."""
+    flat = np.full((6, 90), 90, np.uint8)
+    _, motion = twists([(0, flat), (FRAME_NS, flat + np.uint8(brighter))])
+    assert motion is not None
+    assert motion.angular_z_radps == 0.0
+    assert motion.linear_x_mps == pytest.approx(min(brighter / 255 * 100, 20.0))
+
+
+@settings(max_examples=60)
+@given(st.integers(0, 10_000), st.integers(2, 100), st.integers(2, 12), st.integers(-20, 20))
+def test_motion_is_that_of_the_formulas(seed: int, width: int, levels: int, shift: int) -> None:
+    """Also with few levels, where many shifts are nearly equal."""
+    rng = np.random.default_rng(seed)
+    wide = (rng.integers(0, levels, (5, width + 40)) * (255 // levels)).astype(np.uint8)
+    before = np.ascontiguousarray(wide[:, 20 : 20 + width])
+    now = np.ascontiguousarray(wide[:, 20 - shift : 20 - shift + width])
+    _, motion = twists([(0, before), (FRAME_NS, now)], vtrans_max=1000.0, camera_fov_deg=50.0)
+    assert motion is not None
+    offset, difference = plain_compare(now.mean(0) / 255.0, before.mean(0) / 255.0)
+    assert motion.angular_z_radps == pytest.approx(math.radians(offset * 50.0 / width) / 0.1)
+    assert motion.linear_x_mps == pytest.approx(min(difference * 100.0, 1000.0))
+
+
+def test_turn_and_speed_are_measured_each_in_its_own_window() -> None:
+    before, now = np.tile(scene(60)[:1], (20, 1)), np.tile(scene(60)[:1], (20, 1))
+    now[:10] = np.roll(now[:10], 4, axis=1)  # above: a turn
+    now[10:] += 10  # below: a change
+    windows = {
+        'vrot_image_y_max': 10, 'vrot_image_x_min': 8, 'vrot_image_x_max': 60,
+        'vtrans_image_y_min': 10, 'camera_fov_deg': 60.0,
+    }  # fmt: skip
+    _, motion = twists([(0, before), (FRAME_NS, now)], **windows)
+    assert motion is not None
+    # Degrees a px are those of the whole image, 60 px, not of the window.
+    assert motion.angular_z_radps == pytest.approx(math.radians(4.0) / 0.1)
+    assert motion.linear_x_mps == pytest.approx(10 / 255 * 100.0 / (0.1 * 10.0))
+
+
+def test_another_image_size_starts_anew() -> None:
+    narrow, low = frame(0)[:, :80].copy(), frame(0)[:6, :80].copy()
+    images = [frame(0), frame(0), narrow, narrow, low, low]
+    motions = twists([(n * FRAME_NS, image) for n, image in enumerate(images)])
+    assert [motion is None for motion in motions] == [True, False] * 3
+
+
+@pytest.mark.parametrize('window', [
+    {'vrot_image_x_max': 17}, {'vtrans_image_y_max': 13}, {'vrot_image_x_min': 16},
+    {'vtrans_image_x_min': 8, 'vtrans_image_x_max': 8},
+])  # fmt: skip
+def test_a_window_outside_the_image_is_named(window: dict[str, int]) -> None:
+    with pytest.raises(UnusableParameter, match=next(iter(window)).rsplit('_', 2)[0]):
+        twists([(0, picture(1))], **window)

@@ -1,0 +1,286 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ratslam_ros.core.config import LEAST_EXP_MAX, SECTIONS, Config
+from ratslam_ros.errors import UnusableInput, UnusableParameter
+from ratslam_ros.files.config import (
+    documented_yaml,
+    load_config,
+    parse_setting,
+    presets,
+    to_yaml,
+)
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Any:
+    def write(text: str, name: str = 'a.yaml') -> str:
+        path = tmp_path / name
+        path.write_text(text, encoding='utf-8')
+        return str(path)
+
+    return write
+
+
+def load(source: str) -> Config:
+    config, notices = load_config(source)
+    assert notices == []
+    return config
+
+
+# YAML
+
+
+def values_of(info: Any, default: Any) -> st.SearchStrategy[Any]:
+    if isinstance(default, bool):
+        return st.booleans()
+    if isinstance(default, str):
+        names = st.text('abcXYZ019_/-', min_size=1, max_size=12).filter(
+            lambda text: not text.replace('_', '').isdecimal()
+        )
+        return st.sampled_from(info.choices) if info.choices else names
+    if isinstance(default, int):
+        low, high = int(info.low), int(info.high)
+        return st.integers(low, high).map(lambda v: v | 1 if 'odd' in info.unit else v)
+    return st.floats(info.low, info.high)
+
+
+PARAMETERS = {
+    f'{section}.{name}': values_of(info, default)
+    for section, cls in SECTIONS.items()
+    for name, info, default in cls.parameters()
+}
+# Any number, or enough of them: what is between is refused.
+PARAMETERS['pose_cells.exp_max'] = PARAMETERS['pose_cells.exp_max'].filter(
+    lambda count: not 0 < count < LEAST_EXP_MAX
+)
+
+
+@settings(max_examples=60)
+@given(st.fixed_dictionaries(PARAMETERS))
+def test_every_value_survives_the_way_through_yaml(values: dict[str, Any]) -> None:
+    values['local_view.vt_shift_match'] = 0
+    values['local_view.vt_shift_match_y'] = 0
+    values['experience_map.odom_source'] = values['pose_cells.odom_source']
+    config = Config().with_values(values)
+    document = yaml.safe_load(to_yaml(config))
+    read = {}
+    for key, section in document.items():
+        for name, value in section['ros__parameters'].items():
+            if isinstance(value, dict):  # a part of its own: its node reads it as name.inner
+                read |= {f'{name}.{inner}': v for inner, v in value.items()}
+            else:
+                read[f'{key.rsplit("/", 1)[-1]}.{name}'] = value
+    assert Config().with_values(read) == config
+    # ROS reads types strictly: a float must not look like a text or a whole number.
+    assert {k: type(v) for k, v in read.items()} == {
+        f'{section}.{name}': type(v) for section, p in config.values().items()
+        for name, v in p.items()
+    }  # fmt: skip
+
+
+def test_what_a_run_wrote_can_be_given_to_the_next(file: Any) -> None:
+    config = Config().with_values({
+        'pose_cells.pc_global_inhib': 2e-05, 'local_view.vt_panoramic': True,
+        'pose_cells.pc_dim_xy': 11, 'visual_odometry.vtrans_scaling': 1e-7,
+        'pose_cells.odom_source': 'pose', 'experience_map.odom_source': 'pose',
+    })  # fmt: skip
+    assert load(file(to_yaml(config))) == config
+
+
+def test_the_documented_defaults_are_the_defaults(file: Any) -> None:
+    text = documented_yaml()
+    assert load(file(text)) == Config()
+    for section, cls in SECTIONS.items():
+        assert f'/**/{section}:' in text or f'    {section}:\n' in text
+        for name, info, _ in cls.parameters():
+            assert f'    {name}: ' in text
+            assert info.effect in text
+
+
+@pytest.mark.parametrize('text', [
+    'pose_cells:\n  pc_global_inhib: {}\n',
+    'pose_cells:\n  ros__parameters:\n    pc_global_inhib: {}\n',
+    '/pose_cells:\n  ros__parameters:\n    pc_global_inhib: {}\n',
+    '/robot1/pose_cells:\n  ros__parameters:\n    pc_global_inhib: {}\n',
+    '/**/pose_cells:\n  ros__parameters:\n    pc_global_inhib: {}\n',
+    '/**:\n  ros__parameters:\n    pc_global_inhib: {}\n',
+    '/**:\n  ros__parameters:\n    use_sim_time: true\n    pc_global_inhib: {}\n',
+    '/**:\n  ros__parameters:\n    pose_cells:\n      pc_global_inhib: {}\n',
+    'pose_cells:\n\n  pc_global_inhib: "{}"\n',
+])  # fmt: skip
+@pytest.mark.parametrize('number', ['2e-05', '2.0e-05', '0.00002', '2E-5'])
+def test_yaml_in_every_form_that_ros_knows(file: Any, text: str, number: str) -> None:
+    """YAML 1.1 takes 2e-05 for a text; people write it all the same."""
+    config = load(file(text.format(number)))
+    assert config == Config().with_values({'pose_cells.pc_global_inhib': 0.00002})
+
+
+def test_parameters_for_all_nodes_go_to_each_section_that_has_them(file: Any) -> None:
+    config = load(file('/**:\n  ros__parameters:\n    odom_source: pose\n    pc_dim_xy: 30\n'))
+    assert config.pose_cells.odom_source == config.experience_map.odom_source == 'pose'
+    assert (config.pose_cells.pc_dim_x, config.pose_cells.pc_dim_y) == (30, 30)
+
+
+@pytest.mark.parametrize('text', ['', '# nothing\n', 'pose_cells:\n', '/**:\n'])
+def test_an_empty_file_is_the_defaults(file: Any, text: str) -> None:
+    assert load(file(text)) == Config()
+
+
+@pytest.mark.parametrize(('text', 'hint'), [
+    ('local_view:\n  vt_match_treshold: 0.1\n', 'vt_match_threshold'),
+    ('local_view:\n  vt_match_threshold: 7\n', '0 to 1'),
+    ('local_view:\n  vt_match_threshold:\n', 'number'),
+    ('local_view:\n  vt_match_threshold: [0.1]\n', 'number'),
+    ('local_view: 3\n', 'parameters below'),
+    ('/**:\n  ros__parameters:\n    nonsense: 1\n', 'nonsense'),
+    ('nonsense:\n  a: 1\n', 'the sections are'),
+    ('local_view:\n  vt_shift_match: 1.5\n', 'whole'),
+    ('- 1\n- 2\n', 'sections'),
+    ('just text\n', 'sections'),
+    ('a: [1,\n', 'cannot be read'),
+    ('a: b: c\n', 'cannot be read'),
+])  # fmt: skip
+def test_what_is_wrong_with_a_file_is_told_in_one_line(file: Any, text: str, hint: str) -> None:
+    with pytest.raises((UnusableInput, UnusableParameter)) as error:
+        load_config(file(text))
+    assert hint in str(error.value)
+    assert '\n' not in str(error.value)
+
+
+def test_a_file_is_named_in_what_is_wrong_with_it(file: Any) -> None:
+    for text in ('local_view:\n  vt_panoramic: maybe\n', '- 1\n', 'a: [1,\n'):
+        with pytest.raises((UnusableInput, UnusableParameter), match=r'a\.yaml'):
+            load_config(file(text))
+
+
+def test_a_file_with_one_bad_value_sets_nothing_of_it(file: Any) -> None:
+    with pytest.raises(UnusableParameter):
+        load_config(file('local_view:\n  vt_panoramic: true\n  vt_step_match: 0\n'))
+
+
+def test_bytes_that_are_no_text_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / 'a.yaml'
+    path.write_bytes(b'\xff\xfe\x00\x80')
+    with pytest.raises(UnusableInput, match='text file'):
+        load_config(str(path))
+
+
+def test_no_file_and_no_preset_of_that_name() -> None:
+    with pytest.raises(UnusableInput, match='no such file or preset'):
+        load_config('no_such_robot')
+
+
+def test_nothing_given_is_the_defaults() -> None:
+    assert load_config(None) == (Config(), [])
+
+
+def test_every_preset_can_be_loaded() -> None:
+    assert presets()
+    for name in presets():
+        load_config(name)
+
+
+# INI files as OpenRatSLAM's users have them
+
+INI = """\
+topic_root=robot
+# a comment of its own line
+[visual_odometry]
+vtrans_image_x_min=195 ; behind a value
+vtrans_image_x_max=475
+camera_fov_deg=53   # this one too
+; and this
+[local_view]
+vt_panoramic=0
+vt_shift_match = 5
+vt_match_threshold=0.085
+template_x_size=60
+template_y_size=10
+image_crop_x_min=40
+
+[pose_cells]
+pc_dim_xy=30
+pc_global_inhib=2e-05
+exp_delta_pc_threshold=1.0
+[experience_map]
+exp_loops=20
+exp_initial_em_deg=140
+[draw]
+enable=1
+exp_map_size=110
+"""
+
+
+def test_an_ini_file_of_openratslam_is_read(file: Any) -> None:
+    config, notices = load_config(file(INI, 'config_robot.txt'))
+    assert config == Config().with_values({
+        'visual_odometry.vtrans_image_x_min': 195, 'visual_odometry.vtrans_image_x_max': 475,
+        'visual_odometry.camera_fov_deg': 53.0, 'local_view.vt_shift_match': 5,
+        'local_view.vt_match_threshold': 0.085, 'local_view.template_x_size': 60,
+        'local_view.template_y_size': 10, 'local_view.image_crop_x_min': 40,
+        'pose_cells.pc_dim_xy': 30, 'pose_cells.pc_global_inhib': 2e-05,
+        'pose_cells.exp_delta_pc_threshold': 1.0, 'experience_map.exp_loops': 20,
+        'experience_map.exp_initial_em_deg': 140.0,
+    })  # fmt: skip
+    (notice,) = notices
+    for unused in ('topic_root', 'draw.enable', 'draw.exp_map_size'):
+        assert unused in notice
+
+
+def test_ini_parameters_are_known_by_their_names_in_whatever_section(file: Any) -> None:
+    """OpenRatSLAM reads some of them from other sections than ours."""
+    config, _ = load_config(file('vt_panoramic=1\n[pose_cells]\nexp_loops=3\n', 'a.ini'))
+    assert config.local_view.vt_panoramic is True
+    assert config.experience_map.exp_loops == 3
+
+
+@pytest.mark.parametrize('text', [
+    'vt_match_threshold=9\n', 'vt_match_threshold=wide\n', '[local_view]\nvt_step_match=0\n',
+    'exp_loops=2.5\n',
+])  # fmt: skip
+def test_bad_values_in_ini_files_are_told(file: Any, text: str) -> None:
+    with pytest.raises(UnusableParameter, match=r'robot\.ini'):
+        load_config(file(text, 'robot.ini'))
+
+
+@pytest.mark.parametrize(
+    'text', ['', 'hello\n', '[draw]\nenable=1\n', '\x00\x01', '[local_view\n']
+)
+def test_files_that_are_no_configuration_are_told(file: Any, text: str) -> None:
+    with pytest.raises(UnusableInput) as error:
+        load_config(file(text, 'a.txt'))
+    assert '\n' not in str(error.value)
+
+
+# --set
+
+
+@pytest.mark.parametrize(('text', 'expected'), [
+    ('local_view.vt_panoramic=true', True), ('local_view.vt_panoramic=False', False),
+    ('pose_cells.pc_dim_th=36', 36), ('pose_cells.pc_global_inhib=2e-05', 2e-05),
+    ('experience_map.odom_source=pose', 'pose'), ('a.b = -1.5 ', -1.5), ('a.b=', ''),
+    ('a.b=c=d', 'c=d'),
+])  # fmt: skip
+def test_a_setting_is_split_and_read(text: str, expected: Any) -> None:
+    key, value = parse_setting(text)
+    assert key == text.partition('=')[0].strip()
+    assert value == expected
+    assert type(value) is type(expected)
+
+
+def test_a_setting_without_a_value_is_refused() -> None:
+    with pytest.raises(UnusableParameter, match=r'section\.name=value'):
+        parse_setting('local_view.vt_panoramic')
+
+
+def test_the_map_and_the_pose_cells_read_the_same_odometry() -> None:
+    with pytest.raises(UnusableParameter, match='set both'):
+        Config().with_values({'pose_cells.odom_source': 'pose'})

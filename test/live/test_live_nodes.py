@@ -1,0 +1,401 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Processes that really talk: started as a user starts them, they make the map of a replay."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Self
+
+import cv2
+import pytest
+from helpers import (
+    START_NS,
+    camera_info_message,
+    circles,
+    live_environment,
+    picture,
+    write_bag,
+)
+
+from ratslam_ros.standalone import StandaloneUnavailable, install
+
+try:
+    install()
+except StandaloneUnavailable as error:
+    pytest.skip(str(error), allow_module_level=True)
+
+ROOT = Path(__file__).parents[2]
+RC_CAR = ROOT.parent / 'shared/data/rc_car_loops'
+SMALL = {
+    'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
+    'local_view.vt_shift_match': 2, 'pose_cells.pc_cell_x_size': 0.5,
+    'pose_cells.exp_delta_pc_threshold': 1.0,
+}  # fmt: skip
+READY_S = 60.0
+
+
+def ratslam(*arguments: str) -> list[str]:
+    return [sys.executable, '-m', 'ratslam_ros', *arguments]
+
+
+class Live:
+    """Nodes, each a process of its own, and the commands of a user beside them."""
+
+    def __init__(self, folder: Path, settings: dict[str, Any], offset: int = 0) -> None:
+        from ratslam_ros.core.config import Config
+        from ratslam_ros.files.config import to_yaml
+
+        self.folder = folder
+        folder.mkdir(exist_ok=True)
+        self.environment = {**os.environ, **live_environment()}
+        domain = (int(self.environment['ROS_DOMAIN_ID']) + offset) % 100 + 1
+        self.environment['ROS_DOMAIN_ID'] = str(domain)
+        self.parameters = folder / 'parameters.yaml'
+        self.parameters.write_text(to_yaml(Config().with_values(settings)))
+        self.processes: dict[str, subprocess.Popen[bytes]] = {}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for process in self.processes.values():
+            process.kill()
+            process.wait()
+
+    def start(self, *nodes: str, arguments: tuple[str, ...] = ()) -> None:
+        for node in nodes:
+            command = ratslam('run', node, *arguments, '--ros-args', '--params-file',
+                              str(self.parameters))  # fmt: skip
+            with self.log(node).open('wb') as log:
+                self.processes[node] = subprocess.Popen(
+                    command, env=self.environment, cwd=self.folder, stdout=log,
+                    stderr=subprocess.STDOUT,
+                )  # fmt: skip
+        end_s = time.monotonic() + READY_S
+        for node in nodes:
+            while 'ready' not in self.log(node).read_text():
+                assert self.processes[node].poll() is None, self.log(node).read_text()
+                assert time.monotonic() < end_s, self.log(node).read_text()
+                time.sleep(0.05)
+
+    def log(self, node: str) -> Path:
+        return self.folder / f'{node}.log'
+
+    def stop(self, *nodes: str, number: signal.Signals = signal.SIGINT) -> dict[str, int]:
+        """Interrupt nodes, all if none is named; return their exit codes."""
+        names = nodes or tuple(self.processes)
+        for name in names:
+            self.processes[name].send_signal(number)
+        return {name: self.processes.pop(name).wait(20.0) for name in names}
+
+    def run(self, *arguments: str, timeout_s: float = 120.0) -> str:
+        """Run one command to its end; return what it prints."""
+        done = subprocess.run(
+            ratslam(*arguments), env=self.environment, cwd=self.folder, capture_output=True,
+            text=True, timeout=timeout_s, check=False,
+        )  # fmt: skip
+        assert done.returncode == 0, f'{arguments}: {done.stdout}{done.stderr}'
+        return done.stdout
+
+    def map(self) -> str:
+        return self.run('echo', 'experience_map/map', '--once', '--field', 'data',
+                        '--timeout', '10').rstrip('\n')  # fmt: skip
+
+    def settled_map(self, expected: str, timeout_s: float = 30.0) -> str:
+        """Return the map once it is the expected one, or the last one before time is up."""
+        end_s = time.monotonic() + timeout_s
+        while (found := self.map()) != expected and time.monotonic() < end_s:
+            time.sleep(0.5)
+        return found
+
+    def counts(self) -> dict[str, str]:
+        """Return what the nodes' diagnostics say was not used; nothing if all was."""
+        text = self.run('echo', '/diagnostics', '--once', '--timeout', '10')
+        return {
+            key: text for key in ('late', 'lost', 'missed', 'refused', 'dropped')
+            if f'key: {key}' in text
+        }  # fmt: skip
+
+    def logs(self) -> str:
+        return '\n'.join(path.read_text() for path in sorted(self.folder.glob('*.log')))
+
+
+def offline(recording: Path, folder: Path, settings: dict[str, Any], *arguments: str) -> str:
+    """Return map.json of a replay."""
+    given = [item for key, value in settings.items() for item in ('--set', f'{key}={value}')]
+    subprocess.run(
+        ratslam('replay', str(recording), '--out', str(folder), '--quiet', *given, *arguments),
+        check=True, cwd=ROOT, env={**os.environ, **live_environment()},
+    )  # fmt: skip
+    return (folder / 'map.json').read_text()
+
+
+@pytest.fixture(scope='module')
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_bag(tmp_path_factory.mktemp('recording') / 'circles', list(circles(4, 30)))
+
+
+@pytest.fixture(scope='module')
+def expected(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
+    return offline(bag, tmp_path_factory.mktemp('offline'), SMALL)
+
+
+THREE = ('local_view', 'pose_cells', 'experience_map')
+
+
+@pytest.fixture
+def live(tmp_path: Path) -> Iterator[Live]:
+    with Live(tmp_path / 'live', SMALL) as nodes:
+        yield nodes
+
+
+def test_live_nodes_make_the_map_of_a_replay_and_a_user_can_use_them(
+    live: Live, bag: Path, expected: str
+) -> None:
+    live.start(*THREE)
+    live.run('play', str(bag), '--rate', '10', '--quiet')
+    assert live.settled_map(expected) == expected, live.logs()
+    answer = live.run(
+        'call', 'experience_map/recall_goal', 'nav_msgs/srv/GetPlan',
+        '{goal: {header: {frame_id: map}, pose: {position: {x: 0.0, y: 0.5}}}, tolerance: 1.0}',
+    )  # fmt: skip
+    assert answer.count('frame_id: map') > 2
+    payload = json.loads(expected)
+    assert json.loads(live.map())['stamp'] == payload['stamp']
+    assert live.stop() == dict.fromkeys(THREE, 0), live.logs()
+    assert 'Traceback' not in live.logs()
+
+
+def test_messages_shuffled_between_streams_make_the_same_map(
+    live: Live, expected: str, tmp_path: Path
+) -> None:
+    rng = random.Random(3)
+    last: dict[str, int] = {}
+    late = []
+    for log_ns, topic, kind, message in circles(4, 30):
+        last[topic] = max(last.get(topic, 0) + 1, log_ns + rng.randrange(1_800_000_000))
+        late.append((last[topic], topic, kind, message))
+    live.start(*THREE)
+    shuffled = write_bag(tmp_path / 'shuffled', sorted(late, key=lambda item: item[0]))
+    live.run('play', str(shuffled), '--rate', '5', '--quiet')
+    assert live.settled_map(expected) == expected, live.logs()
+
+
+def test_one_process_under_load_in_lockstep_makes_the_same_map(
+    live: Live, bag: Path, expected: str
+) -> None:
+    live.start('single_process')
+    load = [subprocess.Popen([sys.executable, '-c', 'while True: pass']) for _ in range(2)]
+    try:
+        live.run('play', str(bag), '--rate', '0', '--lockstep', '--quiet')
+        assert live.settled_map(expected) == expected, live.logs()
+    finally:
+        for process in load:
+            process.kill()
+            process.wait()
+    assert live.stop() == {'single_process': 0}
+
+
+def test_the_camera_alone_makes_the_same_map_live_and_offline(
+    live: Live, bag: Path, tmp_path: Path
+) -> None:
+    """The field of view comes from the recorded camera_info in both."""
+    info = START_NS, '/camera/camera_info', 'camera_info', camera_info_message(START_NS, 16.0)
+    calibrated = write_bag(tmp_path / 'calibrated', [info, *circles(4, 30)])
+    expected = offline(calibrated, tmp_path / 'visual', SMALL, '--visual-odometry')
+    assert expected != offline(bag, tmp_path / 'other', SMALL, '--visual-odometry')
+    live.start('visual_odometry', *THREE)
+    live.run('play', str(calibrated), '--rate', '5', '--quiet', '--visual-odometry')
+    assert live.settled_map(expected) == expected, live.logs()
+    assert set(live.stop().values()) == {0}
+
+
+def test_a_folder_of_images_whose_stamps_begin_at_0_makes_the_same_map(
+    live: Live, tmp_path: Path
+) -> None:
+    folder = tmp_path / 'images'
+    folder.mkdir()
+    for n in range(60):
+        cv2.imwrite(str(folder / f'{n:03d}.png'), picture(n % 20, 24, 32))
+    expected = offline(folder, tmp_path / 'folder', SMALL)
+    assert json.loads(expected)['experiences']
+    live.start('visual_odometry', *THREE)
+    live.run('play', str(folder), '--rate', '3', '--quiet')
+    assert live.settled_map(expected) == expected, live.logs()
+
+
+def test_a_loop_starts_over_and_makes_the_same_map_again(
+    live: Live, bag: Path, expected: str
+) -> None:
+    live.start(*THREE)
+    live.run('play', str(bag), '--rate', '10', '--quiet')
+    assert live.settled_map(expected) == expected, live.logs()
+    live.run('play', str(bag), '--rate', '10', '--quiet')
+    time.sleep(3.0)
+    assert live.settled_map(expected) == expected, live.logs()
+    assert live.logs().count('starting over') == 3
+
+
+def test_without_pose_cells_the_map_stands_still_and_one_that_comes_back_is_noticed(
+    live: Live, bag: Path, expected: str
+) -> None:
+    live.start(*THREE)
+    live.run('play', str(bag), '--rate', '10', '--quiet', '--duration', '6')
+    time.sleep(3.0)
+    before = live.map()
+    assert json.loads(before)['experiences']
+    live.stop('pose_cells', number=signal.SIGKILL)
+    live.run('play', str(bag), '--rate', '10', '--quiet', '--start', '6', '--duration', '3',
+             '--wait', '1')  # fmt: skip
+    time.sleep(3.0)
+    assert live.map() == before
+    live.start('pose_cells')
+    live.run('play', str(bag), '--rate', '10', '--quiet', '--start', '9')
+    time.sleep(3.0)
+    after = json.loads(live.map())
+    assert len(after['experiences']) > len(json.loads(before)['experiences'])
+    assert 'empty memory' in live.log('experience_map').read_text()
+    assert 'came late' in live.log('pose_cells').read_text()
+    assert set(live.stop().values()) == {0}
+
+
+def test_an_impossible_parameter_ends_a_node_with_one_line(live: Live) -> None:
+    done = subprocess.run(
+        ratslam('run', 'pose_cells', '--ros-args', '-p', 'pc_dim_th:=-3'),
+        env=live.environment, capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert 'pc_dim_th' in done.stderr
+    assert 'Traceback' not in done.stderr
+
+
+def test_launch_starts_all_and_ends_all(live: Live, bag: Path, expected: str) -> None:
+    settings = [item for key, value in SMALL.items() for item in ('--set', f'{key}={value}')]
+    with live.log('launch').open('wb') as log:
+        live.processes['launch'] = subprocess.Popen(
+            ratslam('launch', *settings), env=live.environment, stdout=log,
+            stderr=subprocess.STDOUT,
+        )  # fmt: skip
+    end_s = time.monotonic() + READY_S
+    while live.log('launch').read_text().count('ready') < 3:
+        assert time.monotonic() < end_s, live.logs()
+        time.sleep(0.1)
+    live.run('play', str(bag), '--rate', '10', '--quiet')
+    assert live.settled_map(expected) == expected, live.logs()
+    assert live.stop() == {'launch': 0}
+
+
+VANDAL = """
+import math, random, sys, time
+from ratslam_ros.live import ros
+ros.require()
+from nav_msgs.msg import Odometry
+from sensor_msgs.msg import Image
+from std_msgs.msg import String
+from geometry_msgs.msg import PoseStamped
+from ratslam_ros.nodes.convert import header_of
+from ratslam_ros.nodes.qos import PLAYED
+
+rng = random.Random(1)
+first = int(sys.argv[1])
+with ros.node('vandal', ()) as node:
+    odometry = node.create_publisher(Odometry, 'odom', PLAYED)
+    image = node.create_publisher(Image, 'image', PLAYED)
+    texts = [node.create_publisher(String, name, PLAYED)
+             for name in ('local_view/template', 'pose_cells/action')]
+    goal = node.create_publisher(PoseStamped, 'goal_pose', PLAYED)
+    stamps = [0, 1, first - 10**12, first + 10**13, first - 1, -5 * 10**9]
+    bad = [
+        lambda: odometry.publish(broken()),
+        lambda: image.publish(Image(header=header_of(first - 7, 'x'), width=2**31, height=2**31)),
+        lambda: image.publish(Image(header=header_of(rng.choice(stamps), 'x'), encoding='what')),
+        lambda: image.publish(Image(header=header_of(rng.choice(stamps), 'x'), width=64,
+                              height=64, step=64, encoding='mono8', data=bytes(64 * 64))),
+        lambda: rng.choice(texts).publish(String(data=rng.choice(
+            ['', 'null', '[' * 9999, '{"schema_version": 1}', '\\x00', '{"stamp": 5}']))),
+        lambda: goal.publish(PoseStamped(header=header_of(0, 'mars'))),
+    ]
+
+    def broken():
+        if rng.random() < 0.5:
+            message = Odometry(header=header_of(rng.choice(stamps), 'odom'))
+            message.twist.twist.linear.x = 50.0
+        else:
+            message = Odometry(header=header_of(first, 'odom'))
+            message.twist.twist.linear.x = rng.choice([math.nan, math.inf, -math.inf, 1e300])
+        return message
+
+    print('ready', flush=True)
+    while True:
+        rng.choice(bad)()
+        time.sleep(0.03)
+"""
+
+
+def test_wrong_input_on_every_topic_changes_nothing(
+    live: Live, bag: Path, expected: str
+) -> None:
+    live.start(*THREE)
+    command = ratslam('play', str(bag), '--rate', '1', '--quiet')
+    play = live.processes['play'] = subprocess.Popen(command, env=live.environment)
+    while not json.loads(live.map())['experiences']:
+        assert play.poll() is None
+    with live.log('vandal').open('wb') as log:
+        live.processes['vandal'] = subprocess.Popen(
+            [sys.executable, '-c', VANDAL, str(START_NS)], env=live.environment, stdout=log,
+            stderr=subprocess.STDOUT,
+        )  # fmt: skip
+    assert play.wait(60.0) == 0
+    del live.processes['play']
+    assert live.log('vandal').read_text() == 'ready\n'
+    live.stop('vandal', number=signal.SIGKILL)
+    assert live.settled_map(expected) == expected, live.logs()
+    refused = [line for line in live.logs().splitlines() if 'refused' in line]
+    assert 3 <= len(refused) < 60  # told, and at a bounded rate
+    assert set(live.stop().values()) == {0}
+
+
+def test_a_simulated_robot_is_mapped_live_as_offline(tmp_path: Path) -> None:
+    from ratslam_ros.simulator.recording import write_recording
+
+    settings = preset('pioneer')
+    recording = write_recording(tmp_path / 'recording', 1).recording
+    part = ('--start', '20', '--duration', '120')
+    expected = offline(recording, tmp_path / 'offline', settings, *part)
+    assert len(json.loads(expected)['experiences']) > 20
+    with Live(tmp_path / 'live', settings) as live:
+        live.start(*THREE)
+        live.run('play', str(recording), '--rate', '10', '--quiet', *part)
+        assert live.settled_map(expected) == expected, live.logs()
+        assert set(live.stop().values()) == {0}
+
+
+def preset(name: str) -> dict[str, Any]:
+    """Return a preset's values, for playing at ten times the speed."""
+    from ratslam_ros.files.config import load_config
+
+    config, _ = load_config(name)
+    return {
+        f'{section}.{key}': value
+        for section, values in config.values().items() for key, value in values.items()
+    } | {'pose_cells.max_lateness_s': 5.0, 'experience_map.max_lateness_s': 5.0}  # fmt: skip
+
+
+@pytest.mark.skipif(not RC_CAR.exists(), reason='the recording rc_car_loops is not here')
+def test_a_real_recording_at_ten_times_speed_makes_the_map_of_a_replay(tmp_path: Path) -> None:
+    settings = preset('rc_car')
+    expected = offline(RC_CAR, tmp_path / 'offline', settings)
+    with Live(tmp_path / 'live', settings) as live:
+        live.start(*THREE)
+        live.run('play', str(RC_CAR), '--rate', '10', '--quiet')
+        assert live.settled_map(expected, 60.0) == expected, live.logs()
+        assert set(live.stop().values()) == {0}

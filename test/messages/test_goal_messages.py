@@ -1,0 +1,136 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The JSON payloads of goals and behaviours."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from ratslam_ros.core.common.odometry import Motion
+from ratslam_ros.core.config import ExperienceMapParameters, GoalRecallParameters
+from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.navigation.goals import Goal, Position
+from ratslam_ros.core.navigation.navigator import Navigator
+from ratslam_ros.core.navigation.route_planner import TemporalMap
+from ratslam_ros.core.pose_cells.pose_cells import MapAction
+from ratslam_ros.core.pose_cells.torus import Place
+from ratslam_ros.messages.goals import (
+    BehaviourNote,
+    GoalRequest,
+    NameRequest,
+    decode_behaviour,
+    decode_goal,
+    decode_name,
+    decode_status,
+    encode_behaviour,
+    encode_goals,
+    encode_status,
+    encode_times,
+)
+from ratslam_ros.messages.mapping import MalformedMessage
+
+
+@pytest.mark.parametrize(('payload', 'request_'), [
+    ('{"name":"kitchen"}', GoalRequest(('kitchen',))),
+    (' {"experience_id": 3, "append": true}', GoalRequest((3,), append=True)),
+    ('{"x_m":1,"y_m":-2.5,"timeout_s":9}', GoalRequest((Position(1.0, -2.5),), timeout_s=9.0)),
+    ('{"schema_version":1,"goals":[{"name":"a"},{"experience_id":0}]}', GoalRequest(('a', 0))),
+])  # fmt: skip
+def test_goals_are_asked_for_in_many_ways(payload: str, request_: GoalRequest) -> None:
+    assert decode_goal(payload) == request_
+
+
+@pytest.mark.parametrize(('payload', 'reason'), [
+    ('kitchen', 'not JSON'), ('[]', 'expected an object'), ('{}', 'names no places'),
+    ('{"schema_version":2,"name":"a"}', 'schema_version is 2'),
+    ('{"name":"a","experience_id":1}', 'names 2 places'),
+    ('{"name":1}', 'name is 1; expected str'), ('{"x_m":1.0}', 'y_m is None; expected float'),
+    ('{"x_m":NaN,"y_m":0}', 'finite'), ('{"experience_id":true}', 'expected int'),
+    ('{"experience_id":-1}', 'experience_id is -1'), ('{"name":"a","appent":true}', 'appent'),
+    ('{"name":"a","append":1}', 'append is 1'), ('{"name":"a","timeout_s":-1}', 'timeout_s is -1'),
+    ('{"goals":[]}', 'expected a list'), ('{"goals":["a"]}', "'a' is no goal"),
+    ('{"goals":[{"name":"a","append":true}]}', 'append is not known here'),
+    ('{"goals":[{"name":"a"}],"name":"b"}', 'name is not known here'),
+])  # fmt: skip
+def test_a_goal_that_does_not_fit_is_refused(payload: str, reason: str) -> None:
+    with pytest.raises(MalformedMessage, match=reason):
+        decode_goal(payload)
+
+
+def test_names_are_given_changed_and_taken_away() -> None:
+    assert decode_name('{"name":"a"}') == NameRequest('a')
+    assert decode_name('{"name":"a","rename_to":"b"}') == NameRequest('a', rename_to='b')
+    assert decode_name('{"name":"a","remove":true}') == NameRequest('a', remove=True)
+    for payload in ('{}', '{"name":"a","remove":true,"rename_to":"b"}', '{"name":"a","to":"b"}'):
+        with pytest.raises(MalformedMessage):
+            decode_name(payload)
+
+
+def test_behaviours_come_back_as_they_were() -> None:
+    note = BehaviourNote(1_700_000_000_500_000_000, 'left_wall', True, -1.25)
+    assert decode_behaviour(encode_behaviour(note)) == note
+    text = encode_behaviour(note)
+    for wrong in (
+        text.replace('true', '1'), text.replace('-1.25', '9.0'), text.replace('"failed"', '"f"'),
+        text.replace('left_wall', 'x' * 101), text.replace('500000000', '-1'),
+    ):  # fmt: skip
+        with pytest.raises(MalformedMessage):
+            decode_behaviour(wrong)
+
+
+def corridor() -> ExperienceMap:
+    """Return experiences at x = 0, 1 and 2 m; the robot has come 0.25 m beyond the last."""
+    graph = ExperienceMap(ExperienceMapParameters(exp_initial_em_deg=0.0))
+    for n in range(3):
+        graph.integrate(Motion(2.0, 1.0 if n else 0.0, 0.0))
+        graph.apply(MapAction('create', n - 1, n, n, 0.0, Place(0.0, 0.0, 0.0)))
+    graph.integrate(Motion(0.5, 0.25, 0.0))
+    return graph
+
+
+def test_the_status_tells_of_places_and_goals() -> None:
+    graph = corridor()
+    navigator = Navigator(GoalRecallParameters(), graph)
+    navigator.goals.name_place(graph, 'here')
+    navigator.go_to(1)
+    navigator.go_to(0, 'here')
+    guidance = navigator.update(0)
+    text = encode_status(
+        5, graph, guidance, navigator.queue, navigator.outcomes, 'no such place'
+    )  # fmt: skip
+    told = decode_status(text)
+    assert (told['status'], told['experience_id'], told['reason']) == (
+        'following', 2, 'no such place'
+    )  # fmt: skip
+    [neighbour] = told['neighbours']
+    assert neighbour['id'] == 1
+    assert neighbour['distance_m'] == pytest.approx(1.25)
+    assert abs(neighbour['direction_rad']) == pytest.approx(math.pi)
+    assert [(e['goal'], e['status']) for e in told['queue']] == [
+        ('experience 0', 'active'), ('here', 'queued')
+    ]  # fmt: skip
+    assert [(e['goal'], e['status'], e['took_s']) for e in told['outcomes']] == [
+        ('experience 1', 'cancelled', None)
+    ]
+    assert told['remaining_s'] == pytest.approx(4.0)
+    empty = ExperienceMap(ExperienceMapParameters())
+    idle = Navigator(GoalRecallParameters(), empty)
+    told = decode_status(encode_status(0, empty, idle.update(0), idle.queue, idle.outcomes))
+    assert (told['status'], told['goal'], told['remaining_s'], told['neighbours']) == (
+        'idle', None, None, []
+    )  # fmt: skip
+
+
+def test_named_places_and_times_are_told() -> None:
+    graph = corridor()
+    told = json.loads(encode_goals(graph, [Goal(1, name='kitchen')]))
+    assert told['goals'] == [
+        {'name': 'kitchen', 'experience_id': 1, 'x_m': 1.0, 'y_m': 0.0, 'heading_rad': 0.0}
+    ]
+    times = TemporalMap(2, np.array([3.0, math.inf]), np.array([-1, -1], np.int32))
+    told = json.loads(encode_times(times))
+    assert told == {'schema_version': 1, 'experience_id': 2, 'arrival_s': [3.0, None]}

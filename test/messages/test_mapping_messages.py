@@ -1,0 +1,460 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Payloads: equal content gives equal bytes, and what does not fit is refused whole."""
+
+import json
+import math
+import random
+from typing import Any
+
+import pytest
+from helpers import START_NS, ahead, template_text, turning
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ratslam_ros.core.config import ExperienceMapParameters
+from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.pose_cells.pose_cells import MapAction
+from ratslam_ros.core.pose_cells.torus import Place
+from ratslam_ros.core.vision.local_view import UNDECODABLE, ViewMatch
+from ratslam_ros.messages import mapping
+from ratslam_ros.messages.mapping import (
+    MalformedMessage,
+    MapText,
+    decode_action,
+    decode_active,
+    decode_template,
+    encode_action,
+    encode_active,
+    encode_map,
+    encode_template,
+)
+
+KEYS = ['schema_version', 'stamp', 'id', 'is_new', 'error', 'relative_rad', 'memory']
+
+
+def without(key: str) -> str:
+    fields = json.loads(template_text(5, 3))
+    del fields[key]
+    return json.dumps(fields)
+
+
+def refused(payload: str) -> str:
+    with pytest.raises(MalformedMessage) as error:
+        decode_template(payload)
+    return str(error.value)
+
+
+# Templates
+
+
+@given(
+    st.integers(0, 2**31 * 10**9 - 1), st.integers(-1, 10**6), st.booleans(), st.floats(-1.0, 1.0),
+    st.floats(-3.14, 3.14), st.integers(0, 2**62),
+)  # fmt: skip
+def test_what_is_encoded_is_decoded_to_the_last_bit(
+    stamp_ns: int, number: int, is_new: bool, error: float, relative: float, memory: int
+) -> None:
+    match = ViewMatch(number, is_new, error, relative)
+    payload = encode_template(stamp_ns, match, memory)
+    assert decode_template(payload) == (stamp_ns, match, memory)
+    assert encode_template(*decode_template(payload)) == payload
+
+
+def test_a_template_has_its_keys_in_order_and_nothing_else() -> None:
+    payload = encode_template(START_NS + 42, ViewMatch(3, False, 0.1, -0.5), 7)
+    assert payload == (
+        '{"schema_version":1,"stamp":{"sec":1700000000,"nanosec":42},"id":3,"is_new":false,'
+        '"error":0.1,"relative_rad":-0.5,"memory":7}'
+    )
+
+
+def test_an_undecodable_image_has_a_message_too() -> None:
+    assert decode_template(encode_template(8, UNDECODABLE, 0)) == (8, UNDECODABLE, 0)
+
+
+@pytest.mark.parametrize('key', KEYS)
+def test_a_missing_key_is_refused(key: str) -> None:
+    assert key.split('_')[0] in refused(without(key))
+
+
+@pytest.mark.parametrize(('key', 'value'), [
+    ('id', True), ('id', 1.0), ('id', '1'), ('id', None), ('id', -2), ('id', [1]),
+    ('is_new', 1), ('is_new', 0), ('is_new', 'true'), ('is_new', None),
+    ('error', True), ('error', '0.1'), ('error', None), ('error', {}), ('error', 10**400),
+    ('relative_rad', False), ('relative_rad', 'pi'), ('relative_rad', []),
+    ('relative_rad', 1e300), ('relative_rad', -10**400), ('relative_rad', 7.0),
+    ('memory', True), ('memory', 1.5), ('memory', '1'), ('memory', None),
+    ('schema_version', 0), ('schema_version', 2), ('schema_version', '1'),
+    ('schema_version', None), ('schema_version', True), ('schema_version', 1.0),
+    ('stamp', None), ('stamp', 5), ('stamp', [1, 2]), ('stamp', {}), ('stamp', {'sec': 1}),
+    ('stamp', {'nanosec': 1}), ('stamp', {'sec': True, 'nanosec': 0}),
+    ('stamp', {'sec': 1, 'nanosec': False}), ('stamp', {'sec': 1.0, 'nanosec': 0}),
+    ('stamp', {'sec': 1, 'nanosec': 10**9}), ('stamp', {'sec': 1, 'nanosec': -1}),
+    ('stamp', {'sec': '1', 'nanosec': 0}), ('stamp', {'sec': 10**30, 'nanosec': 0}),
+    ('stamp', {'sec': -1, 'nanosec': 0}), ('stamp', {'sec': 2**31, 'nanosec': 0}),
+    ('memory', 2**63), ('memory', -1),
+], ids=lambda value: str(value)[:30])  # fmt: skip
+def test_a_value_that_does_not_fit_is_refused(key: str, value: Any) -> None:
+    assert key.split('_')[0] in refused(template_text(5, 3, **{key: value}))
+
+
+@pytest.mark.parametrize('key', ['error', 'relative_rad'])
+@pytest.mark.parametrize('value', ['NaN', 'Infinity', '-Infinity', '1e999'])
+def test_numbers_that_are_not_finite_are_refused(key: str, value: str) -> None:
+    payload = template_text(5, 3, **{key: 123.25}).replace('123.25', value)
+    assert value in payload
+    refused(payload)
+
+
+@pytest.mark.parametrize('payload', [
+    '', ' ', '{', 'nonsense', '[]', '3', 'null', '"text"', 'true', template_text(5, 3)[:-1],
+    template_text(5, 3) + '}', '{}', '\x00', '[' * 100_000, '{"a":' * 100_000, '1' * 5000,
+], ids=lambda payload: repr(payload[:12]))  # fmt: skip
+def test_what_is_no_json_object_is_refused(payload: str) -> None:
+    assert len(refused(payload)) < 1000
+
+
+def test_a_whole_number_does_for_a_float() -> None:
+    _, match, _ = decode_template(template_text(5, 3, error=0, relative_rad=1))
+    assert (match.error, match.relative_rad) == (0.0, 1.0)
+    assert type(match.error) is type(match.relative_rad) is float
+
+
+@settings(max_examples=50)
+@given(st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(),
+    lambda inner: st.lists(inner) | st.dictionaries(st.sampled_from(KEYS) | st.text(), inner),
+))  # fmt: skip
+def test_any_other_json_is_refused_and_never_crashes(value: Any) -> None:
+    refused(json.dumps(value))
+
+
+@given(st.sampled_from(KEYS), st.none() | st.integers() | st.floats() | st.text() | st.booleans())
+def test_any_value_of_any_key_is_taken_or_refused(key: str, value: Any) -> None:
+    try:
+        stamp_ns, match, memory = decode_template(template_text(5, 3, **{key: value}))
+    except MalformedMessage:
+        return
+    assert 0 <= stamp_ns < 2**31 * 10**9
+    assert match.template_id >= -1
+    assert abs(match.relative_rad) <= 3.15
+    assert type(memory) is int
+
+
+# The map
+
+
+def small_map() -> ExperienceMap:
+    graph = ExperienceMap(ExperienceMapParameters(exp_initial_em_deg=0.0, exp_loops=0))
+    graph.apply(MapAction('create', -1, 0, 4, 0.0, Place(1.0, 2.0, 3.5)))
+    graph.integrate(turning(0.5))
+    graph.integrate(ahead(2.0))
+    graph.apply(MapAction('create', 0, 1, 6, 0.0, Place(2.0, 0.1, 35.9)), 'wänder')
+    return graph
+
+
+def plain_json(stamp_ns: int, graph: ExperienceMap) -> str:
+    """The map's text in the plainest way: what ``encode_map`` gives is to be the same."""
+    content = {
+        'schema_version': 1,
+        'frame_id': graph.frame_id,
+        'stamp': {'sec': stamp_ns // 10**9, 'nanosec': stamp_ns % 10**9},
+        'current_experience_id': graph.current_id,
+        'experiences': [
+            {
+                'id': e.id,
+                'template_id': e.template_id,
+                'x_m': e.pose.x_m,
+                'y_m': e.pose.y_m,
+                'heading_rad': e.pose.heading_rad,
+                'pc_x': e.place.x,
+                'pc_y': e.place.y,
+                'pc_theta': e.place.theta,
+            }
+            for e in graph.experiences()
+        ],
+        'links': [
+            {
+                'source_id': link.source_id,
+                'target_id': link.target_id,
+                'distance_m': link.distance_m,
+                'heading_rad': link.heading_rad,
+                'facing_rad': link.facing_rad,
+                'duration_s': link.duration_s,
+                'behaviour': link.behaviour,
+                'count': link.count,
+            }
+            for link in graph.links()
+        ],
+    }
+    return json.dumps(content, allow_nan=False, separators=(',', ':'))
+
+
+def check_text(graph: ExperienceMap, kept: MapText) -> None:
+    text = plain_json(START_NS, graph)
+    assert encode_map(START_NS, graph, kept) == text
+    assert encode_map(START_NS, graph) == text
+
+
+# Actions
+
+ACTION_KEYS = [
+    'schema_version', 'stamp', 'sequence', 'action', 'source_id', 'target_id', 'template_id',
+    'relative_rad', 'pc_x', 'pc_y', 'pc_theta', 'memory',
+]  # fmt: skip
+ACTION = MapAction('link', 3, 4, 5, 0.5, Place(1.25, 2.5, 35.0))
+
+
+def action_text(**changed: Any) -> str:
+    return json.dumps(json.loads(encode_action(START_NS, 8, ACTION, 7)) | changed)
+
+
+@given(
+    st.integers(0, 2**31 * 10**9 - 1), st.integers(0, 2**53),
+    st.sampled_from(['create', 'link', 'set', 'none']), st.integers(-1, 10**6),
+    st.integers(0, 10**6), st.integers(0, 10**6), st.floats(-3.14, 3.14),
+    st.tuples(st.floats(0.0, 999.0), st.floats(0.0, 999.0), st.floats(0.0, 35.9)),
+    st.integers(0, 2**62),
+)  # fmt: skip
+def test_an_action_is_decoded_to_the_last_bit(
+    stamp_ns: int, sequence: int, kind: Any, source: int, target: int, template: int,
+    relative: float, place: tuple[float, float, float], memory: int,
+) -> None:  # fmt: skip
+    action = MapAction(kind, source, target, template, relative, Place(*place))
+    payload = encode_action(stamp_ns, sequence, action, memory)
+    assert decode_action(payload) == (stamp_ns, sequence, action, memory)
+
+
+def test_an_action_has_its_keys_in_order_and_nothing_else() -> None:
+    assert list(json.loads(encode_action(START_NS, 8, ACTION, 7))) == ACTION_KEYS
+
+
+def test_before_the_first_experience_there_are_actions_too() -> None:
+    none = MapAction('none', -1, -1, -1, 0.0, Place(0.0, 0.0, 0.0))
+    assert decode_action(encode_action(5, 0, none, 0)) == (5, 0, none, 0)
+
+
+@pytest.mark.parametrize(('key', 'value'), [
+    ('action', 'jump'), ('action', None), ('target_id', -1), ('template_id', -1),
+    ('source_id', -2), ('target_id', 2**31), ('sequence', -1), ('memory', -1),
+    ('sequence', 10**4000), ('memory', 2**63), ('stamp', {'sec': 2**31, 'nanosec': 0}),
+    ('pc_x', -0.1),
+    ('pc_theta', 1e9), ('relative_rad', 4.0), ('source_id', 1.5), ('sequence', True),
+    ('pc_y', None), ('stamp', {'sec': 1}), ('schema_version', 2),
+])  # fmt: skip
+def test_an_action_that_does_not_fit_is_refused(key: str, value: Any) -> None:
+    with pytest.raises(MalformedMessage, match=key.split('_')[0]):
+        decode_action(action_text(**{key: value}))
+
+
+@pytest.mark.parametrize('key', ACTION_KEYS)
+def test_an_action_without_a_key_is_refused(key: str) -> None:
+    fields = json.loads(action_text())
+    del fields[key]
+    with pytest.raises(MalformedMessage):
+        decode_action(json.dumps(fields))
+
+
+# Experiences that are active
+
+
+@given(
+    st.integers(0, 2**31 * 10**9 - 1), st.integers(-1, 10**6),
+    st.lists(st.tuples(st.integers(0, 10**6), st.floats(0.0, 2.0)), max_size=5),
+)  # fmt: skip
+def test_active_experiences_are_decoded_to_the_last_bit(
+    stamp_ns: int, template_id: int, active: list[tuple[int, float]]
+) -> None:
+    payload = encode_active(stamp_ns, template_id, active)
+    assert decode_active(payload) == (stamp_ns, template_id, active)
+    assert list(json.loads(payload)) == ['schema_version', 'stamp', 'template_id', 'experiences']
+
+
+@pytest.mark.parametrize('experiences', [
+    None, {}, [3], [{'id': 3}], [{'id': -1, 'activity': 1.0}], [{'id': 1, 'activity': 2.5}],
+    [{'id': True, 'activity': 1.0}], [{'id': 1, 'activity': 'much'}],
+    [{'id': 1, 'activity': 1.0}, {'id': 2, 'activity': -0.1}],
+])  # fmt: skip
+def test_active_experiences_that_do_not_fit_are_refused(experiences: Any) -> None:
+    fields = json.loads(encode_active(5, 1, []))
+    with pytest.raises(MalformedMessage, match='active_experiences'):
+        decode_active(json.dumps({**fields, 'experiences': experiences}))
+
+
+def test_the_map_has_its_keys_in_the_documented_order() -> None:
+    fields = json.loads(encode_map(START_NS + 9, small_map()))
+    assert list(fields) == [
+        'schema_version', 'frame_id', 'stamp', 'current_experience_id', 'experiences', 'links'
+    ]  # fmt: skip
+    assert fields['stamp'] == {'sec': 1_700_000_000, 'nanosec': 9}
+    assert list(fields['stamp']) == ['sec', 'nanosec']
+    assert (fields['frame_id'], fields['current_experience_id']) == ('map', 1)
+    assert [list(e) for e in fields['experiences']] == [
+        ['id', 'template_id', 'x_m', 'y_m', 'heading_rad', 'pc_x', 'pc_y', 'pc_theta']
+    ] * 2
+    assert [list(link) for link in fields['links']] == [[
+        'source_id', 'target_id', 'distance_m', 'heading_rad', 'facing_rad', 'duration_s',
+        'behaviour', 'count',
+    ]]  # fmt: skip
+    assert fields['experiences'][1]['pc_theta'] == 35.9
+    assert fields['links'][0]['behaviour'] == 'wänder'
+    assert fields['links'][0]['distance_m'] == 2.0
+
+
+def test_equal_maps_give_equal_bytes() -> None:
+    assert encode_map(5, small_map()) == encode_map(5, small_map())
+    assert encode_map(5, small_map()) != encode_map(6, small_map())
+
+
+def test_an_empty_map_is_a_map() -> None:
+    assert encode_map(0, ExperienceMap(ExperienceMapParameters())) == (
+        '{"schema_version":1,"frame_id":"map","stamp":{"sec":0,"nanosec":0},'
+        '"current_experience_id":-1,"experiences":[],"links":[]}'
+    )
+
+
+def test_numbers_are_written_as_python_repr_gives_them() -> None:
+    graph = small_map()
+    text = encode_map(0, graph)
+    for experience in graph.experiences():
+        assert f'"x_m":{experience.pose.x_m!r},"y_m":{experience.pose.y_m!r}' in text
+    assert 'NaN' not in text
+    assert ' ' not in text
+    assert text.isascii()
+
+
+def test_no_map_with_nan_is_ever_written() -> None:
+    graph = small_map()
+    graph._poses[1, 0] = float('nan')
+    with pytest.raises(ValueError, match='JSON'):
+        encode_map(0, graph)
+
+
+NAMES = ['', 'wander', 'wänder', '環境', 'say "go"\\\n', '%s{0}', '\U0001f916', '\x00\x7f']
+ODD = [0.0, -0.0, 1e-7, 1e-5, 0.1, 3.0, 1e15, 1e16, 1e22, 2.0**53, 5e-324, 1.7976931348623157e308]
+PARAMETERS = [
+    ExperienceMapParameters(map_frame='kärte"1"'),
+    ExperienceMapParameters(exp_relaxation='sweep'),
+    ExperienceMapParameters(exp_loops=0),
+]
+
+
+@pytest.mark.parametrize('seed', range(6))
+def test_a_kept_text_follows_the_map_whatever_happens_to_it(seed: int) -> None:
+    rng = random.Random(seed)
+    parameters = PARAMETERS[seed % len(PARAMETERS)]
+    graph, kept = ExperienceMap(parameters), MapText()
+    check_text(graph, kept)
+    for step in range(150):
+        graph.integrate(turning(rng.uniform(-2.0, 2.0)))
+        graph.integrate(ahead(rng.choice([0.0, rng.uniform(0.0, 3.0)])))
+        known, here = len(graph), graph.current_id
+        place = Place(rng.uniform(0.0, 30.0), rng.choice([0.0, 7.0]), rng.uniform(0.0, 36.0))
+        if known < 3 or rng.random() < 0.5:
+            action = MapAction('create', here, known, step, rng.uniform(-0.1, 0.1), place)
+        elif rng.random() < 0.3:
+            action = MapAction('set', -1, rng.randrange(known), step, 0.0, place)
+        else:  # few targets, so that links are averaged
+            target = (here + rng.randrange(1, 3)) % known
+            action = MapAction('link', here, target, step, rng.uniform(-0.1, 0.1), place)
+        graph.apply(action, rng.choice(NAMES))
+        if rng.random() < 0.1:
+            graph.settle()
+        if rng.random() < 0.1:
+            state, graph = graph.state(), ExperienceMap(parameters)
+            graph.restore(state)
+        if rng.random() < 0.5:  # else several changes come at once
+            check_text(graph, kept)
+    assert len({count for _, count in graph.link_notes}) > 2
+    check_text(graph, kept)
+
+
+@given(st.lists(
+    st.tuples(st.integers(0, 13), st.sampled_from(ODD) | st.floats(allow_nan=False,
+                                                                   allow_infinity=False)),
+    max_size=20,
+))  # fmt: skip
+def test_every_number_is_written_as_json_does(changes: list[tuple[int, float]]) -> None:
+    graph, kept = small_map(), MapText()
+    check_text(graph, kept)
+    for at, value in changes:
+        value = math.copysign(value, (-1) ** at)
+        if at < 6:
+            graph._poses[divmod(at, 3)] = value
+        elif at < 9:
+            graph.link_shapes[0, at - 6] = value
+        elif at == 9:
+            graph.link_durations_s[0] = value
+        else:
+            graph._labels[at % 2] = at, Place(value, at, -value)  # a whole number stays one
+        check_text(graph, kept)
+
+
+@pytest.mark.parametrize('name', NAMES)
+def test_a_behaviour_is_written_as_json_does(name: str) -> None:
+    graph, kept = small_map(), MapText()
+    for count in (1, 10**6):
+        graph._links.notes[0] = name, count
+        check_text(graph, kept)
+
+
+def test_zero_is_told_from_minus_zero() -> None:
+    graph, kept = small_map(), MapText()
+    for zero in (0.0, -0.0, 0.0):
+        graph._poses[1, 1] = graph.link_shapes[0, 1] = zero
+        graph._labels[1] = 6, Place(2.0, zero, 35.9)
+        check_text(graph, kept)
+
+
+def test_a_kept_text_is_never_that_of_another_map() -> None:
+    kept, empty, other = MapText(), ExperienceMap(PARAMETERS[2]), small_map()
+    other._labels[1] = 6, Place(2.0, -0.0, 35.9)
+    larger = small_map()
+    larger.integrate(ahead(1.0))
+    larger.apply(MapAction('create', 1, 2, 7, 0.0, Place(3.0, 0.0, 0.0)), 'wander')
+    for graph in (small_map(), other, empty, larger, small_map(), empty, other, larger):
+        check_text(graph, kept)
+
+
+@pytest.mark.parametrize('value', [math.nan, math.inf])
+def test_what_could_not_be_written_is_not_kept(value: float) -> None:
+    graph, kept = small_map(), MapText()
+    check_text(graph, kept)
+    for numbers in (graph._poses, graph.link_shapes):
+        numbers[0, 0] = value
+        for _ in range(2):
+            with pytest.raises(ValueError, match='JSON'):
+                encode_map(0, graph, kept)
+        numbers[0, 0] = 2.5
+        check_text(graph, kept)
+
+
+def test_only_what_has_changed_is_written_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    graph, kept = small_map(), MapText()
+    written = 0
+    plain = mapping._numbers
+
+    def numbers(values: list[float]) -> list[str]:
+        nonlocal written
+        written += len(values)
+        return plain(values)
+
+    def written_now() -> int:
+        nonlocal written
+        written = 0
+        encode_map(0, graph, kept)
+        return written
+
+    monkeypatch.setattr(mapping, '_numbers', numbers)
+    assert written_now() == 2 * 6 + 4
+    assert written_now() == 0
+    graph._poses[:2, 0] += 1.0
+    assert written_now() == 2 * 3
+    graph.integrate(ahead(1.0))
+    graph.apply(MapAction('create', 1, 2, 7, 0.0, Place(3.0, 0.0, 0.0)))
+    assert written_now() == 6 + 4
+    graph.apply(MapAction('set', -1, 0, 4, 0.0, Place(1.0, 2.0, 3.5)))
+    graph.integrate(ahead(1.0))
+    graph.apply(MapAction('link', 0, 1, 6, 0.0, Place(2.0, 0.1, 35.9)))
+    assert written_now() == 4

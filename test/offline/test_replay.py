@@ -1,0 +1,526 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A recording gives the same map at every run, whatever the order its messages were written in."""
+
+import csv
+import json
+import math
+import random
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal
+
+import pytest
+from helpers import (
+    IMAGE_TOPIC,
+    ODOM_TOPIC,
+    PERIOD_NS,
+    START_NS,
+    TEMPLATE_TOPIC,
+    Recorded,
+    circles,
+    image_message,
+    odometry_message,
+    picture,
+    string_message,
+    template_text,
+    undecodable_message,
+    write_bag,
+)
+
+from ratslam_ros.core.common.odometry import Motion, moved
+from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.config import Config
+from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.pose_cells.pose_cells import MapAction
+from ratslam_ros.core.pose_cells.torus import Place
+from ratslam_ros.core.ratslam import ViewStep
+from ratslam_ros.core.vision.local_view import ViewMatch
+from ratslam_ros.errors import UnusableInput, UnusableParameter
+from ratslam_ros.messages.mapping import encode_template
+from ratslam_ros.offline.replay import ReplayOptions, ReplayOutcome, replay
+from ratslam_ros.recordings import Event, Recording, open_recording
+from ratslam_ros.results.writer import Results
+
+CONFIG = Config().with_values({
+    'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
+    'local_view.vt_shift_match': 2, 'pose_cells.pc_cell_x_size': 0.5,
+    'pose_cells.exp_delta_pc_threshold': 1.0,
+})  # fmt: skip
+SAME = ('map.json', 'frames.csv', 'trajectory.tum', 'trajectory_final.tum', 'dead_reckoning.tum')
+LAPS, PER_LAP = 3, 30
+FRAMES = LAPS * PER_LAP
+
+
+def run(
+    bag: Path, folder: Path, options: ReplayOptions | None = None,
+    recording_of: Callable[[Recording], Any] = lambda recording: recording,
+    config: Config = CONFIG,
+) -> ReplayOutcome:  # fmt: skip
+    with open_recording(bag) as recording:
+        return replay(
+            recording_of(recording), recording.select(), config, folder,
+            options or ReplayOptions(progress=False),
+        )  # fmt: skip
+
+
+def bytes_of(folder: Path) -> dict[str, bytes]:
+    return {name: (folder / name).read_bytes() for name in SAME}
+
+
+def rows(folder: Path) -> list[dict[str, str]]:
+    with (folder / 'frames.csv').open(newline='') as file:
+        return list(csv.DictReader(file))
+
+
+def delayed(messages: list[Recorded], seed: int, most_ns: int = 1_800_000_000) -> list[Recorded]:
+    """Return the messages as recorded late, each stream's in its own order."""
+    rng = random.Random(seed)
+    last: dict[str, int] = {}
+    out = []
+    for log_ns, topic, kind, message in messages:
+        last[topic] = max(last.get(topic, 0) + 1, log_ns + rng.randrange(most_ns))
+        out.append((last[topic], topic, kind, message))
+    return sorted(out, key=lambda m: m[0])
+
+
+@pytest.fixture(scope='module')
+def drive() -> list[Recorded]:
+    return list(circles(LAPS, PER_LAP))
+
+
+@pytest.fixture(scope='module')
+def base(drive: list[Recorded], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the results of replaying the drive as it was."""
+    folder = tmp_path_factory.mktemp('base')
+    outcome = run(write_bag(folder / 'bag', drive), folder / 'results')
+    assert not outcome.interrupted
+    return folder / 'results'
+
+
+def test_a_drive_in_circles_is_mapped_as_circles(base: Path) -> None:
+    graph = json.loads((base / 'map.json').read_text())
+    summary = json.loads((base / 'summary.json').read_text())
+    assert summary['frames'] == summary['odometry'] == FRAMES
+    assert summary['templates'] == PER_LAP
+    assert summary['experiences'] == len(graph['experiences']) >= PER_LAP // 2
+    assert summary['links'] == len(graph['links'])
+    assert summary['loop_closures'] > 0
+    assert summary['dropped'] == summary['late'] == summary['refused'] == 0
+
+
+def test_two_runs_give_the_same_bytes(
+    drive: list[Recorded], base: Path, tmp_path: Path
+) -> None:
+    run(write_bag(tmp_path / 'bag', drive), tmp_path / 'again')
+    assert bytes_of(tmp_path / 'again') == bytes_of(base)
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_the_order_across_streams_does_not_matter_within_the_bound(
+    drive: list[Recorded], base: Path, tmp_path: Path, seed: int
+) -> None:
+    """In the original the map depends on when messages happen to arrive."""
+    messages = delayed(drive, seed)
+    assert [m[3].header.stamp for m in messages] != [m[3].header.stamp for m in drive]
+    run(write_bag(tmp_path / 'bag', messages), tmp_path / 'results')
+    assert bytes_of(tmp_path / 'results') == bytes_of(base)
+
+
+def test_images_written_before_all_odometry_of_their_time_change_nothing(
+    drive: list[Recorded], base: Path, tmp_path: Path
+) -> None:
+    early = [
+        (log_ns - (500_000_000 if topic == IMAGE_TOPIC else 0), topic, kind, message)
+        for log_ns, topic, kind, message in drive
+    ]
+    run(write_bag(tmp_path / 'bag', sorted(early, key=lambda m: m[0])), tmp_path / 'results')
+    assert bytes_of(tmp_path / 'results') == bytes_of(base)
+
+
+def test_messages_beyond_the_bound_are_counted_as_late(
+    drive: list[Recorded], tmp_path: Path
+) -> None:
+    """Never a different map with all counts zero."""
+    late = [
+        (log_ns + (5_000_000_000 if topic == IMAGE_TOPIC else 0), topic, kind, message)
+        for log_ns, topic, kind, message in drive
+    ]
+    bag = write_bag(tmp_path / 'bag', sorted(late, key=lambda m: m[0]))
+    summary = run(bag, tmp_path / 'results').summary
+    assert summary['late'] > 0
+    assert summary['frames'] + summary['late'] == FRAMES
+
+
+def test_repeated_stamps_are_refused_and_counted(drive: list[Recorded], tmp_path: Path) -> None:
+    twice = [
+        (log_ns + shift, topic, kind, message)
+        for log_ns, topic, kind, message in drive[:20] for shift in (0, 10)
+    ]  # fmt: skip
+    bag = write_bag(tmp_path / 'bag', sorted(twice, key=lambda m: m[0]))
+    summary = run(bag, tmp_path / 'results').summary
+    assert summary['refused'] == 20
+    assert summary['frames'] == summary['odometry'] == 10
+
+
+# Files
+
+
+def test_the_trajectories_have_a_line_for_every_odometry_message(base: Path) -> None:
+    stamps = [f'{(START_NS + i * PERIOD_NS) // 10**9}.{i * PERIOD_NS % 10**9:09d}'
+              for i in range(FRAMES)]  # fmt: skip
+    for name in SAME[2:]:
+        lines = (base / name).read_text().splitlines()
+        assert [line.split()[0] for line in lines] == stamps
+        assert all(len(line.split()) == 8 for line in lines)
+        for line in lines:
+            _, _, _, z, qx, qy, qz, qw = map(float, line.split())
+            assert z == qx == qy == 0.0
+            assert qz**2 + qw**2 == pytest.approx(1.0, abs=1e-8)
+
+
+def test_the_final_trajectory_hangs_on_the_final_map(base: Path) -> None:
+    """After an arrival the pose is one step from where that experience lies in the end."""
+    graph = json.loads((base / 'map.json').read_text())
+    nodes = [Pose(e['x_m'], e['y_m'], e['heading_rad']) for e in graph['experiences']]
+    final = [[float(part) for part in line.split()[1:3]]
+             for line in (base / 'trajectory_final.tum').read_text().splitlines()]  # fmt: skip
+    current = [int(row['experience_id']) for row in rows(base)]
+    step = Motion(0.1, 2.0 * math.pi * 2.0 / PER_LAP, 2.0 * math.pi / PER_LAP)
+    arrivals = [i for i in range(1, FRAMES - 1) if current[i] != current[i - 1]]
+    assert len(arrivals) > FRAMES // 2
+    for i in arrivals:
+        expected = moved(nodes[current[i]], step)
+        assert final[i + 1] == pytest.approx([expected.x_m, expected.y_m], abs=1e-8)
+
+
+def test_frames_csv_has_a_row_for_every_image(base: Path) -> None:
+    text = (base / 'frames.csv').read_text()
+    assert text.startswith(
+        'stamp_ns,template_id,is_new,match_error,relative_rad,experience_id\n'
+    )
+    table = rows(base)
+    assert [int(row['stamp_ns']) for row in table] == [
+        START_NS + i * PERIOD_NS for i in range(FRAMES)
+    ]
+    assert [int(row['template_id']) for row in table] == list(range(PER_LAP)) * LAPS
+    assert [row['is_new'] for row in table] == ['1'] * PER_LAP + ['0'] * (FRAMES - PER_LAP)
+    assert table[0]['match_error'] == '-1.0'
+    assert all(float(row['match_error']) > 0.03 for row in table[1:PER_LAP])
+    assert all(float(row['match_error']) == 0.0 for row in table[PER_LAP:])
+    # Nothing is decided before the second odometry message, which moves the robot.
+    assert table[0]['experience_id'] == '-1'
+    assert table[1]['experience_id'] == '0'
+
+
+def test_the_summary_has_its_keys_in_order(base: Path) -> None:
+    summary = json.loads((base / 'summary.json').read_text())
+    assert list(summary) == [
+        'frames', 'odometry', 'templates', 'experiences', 'links', 'loop_closures', 'dropped',
+        'late', 'refused', 'duration_s', 'wall_s', 'times_realtime', 'step_ms',
+    ]  # fmt: skip
+    assert summary['duration_s'] == pytest.approx((FRAMES - 1) * 0.1 + 0.001, abs=2e-3)
+    assert {'decode', 'local_view', 'pose_cells', 'pose_cells_view', 'experience_map'} == set(
+        summary['step_ms']
+    )
+    for step in summary['step_ms'].values():
+        assert list(step) == ['count', 'median', 'p99']
+        assert 0.0 < step['median'] <= step['p99']
+    assert summary['step_ms']['local_view']['count'] == FRAMES
+
+
+def test_the_map_holds_the_stamp_of_the_last_action_and_no_trace_of_the_machine(
+    base: Path,
+) -> None:
+    text = (base / 'map.json').read_text()
+    last_ns = START_NS + (FRAMES - 1) * PERIOD_NS
+    assert json.loads(text)['stamp'] == {'sec': last_ns // 10**9, 'nanosec': last_ns % 10**9}
+    assert str(base) not in text
+    assert '/' not in text
+
+
+def test_no_half_written_files_are_left(base: Path) -> None:
+    assert sorted(path.name for path in base.iterdir()) == sorted(
+        [*SAME, 'summary.json', 'config.yaml']
+    )
+
+
+def test_the_configuration_written_gives_the_same_map(
+    drive: list[Recorded], base: Path, tmp_path: Path
+) -> None:
+    from ratslam_ros.files.config import load_config
+
+    config, _ = load_config(str(base / 'config.yaml'))
+    assert config == CONFIG
+    run(write_bag(tmp_path / 'bag', drive), tmp_path / 'results', config=config)
+    assert bytes_of(tmp_path / 'results') == bytes_of(base)
+
+
+def test_where_the_map_refused_a_jump_it_has_not_moved(tmp_path: Path) -> None:
+    results = Results(tmp_path)
+    place = Place(0.0, 0.0, 0.0)
+    for kind, target, refused in (
+        ('create', 20, False), ('link', 3, True), ('none', 3, False), ('link', 4, False),
+    ):  # fmt: skip
+        action = MapAction(kind, 20, target, 0, 0.0, place)  # type: ignore[arg-type]
+        match = ViewMatch(target, False, 0.0, 0.0)
+        results.add(ViewStep(START_NS, match, action, refused=refused))
+    results.finish(ExperienceMap(Config().experience_map), Config(), {})
+    rows = (tmp_path / 'frames.csv').read_text().splitlines()[1:]
+    assert [row.split(',')[-1] for row in rows] == ['20', '20', '20', '4']
+    assert results.loop_closures == 1
+
+
+@pytest.mark.parametrize('action', ['link', 'set'])
+def test_a_loop_closure_leads_to_none_of_the_ten_newest_experiences(
+    tmp_path: Path, action: Literal['link', 'set']
+) -> None:
+    results = Results(tmp_path)
+
+    def step(kind: Literal['create', 'link', 'set'], target: int) -> None:
+        place = Place(0.0, 0.0, 0.0)
+        match = ViewMatch(target, kind == 'create', 0.0, 0.0)
+        results.add(ViewStep(START_NS, match, MapAction(kind, 20, target, 0, 0.0, place)))
+
+    for number in range(21):
+        step('create', number)
+    for number in range(11, 21):
+        step(action, number)
+    assert results.loop_closures == 0
+    step(action, 10)
+    step(action, 0)
+    assert results.loop_closures == 2
+
+
+# Undecodable images, recorded templates
+
+
+def test_an_undecodable_image_gives_a_row_with_id_minus_1_and_counts_as_dropped(
+    drive: list[Recorded], tmp_path: Path
+) -> None:
+    broken = {5, 6, 40}
+    messages: list[Recorded] = []
+    for i, (log_ns, topic, kind, message) in enumerate(drive):
+        if topic == IMAGE_TOPIC and i // 2 in broken:
+            message = undecodable_message(START_NS + i // 2 * PERIOD_NS)
+        messages.append((log_ns, topic, kind, message))
+    summary = run(write_bag(tmp_path / 'bag', messages), tmp_path / 'results').summary
+    assert summary['dropped'] == len(broken)
+    assert summary['frames'] == FRAMES
+    table = rows(tmp_path / 'results')
+    for i, row in enumerate(table):
+        assert (row['template_id'] == '-1') == (i in broken)
+    assert table[5]['is_new'] == '0'
+    assert table[5]['match_error'] == '-1.0'
+    assert table[5]['experience_id'] == table[6]['experience_id'] == table[4]['experience_id']
+
+
+def recorded_templates(drive: list[Recorded], results: Path) -> Iterator[Recorded]:
+    """Yield the drive with what the local view made of the images in place of them."""
+    views = iter(rows(results))
+    for log_ns, topic, kind, message in drive:
+        if topic != IMAGE_TOPIC:
+            yield log_ns, topic, kind, message
+            continue
+        row = next(views)
+        match = ViewMatch(
+            int(row['template_id']), row['is_new'] == '1', float(row['match_error']),
+            float(row['relative_rad']),
+        )  # fmt: skip
+        text = encode_template(int(row['stamp_ns']), match, START_NS)
+        yield log_ns, TEMPLATE_TOPIC, 'string', string_message(text)
+
+
+def test_recorded_templates_give_the_map_of_the_images_they_were_made_from(
+    drive: list[Recorded], base: Path, tmp_path: Path
+) -> None:
+    bag = write_bag(tmp_path / 'bag', recorded_templates(drive, base))
+    run(bag, tmp_path / 'results')
+    assert bytes_of(tmp_path / 'results') == bytes_of(base)
+
+
+def test_malformed_templates_are_dropped_counted_and_told(
+    drive: list[Recorded], base: Path, tmp_path: Path
+) -> None:
+    messages = list(recorded_templates(drive, base))
+    bad = ['no json', template_text(START_NS, 3, id=True), template_text(START_NS, 3, error=None)]
+    for i, text in enumerate(bad):
+        log_ns = START_NS + 50 * PERIOD_NS + i + 1
+        messages.append((log_ns, TEMPLATE_TOPIC, 'string', string_message(text)))
+    bag = write_bag(tmp_path / 'bag', sorted(messages, key=lambda m: m[0]))
+    with open_recording(bag) as recording:
+        outcome = replay(recording, recording.select(), CONFIG, tmp_path / 'results',
+                         ReplayOptions(progress=False))  # fmt: skip
+        assert recording.warnings[0].startswith('3 template messages were not used')
+        assert len(recording.warnings) == 1
+    assert outcome.summary['dropped'] == 3
+    assert bytes_of(tmp_path / 'results') == bytes_of(base)
+
+
+def test_without_odometry_the_images_give_it(drive: list[Recorded], tmp_path: Path) -> None:
+    images = [message for message in drive if message[1] == IMAGE_TOPIC]
+    summary = run(write_bag(tmp_path / 'bag', images), tmp_path / 'results').summary
+    assert summary['odometry'] == FRAMES - 1
+    assert summary['frames'] == FRAMES
+    assert 'visual_odometry' in summary['step_ms']
+
+
+def test_odometry_from_poses_maps_a_recording_whose_twists_are_empty(tmp_path: Path) -> None:
+    messages: list[Recorded] = []
+    for i in range(40):
+        stamp = START_NS + i * PERIOD_NS
+        odometry = odometry_message(stamp, 0.0, 0.0, Pose(0.2 * i, 1.0, 0.0))
+        messages.append((stamp, ODOM_TOPIC, 'odometry', odometry))
+        messages.append((stamp + 1, IMAGE_TOPIC, 'image', image_message(stamp, picture(i))))
+    sources = ('pose_cells.odom_source', 'experience_map.odom_source')
+    config = CONFIG.with_values(dict.fromkeys(sources, 'pose'))
+    run(write_bag(tmp_path / 'bag', messages), tmp_path / 'results', config=config)
+    last = (tmp_path / 'results' / 'dead_reckoning.tum').read_text().splitlines()[-1].split()
+    # The map starts at 90 degrees.
+    assert [float(last[1]), float(last[2])] == pytest.approx([0.0, 0.2 * 39], abs=1e-6)
+
+
+# Parts of a recording, and runs that end early
+
+
+def test_a_part_of_a_recording_is_that_part(drive: list[Recorded], tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / 'bag', drive)
+    options = ReplayOptions(start_s=2.0, duration_s=3.0, progress=False)
+    summary = run(bag, tmp_path / 'results', options).summary
+    assert summary['frames'] == 30
+    assert rows(tmp_path / 'results')[0]['stamp_ns'] == str(START_NS + 20 * PERIOD_NS)
+
+
+class Interrupted:
+    """A recording in whose event stream Ctrl-C is pressed."""
+
+    def __init__(self, recording: Recording, after: int, error: BaseException) -> None:
+        self._recording = recording
+        self._after = after
+        self._error = error
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._recording, name)
+
+    def events(self, *arguments: Any) -> Iterator[Event]:
+        for number, event in enumerate(self._recording.events(*arguments)):
+            if number == self._after:
+                raise self._error
+            yield event
+
+
+def test_an_interrupted_replay_writes_the_results_so_far(
+    drive: list[Recorded], base: Path, tmp_path: Path
+) -> None:
+    bag = write_bag(tmp_path / 'bag', drive)
+    broken = partial(Interrupted, after=96, error=KeyboardInterrupt())
+    outcome = run(bag, tmp_path / 'results', recording_of=broken)
+    assert outcome.interrupted
+    folder = tmp_path / 'results'
+    assert sorted(path.name for path in folder.iterdir()) == sorted(
+        [*SAME, 'summary.json', 'config.yaml']
+    )
+    done = len(rows(folder))
+    assert 0 < done <= 48
+    assert json.loads((folder / 'map.json').read_text())['experiences']
+    assert outcome.summary['frames'] == done
+    for name in ('frames.csv', 'trajectory.tum'):
+        assert (base / name).read_bytes().startswith((folder / name).read_bytes())
+
+
+def test_an_error_while_reading_is_not_taken_for_the_end(
+    drive: list[Recorded], tmp_path: Path
+) -> None:
+    bag = write_bag(tmp_path / 'bag', drive)
+    for after in (0, 50):
+        broken = partial(Interrupted, after=after, error=ZeroDivisionError())
+        with pytest.raises(ZeroDivisionError):
+            run(bag, tmp_path / 'results', recording_of=broken)
+
+
+def test_a_folder_that_cannot_be_written_to_is_told(
+    drive: list[Recorded], tmp_path: Path
+) -> None:
+    bag = write_bag(tmp_path / 'bag', drive[:4])
+    (tmp_path / 'file').write_text('')
+    with pytest.raises(UnusableInput, match='--out'):
+        run(bag, tmp_path / 'file')
+
+
+def test_a_crop_outside_the_images_is_told(drive: list[Recorded], tmp_path: Path) -> None:
+    config = CONFIG.with_values({'local_view.image_crop_x_max': 1000})
+    with pytest.raises(UnusableParameter, match='32 x 24 px'):
+        run(write_bag(tmp_path / 'bag', drive[:10]), tmp_path / 'results', config=config)
+
+
+def test_an_image_smaller_than_the_template_later_on_is_one_that_cannot_be_used(
+    drive: list[Recorded], tmp_path: Path
+) -> None:
+    messages = list(drive)
+    at = next(i for i, m in enumerate(messages) if m[1] == IMAGE_TOPIC and i > 40)
+    log_ns, topic, kind, message = messages[at]
+    stamp_ns = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+    messages[at] = (log_ns, topic, kind, image_message(stamp_ns, picture(0, 2, 2)))
+    outcome = run(write_bag(tmp_path / 'bag', messages), tmp_path / 'results')
+    assert outcome.summary['frames'] == FRAMES
+    assert [row['template_id'] for row in rows(tmp_path / 'results')].count('-1') == 1
+    assert outcome.summary['dropped'] == 1
+
+
+def test_odometry_that_is_not_a_number_is_refused_and_counted(
+    drive: list[Recorded], tmp_path: Path
+) -> None:
+    stamp_ns = drive[20][0] - 1
+    message = odometry_message(stamp_ns, float('nan'), 0.0, Pose(0.0, 0.0, 0.0))
+    messages = [*drive[:20], (stamp_ns, ODOM_TOPIC, 'odometry', message), *drive[20:]]
+    summary = run(write_bag(tmp_path / 'bag', messages), tmp_path / 'results').summary
+    assert (summary['refused'], summary['dropped'], summary['late']) == (1, 0, 0)
+
+
+class _Failing:
+    """A recording whose events end in an error that is nobody's fault."""
+
+    def __init__(self, recording: Recording) -> None:
+        self._recording = recording
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._recording, name)
+
+    def events(self, *arguments: Any) -> Iterator[Event]:
+        for number, event in enumerate(self._recording.events(*arguments)):
+            if number == 60:
+                raise RuntimeError('the disk is gone')
+            yield event
+
+
+def test_an_error_loses_neither_what_was_mapped_nor_an_earlier_map(
+    drive: list[Recorded], tmp_path: Path
+) -> None:
+    bag = write_bag(tmp_path / 'bag', drive)
+    with pytest.raises(RuntimeError):
+        run(bag, tmp_path / 'new', recording_of=_Failing)
+    assert len(rows(tmp_path / 'new')) > 10
+    assert json.loads((tmp_path / 'new' / 'map.json').read_text())['experiences']
+    run(bag, tmp_path / 'old')
+    before = bytes_of(tmp_path / 'old')
+    with pytest.raises(RuntimeError):
+        run(bag, tmp_path / 'old', recording_of=_Failing)
+    assert bytes_of(tmp_path / 'old') == before
+    assert not list((tmp_path / 'old').glob('*.part'))
+
+
+def test_an_image_too_small_for_the_template_still_gives_its_motion(
+    drive: list[Recorded], tmp_path: Path
+) -> None:
+    """All images from one on are small: their visual odometry goes on."""
+    messages = []
+    for number, (log_ns, topic, kind, message) in enumerate(
+        m for m in drive if m[1] == IMAGE_TOPIC
+    ):
+        stamp_ns = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+        small = image_message(stamp_ns, picture(number, 2, 2))
+        messages.append((log_ns, topic, kind, small if number >= 40 else message))
+    summary = run(write_bag(tmp_path / 'bag', messages), tmp_path / 'results').summary
+    assert summary['dropped'] == FRAMES - 40
+    assert summary['odometry'] == FRAMES - 2  # none for the first image of each size

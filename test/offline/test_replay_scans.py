@@ -1,0 +1,327 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A replay with laser scans: the map that RatSLAM makes of them, and what is no use to it."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import (
+    IMAGE_TOPIC,
+    ODOM_TOPIC,
+    PERIOD_NS,
+    SCAN_TOPIC,
+    START_NS,
+    Recorded,
+    image_message,
+    odometry_message,
+    picture,
+    scan_message,
+    write_bag,
+)
+from rooms import Line, scan_in
+
+from ratslam_ros.cli import main
+from ratslam_ros.core.common.odometry import Odometry, Twist
+from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.common.scan import Scan, UnusableScan, checked_scan
+from ratslam_ros.core.config import Config
+from ratslam_ros.core.ratslam import RatSLAM
+from ratslam_ros.errors import UnusableInput
+from ratslam_ros.messages.mapping import encode_map
+from ratslam_ros.offline.replay import ReplayOptions, replay
+from ratslam_ros.recordings import open_recording
+from ratslam_ros.results.evaluation import evaluate, read_tum
+from ratslam_ros.results.writer import tum_line
+
+SETTINGS = {
+    'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
+    'local_view.vt_shift_match': 2, 'pose_cells.pc_cell_x_size': 0.5,
+    'pose_cells.exp_delta_pc_threshold': 1.0,
+}  # fmt: skip
+WITHOUT = Config().with_values(SETTINGS)
+CONFIG = WITHOUT.with_values({'experience_map.exp_align_scans': True})
+WORDS = [word for name, value in SETTINGS.items() for word in ('--set', f'{name}={value}')]
+ALIGN = ['--set', 'experience_map.exp_align_scans=true']
+MAPS = ('map.json', 'frames.csv', 'trajectory.tum', 'trajectory_final.tum', 'dead_reckoning.tum')
+
+ROOM: list[Line] = [
+    [(-3.0, -4.0), (4.0, -4.0), (4.0, 1.0), (3.5, 1.0), (3.5, 3.0), (-1.0, 3.0), (-1.0, 4.0),
+     (-3.5, 4.0), (-3.5, 0.0), (-3.0, 0.0), (-3.0, -4.0)],
+]  # fmt: skip
+LAPS, PER_LAP, RADIUS_M = 3, 24, 2.0
+SHIFTS = (0.0, 0.4, -0.35)
+"""By how many steps the robot is ahead, a lap: what it sees is known from there all the same."""
+
+FRAMES = LAPS * PER_LAP
+STAMPS = [START_NS + i * PERIOD_NS for i in range(FRAMES)]
+
+
+def angle(i: int) -> float:
+    return math.tau / PER_LAP * (i + SHIFTS[i // PER_LAP])
+
+
+def truth(i: int) -> Pose:
+    a = angle(i)
+    return Pose(RADIUS_M * math.cos(a), RADIUS_M * math.sin(a), a + math.pi / 2)
+
+
+def motion(i: int) -> Twist:
+    turn = (angle(i) - angle(i - 1)) if i else 0.0
+    return Twist(RADIUS_M * turn / 0.1, turn / 0.1)
+
+
+def scan(i: int) -> Scan:
+    """Return what a laser sees, in the numbers that a message has room for."""
+    seen = scan_in(ROOM, truth(i), STAMPS[i], beams=91)
+    return dataclasses.replace(
+        seen,
+        angle_min_rad=float(np.float32(seen.angle_min_rad)),
+        angle_increment_rad=float(np.float32(seen.angle_increment_rad)),
+        ranges_m=seen.ranges_m.astype(np.float32).astype(np.float64),
+    )
+
+
+def pixels(i: int) -> np.ndarray:
+    return picture(i % PER_LAP, 24, 32)
+
+
+def drive(scan_topics: tuple[str, ...] = (SCAN_TOPIC,)) -> Iterator[Recorded]:
+    """Yield rounds in a room in which views are known from some way before and behind."""
+    still = Pose(0.0, 0.0, 0.0)
+    for i, stamp_ns in enumerate(STAMPS):
+        message = odometry_message(stamp_ns, *motion(i), still)
+        yield stamp_ns, ODOM_TOPIC, 'odometry', message
+        for topic in scan_topics:
+            yield stamp_ns + 1, topic, 'scan', scan_message(scan(i))
+        yield stamp_ns + 2, IMAGE_TOPIC, 'image', image_message(stamp_ns, pixels(i))
+
+
+def spoiled(messages: list[Recorded], which: dict[int, Any]) -> list[Recorded]:
+    """Return the messages with some scans, by number, in place of what they were."""
+    scans = [i for i, message in enumerate(messages) if message[1] == SCAN_TOPIC]
+    out = list(messages)
+    for number, message in which.items():
+        out[scans[number]] = (*out[scans[number]][:3], message)
+    return out
+
+
+def delayed(messages: list[Recorded], by_ns: int) -> list[Recorded]:
+    """Return the messages with scans that were recorded later than they were taken."""
+    late = [(m[0] + by_ns * (m[1] == SCAN_TOPIC), *m[1:]) for m in messages]
+    return sorted(late, key=lambda m: m[0])
+
+
+def run(bag: Path, folder: Path, config: Config = CONFIG, **given: Any) -> tuple[Any, list[str]]:
+    """Replay; return the summary and the warnings."""
+    with open_recording(bag) as recording:
+        selection = recording.select(scans=config.experience_map.exp_align_scans, **given)
+        outcome = replay(recording, selection, config, folder, ReplayOptions(progress=False))
+        return outcome.summary, recording.warnings
+
+
+def bytes_of(folder: Path) -> list[bytes]:
+    return [(folder / name).read_bytes() for name in MAPS]
+
+
+@pytest.fixture(scope='module')
+def messages() -> list[Recorded]:
+    return list(drive())
+
+
+@pytest.fixture(scope='module')
+def bag(messages: list[Recorded], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_bag(tmp_path_factory.mktemp('recordings') / 'rounds', messages)
+
+
+@pytest.fixture(scope='module')
+def aligned(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the results of a replay with scans."""
+    folder = tmp_path_factory.mktemp('aligned')
+    summary, warnings = run(bag, folder)
+    assert warnings == []
+    assert summary['frames'] == summary['odometry'] == FRAMES
+    assert summary['loop_closures'] > PER_LAP
+    assert summary['dropped'] == summary['late'] == summary['refused'] == 0
+    return folder
+
+
+@pytest.fixture(scope='module')
+def blind(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the results of a replay without scans of a recording that has some."""
+    folder = tmp_path_factory.mktemp('blind')
+    _, warnings = run(bag, folder, WITHOUT)
+    assert warnings == []
+    return folder
+
+
+def error_m(folder: Path, tmp_path: Path) -> float:
+    """Return how far off the map is."""
+    (tmp_path / 'truth.tum').write_text(''.join(map(tum_line, STAMPS, map(truth, range(FRAMES)))))
+    final, true = (read_tum(f / n) for f, n in ((folder, MAPS[3]), (tmp_path, 'truth.tum')))
+    return float(evaluate(final, true).ate.rmse)
+
+
+def test_scans_make_the_map_better(aligned: Path, blind: Path, tmp_path: Path) -> None:
+    assert error_m(aligned, tmp_path) < 0.02
+    assert error_m(blind, tmp_path) > 0.08
+
+
+def test_the_map_is_that_of_ratslam_fed_with_the_same_numbers(aligned: Path) -> None:
+    slam = RatSLAM(CONFIG)
+    for i, stamp_ns in enumerate(STAMPS):
+        slam.odometry(Odometry(stamp_ns, motion(i), Pose(0.0, 0.0, 0.0)))
+        slam.scan(scan(i))
+        slam.image(stamp_ns, pixels(i))
+    slam.finish()
+    assert (aligned / 'map.json').read_text() == encode_map(STAMPS[-1], slam.experience_map)
+
+
+def test_the_map_is_the_same_at_every_run(bag: Path, aligned: Path, tmp_path: Path) -> None:
+    run(bag, tmp_path)
+    assert bytes_of(tmp_path) == bytes_of(aligned)
+
+
+def test_scans_that_come_a_little_late_still_make_it_better(
+    messages: list[Recorded], blind: Path, tmp_path: Path
+) -> None:
+    """Those before are used, brought up to date by odometry."""
+    run(write_bag(tmp_path / 'bag', delayed(messages, PERIOD_NS // 2)), tmp_path / 'out')
+    assert error_m(tmp_path / 'out', tmp_path) < 0.6 * error_m(blind, tmp_path)
+
+
+def test_scans_that_come_far_too_late_make_no_difference(
+    messages: list[Recorded], blind: Path, tmp_path: Path
+) -> None:
+    run(write_bag(tmp_path / 'bag', delayed(messages, 10**9)), tmp_path / 'out')
+    assert bytes_of(tmp_path / 'out') == bytes_of(blind)
+
+
+def test_scans_that_nothing_uses_change_nothing(
+    messages: list[Recorded], blind: Path, tmp_path: Path
+) -> None:
+    bare = [message for message in messages if message[1] != SCAN_TOPIC]
+    run(write_bag(tmp_path / 'bag', bare), tmp_path / 'out', WITHOUT)
+    assert bytes_of(tmp_path / 'out') == bytes_of(blind)
+
+
+def test_without_scans_the_map_is_made_without_and_a_warning_says_so(
+    messages: list[Recorded], blind: Path, tmp_path: Path
+) -> None:
+    bare = [message for message in messages if message[1] != SCAN_TOPIC]
+    _, warnings = run(write_bag(tmp_path / 'bag', bare), tmp_path / 'out')
+    assert bytes_of(tmp_path / 'out') == bytes_of(blind)
+    assert warnings == ['no scans are there for exp_align_scans: the map is made without']
+
+
+def test_unchecked_scans_are_skipped_counted_and_told(
+    messages: list[Recorded], aligned: Path, tmp_path: Path
+) -> None:
+    no_angles, no_beams = (scan_message(scan(i)) for i in (30, 40))
+    no_angles.angle_min = math.nan
+    no_beams.ranges = np.empty(0, np.float32)
+    bag = write_bag(tmp_path / 'bag', spoiled(messages, {30: no_angles, 40: no_beams}))
+    summary, (warning,) = run(bag, tmp_path / 'out')
+    assert warning.startswith('2 scan messages were not used, the first: angle_min is nan')
+    assert summary['dropped'] == 2
+    assert summary['frames'] == FRAMES
+    # Without them the map is that of a recording in which they are missing.
+    left = [m for m in messages if m[1] != SCAN_TOPIC or m[0] - 1 not in (STAMPS[30], STAMPS[40])]
+    run(write_bag(tmp_path / 'missing', left), tmp_path / 'other')
+    assert bytes_of(tmp_path / 'out') == bytes_of(tmp_path / 'other')
+    assert bytes_of(tmp_path / 'out') != bytes_of(aligned)
+
+
+def test_of_several_topics_one_has_to_be_chosen(
+    messages: list[Recorded], aligned: Path, tmp_path: Path
+) -> None:
+    both = []
+    for message in messages:
+        both.append(message)
+        if message[1] == SCAN_TOPIC:  # another laser, that looks at a wall
+            wall = dataclasses.replace(scan(0), stamp_ns=message[0] - 1)
+            both.append((message[0], '/rear/scan', 'scan', scan_message(wall)))
+    bag = write_bag(tmp_path / 'bag', both)
+    with pytest.raises(UnusableInput, match=r'2 topics with scans: .* --scan-topic /rear/scan or'):
+        run(bag, tmp_path / 'out')
+    run(bag, tmp_path / 'out', scan_topic='scan')
+    assert bytes_of(tmp_path / 'out') == bytes_of(aligned)
+    run(bag, tmp_path / 'rear', scan_topic='/rear/scan')
+    assert bytes_of(tmp_path / 'rear') != bytes_of(aligned)
+
+
+def test_the_command_reads_scans_where_they_are_aligned(
+    bag: Path, aligned: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ['replay', str(bag), *WORDS, *ALIGN, '--scan-topic', 'scan']
+    assert main([*arguments, '--out', str(tmp_path), '--quiet']) == 0
+    assert bytes_of(tmp_path) == bytes_of(aligned)
+    out, err = capfd.readouterr()
+    assert out == ''
+    assert 'warning' not in err
+
+
+@pytest.mark.parametrize(('extra', 'told'), [
+    (['--scan-topic', '/scan'], 'leave out --scan-topic'),
+    ([*ALIGN, '--scan-topic', '/nowhere'], '--scan-topic /scan'),
+    ([*ALIGN, '--scan-topic', ODOM_TOPIC], 'is of type nav_msgs/msg/Odometry'),
+], ids=['unused', 'nowhere', 'odometry'])  # fmt: skip
+def test_a_wrong_scan_topic_is_told_in_one_line(
+    bag: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], extra: list[str], told: str
+) -> None:
+    out = tmp_path / 'out'
+    assert main(['replay', str(bag), *WORDS, *extra, '--out', str(out)]) == 2
+    line, = capfd.readouterr().err.splitlines()
+    assert told in line
+    assert not out.exists()
+
+
+def test_most_scans_unusable_is_told_as_much_lost(
+    messages: list[Recorded], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    broken = scan_message(scan(0))
+    broken.range_max = 0.0
+    bag = write_bag(tmp_path / 'bag', spoiled(messages, dict.fromkeys(range(FRAMES), broken)))
+    out = tmp_path / 'out'
+    assert main(['replay', str(bag), *WORDS, *ALIGN, '--out', str(out), '--quiet']) == 0
+    err = capfd.readouterr().err.splitlines()
+    first, second = (line for line in err if line.startswith('warning'))
+    assert first.startswith(f'warning: {FRAMES} scan messages were not used, the first: range_min')
+    assert f'{FRAMES} dropped' in second
+    assert json.loads((out / 'summary.json').read_text())['dropped'] == FRAMES
+
+
+# What is usable
+
+
+def test_ranges_outside_of_what_the_laser_sees_are_nothing() -> None:
+    given = [0.1, 1.0, 9.0, math.inf, math.nan, -math.inf]
+    found = checked_scan(5, -1.0, 0.4, 0.5, 8.0, given)
+    assert (found.stamp_ns, found.angle_min_rad, found.angle_increment_rad) == (5, -1.0, 0.4)
+    assert found.ranges_m.tolist() == [math.inf, 1.0, math.inf, math.inf, math.inf, 0.5]
+    assert checked_scan(0, 0.0, 0.0, 0.0, 8.0, [-math.inf]).ranges_m.tolist() == [0.01]
+
+
+@pytest.mark.parametrize(('numbers', 'ranges', 'told'), [
+    ((0.0, 0.1, 0.0, 8.0), [], '0 beams'),
+    ((0.0, 0.0, 0.0, 8.0), np.ones(100_001), '100001 beams'),
+    ((math.nan, 0.1, 0.0, 8.0), [1.0, 1.0], 'angle_min is nan'),
+    ((0.0, math.inf, 0.0, 8.0), [1.0, 1.0], 'angle_increment inf'),
+    ((0.0, 0.0, 0.0, 8.0), [1.0, 1.0], 'at most one turn'),
+    ((0.0, 1.0, 0.0, 8.0), np.ones(9), 'at most one turn'),
+    ((0.0, 0.1, 8.0, 8.0), [1.0, 1.0], 'some range'),
+    ((0.0, 0.1, -1.0, 8.0), [1.0, 1.0], 'some range'),
+    ((0.0, 0.1, math.nan, 8.0), [1.0, 1.0], 'some range'),
+])  # fmt: skip
+def test_a_scan_in_which_nothing_can_be_seen_is_refused(
+    numbers: tuple[float, float, float, float], ranges: Any, told: str
+) -> None:
+    with pytest.raises(UnusableScan, match=told):
+        checked_scan(0, *numbers, ranges)

@@ -1,0 +1,129 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""ratslam simulate, and the parameters of a simulated robot."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ratslam_ros.cli import main
+from ratslam_ros.errors import UnusableInput, UnusableParameter
+from ratslam_ros.recordings import open_recording
+from ratslam_ros.results.evaluation import read_tum
+from ratslam_ros.simulator.config import (
+    SimulatorParameters,
+    make_simulator,
+    obstacles_of,
+    start_of,
+)
+from ratslam_ros.simulator.floor_plan import load_floor_plan, office
+from ratslam_ros.simulator.robot import Pose
+from ratslam_ros.simulator.simulation import Happening
+
+RUN = ('simulate', '--plan', 'office', '--explore', '0.5', '--quiet')
+
+
+def test_a_short_run_writes_everything(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, record = tmp_path / 'out', tmp_path / 'recording'
+    assert main([*RUN, '--goals', 'E,C', '--out', str(out), '--record', str(record)]) == 0
+    told = capsys.readouterr().out
+    assert told.startswith('explored for 0.5 minutes')
+    assert 'of 2 goals reached' in told
+    pictures = [line for line in told.splitlines() if line.endswith('.png')]
+    assert all(Path(name).stat().st_size > 1000 for name in pictures)
+    assert {Path(name).name for name in pictures} >= {'floor.png', 'map.png', 'matches.png'}
+    first, second = csv.DictReader((out / 'trials.csv').open())
+    assert (first['goal'], second['goal']) == ('E', 'C')
+    assert second['outcome'] == 'refused'  # it has not been there
+    assert second['succeeded'] == 'False'
+    truth = read_tum(out / 'truth.tum')
+    summary = json.loads((out / 'summary.json').read_text())
+    assert summary['odometry'] == len(truth)
+    assert summary['simulator']['plan'] == 'office'
+    assert json.loads((out / 'map.json').read_text())['experiences']
+    with open_recording(record) as recording:
+        selection = recording.select(None, None)
+    assert (selection.image_topic, selection.odom_topic) == ('/camera/image/compressed', '/odom')
+    assert 'name: /scan' in (record / 'metadata.yaml').read_text()
+    assert (record / 'truth.tum').read_text() == (out / 'truth.tum').read_text()
+
+
+def test_the_same_seed_makes_the_same_map_and_goals_by_lot(tmp_path: Path) -> None:
+    words = [*RUN, '--random-goals', '1', '--noise', '2', '--people', '2', '--seed', '3']
+    found = []
+    for name in ('first', 'second'):
+        assert main([*words, '--out', str(tmp_path / name)]) == 0
+        files = (tmp_path / name / file for file in ('map.json', 'trials.csv'))
+        found.append([file.read_text() for file in files])
+    assert found[0] == found[1]
+    assert 'place_1' in found[0][1]
+
+
+@pytest.mark.parametrize(
+    ('words', 'told'),
+    [
+        (['--goals', 'E,Nowhere'], 'Nowhere'), (['--plan', 'mars'], 'mars'),
+        (['--start', 'Q'], "'Q'"), (['--explore', '-1'], '--explore'),
+        (['--obstacle', 'box,1,2'], 'box,1,2'), (['--noise', '-1'], 'noise'),
+        (['--set', 'goal_follower.speed=1'], 'speed'), (['--start', '0,0,0'], 'does not fit'),
+        (['--goals', 'A', '--random-goals', '2'], 'not allowed'),
+    ],
+)  # fmt: skip
+def test_wrong_words_are_told_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], told: str
+) -> None:
+    assert main([*RUN, *words, '--out', str(tmp_path / 'out')]) == 2
+    error = capsys.readouterr().err.strip().splitlines()[-1]
+    assert told in error
+
+
+def test_a_start_is_a_place_or_a_pose() -> None:
+    plan = office()
+    assert start_of('A', plan) == Pose(*plan.places['A'], 0.0)
+    assert start_of('any', load_floor_plan('obstacle_loop')).x_m == pytest.approx(1.26)
+    x_m, y_m = next(iter(plan.places.values()))
+    assert start_of('any', plan) == Pose(x_m, y_m, 0.0)
+    assert start_of('1.5,2,90', plan) == Pose(1.5, 2.0, math.pi / 2)
+    for wrong in ('', '1,2', 'nan,1,2', 'a,b,c', '1,2,3,4'):
+        with pytest.raises(UnusableInput, match='start'):
+            start_of(wrong, plan)
+
+
+def test_obstacles_come_and_go() -> None:
+    assert obstacles_of('none') == []
+    assert obstacles_of('a,1,2,3,4,5,6;b,1,2,3,4,5') == [
+        Happening(5.0, 'put', 'a', 1.0, 2.0, 3.0, 4.0), Happening(6.0, 'take', 'a'),
+        Happening(5.0, 'put', 'b', 1.0, 2.0, 3.0, 4.0),
+    ]  # fmt: skip
+    for wrong in ('', 'a', 'a,1,2,3,4', ',1,2,3,4,5', 'a,1,2,3,4,inf', 'a,1,2,3,4,6,5', 'a;b'):
+        with pytest.raises(UnusableInput, match='obstacle'):
+            obstacles_of(wrong)
+
+
+@given(st.text(max_size=20))
+def test_whatever_is_typed_is_understood_or_refused(text: str) -> None:
+    for read in (obstacles_of, lambda typed: start_of(typed, office())):
+        try:
+            read(text)
+        except UnusableInput as error:
+            assert '\n' not in str(error)
+
+
+def test_noise_is_that_of_all_sensors() -> None:
+    twice, once = SimulatorParameters(noise=2.0).options(), SimulatorParameters().options()
+    assert twice.laser is not None and once.laser is not None
+    assert twice.camera is not None and once.camera is not None
+    assert twice.laser.noise_m == 2.0 * once.laser.noise_m
+    assert twice.camera.noise_grey == 2.0 * once.camera.noise_grey
+    assert twice.robot.slip_m == 2.0 * once.robot.slip_m
+    with pytest.raises(UnusableParameter, match='camera'):
+        make_simulator(SimulatorParameters(plan='office', camera_rate_hz=3))

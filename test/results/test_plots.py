@@ -1,0 +1,181 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Pictures: drawn without a display, the same bytes twice, clear refusals, bounded cost."""
+
+import json
+import math
+import subprocess
+import sys
+
+import cv2
+import numpy as np
+import pytest
+
+from ratslam_ros.errors import UnusableInput
+from ratslam_ros.results.evaluation import evaluate, read_tum
+from ratslam_ros.results.plots import (
+    MOST_POINTS,
+    _frames,
+    draw_all,
+    draw_map,
+    draw_matches,
+    plot_evaluation,
+)
+from ratslam_ros.results.writer import FRAMES_HEADER
+
+START_NS = 1_700_000_000_000_000_000
+VERMILLION_BGR = (0x00, 0x5E, 0xD5)
+GREEN_BGR = (0x73, 0x9E, 0x00)
+ELLIPSE_M = (10.0, 6.0)
+
+
+def write_results(folder, frames=400, per_lap=60, laps=3):
+    """Write what a run leaves behind after some laps of an ellipse."""
+    folder.mkdir(exist_ok=True)
+
+    def pose(lap):
+        angle = 2.0 * math.pi * lap
+        return (ELLIPSE_M[0] * math.cos(angle), ELLIPSE_M[1] * math.sin(angle),
+                angle + math.pi / 2)
+
+    experiences = [{'id': k, 'x_m': pose(k / per_lap)[0], 'y_m': pose(k / per_lap)[1]}
+                   for k in range(per_lap)]
+    links = [{'source_id': k, 'target_id': (k + 1) % per_lap} for k in range(per_lap)]
+    (folder / 'map.json').write_text(json.dumps({
+        'schema_version': 1, 'current_experience_id': 20, 'experiences': experiences,
+        'links': links}))
+
+    def write_tum(name, turn, shift):
+        c, s = math.cos(turn), math.sin(turn)
+        with (folder / name).open('w') as file:
+            for i in range(frames):
+                x, y, heading = pose(laps * i / frames)
+                x, y = c * x - s * y + shift, s * x + c * y
+                stamp_ns = START_NS + i * 10**8
+                file.write(f'{stamp_ns // 10**9}.{stamp_ns % 10**9:09d} {x!r} {y!r} 0 0 0 '
+                           f'{math.sin((heading + turn) / 2)!r} '
+                           f'{math.cos((heading + turn) / 2)!r}\n')
+
+    write_tum('trajectory.tum', 0.0, 0.0)
+    write_tum('trajectory_final.tum', 0.0, 0.0)
+    write_tum('dead_reckoning.tum', -1.0, 0.0)
+    write_tum('truth.tum', 2.0, 50.0)
+    with (folder / 'frames.csv').open('w') as file:
+        file.write('stamp_ns,template_id,is_new,match_error,relative_rad,experience_id\n')
+        for i in range(frames):
+            place = laps * per_lap * i // frames
+            new = place < per_lap and (i == 0 or place != laps * per_lap * (i - 1) // frames)
+            error = -1.0 if i == 0 else (0.06 if new else 0.02) + 0.01 * math.sin(i)
+            file.write(f'{START_NS + i * 10**8},{place % per_lap},{int(new)},{error!r},0.0,'
+                       f'{place % per_lap}\n')
+        file.write(f'{START_NS + frames * 10**8},-1,0,-1.0,0.0,{per_lap - 1}\n')
+    (folder / 'config.yaml').write_text('local_view:\n  vt_match_threshold: 0.045\n')
+    return folder
+
+
+def pixels(path, colour):
+    """Return how many pixels have exactly this colour (b, g, r)."""
+    return int(np.all(cv2.imread(str(path)) == colour, axis=2).sum())
+
+
+@pytest.fixture(scope='module')
+def folder(tmp_path_factory):
+    return write_results(tmp_path_factory.mktemp('results'))
+
+
+def test_all_pictures_are_drawn_and_drawn_alike(folder):
+    paths = draw_all(folder, folder / 'truth.tum')
+    assert [path.name for path in paths] == ['map.png', 'matches.png']
+    before = [path.read_bytes() for path in paths]
+    assert [path.read_bytes() for path in draw_all(folder, folder / 'truth.tum')] == before
+    assert all(b'atplotlib' not in png and b'tIME' not in png for png in before)
+
+
+def test_importing_is_cheap_and_needs_no_display():
+    code = ("import sys, ratslam_ros.results.plots; "
+            "assert not [m for m in sys.modules if m.startswith('matplotlib')]")
+    subprocess.run([sys.executable, '-c', code], check=True)
+
+
+def test_drawing_leaves_pyplot_alone(folder):
+    code = (f'import sys, ratslam_ros.results.plots as p; p.draw_all({str(folder)!r}); '
+            "assert 'matplotlib.pyplot' not in sys.modules")
+    subprocess.run([sys.executable, '-c', code], check=True)
+
+
+def test_loop_closures_are_marked_and_may_be_named(folder):
+    found = pixels(draw_map(folder), VERMILLION_BGR)
+    none = pixels(draw_map(folder, loop_closures=[]), VERMILLION_BGR)
+    many = pixels(draw_map(folder, loop_closures=[(k, k + 1) for k in range(59)]), VERMILLION_BGR)
+    assert none == 0
+    assert 0 < found < many
+
+
+def test_matches_show_what_is_new_and_the_threshold(folder):
+    plain = draw_matches(folder, None).read_bytes()
+    assert pixels(draw_matches(folder, 0.045), VERMILLION_BGR) > 100
+    assert draw_matches(folder, 0.045).read_bytes() != plain
+    draw_all(folder)
+    assert (folder / 'matches.png').read_bytes() == draw_matches(folder, 0.045).read_bytes()
+
+
+def test_counts_hold_however_much_is_thinned(folder):
+    counts = [0, 0]
+    rows = list(_frames(folder / 'frames.csv', counts))
+    assert counts == [340, 60]
+    assert rows[0] == (0.0, 0, 1, -1.0)
+    assert rows[-1] == (40.0, -1, 0, -1.0)
+
+
+def test_an_empty_run_still_gives_pictures(tmp_path):
+    (tmp_path / 'map.json').write_text(
+        '{"current_experience_id": -1, "experiences": [], "links": []}')
+    (tmp_path / 'frames.csv').write_text(FRAMES_HEADER)
+    assert all(path.stat().st_size > 1000 for path in draw_all(tmp_path))
+
+
+@pytest.mark.parametrize(('name', 'text', 'complaint'), [
+    ('map.json', '{', 'not a map'),
+    ('map.json', '[]', 'not a map'),
+    ('map.json', '{"current_experience_id": 0, "experiences": [], '
+                 '"links": [{"source_id": 0, "target_id": 1}]}', 'a link leads to'),
+    ('frames.csv', 'a,b\n', 'the first line has to name stamp_ns'),
+    ('frames.csv', f'{FRAMES_HEADER}1,2\n', 'line 2'),
+    ('frames.csv', f'{FRAMES_HEADER}1,2,0,x,0.0,3\n', 'line 2'),
+    ('frames.csv', f'{FRAMES_HEADER}1,2,7,0.1,0.0,3\n', 'line 2'),
+])
+def test_unusable_results_are_named_in_one_line(folder, tmp_path, name, text, complaint):
+    for file in ('map.json', 'frames.csv'):
+        (tmp_path / file).write_bytes((folder / file).read_bytes())
+    (tmp_path / name).write_text(text)
+    with pytest.raises(UnusableInput, match=complaint) as caught:
+        draw_all(tmp_path)
+    assert '\n' not in str(caught.value)
+
+
+def test_a_folder_without_results_says_what_to_give(tmp_path):
+    with pytest.raises(UnusableInput, match='the folder that ratslam replay wrote'):
+        draw_map(tmp_path)
+    with pytest.raises(UnusableInput, match='the folder that ratslam replay wrote'):
+        draw_matches(tmp_path)
+
+
+def test_truth_from_another_time_is_refused(folder):
+    truth = read_tum(folder / 'truth.tum')
+    late = type(truth)(truth.stamp_ns + 10**13, truth.position_m, truth.heading_rad, True)
+    with pytest.raises(UnusableInput, match='same clock'):
+        draw_map(folder, late)
+
+
+def test_two_thousand_frames_are_drawn(tmp_path):
+    folder = write_results(tmp_path / 'r', frames=2000)
+    assert all(path.stat().st_size > 0 for path in draw_all(folder, folder / 'truth.tum'))
+    assert MOST_POINTS <= 100_000
+
+
+def test_the_evaluation_is_drawn(folder, tmp_path):
+    result = evaluate(read_tum(folder / 'trajectory.tum'), read_tum(folder / 'truth.tum'))
+    first = plot_evaluation(result, tmp_path / 'a.png').read_bytes()
+    assert plot_evaluation(result, tmp_path / 'b.png').read_bytes() == first
+    with pytest.raises(UnusableInput, match='cannot be written'):
+        plot_evaluation(result, tmp_path / 'no' / 'a.png')

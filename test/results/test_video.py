@@ -1,0 +1,132 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The video: what is composed, what is written, what is refused."""
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+
+from ratslam_ros.errors import UnusableInput, UnusableParameter
+from ratslam_ros.results.video import VERMILLION, MapVideo, compose
+
+SIZE = (640, 360)
+CAMERA = np.full((120, 160, 3), (10, 200, 30), np.uint8)
+VIEW = np.arange(200, dtype=np.uint8).reshape(10, 20)
+NOWHERE = np.empty((0, 2))
+
+
+def one_cell(n_theta=36, n_y=11, n_x=21, at=(9, 5, 10)):
+    activity = np.zeros((n_theta, n_y, n_x))
+    activity[at] = 1.0
+    return activity
+
+
+def places(n=50):
+    angle = np.linspace(0.0, 5.0, n)
+    return np.column_stack((10.0 * np.cos(angle), 6.0 * np.sin(angle)))
+
+
+def middle_of(frame, colour):
+    """Return the mean (x, y) px of the pixels of exactly this colour."""
+    y, x = np.nonzero(np.all(frame == colour, axis=2))
+    return float(x.mean()), float(y.mean())
+
+
+def test_camera_view_cells_and_map_have_their_places():
+    frame = compose(SIZE, CAMERA, VIEW, one_cell(), places(), (0.0, 0.0, 0.0), 'a caption')
+    assert frame.shape == (360, 640, 3)
+    x, y = middle_of(frame, CAMERA[0, 0])
+    assert x < 200
+    assert y < 200
+    assert middle_of(frame, VERMILLION)[0] > 320
+
+
+def test_the_view_is_enlarged_without_smoothing():
+    view = np.array([[0, 77], [77, 0]], np.uint8)
+    frame = compose(SIZE, CAMERA, view, one_cell(), NOWHERE, None)
+    greys = np.unique(frame[60:150, 210:310].reshape(-1, 3), axis=0)
+    assert {tuple(grey) for grey in greys.tolist()} <= {(0, 0, 0), (77, 77, 77), (255, 255, 255)}
+
+
+def test_a_packet_further_left_and_up_is_drawn_so():
+    def brightest(at):
+        frame = compose(SIZE, CAMERA * 0, None, one_cell(at=at), NOWHERE, None)
+        return middle_of(frame, cv2.applyColorMap(np.uint8([[255]]), cv2.COLORMAP_VIRIDIS)[0, 0])
+
+    x, y = brightest((9, 5, 10))
+    left, up = brightest((9, 9, 3))
+    assert left < x - 20
+    assert up < y - 20
+
+
+def test_north_is_up_and_east_is_right():
+    corners = np.array([[-5.0, -5.0], [5.0, 5.0]])
+    here = compose(SIZE, CAMERA, None, one_cell(), corners, (0.0, 0.0, 0.0))
+    there = compose(SIZE, CAMERA, None, one_cell(), corners, (4.0, 3.0, math.pi / 2))
+    x, y = middle_of(here, VERMILLION)
+    right, up = middle_of(there, VERMILLION)
+    assert right > x + 20
+    assert up < y - 20
+
+
+@pytest.mark.parametrize('robot', [None, (0.0, 0.0, 0.0), (math.nan, 0.0, 0.0)])
+@pytest.mark.parametrize('known', [NOWHERE, np.zeros((1, 2)), places(), 1e9 * places()])
+@pytest.mark.parametrize('size', [(320, 180), (1280, 720)])
+def test_every_map_can_be_drawn(robot, known, size):
+    frame = compose(size, CAMERA[:, :, 0], None, np.zeros((4, 3, 5)), known, robot, 'π × 2')
+    assert frame.shape == (size[1], size[0], 3)
+
+
+def test_what_is_written_can_be_played(tmp_path):
+    path = tmp_path / 'run.mp4'
+    with MapVideo(path, 10.0, (641, 361)) as video:
+        for k in range(5):
+            video.write(CAMERA, VIEW, one_cell(), places(10 * k), (1.0, 2.0, 0.1 * k), f'{k}')
+    played = cv2.VideoCapture(str(path))
+    frames = 0
+    while True:
+        ok, frame = played.read()
+        if not ok:
+            break
+        frames += 1
+        assert frame.shape == (360, 640, 3)
+    assert frames == 5
+    assert played.get(cv2.CAP_PROP_FPS) == pytest.approx(10.0)
+
+
+@pytest.mark.parametrize(('name', 'complaint'), [
+    ('run.txt', 'is written to .mp4'),
+    ('run', 'is written to .mp4'),
+    ('no/run.mp4', 'there is no folder'),
+    ('folder.mp4', 'is a folder'),
+])
+def test_files_that_cannot_be_are_refused_in_one_line(tmp_path, name, complaint):
+    (tmp_path / 'folder.mp4').mkdir()
+    with pytest.raises(UnusableInput, match=complaint) as caught:
+        MapVideo(tmp_path / name)
+    assert '\n' not in str(caught.value)
+
+
+def test_a_writer_that_does_not_open_is_refused(tmp_path, monkeypatch):
+    class Closed:
+        fourcc = staticmethod(lambda *_: 0)
+
+        def __init__(self, *_):
+            pass
+
+        def isOpened(self):  # noqa: N802
+            return False
+
+    monkeypatch.setattr(cv2, 'VideoWriter', Closed)
+    with pytest.raises(UnusableInput, match='cannot be written'):
+        MapVideo(tmp_path / 'run.mp4')
+
+
+def test_sizes_and_rates_out_of_range_are_refused(tmp_path):
+    with pytest.raises(UnusableParameter, match='at least 320 x 180'):
+        MapVideo(tmp_path / 'run.mp4', 10.0, (100, 100))
+    for fps in (0.0, -1.0, math.nan, math.inf):
+        with pytest.raises(UnusableParameter, match='frame rate'):
+            MapVideo(tmp_path / 'run.mp4', fps)

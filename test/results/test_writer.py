@@ -1,0 +1,57 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Files of a run: where every pose was on the map, also where experiences were forgotten since."""
+
+from __future__ import annotations
+
+import random
+from pathlib import Path
+
+import pytest
+from helpers import seen
+
+from ratslam_ros.core.common.odometry import Motion
+from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.config import Config
+from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.pose_cells.pose_cells import PoseCells
+from ratslam_ros.core.ratslam import OdometryStep, ViewStep
+from ratslam_ros.results.writer import Results
+
+
+def poses_of(path: Path) -> list[list[float]]:
+    return [[float(word) for word in line.split()] for line in path.read_text().splitlines()]
+
+
+@pytest.mark.parametrize('limit', [0, 25])
+def test_where_nothing_is_relaxed_the_final_trajectory_is_the_first(
+    limit: int, tmp_path: Path
+) -> None:
+    """Each pose hangs on an experience; most of those have been forgotten by the end."""
+    config = Config().with_values({
+        'pose_cells.exp_max': limit, 'pose_cells.exp_delta_pc_threshold': 1.0,
+        'experience_map.exp_loops': 0,
+    })  # fmt: skip
+    pose_cells, graph = PoseCells(config.pose_cells), ExperienceMap(config.experience_map)
+    results, rng = Results(tmp_path), random.Random(1)
+    forgotten = 0
+    for n in range(300):
+        motion = Motion(0.5, rng.uniform(0.2, 1.5), rng.uniform(-0.6, 0.6))
+        pose_cells.integrate(motion)
+        graph.integrate(motion)
+        here = Pose(0.0, 0.0, 0.0)
+        results.add(OdometryStep(n, graph.pose, here, graph.current_id, graph.offset))
+        match = seen(rng.randrange(15))
+        action = pose_cells.view(match)
+        what = graph.apply(action).pruned
+        forgotten += what is not None
+        results.add(ViewStep(n, match, action, what))
+    results.finish(graph, config, {})
+    assert (forgotten > 100) == (limit > 0)
+    assert results.experiences == len(graph)
+    first, final = (poses_of(tmp_path / name) for name in (
+        'trajectory.tum', 'trajectory_final.tum'
+    ))  # fmt: skip
+    assert len(first) == 300
+    for a, b in zip(first, final, strict=True):
+        assert a == pytest.approx(b, abs=2e-9)

@@ -1,0 +1,774 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Check that a refactoring changed no result: run two versions and compare what they write.
+
+    python tools/same_results.py BASE [--quick] [--only NAME ...] [--tree DIR] [--cache DIR]
+
+BASE is a commit. The other version is the working tree, uncommitted changes included. Both are
+copied into the cache folder and run there by the commands and topics of the program only, because
+module names may change. Maps, trajectories, frames, configurations, memory files, payloads,
+parameters, topics, services and exit codes must be identical; wording and timings are ignored.
+
+The results of BASE are kept in the cache, so that later runs only run the working tree. The first
+run of a version compiles for about 20 s. The exit code is 0 if all cases agree, 1 if one does
+not, and 2 if the tool was used wrongly.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import contextlib
+import fcntl
+import hashlib
+import io
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tarfile
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGE = 'ratslam_ros'
+ENTRY = f'import sys; from {PACKAGE}.cli import main; sys.exit(main())'
+WORKERS = 2
+COMMAND_TIMEOUT_S = 300.0
+CONTEXT_CHARACTERS = 60
+KEPT_COUNT = 12
+"""Compiled versions and BASE commits that stay in the cache, the newest ones."""
+
+SAME, DIFFERENT, WRONG_USE = 0, 1, 2
+
+FAILURE = 'FAILURE'
+"""Name of the output that holds why a case could not be run."""
+
+TIMING_KEYS = {'wall_s', 'times_realtime', 'step_ms'}
+"""Keys of summary.json that depend on the speed of the machine."""
+
+EXACT_FILES = ('*.tum', 'frames.csv', 'map.json', 'trials.csv')
+"""Result files that are compared byte by byte."""
+
+
+class CaseError(Exception):
+    """A command of a case did not do what it must do in every version."""
+
+
+class UsageError(Exception):
+    """The arguments do not name something that can be compared."""
+
+
+# Versions of the program
+
+
+@dataclass(frozen=True)
+class Version:
+    """One version of the program, and where its outputs go.
+
+    ``inputs`` holds the recordings that BASE simulated; both versions replay these.
+    """
+
+    name: str
+    tree: Path
+    outputs: Path
+    inputs: Path
+    data: Path
+    compiled: Path
+
+    def environment(self) -> dict[str, str]:
+        """Return the environment that makes Python use this version."""
+        keep = {k: v for k, v in os.environ.items() if not k.startswith(('ROS_', 'RATSLAM_'))}
+        return {
+            **keep, 'PYTHONPATH': str(self.tree), 'NUMBA_CACHE_DIR': str(self.compiled),
+            'PYTHONUNBUFFERED': '1', 'PYTHONHASHSEED': '0',
+        }  # fmt: skip
+
+    def check_import(self) -> None:
+        """Raise UsageError unless Python imports the package from this version's folder."""
+        code = f'import {PACKAGE}; print({PACKAGE}.__file__)'
+        done = subprocess.run(
+            [sys.executable, '-c', code], env=self.environment(), cwd=self.outputs,
+            capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        if not done.stdout.startswith(str(self.tree)):
+            found = done.stdout.strip() or done.stderr.strip()
+            raise UsageError(f'{PACKAGE} was imported from {found}; expected {self.tree}')
+
+
+def git(*arguments: str, folder: Path) -> bytes:
+    """Return what a git command prints; raise UsageError if it fails."""
+    done = subprocess.run(['git', *arguments], cwd=folder, capture_output=True, check=False)
+    if done.returncode:
+        raise UsageError(f'git {" ".join(arguments)}: {done.stderr.decode().strip()}')
+    return done.stdout
+
+
+def extract_commit(commit: str, repository: Path, folder: Path) -> None:
+    """Write the files of a commit; their modification time is that of the commit."""
+    if folder.is_dir():
+        return
+    fresh = folder.with_name(f'{folder.name}.part')
+    shutil.rmtree(fresh, ignore_errors=True)
+    with tarfile.open(fileobj=io.BytesIO(git('archive', commit, folder=repository))) as archive:
+        archive.extractall(fresh, filter='data')
+    fresh.rename(folder)
+
+
+def copy_working_tree(tree: Path, folder: Path) -> None:
+    """Copy all files that git does not ignore; keep unchanged files, remove others.
+
+    Edits that are made while the cases run then have no effect.
+    """
+    listed = git('ls-files', '-z', '--cached', '--others', '--exclude-standard', folder=tree)
+    names = {name for name in listed.decode().split('\0') if name and (tree / name).is_file()}
+    for path in sorted(folder.rglob('*'), reverse=True):
+        if path.is_dir():
+            with contextlib.suppress(OSError):
+                path.rmdir()
+        elif path.relative_to(folder).as_posix() not in names:
+            path.unlink()
+    for name in sorted(names):
+        source, target = tree / name, folder / name
+        if target.is_file() and _stamp(source) == _stamp(target):
+            continue
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy2(source, target)
+
+
+def _stamp(path: Path) -> tuple[int, int]:
+    status = path.stat()
+    return status.st_mtime_ns, status.st_size
+
+
+def compiled_key(tree: Path) -> str:
+    """Return a hash of the code that compiled functions depend on.
+
+    Numba notices a change in the file of the function that it compiled, but not in the functions
+    and constants that this function uses. Therefore every key has a compilation cache of its own.
+    It covers all files that import numba or a module that does, and what these files import.
+    """
+    trees = {
+        path.relative_to(tree).with_suffix('').as_posix().replace('/', '.'): _code(path)
+        for path in sorted((tree / PACKAGE).rglob('*.py'))
+    }
+    imports = {name: _imports(code) for name, code in trees.items()}
+    direct = {name for name, found in imports.items() if 'numba' in found}
+    wanted = {name for name, found in imports.items() if found & direct} | direct
+    waiting = list(wanted)
+    while waiting:
+        more = (imports[waiting.pop()] & trees.keys()) - wanted
+        wanted |= more
+        waiting += more
+    text = '\n'.join(f'{name} {ast.dump(trees[name])}' for name in sorted(wanted))
+    return _hash(text.encode())
+
+
+def _code(path: Path) -> ast.Module:
+    """Return the syntax tree of a file without docstrings."""
+    module = ast.parse(path.read_text(encoding='utf-8'))
+    for node in ast.walk(module):
+        body = getattr(node, 'body', None)
+        if isinstance(body, list):
+            node.body = [item for item in body if not _is_text(item)]  # type: ignore[attr-defined]
+    return module
+
+
+def _is_text(node: ast.AST) -> bool:
+    return (
+        isinstance(node, ast.Expr)
+        and isinstance(node.value, ast.Constant)
+        and isinstance(node.value.value, str)
+    )
+
+
+def _imports(module: ast.Module) -> set[str]:
+    """Return the modules that a file may import: of `from a import b`, both a and a.b."""
+    found: set[str] = set()
+    for node in ast.walk(module):
+        if isinstance(node, ast.Import):
+            found |= {item.name for item in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            found |= {node.module, *(f'{node.module}.{item.name}' for item in node.names)}
+    return found
+
+
+def _hash(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()[:16]
+
+
+def forget_old(folder: Path, kept: Sequence[Path] = ()) -> None:
+    """Remove all but the most recently used entries of a cache folder."""
+    entries = sorted(folder.iterdir(), key=lambda path: path.stat().st_mtime, reverse=True)
+    for path in entries[KEPT_COUNT:]:
+        if path not in kept:
+            shutil.rmtree(path, ignore_errors=True)
+
+
+# Running one case
+
+
+class Run:
+    """One case in one version: runs its commands and keeps its outputs."""
+
+    def __init__(self, version: Version, name: str, temporary: Path) -> None:
+        self.version = version
+        self.folder = version.outputs / name
+        self.work = temporary
+        self.kept: list[str] = []
+
+    def input(self, name: str) -> Path:
+        """Return the recording that a case of BASE made."""
+        return self.version.inputs / name
+
+    def data(self, name: str) -> Path:
+        """Return a real recording."""
+        return self.version.data / name
+
+    def command(self, *arguments: str | Path) -> subprocess.CompletedProcess[str]:
+        """Run a command to its end, whatever its exit code."""
+        words = [str(argument) for argument in arguments]
+        try:
+            return subprocess.run(
+                [sys.executable, '-c', ENTRY, *words], env=self.version.environment(),
+                cwd=self.work, capture_output=True, text=True, stdin=subprocess.DEVNULL,
+                timeout=COMMAND_TIMEOUT_S, check=False,
+            )  # fmt: skip
+        except subprocess.TimeoutExpired:
+            raise CaseError(
+                f'ratslam {" ".join(words)}: not finished after {COMMAND_TIMEOUT_S:.0f} s'
+            ) from None
+
+    def ratslam(self, *arguments: str | Path) -> str:
+        """Run a command that must succeed; return what it prints."""
+        done = self.command(*arguments)
+        if done.returncode:
+            raise CaseError(
+                f'ratslam {" ".join(map(str, arguments))}: exit code {done.returncode}\n'
+                f'{done.stderr.strip()[-2000:]}'
+            )
+        return done.stdout
+
+    def keep(self, name: str, text: str) -> None:
+        """Keep an output for comparison."""
+        path = self.folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding='utf-8')
+        self.kept.append(name)
+
+    def keep_results(self, folder: Path, into: str = '') -> None:
+        """Keep the files of a results folder, without comments and timings."""
+        prefix = f'{into}/' if into else ''
+        for pattern in EXACT_FILES:
+            for path in sorted(folder.glob(pattern)):
+                self.keep(prefix + path.name, path.read_text(encoding='utf-8'))
+        for path in sorted(folder.glob('*.yaml')):
+            self.keep(prefix + path.name, without_comments(path.read_text(encoding='utf-8')))
+        for path in sorted(folder.glob('*.json')):
+            if path.name != 'map.json':
+                values = without_timings(json.loads(path.read_text(encoding='utf-8')))
+                self.keep(prefix + path.name, json.dumps(values, indent=1))
+
+    def replay(self, recording: Path, *arguments: str | Path, into: str = '') -> None:
+        """Replay a recording and keep its results."""
+        folder = self.work / f'replay-{into}'
+        self.ratslam('replay', recording, '--quiet', '--out', folder, *arguments)
+        for name in ('map.json', 'frames.csv', 'trajectory_final.tum', 'config.yaml'):
+            if not (folder / name).is_file():
+                raise CaseError(f'replay wrote no {name}')
+        self.keep_results(folder, into)
+
+
+def without_comments(text: str) -> str:
+    """Return a YAML text without comments and empty lines; values and order stay."""
+    lines = (re.sub(r'(^|\s)#.*$', '', line).rstrip() for line in text.splitlines())
+    return '\n'.join(line for line in lines if line) + '\n'
+
+
+def without_timings(value: Any) -> Any:
+    """Return a JSON value without the keys that depend on the speed of the machine."""
+    if isinstance(value, dict):
+        return {k: without_timings(v) for k, v in value.items() if k not in TIMING_KEYS}
+    if isinstance(value, list):
+        return [without_timings(item) for item in value]
+    return value
+
+
+def describe_recording(folder: Path) -> str:
+    """Return a line for every topic of a rosbag2 folder: type, number and hash of messages."""
+    from rosbags.rosbag2 import Reader
+
+    topics: dict[str, Any] = {}
+    with Reader(folder) as reader:
+        for connection, stamp_ns, data in reader.messages():
+            entry = topics.setdefault(connection.topic, [connection.msgtype, 0, hashlib.sha256()])
+            entry[1] += 1
+            entry[2].update(stamp_ns.to_bytes(8, 'little', signed=True))
+            entry[2].update(data)
+    if not topics:
+        raise CaseError(f'{folder.name} has no messages')
+    return ''.join(
+        f'{topic} {kind} {count} {digest.hexdigest()}\n'
+        for topic, (kind, count, digest) in sorted(topics.items())
+    )
+
+
+def describe_memory(path: Path) -> str:
+    """Return a saved memory as text: its JSON content, and type, shape and hash of its arrays."""
+    lines = []
+    with np.load(path, allow_pickle=False) as archive:
+        for name in archive.files:
+            array = archive[name]
+            if array.ndim == 0 and array.dtype.kind == 'U':
+                lines.append(f'{name} {json.dumps(json.loads(str(array)), indent=1)}')
+            else:
+                digest = hashlib.sha256(np.ascontiguousarray(array).tobytes()).hexdigest()
+                lines.append(f'{name} {array.dtype} {array.shape} {digest}')
+    return '\n'.join(lines) + '\n'
+
+
+# The cases
+
+
+@dataclass(frozen=True)
+class Case:
+    """Commands that both versions run.
+
+    ``makes`` is the recording that other cases replay; ``needs`` a real recording.
+    """
+
+    name: str
+    run: Callable[[Run], None]
+    quick: bool = False
+    makes: str = ''
+    needs: str = ''
+
+
+FLOOR, DEMO = 'floor', 'demo'
+FLOOR_TOPICS = ('--scan-topic', '/scan')
+
+
+def setting(text: str) -> tuple[str, str]:
+    """Return the arguments that set one parameter."""
+    return '--set', text
+
+
+def replayed(recording: str, *arguments: str) -> Callable[[Run], None]:
+    """Return a case that replays a recording of BASE."""
+    return lambda run: run.replay(run.input(recording), *arguments)
+
+
+def replayed_data(name: str, *arguments: str) -> Callable[[Run], None]:
+    """Return a case that replays a real recording."""
+    return lambda run: run.replay(run.data(name), *arguments)
+
+
+def simulated(recording: str, *arguments: str) -> Callable[[Run], None]:
+    """Return a case that simulates a robot; a recording becomes an input of other cases."""
+
+    def run_case(run: Run) -> None:
+        folder, recorded = run.work / 'out', run.work / (recording or 'recording')
+        run.ratslam('simulate', '--quiet', '--out', folder, '--record', recorded, *arguments)
+        run.keep_results(folder)
+        keep_recording(run, recorded, recording)
+
+    return run_case
+
+
+def keep_recording(run: Run, folder: Path, name: str) -> None:
+    """Keep a description of a recording, and in BASE the recording itself if it has a name."""
+    run.keep('recording.txt', describe_recording(folder))
+    if name and run.version.name == 'BASE':
+        target = run.version.inputs / name
+        shutil.rmtree(target, ignore_errors=True)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copytree(folder, target)
+
+
+def demo(run: Run) -> None:
+    """Run the demo."""
+    folder = run.work / 'demo'
+    run.ratslam('demo', '--quiet', '--out', folder)
+    run.keep_results(folder)
+    keep_recording(run, folder / 'recording', DEMO)
+    truth = folder / 'recording' / 'truth.tum'
+    for name in ('trajectory', 'trajectory_final', 'dead_reckoning'):
+        for align in ('se2', 'sim2', 'none'):
+            text = run.ratslam(
+                'evaluate', folder / f'{name}.tum', truth, '--json', '--align', align,
+                '--plot', run.work / 'errors.png',
+            )  # fmt: skip
+            run.keep(f'errors-{name}-{align}.json', text)
+
+
+def exp_max(run: Run) -> None:
+    """Replay with a limit to the number of experiences that is certainly reached."""
+    recording, limit = run.input(FLOOR), 100
+    run.replay(recording, '--config', 'navigation', *setting(f'pose_cells.exp_max={limit}'))
+    made = {
+        line.rsplit(',', 1)[-1]
+        for line in (run.folder / 'frames.csv').read_text().splitlines()[1:]
+    }
+    if len(made - {'-1'}) < limit:
+        raise CaseError(f'{len(made)} experiences were visited; expected at least {limit}')
+
+
+INI = """[local_view]
+vt_match_threshold=0.05
+template_x_size=20
+template_y_size=10
+[pose_cells]
+pc_dim_xy=31
+pc_vt_inject_energy=0.2
+[experience_map]
+exp_loops=7
+exp_initial_em_deg=140
+[draw]
+enable=1
+"""
+
+
+def ini(run: Run) -> None:
+    """Replay with a partial configuration of OpenRatSLAM."""
+    path = run.work / 'robot.ini'
+    path.write_text(INI, encoding='utf-8')
+    run.replay(run.input(FLOOR), '--config', path)
+
+
+def exit_codes(run: Run) -> None:
+    """Compare the exit codes of right and wrong uses."""
+    recording = str(run.input(FLOOR))
+    missing = str(run.work / 'missing')
+    right = [
+        ('--version',), ('--help',), ('info', recording),
+    ]  # fmt: skip
+    wrong = [
+        (), ('no_such_command',), ('info', missing), ('replay', missing), ('play', missing),
+        ('replay', recording, '--config', 'no_such_preset'),
+        ('replay', recording, '--set', 'local_view.vt_match_threshold=2000'),
+        ('replay', recording, '--set', 'local_view.no_such_parameter=1'),
+        ('replay', recording, '--set', 'local_view.template_x_size=many'),
+        ('replay', recording, '--image-topic', '/no_such_topic'),
+        ('replay', recording, '--start', '-5'),
+        ('evaluate', missing, missing), ('plot', missing),
+        ('simulate', '--plan', 'no_such_plan'), ('simulate', '--goals', 'no_such_place'),
+        ('simulate', '--obstacle', 'box'), ('simulate', '--explore', 'nan'),
+        ('demo', '--seed', '-1'),
+        ('run', 'no_such_node'), ('run', 'pose_cells', '--ros-args', '-p', 'pc_dim_th:=-3'),
+        ('call', 'a_service', 'no_such/srv/Type'), ('echo', 'a_topic', 'no_such/msg/Type'),
+    ]  # fmt: skip
+    codes = []
+    for expected, uses in ((True, right), (False, wrong)):
+        for use in uses:
+            code = run.command(*use).returncode
+            words = ' '.join(use).replace(recording, 'RECORDING').replace(missing, 'MISSING')
+            codes.append(f'{code} ratslam {words}')
+            if (code == 0) is not expected:
+                run.keep('exit_codes.txt', '\n'.join(codes) + '\n')
+                raise CaseError(f'ratslam {words}: exit code {code}')
+    run.keep('exit_codes.txt', '\n'.join(codes) + '\n')
+
+
+COMMANDS = (
+    'info', 'replay', 'demo', 'simulate', 'evaluate', 'plot', 'tune', 'run', 'launch', 'play',
+    'call', 'echo',
+)  # fmt: skip
+
+
+def options(run: Run) -> None:
+    """Compare the options of all commands, and the configuration files."""
+    for command in COMMANDS:
+        text = run.ratslam(command, '--help')
+        found = re.findall(r'^\s+(?:-\w(?: \S+)?, )?(--[a-z-]+)', text, re.MULTILINE)
+        run.keep(f'options-{command}.txt', '\n'.join(found) + '\n')
+    for path in sorted((run.version.tree / 'config').glob('*.yaml')):
+        run.keep(f'config/{path.name}', without_comments(path.read_text(encoding='utf-8')))
+
+
+FLOOR_SCENE = ('--plan', 'obstacle_loop', '--explore', '0.7', '--goals', 'X,G', '--seed', '3')
+SPAN = ('--duration', '60')
+PRESETS = {
+    # The crops of these presets are for larger images than those of the simulated camera.
+    'irat': ('local_view.image_crop_y_max=40',),
+    'stlucia': (
+        'local_view.image_crop_x_min=5', 'local_view.image_crop_x_max=75',
+        'local_view.image_crop_y_min=15', 'local_view.image_crop_y_max=40',
+    ),
+    'newcollege': (),
+    'corridor': (),
+    'lecture_hall': (),
+    'default': (),
+}  # fmt: skip
+NAVIGATION = ('--config', 'navigation')
+
+
+def all_cases() -> list[Case]:
+    """Return the cases; those that make recordings come first."""
+    cases = [
+        Case('goals', simulated(FLOOR, *FLOOR_SCENE), quick=True, makes=FLOOR),
+        Case('demo', demo, makes=DEMO),
+        Case('exit_codes', exit_codes, quick=True),
+        Case('options', options, quick=True),
+        Case('scans', replayed(FLOOR, *NAVIGATION, *FLOOR_TOPICS), quick=True),
+        Case('pruning', exp_max, quick=True),
+        Case('sweep', replayed(
+            FLOOR, *NAVIGATION, *setting('experience_map.exp_relaxation=sweep')), quick=True),
+        Case('preset_pioneer', replayed(FLOOR, '--config', 'pioneer'), quick=True),
+        Case('default_values', replayed(FLOOR), quick=True),
+        Case('ini', ini),
+        Case('goal_memory', replayed(
+            FLOOR, *NAVIGATION, *setting('goal_memory.goal_memory=true')), quick=True),
+        Case('visual_odometry', replayed(FLOOR, '--visual-odometry', *SPAN)),
+    ]  # fmt: skip
+    for name, values in PRESETS.items():
+        words = [word for value in values for word in setting(value)]
+        cases.append(Case(f'preset_{name}', replayed(FLOOR, '--config', name, *SPAN, *words)))
+    for name, folder in (('rc_car', 'rc_car_loops'), ('donkeycar', 'donkeycar_track')):
+        run = replayed_data(folder, '--config', name, '--duration', '45')
+        cases.append(Case(f'preset_{name}', run, needs=folder))
+    return cases
+
+
+# Comparing
+
+
+def first_difference(base: Path, tree: Path) -> str | None:
+    """Return where the outputs of a case differ first, None if they are equal."""
+    outputs = [_outputs(folder) for folder in (base, tree)]
+    for side, files in zip(('BASE', 'the working tree'), outputs, strict=True):
+        if FAILURE in files:
+            return f'failed in {side}: {files[FAILURE].read_text(encoding="utf-8")}'
+        if not files:
+            return f'there is nothing to compare: no output of {side}'
+    for name in sorted(outputs[0].keys() | outputs[1].keys()):
+        if name not in outputs[1]:
+            return f'{name}: only in BASE'
+        if name not in outputs[0]:
+            return f'{name}: only in the working tree'
+        texts = [files[name].read_bytes() for files in outputs]
+        if hashlib.sha256(texts[0]).digest() != hashlib.sha256(texts[1]).digest():
+            return f'{name}, {_first_line(*(text.decode("utf-8") for text in texts))}'
+    return None
+
+
+def _outputs(folder: Path) -> dict[str, Path]:
+    return {
+        path.relative_to(folder).as_posix(): path
+        for path in folder.rglob('*') if path.is_file()
+    }  # fmt: skip
+
+
+def _first_line(base: str, tree: str) -> str:
+    lines = base.split('\n'), tree.split('\n')
+    number = next(
+        (i for i, (a, b) in enumerate(zip(*lines, strict=False)) if a != b),
+        min(map(len, lines)) - 1,
+    )
+    if lines[0][number] == lines[1][number]:
+        return f'{len(lines[0])} and {len(lines[1])} lines, equal up to the end of the shorter one'
+    a, b = lines[0][number], lines[1][number]
+    column = next(
+        (i for i, (x, y) in enumerate(zip(a, b, strict=False)) if x != y), min(len(a), len(b))
+    )
+    begin = max(0, column - CONTEXT_CHARACTERS)
+    end = column + CONTEXT_CHARACTERS
+    return (
+        f'line {number + 1}, column {column + 1}\n    BASE  {a[begin:end]}\n'
+        f'    tree  {b[begin:end]}'
+    )
+
+
+# The whole run
+
+
+@dataclass
+class Comparison:
+    """Runs the cases of both versions, two at a time, and reports each as soon as it is known."""
+
+    base: Version
+    tree: Version
+    cases: Sequence[Case]
+    different: list[str] = field(default_factory=list)
+    _printing: threading.Lock = field(default_factory=threading.Lock)
+
+    def run(self) -> None:
+        """Run all cases.
+
+        The first case of each version runs alone, because it compiles the inner loops. Cases that
+        make recordings come before those that use them.
+        """
+        versions = self.base, self.tree
+        makers = [case for case in self.cases if case.makes]
+        others = [case for case in self.cases if not case.makes]
+        with ThreadPoolExecutor(WORKERS) as pool:
+            wait_all([pool.submit(self._run_side, version_, makers[0]) for version_ in versions])
+            self._report(makers[0])
+            for version_ in versions:
+                wait_all([pool.submit(self._run_side, version_, case) for case in makers[1:]])
+            for case in makers[1:]:
+                self._report(case)
+            wait_all([pool.submit(self._run_both, case) for case in others])
+
+    def _run_both(self, case: Case) -> None:
+        self._run_side(self.base, case)
+        self._run_side(self.tree, case)
+        self._report(case)
+
+    def _run_side(self, version: Version, case: Case) -> None:
+        """Run a case in one version, unless BASE has its outputs already."""
+        folder = version.outputs / case.name
+        done = version.outputs / f'{case.name}.done'
+        if done.exists():
+            return
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir(parents=True)
+        with tempfile.TemporaryDirectory(prefix='same_results-') as temporary:
+            run = Run(version, case.name, Path(temporary))
+            try:
+                case.run(run)
+            except CaseError as error:
+                run.keep(FAILURE, str(error))
+                return
+        if version.name == 'BASE':
+            done.touch()
+
+    def _report(self, case: Case) -> None:
+        folders = [version.outputs / case.name for version in (self.base, self.tree)]
+        difference = first_difference(folders[0], folders[1])
+        count = len(_outputs(folders[1]))
+        with self._printing:
+            if difference is None:
+                print(f'ok         {case.name}: {count} outputs', flush=True)
+            else:
+                self.different.append(case.name)
+                print(f'DIFFERENT  {case.name}: {difference}', flush=True)
+
+
+def wait_all(futures: Sequence[Future[None]]) -> None:
+    """Wait for all; raise the first error."""
+    for future in futures:
+        future.result()
+
+
+@contextlib.contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """Hold a lock between processes."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open('w') as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
+
+
+def tool_key(data: Path) -> str:
+    """Return a hash of all that the results depend on beside the program."""
+    parts = [Path(__file__).read_text(encoding='utf-8'), sys.version]
+    for name in ('numpy', 'scipy', 'numba', 'opencv-python-headless', 'rosbags'):
+        with contextlib.suppress(PackageNotFoundError):
+            parts.append(f'{name} {version(name)}')
+    parts += [f'{path.name} {path.stat().st_size}' for path in sorted(data.glob('*/*.mcap'))]
+    return _hash('\n'.join(parts).encode())
+
+
+def prepare(commit: str, tree: Path, cache: Path, data: Path) -> tuple[Version, Version]:
+    """Copy both versions into the cache."""
+    base_folder = cache / 'base' / commit[:16]
+    base_folder.mkdir(parents=True, exist_ok=True)
+    extract_commit(commit, tree, base_folder / 'tree')
+    results = base_folder / f'results-{tool_key(data)}'
+    tree_folder = cache / 'trees' / _hash(str(tree).encode())
+    (tree_folder / 'tree').mkdir(parents=True, exist_ok=True)
+    copy_working_tree(tree, tree_folder / 'tree')
+    shutil.rmtree(tree_folder / 'outputs', ignore_errors=True)
+    versions = []
+    for name, folder, outputs in (
+        ('BASE', base_folder, results / 'outputs'), ('tree', tree_folder, tree_folder / 'outputs')
+    ):
+        compiled = cache / 'compiled' / compiled_key(folder / 'tree')
+        for path in (compiled, outputs):
+            path.mkdir(parents=True, exist_ok=True)
+        os.utime(compiled)
+        version_ = Version(
+            name, folder / 'tree', outputs, results / 'inputs', data, compiled
+        )
+        version_.check_import()
+        versions.append(version_)
+    os.utime(base_folder)
+    forget_old(cache / 'compiled', [v.compiled for v in versions])
+    forget_old(cache / 'base', [base_folder])
+    return versions[0], versions[1]
+
+
+def chosen(only: Sequence[str], quick: bool, data: Path) -> list[Case]:
+    """Return the cases to run, with those that make the recordings for them."""
+    cases = all_cases()
+    names = [case.name for case in cases]
+    unknown = [name for name in only if name not in names]
+    if unknown:
+        raise UsageError(f'there is no case {", ".join(unknown)}; expected {", ".join(names)}')
+    found = []
+    for case in cases:
+        if case.needs and not (data / case.needs).is_dir():
+            print(f'skipped    {case.name}: there is no {data / case.needs}')
+        elif case.name in only or case.makes == FLOOR or (not only and (case.quick or not quick)):
+            found.append(case)
+    return found
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Compare two versions; return the exit code."""
+    parser = argparse.ArgumentParser(description=(__doc__ or '').partition('\n')[0])
+    parser.add_argument('base', metavar='BASE', help='the commit to compare with')
+    parser.add_argument('--quick', action='store_true', help='the most important cases only')
+    parser.add_argument('--only', nargs='+', default=[], metavar='NAME', help='these cases only')
+    parser.add_argument('--tree', type=Path, default=ROOT, metavar='DIR',
+                        help='the working tree (default: the one that this tool is in)')
+    parser.add_argument('--data', type=Path, metavar='DIR',
+                        help='real recordings (default: shared/data beside the repository)')
+    user = os.getuid()
+    parser.add_argument('--cache', type=Path, metavar='DIR',
+                        default=Path(tempfile.gettempdir()) / f'ratslam_same_results-{user}',
+                        help='(default: a folder of its own among the temporary files)')
+    options = parser.parse_args(arguments)
+    start_s = time.monotonic()
+    try:
+        tree = Path(git('rev-parse', '--show-toplevel', folder=options.tree).decode().strip())
+        commit = git('rev-parse', '--verify', f'{options.base}^{{commit}}', folder=tree)
+        commit_id = commit.decode().strip()
+        data = (options.data or data_folder(tree)).resolve()
+        cases = chosen(options.only, options.quick, data)
+        cache = options.cache.resolve()
+        with locked(cache / 'trees' / f'{_hash(str(tree).encode())}.lock'), \
+                locked(cache / f'{commit_id[:16]}.lock'):
+            comparison = Comparison(*prepare(commit_id, tree, cache, data), cases)
+            comparison.run()
+    except (UsageError, OSError) as error:
+        print(f'same_results: {error}', file=sys.stderr)
+        return WRONG_USE
+    took_s = time.monotonic() - start_s
+    if comparison.different:
+        print(f'{len(comparison.different)} of {len(cases)} cases differ from '
+              f'{commit_id[:10]}: {", ".join(comparison.different)} ({took_s:.0f} s)')
+        return DIFFERENT
+    print(f'all {len(cases)} cases are identical to {commit_id[:10]} ({took_s:.0f} s)')
+    return SAME
+
+
+def data_folder(tree: Path) -> Path:
+    """Return the folder of real recordings beside the repository, also for a git worktree."""
+    common = git('rev-parse', '--path-format=absolute', '--git-common-dir', folder=tree)
+    return Path(common.decode().strip()).parent.parent / 'shared' / 'data'
+
+
+if __name__ == '__main__':
+    sys.exit(main())
