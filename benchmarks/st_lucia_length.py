@@ -32,8 +32,8 @@ from ratslam_ros.core.ratslam import RatSLAM, ViewStep
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.files.config import load_config
 from ratslam_ros.images import RawImage
-from ratslam_ros.read_ahead import ReadAhead
 from ratslam_ros.recordings import ImageEvent
+from ratslam_ros.recordings.prefetch import prefetch_images
 from ratslam_ros.results.evaluation import fit
 
 matplotlib.use('Agg')
@@ -115,8 +115,8 @@ def look(journey: Journey, events: Iterator[ImageEvent]) -> None:
     """Convert and process frames; measure all but the end of the thread."""
     slam, laps = journey.slam, journey.laps
     start_s = time.perf_counter()
-    with ReadAhead(events, laps) as ahead:  # type: ignore[arg-type]
-        for event, grey in ahead:
+    with prefetch_images(events, laps) as decoded:
+        for event, grey in decoded:
             with laps('frame'):
                 steps = slam.image(event.stamp_ns, grey)
             journey.views += [step for step in steps if isinstance(step, ViewStep)]
