@@ -70,7 +70,8 @@ class GoalRecallParameters(Section):
         0.0, 'm; 0: no limit', 0.0, 1e6,
         'Distance that the robot continues by odometry alone, without recognising a place, before '
         'it explores to relocalise.',
-        'it gives up routes that it has driven in the other direction only', 'it drives into wrong places',
+        'it gives up routes that it has driven in the other direction only',
+        'it drives into wrong places',
     )  # fmt: skip
     goal_sure_m: float = parameter(
         0.0, 'm; 0: no limit', 0.0, 1e6,
