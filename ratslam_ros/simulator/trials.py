@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config.goal_follower import GoalFollowerParameters
-from ratslam_ros.core.navigation.route_planner import UnreachableGoal
+from ratslam_ros.errors import UnreachableGoal
 from ratslam_ros.simulator.bodies import fits, room_for
 from ratslam_ros.simulator.closed_loop import ClosedLoop
 

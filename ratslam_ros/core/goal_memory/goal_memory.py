@@ -22,10 +22,9 @@ from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import PoseCellsParameters
 from ratslam_ros.core.config.goal_memory import GoalMemoryParameters
-from ratslam_ros.core.navigation.route_planner import UnreachableGoal
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.pose_cells.torus import Place, Torus
-from ratslam_ros.errors import UnusableInput
+from ratslam_ros.errors import UnreachableGoal, UnusableInput
 
 Cells = NDArray[np.int64]
 Activity = NDArray[np.float64]

@@ -16,12 +16,11 @@ from ratslam_ros.core.common.odometry import Motion, Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.goal_memory.goal_memory import GoalMemory, TemporalArray
-from ratslam_ros.core.navigation.route_planner import UnreachableGoal
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.core.ratslam import RatSLAM
 from ratslam_ros.core.vision.local_view import ViewMatch
-from ratslam_ros.errors import UnusableInput
+from ratslam_ros.errors import UnreachableGoal, UnusableInput
 
 CELL_M = 0.25
 DT_S = 0.1
