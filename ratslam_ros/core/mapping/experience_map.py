@@ -30,7 +30,7 @@ from ratslam_ros.core.mapping.links import Link, Links, leading_from, length_m, 
 from ratslam_ros.core.mapping.loop_closure_gate import LoopClosureGate, is_jump, known_before
 from ratslam_ros.core.mapping.relaxation import Relaxation, sweep
 from ratslam_ros.core.mapping.scan_matching import ScanMatch
-from ratslam_ros.core.pose_cells.pose_cells import NO_EXPERIENCE, MapAction
+from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
 from ratslam_ros.errors import RatslamError, UnusableInput

@@ -24,7 +24,7 @@ from ratslam_ros.core.common.odometry import Motion, moved
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.scan import Scan, points_of
 from ratslam_ros.core.common.state import State
-from ratslam_ros.core.pose_cells.pose_cells import MapAction
+from ratslam_ros.core.pose_cells.map_action import MapAction
 
 REMEMBERED_NS = 2_000_000_000
 """Scans and poses are kept for so long, until the actions of their time have come."""

@@ -21,7 +21,7 @@ from ratslam_ros.core.config import ExperienceMapParameters, GoalRecallParameter
 from ratslam_ros.core.mapping.experience_map import ExperienceMap, NotLinked
 from ratslam_ros.core.mapping.link_learning import AHEAD_M, DETOUR, leading_ahead
 from ratslam_ros.core.navigation.route_planner import GoalTree, RoutePlanner
-from ratslam_ros.core.pose_cells.pose_cells import MapAction
+from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.errors import UnreachableGoal, UnusableInput
 from ratslam_ros.messages.mapping import MapText, encode_map

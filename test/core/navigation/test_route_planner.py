@@ -22,7 +22,7 @@ from ratslam_ros.core.navigation.route_planner import (
     TemporalMap,
     durations,
 )
-from ratslam_ros.core.pose_cells.pose_cells import MapAction
+from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.errors import UnreachableGoal
 
