@@ -105,7 +105,6 @@ GOAL_RECALL = (
     + """
 RoutePlanner(config.goal_recall).route_to(graph, 0)
 RoutePlanner(config.goal_recall).route_to_place(graph, 0.0, 0.0, 50.0)
-RoutePlanner(config.goal_recall).follow(graph, *graph.pose_of(0)[:2])
 from ratslam_ros.core.navigation.navigator import Navigator
 navigator = Navigator(config.goal_recall, graph)
 goal, count = len(graph) // 2, graph.link_count

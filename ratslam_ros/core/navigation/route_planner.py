@@ -77,7 +77,7 @@ class TemporalMap:
         _check_known(goal_id, len(self.arrival_s))
         if not math.isfinite(self.arrival_s[goal_id]):
             raise _unlinked(self.start_id, goal_id)
-        ids = _chain(self.before, goal_id, len(self.before))[::-1]
+        ids = _chain(self.before, goal_id)[::-1]
         return Route(tuple(ids.tolist()), tuple(self.arrival_s[ids].tolist()))
 
 
@@ -91,7 +91,6 @@ class RoutePlanner:
             ExperienceMap, dict[tuple[float, float, float], tuple[tuple[int, int, int], csr_array]]
         ] = WeakKeyDictionary()
         self._rejected_shortcuts: WeakKeyDictionary[ExperienceMap, set[int]] = WeakKeyDictionary()
-        self._tree: GoalTree | None = None
 
     def part(self, experience_map: ExperienceMap, experience_ids: Iterable[int]) -> None:
         """Never again join some experiences with others because they lie close together."""
@@ -179,27 +178,6 @@ class RoutePlanner:
         reachable = np.isfinite(times.arrival_s)
         return times.route_to(self._goal_at(experience_map, reachable, x_m, y_m, tolerance_m))
 
-    def follow(self, experience_map: ExperienceMap, x_m: float, y_m: float) -> Route:
-        """Return the route to a place again and again while the robot drives.
-
-        As ``route_to_place`` from the current experience, but the ways to the goal are kept from
-        one call to the next; see ``GoalTree`` for how exact they are on a large map.
-
-        Raises:
-            UnreachableGoal: no experience that links lead to lies within ``goal_tolerance_m``.
-        """
-        tree = self._tree
-        if tree is not None and tree.experience_map is not experience_map:
-            tree = None
-        if tree is not None and math.isfinite(tree.remaining_s()):
-            reachable = tree.reachable()
-        else:
-            reachable = np.isfinite(self.temporal_map(experience_map).arrival_s)
-        goal = self._goal_at(experience_map, reachable, x_m, y_m)
-        if tree is None or tree.goal_id != goal:
-            tree = self._tree = GoalTree(self, experience_map, goal)
-        return tree.route()
-
     def _goal_at(
         self, experience_map: ExperienceMap, reachable: NDArray[np.bool_], x_m: float, y_m: float,
         tolerance_m: float = 0.0,
@@ -271,17 +249,10 @@ class GoalTree:
         self._follow()
         return self._remaining_s[self._start(start_id)]
 
-    def reachable(self) -> NDArray[np.bool_]:
-        """Return (n,) whether links lead from an experience to the goal."""
-        self._follow()
-        return np.isfinite(np.frombuffer(self._remaining_s))
+    def route(self, start_id: int | None = None) -> Route:
+        """Read the way to the goal.
 
-    def route(self, start_id: int | None = None, most: int | None = None) -> Route:
-        """Read the way to the goal, or the beginning of it.
-
-        Args:
-            start_id: where to start, None for the current experience.
-            most: number of experiences that suffice, 1 or more; None for the whole way.
+        ``start_id``: where to start, None for the current experience.
 
         Raises:
             UnreachableGoal: there is no such experience, or no link leads from it.
@@ -291,8 +262,7 @@ class GoalTree:
         remaining_s = self._remaining_s[start]
         if not math.isfinite(remaining_s):
             raise _unlinked(start, self.goal_id)
-        count = len(self._next)
-        ids = _chain(np.frombuffer(self._next, np.int32), start, count if most is None else most)
+        ids = _chain(np.frombuffer(self._next, np.int32), start)
         arrival_s = remaining_s - np.frombuffer(self._remaining_s)[ids]
         return Route(tuple(ids.tolist()), tuple(arrival_s.tolist()))
 
@@ -466,9 +436,9 @@ def _unlinked(start_id: int, goal_id: int) -> UnreachableGoal:
 
 
 @compiled
-def _chain(before: NDArray[np.int32], last: int, most: int) -> NDArray[np.int32]:
-    """Return an experience, the one before it and so on, at most so many of them."""
-    ids = np.empty(min(most, len(before)), np.int32)
+def _chain(before: NDArray[np.int32], last: int) -> NDArray[np.int32]:
+    """Return an experience, the one before it and so on."""
+    ids = np.empty(len(before), np.int32)
     count = 0
     while last >= 0 and count < len(ids):
         ids[count] = last

@@ -285,15 +285,14 @@ def test_a_tree_that_says_so_is_exact_and_any_leads_to_its_goal(
             wander(graph, rng, islands)
         times = times_to(graph, 1, back)
         exact.append(tree.exact())
-        assert tree.reachable().tolist() == [math.isfinite(time) for time in times]
         for start, time in enumerate(times):
+            assert math.isfinite(tree.remaining_s(start)) == math.isfinite(time)
             if exact[-1]:
                 assert tree.remaining_s(start) == pytest.approx(time)
             if math.isfinite(time):
                 route = tree.route(start)
                 assert_leads(graph, route, start, 1)
                 assert route.arrival_s[-1] == pytest.approx(tree.remaining_s(start))
-                assert tree.route(start, 2).experience_ids == route.experience_ids[:2]
             else:
                 with pytest.raises(UnreachableGoal, match=f'from experience {start} to 1'):
                     tree.route(start)
@@ -391,42 +390,6 @@ def test_a_tree_knows_no_goal_and_no_start_that_is_not_on_the_map() -> None:
         GoalTree(RECALL, graph, 3)
     with pytest.raises(UnreachableGoal, match='there is no experience -1'):
         GoalTree(RECALL, graph, 2).route(-1)
-
-
-@pytest.mark.parametrize('seed', range(4))
-def test_following_gives_the_routes_that_asking_anew_gives(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    recall = RoutePlanner(GoalRecallParameters(goal_tolerance_m=2.0))
-    for graph in (line(5), line(6)):
-        for _ in range(60):
-            wander(graph, rng, islands=True)
-            try:
-                asked = RECALL.route_to_place(graph, 2.1, 0.0, 2.0)
-            except UnreachableGoal as error:
-                with pytest.raises(UnreachableGoal) as caught:
-                    recall.follow(graph, 2.1, 0.0)
-                assert str(caught.value) == str(error)
-                continue
-            route = recall.follow(graph, 2.1, 0.0)
-            assert route.arrival_s[-1] == pytest.approx(asked.arrival_s[-1])
-            assert_leads(graph, route, graph.current_id, asked.experience_ids[-1])
-
-
-def test_following_computes_only_where_it_must() -> None:
-    recall = Counting()
-    with pytest.raises(UnreachableGoal, match='the map is empty'):
-        recall.follow(ExperienceMap(ExperienceMapParameters()), 1.0, 0.0)
-    graph, recall = line(5), Counting()
-    assert recall.follow(graph, 1.0, 0.0).experience_ids == (4, 3, 2, 1, 0)
-    computed = recall.computed
-    for target in range(5, 30):
-        go(graph, target, 2.0)
-        assert recall.follow(graph, 1.0, 0.0).arrival_s[-1] == pytest.approx(2.0 * target)
-    assert recall.computed == computed
-    with pytest.raises(UnreachableGoal, match=r'1\.00 m away'):
-        recall.follow(graph, 1.0, 1.0)
-    recall.parameters = GoalRecallParameters(goal_tolerance_m=1.5)
-    assert recall.follow(graph, 1.0, 1.0).experience_ids[-1] == 0
 
 
 def test_a_number_that_means_another_experience_may_be_joined_again() -> None:
