@@ -65,26 +65,26 @@ def route_ms(count: int, repeats: int, revisits: float = 0.1) -> list[float]:
     """Return the planning times from the newest experience to random goals, in ms, warm."""
     rng = np.random.default_rng(0)
     graph = make_map(count, revisits)
-    recall = RoutePlanner(GoalRecallParameters())
-    recall.route_to(graph, 0)
+    planner = RoutePlanner(GoalRecallParameters(), graph)
+    planner.route_to(0)
     goals = rng.integers(0, count, repeats).tolist()
-    return [call_ms(lambda goal=goal: recall.route_to(graph, goal)) for goal in goals]
+    return [call_ms(lambda goal=goal: planner.route_to(goal)) for goal in goals]
 
 
 def first_route_ms(count: int) -> float:
     """Return the planning time to the oldest experience just after a link changed, in ms."""
     rng = np.random.default_rng(0)
     graph = make_map(count)
-    recall = RoutePlanner(GoalRecallParameters())
-    recall.route_to(graph, 0)
+    planner = RoutePlanner(GoalRecallParameters(), graph)
+    planner.route_to(0)
     go(graph, older(graph, rng), rng)
-    return call_ms(lambda: recall.route_to(graph, 0))
+    return call_ms(lambda: planner.route_to(0))
 
 
 def replan_ms(count: int, actions: int) -> list[float]:
     """Return the times in ms of reading the whole route from the goal tree after each action."""
     graph = make_map(count)
-    tree = GoalTree(RoutePlanner(GoalRecallParameters()), graph, 0)
+    tree = GoalTree(RoutePlanner(GoalRecallParameters(), graph), 0)
     tree.route()
     return _driving_ms(graph, actions, lambda _: tree.route())
 

@@ -110,7 +110,7 @@ def draw_times(folder: str | Path, start_id: int | None, goal_id: int | None) ->
         raise UnusableInput(
             f'there is no experience {start} to start from; expected 0 to {len(graph) - 1}'
         )
-    times = RoutePlanner(GoalRecallParameters()).temporal_map(graph, start)
+    times = RoutePlanner(GoalRecallParameters(), graph).temporal_map(start)
     route_m, goals = None, []
     if goal_id is not None:
         route_m = graph.poses[list(times.route_to(goal_id).experience_ids), :2]

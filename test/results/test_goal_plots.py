@@ -45,7 +45,7 @@ def route_pixels(path: Path) -> int:
 
 def test_times_and_the_route_are_drawn_the_same_twice(tmp_path: Path) -> None:
     graph = square()
-    times = RoutePlanner(GoalRecallParameters()).temporal_map(graph)
+    times = RoutePlanner(GoalRecallParameters(), graph).temporal_map()
     route = graph.poses[[15, 14, 13, 12, 11], :2]
     for name in ('a.png', 'b.png'):
         draw_temporal_map(graph, times, tmp_path / name, route, [Goal(11, name='kitchen')])
@@ -59,8 +59,8 @@ def test_a_map_that_was_written_has_the_same_routes(tmp_path: Path) -> None:
     (tmp_path / 'map.json').write_text(encode_map(0, graph))
     again = read_map(tmp_path / 'map.json')
     assert encode_map(0, again) == encode_map(0, graph)
-    recall = RoutePlanner(GoalRecallParameters())
-    assert recall.route_to(again, 3) == recall.route_to(graph, 3)
+    planners = [RoutePlanner(GoalRecallParameters(), each) for each in (again, graph)]
+    assert planners[0].route_to(3) == planners[1].route_to(3)
     assert route_pixels(draw_times(tmp_path, None, 3)) > 500
     with pytest.raises(UnreachableGoal, match='no link leads from experience 2 to 16'):
         draw_times(tmp_path, 2, 16)

@@ -145,43 +145,39 @@ class Goals:
             )
         return self._named[name]
 
-    def find(
-        self, target: Target, experience_map: ExperienceMap, recall: RoutePlanner,
-        tolerance_m: float = 0.0,
-    ) -> Goal:  # fmt: skip
+    def find(self, target: Target, planner: RoutePlanner, tolerance_m: float = 0.0) -> Goal:
         """Return the place that is asked for.
 
         Args:
             target: the id of an experience, a name, or a position: that means the nearest
                 experience within the tolerance, one that links lead to rather than another.
-            experience_map: the map.
-            recall: finds what links lead to.
+            planner: finds what links lead to.
             tolerance_m: 0: ``goal_tolerance_m``.
 
         Raises:
             UnreachableGoal: there is no such place, or no link leads to it.
         """
+        experience_map = planner.experience_map
         asked = self._anchored(target, experience_map) if isinstance(target, str) else target
         if isinstance(asked, int):
             asked = Goal(asked)
         if isinstance(asked, Goal):
-            asked = self._beside(asked, experience_map, recall)
-            recall.route_to(experience_map, asked.experience_id)
+            asked = self._beside(asked, planner)
+            planner.route_to(asked.experience_id)
             return asked
         if not (math.isfinite(asked.x_m) and math.isfinite(asked.y_m)):
             raise UnreachableGoal('its position is not finite')
-        route = recall.route_to_place(experience_map, asked.x_m, asked.y_m, tolerance_m)
+        route = planner.route_to_place(asked.x_m, asked.y_m, tolerance_m)
         return Goal(route.experience_ids[-1])
 
-    def _beside(
-        self, goal: Goal, experience_map: ExperienceMap, recall: RoutePlanner
-    ) -> Goal:
+    def _beside(self, goal: Goal, planner: RoutePlanner) -> Goal:
         """Return a goal, told from an experience beside it that links lead to, if there is one."""
         if math.hypot(goal.offset.x_m, goal.offset.y_m) <= BESIDE_M:
             return goal
+        experience_map = planner.experience_map
         place = goal.pose_on(experience_map)
         try:
-            route = recall.route_to_place(experience_map, place.x_m, place.y_m, BESIDE_M)
+            route = planner.route_to_place(place.x_m, place.y_m, BESIDE_M)
         except UnreachableGoal:
             return goal
         beside = route.experience_ids[-1]

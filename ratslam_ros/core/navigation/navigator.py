@@ -48,7 +48,7 @@ class Navigator:
     """Goes to goals one after the other; knows the places that have names."""
 
     def __init__(self, parameters: GoalRecallParameters, experience_map: ExperienceMap) -> None:
-        self.recall = RoutePlanner(parameters)
+        self.planner = RoutePlanner(parameters, experience_map)
         self.goals = Goals()
         self.guidance = Guidance('idle')
         """What the last update gave."""
@@ -58,7 +58,6 @@ class Navigator:
         """How many that were in all."""
         self.stamp_ns = 0
         """Of the last update."""
-        self._map = experience_map
         self._queue: deque[GoalTask] = deque()
         self._following: RouteFollowing | None = None
         self._count = 0
@@ -68,11 +67,11 @@ class Navigator:
     @property
     def parameters(self) -> GoalRecallParameters:
         """How routes are found and followed; they may be replaced at any time."""
-        return self.recall.parameters
+        return self.planner.parameters
 
     @parameters.setter
     def parameters(self, parameters: GoalRecallParameters) -> None:
-        self.recall.parameters = parameters
+        self.planner.parameters = parameters
 
     @property
     def queue(self) -> Sequence[GoalTask]:
@@ -98,7 +97,7 @@ class Navigator:
         if timeout_s is not None and not 0.0 <= timeout_s < math.inf:
             raise UnreachableGoal(f'the timeout is {timeout_s}; expected 0 or more s')
         found = [
-            self.goals.find(target, self._map, self.recall, tolerance_m) for target in targets
+            self.goals.find(target, self.planner, tolerance_m) for target in targets
         ]
         if not append:
             self.cancel('another goal was asked for')
@@ -134,7 +133,7 @@ class Navigator:
         errand = self._queue[0]
         if self._following is None:
             errand.status, errand.started_ns = 'active', stamp_ns
-            self._following = RouteFollowing(self.recall, self._map, errand.goal)
+            self._following = RouteFollowing(self.planner, errand.goal)
         guidance = self._following.update(stamp_ns, pose, located)
         if guidance.status == 'succeeded':
             return self._end(errand, 'succeeded', '', guidance)
@@ -197,7 +196,7 @@ class Navigator:
 
     def forgotten(self, experience_id: int, stand_in_id: int, pose_in_stand_in: Pose) -> None:
         """Keep all goals where an experience is forgotten; see ``Goal.without``."""
-        self.recall.forgotten(self._map, experience_id)
+        self.planner.forgotten(experience_id)
         self.goals.forgotten(experience_id, stand_in_id, pose_in_stand_in)
         for errand in self._queue:
             errand.goal = errand.goal.without(experience_id, stand_in_id, pose_in_stand_in)

@@ -109,17 +109,16 @@ class RouteFollowing:
     where a link of it, ahead of the robot, is unlearned.
     """
 
-    def __init__(self, recall: RoutePlanner, experience_map: ExperienceMap, goal: Goal) -> None:
+    def __init__(self, planner: RoutePlanner, goal: Goal) -> None:
         """Set out for a goal.
 
         Args:
-            recall: finds the ways; its parameters may be replaced at any time.
-            experience_map: the map, also of every update.
+            planner: finds the ways; its parameters may be replaced at any time.
             goal: where to go.
         """
         self.goal = goal
-        self._recall = recall
-        self._map = experience_map
+        self._planner = planner
+        self._map = planner.experience_map
         self._tree: GoalTree | None = None
         self._seen: tuple[int, int, int, int] | None = None
         self._kept: TrackedRoute | None = None
@@ -207,7 +206,7 @@ class RouteFollowing:
         x_m, y_m, _ = self._map.pose
         poses = self._map.poses
         beside = np.hypot(poses[:, 0] - x_m, poses[:, 1] - y_m) < BESIDE_M
-        self._recall.part(self._map, [*joined, *np.flatnonzero(beside).tolist()])
+        self._planner.reject_shortcuts([*joined, *np.flatnonzero(beside).tolist()])
         self._kept = self._seen = None
         return False
 
@@ -236,12 +235,12 @@ class RouteFollowing:
 
     @property
     def _p(self) -> GoalRecallParameters:
-        return self._recall.parameters
+        return self._planner.parameters
 
     def _look(self) -> None:
         """Find the route from the current experience, where something has changed."""
         graph = self._map
-        rejected_shortcuts = self._recall.rejected_shortcuts(graph)
+        rejected_shortcuts = self._planner.rejected_shortcut_count
         seen = graph.current_id, graph.links_version, len(graph), rejected_shortcuts
         if seen == self._seen:
             return
@@ -254,7 +253,7 @@ class RouteFollowing:
         goal_id, tree = self.goal.experience_id, self._tree
         try:
             if tree is None or tree.goal_id != goal_id:
-                tree = self._tree = GoalTree(self._recall, graph, goal_id)
+                tree = self._tree = GoalTree(self._planner, goal_id)
             self._found = TrackedRoute(tree.route(), graph)
         except UnreachableGoal:
             self._found = None

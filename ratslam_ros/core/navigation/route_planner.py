@@ -9,7 +9,6 @@ from array import array
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,33 +83,32 @@ class TemporalMap:
 class RoutePlanner:
     """Finds routes over an experience map; keeps what it computed on it until links change."""
 
-    def __init__(self, parameters: GoalRecallParameters) -> None:
+    def __init__(self, parameters: GoalRecallParameters, experience_map: ExperienceMap) -> None:
         self.parameters = parameters
         """They may be replaced at any time."""
-        self._durations: WeakKeyDictionary[
-            ExperienceMap, dict[tuple[float, float, float], tuple[tuple[int, int, int], csr_array]]
-        ] = WeakKeyDictionary()
-        self._rejected_shortcuts: WeakKeyDictionary[ExperienceMap, set[int]] = WeakKeyDictionary()
+        self.experience_map = experience_map
+        self._graphs: dict[
+            tuple[float, float, float], tuple[tuple[int, int, int], csr_array]
+        ] = {}
+        self._rejected_shortcuts: set[int] = set()
 
-    def part(self, experience_map: ExperienceMap, experience_ids: Iterable[int]) -> None:
+    def reject_shortcuts(self, experience_ids: Iterable[int]) -> None:
         """Never again join some experiences with others because they lie close together."""
-        self._rejected_shortcuts.setdefault(experience_map, set()).update(experience_ids)
+        self._rejected_shortcuts.update(experience_ids)
 
-    def forgotten(self, experience_map: ExperienceMap, experience_id: int) -> None:
+    def forgotten(self, experience_id: int) -> None:
         """Take note that a number comes to mean another experience."""
-        self._rejected_shortcuts.get(experience_map, set()).discard(experience_id)
+        self._rejected_shortcuts.discard(experience_id)
 
-    def rejected_shortcuts(self, experience_map: ExperienceMap) -> int:
-        """Return how many experiences are not joined with others."""
-        return len(self._rejected_shortcuts.get(experience_map, ()))
+    @property
+    def rejected_shortcut_count(self) -> int:
+        """How many experiences are not joined with others."""
+        return len(self._rejected_shortcuts)
 
-    def temporal_map(
-        self, experience_map: ExperienceMap, start_id: int | None = None, to_start: bool = False
-    ) -> TemporalMap:
+    def temporal_map(self, start_id: int | None = None, to_start: bool = False) -> TemporalMap:
         """Return the times from an experience to all, over links in both directions.
 
         Args:
-            experience_map: the graph.
             start_id: where to start, None for the current experience.
             to_start: the times from all to the start instead, and the experience after each; they
                 differ where ``route_back_factor`` is not 1.
@@ -118,32 +116,31 @@ class RoutePlanner:
         Raises:
             UnreachableGoal: the map is empty.
         """
+        experience_map = self.experience_map
         if len(experience_map) == 0:
             raise UnreachableGoal('the map is empty; drive first')
         start = experience_map.current_id if start_id is None else start_id
-        rejected_shortcuts = self._rejected_shortcuts.get(experience_map, set())
-        changes = experience_map.links_version, len(experience_map), len(rejected_shortcuts)
+        changes = (
+            experience_map.links_version, len(experience_map), len(self._rejected_shortcuts)
+        )  # fmt: skip
         back, join_m = self.parameters.route_back_factor, self.parameters.route_join_m
         factors = (back, 1.0, join_m) if to_start else (1.0, back, join_m)
-        graphs = self._durations.setdefault(experience_map, {})
-        known = graphs.get(factors)
+        known = self._graphs.get(factors)
         if known is None or known[0] != changes:
-            if factors not in graphs and len(graphs) > 1:
-                graphs.clear()  # the parameters were replaced
-            weighted = durations(experience_map, *factors, rejected_shortcuts)
-            known = graphs[factors] = changes, weighted
+            if factors not in self._graphs and len(self._graphs) > 1:
+                self._graphs.clear()  # the parameters were replaced
+            weighted = durations(experience_map, *factors, self._rejected_shortcuts)
+            known = self._graphs[factors] = changes, weighted
         from scipy.sparse.csgraph import dijkstra
 
         arrival_s, before = dijkstra(known[1], indices=start, return_predecessors=True)
         return TemporalMap(start, arrival_s, before)
 
-    def route_to(self, experience_map: ExperienceMap, goal_id: int) -> Route:
+    def route_to(self, goal_id: int) -> Route:
         """Return the quickest route to an experience; see ``TemporalMap.route_to``."""
-        return self.temporal_map(experience_map).route_to(goal_id)
+        return self.temporal_map().route_to(goal_id)
 
-    def nearest(
-        self, experience_map: ExperienceMap, x_m: float, y_m: float, tolerance_m: float = 0.0
-    ) -> int:
+    def nearest(self, x_m: float, y_m: float, tolerance_m: float = 0.0) -> int:
         """Return the experience that is nearest to a place on the map.
 
         ``tolerance_m``: its greatest distance; 0: ``goal_tolerance_m``.
@@ -151,22 +148,20 @@ class RoutePlanner:
         Raises:
             UnreachableGoal: none is that near.
         """
-        if len(experience_map) == 0:
+        if len(self.experience_map) == 0:
             raise UnreachableGoal('the map is empty; drive first')
-        poses = experience_map.poses
+        poses = self.experience_map.poses
         away_m = np.hypot(poses[:, 0] - x_m, poses[:, 1] - y_m)
         nearest = int(np.argmin(away_m))
         self._check_near(x_m, y_m, float(away_m[nearest]), tolerance_m)
         return nearest
 
     def route_to_place(
-        self, experience_map: ExperienceMap, x_m: float, y_m: float, tolerance_m: float = 0.0,
-        start_id: int | None = None,
-    ) -> Route:  # fmt: skip
+        self, x_m: float, y_m: float, tolerance_m: float = 0.0, start_id: int | None = None
+    ) -> Route:
         """Return the quickest route to the experience that is nearest to a place on the map.
 
         Args:
-            experience_map: the graph, and where the robot is on it.
             x_m, y_m: the place.
             tolerance_m: greatest distance of the experience; 0: ``goal_tolerance_m``.
             start_id: where to start, None for the current experience.
@@ -174,16 +169,15 @@ class RoutePlanner:
         Raises:
             UnreachableGoal: no experience that links lead to lies within the tolerance.
         """
-        times = self.temporal_map(experience_map, start_id)
+        times = self.temporal_map(start_id)
         reachable = np.isfinite(times.arrival_s)
-        return times.route_to(self._goal_at(experience_map, reachable, x_m, y_m, tolerance_m))
+        return times.route_to(self._goal_at(reachable, x_m, y_m, tolerance_m))
 
     def _goal_at(
-        self, experience_map: ExperienceMap, reachable: NDArray[np.bool_], x_m: float, y_m: float,
-        tolerance_m: float = 0.0,
-    ) -> int:  # fmt: skip
+        self, reachable: NDArray[np.bool_], x_m: float, y_m: float, tolerance_m: float
+    ) -> int:
         """Return the nearest of the reachable experiences; if none is near, of all that are."""
-        poses = experience_map.poses
+        poses = self.experience_map.poses
         away_m = np.hypot(poses[:, 0] - x_m, poses[:, 1] - y_m)
         goal = int(np.argmin(np.where(reachable, away_m, np.inf)))
         if not (reachable[goal] and away_m[goal] <= (tolerance_m or self._tolerance_m)):
@@ -221,16 +215,16 @@ class GoalTree:
       often as the map falls into parts.
     """
 
-    def __init__(self, recall: RoutePlanner, experience_map: ExperienceMap, goal_id: int) -> None:
+    def __init__(self, planner: RoutePlanner, goal_id: int) -> None:
         """Compute the ways to an experience.
 
         Raises:
             UnreachableGoal: there is no such experience.
         """
-        _check_known(goal_id, len(experience_map))
-        self.experience_map = experience_map
+        _check_known(goal_id, len(planner.experience_map))
         self.goal_id = goal_id
-        self._recall = recall
+        self._planner = planner
+        self._map = planner.experience_map
         self._compute()
 
     def exact(self) -> bool:
@@ -267,32 +261,32 @@ class GoalTree:
         return Route(tuple(ids.tolist()), tuple(arrival_s.tolist()))
 
     def _start(self, start_id: int | None) -> int:
-        start = self.experience_map.current_id if start_id is None else start_id
+        start = self._map.current_id if start_id is None else start_id
         _check_known(start, len(self._next))
         return start
 
     def _compute(self) -> None:
         """Compute all ways anew."""
-        times = self._recall.temporal_map(self.experience_map, self.goal_id, to_start=True)
-        self._back = self._recall.parameters.route_back_factor
+        times = self._planner.temporal_map(self.goal_id, to_start=True)
+        self._back = self._planner.parameters.route_back_factor
         # Arrays that grow. Their memory is only lent to NumPy: while it is they cannot.
         self._remaining_s = array('d', times.arrival_s.tobytes())
         self._next = array('i', times.before.tobytes())
-        self._links = self.experience_map.link_count
-        self._computed = self._version = self.experience_map.links_version
-        self._rebuilt = self.experience_map.rebuilt
-        self._rejected_shortcuts = self._recall.rejected_shortcuts(self.experience_map)
-        self._linked = int(self.experience_map.link_ends.max(initial=-1)) + 1
+        self._links = self._map.link_count
+        self._computed = self._version = self._map.links_version
+        self._rebuilt = self._map.rebuilt
+        self._rejected_shortcuts = self._planner.rejected_shortcut_count
+        self._linked = int(self._map.link_ends.max(initial=-1)) + 1
         self._stale = False
 
     def _follow(self) -> None:
         """Bring the tree up to the links of the map, as the class describes."""
-        graph = self.experience_map
+        graph = self._map
         new = len(graph) - len(self._next)
         self._remaining_s.extend([math.inf] * new)
         self._next.extend([-1] * new)
-        refactored = self._recall.parameters.route_back_factor != self._back
-        rejected_shortcuts = self._recall.rejected_shortcuts(graph) != self._rejected_shortcuts
+        refactored = self._planner.parameters.route_back_factor != self._back
+        rejected_shortcuts = self._planner.rejected_shortcut_count != self._rejected_shortcuts
         if graph.links_version == self._version and not refactored and not rejected_shortcuts:
             return
         if graph.rebuilt != self._rebuilt or refactored or rejected_shortcuts:
@@ -300,7 +294,7 @@ class GoalTree:
             return
         links = slice(self._links, graph.link_count)
         # Every change either made a link or averaged one.
-        joins = self._recall.parameters.route_join_m > 0.0
+        joins = self._planner.parameters.route_join_m > 0.0
         if joins or graph.links_version - self._version > links.stop - links.start:
             self._stale = True
         self._links, self._version = graph.link_count, graph.links_version

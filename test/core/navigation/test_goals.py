@@ -18,7 +18,7 @@ from ratslam_ros.core.navigation.route_planner import RoutePlanner, UnreachableG
 from ratslam_ros.core.pose_cells.pose_cells import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 
-RECALL = RoutePlanner(GoalRecallParameters(goal_tolerance_m=0.6))
+PARAMETERS = GoalRecallParameters(goal_tolerance_m=0.6)
 NOWHERE = Place(0.0, 0.0, 0.0)
 
 
@@ -37,6 +37,10 @@ def line(count: int = 5) -> ExperienceMap:
     return graph
 
 
+def planner_of(graph: ExperienceMap) -> RoutePlanner:
+    return RoutePlanner(PARAMETERS, graph)
+
+
 def test_a_named_place_is_where_the_robot_was_then() -> None:
     graph, goals = line(), Goals()
     graph.integrate(Motion(1.0, 0.3, math.pi / 2))
@@ -44,7 +48,8 @@ def test_a_named_place_is_where_the_robot_was_then() -> None:
     kitchen = goals.name_place(graph, 'kitchen')
     go(graph, 0, linked=False)
     assert kitchen.pose_on(graph) == pytest.approx(here)
-    assert goals.find('kitchen', graph, RECALL) == kitchen == Goal(4, kitchen.offset, 'kitchen')
+    assert kitchen == Goal(4, kitchen.offset, 'kitchen')
+    assert goals.find('kitchen', planner_of(graph)) == kitchen
     assert (str(kitchen), str(Goal(3)), str(Position(1.0, 2.5))) == (
         'kitchen', 'experience 3', '(1, 2.5)'
     )  # fmt: skip
@@ -96,24 +101,25 @@ def test_names_that_are_not_known_are_refused() -> None:
             act('a')
     goals.name_place(graph, 'kitchen')
     with pytest.raises(UnreachableGoal, match='those that have a name: kitchen'):
-        goals.find('a', graph, RECALL)
+        goals.find('a', planner_of(graph))
     with pytest.raises(UnreachableGoal, match='the map is empty'):
         goals.name_place(ExperienceMap(ExperienceMapParameters()), 'a')
 
 
 def test_a_position_means_the_nearest_experience_rather_one_that_links_lead_to() -> None:
     graph, goals = line(), Goals()
+    planner = planner_of(graph)
     graph.integrate(Motion(1.0, -2.6, 0.0))
     go(graph, 5, 0.0, linked=False)  # at x = 2.4
     go(graph, 4, 0.0, linked=False)
-    assert goals.find(Position(2.4, 0.0), graph, RECALL) == Goal(1)
-    assert goals.find(Position(2.45, 0.5), graph, RECALL, tolerance_m=1.0) == Goal(1)
+    assert goals.find(Position(2.4, 0.0), planner) == Goal(1)
+    assert goals.find(Position(2.45, 0.5), planner, tolerance_m=1.0) == Goal(1)
     with pytest.raises(UnreachableGoal, match='no link leads'):
-        goals.find(Position(2.45, 0.0), graph, RECALL, tolerance_m=0.2)
+        goals.find(Position(2.45, 0.0), planner, tolerance_m=0.2)
     with pytest.raises(UnreachableGoal, match=r'away; expected at most 0\.6 m'):
-        goals.find(Position(2.4, 0.7), graph, RECALL)
+        goals.find(Position(2.4, 0.7), planner)
     with pytest.raises(UnreachableGoal, match='not finite'):
-        goals.find(Position(2.4, math.nan), graph, RECALL)
+        goals.find(Position(2.4, math.nan), planner)
 
 
 def test_what_no_link_leads_to_is_refused() -> None:
@@ -123,13 +129,14 @@ def test_what_no_link_leads_to_is_refused() -> None:
     go(graph, 4, 0.0, linked=False)
     for target in (5, 'island'):
         with pytest.raises(UnreachableGoal, match='no link leads from experience 4 to 5'):
-            goals.find(target, graph, RECALL)
+            goals.find(target, planner_of(graph))
     with pytest.raises(UnreachableGoal, match='there is no experience 6'):
-        goals.find(6, graph, RECALL)
+        goals.find(6, planner_of(graph))
 
 
 def test_a_place_stays_where_its_experience_is_forgotten() -> None:
     graph, goals = line(), Goals()
+    planner = planner_of(graph)
     graph.on_forgotten.append(goals.forgotten)
     goals.name_place(graph, 'last')
     go(graph, 2, -2.0)
@@ -141,7 +148,7 @@ def test_a_place_stays_where_its_experience_is_forgotten() -> None:
     assert not {goal.experience_id for goal in goals} & {2, 4}
     for goal in goals:
         assert goal.pose_on(graph) == pytest.approx(before[goal.name], abs=1e-6)
-        found = goals.find(goal.name, graph, RECALL)
+        found = goals.find(goal.name, planner)
         assert found.name == goal.name
         assert found.pose_on(graph) == pytest.approx(before[goal.name], abs=1e-6)
 
@@ -158,7 +165,7 @@ def test_a_place_that_pruning_left_far_off_is_told_from_where_it_is(
     if told_from == 4 and x_m < 5.0:  # no experience is near
         for forgotten in (0, 1, 2):
             graph.apply(MapAction('create', graph.current_id, forgotten, 9, 0.0, NOWHERE))
-    asked = goals.find('far', graph, RECALL)
+    asked = goals.find('far', planner_of(graph))
     assert asked.name == 'far'
     assert asked.experience_id == told_from
     assert asked.pose_on(graph) == pytest.approx(goals.named('far').pose_on(graph), abs=1e-9)
@@ -175,7 +182,7 @@ def test_a_place_that_nothing_stands_in_for_is_found_where_it_was() -> None:
     graph.apply(MapAction('create', 0, 5, 9, 0.0, NOWHERE))
     assert goals.named('island').experience_id == -1
     assert goals.named('island').pose_on(graph) == pytest.approx((4.7, 0.0, 0.0))
-    assert goals.find('island', graph, RECALL) == Goal(4)
+    assert goals.find('island', planner_of(graph)) == Goal(4)
 
 
 def test_names_are_saved_and_restored() -> None:

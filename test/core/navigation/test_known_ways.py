@@ -49,8 +49,8 @@ def in_and_out(length: int) -> ExperienceMap:
 
 def test_a_route_need_not_go_into_a_room_and_out_again() -> None:
     graph = in_and_out(7)
-    by_links = RoutePlanner(GoalRecallParameters()).route_to(graph, 0)
-    joined = RoutePlanner(GoalRecallParameters(route_join_m=0.35)).route_to(graph, 0)
+    by_links = RoutePlanner(GoalRecallParameters(), graph).route_to(0)
+    joined = RoutePlanner(GoalRecallParameters(route_join_m=0.35), graph).route_to(0)
     assert len(by_links.experience_ids) == len(graph)
     # It is there already, and only looks the other way.
     assert joined.arrival_s[-1] == pytest.approx(math.pi, abs=0.2)
@@ -74,7 +74,8 @@ def test_only_places_that_a_short_way_connects_are_joined(side: int, is_joined: 
     assert (0.5 * side < TILE_M) == is_joined
     graph = round_the_block(side)
     assert np.hypot(*(graph.poses[-1, :2] - graph.poses[0, :2])) == pytest.approx(0.3)
-    ids = RoutePlanner(GoalRecallParameters(route_join_m=0.35)).route_to(graph, 0).experience_ids
+    planner = RoutePlanner(GoalRecallParameters(route_join_m=0.35), graph)
+    ids = planner.route_to(0).experience_ids
     assert ids == ((len(graph) - 1, 0) if is_joined else tuple(reversed(range(len(graph)))))
 
 
@@ -87,13 +88,13 @@ def test_places_stay_joined_where_the_way_that_connects_them_is_unlearned(
     while graph.fail('centreline', 0.0, Pose(2.9, 0.0, 0.0)) == 0:
         pass
     with pytest.raises(UnreachableGoal, match='no link leads'):
-        RoutePlanner(GoalRecallParameters()).route_to(graph, 0)
+        RoutePlanner(GoalRecallParameters(), graph).route_to(0)
     save(tmp_path / 'map', 'experience_map', graph.state())
     loaded = ExperienceMap(ExperienceMapParameters(exp_initial_em_deg=0.0))
     loaded.restore(load(tmp_path / 'map', 'experience_map'))
     for one in (graph, loaded):
-        recall = RoutePlanner(GoalRecallParameters(route_join_m=0.35))
-        assert recall.route_to(one, 0).experience_ids == (last, 0)
+        planner = RoutePlanner(GoalRecallParameters(route_join_m=0.35), one)
+        assert planner.route_to(0).experience_ids == (last, 0)
     # What is forgotten says nothing any more, and its number means another place.
     turning_point = int(graph.poses[:, 0].argmax())
     assert turning_point in graph.unlearned_ends
@@ -105,15 +106,16 @@ def test_places_stay_joined_where_the_way_that_connects_them_is_unlearned(
 
 def test_a_join_that_was_given_up_is_not_used_again() -> None:
     graph = in_and_out(7)
-    recall = RoutePlanner(GoalRecallParameters(route_join_m=0.35))
+    planner = RoutePlanner(GoalRecallParameters(route_join_m=0.35), graph)
     last = len(graph) - 1
-    assert recall.route_to(graph, 0).experience_ids == (last, 0)
-    recall.part(graph, [last])
-    assert recall.rejected_shortcuts(graph) == 1
-    assert len(recall.route_to(graph, 0).experience_ids) == len(graph)
+    assert planner.route_to(0).experience_ids == (last, 0)
+    planner.reject_shortcuts([last])
+    assert planner.rejected_shortcut_count == 1
+    assert len(planner.route_to(0).experience_ids) == len(graph)
     step(graph)  # nor where the map grows
-    assert len(recall.route_to(graph, 0).experience_ids) == len(graph)
-    assert RoutePlanner(recall.parameters).route_to(graph, 0).experience_ids == (last + 1, last, 0)
+    assert len(planner.route_to(0).experience_ids) == len(graph)
+    another = RoutePlanner(planner.parameters, graph)
+    assert another.route_to(0).experience_ids == (last + 1, last, 0)
 
 
 def test_a_robot_that_fails_where_ways_are_joined_gives_up_the_join() -> None:
@@ -125,7 +127,7 @@ def test_a_robot_that_fails_where_ways_are_joined_gives_up_the_join() -> None:
     before = navigator.update(0)
     assert len(before.positions_m) < 5
     assert navigator.report_blocked()  # the way may be closed all the same
-    assert navigator.recall.rejected_shortcuts(graph) > 0
+    assert navigator.planner.rejected_shortcut_count > 0
     after = navigator.update(1)
     assert after.status == 'following'
     assert len(after.positions_m) == len(graph)

@@ -41,16 +41,15 @@ class Robot:
 
     def __init__(self) -> None:
         self.map = ExperienceMap(ExperienceMapParameters(exp_initial_em_deg=0.0))
-        self.recall = RoutePlanner(PARAMETERS)
+        self.planner = RoutePlanner(PARAMETERS, self.map)
         self.pose = Pose(0.0, 0.0, 0.0)
         self.stamp_ns = 0
         self.following: RouteFollowing | None = None
         self.arrive()
 
     def set_out(self, goal: Goal | int) -> Guidance:
-        self.following = RouteFollowing(
-            self.recall, self.map, goal if isinstance(goal, Goal) else Goal(goal)
-        )
+        goal = goal if isinstance(goal, Goal) else Goal(goal)
+        self.following = RouteFollowing(self.planner, goal)
         return self.update()
 
     def update(self, located: bool = True) -> Guidance:
@@ -276,7 +275,7 @@ def test_unrecognised_views_in_a_known_corridor_do_not_turn_the_robot_round() ->
 
 def test_the_old_route_is_kept_for_a_time_only() -> None:
     robot = back_at_the_start(20.0)
-    robot.recall.parameters = replace(PARAMETERS, route_keep_s=10.0)
+    robot.planner.parameters = replace(PARAMETERS, route_keep_s=10.0)
     robot.set_out(40)
     turned_s = 0.0
     while turned_s == 0.0:
@@ -338,7 +337,7 @@ def test_a_longer_route_is_taken_after_a_time() -> None:
 
 def test_where_no_route_is_found_the_last_one_is_kept_and_then_lost() -> None:
     robot = back_at_the_start(20.0)
-    robot.recall.parameters = replace(PARAMETERS, route_keep_s=20.0)
+    robot.planner.parameters = replace(PARAMETERS, route_keep_s=20.0)
     robot.set_out(40)
     robot.drive(0.5)
     robot.arrive(linked=False)

@@ -26,9 +26,9 @@ from ratslam_ros.core.navigation.route_planner import (
 from ratslam_ros.core.pose_cells.pose_cells import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 
-RECALL = RoutePlanner(GoalRecallParameters(goal_tolerance_m=0.5))
+PARAMETERS = GoalRecallParameters(goal_tolerance_m=0.5)
 BACK = 2.5
-ONE_WAY = RoutePlanner(GoalRecallParameters(goal_tolerance_m=0.5, route_back_factor=BACK))
+ONE_WAY = GoalRecallParameters(goal_tolerance_m=0.5, route_back_factor=BACK)
 NOWHERE = Place(0.0, 0.0, 0.0)
 
 
@@ -46,8 +46,14 @@ def line(count: int, seconds: float = 2.0) -> ExperienceMap:
     return graph
 
 
+def planner_of(
+    graph: ExperienceMap, parameters: GoalRecallParameters = PARAMETERS
+) -> RoutePlanner:
+    return RoutePlanner(parameters, graph)
+
+
 def test_a_route_goes_back_over_links_and_says_when_it_is_where() -> None:
-    route = RECALL.route_to(line(5), 1)
+    route = planner_of(line(5)).route_to(1)
     assert route.experience_ids == (4, 3, 2, 1)
     assert route.arrival_s == pytest.approx((0.0, 2.0, 4.0, 6.0))
 
@@ -55,7 +61,7 @@ def test_a_route_goes_back_over_links_and_says_when_it_is_where() -> None:
 def test_the_quickest_route_wins_not_the_one_of_fewest_links() -> None:
     graph = line(5)
     go(graph, 0, 100.0)  # one link from 4 to 0, but a slow one
-    route = RECALL.route_to(graph, 4)
+    route = planner_of(graph).route_to(4)
     assert route.experience_ids == (0, 1, 2, 3, 4)
     assert route.arrival_s[-1] == pytest.approx(8.0)
 
@@ -63,11 +69,11 @@ def test_the_quickest_route_wins_not_the_one_of_fewest_links() -> None:
 def test_links_either_way_are_not_added_up() -> None:
     graph = line(2, 4.0)
     go(graph, 0, 6.0)  # back, and slower
-    assert RECALL.route_to(graph, 1).arrival_s == pytest.approx((0.0, 4.0))
+    assert planner_of(graph).route_to(1).arrival_s == pytest.approx((0.0, 4.0))
 
 
 def test_the_goal_may_be_where_the_robot_is() -> None:
-    route = RECALL.route_to(line(3), 2)
+    route = planner_of(line(3)).route_to(2)
     assert (route.experience_ids, route.arrival_s) == ((2,), (0.0,))
 
 
@@ -85,7 +91,7 @@ def test_times_are_those_of_every_way_tried() -> None:
     np.fill_diagonal(times, 0.0)
     for k, a, b in itertools.product(range(7), repeat=3):
         times[a, b] = min(times[a, b], times[a, k] + times[k, b])
-    found = RECALL.temporal_map(graph)
+    found = planner_of(graph).temporal_map()
     assert found.arrival_s == pytest.approx(times[graph.current_id])
     for goal in range(7):
         route = found.route_to(goal)
@@ -96,10 +102,10 @@ def test_times_are_those_of_every_way_tried() -> None:
 
 def test_a_place_means_the_nearest_experience_within_the_tolerance() -> None:
     graph = line(5)  # at x = 1, 2, 3, 4 and 5 m
-    assert RECALL.route_to_place(graph, 2.3, 0.2).experience_ids[-1] == 1
-    assert RECALL.route_to_place(graph, 2.3, 3.0, tolerance_m=4.0).experience_ids[-1] == 1
+    assert planner_of(graph).route_to_place(2.3, 0.2).experience_ids[-1] == 1
+    assert planner_of(graph).route_to_place(2.3, 3.0, tolerance_m=4.0).experience_ids[-1] == 1
     with pytest.raises(UnreachableGoal, match=r'2\.12 m away; expected at most 0\.5 m'):
-        RECALL.route_to_place(graph, -0.5, 1.5)
+        planner_of(graph).route_to_place(-0.5, 1.5)
 
 
 def with_an_island() -> ExperienceMap:
@@ -114,11 +120,11 @@ def with_an_island() -> ExperienceMap:
 
 def test_a_goal_that_no_link_leads_to_is_refused() -> None:
     with pytest.raises(UnreachableGoal, match='no link leads from experience 2 to 20'):
-        RECALL.route_to(with_an_island(), 20)
+        planner_of(with_an_island()).route_to(20)
     with pytest.raises(UnreachableGoal, match='there is no experience 99'):
-        RECALL.route_to(with_an_island(), 99)
+        planner_of(with_an_island()).route_to(99)
     with pytest.raises(UnreachableGoal, match='the map is empty'):
-        RECALL.route_to(ExperienceMap(ExperienceMapParameters()), 0)
+        planner_of(ExperienceMap(ExperienceMapParameters())).route_to(0)
 
 
 def test_a_goal_is_found_however_many_unreachable_experiences_are_nearer() -> None:
@@ -126,7 +132,7 @@ def test_a_goal_is_found_however_many_unreachable_experiences_are_nearer() -> No
     graph = with_an_island()
     island = graph.poses[20]
     assert np.hypot(*(island[:2] - [2.0, 0.0])) < 1e-9
-    assert RECALL.route_to_place(graph, 2.0, 0.1).experience_ids == (2, 1)
+    assert planner_of(graph).route_to_place(2.0, 0.1).experience_ids == (2, 1)
 
 
 # What is kept between calls
@@ -172,15 +178,13 @@ def assert_leads(graph: ExperienceMap, route: Route, start: int, goal: int) -> N
 class Counting(RoutePlanner):
     """Counts how often all is computed."""
 
-    def __init__(self, back: float = 1.0) -> None:
-        super().__init__(GoalRecallParameters(route_back_factor=back))
+    def __init__(self, graph: ExperienceMap, back: float = 1.0) -> None:
+        super().__init__(GoalRecallParameters(route_back_factor=back), graph)
         self.computed = 0
 
-    def temporal_map(
-        self, graph: ExperienceMap, start_id: int | None = None, to_start: bool = False
-    ) -> TemporalMap:
+    def temporal_map(self, start_id: int | None = None, to_start: bool = False) -> TemporalMap:
         self.computed += 1
-        return super().temporal_map(graph, start_id, to_start)
+        return super().temporal_map(start_id, to_start)
 
 
 @pytest.mark.parametrize('back', [1.0, BACK])
@@ -202,41 +206,43 @@ def test_durations_are_those_of_the_quickest_link_either_way(seed: int, back: fl
 def test_an_experience_without_links_is_a_goal_for_itself_only() -> None:
     graph = line(1)
     assert durations(graph).nnz == 0
-    assert RECALL.route_to(graph, 0).experience_ids == (0,)
-    assert GoalTree(RECALL, graph, 0).route().experience_ids == (0,)
+    assert planner_of(graph).route_to(0).experience_ids == (0,)
+    assert GoalTree(planner_of(graph), 0).route().experience_ids == (0,)
 
 
 def test_changes_of_the_map_are_seen() -> None:
     graph, other = line(4), line(2)
-    assert RECALL.route_to(graph, 0).arrival_s[-1] == pytest.approx(6.0)
-    assert RECALL.route_to(other, 0).arrival_s[-1] == pytest.approx(2.0)
+    planner = planner_of(graph)
+    assert planner.route_to(0).arrival_s[-1] == pytest.approx(6.0)
+    assert planner_of(other).route_to(0).arrival_s[-1] == pytest.approx(2.0)
     go(graph, 0, 4.0)
-    assert RECALL.route_to(graph, 3).arrival_s == pytest.approx((0.0, 4.0))
+    assert planner.route_to(3).arrival_s == pytest.approx((0.0, 4.0))
     graph.current_id = 3
     go(graph, 0, 2.0)  # averaged
-    assert RECALL.route_to(graph, 3).arrival_s == pytest.approx((0.0, 3.0))
+    assert planner.route_to(3).arrival_s == pytest.approx((0.0, 3.0))
     graph.apply(MapAction('create', -1, 4, 4, 0.0, NOWHERE))  # changes no link
     with pytest.raises(UnreachableGoal, match='no link leads from experience 4 to 0'):
-        RECALL.route_to(graph, 0)
+        planner.route_to(0)
 
 
 def test_a_long_route_is_read_back() -> None:
     graph = line(12000)
     ids = tuple(range(11999, -1, -1))
-    route = RECALL.route_to(graph, 0)
+    route = planner_of(graph).route_to(0)
     assert route.experience_ids == ids
     assert type(route.experience_ids[0]) is int
     assert type(route.arrival_s[0]) is float
-    assert GoalTree(RECALL, graph, 0).route().experience_ids == ids
+    assert GoalTree(planner_of(graph), 0).route().experience_ids == ids
 
 
 def test_a_way_back_costs_as_many_times_more_as_the_parameter_says() -> None:
     graph = line(5)
-    assert ONE_WAY.route_to(graph, 3).arrival_s == pytest.approx((0.0, 2.0 * BACK))
+    planner = planner_of(graph, ONE_WAY)
+    assert planner.route_to(3).arrival_s == pytest.approx((0.0, 2.0 * BACK))
     go(graph, 0, 9.0)
     graph.current_id = 3  # on by 4 and the slow link to 0 takes 11 s, back three links 15 s
-    assert RECALL.route_to(graph, 0).experience_ids == (3, 2, 1, 0)
-    for route in (ONE_WAY.route_to(graph, 0), GoalTree(ONE_WAY, graph, 0).route()):
+    assert planner_of(graph).route_to(0).experience_ids == (3, 2, 1, 0)
+    for route in (planner.route_to(0), GoalTree(planner, 0).route()):
         assert route.experience_ids == (3, 4, 0)
         assert route.arrival_s == pytest.approx((0.0, 2.0, 11.0))
 
@@ -245,40 +251,42 @@ def test_a_way_back_costs_as_many_times_more_as_the_parameter_says() -> None:
 def test_times_from_a_place_and_to_it_are_those_over_directed_links(seed: int) -> None:
     rng = np.random.default_rng(seed)
     graph = line(2)
+    planner = planner_of(graph, ONE_WAY)
     for _ in range(40):
         wander(graph, rng, islands=True)
         count = len(graph)
         start = int(rng.integers(0, count))
-        there = ONE_WAY.temporal_map(graph, start, to_start=True)
+        there = planner.temporal_map(start, to_start=True)
         assert there.arrival_s == pytest.approx(times_to(graph, start, BACK))
-        onwards = ONE_WAY.temporal_map(graph, start).arrival_s
+        onwards = planner.temporal_map(start).arrival_s
         goal = int(rng.integers(0, count))
         assert onwards[goal] == pytest.approx(times_to(graph, goal, BACK)[start])
 
 
 def test_a_tree_follows_a_factor_that_is_replaced() -> None:
-    graph, recall = line(5), RoutePlanner(GoalRecallParameters())
-    tree = GoalTree(recall, graph, 0)
+    graph = line(5)
+    planner = RoutePlanner(GoalRecallParameters(), graph)
+    tree = GoalTree(planner, 0)
     for back in (1.0, 2.0, 5.0, 1.0):
-        recall.parameters = GoalRecallParameters(route_back_factor=back)
+        planner.parameters = GoalRecallParameters(route_back_factor=back)
         assert tree.remaining_s() == pytest.approx(8.0 * back)
-        assert recall.temporal_map(graph, 0).arrival_s[4] == pytest.approx(8.0)
-        assert recall.route_to(graph, 2).arrival_s[-1] == pytest.approx(4.0 * back)
+        assert planner.temporal_map(0).arrival_s[4] == pytest.approx(8.0)
+        assert planner.route_to(2).arrival_s[-1] == pytest.approx(4.0 * back)
 
 
-@pytest.mark.parametrize('recall', [RECALL, ONE_WAY])
+@pytest.mark.parametrize('parameters', [PARAMETERS, ONE_WAY])
 @pytest.mark.parametrize('islands', [False, True])
 @pytest.mark.parametrize('seed', range(6))
 @pytest.mark.parametrize('per_change', [0, 5, 2000])
 def test_a_tree_that_says_so_is_exact_and_any_leads_to_its_goal(
     monkeypatch: pytest.MonkeyPatch, seed: int, islands: bool, per_change: int,
-    recall: RoutePlanner,
+    parameters: GoalRecallParameters,
 ) -> None:
     monkeypatch.setattr(route_planner, 'EXPERIENCES_PER_CHANGE', per_change)
     rng = np.random.default_rng(seed)
     graph = line(3)
-    tree = GoalTree(recall, graph, 1)
-    back = recall.parameters.route_back_factor
+    tree = GoalTree(RoutePlanner(parameters, graph), 1)
+    back = parameters.route_back_factor
     exact = []
     for _ in range(50):
         for _ in range(rng.integers(1, 4)):
@@ -300,31 +308,33 @@ def test_a_tree_that_says_so_is_exact_and_any_leads_to_its_goal(
 
 
 def test_new_experiences_and_links_that_are_no_short_cut_leave_a_tree_exact() -> None:
-    graph, recall = line(3), Counting()
-    tree = GoalTree(recall, graph, 0)
+    graph = line(3)
+    planner = Counting(graph)
+    tree = GoalTree(planner, 0)
     for target in range(3, 40):
         go(graph, target, 2.0)
         assert tree.remaining_s() == pytest.approx(2.0 * target)
     go(graph, 20, 50.0)
     assert tree.remaining_s() == pytest.approx(40.0)
-    assert (tree.exact(), recall.computed) == (True, 1)
+    assert (tree.exact(), planner.computed) == (True, 1)
     go(graph, 10, 3.0)
     go(graph, 40, 1.0)
     assert tree.remaining_s(20) == pytest.approx(23.0)
     assert tree.remaining_s() == pytest.approx(21.0)
-    assert (tree.exact(), recall.computed) == (True, 2)
+    assert (tree.exact(), planner.computed) == (True, 2)
 
 
 def test_a_new_link_counts_for_the_direction_in_which_it_is_quicker() -> None:
-    graph, recall = line(5), Counting(BACK)
-    tree = GoalTree(recall, graph, 2)
+    graph = line(5)
+    planner = Counting(graph, BACK)
+    tree = GoalTree(planner, 2)
     go(graph, 0, 5.9)  # 0 is 4 s before the goal; 4 was 10 s past it and is now 9.9 s
     assert tree.remaining_s(4) == pytest.approx(9.9)
     assert tree.remaining_s(0) == pytest.approx(4.0)
-    assert (tree.exact(), recall.computed) == (True, 2)
+    assert (tree.exact(), planner.computed) == (True, 2)
     graph.current_id = 1
     go(graph, 3, 2.9)  # forwards it shortens nothing, and back neither: 2.9 * 2.5 + 2 > 5
-    assert (tree.exact(), recall.computed) == (True, 2)
+    assert (tree.exact(), planner.computed) == (True, 2)
     assert [tree.remaining_s(n) for n in range(5)] == pytest.approx(times_to(graph, 2, BACK))
 
 
@@ -332,28 +342,29 @@ def test_a_large_stale_tree_is_computed_anew_after_a_number_of_changes(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(route_planner, 'EXPERIENCES_PER_CHANGE', 2)
-    graph, recall = line(20), Counting()
-    tree = GoalTree(recall, graph, 0)
+    graph = line(20)
+    planner = Counting(graph)
+    tree = GoalTree(planner, 0)
     computed, times = [], []
     for change in range(20):
         go(graph, (0, 19)[change % 2], 1.0)  # at once a short cut, and again and again
         times.append(tree.remaining_s(19))
-        computed.append(recall.computed)
+        computed.append(planner.computed)
     assert computed == [1] * 9 + [2] * 10 + [3]
     assert times == pytest.approx([38.0] * 9 + [1.0] * 11)
 
 
-@pytest.mark.parametrize('recall', [RECALL, ONE_WAY])
+@pytest.mark.parametrize('parameters', [PARAMETERS, ONE_WAY])
 @pytest.mark.parametrize('seed', range(4))
 def test_no_way_leads_over_a_link_that_is_no_more(
-    monkeypatch: pytest.MonkeyPatch, seed: int, recall: RoutePlanner
+    monkeypatch: pytest.MonkeyPatch, seed: int, parameters: GoalRecallParameters
 ) -> None:
     monkeypatch.setattr(route_planner, 'EXPERIENCES_PER_CHANGE', 0)
     rng = np.random.default_rng(seed)
     graph = line(8)
     for _ in range(20):
         wander(graph, rng)
-    tree = GoalTree(recall, graph, 0)
+    tree = GoalTree(RoutePlanner(parameters, graph), 0)
     unlearned = 0
     for _ in range(60):
         if rng.uniform() < 0.5:
@@ -372,30 +383,31 @@ def test_no_way_leads_over_a_link_that_is_no_more(
 
 def test_a_joined_part_of_the_map_is_on_the_tree_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(route_planner, 'EXPERIENCES_PER_CHANGE', 0)
-    graph, recall = line(3), Counting()
-    tree = GoalTree(recall, graph, 0)
+    graph = line(3)
+    planner = Counting(graph)
+    tree = GoalTree(planner, 0)
     graph.apply(MapAction('create', -1, 3, 3, 0.0, NOWHERE))
     for target in (4, 5, 4, 5):
         go(graph, target, 1.0)
         assert tree.remaining_s() == math.inf
-    assert recall.computed == 1
+    assert planner.computed == 1
     go(graph, 2, 1.0)
     assert tree.remaining_s(3) == pytest.approx(7.0)
-    assert recall.computed == 2
+    assert planner.computed == 2
 
 
 def test_a_tree_knows_no_goal_and_no_start_that_is_not_on_the_map() -> None:
     graph = line(3)
     with pytest.raises(UnreachableGoal, match='there is no experience 3; expected 0 to 2'):
-        GoalTree(RECALL, graph, 3)
+        GoalTree(planner_of(graph), 3)
     with pytest.raises(UnreachableGoal, match='there is no experience -1'):
-        GoalTree(RECALL, graph, 2).route(-1)
+        GoalTree(planner_of(graph), 2).route(-1)
 
 
 def test_a_number_that_means_another_experience_may_be_joined_again() -> None:
-    recall, graph = RoutePlanner(GoalRecallParameters()), ExperienceMap(ExperienceMapParameters())
-    recall.part(graph, [3, 4])
-    recall.forgotten(graph, 3)
-    assert recall.rejected_shortcuts(graph) == 1
-    recall.forgotten(graph, 3)
-    assert recall.rejected_shortcuts(graph) == 1
+    planner = planner_of(ExperienceMap(ExperienceMapParameters()))
+    planner.reject_shortcuts([3, 4])
+    planner.forgotten(3)
+    assert planner.rejected_shortcut_count == 1
+    planner.forgotten(3)
+    assert planner.rejected_shortcut_count == 1

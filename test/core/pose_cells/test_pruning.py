@@ -451,7 +451,7 @@ def test_two_neighbours_are_joined_both_ways_as_they_were_driven() -> None:
         assert (links[pair].behaviour, links[pair].count) == ('wall', 1)
     assert graph.experiences()[1].template_id == 9
     assert graph.pose_of(1).x_m == pytest.approx(2.0 + 3.0 * math.cos(1.0))
-    assert RoutePlanner(GoalRecallParameters()).route_to(graph, 2).experience_ids == (1, 0, 2)
+    assert RoutePlanner(GoalRecallParameters(), graph).route_to(2).experience_ids == (1, 0, 2)
 
 
 def test_many_neighbours_are_joined_through_the_nearest_and_old_links_stay() -> None:
@@ -505,13 +505,13 @@ def test_where_the_map_stands_on_what_is_forgotten_it_goes_on_from_the_neighbour
 def test_texts_routes_and_memories_follow(seed: int, tmp_path: Path) -> None:
     rng = random.Random(seed)
     pose_cells, graph = limited(), new_map()
-    kept, recall = MapText(), RoutePlanner(GoalRecallParameters())
+    kept, planner = MapText(), RoutePlanner(GoalRecallParameters(), graph)
     apply(graph, wander(pose_cells, rng, 60))
-    tree = GoalTree(recall, graph, 0)
+    tree = GoalTree(planner, 0)
     for _ in range(60):
         apply(graph, wander(pose_cells, rng, 4))
         assert encode_map(1, graph, kept) == encode_map(1, graph)
-        times = recall.temporal_map(graph, 0).arrival_s
+        times = planner.temporal_map(0).arrival_s
         assert np.isfinite(times).all()
         if tree.exact():
             assert [tree.remaining_s(i) for i in range(len(graph))] == pytest.approx(
