@@ -5,8 +5,7 @@
 from __future__ import annotations
 
 import math
-from array import array
-from collections.abc import Collection, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -16,29 +15,11 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.compiled import compiled
 from ratslam_ros.core.config import GoalRecallParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.navigation.route_graph import route_graph
 from ratslam_ros.errors import RatslamError
 
 if TYPE_CHECKING:  # SciPy takes long to load: it is loaded where the first route is asked for
     from scipy.sparse import csr_array
-
-SHORTEST_S = 1e-9
-"""A link's least duration: a graph's edge of length 0 would be no edge."""
-
-NEWEST = 10
-"""Experiences made so soon one after the other are not joined beside their links."""
-
-TILE_M = 4.0
-"""Places are joined where links lead from one to the other within squares of this width: over so
-short a way the map is right, whatever it does to loops that are not closed yet."""
-
-SLOWEST_MPS = 0.01
-
-TURN_RADPS = 1.0
-"""How fast a robot turns where ways are joined."""
-
-EXPERIENCES_PER_CHANGE = 1000
-"""A goal's tree is computed anew after one change of a link for so many experiences of the map."""
-
 
 class UnreachableGoal(RatslamError):  # noqa: N818 - the errors' names say what they are
     """A goal that is not on the map, or that no link leads to."""
@@ -73,10 +54,10 @@ class TemporalMap:
         Raises:
             UnreachableGoal: there is no such experience, or no link leads to it.
         """
-        _check_known(goal_id, len(self.arrival_s))
+        check_on_map(goal_id, len(self.arrival_s))
         if not math.isfinite(self.arrival_s[goal_id]):
-            raise _unlinked(self.start_id, goal_id)
-        ids = _chain(self.before, goal_id)[::-1]
+            raise unreachable(self.start_id, goal_id)
+        ids = predecessor_chain(self.before, goal_id)[::-1]
         return Route(tuple(ids.tolist()), tuple(self.arrival_s[ids].tolist()))
 
 
@@ -129,7 +110,7 @@ class RoutePlanner:
         if known is None or known[0] != changes:
             if factors not in self._graphs and len(self._graphs) > 1:
                 self._graphs.clear()  # the parameters were replaced
-            weighted = durations(experience_map, *factors, self._rejected_shortcuts)
+            weighted = route_graph(experience_map, *factors, self._rejected_shortcuts)
             known = self._graphs[factors] = changes, weighted
         from scipy.sparse.csgraph import dijkstra
 
@@ -199,230 +180,16 @@ class RoutePlanner:
             )
 
 
-class GoalTree:
-    """The quickest ways to one goal from all experiences, kept while the robot drives.
-
-    It follows the map whenever it is asked. A new experience that one link ties to a known one is
-    appended, and a new link that shortens no way is passed over; the tree stays exact. Where
-    links have vanished, or ``route_back_factor`` is another one, it is computed anew. Any other
-    change of a link, by averaging too, makes it stale: its ways exist, but may take another time
-    than it says, or be the quickest no more. A stale tree is computed anew
-
-    - once ``EXPERIENCES_PER_CHANGE`` times the changes of links since it was computed are at
-      least the experiences of the map: at every change on a map of up to 1,000, at every 50th on
-      one of 50,000. The cost of an action so does not grow with the map;
-    - at once where a new link joins experiences that were not on it, which can happen only as
-      often as the map falls into parts.
-    """
-
-    def __init__(self, planner: RoutePlanner, goal_id: int) -> None:
-        """Compute the ways to an experience.
-
-        Raises:
-            UnreachableGoal: there is no such experience.
-        """
-        _check_known(goal_id, len(planner.experience_map))
-        self.goal_id = goal_id
-        self._planner = planner
-        self._map = planner.experience_map
-        self._compute()
-
-    def exact(self) -> bool:
-        """Return whether the ways are the quickest over the links as they are now."""
-        self._follow()
-        return not self._stale
-
-    def remaining_s(self, start_id: int | None = None) -> float:
-        """Return the time to the goal in s, infinite where no link leads.
-
-        ``start_id``: where to start, None for the current experience.
-
-        Raises:
-            UnreachableGoal: there is no such experience.
-        """
-        self._follow()
-        return self._remaining_s[self._start(start_id)]
-
-    def route(self, start_id: int | None = None) -> Route:
-        """Read the way to the goal.
-
-        ``start_id``: where to start, None for the current experience.
-
-        Raises:
-            UnreachableGoal: there is no such experience, or no link leads from it.
-        """
-        self._follow()
-        start = self._start(start_id)
-        remaining_s = self._remaining_s[start]
-        if not math.isfinite(remaining_s):
-            raise _unlinked(start, self.goal_id)
-        ids = _chain(np.frombuffer(self._next, np.int32), start)
-        arrival_s = remaining_s - np.frombuffer(self._remaining_s)[ids]
-        return Route(tuple(ids.tolist()), tuple(arrival_s.tolist()))
-
-    def _start(self, start_id: int | None) -> int:
-        start = self._map.current_id if start_id is None else start_id
-        _check_known(start, len(self._next))
-        return start
-
-    def _compute(self) -> None:
-        """Compute all ways anew."""
-        times = self._planner.temporal_map(self.goal_id, to_start=True)
-        self._back = self._planner.parameters.route_back_factor
-        # Arrays that grow. Their memory is only lent to NumPy: while it is they cannot.
-        self._remaining_s = array('d', times.arrival_s.tobytes())
-        self._next = array('i', times.before.tobytes())
-        self._links = self._map.link_count
-        self._computed = self._version = self._map.links_version
-        self._rebuilt = self._map.rebuilt
-        self._rejected_shortcuts = self._planner.rejected_shortcut_count
-        self._linked = int(self._map.link_ends.max(initial=-1)) + 1
-        self._stale = False
-
-    def _follow(self) -> None:
-        """Bring the tree up to the links of the map, as the class describes."""
-        graph = self._map
-        new = len(graph) - len(self._next)
-        self._remaining_s.extend([math.inf] * new)
-        self._next.extend([-1] * new)
-        refactored = self._planner.parameters.route_back_factor != self._back
-        rejected_shortcuts = self._planner.rejected_shortcut_count != self._rejected_shortcuts
-        if graph.links_version == self._version and not refactored and not rejected_shortcuts:
-            return
-        if graph.rebuilt != self._rebuilt or refactored or rejected_shortcuts:
-            self._compute()
-            return
-        links = slice(self._links, graph.link_count)
-        # Every change either made a link or averaged one.
-        joins = self._planner.parameters.route_join_m > 0.0
-        if joins or graph.links_version - self._version > links.stop - links.start:
-            self._stale = True
-        self._links, self._version = graph.link_count, graph.links_version
-        seconds = np.maximum(graph.link_durations_s[links], SHORTEST_S).tolist()
-        joined = False
-        for (a, b), duration_s in zip(graph.link_ends[links].tolist(), seconds, strict=True):
-            joined |= self._add(a, b, duration_s)
-        changes = self._version - self._computed
-        if joined or (self._stale and changes * EXPERIENCES_PER_CHANGE >= len(graph)):
-            self._compute()
-
-    def _add(self, a: int, b: int, duration_s: float) -> bool:
-        """Take a new link over; return whether it joins a part of the map that is not known."""
-        old = self._linked  # no link has led to an experience of so high an id before
-        self._linked = max(old, a + 1, b + 1)
-        joined = False
-        for far, near, seconds in ((a, b, duration_s), (b, a, self._back * duration_s)):
-            known_s, through_s = self._remaining_s[far], self._remaining_s[near] + seconds
-            if through_s >= known_s:  # also where both are infinite
-                continue
-            if far >= old:
-                self._remaining_s[far], self._next[far] = through_s, near
-            else:
-                self._stale = True
-                joined |= math.isinf(known_s)
-        return joined
-
-
-def durations(
-    experience_map: ExperienceMap, ahead: float = 1.0, back: float = 1.0, join_m: float = 0.0,
-    rejected_shortcuts: Collection[int] = (),
-) -> csr_array:  # fmt: skip
-    """Return (n, n) seconds between linked experiences, the quickest link for both directions.
-
-    It is as SciPy computes on it, which then converts nothing: float64 and int32, rows in order.
-    ``ahead``, ``back``: factors for the links in their own direction and in the other one.
-    ``join_m``: experiences no further apart on the map count as linked, except for
-    ``rejected_shortcuts``.
-    """
-    count = len(experience_map)
-    sources, targets = experience_map.link_ends.T
-    once = np.maximum(experience_map.link_durations_s, SHORTEST_S)
-    rows, columns = [sources, targets], [targets, sources]
-    seconds = [ahead * once, back * once]
-    if join_m > 0.0 and len(once):
-        a, b, between_s = _joins(experience_map, join_m, rejected_shortcuts)
-        rows, columns = [*rows, a, b], [*columns, b, a]
-        seconds += [between_s, between_s]
-    column = np.concatenate(columns)
-    places = np.concatenate(rows) * count + column
-    order = np.argsort(places, kind='stable')  # the quick one where most is in order already
-    places = places[order]
-    first = np.flatnonzero(np.diff(places, prepend=-1))
-    row_ends = np.cumsum(np.bincount(places[first] // count, minlength=count))
-    from scipy.sparse import csr_array
-
-    return csr_array(
-        (
-            np.minimum.reduceat(np.concatenate(seconds)[order], first),
-            column[order[first]].astype(np.int32),
-            np.concatenate([[0], row_ends]).astype(np.int32),
-        ),
-        shape=(count, count),
-    )
-
-
-def _joins(
-    experience_map: ExperienceMap, join_m: float, rejected_shortcuts: Collection[int]
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
-    """Return pairs of experiences that lie close together on the map, and s from one to the other.
-
-    Only of those that have links: what was unlearned altogether is no place to go through. The
-    robot goes there as fast as over the links, and turns on the spot.
-    """
-    from scipy.spatial import cKDTree
-
-    linked = np.unique(experience_map.link_ends)
-    if rejected_shortcuts:
-        linked = np.setdiff1d(linked, np.fromiter(rejected_shortcuts, np.int64))
-    poses = experience_map.poses[linked]
-    pairs = cKDTree(poses[:, :2]).query_pairs(join_m, output_type='ndarray')
-    # Neighbours in time are linked already.
-    apart = linked[pairs[:, 1]] - linked[pairs[:, 0]]
-    pairs = pairs[apart > NEWEST]
-    unlearned = np.sort(experience_map.unlearned_ends, axis=1) @ (len(experience_map), 1)
-    numbers = np.sort(linked[pairs], axis=1) @ (len(experience_map), 1)
-    pairs = pairs[~np.isin(numbers, unlearned)]  # no way leads from one to the other any more
-    pairs = pairs[_near_over_links(experience_map, linked[pairs])]
-    step = poses[pairs[:, 1]] - poses[pairs[:, 0]]
-    shapes = experience_map.link_shapes
-    driven_m, driven_s = shapes[:, 0].sum(), experience_map.link_durations_s.sum()
-    speed_mps = max(driven_m / driven_s, SLOWEST_MPS) if driven_s > 0.0 else SLOWEST_MPS
-    turn_rad = np.abs((step[:, 2] + np.pi) % (2.0 * np.pi) - np.pi)
-    seconds = np.hypot(step[:, 0], step[:, 1]) / speed_mps + turn_rad / TURN_RADPS + SHORTEST_S
-    return linked[pairs[:, 0]], linked[pairs[:, 1]], seconds
-
-
-def _near_over_links(
-    experience_map: ExperienceMap, pairs: NDArray[np.int64]
-) -> NDArray[np.bool_]:
-    """Return (n,) whether links lead from one of a pair to the other without going far away.
-
-    Also such as were unlearned: where something stands now they still say how the places lie.
-    """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    count = len(experience_map)
-    ends = np.concatenate([experience_map.link_ends, experience_map.unlearned_ends])
-    places = experience_map.poses[:, :2] / TILE_M
-    found = np.zeros(len(pairs), np.bool_)
-    for shift in ((0.0, 0.0), (0.0, 0.5), (0.5, 0.0), (0.5, 0.5)):
-        tiles = np.floor(places + shift)
-        inside = ends[(tiles[ends[:, 0]] == tiles[ends[:, 1]]).all(axis=1)]
-        graph = coo_array((np.ones(len(inside)), inside.T), shape=(count, count))
-        _, part = connected_components(graph, directed=False)
-        found |= part[pairs[:, 0]] == part[pairs[:, 1]]
-    return found
-
-
-def _check_known(experience_id: int, count: int) -> None:
+def check_on_map(experience_id: int, count: int) -> None:
+    """Raise UnreachableGoal unless a map of ``count`` experiences has this id."""
     if not 0 <= experience_id < count:
         raise UnreachableGoal(
             f'there is no experience {experience_id}; expected 0 to {count - 1}'
         )
 
 
-def _unlinked(start_id: int, goal_id: int) -> UnreachableGoal:
+def unreachable(start_id: int, goal_id: int) -> UnreachableGoal:
+    """Return the error for a goal in another part of the map than the start."""
     return UnreachableGoal(
         f'no link leads from experience {start_id} to {goal_id}; drive between their parts of '
         'the map first'
@@ -430,7 +197,7 @@ def _unlinked(start_id: int, goal_id: int) -> UnreachableGoal:
 
 
 @compiled
-def _chain(before: NDArray[np.int32], last: int) -> NDArray[np.int32]:
+def predecessor_chain(before: NDArray[np.int32], last: int) -> NDArray[np.int32]:
     """Return an experience, the one before it and so on."""
     ids = np.empty(len(before), np.int32)
     count = 0

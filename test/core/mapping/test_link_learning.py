@@ -20,7 +20,8 @@ from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.config import ExperienceMapParameters, GoalRecallParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap, NotLinked
 from ratslam_ros.core.mapping.link_learning import AHEAD_M, DETOUR, leading_ahead
-from ratslam_ros.core.navigation.route_planner import GoalTree, RoutePlanner, UnreachableGoal
+from ratslam_ros.core.navigation.goal_tree import GoalTree
+from ratslam_ros.core.navigation.route_planner import RoutePlanner, UnreachableGoal
 from ratslam_ros.core.pose_cells.pose_cells import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.errors import UnusableInput

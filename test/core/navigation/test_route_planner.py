@@ -13,15 +13,14 @@ import pytest
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.config import ExperienceMapParameters, GoalRecallParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
-from ratslam_ros.core.navigation import route_planner
+from ratslam_ros.core.navigation import goal_tree
+from ratslam_ros.core.navigation.goal_tree import GoalTree
+from ratslam_ros.core.navigation.route_graph import SHORTEST_S, route_graph
 from ratslam_ros.core.navigation.route_planner import (
-    SHORTEST_S,
-    GoalTree,
     Route,
     RoutePlanner,
     TemporalMap,
     UnreachableGoal,
-    durations,
 )
 from ratslam_ros.core.pose_cells.pose_cells import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
@@ -195,9 +194,9 @@ def test_durations_are_those_of_the_quickest_link_either_way(seed: int, back: fl
     for _ in range(60):
         wander(graph, rng, islands=True)
         times = link_times(graph, back)
-        matrix = durations(graph, 1.0, back)
+        matrix = route_graph(graph, 1.0, back)
         assert dict(zip(zip(*matrix.nonzero(), strict=True), matrix.data, strict=True)) == times
-        assert (durations(graph, back, 1.0) != matrix.T).nnz == 0
+        assert (route_graph(graph, back, 1.0) != matrix.T).nnz == 0
     types = (matrix.data.dtype, matrix.indices.dtype, matrix.indptr.dtype)
     assert types == (np.float64, np.int32, np.int32)
     assert matrix.has_canonical_format
@@ -205,7 +204,7 @@ def test_durations_are_those_of_the_quickest_link_either_way(seed: int, back: fl
 
 def test_an_experience_without_links_is_a_goal_for_itself_only() -> None:
     graph = line(1)
-    assert durations(graph).nnz == 0
+    assert route_graph(graph).nnz == 0
     assert planner_of(graph).route_to(0).experience_ids == (0,)
     assert GoalTree(planner_of(graph), 0).route().experience_ids == (0,)
 
@@ -282,7 +281,7 @@ def test_a_tree_that_says_so_is_exact_and_any_leads_to_its_goal(
     monkeypatch: pytest.MonkeyPatch, seed: int, islands: bool, per_change: int,
     parameters: GoalRecallParameters,
 ) -> None:
-    monkeypatch.setattr(route_planner, 'EXPERIENCES_PER_CHANGE', per_change)
+    monkeypatch.setattr(goal_tree, 'EXPERIENCES_PER_CHANGE', per_change)
     rng = np.random.default_rng(seed)
     graph = line(3)
     tree = GoalTree(RoutePlanner(parameters, graph), 1)
@@ -341,7 +340,7 @@ def test_a_new_link_counts_for_the_direction_in_which_it_is_quicker() -> None:
 def test_a_large_stale_tree_is_computed_anew_after_a_number_of_changes(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(route_planner, 'EXPERIENCES_PER_CHANGE', 2)
+    monkeypatch.setattr(goal_tree, 'EXPERIENCES_PER_CHANGE', 2)
     graph = line(20)
     planner = Counting(graph)
     tree = GoalTree(planner, 0)
@@ -359,7 +358,7 @@ def test_a_large_stale_tree_is_computed_anew_after_a_number_of_changes(
 def test_no_way_leads_over_a_link_that_is_no_more(
     monkeypatch: pytest.MonkeyPatch, seed: int, parameters: GoalRecallParameters
 ) -> None:
-    monkeypatch.setattr(route_planner, 'EXPERIENCES_PER_CHANGE', 0)
+    monkeypatch.setattr(goal_tree, 'EXPERIENCES_PER_CHANGE', 0)
     rng = np.random.default_rng(seed)
     graph = line(8)
     for _ in range(20):
@@ -382,7 +381,7 @@ def test_no_way_leads_over_a_link_that_is_no_more(
 
 
 def test_a_joined_part_of_the_map_is_on_the_tree_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(route_planner, 'EXPERIENCES_PER_CHANGE', 0)
+    monkeypatch.setattr(goal_tree, 'EXPERIENCES_PER_CHANGE', 0)
     graph = line(3)
     planner = Counting(graph)
     tree = GoalTree(planner, 0)

@@ -26,7 +26,8 @@ from ratslam_ros.core.config import (
 )
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.late_join import LateJoin
-from ratslam_ros.core.navigation.route_planner import GoalTree, RoutePlanner
+from ratslam_ros.core.navigation.goal_tree import GoalTree
+from ratslam_ros.core.navigation.route_planner import RoutePlanner
 from ratslam_ros.core.pose_cells.pose_cells import MapAction, PoseCells
 from ratslam_ros.core.pose_cells.pruning import LONGEST_GAP_M, RECENT_VISITS, Gaps, Visits
 from ratslam_ros.core.pose_cells.torus import Place
