@@ -34,7 +34,7 @@ from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.config.parameter import Value
 from ratslam_ros.core.driving.steering import Command
-from ratslam_ros.core.navigation.route_following import STRAY_M
+from ratslam_ros.core.navigation.route_following import RECOVERY_M
 from ratslam_ros.core.navigation.route_planner import RoutePlanner, UnreachableGoal
 from ratslam_ros.files.config import load_config
 from ratslam_ros.results.goal_memory_plots import draw_temporal_array
@@ -430,7 +430,7 @@ def by_goal_memory(
 
     def stray(scan: Scan) -> Command:
         nonlocal stray_until_m
-        stray_until_m = simulator.odometer_m + STRAY_M
+        stray_until_m = simulator.odometer_m + RECOVERY_M
         loop.exploration.restart()
         return loop.exploring(scan)
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The graph that routes are planned on."""
+"""The weighted graph for route planning: links, and shortcuts between close experiences."""
 
 from __future__ import annotations
 
@@ -12,39 +12,47 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 
-if TYPE_CHECKING:  # SciPy takes long to load: it is loaded where the first route is asked for
+if TYPE_CHECKING:  # SciPy loads slowly, so it is imported with the first route
     from scipy.sparse import csr_array
 
-SHORTEST_S = 1e-9
-"""A link's least duration: a graph's edge of length 0 would be no edge."""
+MIN_EDGE_S = 1e-9
+"""Least duration of an edge, because SciPy drops edges of weight 0, in s."""
 
-NEWEST = 10
-"""Experiences made so soon one after the other are not joined beside their links."""
+MIN_SHORTCUT_ID_GAP = 10
+"""A shortcut connects experiences whose ids differ by more than this. Closer ones are already
+linked."""
 
 TILE_M = 4.0
-"""Places are joined where links lead from one to the other within squares of this width: over so
-short a way the map is right, whatever it does to loops that are not closed yet."""
+"""Side of the square tiles within which links must connect the ends of a shortcut, in m. Over
+such a distance the map is accurate, even before large loops are closed."""
 
-SLOWEST_MPS = 0.01
+MIN_SPEED_MPS = 0.01
+"""Lower limit of the assumed speed along a shortcut, in m/s."""
 
-TURN_RADPS = 1.0
-"""How fast a robot turns where ways are joined."""
+SHORTCUT_TURN_RADPS = 1.0
+"""Assumed turn rate on a shortcut, in rad/s."""
 
 
 def route_graph(
     experience_map: ExperienceMap, ahead: float = 1.0, back: float = 1.0, join_m: float = 0.0,
     rejected_shortcuts: Collection[int] = (),
 ) -> csr_array:  # fmt: skip
-    """Return (n, n) seconds between linked experiences, the quickest link for both directions.
+    """Return the adjacency matrix of the map, weighted by durations.
 
-    It is as SciPy computes on it, which then converts nothing: float64 and int32, rows in order.
-    ``ahead``, ``back``: factors for the links in their own direction and in the other one.
-    ``join_m``: experiences no further apart on the map count as linked, except for
-    ``rejected_shortcuts``.
+    Args:
+        experience_map: the map with n experiences.
+        ahead: factor on the duration of a link in its own direction.
+        back: factor on the duration of a link in the opposite direction.
+        join_m: maximum length of shortcuts in m, 0 for no shortcuts.
+        rejected_shortcuts: experiences without shortcuts.
+
+    Returns:
+        (n, n) durations in s of the fastest edge from row to column. The dtypes are float64 and
+        int32 and the rows are sorted, so that SciPy need not convert the matrix.
     """
     count = len(experience_map)
     sources, targets = experience_map.link_ends.T
-    once = np.maximum(experience_map.link_durations_s, SHORTEST_S)
+    once = np.maximum(experience_map.link_durations_s, MIN_EDGE_S)
     rows, columns = [sources, targets], [targets, sources]
     seconds = [ahead * once, back * once]
     if join_m > 0.0 and len(once):
@@ -53,7 +61,7 @@ def route_graph(
         seconds += [between_s, between_s]
     column = np.concatenate(columns)
     places = np.concatenate(rows) * count + column
-    order = np.argsort(places, kind='stable')  # the quick one where most is in order already
+    order = np.argsort(places, kind='stable')  # fastest for the mostly sorted input
     places = places[order]
     first = np.flatnonzero(np.diff(places, prepend=-1))
     row_ends = np.cumsum(np.bincount(places[first] // count, minlength=count))
@@ -72,10 +80,10 @@ def route_graph(
 def _shortcuts(
     experience_map: ExperienceMap, join_m: float, rejected_shortcuts: Collection[int]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
-    """Return pairs of experiences that lie close together on the map, and s from one to the other.
+    """Return (k,) first ends, (k,) second ends and (k,) durations in s of all shortcuts.
 
-    Only of those that have links: what was unlearned altogether is no place to go through. The
-    robot goes there as fast as over the links, and turns on the spot.
+    Experiences without links get no shortcuts. The duration assumes the mean speed over the links
+    of the map and a turn on the spot.
     """
     from scipy.spatial import cKDTree
 
@@ -84,28 +92,31 @@ def _shortcuts(
         linked = np.setdiff1d(linked, np.fromiter(rejected_shortcuts, np.int64))
     poses = experience_map.poses[linked]
     pairs = cKDTree(poses[:, :2]).query_pairs(join_m, output_type='ndarray')
-    # Neighbours in time are linked already.
-    apart = linked[pairs[:, 1]] - linked[pairs[:, 0]]
-    pairs = pairs[apart > NEWEST]
+    id_gaps = linked[pairs[:, 1]] - linked[pairs[:, 0]]
+    pairs = pairs[id_gaps > MIN_SHORTCUT_ID_GAP]
     unlearned = np.sort(experience_map.unlearned_ends, axis=1) @ (len(experience_map), 1)
     numbers = np.sort(linked[pairs], axis=1) @ (len(experience_map), 1)
-    pairs = pairs[~np.isin(numbers, unlearned)]  # no way leads from one to the other any more
-    pairs = pairs[_near_over_links(experience_map, linked[pairs])]
+    pairs = pairs[~np.isin(numbers, unlearned)]  # the connection is blocked
+    pairs = pairs[_connected_locally(experience_map, linked[pairs])]
     step = poses[pairs[:, 1]] - poses[pairs[:, 0]]
     shapes = experience_map.link_shapes
     driven_m, driven_s = shapes[:, 0].sum(), experience_map.link_durations_s.sum()
-    speed_mps = max(driven_m / driven_s, SLOWEST_MPS) if driven_s > 0.0 else SLOWEST_MPS
+    speed_mps = max(driven_m / driven_s, MIN_SPEED_MPS) if driven_s > 0.0 else MIN_SPEED_MPS
     turn_rad = np.abs((step[:, 2] + np.pi) % (2.0 * np.pi) - np.pi)
-    seconds = np.hypot(step[:, 0], step[:, 1]) / speed_mps + turn_rad / TURN_RADPS + SHORTEST_S
+    driving_s = np.hypot(step[:, 0], step[:, 1]) / speed_mps
+    seconds = driving_s + turn_rad / SHORTCUT_TURN_RADPS + MIN_EDGE_S
     return linked[pairs[:, 0]], linked[pairs[:, 1]], seconds
 
 
-def _near_over_links(
+def _connected_locally(
     experience_map: ExperienceMap, pairs: NDArray[np.int64]
 ) -> NDArray[np.bool_]:
-    """Return (n,) whether links lead from one of a pair to the other without going far away.
+    """Return (k,) whether links within one tile connect the experiences of each pair.
 
-    Also such as were unlearned: where something stands now they still say how the places lie.
+    Unlearned links count: a blocked link still shows where its ends lie relative to each other.
+    Four overlapping tilings are tried, because a pair may lie across the edge of a tile.
+
+    ``pairs``: (k, 2) ids.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Goal recall: graph, goal -> Route, the quickest way over the experience map."""
+"""Route planner: fastest routes over the experience map, and the temporal map."""
 
 from __future__ import annotations
 
@@ -18,8 +18,9 @@ from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation.route_graph import route_graph
 from ratslam_ros.errors import RatslamError
 
-if TYPE_CHECKING:  # SciPy takes long to load: it is loaded where the first route is asked for
+if TYPE_CHECKING:  # SciPy loads slowly, so it is imported with the first route
     from scipy.sparse import csr_array
+
 
 class UnreachableGoal(RatslamError):  # noqa: N818 - the errors' names say what they are
     """A goal that is not on the map, or that no link leads to."""
@@ -27,9 +28,11 @@ class UnreachableGoal(RatslamError):  # noqa: N818 - the errors' names say what 
 
 @dataclass(frozen=True, slots=True)
 class Route:
-    """Experiences from the current one to the goal, and when each is expected to be reached.
+    """Experiences from the start to the goal.
 
-    ``experience_ids``: (n,); ``arrival_s``: (n,) seconds from the start of the route, from 0.
+    Attributes:
+        experience_ids: (n,) ids.
+        arrival_s: (n,) expected arrival times from the start of the route in s; the first is 0.
     """
 
     experience_ids: tuple[int, ...]
@@ -38,18 +41,21 @@ class Route:
 
 @dataclass(frozen=True)
 class TemporalMap:
-    """How long it takes from one experience to every other; seed 000, equations (10) and (11).
+    """Travel times from one experience to all others: Milford et al. (2006), eqs. (10) and (11).
 
-    ``arrival_s``: (n,) seconds, infinite where no link leads; ``before``: (n,) the experience
-    before each on its quickest way, negative at the start and where none leads.
+    Attributes:
+        start_id: the experience at time 0.
+        arrival_s: (n,) travel times in s, infinite for unreachable experiences.
+        predecessors: (n,) ids of the previous experience on the fastest route, negative for the
+            start and for unreachable experiences.
     """
 
     start_id: int
     arrival_s: NDArray[np.float64]
-    before: NDArray[np.int32]
+    predecessors: NDArray[np.int32]
 
     def route_to(self, goal_id: int) -> Route:
-        """Read the quickest route back from its goal.
+        """Return the fastest route to an experience.
 
         Raises:
             UnreachableGoal: there is no such experience, or no link leads to it.
@@ -57,16 +63,16 @@ class TemporalMap:
         check_on_map(goal_id, len(self.arrival_s))
         if not math.isfinite(self.arrival_s[goal_id]):
             raise unreachable(self.start_id, goal_id)
-        ids = predecessor_chain(self.before, goal_id)[::-1]
+        ids = predecessor_chain(self.predecessors, goal_id)[::-1]
         return Route(tuple(ids.tolist()), tuple(self.arrival_s[ids].tolist()))
 
 
 class RoutePlanner:
-    """Finds routes over an experience map; keeps what it computed on it until links change."""
+    """Plans routes over an experience map, and caches its weighted graph until links change."""
 
     def __init__(self, parameters: GoalRecallParameters, experience_map: ExperienceMap) -> None:
         self.parameters = parameters
-        """They may be replaced at any time."""
+        """May be replaced at any time."""
         self.experience_map = experience_map
         self._graphs: dict[
             tuple[float, float, float], tuple[tuple[int, int, int], csr_array]
@@ -74,25 +80,25 @@ class RoutePlanner:
         self._rejected_shortcuts: set[int] = set()
 
     def reject_shortcuts(self, experience_ids: Iterable[int]) -> None:
-        """Never again join some experiences with others because they lie close together."""
+        """Exclude experiences from shortcuts (``route_join_m``)."""
         self._rejected_shortcuts.update(experience_ids)
 
     def forgotten(self, experience_id: int) -> None:
-        """Take note that a number comes to mean another experience."""
+        """Handle the removal of an experience from the map: its id may get shortcuts again."""
         self._rejected_shortcuts.discard(experience_id)
 
     @property
     def rejected_shortcut_count(self) -> int:
-        """How many experiences are not joined with others."""
+        """Number of experiences without shortcuts."""
         return len(self._rejected_shortcuts)
 
     def temporal_map(self, start_id: int | None = None, to_start: bool = False) -> TemporalMap:
-        """Return the times from an experience to all, over links in both directions.
+        """Return the travel times from one experience to all, over links in both directions.
 
         Args:
-            start_id: where to start, None for the current experience.
-            to_start: the times from all to the start instead, and the experience after each; they
-                differ where ``route_back_factor`` is not 1.
+            start_id: the start, None for the current experience.
+            to_start: return the travel times from all experiences to the start, and successors in
+                place of predecessors. They differ unless ``route_back_factor`` is 1.
 
         Raises:
             UnreachableGoal: the map is empty.
@@ -101,54 +107,54 @@ class RoutePlanner:
         if len(experience_map) == 0:
             raise UnreachableGoal('the map is empty; drive first')
         start = experience_map.current_id if start_id is None else start_id
-        changes = (
+        version = (
             experience_map.links_version, len(experience_map), len(self._rejected_shortcuts)
         )  # fmt: skip
         back, join_m = self.parameters.route_back_factor, self.parameters.route_join_m
         factors = (back, 1.0, join_m) if to_start else (1.0, back, join_m)
-        known = self._graphs.get(factors)
-        if known is None or known[0] != changes:
+        cached = self._graphs.get(factors)
+        if cached is None or cached[0] != version:
             if factors not in self._graphs and len(self._graphs) > 1:
                 self._graphs.clear()  # the parameters were replaced
-            weighted = route_graph(experience_map, *factors, self._rejected_shortcuts)
-            known = self._graphs[factors] = changes, weighted
+            graph = route_graph(experience_map, *factors, self._rejected_shortcuts)
+            cached = self._graphs[factors] = version, graph
         from scipy.sparse.csgraph import dijkstra
 
-        arrival_s, before = dijkstra(known[1], indices=start, return_predecessors=True)
-        return TemporalMap(start, arrival_s, before)
+        arrival_s, predecessors = dijkstra(cached[1], indices=start, return_predecessors=True)
+        return TemporalMap(start, arrival_s, predecessors)
 
     def route_to(self, goal_id: int) -> Route:
-        """Return the quickest route to an experience; see ``TemporalMap.route_to``."""
+        """Return the fastest route to an experience; see ``TemporalMap.route_to``."""
         return self.temporal_map().route_to(goal_id)
 
     def nearest(self, x_m: float, y_m: float, tolerance_m: float = 0.0) -> int:
-        """Return the experience that is nearest to a place on the map.
+        """Return the experience nearest to a position on the map.
 
-        ``tolerance_m``: its greatest distance; 0: ``goal_tolerance_m``.
+        ``tolerance_m``: maximum distance in m, 0 for ``goal_tolerance_m``.
 
         Raises:
-            UnreachableGoal: none is that near.
+            UnreachableGoal: the nearest experience is farther away.
         """
         if len(self.experience_map) == 0:
             raise UnreachableGoal('the map is empty; drive first')
         poses = self.experience_map.poses
         away_m = np.hypot(poses[:, 0] - x_m, poses[:, 1] - y_m)
         nearest = int(np.argmin(away_m))
-        self._check_near(x_m, y_m, float(away_m[nearest]), tolerance_m)
+        self._check_tolerance(x_m, y_m, float(away_m[nearest]), tolerance_m)
         return nearest
 
     def route_to_place(
         self, x_m: float, y_m: float, tolerance_m: float = 0.0, start_id: int | None = None
     ) -> Route:
-        """Return the quickest route to the experience that is nearest to a place on the map.
+        """Return the fastest route to the reachable experience nearest to a position on the map.
 
         Args:
-            x_m, y_m: the place.
-            tolerance_m: greatest distance of the experience; 0: ``goal_tolerance_m``.
-            start_id: where to start, None for the current experience.
+            x_m, y_m: the position.
+            tolerance_m: maximum distance of the experience in m, 0 for ``goal_tolerance_m``.
+            start_id: the start, None for the current experience.
 
         Raises:
-            UnreachableGoal: no experience that links lead to lies within the tolerance.
+            UnreachableGoal: no reachable experience lies within the tolerance.
         """
         times = self.temporal_map(start_id)
         reachable = np.isfinite(times.arrival_s)
@@ -157,20 +163,20 @@ class RoutePlanner:
     def _goal_at(
         self, reachable: NDArray[np.bool_], x_m: float, y_m: float, tolerance_m: float
     ) -> int:
-        """Return the nearest of the reachable experiences; if none is near, of all that are."""
+        """Return the nearest reachable experience, or the nearest of all if that is too far."""
         poses = self.experience_map.poses
         away_m = np.hypot(poses[:, 0] - x_m, poses[:, 1] - y_m)
         goal = int(np.argmin(np.where(reachable, away_m, np.inf)))
         if not (reachable[goal] and away_m[goal] <= (tolerance_m or self._tolerance_m)):
             goal = int(np.argmin(away_m))
-            self._check_near(x_m, y_m, float(away_m[goal]), tolerance_m)
+            self._check_tolerance(x_m, y_m, float(away_m[goal]), tolerance_m)
         return goal
 
     @property
     def _tolerance_m(self) -> float:
         return self.parameters.goal_tolerance_m
 
-    def _check_near(self, x_m: float, y_m: float, away_m: float, tolerance_m: float) -> None:
+    def _check_tolerance(self, x_m: float, y_m: float, away_m: float, tolerance_m: float) -> None:
         tolerance = tolerance_m or self._tolerance_m
         if not away_m <= tolerance:
             raise UnreachableGoal(
@@ -189,7 +195,7 @@ def check_on_map(experience_id: int, count: int) -> None:
 
 
 def unreachable(start_id: int, goal_id: int) -> UnreachableGoal:
-    """Return the error for a goal in another part of the map than the start."""
+    """Return the error for a goal in another component of the graph than the start."""
     return UnreachableGoal(
         f'no link leads from experience {start_id} to {goal_id}; drive between their parts of '
         'the map first'
@@ -197,12 +203,12 @@ def unreachable(start_id: int, goal_id: int) -> UnreachableGoal:
 
 
 @compiled
-def predecessor_chain(before: NDArray[np.int32], last: int) -> NDArray[np.int32]:
-    """Return an experience, the one before it and so on."""
-    ids = np.empty(len(before), np.int32)
+def predecessor_chain(predecessors: NDArray[np.int32], last: int) -> NDArray[np.int32]:
+    """Return an experience, its predecessor, the predecessor of that, and so on to the root."""
+    ids = np.empty(len(predecessors), np.int32)
     count = 0
     while last >= 0 and count < len(ids):
         ids[count] = last
-        last = before[last]
+        last = predecessors[last]
         count += 1
     return ids[:count]

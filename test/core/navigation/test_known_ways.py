@@ -18,7 +18,7 @@ from ratslam_ros.core.config import (
     LocalViewParameters,
 )
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
-from ratslam_ros.core.navigation.navigator import MOST_TRIES, MOST_UNSURE, Navigator
+from ratslam_ros.core.navigation.navigator import MAX_TRY_COUNT, MAX_UNCERTAIN_TRY_COUNT, Navigator
 from ratslam_ros.core.navigation.route_graph import TILE_M
 from ratslam_ros.core.navigation.route_planner import RoutePlanner, UnreachableGoal
 from ratslam_ros.core.pose_cells.pose_cells import MapAction
@@ -184,7 +184,7 @@ def on_the_way(graph: ExperienceMap) -> Navigator:
 
 def test_a_robot_that_knows_where_it_is_counts_its_failures() -> None:
     navigator = on_the_way(straight(10))
-    assert all(navigator.report_blocked() for _ in range(MOST_TRIES))
+    assert all(navigator.report_blocked() for _ in range(MAX_TRY_COUNT))
     assert not navigator.update(1).explore
     navigator.report_blocked()
     assert navigator.update(2).explore  # that many have changed nothing: it is not there
@@ -203,7 +203,7 @@ def test_a_robot_that_may_be_wrong_looks_for_itself() -> None:
         step(graph)
         guidance = navigator.update(stamp_ns)
     assert guidance.unknown_m > 2.0
-    for _ in range(MOST_UNSURE + 1):
+    for _ in range(MAX_UNCERTAIN_TRY_COUNT + 1):
         assert not navigator.report_blocked()
     assert navigator.update(20).explore
 

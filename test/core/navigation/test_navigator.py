@@ -13,7 +13,7 @@ from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.config import ExperienceMapParameters, GoalRecallParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation.goals import Position
-from ratslam_ros.core.navigation.navigator import MOST_OUTCOMES, Navigator
+from ratslam_ros.core.navigation.navigator import MAX_OUTCOME_COUNT, Navigator
 from ratslam_ros.core.navigation.route_following import STUCK_S
 from ratslam_ros.core.navigation.route_planner import UnreachableGoal
 from ratslam_ros.core.pose_cells.pose_cells import MapAction
@@ -61,7 +61,7 @@ class Robot:
         return [status for status, _ in itertools.groupby(seen)]
 
     def outcomes(self) -> list[tuple[str, str]]:
-        return [(errand.asked, errand.status) for errand in self.navigator.outcomes]
+        return [(task.asked, task.status) for task in self.navigator.outcomes]
 
 
 def robot(length: int = 10, **parameters: float) -> Robot:
@@ -74,11 +74,11 @@ def test_goals_are_visited_in_order() -> None:
     made.come(2, 2.0)
     nav.goals.name_place(made.map, 'kitchen')
     made.come(0, -2.0)
-    errands = nav.go_to(4, 'kitchen', Position(6.1, 0.2))
-    assert [errand.asked for errand in errands] == ['experience 4', 'kitchen', '(6.1, 0.2)']
-    assert [errand.status for errand in nav.queue] == ['queued'] * 3
+    tasks = nav.go_to(4, 'kitchen', Position(6.1, 0.2))
+    assert [task.asked for task in tasks] == ['experience 4', 'kitchen', '(6.1, 0.2)']
+    assert [task.status for task in nav.queue] == ['queued'] * 3
     assert made.run(1.0) == ['following']
-    assert [errand.status for errand in nav.queue] == ['active', 'queued', 'queued']
+    assert [task.status for task in nav.queue] == ['active', 'queued', 'queued']
     assert made.run(40.0) == [
         'following', 'succeeded', 'following', 'succeeded', 'following', 'succeeded', 'idle'
     ]  # fmt: skip
@@ -89,7 +89,7 @@ def test_goals_are_visited_in_order() -> None:
     assert first.expected_s == pytest.approx(8.0)
     assert None not in (first.started_ns, first.ended_ns, second.started_ns)
     assert made.map.pose.x_m == pytest.approx(6.0, abs=0.3)
-    assert [errand.number for errand in nav.outcomes] == [0, 1, 2]
+    assert [task.number for task in nav.outcomes] == [0, 1, 2]
 
 
 def test_what_is_asked_for_takes_the_place_of_what_was_or_comes_after_it() -> None:
@@ -98,11 +98,11 @@ def test_what_is_asked_for_takes_the_place_of_what_was_or_comes_after_it() -> No
     nav.go_to(9, 8)
     made.run(2.0)
     nav.go_to(3, append=True)
-    assert [errand.asked[-1] for errand in nav.queue] == ['9', '8', '3']
+    assert [task.asked[-1] for task in nav.queue] == ['9', '8', '3']
     nav.go_to(1)
-    assert [errand.asked[-1] for errand in nav.queue] == ['1']
+    assert [task.asked[-1] for task in nav.queue] == ['1']
     assert [status for _, status in made.outcomes()] == ['cancelled'] * 3
-    assert {errand.reason for errand in nav.outcomes} == {'another goal was asked for'}
+    assert {task.reason for task in nav.outcomes} == {'another goal was asked for'}
     assert made.run(5.0)[0] in ('following', 'succeeded')
 
 
@@ -116,7 +116,7 @@ def test_what_cannot_be_reached_is_refused_and_changes_nothing() -> None:
             nav.go_to(*targets, timeout_s=timeout_s)
     with pytest.raises(UnreachableGoal, match='expected 0 or more s'):
         nav.go_to(3, timeout_s=float('nan'))
-    assert [errand.asked for errand in nav.queue] == ['experience 5']
+    assert [task.asked for task in nav.queue] == ['experience 5']
     assert not nav.outcomes
 
 
@@ -127,7 +127,7 @@ def test_one_goal_or_all_are_cancelled() -> None:
     made.run(1.0)
     assert nav.cancel(number=1) == 1
     assert nav.cancel(number=1) == 0
-    assert [errand.asked[-1] for errand in nav.queue] == ['5', '7']
+    assert [task.asked[-1] for task in nav.queue] == ['5', '7']
     assert nav.cancel() == 2
     assert made.run(1.0) == ['idle']
     assert nav.cancel() == 0
@@ -156,9 +156,9 @@ def test_a_goal_has_its_time(
         assert statuses == stands
         return
     assert statuses == [*stands, 'timed_out', 'idle']
-    [errand] = made.navigator.outcomes
-    assert errand.ended_ns == began_ns + round(after_s * S)
-    assert errand.reason == f'not reached within {after_s:g} s'
+    [task] = made.navigator.outcomes
+    assert task.ended_ns == began_ns + round(after_s * S)
+    assert task.reason == f'not reached within {after_s:g} s'
 
 
 def test_the_next_goal_is_gone_to_when_one_has_timed_out() -> None:
@@ -177,10 +177,10 @@ def test_a_goal_that_no_route_is_found_to_fails_after_a_time_of_exploring() -> N
     began_ns = made.stamp_ns
     assert made.run(40.0, speed_mps=0.0) == ['recovering', 'lost', 'failed']
     assert made.navigator.guidance.explore is False
-    [errand] = made.navigator.outcomes
-    assert errand.reason == 'no route was found within 30 s of exploring'
-    assert errand.ended_ns is not None
-    assert errand.ended_ns - began_ns == pytest.approx(39.5 * S, abs=S)
+    [task] = made.navigator.outcomes
+    assert task.reason == 'no route was found within 30 s of exploring'
+    assert task.ended_ns is not None
+    assert task.ended_ns - began_ns == pytest.approx(39.5 * S, abs=S)
     assert made.run(5.0, speed_mps=0.0) == ['lost']
     assert made.navigator.guidance.explore is True
     made.come(0, 0.0)
@@ -196,7 +196,7 @@ def test_goals_in_the_queue_outlive_their_experiences() -> None:
     for forgotten in (10, 5):
         made.map.apply(MapAction('create', made.map.current_id, forgotten, 99, 0.0, NOWHERE))
         made.come(0, 0.0, linked=False)
-    goals = [errand.goal.pose_on(made.map).x_m for errand in nav.queue]
+    goals = [task.goal.pose_on(made.map).x_m for task in nav.queue]
     assert goals == pytest.approx([10.0, 5.0], abs=1e-6)
     assert made.run(1.0, speed_mps=0.0) == ['following']
     assert nav.guidance.goal is not None
@@ -205,11 +205,11 @@ def test_goals_in_the_queue_outlive_their_experiences() -> None:
 
 def test_only_so_many_outcomes_are_remembered() -> None:
     made = robot()
-    for _ in range(MOST_OUTCOMES + 5):
+    for _ in range(MAX_OUTCOME_COUNT + 5):
         made.navigator.go_to(3)
     made.navigator.cancel()
-    numbers = [errand.number for errand in made.navigator.outcomes]
-    assert numbers == list(range(5, MOST_OUTCOMES + 5))
+    numbers = [task.number for task in made.navigator.outcomes]
+    assert numbers == list(range(5, MAX_OUTCOME_COUNT + 5))
 
 
 def test_an_empty_map_has_no_goals() -> None:

@@ -17,10 +17,10 @@ from ratslam_ros.core.config import ExperienceMapParameters, GoalRecallParameter
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation.goals import Goal
 from ratslam_ros.core.navigation.route_following import (
-    ARRIVED_M,
-    LEAVING_M,
-    LINGER_S,
-    STRAY_M,
+    AT_GOAL_M,
+    MAX_DWELL_S,
+    RECEDING_M,
+    RECOVERY_M,
     STUCK_M,
     STUCK_S,
     Guidance,
@@ -169,12 +169,12 @@ def test_a_goal_is_reached_where_the_robot_comes_closest_to_it(beside_m: float) 
         away_m.append(math.hypot(5.0 - robot.pose.x_m, beside_m))
         robot.drive(0.02)
     assert min(away_m) == pytest.approx(beside_m, abs=0.01)
-    assert away_m[-1] < beside_m + LEAVING_M + 0.02  # it has not gone on much further
+    assert away_m[-1] < beside_m + RECEDING_M + 0.02  # it has not gone on much further
     assert robot.update().status == 'succeeded'
 
 
 def test_a_goal_is_reached_at_its_place_and_by_who_stays_beside_it() -> None:
-    for x_m, after_s in ((5.0 - 0.9 * ARRIVED_M, 0.0), (4.8, LINGER_S)):
+    for x_m, after_s in ((5.0 - 0.9 * AT_GOAL_M, 0.0), (4.8, MAX_DWELL_S)):
         robot = back_at_the_start()
         robot.set_out(10)
         robot.drive(x_m)
@@ -208,7 +208,7 @@ def test_a_robot_that_gets_nowhere_strays(turns: bool) -> None:
         else:
             robot.wait(1.0)
     assert STUCK_S <= (robot.stamp_ns - began_ns) / S <= STUCK_S + 1.0
-    for _ in range(round(STRAY_M / 0.2)):
+    for _ in range(round(RECOVERY_M / 0.2)):
         assert robot.update().explore  # until it has come some way
         robot.drive(0.2)
     guidance = robot.update()

@@ -15,7 +15,7 @@ from ratslam_ros.core.config import ExperienceMapParameters, GoalRecallParameter
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation import goal_tree
 from ratslam_ros.core.navigation.goal_tree import GoalTree
-from ratslam_ros.core.navigation.route_graph import SHORTEST_S, route_graph
+from ratslam_ros.core.navigation.route_graph import MIN_EDGE_S, route_graph
 from ratslam_ros.core.navigation.route_planner import (
     Route,
     RoutePlanner,
@@ -152,7 +152,7 @@ def link_times(graph: ExperienceMap, back: float = 1.0) -> dict[tuple[int, int],
     """Return the least time of a link from each experience to each that it has one with."""
     times: dict[tuple[int, int], float] = {}
     for link in graph.links():
-        a, b, seconds = link.source_id, link.target_id, max(link.duration_s, SHORTEST_S)
+        a, b, seconds = link.source_id, link.target_id, max(link.duration_s, MIN_EDGE_S)
         for ends, duration_s in (((a, b), seconds), ((b, a), back * seconds)):
             times[ends] = min(duration_s, times.get(ends, math.inf))
     return times
