@@ -18,7 +18,12 @@ from scipy.ndimage import convolve1d
 from ratslam_ros.core.common.odometry import Motion, Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import Scan
-from ratslam_ros.core.config import LocalViewParameters, PoseCellsParameters
+from ratslam_ros.core.config import (
+    ExperienceMapParameters,
+    LocalViewParameters,
+    PoseCellsParameters,
+)
+from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.pose_cells.pose_cells import Action, MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.core.vision.local_view import ViewMatch
@@ -360,6 +365,15 @@ def circles_of_actions(places: int, laps: int) -> Iterator[tuple[int, MapAction]
         source = (n - 1) % places if n else -1
         kind: Action = 'create' if n < places else 'link' if n == places else 'set'
         yield n, MapAction(kind, source, n % places, n % places, 0.0, Place(1.0, 2.0, 3.0))
+
+
+def restored(
+    graph: ExperienceMap, parameters: ExperienceMapParameters, **changes: Any
+) -> ExperienceMap:
+    """Return a copy of a map with other parameters, and with some items of its state changed."""
+    copy = ExperienceMap(parameters)
+    copy.restore({**graph.state(), **changes})
+    return copy
 
 
 # Live

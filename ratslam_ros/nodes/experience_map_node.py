@@ -7,7 +7,6 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped
@@ -22,6 +21,7 @@ from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.late_join import LateJoin
+from ratslam_ros.core.mapping.mapping_step import apply_action
 from ratslam_ros.core.mapping.scan_matching import ScanMatcher
 from ratslam_ros.core.pose_cells.pose_cells import MapAction
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
@@ -83,7 +83,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
         self._core = ExperienceMap(self._section)
         self._core.mapping = self._mapping
         self._map_text = MapText()
-        self._joining = LateJoin(self._core)
+        self._late_join = LateJoin(self._core)
         self._scans = ScanMatcher()
         self._motion = MotionFromOdometry(self._section.odom_source)
         self._action_ns = 0
@@ -106,7 +106,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
     def _learned(self) -> State:
         return {
             'action_ns': self._action_ns,
-            'joining': self._joining.state(),
+            'joining': self._late_join.state(),
             'core': self._core.state(),
             'goals': self._goals.learned(),
             'scans': self._scans.state(),
@@ -116,15 +116,14 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
         core = ExperienceMap(self._section)
         core.restore(state['core'])
         core.gate.restart()
-        joining = LateJoin(core)
-        joining.restore(state['joining'])
+        late_join = LateJoin(core)
+        late_join.restore(state['joining'])
         action_ns = int(state['action_ns'])
         scans = ScanMatcher()
-        if 'scans' in state:  # memories of before there were any have none
-            scans.restore(state['scans'])
-        self._goals.begin(core, state.get('goals'))  # memories of before goals had names have none
+        scans.restore(state['scans'])
+        self._goals.begin(core, state['goals'])
         self._action_ns = action_ns
-        self._core, self._joining, self._scans = core, joining, scans
+        self._core, self._late_join, self._scans = core, late_join, scans
         self._map_text = MapText()
         self._core.mapping = self._mapping
         self._motion.restart()
@@ -171,16 +170,12 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
                 self._scans.integrate(stamp_ns, motion)
             return
         self._fail(stamp_ns)
-        joining = self._joining
-        missed, forgotten = joining.missed, joining.forgotten
-        refused = self._core.gate.refused
+        joining, behaviour = self._late_join, self._behaviours.at(stamp_ns)
+        missed, restarts = joining.missed, joining.restarts
         with self._diagnostics.times('experience_map'):
-            joining.apply(
-                item.action, item.sequence, item.memory_ns, self._behaviours.at(stamp_ns),
-                partial(self._scans.locate, stamp_ns),
-            )
-            if self._core.gate.refused > refused:
-                self._scans.refused()
+            action = joining.translate(item.action, item.sequence, item.memory_ns)
+            if action is not None:
+                apply_action(self._core, self._scans, stamp_ns, action, behaviour)
         if item.action.template_id != NO_TEMPLATE:
             self._action_ns = stamp_ns
             self._changed = True
@@ -188,7 +183,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
             'missed', f'{joining.missed - missed} actions of pose_cells never came: the map is '
             'not the one of a replay', joining.missed - missed,
         )  # fmt: skip
-        if joining.forgotten > forgotten:
+        if joining.restarts > restarts:
             self._miss('pose_cells has begun with an empty memory: the map goes on, but what was '
                        'mapped before will not be recognised. To start over call '
                        'experience_map/reset')  # fmt: skip
@@ -202,7 +197,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
         for note in self._behaviours.take(stamp_ns):
             if not self._goals.report_blocked():
                 continue
-            unlearned = self._core.fail(note.behaviour, note.ahead_rad)
+            unlearned = self._core.report_blocked(note.behaviour, note.ahead_rad)
             if unlearned > 0:
                 self._changed = True
                 self.get_logger().info(
@@ -286,8 +281,8 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
             'experiences': len(self._core),
             'links': self._core.link_count,
             'experience': self._core.current_id,
-            'jumps_refused': self._core.gate.refused,
-            'carried': self._core.gate.believed,
+            'jumps_refused': self._core.gate.rejected_count,
+            'carried': self._core.gate.relocation_count,
             **self._goals.state(),
         }
 

@@ -97,7 +97,7 @@ class GoalNavigation:
         navigator = Navigator(self._config().goal_recall, experience_map)
         if state is not None:
             navigator.goals.restore(state)
-        experience_map.on_forgotten.append(navigator.forgotten)
+        experience_map.on_pruned.append(navigator.forgotten)
         self._map, self._navigator = experience_map, navigator
         self._begin_telling()
         self._end_route()

@@ -24,7 +24,6 @@ from ratslam_ros.core.config import Config
 from ratslam_ros.core.ratslam import RatSLAM, Step, ViewStep
 from ratslam_ros.core.vision.visual_odometry import field_of_view_deg
 from ratslam_ros.messages.mapping import MalformedMessage, decode_template
-from ratslam_ros.read_ahead import ReadAhead
 from ratslam_ros.recordings import (
     Event,
     ImageEvent,
@@ -34,6 +33,7 @@ from ratslam_ros.recordings import (
     Selection,
     UndecodableImage,
 )
+from ratslam_ros.recordings.prefetch import prefetch_images
 from ratslam_ros.results.video import MapVideo
 from ratslam_ros.results.writer import Results
 from ratslam_ros.timing import StepTimes
@@ -78,7 +78,7 @@ def replay(
             if options.video is not None:
                 run.film = stack.enter_context(_Film(options.video, run.slam))
             events = recording.events(selection, options.start_s, options.duration_s)
-            decoded = stack.enter_context(ReadAhead(events, run.times))
+            decoded = stack.enter_context(prefetch_images(events, run.times))
             bar = stack.enter_context(_Progress(recording, options, run))
             for event, image in decoded:
                 run.feed(event, image)
@@ -149,7 +149,7 @@ class _Run:
         self._recording = recording
         self._config = config
         self._folder = folder
-        self._without_scans = self.slam.scans is not None and selection.scan_topic is None
+        self._without_scans = self.slam.scan_matcher is not None and selection.scan_topic is None
         self._unused: Counter[str] = Counter()
         self._why_unused: dict[str, str] = {}
         self._start_s = time.perf_counter()

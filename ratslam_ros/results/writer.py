@@ -16,7 +16,7 @@ from typing import IO, Any
 
 from ratslam_ros.core.common.pose import Pose, composed
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.mapping.experience_map import ExperienceMap, Forgotten
+from ratslam_ros.core.mapping.experience_map import ExperienceMap, PrunedExperience
 from ratslam_ros.core.pose_cells.pose_cells import NO_EXPERIENCE
 from ratslam_ros.core.ratslam import OdometryStep, Step, ViewStep
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
@@ -90,14 +90,14 @@ class Results:
         self.without_view += match.template_id == NO_TEMPLATE
         if match.template_id != NO_TEMPLATE:
             self._action_ns = step.stamp_ns
-        if step.forgotten is not None:
-            self._places.forget(step.forgotten)
+        if step.pruned is not None:
+            self._places.forget(step.pruned)
         if action.action == 'create':
-            self.experiences += step.forgotten is None
+            self.experiences += step.pruned is None
             self._newest.append(action.target_id)
-        elif action.action != 'none' and not step.refused and action.target_id not in self._newest:
-            self.loop_closures += 1
-        if action.action != 'none' and not step.refused:
+        if action.action != 'none' and not step.rejected:
+            is_closure = action.action != 'create' and action.target_id not in self._newest
+            self.loop_closures += is_closure
             self._at = action.target_id
         self._frames.write(
             f'{step.stamp_ns},{match.template_id},{int(match.is_new)},{match.error!r},'
@@ -151,9 +151,9 @@ class _Places:
         """Return the place that an experience's number means now: itself, or one below -1."""
         return self._of.get(experience_id, experience_id)
 
-    def forget(self, forgotten: Forgotten) -> None:
+    def forget(self, pruned: PrunedExperience) -> None:
         """Let the number mean another place from now on."""
-        experience_id, stand_in_id, pose = forgotten
+        experience_id, stand_in_id, pose = pruned
         self._forgotten.append((self.of(experience_id), self.of(stand_in_id), pose))
         self._of[experience_id] = -1 - len(self._forgotten)
 

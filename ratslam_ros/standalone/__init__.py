@@ -1,9 +1,10 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A stand-in for rclpy on machines without ROS: the same nodes, over Cyclone DDS from PyPI.
+"""A stand-in for rclpy on machines without ROS, built on Cyclone DDS from PyPI.
 
-Nodes that were written for rclpy run unchanged, and talk to real ones. What is not offered
-(actions, lifecycle, several threads, deadlines, lifespans, liveliness) raises at once.
+Nodes written for rclpy run unchanged and communicate with real ROS 2 nodes. Unsupported features
+(actions, lifecycle, multi-threading, deadlines, lifespans, liveliness) raise an exception when
+they are requested.
 """
 
 from __future__ import annotations
@@ -12,16 +13,17 @@ __all__ = ['StandaloneUnavailable', 'install']
 
 
 class StandaloneUnavailable(RuntimeError):  # noqa: N818
-    """The stand-in lacks something; the text says what running live needs here."""
+    """The stand-in cannot run here; the message says what to install."""
 
 
 def install() -> bool:
-    """Make ``import rclpy`` work; return whether that is by the stand-in.
+    """Make ``import rclpy`` work, without shadowing a real installation.
 
-    A real rclpy is never shadowed.
+    Returns:
+        Whether rclpy is the stand-in.
 
     Raises:
-        StandaloneUnavailable: there is neither rclpy nor what the stand-in needs.
+        StandaloneUnavailable: neither rclpy nor the dependencies of the stand-in are installed.
     """
     try:
         import rclpy
@@ -35,10 +37,10 @@ def install() -> bool:
     except Exception as error:
         raise StandaloneUnavailable(
             f'running live needs ROS 2 (source /opt/ros/jazzy/setup.bash), or the package '
-            f'cyclonedds: pip install "cyclonedds>=11.0,<11.1"; where there is no wheel of it, as '
-            f'on Linux aarch64, install ROS 2 or build cyclonedds ({error})'
+            f'cyclonedds: pip install "cyclonedds>=11.0,<11.1"; if there is no wheel for this '
+            f'platform, as on Linux aarch64, install ROS 2 or build cyclonedds ({error})'
         ) from None
-    from ratslam_ros.standalone.modules import serve
+    from ratslam_ros.standalone.modules import install_finder
 
-    serve()
+    install_finder()
     return True

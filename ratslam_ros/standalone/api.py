@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the module rclpy itself offers."""
+"""Functions of the module rclpy and of its utilities."""
 
 from __future__ import annotations
 
@@ -27,10 +27,20 @@ def init(
     domain_id: int | None = None,
     signal_handler_options: SignalHandlerOptions | None = None,
 ) -> Context:
-    """Join the domain; handle signals, unless told otherwise or in a context of one's own.
+    """Initialise a context: join its domain and install signal handlers.
+
+    Args:
+        args: command line; ``sys.argv`` if None.
+        context: context to initialise; the default context if None.
+        domain_id: domain to join; that of ROS_DOMAIN_ID if None.
+        signal_handler_options: signals that shut down; if None, all of them for the default
+            context and none for any other context.
+
+    Returns:
+        The context.
 
     Raises:
-        RuntimeError: this has been done before, or there are arguments that ROS does not know.
+        RuntimeError: the context is already initialised, or the ROS arguments are invalid.
     """
     context = get_default_context() if context is None else context
     if signal_handler_options is None:
@@ -50,34 +60,34 @@ def init(
 
 
 def ok(*, context: Context | None = None) -> bool:
-    """Tell whether the context was initialised and not shut down."""
+    """Return whether the context is initialised and not shut down."""
     return (get_default_context() if context is None else context).ok()
 
 
 def shutdown(*, context: Context | None = None, uninstall_handlers: bool | None = None) -> None:
-    """Shut down; raises RuntimeError where that has been done."""
+    """Shut down a context; raises RuntimeError if it is not initialised."""
     context = get_default_context() if context is None else context
     context.shutdown()
-    _ended(context, uninstall_handlers)
+    _finish_shutdown(context, uninstall_handlers)
 
 
 def try_shutdown(
     *, context: Context | None = None, uninstall_handlers: bool | None = None
 ) -> None:
-    """Shut down unless that has been done."""
+    """Shut down a context if it is initialised."""
     context = get_default_context() if context is None else context
     context.try_shutdown()
-    _ended(context, uninstall_handlers)
+    _finish_shutdown(context, uninstall_handlers)
 
 
-def _ended(context: Context, uninstall_handlers: bool | None) -> None:
-    context.end()
+def _finish_shutdown(context: Context, uninstall_handlers: bool | None) -> None:
+    context.close_if_unused()
     if uninstall_handlers or (uninstall_handlers is None and context is get_default_context()):
         uninstall_signal_handlers()
 
 
 def create_node(node_name: str, **options: Any) -> Node:
-    """Create a node; see Node."""
+    """Create a node; see ``Node`` for the options."""
     return Node(node_name, **options)
 
 
@@ -85,7 +95,7 @@ def spin(node: Node, executor: Any = None) -> None:
     """Run a node's callbacks until shutdown.
 
     Raises:
-        ExternalShutdownException: the context was shut down while it waited.
+        ExternalShutdownException: the context was shut down while the executor waited.
     """
     executor = get_global_executor() if executor is None else executor
     try:
@@ -97,7 +107,7 @@ def spin(node: Node, executor: Any = None) -> None:
 
 
 def spin_once(node: Node, *, executor: Any = None, timeout_sec: float | None = None) -> None:
-    """Run one of a node's callbacks, or wait until the timeout for one."""
+    """Run one callback of a node, waiting for it until the timeout."""
     executor = get_global_executor() if executor is None else executor
     try:
         executor.add_node(node)
@@ -109,7 +119,7 @@ def spin_once(node: Node, *, executor: Any = None, timeout_sec: float | None = N
 def spin_until_future_complete(
     node: Node, future: Any, executor: Any = None, timeout_sec: float | None = None
 ) -> None:
-    """Run a node's callbacks until a future is done, or the time is over."""
+    """Run a node's callbacks until a future is done or the timeout has passed."""
     executor = get_global_executor() if executor is None else executor
     try:
         executor.add_node(node)
@@ -119,33 +129,33 @@ def spin_until_future_complete(
 
 
 def remove_ros_args(args: Sequence[str] | None = None) -> list[str]:
-    """Return a command line without what is meant for ROS."""
+    """Return a command line without its ROS arguments; ``sys.argv`` if None."""
     import sys
 
     return arguments.remove_ros_args(sys.argv if args is None else args)
 
 
 def serialize_message(message: Any) -> bytes:
-    """Return a message as CDR."""
+    """Return the CDR encoding of a message."""
     return bytes(encode(message))
 
 
 def deserialize_message(serialized_message: bytes, message_type: Any) -> Any:
-    """Return the message that CDR holds; raises ValueError."""
+    """Decode a message from CDR; raises ValueError if the bytes are no such message."""
     return decode(serialized_message, message_type)
 
 
 def get_message(identifier: str) -> Any:
     """Return the class of a message type such as ``std_msgs/msg/String``."""
-    return _imported(identifier, 'msg')
+    return _import_type(identifier, 'msg')
 
 
 def get_service(identifier: str) -> Any:
     """Return the class of a service type such as ``std_srvs/srv/Trigger``."""
-    return _imported(identifier, 'srv')
+    return _import_type(identifier, 'srv')
 
 
-def _imported(identifier: str, kind: str) -> Any:
+def _import_type(identifier: str, kind: str) -> Any:
     from importlib import import_module
 
     parts = identifier.split('/')

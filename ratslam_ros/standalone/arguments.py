@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Command lines as ROS understands them: --ros-args with names, parameters and logging."""
+"""ROS command lines: --ros-args with remapping rules, parameters and logging options."""
 
 from __future__ import annotations
 
@@ -30,29 +30,30 @@ _VALUED = {
 
 @dataclass(frozen=True)
 class Remap:
-    """A rule for names; ``node`` is empty where it is for all."""
+    """A remapping rule."""
 
     node: str
+    """Name of the node that the rule applies to; empty for all nodes."""
     kind: str
     """topic, service, '' for both, or __node and __ns."""
-    before: str
-    after: str
+    match: str
+    replacement: str
 
 
 @dataclass
 class Arguments:
-    """What a command line asks of nodes."""
+    """Parsed ROS arguments."""
 
     remaps: list[Remap] = field(default_factory=list)
     parameters: list[tuple[str, dict[str, Any]]] = field(default_factory=list)
-    """Values by name, and the pattern of the nodes that they are for; later ones count."""
+    """Node name pattern and values by parameter name; later entries take precedence."""
     levels: list[tuple[str, LoggingSeverity]] = field(default_factory=list)
     to_stderr: bool = True
     to_rosout: bool = True
 
 
 def remove_ros_args(args: Sequence[str]) -> list[str]:
-    """Return a command line without what is between --ros-args and --."""
+    """Return a command line without the arguments between --ros-args and --."""
     kept, inside = [], False
     for word in args:
         if word == START:
@@ -65,13 +66,13 @@ def remove_ros_args(args: Sequence[str]) -> list[str]:
 
 
 def parse(args: Sequence[str]) -> Arguments:
-    """Return what a command line asks for.
+    """Parse the ROS arguments of a command line.
 
     Raises:
-        UnknownROSArgsError: arguments after --ros-args that are unknown.
-        RCLInvalidROSArgsError: arguments that are malformed.
+        UnknownROSArgsError: an argument after --ros-args is unknown.
+        RCLInvalidROSArgsError: an argument is malformed.
     """
-    found = Arguments()
+    parsed = Arguments()
     words = iter(_ros_words(args))
     unknown = []
     for word in words:
@@ -79,18 +80,18 @@ def parse(args: Sequence[str]) -> Arguments:
             value = next(words, None)
             if value is None:
                 raise RCLInvalidROSArgsError(f'{word}: expected a value after it')
-            _take(found, _VALUED[word], value, word)
+            _add_option(parsed, _VALUED[word], value, word)
         elif switch := _SWITCHES.fullmatch(word):
-            on = switch[1] == 'enable'
+            enabled = switch[1] == 'enable'
             if switch[2] == 'stdout':
-                found.to_stderr = on
+                parsed.to_stderr = enabled
             elif switch[2] == 'rosout':
-                found.to_rosout = on
+                parsed.to_rosout = enabled
         else:
             unknown.append(word)
     if unknown:
         raise UnknownROSArgsError(f'Found unknown ROS arguments: {", ".join(unknown)}')
-    return found
+    return parsed
 
 
 def _ros_words(args: Sequence[str]) -> Iterator[str]:
@@ -104,11 +105,11 @@ def _ros_words(args: Sequence[str]) -> Iterator[str]:
             yield word
 
 
-def _take(found: Arguments, what: str, value: str, word: str) -> None:
-    if what == 'file':
-        found.parameters += parameter_file(value)
+def _add_option(parsed: Arguments, option: str, value: str, word: str) -> None:
+    if option == 'file':
+        parsed.parameters += parameter_file(value)
         return
-    if what == 'level':
+    if option == 'level':
         logger, has_name, level = value.rpartition(':=')
         try:
             severity = get_logging_severity_from_string(level)
@@ -116,69 +117,68 @@ def _take(found: Arguments, what: str, value: str, word: str) -> None:
             raise RCLInvalidROSArgsError(
                 f'{word} {value}: expected debug, info, warn, error or fatal'
             ) from None
-        found.levels.append((logger if has_name else '', severity))
+        parsed.levels.append((logger if has_name else '', severity))
         return
-    if what == 'ignored':
+    if option == 'ignored':
         return
-    before, is_rule, after = value.partition(':=')
-    node, _, before = before.rpartition(':') if '://' not in before else ('', '', before)
-    if not is_rule or not before:
+    match, is_rule, replacement = value.partition(':=')
+    node, _, match = match.rpartition(':') if '://' not in match else ('', '', match)
+    if not is_rule or not match:
         raise RCLInvalidROSArgsError(f'{word} {value}: expected name:=value')
-    if what == 'parameter':
+    if option == 'parameter':
         pattern = '/**' if not node else node if node.startswith('/') else f'/{node}'
-        found.parameters.append((pattern, {before: parse_value(after)}))
+        parsed.parameters.append((pattern, {match: parse_value(replacement)}))
         return
     kind = ''
     for scheme in ('topic', 'service'):
-        if before.startswith(f'ros{scheme}://'):
-            kind, before = scheme, before.partition('://')[2]
-    if before in ('__node', '__name'):
+        if match.startswith(f'ros{scheme}://'):
+            kind, match = scheme, match.partition('://')[2]
+    if match in ('__node', '__name'):
         kind = '__node'
-    elif before == '__ns':
+    elif match == '__ns':
         kind = '__ns'
     try:
         if kind == '__node':
-            names.check_node_name(after)
+            names.check_node_name(replacement)
         elif kind == '__ns':
-            names.check_namespace(after)
+            names.check_namespace(replacement)
     except NameValidationException as error:
         raise RCLInvalidROSArgsError(f'{word} {value}: {error}') from None
-    found.remaps.append(Remap(node, kind, before, after))
+    parsed.remaps.append(Remap(node, kind, match, replacement))
 
 
 # Names
 
 
 class Names:
-    """The names of one node, remapped."""
+    """Name and namespace of one node after remapping, and its resolved topic names."""
 
     def __init__(self, node: str, namespace: str, arguments: Sequence[Arguments]) -> None:
-        """Apply what the command line says; of several ``arguments`` the first ones count."""
+        """Apply the remapping rules; the first matching rule of ``arguments`` is used."""
         names.check_node_name(node)
         namespace = names.full_namespace(namespace)
-        self._rules = [rule for given in arguments for rule in given.remaps]
-        self.given = node
-        self.node = self._first('__node', node) or node
-        self.namespace = self._first('__ns', node) or namespace
+        self._rules = [rule for parsed in arguments for rule in parsed.remaps]
+        self._original_node = node
+        self.node = self._find_replacement('__node', node) or node
+        self.namespace = self._find_replacement('__ns', node) or namespace
         self.full = names.join(self.namespace, self.node)
 
     def resolve(self, name: str, is_service: bool = False, only_expand: bool = False) -> str:
-        """Return the full name of a topic or service, remapped unless told otherwise."""
+        """Return the full name of a topic or service, remapped unless ``only_expand`` is set."""
         full = names.expand(name, self.node, self.namespace, is_service)
         for rule in self._rules if not only_expand else ():
-            wanted = '' if not rule.kind else rule.kind
-            if wanted not in ('', 'service' if is_service else 'topic'):
+            if rule.kind not in ('', 'service' if is_service else 'topic'):
                 continue
-            if rule.node and rule.node not in (self.given, self.node):
+            if rule.node and rule.node not in (self._original_node, self.node):
                 continue
-            if names.expand(rule.before, self.node, self.namespace, is_service) == full:
-                return names.expand(rule.after, self.node, self.namespace, is_service)
+            if names.expand(rule.match, self.node, self.namespace, is_service) == full:
+                return names.expand(rule.replacement, self.node, self.namespace, is_service)
         return full
 
-    def _first(self, kind: str, node: str) -> str | None:
+    def _find_replacement(self, kind: str, node: str) -> str | None:
         for rule in self._rules:
             if rule.kind == kind and rule.node in ('', node):
-                return rule.after
+                return rule.replacement
         return None
 
 
@@ -186,12 +186,17 @@ class Names:
 
 
 def overrides(full_name: str, arguments: Sequence[Arguments]) -> dict[str, Any]:
-    """Return the parameters for a node, given by its full name; later arguments count."""
+    """Return the parameter values for a node; later arguments take precedence.
+
+    Args:
+        full_name: fully qualified name of the node.
+        arguments: parsed command lines.
+    """
     values: dict[str, Any] = {}
-    for given in arguments:
-        for pattern, found in given.parameters:
+    for parsed in arguments:
+        for pattern, matching in parsed.parameters:
             if _matches(pattern, full_name):
-                values |= found
+                values |= matching
     return values
 
 
@@ -202,18 +207,21 @@ def _matches(pattern: str, name: str) -> bool:
 
 
 def parameter_file(path: str | Path) -> list[tuple[str, dict[str, Any]]]:
-    """Return the parameters in a YAML file, by the pattern of the nodes they are for.
+    """Read a YAML parameter file.
+
+    Returns:
+        Pairs of a node name pattern and the values by parameter name.
 
     Raises:
-        RCLInvalidROSArgsError: it cannot be read, or is no such file.
+        RCLInvalidROSArgsError: the file cannot be read, or is not a parameter file.
     """
     import yaml
 
     try:
         tree = yaml.load(Path(path).read_text(encoding='utf-8'), _loader())
     except (OSError, UnicodeError, yaml.YAMLError, ValueError) as error:
-        told = ' '.join(str(error).split())
-        raise RCLInvalidROSArgsError(f'--params-file {path}: {told}') from None
+        reason = ' '.join(str(error).split())
+        raise RCLInvalidROSArgsError(f'--params-file {path}: {reason}') from None
     if tree is None:
         return []
     try:
@@ -243,10 +251,10 @@ def _flat(prefix: str, tree: dict[Any, Any]) -> Iterator[tuple[str, Any]]:
 
 
 def parse_value(text: str) -> Any:
-    """Return the value that YAML text stands for.
+    """Parse a parameter value written as YAML.
 
     Raises:
-        RCLInvalidROSArgsError: no parameter can have such a value.
+        RCLInvalidROSArgsError: the text is no YAML, or parameters cannot hold the value.
     """
     import yaml
 
@@ -272,7 +280,7 @@ def _checked(name: str, value: Any) -> Any:
 
 @cache
 def _loader() -> Any:
-    """Return a YAML loader that types plain words as ROS does, which knows no dates or 1:30."""
+    """Return a YAML loader with the scalar types of ROS: no dates and no sexagesimal numbers."""
     import yaml
 
     class Loader(yaml.SafeLoader):

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Time, durations and clocks, among them one that follows /clock."""
+"""Times, durations and clocks, including a clock driven by /clock."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from typing import Any
 from ratslam_ros.standalone.types import message_class
 
 S_TO_NS = 1_000_000_000
-_LOWEST, _HIGHEST = -(2**63), 2**63 - 1
+_MIN_NS, _MAX_NS = -(2**63), 2**63 - 1
 
 
 class ClockType(IntEnum):
-    """What a clock follows."""
+    """Time base of a clock."""
 
     UNINITIALIZED = 0
     ROS_TIME = 1
@@ -27,7 +27,7 @@ class ClockType(IntEnum):
 
 
 class ClockChange(IntEnum):
-    """Whether simulated time began or ended."""
+    """Whether a jump switches simulated time on or off."""
 
     ROS_TIME_NO_CHANGE = 1
     ROS_TIME_ACTIVATED = 2
@@ -35,20 +35,20 @@ class ClockChange(IntEnum):
     SYSTEM_TIME_NO_CHANGE = 4
 
 
-def _in_range(value: int) -> int:
-    if not _LOWEST <= value <= _HIGHEST:
+def _check_range(value: int) -> int:
+    if not _MIN_NS <= value <= _MAX_NS:
         raise OverflowError('Total nanoseconds value is too large to store in C storage.')
     return value
 
 
 @total_ordering
 class Duration:
-    """A length of time."""
+    """A duration, in nanoseconds."""
 
     __slots__ = ('nanoseconds',)
 
     def __init__(self, *, seconds: float = 0, nanoseconds: int = 0) -> None:
-        self.nanoseconds = _in_range(int(seconds * S_TO_NS) + int(nanoseconds))
+        self.nanoseconds = _check_range(int(seconds * S_TO_NS) + int(nanoseconds))
 
     def __eq__(self, other: object) -> bool:
         if isinstance(other, Duration):
@@ -70,13 +70,13 @@ class Duration:
         return f'{self.nanoseconds} nanoseconds'
 
     def to_msg(self) -> Any:
-        """Return it as a builtin_interfaces message."""
+        """Return the equivalent builtin_interfaces message."""
         sec, nanosec = divmod(self.nanoseconds, S_TO_NS)
         return message_class('builtin_interfaces/msg/Duration')(sec=sec, nanosec=nanosec)
 
     @classmethod
     def from_msg(cls, msg: Any) -> Duration:
-        """Return what a builtin_interfaces message says."""
+        """Return the duration in a builtin_interfaces message."""
         if type(msg) is not message_class('builtin_interfaces/msg/Duration'):
             raise TypeError('Must pass a builtin_interfaces.msg.Duration object')
         return cls(seconds=msg.sec, nanoseconds=msg.nanosec)
@@ -84,7 +84,7 @@ class Duration:
 
 @total_ordering
 class Time:
-    """A point in time, of one kind of clock."""
+    """A point in time, in nanoseconds, with the type of its clock."""
 
     __slots__ = ('clock_type', 'nanoseconds')
 
@@ -99,14 +99,14 @@ class Time:
             raise TypeError('Clock type must be a ClockType enum')
         if seconds < 0 or nanoseconds < 0:
             raise ValueError('Seconds and nanoseconds must not be negative')
-        self.nanoseconds = _in_range(int(seconds * S_TO_NS) + int(nanoseconds))
+        self.nanoseconds = _check_range(int(seconds * S_TO_NS) + int(nanoseconds))
         self.clock_type = clock_type
 
     def seconds_nanoseconds(self) -> tuple[int, int]:
-        """Return whole seconds and the rest."""
+        """Return the whole seconds and the remaining nanoseconds."""
         return divmod(self.nanoseconds, S_TO_NS)
 
-    def _other(self, other: Time) -> int:
+    def _other_ns(self, other: Time) -> int:
         if other.clock_type != self.clock_type:
             raise TypeError("Can't use times with different clock types")
         return other.nanoseconds
@@ -122,7 +122,7 @@ class Time:
 
     def __sub__(self, other: object) -> Any:
         if isinstance(other, Time):
-            return Duration(nanoseconds=self.nanoseconds - self._other(other))
+            return Duration(nanoseconds=self.nanoseconds - self._other_ns(other))
         if isinstance(other, Duration):
             return Time(
                 nanoseconds=self.nanoseconds - other.nanoseconds, clock_type=self.clock_type
@@ -131,12 +131,12 @@ class Time:
 
     def __eq__(self, other: object) -> bool:
         if isinstance(other, Time):
-            return self.nanoseconds == self._other(other)
+            return self.nanoseconds == self._other_ns(other)
         return NotImplemented
 
     def __lt__(self, other: object) -> bool:
         if isinstance(other, Time):
-            return self.nanoseconds < self._other(other)
+            return self.nanoseconds < self._other_ns(other)
         return NotImplemented
 
     def __hash__(self) -> int:
@@ -146,20 +146,20 @@ class Time:
         return f'Time(nanoseconds={self.nanoseconds}, clock_type={self.clock_type.name})'
 
     def to_msg(self) -> Any:
-        """Return it as a builtin_interfaces message."""
+        """Return the equivalent builtin_interfaces message."""
         sec, nanosec = self.seconds_nanoseconds()
         return message_class('builtin_interfaces/msg/Time')(sec=sec, nanosec=nanosec)
 
     @classmethod
     def from_msg(cls, msg: Any, clock_type: ClockType = ClockType.ROS_TIME) -> Time:
-        """Return what a builtin_interfaces message says."""
+        """Return the time in a builtin_interfaces message."""
         if type(msg) is not message_class('builtin_interfaces/msg/Time'):
             raise TypeError('Must pass a builtin_interfaces.msg.Time object')
         return cls(seconds=msg.sec, nanoseconds=msg.nanosec, clock_type=clock_type)
 
 
 class JumpThreshold:
-    """Which jumps of time somebody wants to hear of."""
+    """Time jumps that trigger a callback."""
 
     def __init__(
         self,
@@ -179,7 +179,7 @@ class JumpThreshold:
         self.on_clock_change = on_clock_change
 
     def crossed_by(self, jump: TimeJump) -> bool:
-        """Tell whether a jump is one of those."""
+        """Return whether a jump triggers the callback."""
         if jump.clock_change != ClockChange.ROS_TIME_NO_CHANGE:
             return self.on_clock_change
         return (self.min_forward is not None and jump.delta >= self.min_forward) or (
@@ -188,7 +188,7 @@ class JumpThreshold:
 
 
 class TimeJump:
-    """A jump of time."""
+    """A jump of a clock's time."""
 
     def __init__(self, clock_change: ClockChange, delta: Duration) -> None:
         self.clock_change = clock_change
@@ -196,7 +196,7 @@ class TimeJump:
 
 
 class JumpHandle:
-    """A callback for jumps, until it is unregistered."""
+    """Registration of callbacks for time jumps."""
 
     def __init__(
         self,
@@ -213,7 +213,7 @@ class JumpHandle:
         self.post_callback = post_callback
 
     def unregister(self) -> None:
-        """Call it no longer."""
+        """Remove the callbacks from the clock."""
         self._clock._jumps.pop(id(self), None)
 
     def __enter__(self) -> JumpHandle:
@@ -224,10 +224,10 @@ class JumpHandle:
 
 
 class Clock:
-    """A clock of one kind; one of ROS_TIME can be simulated."""
+    """A clock; clocks of type ROS_TIME can be simulated."""
 
     def __new__(cls, *, clock_type: ClockType = ClockType.SYSTEM_TIME) -> Clock:
-        """Make a clock of the right class."""
+        """Create a ROSClock for ROS_TIME, a Clock otherwise."""
         if not isinstance(clock_type, ClockType):
             raise TypeError('Clock type must be a ClockType enum')
         return super().__new__(ROSClock if clock_type == ClockType.ROS_TIME else cls)
@@ -236,22 +236,22 @@ class Clock:
         self.clock_type = clock_type
         self._jumps: dict[int, JumpHandle] = {}
         self.timers: set[Any] = set()
-        """Timers that want to know of changes, besides who registered callbacks."""
+        """Timers to notify of jumps, in addition to the registered callbacks."""
 
     def __repr__(self) -> str:
         return f'Clock(clock_type={self.clock_type.name})'
 
     @property
     def is_simulated(self) -> bool:
-        """Whether its time passes only as somebody says."""
+        """Whether the time is set from outside."""
         return False
 
     def now_ns(self) -> int:
-        """Return the time in ns."""
+        """Return the current time in ns."""
         return time.monotonic_ns() if self.clock_type == ClockType.STEADY_TIME else time.time_ns()
 
     def now(self) -> Time:
-        """Return the time."""
+        """Return the current time."""
         return Time(nanoseconds=self.now_ns(), clock_type=self.clock_type)
 
     def create_jump_callback(
@@ -261,17 +261,17 @@ class Clock:
         pre_callback: Callable[[], None] | None = None,
         post_callback: Callable[[TimeJump], None] | None = None,
     ) -> JumpHandle:
-        """Call back before and after jumps, as long as the handle is kept registered."""
+        """Register callbacks for before and after a jump; they stay until ``unregister``."""
         handle = JumpHandle(self, threshold, pre_callback, post_callback)
         self._jumps[id(handle)] = handle
         return handle
 
 
 class ROSClock(Clock):
-    """System time, or what /clock says."""
+    """A clock of ROS time: system time, or simulated time."""
 
     def __new__(cls, **_: Any) -> ROSClock:
-        """Make one; there is but one kind."""
+        """Create a ROSClock."""
         return object.__new__(cls)
 
     def __init__(self, **_: Any) -> None:
@@ -282,20 +282,20 @@ class ROSClock(Clock):
 
     @property
     def ros_time_is_active(self) -> bool:
-        """Whether it follows /clock."""
+        """Whether simulated time is active."""
         return self._active
 
     @property
     def is_simulated(self) -> bool:
-        """Whether its time passes only as somebody says."""
+        """Whether the time is set from outside."""
         return self._active
 
     def now_ns(self) -> int:
-        """Return the time in ns; 0 for simulated time that has not begun."""
+        """Return the current time in ns; 0 if simulated time has not been set yet."""
         return self._override_ns if self._active else time.time_ns()
 
     def set_ros_time_override(self, time: Time) -> None:
-        """Say what time it is, for as long as it is simulated."""
+        """Set the simulated time; it is used while simulated time is active."""
         if not isinstance(time, Time):
             raise TypeError(f'Time must be specified as rclpy.time.Time. Received type: {time!r}')
         if not self._active:
@@ -312,8 +312,8 @@ class ROSClock(Clock):
         self._jump(TimeJump(change, Duration()), lambda: setattr(self, '_active', enabled))
 
     def _jump(self, jump: TimeJump, change: Callable[[], None]) -> None:
-        concerned = [h for h in list(self._jumps.values()) if h.threshold.crossed_by(jump)]
-        for handle in concerned:
+        handles = [h for h in list(self._jumps.values()) if h.threshold.crossed_by(jump)]
+        for handle in handles:
             if handle.pre_callback is not None:
                 handle.pre_callback()
         before_ns = self.now_ns()
@@ -321,6 +321,6 @@ class ROSClock(Clock):
             change()
         for timer in list(self.timers):
             timer.on_jump(jump, before_ns)
-        for handle in concerned:
+        for handle in handles:
             if handle.post_callback is not None:
                 handle.post_callback(jump)

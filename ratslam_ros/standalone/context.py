@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Between init and shutdown: the participant, the arguments, and what signals do."""
+"""Contexts (DDS participant, ROS arguments, nodes) and signal handling."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from ratslam_ros.standalone.graph import Graph
 
 
 class SignalHandlerOptions(IntFlag):
-    """Which signals shut down."""
+    """Signals that trigger shutdown."""
 
     NO = 0
     SIGINT = 1
@@ -31,7 +31,7 @@ class SignalHandlerOptions(IntFlag):
 
 
 class Context:
-    """One initialisation of rclpy; nodes of several ones see each other through DDS alone."""
+    """One initialisation of rclpy; nodes of different contexts communicate over DDS only."""
 
     def __init__(self) -> None:
         self._lock = threading.RLock()
@@ -50,11 +50,16 @@ class Context:
         initialize_logging: bool = True,
         domain_id: int | None = None,
     ) -> None:
-        """Join a domain, that of ROS_DOMAIN_ID unless told otherwise.
+        """Join a domain.
+
+        Args:
+            args: command line; ``sys.argv`` if None.
+            initialize_logging: apply the logging options of the command line.
+            domain_id: domain to join; that of ROS_DOMAIN_ID if None.
 
         Raises:
-            RuntimeError: it has been initialised before, or arguments are wrong.
-            ValueError: a variable of the environment has a value that ROS does not know.
+            RuntimeError: the context is already initialised, or the ROS arguments are invalid.
+            ValueError: an environment variable has an invalid value.
         """
         with self._lock:
             if self._ok:
@@ -74,38 +79,38 @@ class Context:
 
     @property
     def participant(self) -> Participant:
-        """The participant; raises NotInitializedException where there is none."""
+        """DDS participant; raises NotInitializedException if the context is not initialised."""
         if self._participant is None or not self._ok:
             raise NotInitializedException()
         return self._participant
 
     @property
     def graph(self) -> Graph:
-        """The graph; raises NotInitializedException where there is none."""
+        """ROS graph; raises NotInitializedException if the context is not initialised."""
         if self._graph is None:
             raise NotInitializedException()
         return self._graph
 
     def ok(self) -> bool:
-        """Tell whether it was initialised and not shut down."""
+        """Return whether the context is initialised and not shut down."""
         return self._ok
 
     def get_domain_id(self) -> int:
-        """Return the domain that was joined."""
+        """Return the ID of the joined domain."""
         return self.participant.domain_id
 
     def on_shutdown(self, callback: Callable[[], Any]) -> None:
-        """Call something at shutdown."""
+        """Register a callback for shutdown."""
         with self._lock:
             self._callbacks.append(callback)
 
     def shutdown(self) -> None:
-        """Shut down; raises RuntimeError where that has been done."""
+        """Shut down; raises RuntimeError if the context is not initialised."""
         if not self.try_shutdown():
             raise RuntimeError('Context must be initialized before it can be shutdown')
 
     def try_shutdown(self) -> bool:
-        """Shut down unless that has been done; return whether it was not."""
+        """Shut down if the context is initialised; return whether it was."""
         with self._lock:
             if not self._ok:
                 return False
@@ -117,14 +122,14 @@ class Context:
             callback()
         return True
 
-    def end(self) -> None:
-        """Leave the domain, once shut down and without nodes and spinning executors."""
+    def close_if_unused(self) -> None:
+        """Leave the domain if the context is shut down and has no nodes."""
         with self._lock:
             if not self._ok and not self.nodes:
                 self.close()
 
     def close(self) -> None:
-        """Leave the domain at once."""
+        """Leave the domain and delete all DDS entities."""
         with self._lock:
             participant, graph = self._participant, self._graph
             self._participant = self._graph = None
@@ -141,7 +146,7 @@ _default = Context()
 
 
 def get_default_context(*, shutting_down: bool = False) -> Context:
-    """Return the context that is meant where none is named."""
+    """Return the context that is used if none is given."""
     return _default
 
 
@@ -153,8 +158,8 @@ def _domain_id() -> int:
 
 
 @atexit.register
-def _end_all() -> None:
-    """Leave all domains while the interpreter still works: DDS has threads of its own."""
+def _close_all() -> None:
+    """Leave all domains at exit, before the threads of DDS outlive the interpreter."""
     for context in list(_contexts):
         context.try_shutdown()
         for node in list(context.nodes):
@@ -164,34 +169,34 @@ def _end_all() -> None:
 
 # Signals
 
-_before: dict[int, Any] = {}
+_previous_handlers: dict[int, Any] = {}
 
 
 def install_signal_handlers(options: SignalHandlerOptions = SignalHandlerOptions.ALL) -> None:
-    """Shut down at signals; SIGINT then still is Python's KeyboardInterrupt."""
+    """Shut down all contexts on signals, then call the previous handler (KeyboardInterrupt)."""
     if threading.current_thread() is not threading.main_thread():
         return
     for flag, number in (
         (SignalHandlerOptions.SIGINT, signal.SIGINT),
         (SignalHandlerOptions.SIGTERM, signal.SIGTERM),
     ):
-        if flag & options and number not in _before:
-            _before[number] = signal.signal(number, _on_signal)
+        if flag & options and number not in _previous_handlers:
+            _previous_handlers[number] = signal.signal(number, _on_signal)
 
 
 def uninstall_signal_handlers() -> None:
-    """Undo ``install_signal_handlers``, where nobody else has set handlers since."""
+    """Restore the previous handlers, except for signals whose handler was replaced since."""
     if threading.current_thread() is not threading.main_thread():
         return
-    for number, handler in list(_before.items()):
+    for number, handler in list(_previous_handlers.items()):
         if signal.getsignal(number) is _on_signal:
             signal.signal(number, handler)
-        del _before[number]
+        del _previous_handlers[number]
 
 
 def _on_signal(number: int, frame: Any) -> None:
     for context in list(_contexts):
         context.try_shutdown()
-    handler = _before.get(number)
+    handler = _previous_handlers.get(number)
     if callable(handler):
         handler(number, frame)

@@ -1,14 +1,13 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""All that touches Cyclone DDS, its private layer among it.
+"""DDS entities: participant, readers, writers and wait sets of Cyclone DDS.
 
-Samples are raw CDR. Whatever may block goes through ctypes, which releases the interpreter's lock.
+Samples are raw CDR. Parts of cyclonedds' private API are used, so its minor version is pinned.
 """
 
 from __future__ import annotations
 
 import ctypes as ct
-import os
 import threading
 from collections.abc import Callable
 from contextlib import suppress
@@ -24,99 +23,26 @@ from cyclonedds.builtin import (
 )
 from cyclonedds.builtin_types import cqos_to_qos, endpoint_constructor
 from cyclonedds.core import DDSException, InstanceState, SampleState, ViewState
-from cyclonedds.domain import Domain, DomainParticipant
+from cyclonedds.domain import DomainParticipant
 from cyclonedds.idl import make_idl_struct, types
-from cyclonedds.internal import DDS, dds_c_t
+from cyclonedds.internal import dds_c_t
 from cyclonedds.qos import Policy, Qos, _CQos
 from cyclonedds.topic import Topic
 
+from ratslam_ros.standalone import dds_functions as c
+from ratslam_ros.standalone.dds_domains import enter_domain, leave_domain
+from ratslam_ros.standalone.definitions import Field, fields_of, type_hash
 from ratslam_ros.standalone.exceptions import RCLError
-from ratslam_ros.standalone.types import Field, fields_of, type_hash
 
-idl: Any = types  # generic in a way of its own
+idl: Any = types  # its generics are not understood by type checkers
 Value = TypeVar('Value')
 
 INFINITE_NS = 2**63 - 1
-SERVICE_HEADER = 16
-_ROUND_NS = 100_000_000
+SERVICE_HEADER_BYTES = 16
+"""Client ID and sequence number before the body of a request or reply."""
+_MAX_BLOCKING_NS = 100_000_000
+"""Longest blocking call; Python handles signals between calls."""
 _ANY = SampleState.Any | ViewState.Any | InstanceState.Any
-
-_STATUSES = {
-    'sample_lost': (1 << 5, dds_c_t.sample_lost_status),
-    'requested_incompatible_qos': (1 << 4, dds_c_t.requested_incompatible_qos_status),
-    'subscription_matched': (1 << 12, dds_c_t.subscription_matched_status),
-    'offered_incompatible_qos': (1 << 3, dds_c_t.offered_incompatible_qos_status),
-    'publication_matched': (1 << 11, dds_c_t.publication_matched_status),
-}
-"""What may happen to an endpoint: bit in masks, and what is told of it."""
-
-
-class _Sample(ct.Structure):
-    """What the library's own topics take as a sample: serialised bytes."""
-
-    _fields_ = (('data', ct.c_void_p), ('size', ct.c_size_t))
-
-
-class _Bytes(ct.Structure):
-    """A piece of memory."""
-
-    _fields_ = (('data', ct.c_void_p), ('size', ct.c_size_t))
-
-
-def _plain_c(name: str, result: Any, *arguments: Any) -> Callable[..., Any]:
-    """Return a C function whose prototype is ours alone."""
-    made: Callable[..., Any] = ct.CFUNCTYPE(result, *arguments)((name, DDS._dll_handle))
-    return made
-
-
-def _c(name: str, *arguments: Any) -> Callable[..., int]:
-    """Return a C function that raises where it returns an error."""
-    function = _plain_c(name, ct.c_int32, *arguments)
-
-    def call(*values: Any) -> int:
-        result = function(*values)
-        if result < 0:
-            raise RCLError(f'{name}: {DDSException(result)}')
-        return int(result)
-
-    return call
-
-
-def _done(name: str, result: int) -> bool:
-    """Return False where C says that the time was over; another error raises."""
-    if result < 0 and result != DDSException.DDS_RETCODE_TIMEOUT:
-        raise RCLError(f'{name}: {DDSException(result)}')
-    return result >= 0
-
-
-_entity = ct.c_int32
-_delete = _c('dds_delete', _entity)
-_write = _plain_c('dds_write', ct.c_int32, _entity, ct.c_void_p)
-_wait_for_acks = _plain_c('dds_wait_for_acks', ct.c_int32, _entity, ct.c_int64)
-_take = _c('dds_takecdr', _entity, ct.c_void_p, ct.c_uint32, ct.c_void_p, ct.c_uint32)
-# A sample as the reader holds it: its bytes can be looked at with no copy, until it is let go.
-_sample_size = _plain_c('ddsi_serdata_size', ct.c_uint32, ct.c_void_p)
-_sample_bytes = _plain_c(
-    'ddsi_serdata_to_ser_ref', ct.c_void_p, ct.c_void_p, ct.c_size_t, ct.c_size_t, ct.c_void_p
-)
-_let_bytes_go = _plain_c('ddsi_serdata_to_ser_unref', None, ct.c_void_p, ct.c_void_p)
-_let_sample_go = _plain_c('ddsi_serdata_unref', None, ct.c_void_p)
-_create_reader = _c('dds_create_reader', _entity, _entity, ct.c_void_p, ct.c_void_p)
-_create_writer = _c('dds_create_writer', _entity, _entity, ct.c_void_p, ct.c_void_p)
-_create_condition = _c('dds_create_readcondition', _entity, ct.c_uint32)
-_create_guard = _c('dds_create_guardcondition', _entity)
-_set_guard = _c('dds_set_guardcondition', _entity, ct.c_bool)
-_take_guard = _c('dds_take_guardcondition', _entity, ct.c_void_p)
-_create_waitset = _c('dds_create_waitset', _entity)
-_attach = _c('dds_waitset_attach', _entity, _entity, ct.c_ssize_t)
-_detach = _c('dds_waitset_detach', _entity, _entity)
-_wait = _c('dds_waitset_wait', _entity, ct.c_void_p, ct.c_size_t, ct.c_int64)
-_set_mask = _c('dds_set_status_mask', _entity, ct.c_uint32)
-_handle = _c('dds_get_instance_handle', _entity, ct.c_void_p)
-_guid = _c('dds_get_guid', _entity, ct.c_void_p)
-_matched_readers = _c('dds_get_matched_subscriptions', _entity, ct.c_void_p, ct.c_size_t)
-_matched_writers = _c('dds_get_matched_publications', _entity, ct.c_void_p, ct.c_size_t)
-_get_status = {name: _c(f'dds_get_{name}_status', _entity, ct.c_void_p) for name in _STATUSES}
 
 
 # Types
@@ -124,7 +50,7 @@ _get_status = {name: _c(f'dds_get_{name}_status', _entity, ct.c_void_p) for name
 
 @cache
 def _idl_struct(name: str, in_service: bool) -> Any:
-    """Return a message type as the library describes types to others (XTypes)."""
+    """Return the XTypes description of a message type."""
     package, kind, short = name.split('/')
     fields: dict[str, Any] = {}
     if in_service:
@@ -157,7 +83,7 @@ def _idl_type(field: Field) -> Any:
 
 
 class EndpointQos(NamedTuple):
-    """What ROS asks of an endpoint; ``depth`` None keeps all."""
+    """QoS policies of an endpoint that ROS uses; history is KEEP_ALL if ``depth`` is None."""
 
     depth: int | None
     reliable: bool
@@ -170,12 +96,14 @@ def _policies(qos: EndpointQos, user_data: str) -> Qos:
     policies: list[Any] = [
         Policy.WriterDataLifecycle(autodispose=False),
         history,
-        Policy.Reliability.Reliable(_ROUND_NS) if qos.reliable else Policy.Reliability.BestEffort,
+        Policy.Reliability.Reliable(_MAX_BLOCKING_NS)
+        if qos.reliable
+        else Policy.Reliability.BestEffort,
         Policy.DataRepresentation(use_cdrv0_representation=True, use_xcdrv2_representation=False),
         Policy.Userdata(user_data.encode()),
     ]
     if qos.transient_local:
-        # What is kept for late joiners is set apart from what is kept until it is acknowledged.
+        # DDS configures the history for late joiners separately from the history of the writer.
         policies += [
             Policy.Durability.TransientLocal,
             Policy.DurabilityService(0, history, -1, -1, -1),
@@ -196,7 +124,7 @@ def _endpoint_qos(qos: Qos) -> EndpointQos:
 
 
 def user_value(data: str, key: str) -> str:
-    """Return one value of USER_DATA, '' where it is not there."""
+    """Return the value of a key in USER_DATA; '' if it is missing."""
     for part in data.split(';'):
         name, equals, value = part.partition('=')
         if equals and name == key:
@@ -213,55 +141,55 @@ def _user_data(qos: Qos) -> str:
 
 
 class Entity:
-    """Something with a handle, deleted once."""
+    """A DDS entity, deleted at most once."""
 
     def __init__(self, reference: int) -> None:
         self.reference = reference
-        self._lock = threading.RLock()  # a signal's handler may come in between
+        self._lock = threading.RLock()  # reentrant: a signal handler may interrupt a holder
         self._alive = True
 
     def close(self) -> None:
-        """Delete it; a second time does nothing."""
+        """Delete the entity; further calls do nothing."""
         with self._lock:
             alive, self._alive = self._alive, False
         if alive:
-            with suppress(RCLError):  # what it belongs to may be gone, and it too
-                _delete(self.reference)
+            with suppress(RCLError):  # deleting the participant deletes its entities
+                c.delete(self.reference)
 
     @property
     def gid(self) -> bytes:
         """Globally unique identifier, 16 bytes."""
         out = (ct.c_uint8 * 16)()
-        _guid(self.reference, out)
+        c.get_guid(self.reference, out)
         return bytes(out)
 
     @property
     def handle(self) -> int:
-        """Instance handle, unsigned."""
+        """Instance handle, an unsigned 64-bit integer."""
         out = ct.c_uint64()
-        _handle(self.reference, ct.byref(out))
+        c.get_handle(self.reference, ct.byref(out))
         return out.value
 
 
 class Guard(Entity):
-    """A condition that any thread may set."""
+    """A guard condition; any thread may trigger it."""
 
     def __init__(self, participant: Participant) -> None:
-        super().__init__(_create_guard(participant.reference))
+        super().__init__(c.create_guard(participant.reference))
 
     def set(self) -> None:
-        """End the wait of whoever waits, now or at the next time."""
+        """Trigger the condition, which ends the current or the next wait."""
         with self._lock:
             if self._alive:
-                _set_guard(self.reference, True)
+                c.set_guard(self.reference, True)
 
     def take(self) -> None:
-        """Reset it."""
-        _take_guard(self.reference, ct.byref(ct.c_bool()))
+        """Reset the condition."""
+        c.take_guard(self.reference, ct.byref(ct.c_bool()))
 
 
-class Happened(NamedTuple):
-    """Change of a status."""
+class StatusChange(NamedTuple):
+    """Counts of a communication status and their changes since it was last taken."""
 
     total: int
     total_change: int
@@ -271,22 +199,22 @@ class Happened(NamedTuple):
 
 
 class Endpoint(Entity):
-    """A reader or writer."""
+    """A DDS reader or writer."""
 
     def __init__(self, reference: int, name: str) -> None:
         super().__init__(reference)
         self.name = name
-        _set_mask(reference, 0)
+        c.set_mask(reference, 0)
 
     def watch(self, *statuses: str) -> None:
-        """Let a waitset that this is attached to wake up at changes of statuses."""
-        _set_mask(self.reference, sum(_STATUSES[status][0] for status in statuses))
+        """Trigger the wait set this endpoint is attached to when one of the statuses changes."""
+        c.set_mask(self.reference, sum(c.STATUSES[status][0] for status in statuses))
 
-    def take_status(self, status: str) -> Happened:
-        """Return what changed since the last time."""
-        out = _STATUSES[status][1]()
-        _get_status[status](self.reference, ct.byref(out))
-        return Happened(
+    def take_status(self, status: str) -> StatusChange:
+        """Return a status and its changes since the last call."""
+        out = c.STATUSES[status][1]()
+        c.get_status[status](self.reference, ct.byref(out))
+        return StatusChange(
             out.total_count,
             out.total_count_change,
             getattr(out, 'current_count', 0),
@@ -295,53 +223,56 @@ class Endpoint(Entity):
         )
 
     def _matched(self, function: Callable[..., int]) -> list[int]:
-        room = 16
+        capacity = 16
         while True:
-            out = (ct.c_uint64 * room)()
-            found = function(self.reference, out, room)
-            if found <= room:
-                return list(out[:found])
-            room = found
+            out = (ct.c_uint64 * capacity)()
+            count = function(self.reference, out, capacity)
+            if count <= capacity:
+                return list(out[:count])
+            capacity = count
 
 
 class Writer(Endpoint):
-    """Writes serialised samples, from any thread."""
+    """Writer of serialised samples; thread-safe."""
 
     def write(self, data: bytearray) -> None:
-        """Write a sample, four bytes of header and a length that is a multiple of 4.
+        """Write a sample.
 
-        Blocks while a reliable reader that keeps all cannot take more.
+        Blocks while a reliable KEEP_ALL reader cannot accept more samples.
+
+        Args:
+            data: CDR with its 4-byte header; the length must be a multiple of 4.
         """
         start = ct.c_uint8.from_buffer(data)
-        sample = _Sample(ct.addressof(start), len(data))
-        while not _done('dds_write', _write(self.reference, ct.byref(sample))):
-            pass  # in rounds, so that an interrupt is noticed
+        sample = c.Sample(ct.addressof(start), len(data))
+        while not c.completed('dds_write', c.write(self.reference, ct.byref(sample))):
+            pass  # each attempt times out, so that Python can handle signals
 
     def wait_for_acks(self, timeout_ns: int) -> bool:
-        """Wait until all is acknowledged; return whether that came about in time."""
+        """Wait until all readers acknowledged all samples; return False after the timeout."""
         while True:
-            round_ns = min(_ROUND_NS, timeout_ns)
-            if _done('dds_wait_for_acks', _wait_for_acks(self.reference, round_ns)):
+            blocking_ns = min(_MAX_BLOCKING_NS, timeout_ns)
+            if c.completed('dds_wait_for_acks', c.wait_for_acks(self.reference, blocking_ns)):
                 return True
-            timeout_ns -= round_ns
+            timeout_ns -= blocking_ns
             if timeout_ns <= 0:
                 return False
 
     @property
     def matched(self) -> list[int]:
-        """Handles of the readers that it writes to."""
-        return self._matched(_matched_readers)
+        """Instance handles of the matched readers."""
+        return self._matched(c.matched_readers)
 
     def user_data_of(self, handle: int) -> str | None:
-        """Return what a matched reader tells of itself, None where it is gone."""
+        """Return the USER_DATA of a matched reader; None if it is gone."""
         found = _clayer.ddspy_get_matched_subscription_data(
             self.reference, handle, endpoint_constructor, cqos_to_qos
         )
         return None if found is None else _user_data(found.qos)
 
 
-class Taken(NamedTuple, Generic[Value]):
-    """What a sample was made into, and where it comes from."""
+class TakenSample(NamedTuple, Generic[Value]):
+    """A converted sample and its origin."""
 
     value: Value
     source_timestamp_ns: int
@@ -349,21 +280,26 @@ class Taken(NamedTuple, Generic[Value]):
 
 
 class Reader(Endpoint):
-    """Takes serialised samples."""
+    """Reader of serialised samples."""
 
     def __init__(self, reference: int, name: str) -> None:
         super().__init__(reference, name)
-        self.condition = _create_condition(reference, _ANY)
+        self.condition = c.create_condition(reference, _ANY)
 
-    def take(self, use: Callable[[memoryview], Value]) -> Taken[Value] | None:
-        """Take the oldest sample, and return what ``use`` makes of it; None if there is none.
+    def take(self, convert: Callable[[memoryview], Value]) -> TakenSample[Value] | None:
+        """Take and convert the oldest sample.
 
-        What ``use`` returns or raises must not refer to the memory that it is given.
+        Args:
+            convert: function of the sample's bytes. Neither its result nor an exception may refer
+                to that memory, which is released afterwards.
+
+        Returns:
+            The converted sample; None if there is no sample.
         """
         sample, info = ct.c_void_p(), dds_c_t.sample_info()
         while self._alive:
             try:
-                if not _take(self.reference, ct.byref(sample), 1, ct.byref(info), _ANY):
+                if not c.take(self.reference, ct.byref(sample), 1, ct.byref(info), _ANY):
                     break
             except RCLError:
                 if self._alive:
@@ -371,62 +307,62 @@ class Reader(Endpoint):
                 break
             try:
                 if info.valid_data:
-                    value = _used(sample, use)
-                    return Taken(value, info.source_timestamp, info.publication_handle)
+                    value = _converted(sample, convert)
+                    return TakenSample(value, info.source_timestamp, info.publication_handle)
             finally:
-                _let_sample_go(sample)
+                c.release_sample(sample)
         return None
 
     @property
     def matched(self) -> list[int]:
-        """Handles of the writers that it reads from."""
-        return self._matched(_matched_writers)
+        """Instance handles of the matched writers."""
+        return self._matched(c.matched_writers)
 
     def user_data_of(self, handle: int) -> str | None:
-        """Return what a matched writer tells of itself, None where it is gone."""
+        """Return the USER_DATA of a matched writer; None if it is gone."""
         found = _clayer.ddspy_get_matched_publication_data(
             self.reference, handle, endpoint_constructor, cqos_to_qos
         )
         return None if found is None else _user_data(found.qos)
 
 
-def _used(sample: ct.c_void_p, use: Callable[[memoryview], Value]) -> Value:
-    found = _Bytes()
-    held = _sample_bytes(sample, 0, _sample_size(sample), ct.byref(found))
+def _converted(sample: ct.c_void_p, convert: Callable[[memoryview], Value]) -> Value:
+    region = c.Bytes()
+    held = c.sample_bytes(sample, 0, c.sample_size(sample), ct.byref(region))
     try:
-        return use(memoryview((ct.c_uint8 * found.size).from_address(found.data)).cast('B'))
+        return convert(memoryview((ct.c_uint8 * region.size).from_address(region.data)).cast('B'))
     finally:
-        _let_bytes_go(held, ct.byref(found))
+        c.release_bytes(held, ct.byref(region))
 
 
 class WaitSet(Entity):
-    """Waits for many things at once."""
+    """A wait set: waits for several conditions and endpoints at once."""
 
     def __init__(self, participant: Participant) -> None:
-        super().__init__(_create_waitset(participant.reference))
+        super().__init__(c.create_waitset(participant.reference))
         self._attached: set[int] = set()
 
     def attach(self, reference: int) -> None:
-        """Wait for a condition, or for an endpoint's statuses as well."""
-        _attach(self.reference, reference, reference)
+        """Attach a condition or an endpoint, whose watched statuses then end a wait."""
+        c.attach(self.reference, reference, reference)
         self._attached.add(reference)
 
     def detach(self, reference: int) -> None:
-        """Wait for it no longer; it may have been deleted."""
+        """Detach a condition or endpoint, which may already be deleted."""
         self._attached.discard(reference)
         with suppress(RCLError):
-            _detach(self.reference, reference)
+            c.detach(self.reference, reference)
 
     def wait(self, timeout_ns: int) -> set[int]:
-        """Return the references of what was triggered, none after the timeout."""
-        room = len(self._attached) + 1
-        out = (ct.c_ssize_t * room)()
-        found = _wait(self.reference, out, room, timeout_ns)
-        return set(out[: min(found, room)])
+        """Wait, and return the triggered references; an empty set after the timeout."""
+        capacity = len(self._attached) + 1
+        out = (ct.c_ssize_t * capacity)()
+        count = c.wait(self.reference, out, capacity, timeout_ns)
+        return set(out[: min(count, capacity)])
 
 
-class Discovered(NamedTuple):
-    """An endpoint that somebody has."""
+class DiscoveredEndpoint(NamedTuple):
+    """A discovered reader or writer."""
 
     gid: bytes
     topic: str
@@ -436,15 +372,15 @@ class Discovered(NamedTuple):
 
 
 class Participant(Entity):
-    """One process in one domain."""
+    """A DDS participant, with the endpoints that it discovered in its domain."""
 
     def __init__(self, domain_id: int) -> None:
         self.domain_id = domain_id
-        self._domain = _enter_domain(domain_id)
+        self._domain = enter_domain(domain_id)
         try:
             self._participant = DomainParticipant(domain_id, Qos(Policy.Userdata(b'enclave=/;')))
         except DDSException as error:
-            _leave_domain(domain_id)
+            leave_domain(domain_id)
             raise RCLError(f'no participant in domain {domain_id}: {error}') from None
         super().__init__(self._participant._ref)
         self._topics: dict[str, Any] = {}
@@ -458,41 +394,49 @@ class Participant(Entity):
                 ('reader', BuiltinTopicDcpsSubscription),
             )
         }
-        self._found: dict[str, dict[bytes, Any]] = {kind: {} for kind in self._builtin}
+        self._discovered: dict[str, dict[bytes, Any]] = {kind: {} for kind in self._builtin}
 
     def writer(
         self, topic: str, kind: str, qos: EndpointQos, role: str = '', in_service: bool = False
     ) -> Writer:
-        """Return a new writer; ``role`` is what USER_DATA says besides the type's hash."""
-        return Writer(self._endpoint(_create_writer, topic, kind, qos, role, in_service), topic)
+        """Create a writer.
+
+        Args:
+            topic: name of the DDS topic.
+            kind: full name of the message type, such as ``std_msgs/msg/String``.
+            qos: QoS policies.
+            role: USER_DATA to put before the type hash.
+            in_service: whether a service header precedes the body.
+        """
+        return Writer(self._endpoint(c.create_writer, topic, kind, qos, role, in_service), topic)
 
     def reader(
         self, topic: str, kind: str, qos: EndpointQos, role: str = '', in_service: bool = False
     ) -> Reader:
-        """Return a new reader; see ``writer``."""
-        return Reader(self._endpoint(_create_reader, topic, kind, qos, role, in_service), topic)
+        """Create a reader; see ``writer`` for the arguments."""
+        return Reader(self._endpoint(c.create_reader, topic, kind, qos, role, in_service), topic)
 
     def service_id(self) -> str:
-        """Return a new name for the two endpoints of a service or client."""
+        """Return a new unique ID for the two endpoints of a service or client."""
         with self._lock:
             self._services += 1
             number = self._services
         return '.'.join(f'{byte:x}' for byte in self.gid[:12] + number.to_bytes(4, 'big'))
 
-    def endpoints(self, kind: str) -> list[Discovered]:
-        """Return all ``writer`` or ``reader`` endpoints in the domain."""
+    def endpoints(self, kind: str) -> list[DiscoveredEndpoint]:
+        """Return all endpoints in the domain; ``kind`` is writer or reader."""
         with self._graph_lock:
             self._update(kind)
-            return list(self._found[kind].values())
+            return list(self._discovered[kind].values())
 
     def participants(self) -> set[bytes]:
-        """Return the first twelve bytes of the gid of all that are in the domain."""
+        """Return the GUID prefixes (12 bytes) of all participants in the domain."""
         with self._graph_lock:
             self._update('participant')
-            return {gid[:12] for gid in self._found['participant']}
+            return {gid[:12] for gid in self._discovered['participant']}
 
     def close(self) -> None:
-        """Delete it with all that belongs to it."""
+        """Delete the participant and all its entities; further calls do nothing."""
         if not self._alive:
             return
         self._alive = False
@@ -503,7 +447,7 @@ class Participant(Entity):
         for topic in self._topics.values():
             topic.__del__()
         self._participant.__del__()
-        _leave_domain(self.domain_id)
+        leave_domain(self.domain_id)
 
     def _endpoint(
         self,
@@ -522,7 +466,7 @@ class Participant(Entity):
             _CQos.cqos_destroy(cqos)  # type: ignore[no-untyped-call]
 
     def _topic(self, name: str, kind: str, in_service: bool) -> int:
-        # One object a name and type: the library would make a new description every time.
+        # One object per name and type: a further Topic would register a new type description.
         key = f'{name} {kind}'
         with self._lock:
             if key not in self._topics:
@@ -535,90 +479,19 @@ class Participant(Entity):
             return int(self._topics[key]._ref)
 
     def _update(self, kind: str) -> None:
-        reader, found = self._builtin.get(kind), self._found[kind]
+        reader, endpoints = self._builtin.get(kind), self._discovered[kind]
         while reader is not None and (samples := reader.take(N=100)):
             for sample in samples:
                 gid, info = sample.key.bytes, sample.sample_info
                 if not info.valid_data or info.instance_state != InstanceState.Alive:
-                    found.pop(gid, None)
+                    endpoints.pop(gid, None)
                 elif kind == 'participant':
-                    found[gid] = True
+                    endpoints[gid] = True
                 else:
-                    found[gid] = Discovered(
+                    endpoints[gid] = DiscoveredEndpoint(
                         gid,
                         sample.topic_name,
                         sample.type_name,
                         _endpoint_qos(sample.qos),
                         _user_data(sample.qos),
                     )
-
-
-# Domains
-
-_domains: dict[int, tuple[Any, int]] = {}
-_domains_lock = threading.Lock()
-
-
-def _enter_domain(domain_id: int) -> Any:
-    """Configure a domain unless this process has done so before."""
-    with _domains_lock:
-        domain, users = _domains.get(domain_id, (None, 0))
-        if domain is None:
-            try:
-                domain = Domain(domain_id, _configuration())
-            except DDSException as error:
-                raise RCLError(f'domain {domain_id} cannot be entered: {error}') from None
-        _domains[domain_id] = domain, users + 1
-        return domain
-
-
-def _leave_domain(domain_id: int) -> None:
-    with _domains_lock:
-        domain, users = _domains.pop(domain_id)
-        if users > 1:
-            _domains[domain_id] = domain, users - 1
-        else:
-            domain.__del__()
-
-
-def _configuration() -> str:
-    """Return Cyclone's configuration for what ROS's environment variables ask for.
-
-    Raises:
-        ValueError: a variable has a value that ROS does not know.
-    """
-    reach = os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE') or 'SUBNET'
-    if os.environ.get('ROS_LOCALHOST_ONLY') == '1':
-        reach = 'LOCALHOST'
-    if reach not in ('SUBNET', 'LOCALHOST', 'OFF', 'SYSTEM_DEFAULT'):
-        raise ValueError(
-            f'ROS_AUTOMATIC_DISCOVERY_RANGE={reach}: expected SUBNET, LOCALHOST, OFF or '
-            'SYSTEM_DEFAULT'
-        )
-    general = discovery = ''
-    peers = [peer for peer in os.environ.get('ROS_STATIC_PEERS', '').split(';') if peer]
-    if reach == 'LOCALHOST':
-        peers.insert(0, '127.0.0.1')
-    if reach in ('LOCALHOST', 'OFF'):
-        general = '<AllowMulticast>false</AllowMulticast>'
-    if peers == ['127.0.0.1']:
-        general += '<Interfaces><NetworkInterface address="127.0.0.1"/></Interfaces>'
-    if reach == 'OFF':
-        discovery = (
-            f'<ParticipantIndex>none</ParticipantIndex><Tag>ros_discovery_off_{os.getpid()}</Tag>'
-        )
-    elif peers and reach != 'SYSTEM_DEFAULT':
-        addresses = ''.join(f'<Peer address="{peer}"/>' for peer in peers)
-        discovery = (
-            '<ParticipantIndex>auto</ParticipantIndex>'
-            '<MaxAutoParticipantIndex>120</MaxAutoParticipantIndex>'
-            f'<Peers>{addresses}</Peers>'
-        )
-    # A reader that was killed must not keep each of a node's writers waiting for a second.
-    linger = '<WriterLingerDuration>0.3 s</WriterLingerDuration>'
-    xml = (
-        f'<CycloneDDS><Domain><General>{general}</General><Discovery>{discovery}</Discovery>'
-        f'<Internal>{linger}</Internal></Domain></CycloneDDS>'
-    )
-    own = os.environ.get('CYCLONEDDS_URI', '')
-    return f'{xml},{own}' if own else xml

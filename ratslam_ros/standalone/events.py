@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What happens to publishers and subscriptions besides messages."""
+"""Event callbacks of publishers and subscriptions: matches, incompatible QoS, lost messages."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from ratslam_ros.standalone.dds import Endpoint, Happened
-from ratslam_ros.standalone.qos import KIND_OF_DDS, QoSPolicyKind
+from ratslam_ros.standalone.dds import Endpoint, StatusChange
+from ratslam_ros.standalone.qos import POLICY_KINDS, QoSPolicyKind
 
 Callback = Callable[[Any], None] | None
 
 
 @dataclass
 class MessageLostInfo:
-    """Messages that DDS knows of and did not deliver."""
+    """Number of messages that were lost before delivery."""
 
     total_count: int
     total_count_change: int
@@ -24,7 +24,7 @@ class MessageLostInfo:
 
 @dataclass
 class IncompatibleQosInfo:
-    """Others on the topic whose quality of service does not fit."""
+    """Number of endpoints on the topic whose QoS is incompatible."""
 
     total_count: int
     total_count_change: int
@@ -33,7 +33,7 @@ class IncompatibleQosInfo:
 
 @dataclass
 class MatchedInfo:
-    """Others on the topic that were found, or left."""
+    """Number of matched endpoints on the topic."""
 
     total_count: int
     total_count_change: int
@@ -42,11 +42,12 @@ class MatchedInfo:
 
 
 class _EventCallbacks:
-    """Callbacks by event; those that are not offered raise when they are given."""
+    """Callbacks by event; callbacks for unsupported events raise NotImplementedError."""
 
     STATUSES: ClassVar[dict[str, str]]
-    """Name of an event: DDS's name of the status."""
-    OTHER: ClassVar[str]
+    """DDS status by name of the event."""
+    REMOTE: ClassVar[str]
+    """Kind of the endpoints at the other side of the topic."""
 
     def __init__(
         self,
@@ -59,18 +60,18 @@ class _EventCallbacks:
     ) -> None:
         for name, callback in others.items():
             if callback is not None:
-                raise NotImplementedError(f'the stand-in for rclpy does not offer {name} events')
+                raise NotImplementedError(f'the stand-in for rclpy does not support {name} events')
         self.incompatible_qos = incompatible_qos
         self.matched = matched
         self.message_lost = message_lost
         self.use_default_callbacks = use_default_callbacks
 
     def by_status(self, logger: Any, topic: str) -> Iterator[tuple[str, Callable[[Any], None]]]:
-        """Yield what is called at which status."""
+        """Yield the DDS statuses to watch and their callbacks."""
 
         def warn(event: IncompatibleQosInfo) -> None:
             logger.warning(
-                f"New {self.OTHER} discovered on topic '{topic}', with incompatible QoS. No "
+                f"New {self.REMOTE} discovered on topic '{topic}', with incompatible QoS. No "
                 f'messages will be exchanged with it. Last incompatible policy: '
                 f'{event.last_policy_kind.name}'
             )
@@ -84,24 +85,24 @@ class _EventCallbacks:
 
 
 class SubscriptionEventCallbacks(_EventCallbacks):
-    """Callbacks for a subscription's events."""
+    """Callbacks for the events of a subscription."""
 
     STATUSES: ClassVar[dict[str, str]] = {
         'incompatible_qos': 'requested_incompatible_qos',
         'matched': 'subscription_matched',
         'message_lost': 'sample_lost',
     }
-    OTHER = 'publisher'
+    REMOTE = 'publisher'
 
 
 class PublisherEventCallbacks(_EventCallbacks):
-    """Callbacks for a publisher's events."""
+    """Callbacks for the events of a publisher."""
 
     STATUSES: ClassVar[dict[str, str]] = {
         'incompatible_qos': 'offered_incompatible_qos',
         'matched': 'publication_matched',
     }
-    OTHER = 'subscription'
+    REMOTE = 'subscription'
 
     def __init__(self, *, message_lost: None = None, **callbacks: Any) -> None:
         if message_lost is not None:
@@ -110,12 +111,12 @@ class PublisherEventCallbacks(_EventCallbacks):
 
 
 class Events:
-    """The events of one endpoint, taken in the spinning thread."""
+    """Events of one endpoint, handled in the spinning thread."""
 
     def __init__(
         self, endpoint: Endpoint, callbacks: _EventCallbacks | None, logger: Any, topic: str
     ) -> None:
-        """Watch what there are callbacks for."""
+        """Watch the statuses that have a callback."""
         if callbacks is None:
             kind = PublisherEventCallbacks if hasattr(endpoint, 'write') else None
             callbacks = (kind or SubscriptionEventCallbacks)()
@@ -125,26 +126,26 @@ class Events:
 
     @property
     def reference(self) -> int | None:
-        """What to wait for, None where nobody wants to hear of anything."""
+        """DDS entity to wait for; None if there are no callbacks."""
         return self._endpoint.reference if self._callbacks else None
 
     def execute(self) -> bool:
-        """Call back for all that happened; return whether something did."""
-        happened = False
+        """Run the callbacks of all changed statuses; return whether any changed."""
+        any_change = False
         for status, callback in self._callbacks.items():
             change = self._endpoint.take_status(status)
             if change.total_change or change.current_change:
-                happened = True
+                any_change = True
                 callback(_info(status, change))
-        return happened
+        return any_change
 
 
-def _info(status: str, change: Happened) -> Any:
+def _info(status: str, change: StatusChange) -> Any:
     if status == 'sample_lost':
         return MessageLostInfo(change.total, change.total_change)
     if status.endswith('_matched'):
         return MatchedInfo(
             change.total, change.total_change, change.current, change.current_change
         )
-    kind = KIND_OF_DDS.get(change.policy, QoSPolicyKind.INVALID)
+    kind = POLICY_KINDS.get(change.policy, QoSPolicyKind.INVALID)
     return IncompatibleQosInfo(change.total, change.total_change, kind)

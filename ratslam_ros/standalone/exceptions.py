@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Exceptions, named as rclpy names them."""
+"""Exceptions of rclpy."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from typing import Any
 
 
 class RCLError(RuntimeError):
-    """Something that the layer below refused."""
+    """An error of the underlying DDS layer."""
 
 
 class InvalidHandle(Exception):  # noqa: N818
-    """Something was used after it had been destroyed."""
+    """An entity was used after its destruction."""
 
 
 class UnknownROSArgsError(RuntimeError):
-    """Arguments after --ros-args that ROS does not know."""
+    """Unknown arguments after --ros-args."""
 
 
 class RCLInvalidROSArgsError(RCLError):
-    """Arguments after --ros-args that are malformed."""
+    """Malformed arguments after --ros-args."""
 
 
 class NotInitializedException(Exception):  # noqa: N818
@@ -31,7 +31,7 @@ class NotInitializedException(Exception):  # noqa: N818
 
 
 class NameValidationException(Exception):  # noqa: N818
-    """A name that ROS does not allow."""
+    """An invalid name."""
 
     KIND = 'name'
 
@@ -41,59 +41,59 @@ class NameValidationException(Exception):  # noqa: N818
 
 
 class InvalidNamespaceException(NameValidationException):
-    """A namespace that ROS does not allow."""
+    """An invalid namespace."""
 
     KIND = 'namespace'
 
 
 class InvalidNodeNameException(NameValidationException):
-    """A node name that ROS does not allow."""
+    """An invalid node name."""
 
     KIND = 'node name'
 
 
 class InvalidTopicNameException(NameValidationException):
-    """A topic name that ROS does not allow."""
+    """An invalid topic name."""
 
     KIND = 'topic name'
 
 
 class InvalidServiceNameException(NameValidationException):
-    """A service name that ROS does not allow."""
+    """An invalid service name."""
 
     KIND = 'service name'
 
 
 class ParameterException(Exception):  # noqa: N818
-    """Base of all that is wrong with parameters."""
+    """Base class of parameter errors."""
 
     def __init__(self, error_msg: str, parameters: Any) -> None:
         super().__init__(f'{error_msg}: {parameters}')
 
 
 class ParameterNotDeclaredException(ParameterException):
-    """A parameter that was never declared."""
+    """Access to a parameter that is not declared."""
 
     def __init__(self, parameters: Any) -> None:
         super().__init__('Invalid access to undeclared parameter(s)', parameters)
 
 
 class ParameterAlreadyDeclaredException(ParameterException):
-    """A parameter that is declared a second time."""
+    """A second declaration of a parameter."""
 
     def __init__(self, parameters: Any) -> None:
         super().__init__('Parameter(s) already declared', parameters)
 
 
 class InvalidParameterException(ParameterException):
-    """A parameter name that ROS does not allow."""
+    """An invalid parameter name."""
 
     def __init__(self, parameter_name: str) -> None:
         super().__init__('Invalid parameter name', parameter_name)
 
 
 class InvalidParameterTypeException(ParameterException):
-    """A parameter was given a value of another type than it has."""
+    """A value whose type differs from the type of the parameter."""
 
     def __init__(self, desired_parameter: Any, expected_type: Any) -> None:
         super().__init__(
@@ -105,7 +105,7 @@ class InvalidParameterTypeException(ParameterException):
 
 
 class InvalidParameterValueException(ParameterException):
-    """A parameter's value was refused."""
+    """A parameter value that was rejected."""
 
     def __init__(self, parameter: str, value: Any, reason: str) -> None:
         super().__init__(
@@ -114,14 +114,14 @@ class InvalidParameterValueException(ParameterException):
 
 
 class ParameterImmutableException(ParameterException):
-    """A read-only parameter was to be undeclared."""
+    """An attempt to undeclare a read-only parameter."""
 
     def __init__(self, parameter_name: str) -> None:
         super().__init__('Attempted to modify read-only parameter', parameter_name)
 
 
 class ParameterUninitializedException(ParameterException):
-    """A parameter that was declared with a type alone has no value yet."""
+    """Access to a parameter that was declared without a value and has not been set."""
 
     def __init__(self, parameter_name: str) -> None:
         super().__init__(

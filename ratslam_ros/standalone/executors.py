@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The executor: waits for everything at once, and calls back one after the other."""
+"""The executor: waits for all entities of its nodes and runs their callbacks one by one."""
 
 from __future__ import annotations
 
@@ -12,27 +12,28 @@ from typing import Any
 
 from ratslam_ros.standalone.context import Context, get_default_context
 from ratslam_ros.standalone.dds import Guard, WaitSet
-from ratslam_ros.standalone.endpoints import Source, Timer
 from ratslam_ros.standalone.exceptions import NotInitializedException, RCLError
+from ratslam_ros.standalone.node_parts import Waitable
 from ratslam_ros.standalone.task import Future
+from ratslam_ros.standalone.timer import Timer
 
-_LONGEST_WAIT_NS = 100_000_000
-"""A signal is noticed within this time: Python's handlers only run between waits."""
+_MAX_WAIT_NS = 100_000_000
+"""Longest wait; Python handles signals between waits."""
 
 
 class ExternalShutdownException(Exception):  # noqa: N818
-    """The context was shut down while an executor waited."""
+    """The context was shut down while an executor was spinning."""
 
 
 class SingleThreadedExecutor:
-    """Runs the callbacks of nodes in the thread that spins."""
+    """Executor that runs the callbacks of its nodes in the spinning thread."""
 
     def __init__(self, *, context: Context | None = None) -> None:
         self.context = get_default_context() if context is None else context
         self._lock = threading.RLock()
         self._nodes: list[Any] = []
         self._jobs: deque[tuple[Any, Callable[[], bool]]] = deque()
-        self._attached: dict[int, tuple[Any, Source]] = {}
+        self._attached: dict[int, tuple[Any, Waitable]] = {}
         self._stale = True
         self._woken = self._waiting = False
         self._is_shutdown = False
@@ -45,25 +46,25 @@ class SingleThreadedExecutor:
     # Nodes
 
     def add_node(self, node: Any) -> bool:
-        """Take over a node's callbacks; return whether it was not one of ours."""
+        """Add a node; return whether it was not in this executor yet."""
         with self._lock:
             if node in self._nodes:
                 return False
             self._nodes.append(node)
         node.executor = self
-        self.change()
+        self.entities_changed()
         return True
 
     def remove_node(self, node: Any) -> None:
-        """Leave a node's callbacks to others."""
+        """Remove a node; its callbacks no longer run in this executor."""
         with self._lock:
             if node in self._nodes:
                 self._nodes.remove(node)
         node.handle.forget_executor(self)
-        self.change()
+        self.entities_changed()
 
     def get_nodes(self) -> list[Any]:
-        """Return the nodes whose callbacks are run."""
+        """Return the nodes of this executor."""
         with self._lock:
             return list(self._nodes)
 
@@ -73,13 +74,13 @@ class SingleThreadedExecutor:
         """Run callbacks until shutdown.
 
         Raises:
-            ExternalShutdownException: the context was shut down while it waited.
+            ExternalShutdownException: the context was shut down while the executor waited.
         """
         while self.context.ok() and not self._is_shutdown:
             self.spin_once()
 
     def spin_once(self, timeout_sec: float | None = None) -> None:
-        """Run one callback, or wait until the timeout for one.
+        """Run one callback, waiting for it until the timeout.
 
         Raises:
             ExternalShutdownException: the context was shut down.
@@ -87,7 +88,7 @@ class SingleThreadedExecutor:
         self._spin_once(timeout_sec, lambda: False)
 
     def spin_until_future_complete(self, future: Future, timeout_sec: float | None = None) -> None:
-        """Run callbacks until a future is done, or the time is over."""
+        """Run callbacks until a future is done or the timeout has passed."""
         future.add_done_callback(lambda _: self.wake())
         end_s = _end_s(timeout_sec)
         while self.context.ok() and not future.done() and not self._is_shutdown:
@@ -97,20 +98,20 @@ class SingleThreadedExecutor:
                 return
 
     def wake(self) -> None:
-        """End the wait of the thread that spins; any thread may."""
+        """End the wait of the spinning thread; thread-safe."""
         self._woken = True
-        if self._waiting:  # else it looks at what was said above before it waits
+        if self._waiting:  # otherwise the spinning thread reads _woken before it waits
             with self._lock:
                 if self._guard is not None:
                     self._guard.set()
 
-    def change(self) -> None:
-        """Look anew at what there is to wait for."""
+    def entities_changed(self) -> None:
+        """Update the set of entities to wait for; call it when they change."""
         self._stale = True
         self.wake()
 
     def shutdown(self, timeout_sec: float | None = None) -> bool:
-        """End spinning, and leave all nodes."""
+        """Stop spinning, and remove all nodes."""
         self._is_shutdown = True
         for node in self.get_nodes():
             self.remove_node(node)
@@ -118,7 +119,7 @@ class SingleThreadedExecutor:
         return True
 
     def release(self) -> None:
-        """Let go of what DDS holds."""
+        """Delete the DDS entities of the executor."""
         with self._lock:
             waitset, guard = self._waitset, self._guard
             self._waitset = self._guard = None
@@ -136,7 +137,7 @@ class SingleThreadedExecutor:
     def __exit__(self, *_: object) -> None:
         self.shutdown()
 
-    # One round
+    # Waiting and running
 
     def _spin_once(self, timeout_sec: float | None, done: Callable[[], bool]) -> None:
         end_s = _end_s(timeout_sec)
@@ -150,7 +151,7 @@ class SingleThreadedExecutor:
                 return
 
     def _run_job(self) -> bool:
-        """Run what is ready, the first that has anything to do."""
+        """Run ready jobs until one had something to do; return whether one had."""
         while self._jobs:
             node, run = self._jobs.popleft()
             if node in self._nodes and run():
@@ -158,7 +159,7 @@ class SingleThreadedExecutor:
         return False
 
     def _wait(self, left_s: float | None) -> bool:
-        """Wait for a short time, and find what is ready; return whether anything is."""
+        """Wait for a limited time, and queue the ready jobs; return whether there are any."""
         self._woken = False
         self._attach()
         timers = [(node, timer) for node in self.get_nodes() for timer in node.handle.parts(Timer)]
@@ -171,7 +172,7 @@ class SingleThreadedExecutor:
             raise ExternalShutdownException()
         self._waiting = True
         try:
-            triggered = waitset.wait(0 if self._woken else min([_LONGEST_WAIT_NS, *waits]))
+            triggered = waitset.wait(0 if self._woken else min([_MAX_WAIT_NS, *waits]))
             if guard.reference in triggered:
                 guard.take()
         except RCLError:
@@ -185,14 +186,14 @@ class SingleThreadedExecutor:
         for node, timer in timers:
             if timer.is_ready():
                 self._jobs.append((node, timer.execute))
-        # One message each, then the next round: no topic keeps the others waiting.
-        for reference, (node, source) in self._attached.items():
+        # One message per subscription and wait, so that a busy topic does not starve the others.
+        for reference, (node, waitable) in self._attached.items():
             if reference in triggered:
-                self._jobs.append((node, source.run))
+                self._jobs.append((node, waitable.run))
         return bool(self._jobs)
 
     def _attach(self) -> None:
-        """Wait for what the nodes have now."""
+        """Attach the current entities of the nodes to the wait set."""
         if not self._stale:
             return
         with self._lock:
@@ -200,24 +201,26 @@ class SingleThreadedExecutor:
             waitset = self._waitset
             if waitset is None:
                 return
-            wanted = {
-                s.reference: (node, s) for node in self._nodes for s in node.handle.sources()
+            current = {
+                waitable.reference: (node, waitable)
+                for node in self._nodes
+                for waitable in node.handle.waitables()
             }
-            for reference in self._attached.keys() - wanted.keys():
+            for reference in self._attached.keys() - current.keys():
                 waitset.detach(reference)
-            for reference in list(wanted.keys() - self._attached.keys()):
+            for reference in list(current.keys() - self._attached.keys()):
                 try:
                     waitset.attach(reference)
                 except RCLError:
-                    del wanted[reference]  # destroyed meanwhile
-            self._attached = wanted
+                    del current[reference]  # destroyed in the meantime
+            self._attached = current
 
 
 Executor = SingleThreadedExecutor
 
 
 class MultiThreadedExecutor:
-    """Not offered."""
+    """Not supported; the constructor raises NotImplementedError."""
 
     def __init__(self, *_: Any, **__: Any) -> None:
         raise NotImplementedError(
@@ -233,7 +236,7 @@ _global: SingleThreadedExecutor | None = None
 
 
 def get_global_executor() -> SingleThreadedExecutor:
-    """Return the executor that is meant where none is named."""
+    """Return the executor that is used if none is given."""
     global _global
     if _global is None or _global._waitset is None or not _global.context.ok():
         context = get_default_context()

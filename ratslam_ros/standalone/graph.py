@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The graph: which nodes there are, and what they publish, subscribe to and offer."""
+"""The ROS graph: nodes, topics, services and endpoints in the domain."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ratslam_ros.standalone import names
-from ratslam_ros.standalone.dds import Discovered, EndpointQos, Participant
+from ratslam_ros.standalone.dds import DiscoveredEndpoint, EndpointQos, Participant
 from ratslam_ros.standalone.qos import QoSProfile, from_dds
 from ratslam_ros.standalone.types import decode_or_none, encode, message_class
 
-_TOPIC = 'ros_discovery_info'
-_INFO = 'rmw_dds_common/msg/ParticipantEntitiesInfo'
+_DISCOVERY_TOPIC = 'ros_discovery_info'
+_DISCOVERY_TYPE = 'rmw_dds_common/msg/ParticipantEntitiesInfo'
 UNKNOWN_NAME, UNKNOWN_NAMESPACE = '_NODE_NAME_UNKNOWN_', '_NODE_NAMESPACE_UNKNOWN_'
 
 NamesAndTypes = list[tuple[str, list[str]]]
@@ -33,7 +33,7 @@ class NodeName(NamedTuple):
 
 
 class TopicEndpointTypeEnum(IntEnum):
-    """What an endpoint is."""
+    """Kind of a topic endpoint."""
 
     INVALID = 0
     PUBLISHER = 1
@@ -41,7 +41,7 @@ class TopicEndpointTypeEnum(IntEnum):
 
 
 class TopicEndpointInfo(NamedTuple):
-    """A publisher or subscription, and whose it is."""
+    """A publisher or subscription, with the name of its node."""
 
     node_name: str
     node_namespace: str
@@ -52,91 +52,95 @@ class TopicEndpointInfo(NamedTuple):
 
 
 class Graph:
-    """What one participant tells of its nodes, and knows of all others."""
+    """Announces the nodes of one participant, and collects those of all participants."""
 
     def __init__(self, participant: Participant) -> None:
-        """Begin to tell and to listen."""
+        """Create the reader and writer of the discovery topic."""
         self._participant = participant
         self._own: dict[NodeName, tuple[set[bytes], set[bytes]]] = {}
-        """Readers and writers by node."""
-        self._nodes: dict[bytes, Any] = {}
-        """What each participant told last."""
+        """GIDs of the readers and writers of each own node."""
+        self._latest: dict[bytes, Any] = {}
+        """Latest announcement of each participant, by GUID prefix."""
         self._lock = threading.RLock()
-        # No key tells the participants apart: a reader that keeps the last one forgets others.
-        self._reader = participant.reader(_TOPIC, _INFO, EndpointQos(None, True, True))
-        self._writer = participant.writer(_TOPIC, _INFO, EndpointQos(1, True, True))
-        message_class(_INFO)
+        # The topic has no key: a KEEP_LAST reader would drop announcements of other participants.
+        self._reader = participant.reader(
+            _DISCOVERY_TOPIC, _DISCOVERY_TYPE, EndpointQos(None, True, True)
+        )
+        self._writer = participant.writer(
+            _DISCOVERY_TOPIC, _DISCOVERY_TYPE, EndpointQos(1, True, True)
+        )
+        message_class(_DISCOVERY_TYPE)
 
     def close(self) -> None:
-        """Tell and listen no longer."""
+        """Delete the reader and writer of the discovery topic."""
         self._reader.close()
         self._writer.close()
 
-    # What is told
+    # Announcements of own nodes
 
     def add_node(self, node: NodeName) -> None:
         """Announce a node."""
         with self._lock:
             self._own[node] = (set(), set())
-            self._tell()
+            self._publish()
 
     def remove_node(self, node: NodeName) -> None:
-        """Take a node back."""
+        """Withdraw a node."""
         with self._lock:
             self._own.pop(node, None)
-            self._tell()
+            self._publish()
 
     def add(
         self, node: NodeName, readers: Iterable[bytes] = (), writers: Iterable[bytes] = ()
     ) -> None:
-        """Announce a node's endpoints."""
+        """Announce endpoints of a node, given by their GIDs."""
         with self._lock:
             if node in self._own:
                 self._own[node][0].update(readers)
                 self._own[node][1].update(writers)
-                self._tell()
+                self._publish()
 
     def remove(self, node: NodeName, gids: Iterable[bytes]) -> None:
-        """Take endpoints back."""
+        """Withdraw endpoints of a node."""
         with self._lock:
             if node in self._own:
-                for known in self._own[node]:
-                    known.difference_update(gids)
-                self._tell()
+                for own_gids in self._own[node]:
+                    own_gids.difference_update(gids)
+                self._publish()
 
-    def _tell(self) -> None:
+    def _publish(self) -> None:
         info = message_class('rmw_dds_common/msg/NodeEntitiesInfo')
-        message = message_class(_INFO)(
+        message = message_class(_DISCOVERY_TYPE)(
             gid=_gid(self._participant.gid),
             node_entities_info_seq=[
                 info(
                     node_namespace=node.namespace,
                     node_name=node.name,
-                    reader_gid_seq=[_gid(of) for of in sorted(readers)],
-                    writer_gid_seq=[_gid(of) for of in sorted(writers)],
+                    reader_gid_seq=[_gid(gid) for gid in sorted(readers)],
+                    writer_gid_seq=[_gid(gid) for gid in sorted(writers)],
                 )
                 for node, (readers, writers) in self._own.items()
             ],
         )
         self._writer.write(encode(message))
 
-    # What is known
+    # Queries
 
     def nodes(self) -> list[NodeName]:
         """Return all nodes."""
         return [
             NodeName(node.node_name, node.node_namespace)
-            for told in self._told()
-            for node in told.node_entities_info_seq
+            for announcement in self._announcements()
+            for node in announcement.node_entities_info_seq
         ]
 
     def count(self, topic: str, kind: str) -> int:
-        """Return how many endpoints (``writer``, ``reader``) there are on a topic of DDS."""
+        """Return the number of endpoints on a DDS topic; ``kind`` is writer or reader."""
         return sum(found.topic == topic for found in self._participant.endpoints(kind))
 
     def topics(self, mangled: bool = False) -> NamesAndTypes:
-        """Return all topics and their types."""
-        return _listed(
+        """Return all topics and their types; with ``mangled``, all DDS topics."""
+        return _group_types(
             (found.topic if mangled else names.topic_from_dds(found.topic), _type_of(found))
             for kind in ('writer', 'reader')
             for found in self._participant.endpoints(kind)
@@ -144,14 +148,16 @@ class Graph:
 
     def services(self) -> NamesAndTypes:
         """Return all services and their types."""
-        return _listed(map(_service_of, [*self._all('reader'), *self._all('writer')]))
+        return _group_types(
+            map(_service_of, [*self._discovered('reader'), *self._discovered('writer')])
+        )
 
     def endpoints(self, topic: str, kind: str) -> list[TopicEndpointInfo]:
-        """Return the endpoints on a topic of DDS."""
+        """Return the endpoints on a DDS topic; ``kind`` is writer or reader."""
         owners = {
             bytes(gid.data): (node.node_name, node.node_namespace)
-            for told in self._told()
-            for node in told.node_entities_info_seq
+            for announcement in self._announcements()
+            for node in announcement.node_entities_info_seq
             for gid in (node.writer_gid_seq if kind == 'writer' else node.reader_gid_seq)
         }
         endpoint_type = (
@@ -167,31 +173,31 @@ class Graph:
                 list(found.gid),
                 from_dds(found.qos),
             )
-            for found in self._all(kind)
+            for found in self._discovered(kind)
             if found.topic == topic
         ]
 
-    def _all(self, kind: str) -> list[Discovered]:
+    def _discovered(self, kind: str) -> list[DiscoveredEndpoint]:
         return self._participant.endpoints(kind)
 
-    def _told(self) -> list[Any]:
+    def _announcements(self) -> list[Any]:
         with self._lock:
-            kind = message_class(_INFO)
+            kind = message_class(_DISCOVERY_TYPE)
             while taken := self._reader.take(lambda data: decode_or_none(data, kind)):
                 if taken.value is not None:
-                    self._nodes[bytes(taken.value.gid.data)[:12]] = taken.value
+                    self._latest[bytes(taken.value.gid.data)[:12]] = taken.value
             present = self._participant.participants()
-            for gone in set(self._nodes) - present:
-                del self._nodes[gone]
-            return list(self._nodes.values())
+            for gone in set(self._latest) - present:
+                del self._latest[gone]
+            return list(self._latest.values())
 
 
-def _service_of(found: Discovered) -> tuple[str | None, str]:
+def _service_of(found: DiscoveredEndpoint) -> tuple[str | None, str]:
     service = names.service_from_dds(found.topic)
     return service[0] if service else None, re.sub('_(Request|Response)$', '', _type_of(found))
 
 
-def _type_of(found: Discovered) -> str:
+def _type_of(found: DiscoveredEndpoint) -> str:
     return names.type_from_dds(found.type)
 
 
@@ -199,7 +205,8 @@ def _gid(gid: bytes) -> Any:
     return message_class('rmw_dds_common/msg/Gid')(data=np.frombuffer(gid, np.uint8))
 
 
-def _listed(pairs: Iterable[tuple[str | None, str]]) -> NamesAndTypes:
+def _group_types(pairs: Iterable[tuple[str | None, str]]) -> NamesAndTypes:
+    """Return names and their types, sorted; pairs without a name are dropped."""
     found: dict[str, set[str]] = defaultdict(set)
     for name, kind in pairs:
         if name is not None:

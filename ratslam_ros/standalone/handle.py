@@ -1,8 +1,8 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is behind a node: its parts, and who must know of them.
+"""The internal state of a node: its parts, its executor and its place in the graph.
 
-Apart from Node, whose subclasses may have attributes of any name.
+Separate from Node, because subclasses of Node may define attributes of any name.
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ from typing import Any, TypeVar
 from ratslam_ros.standalone import logging
 from ratslam_ros.standalone.arguments import Names
 from ratslam_ros.standalone.context import Context
-from ratslam_ros.standalone.endpoints import MutuallyExclusiveCallbackGroup, NodePart, Source
 from ratslam_ros.standalone.graph import NodeName
+from ratslam_ros.standalone.node_parts import MutuallyExclusiveCallbackGroup, NodePart, Waitable
 
 Part = TypeVar('Part', bound=NodePart)
 
 
 class NodeHandle:
-    """A node as the graph, executors and its own parts see it."""
+    """Interface of a node to the graph, to executors and to its own parts."""
 
     def __init__(self, context: Context, names: Names) -> None:
-        """Announce it."""
+        """Announce the node in the graph."""
         self.context = context
         self.names = names
         self.graph_name = NodeName(names.node, names.namespace)
@@ -38,21 +38,21 @@ class NodeHandle:
 
     @property
     def is_open(self) -> bool:
-        """Whether it can send anything."""
+        """Whether the node can still send messages."""
         return self.context.ok() and self in self.context.nodes
 
     def add(self, part: Part) -> Part:
-        """Take a new part, and announce it."""
+        """Add a part, and announce its endpoints."""
         with self._lock:
             self._parts[part] = None
         readers, writers = part.gids()
         if readers or writers:
             self.context.graph.add(self.graph_name, readers, writers)
-        self._changed()
+        self._notify_executor()
         return part
 
     def discard(self, part: NodePart) -> bool:
-        """Take back one part; return whether it was there."""
+        """Destroy a part; return whether it belonged to the node."""
         with self._lock:
             if part not in self._parts:
                 return False
@@ -60,45 +60,45 @@ class NodeHandle:
         readers, writers = part.gids()
         if readers or writers:
             self.context.graph.remove(self.graph_name, [*readers, *writers])
-        self._changed()
+        self._notify_executor()
         part.close()
         return True
 
     def parts(self, kind: type[Part]) -> Iterator[Part]:
-        """Return the parts of one kind."""
+        """Return the parts of one class."""
         with self._lock:
             return iter([part for part in self._parts if isinstance(part, kind)])
 
-    def sources(self) -> list[Source]:
-        """Return what an executor waits for."""
+    def waitables(self) -> list[Waitable]:
+        """Return the entities that an executor waits for."""
         with self._lock:
-            return [source for part in self._parts for source in part.sources()]
+            return [waitable for part in self._parts for waitable in part.waitables()]
 
     def wake(self) -> None:
-        """Have the executor look at the timers again."""
+        """End the wait of the executor, which then checks the timers again."""
         executor = self.executor
         if executor is not None:
             executor.wake()
 
     def forget_executor(self, executor: Any) -> None:
-        """Belong to an executor no longer, if to this one."""
+        """Clear the executor if it is this one."""
         if self.executor is executor:
             self.executor = None
 
     def close(self) -> None:
-        """Take back everything; a second time does nothing."""
+        """Destroy the node and its parts; further calls do nothing."""
         if self not in self.context.nodes:
             return
-        logging.publish_with(self.logger.name, None)
+        logging.set_publisher(self.logger.name, None)
         with self._lock:
             parts, self._parts = list(self._parts), {}
         for part in reversed(parts):
             part.close()
         self.context.graph.remove_node(self.graph_name)
         self.context.nodes.discard(self)
-        self.context.end()
+        self.context.close_if_unused()
 
-    def _changed(self) -> None:
+    def _notify_executor(self) -> None:
         executor = self.executor
         if executor is not None:
-            executor.change()
+            executor.entities_changed()

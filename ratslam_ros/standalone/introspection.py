@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Messages as plain values and back, as rosidl_runtime_py does it."""
+"""Conversion between messages and plain values, as in rosidl_runtime_py."""
 
 from __future__ import annotations
 
@@ -12,16 +12,24 @@ from typing import Any
 
 import numpy as np
 
-from ratslam_ros.standalone.types import Field, Message, message_class
+from ratslam_ros.standalone.definitions import Field
+from ratslam_ros.standalone.types import Message, message_class
 
-_FULL_TIME = 'builtin_interfaces/msg/Time'
+_TIME = 'builtin_interfaces/msg/Time'
 _HEADER = 'std_msgs/msg/Header'
 
 
 def message_to_ordereddict(
     msg: Message, *, truncate_length: int | None = None, no_arr: bool = False, no_str: bool = False
 ) -> OrderedDict[str, Any]:
-    """Return a message as values by field, long lists and strings cut off or left out."""
+    """Convert a message to plain values by field name.
+
+    Args:
+        msg: any message.
+        truncate_length: number of items or characters after which lists and strings are cut.
+        no_arr: replace lists by a description of their type and length.
+        no_str: replace strings by their length.
+    """
     return OrderedDict(
         (field.name, _plain(getattr(msg, field.name), field, truncate_length, no_arr, no_str))
         for field in msg.FIELDS
@@ -36,7 +44,7 @@ def message_to_yaml(
     no_str: bool = False,
     flow_style: bool = False,
 ) -> str:
-    """Return a message as YAML."""
+    """Convert a message to YAML; see ``message_to_ordereddict`` for the options."""
     import sys
 
     import yaml
@@ -46,7 +54,7 @@ def message_to_yaml(
     )
     return str(
         yaml.safe_dump(
-            _without_order(tree),
+            _plain_dicts(tree),
             allow_unicode=True,
             width=sys.maxsize,
             default_flow_style=flow_style,
@@ -61,11 +69,20 @@ def set_message_fields(
     expand_header_auto: bool = False,
     expand_time_now: bool = False,
 ) -> list[Any]:
-    """Set fields of a message from plain values; return the stamps that are to be set anew.
+    """Set fields of a message from plain values.
+
+    Args:
+        msg: message to modify.
+        values: values by field name.
+        expand_header_auto: accept 'auto' for a header, with the current time as its stamp.
+        expand_time_now: accept 'now' for a time, which sets the current time.
+
+    Returns:
+        The time messages that were set from 'auto' or 'now'.
 
     Raises:
-        AttributeError: there is no such field.
-        TypeError, ValueError: a value does not fit.
+        AttributeError: the message has no such field.
+        TypeError, ValueError: a value does not fit its field.
     """
     if not isinstance(values, Mapping):
         raise ValueError(
@@ -80,8 +97,8 @@ def set_message_fields(
         if field.is_message and field.size is None and value in ('auto', 'now'):
             made = message_class(field.base)()
             stamp = made.stamp if field.base == _HEADER and value == 'auto' else made
-            wanted = expand_header_auto if value == 'auto' else expand_time_now
-            if not wanted or stamp.__msgtype__ != _FULL_TIME:
+            allowed = expand_header_auto if value == 'auto' else expand_time_now
+            if not allowed or stamp.__msgtype__ != _TIME:
                 raise ValueError(f'{name}: {value!r} is not a value for {field.idl}')
             stamp.sec, stamp.nanosec = divmod(time.time_ns(), 1_000_000_000)
             stamps.append(stamp)
@@ -128,7 +145,7 @@ def _scalar(field: Field, value: Any) -> Any:
         return value if isinstance(value, bytes) else bytes([int(value)])
     if field.base in ('string', 'bool'):
         kind = str if field.base == 'string' else bool
-        # What is no string in YAML may well be meant as one; what is no bool is a mistake.
+        # YAML reads an unquoted 12 as a number, which is accepted for strings but not for bools.
         if kind is bool and not isinstance(value, bool):
             raise TypeError(f'{field.name}: expected a boolean, not {value!r}')
         return kind(value)
@@ -138,29 +155,31 @@ def _scalar(field: Field, value: Any) -> Any:
     return kind(value)
 
 
-def _plain(value: Any, field: Field, longest: int | None, no_arr: bool, no_str: bool) -> Any:
+def _plain(value: Any, field: Field, max_length: int | None, no_arr: bool, no_str: bool) -> Any:
     if field.size is not None:
         if no_arr:
             kind = 'array' if field.is_fixed else 'sequence'
             return f'<{kind} type: {field.idl}, length: {len(value)}>'
         items = value.tolist() if hasattr(value, 'tolist') else list(value)
-        cut = longest is not None and len(items) > longest
+        cut = max_length is not None and len(items) > max_length
         one = field._replace(size=None)
-        made = [_plain(item, one, longest, no_arr, no_str) for item in items[:longest]]
+        made = [_plain(item, one, max_length, no_arr, no_str) for item in items[:max_length]]
         return [*made, '...'] if cut else made
     if field.is_message:
-        return message_to_ordereddict(value, truncate_length=longest, no_arr=no_arr, no_str=no_str)
+        return message_to_ordereddict(
+            value, truncate_length=max_length, no_arr=no_arr, no_str=no_str
+        )
     if isinstance(value, bytes):
         return value[0] if len(value) == 1 else list(value)
     if isinstance(value, str):
         if no_str:
             return f'<string length: <{len(value)}>>'
-        if longest is not None and len(value) > longest:
-            return f'{value[:longest]}...'
+        if max_length is not None and len(value) > max_length:
+            return f'{value[:max_length]}...'
     return value
 
 
-def _without_order(value: Any) -> Any:
+def _plain_dicts(value: Any) -> Any:
     if isinstance(value, Mapping):
-        return {key: _without_order(item) for key, item in value.items()}
-    return [_without_order(item) for item in value] if isinstance(value, list) else value
+        return {key: _plain_dicts(item) for key, item in value.items()}
+    return [_plain_dicts(item) for item in value] if isinstance(value, list) else value

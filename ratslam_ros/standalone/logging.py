@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Loggers that write what ROS's write, to standard error and /rosout."""
+"""Loggers that write to standard error and /rosout in the format of ROS."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any
 
 
 class LoggingSeverity(IntEnum):
-    """How bad it is."""
+    """Severity of a log record."""
 
     UNSET = 0
     DEBUG = 10
@@ -24,7 +24,7 @@ class LoggingSeverity(IntEnum):
 
 
 class Record:
-    """What is logged, and from where."""
+    """A log record, with the location of the call."""
 
     __slots__ = ('file', 'function', 'level', 'line', 'name', 'stamp_ns', 'text')
 
@@ -40,62 +40,68 @@ _levels: dict[str, LoggingSeverity] = {}
 _default = LoggingSeverity.INFO
 _to_stderr = True
 _publishers: dict[str, Callable[[Record], None]] = {}
-_seen: dict[tuple[str, int, str], tuple[int, int]] = {}
+_call_sites: dict[tuple[str, int, str], tuple[int, int]] = {}
 
 
 class RcutilsLogger:
-    """A logger; dots in its name make it a child of another."""
+    """A logger; dots in its name separate the levels of the logger hierarchy."""
 
     def __init__(self, name: str = '') -> None:
         self.name = name
 
     def get_child(self, name: str) -> RcutilsLogger:
-        """Return the logger below this one."""
+        """Return a child of this logger."""
         if not name:
             raise ValueError('Child logger name must not be empty.')
         return RcutilsLogger(f'{self.name}.{name}' if self.name else name)
 
     def set_level(self, level: int) -> None:
-        """Log only what is at least so bad."""
+        """Set the lowest severity that is logged."""
         set_logger_level(self.name, level)
 
     def get_effective_level(self) -> LoggingSeverity:
-        """Return its level, or that of the nearest parent that has one."""
+        """Return the level of this logger or, if unset, that of its nearest ancestor."""
         return get_logger_effective_level(self.name)
 
     def is_enabled_for(self, severity: int) -> bool:
-        """Tell whether something so bad is logged."""
+        """Return whether records of a severity are logged."""
         return severity >= self.get_effective_level()
 
     def debug(self, message: object, **filters: Any) -> bool:
-        """Log what helps to find mistakes."""
+        """Log a message of severity DEBUG."""
         return self._log(message, LoggingSeverity.DEBUG, filters)
 
     def info(self, message: object, **filters: Any) -> bool:
-        """Log what is good to know."""
+        """Log a message of severity INFO."""
         return self._log(message, LoggingSeverity.INFO, filters)
 
     def warning(self, message: object, **filters: Any) -> bool:
-        """Log what may be wrong."""
+        """Log a message of severity WARN."""
         return self._log(message, LoggingSeverity.WARN, filters)
 
     def warn(self, message: object, **filters: Any) -> bool:
-        """Log what may be wrong."""
+        """Log a message of severity WARN."""
         return self._log(message, LoggingSeverity.WARN, filters)
 
     def error(self, message: object, **filters: Any) -> bool:
-        """Log what went wrong."""
+        """Log a message of severity ERROR."""
         return self._log(message, LoggingSeverity.ERROR, filters)
 
     def fatal(self, message: object, **filters: Any) -> bool:
-        """Log what ends the program."""
+        """Log a message of severity FATAL."""
         return self._log(message, LoggingSeverity.FATAL, filters)
 
     def log(self, message: object, severity: int, **filters: Any) -> bool:
-        """Log something; return False where a filter kept it back.
+        """Log a message.
 
-        Filters: ``throttle_duration_sec``, ``once`` and ``skip_first``, all counted for the line
-        of code that logs.
+        Args:
+            message: text, or an object to convert to text.
+            severity: a LoggingSeverity.
+            filters: ``throttle_duration_sec``, ``once`` and ``skip_first``; each line of code
+                that logs has its own state.
+
+        Returns:
+            Whether the message was logged; False if its severity or a filter suppressed it.
         """
         return self._log(message, LoggingSeverity(severity), filters)
 
@@ -120,30 +126,30 @@ class RcutilsLogger:
         }  # fmt: skip
         if unknown:
             raise TypeError(f'unknown logging arguments: {", ".join(sorted(unknown))}')
-        place = (frame.f_code.co_filename, frame.f_lineno, self.name)
+        call_site = (frame.f_code.co_filename, frame.f_lineno, self.name)
         source = filters.get('throttle_time_source_type')
         now_ns = time.monotonic_ns() if source is None else source.now().nanoseconds
         with _lock:
-            calls, logged_ns = _seen.get(place, (0, -1))
+            calls, logged_ns = _call_sites.get(call_site, (0, -1))
             passes = not (filters.get('skip_first') and calls == 0)
             if filters.get('once') and logged_ns >= 0:
                 passes = False
             throttle_s = filters.get('throttle_duration_sec')
             if throttle_s and logged_ns >= 0 and now_ns - logged_ns < throttle_s * 1e9:
                 passes = False
-            _seen[place] = (calls + 1, now_ns if passes else logged_ns)
+            _call_sites[call_site] = (calls + 1, now_ns if passes else logged_ns)
         return passes
 
 
 def get_logger(name: str) -> RcutilsLogger:
-    """Return the logger of a name."""
+    """Return the logger with a name."""
     if not name:
         raise ValueError('Logger name must not be empty.')
     return RcutilsLogger(name)
 
 
 def set_logger_level(name: str, level: int, detailed_error: bool = False) -> None:
-    """Let a logger and its children log only what is at least so bad; UNSET undoes it."""
+    """Set the lowest severity that a logger and its children log; UNSET removes the level."""
     global _default
     if name:
         _levels[name] = LoggingSeverity(level)
@@ -152,12 +158,12 @@ def set_logger_level(name: str, level: int, detailed_error: bool = False) -> Non
 
 
 def get_logger_level(name: str) -> LoggingSeverity:
-    """Return the level that was set for a logger itself."""
+    """Return the level of a logger itself; UNSET if it has none."""
     return _levels.get(name, LoggingSeverity.UNSET)
 
 
 def get_logger_effective_level(name: str) -> LoggingSeverity:
-    """Return a logger's level, or that of the nearest parent that has one."""
+    """Return the level of a logger or, if unset, that of its nearest ancestor."""
     while name:
         level = _levels.get(name, LoggingSeverity.UNSET)
         if level != LoggingSeverity.UNSET:
@@ -167,10 +173,10 @@ def get_logger_effective_level(name: str) -> LoggingSeverity:
 
 
 def get_logging_severity_from_string(log_severity: str) -> LoggingSeverity:
-    """Return the severity of a name, in any case.
+    """Return the severity with a name, ignoring case.
 
     Raises:
-        RuntimeError: there is none of that name.
+        RuntimeError: the name is unknown.
     """
     try:
         return LoggingSeverity[log_severity.upper()]
@@ -179,23 +185,15 @@ def get_logging_severity_from_string(log_severity: str) -> LoggingSeverity:
 
 
 def configure(levels: list[tuple[str, LoggingSeverity]], to_stderr: bool) -> None:
-    """Set what the command line says about logging."""
+    """Apply the logging options of a command line."""
     global _to_stderr
     _to_stderr = to_stderr
     for name, level in levels:
         set_logger_level(name, level)
 
 
-def reset() -> None:
-    """Forget all levels and filters."""
-    global _default, _to_stderr
-    _default, _to_stderr = LoggingSeverity.INFO, True
-    _levels.clear()
-    _seen.clear()
-
-
-def publish_with(name: str, publish: Callable[[Record], None] | None) -> None:
-    """Have a logger and its children publish what they log, None: no longer."""
+def set_publisher(name: str, publish: Callable[[Record], None] | None) -> None:
+    """Set the function that publishes the records of a logger and its children; None for none."""
     with _lock:
         if publish is None:
             _publishers.pop(name, None)
@@ -218,4 +216,4 @@ def _print(record: Record) -> None:
         sys.stderr.write(line + '\n')
         sys.stderr.flush()
     except (OSError, ValueError):
-        pass  # nobody is there to read it
+        pass  # standard error is closed

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The modules that the stand-in offers in place of ROS's, made when they are imported."""
+"""Modules that the stand-in provides in place of those of ROS, created on import."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from importlib.machinery import ModuleSpec
 from types import ModuleType
 from typing import Any
 
-from ratslam_ros.standalone import types
+from ratslam_ros.standalone import definitions, types
 
-HERE = 'ratslam_ros.standalone'
+_PACKAGE = 'ratslam_ros.standalone'
 _EXECUTORS = (
     'Executor', 'ExternalShutdownException', 'MultiThreadedExecutor',
     'SingleThreadedExecutor',
@@ -23,7 +23,7 @@ _SIGNALS = (
     'SignalHandlerOptions', 'install_signal_handlers', 'uninstall_signal_handlers',
 )  # fmt: skip
 
-OFFERED: dict[str, dict[str, Sequence[str]]] = {
+PROVIDED: dict[str, dict[str, Sequence[str]]] = {
     'rclpy': {
         'api': (
             'create_node', 'get_global_executor', 'init', 'ok',
@@ -39,9 +39,11 @@ OFFERED: dict[str, dict[str, Sequence[str]]] = {
         ),
     },
     'rclpy.callback_groups': {
-        'endpoints': ('CallbackGroup', 'MutuallyExclusiveCallbackGroup', 'ReentrantCallbackGroup'),
+        'node_parts': (
+            'CallbackGroup', 'MutuallyExclusiveCallbackGroup', 'ReentrantCallbackGroup',
+        ),
     },
-    'rclpy.client': {'endpoints': ('Client',)},
+    'rclpy.client': {'services': ('Client',)},
     'rclpy.clock': {
         'clock': (
             'Clock', 'ClockChange', 'ClockType', 'JumpHandle', 'JumpThreshold', 'ROSClock',
@@ -66,15 +68,15 @@ OFFERED: dict[str, dict[str, Sequence[str]]] = {
         'parameters': ('Parameter',),
     },
     'rclpy.parameter': {'parameters': ('Parameter', 'parameter_value_to_python')},
-    'rclpy.publisher': {'endpoints': ('Publisher',)},
+    'rclpy.publisher': {'topics': ('Publisher',)},
     'rclpy.qos': {'qos': ()},
     'rclpy.serialization': {'api': ('deserialize_message', 'serialize_message')},
-    'rclpy.service': {'endpoints': ('Service',)},
+    'rclpy.service': {'services': ('Service',)},
     'rclpy.signals': {'context': _SIGNALS},
-    'rclpy.subscription': {'endpoints': ('Subscription',)},
+    'rclpy.subscription': {'topics': ('Subscription',)},
     'rclpy.task': {'task': ()},
     'rclpy.time': {'clock': ('Time',)},
-    'rclpy.timer': {'endpoints': ('Timer',)},
+    'rclpy.timer': {'timer': ('Timer',)},
     'rclpy.topic_endpoint_info': {'graph': ('TopicEndpointInfo', 'TopicEndpointTypeEnum')},
     'rclpy.utilities': {
         'api': ('ok', 'remove_ros_args', 'shutdown',
@@ -92,42 +94,46 @@ OFFERED: dict[str, dict[str, Sequence[str]]] = {
     'rosidl_runtime_py.set_message': {'introspection': ('set_message_fields',)},
     'rosidl_runtime_py.utilities': {'api': ('get_message', 'get_service')},
 }  # fmt: skip
-"""Names by module of ours, none meaning all of them, for each module that is offered."""
+"""Provided modules: names by source module; an empty sequence stands for all public names."""
 
 
-class NotOffered(NotImplementedError, ImportError):  # noqa: N818
-    """A part of rclpy that the stand-in does not have."""
+class NotProvided(NotImplementedError, ImportError):  # noqa: N818
+    """A module of rclpy that the stand-in does not provide."""
 
 
 class Finder(MetaPathFinder, Loader):
-    """Finds rclpy, rosidl_runtime_py and message packages; asked after all others."""
+    """Finder of rclpy, rosidl_runtime_py and message packages, last in ``sys.meta_path``."""
 
     def find_spec(
         self, fullname: str, path: Any = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Return how a module is made, None where it is none of ours."""
+        """Return the spec of a module; None if the stand-in is not responsible for it.
+
+        Raises:
+            NotProvided: the stand-in lacks this module of rclpy.
+        """
         top, _, rest = fullname.partition('.')
         is_package = False
         if top in ('rclpy', 'rosidl_runtime_py'):
-            if fullname not in OFFERED:
-                raise NotOffered(
-                    f'{fullname} is not offered by the stand-in for rclpy; install ROS 2 for it'
+            if fullname not in PROVIDED:
+                raise NotProvided(
+                    f'{fullname} is not part of the stand-in for rclpy; install ROS 2 to use it'
                 )
             is_package = not rest
-        elif top in types.packages() and rest in ('', 'msg', 'srv'):
+        elif top in definitions.packages() and rest in ('', 'msg', 'srv'):
             is_package = not rest
         else:
             return None
         return ModuleSpec(fullname, self, is_package=is_package)
 
     def create_module(self, spec: ModuleSpec) -> ModuleType:
-        """Return the module, empty."""
-        return _Module(spec.name, 'Made by the stand-in for rclpy.')
+        """Create an empty module."""
+        return _Module(spec.name, 'Provided by the stand-in for rclpy.')
 
     def exec_module(self, module: ModuleType) -> None:
-        """Put into the module what is made at once."""
-        for part, names in OFFERED.get(module.__name__, {}).items():
-            source = import_module(f'{HERE}.{part}')
+        """Fill a module with its names; message classes are created on first access."""
+        for part, names in PROVIDED.get(module.__name__, {}).items():
+            source = import_module(f'{_PACKAGE}.{part}')
             public = names or [
                 name
                 for name, value in vars(source).items()
@@ -138,37 +144,37 @@ class Finder(MetaPathFinder, Loader):
 
 
 class _Module(ModuleType):
-    """A module that makes message classes when they are asked for, and says what it lacks."""
+    """A module that creates message classes on first access."""
 
     def __getattr__(self, name: str) -> Any:
         package, _, kind = self.__name__.partition('.')
-        if f'{self.__name__}.{name}' in OFFERED:
+        if f'{self.__name__}.{name}' in PROVIDED:
             return import_module(f'{self.__name__}.{name}')
-        if not name.startswith('__') and package in types.packages():
-            make = types.service_class if kind == 'srv' else types.message_class
-            if kind and name in types.names_in(package, kind):
-                made = make(f'{package}/{kind}/{name}')
-                setattr(self, name, made)
-                return made
+        if not name.startswith('__') and package in definitions.packages():
+            create = types.service_class if kind == 'srv' else types.message_class
+            if kind and name in definitions.names_in(package, kind):
+                created = create(f'{package}/{kind}/{name}')
+                setattr(self, name, created)
+                return created
         raise AttributeError(
             f'module {self.__name__!r} of the stand-in for rclpy has no attribute {name!r}'
         )
 
     def __dir__(self) -> list[str]:
         package, _, kind = self.__name__.partition('.')
-        made = types.names_in(package, kind) if kind in ('msg', 'srv') else []
-        return sorted({*vars(self), *made})
+        classes = definitions.names_in(package, kind) if kind in ('msg', 'srv') else []
+        return sorted({*vars(self), *classes})
 
 
 def _is_own(value: Any, source: ModuleType) -> bool:
-    """Tell what a module defines from what it imports."""
+    """Return whether a module defines a value itself, rather than importing it."""
     return not isinstance(value, ModuleType) and getattr(value, '__module__', source.__name__) in (
         source.__name__,
         None,
     )
 
 
-def serve() -> None:
-    """Offer the modules to whoever imports them from now on."""
+def install_finder() -> None:
+    """Make the modules importable; further calls do nothing."""
     if not any(isinstance(finder, Finder) for finder in sys.meta_path):
         sys.meta_path.append(Finder())

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Names of nodes, topics and services: what is allowed, and what they are in full."""
+"""Names of nodes, topics and services: validation, expansion, and mapping from DDS names."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from ratslam_ros.standalone.exceptions import (
 )
 
 _TOKEN = re.compile(r'[A-Za-z_][A-Za-z0-9_]*')
-_LONGEST = 247
+_MAX_LENGTH = 247
 _SUBSTITUTION = re.compile(r'\{([^{}]*)\}')
 
 
 def check_node_name(name: str) -> None:
-    """Raise InvalidNodeNameException where ROS does not allow a name."""
+    """Raise InvalidNodeNameException if a node name is invalid."""
     if not _TOKEN.fullmatch(name):
         raise InvalidNodeNameException(
             name, 'node name must be letters, digits and underscores, and not begin with a digit'
@@ -28,18 +28,18 @@ def check_node_name(name: str) -> None:
 
 
 def check_namespace(namespace: str) -> None:
-    """Raise InvalidNamespaceException where ROS does not allow a full namespace."""
+    """Raise InvalidNamespaceException if a full namespace is invalid."""
     tokens = namespace.split('/')[1:]
     if namespace == '/':
         return
     if not namespace.startswith('/') or not all(_TOKEN.fullmatch(token) for token in tokens):
         raise InvalidNamespaceException(
-            namespace, 'namespace must be absolute, of tokens that node names are made of'
+            namespace, 'namespace must be absolute, and each token must be a valid node name'
         )
 
 
 def full_namespace(namespace: str) -> str:
-    """Return a namespace with its leading slash, and checked."""
+    """Return a namespace with a leading slash; raises InvalidNamespaceException."""
     if not namespace.startswith('/'):
         namespace = f'/{namespace}'
     check_namespace(namespace)
@@ -47,46 +47,55 @@ def full_namespace(namespace: str) -> str:
 
 
 def join(namespace: str, name: str) -> str:
-    """Return a name in a namespace."""
+    """Return a name prefixed with a namespace."""
     return f'{namespace.rstrip("/")}/{name}'
 
 
 def expand(name: str, node: str, namespace: str, is_service: bool = False) -> str:
-    """Return the full name of a topic or service that a node calls by any name.
+    """Expand a relative, private or absolute name of a topic or service to its full name.
+
+    Args:
+        name: name to expand; ``~`` and substitutions such as ``{node}`` are allowed.
+        node: name of the node.
+        namespace: full namespace of the node.
+        is_service: whether the name is that of a service.
 
     Raises:
-        InvalidTopicNameException, InvalidServiceNameException: ROS does not allow it.
+        InvalidTopicNameException, InvalidServiceNameException: the name is invalid.
     """
-    wrong: type[NameValidationException] = (
+    error: type[NameValidationException] = (
         InvalidServiceNameException if is_service else InvalidTopicNameException
     )
     if not isinstance(name, str) or not name:
-        raise wrong(str(name), 'name must not be empty')
+        raise error(str(name), 'name must not be empty')
     full = name
     if full.startswith('~'):
         full = join(namespace, node) + full[1:]
-    known = {'node': node, 'ns': namespace.rstrip('/'), 'namespace': namespace.rstrip('/')}
+    substitutions = {'node': node, 'ns': namespace.rstrip('/'), 'namespace': namespace.rstrip('/')}
     for found in _SUBSTITUTION.finditer(full):
-        if found[1] not in known:
-            raise wrong(name, f'unknown substitution {found[0]}', found.start())
-    full = _SUBSTITUTION.sub(lambda found: known[found[1]], full)
+        if found[1] not in substitutions:
+            raise error(name, f'unknown substitution {found[0]}', found.start())
+    full = _SUBSTITUTION.sub(lambda found: substitutions[found[1]], full)
     if not full.startswith('/'):
         full = join(namespace, full)
     for token in full.split('/')[1:]:
         if not _TOKEN.fullmatch(token):
-            raise wrong(
+            raise error(
                 name,
                 'name must be tokens of letters, digits and underscores that do not begin with a '
                 'digit, with slashes between them',
                 max(name.find(token), 0),
             )
-    if len(full) > _LONGEST:
-        raise wrong(name, f'name must not be longer than {_LONGEST} characters')
+    if len(full) > _MAX_LENGTH:
+        raise error(name, f'name must not be longer than {_MAX_LENGTH} characters')
     return full
 
 
 def type_from_dds(name: str) -> str:
-    """Return the ROS name of a DDS type (std_msgs::msg::dds_::String_), itself if it has none."""
+    """Return the ROS name of a DDS type such as std_msgs::msg::dds_::String_.
+
+    Names of other types are returned unchanged.
+    """
     namespace, found, short = name.rpartition('dds_::')
     if not found or not short.endswith('_'):
         return name
@@ -94,12 +103,12 @@ def type_from_dds(name: str) -> str:
 
 
 def topic_from_dds(name: str) -> str | None:
-    """Return the ROS topic of a DDS topic (rt/chatter), None if it is none."""
+    """Return the ROS name of a DDS topic such as rt/chatter; None if it is no ROS topic."""
     return name[2:] if name.startswith('rt/') else None
 
 
 def service_from_dds(name: str) -> tuple[str, str] | None:
-    """Return the service of a DDS topic and which half it is: Request or Reply."""
+    """Return the service of a DDS topic, and Request or Reply; None if it belongs to none."""
     for prefix, half in (('rq/', 'Request'), ('rr/', 'Reply')):
         if name.startswith(prefix) and name.endswith(half):
             return name[2 : -len(half)], half

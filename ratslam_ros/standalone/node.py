@@ -12,39 +12,32 @@ from ratslam_ros.standalone.arguments import Arguments, Names, overrides, parse
 from ratslam_ros.standalone.clock import Clock, ROSClock, Time
 from ratslam_ros.standalone.context import Context, get_default_context
 from ratslam_ros.standalone.dds import EndpointQos
-from ratslam_ros.standalone.endpoints import (
-    CallbackGroup,
-    Client,
-    NodePart,
-    Publisher,
-    Service,
-    Subscription,
-    Timer,
-    callable_with,
-)
 from ratslam_ros.standalone.exceptions import NotInitializedException
 from ratslam_ros.standalone.graph import NamesAndTypes, TopicEndpointInfo
 from ratslam_ros.standalone.handle import NodeHandle
-from ratslam_ros.standalone.parameters import Parameter, Parameters, offer_services
+from ratslam_ros.standalone.node_parts import CallbackGroup, NodePart, accepted_argument_count
+from ratslam_ros.standalone.parameter_services import create_parameter_services
+from ratslam_ros.standalone.parameters import Parameter, Parameters
 from ratslam_ros.standalone.qos import (
     DurabilityPolicy,
     QoSProfile,
-    ReliabilityPolicy,
     qos_profile_parameter_events,
     qos_profile_parameters,
     qos_profile_services_default,
     to_profile,
 )
+from ratslam_ros.standalone.services import Client, Service
+from ratslam_ros.standalone.time_source import TimeSource
+from ratslam_ros.standalone.timer import Timer
+from ratslam_ros.standalone.topics import Publisher, Subscription
 from ratslam_ros.standalone.types import message_class
 
 _ROSOUT = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _ROSOUT_DDS = EndpointQos(1000, True, True, lifespan_ns=10_000_000_000)
-_CLOCK = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-USE_SIM_TIME = 'use_sim_time'
 
 
 class Node:
-    """Something with a name that publishes, subscribes, and offers services."""
+    """A ROS node: its publishers, subscriptions, services, clients, timers and parameters."""
 
     def __init__(
         self,
@@ -62,28 +55,27 @@ class Node:
         enable_logger_service: bool = False,
     ) -> None:
         if enable_logger_service:
-            raise NotImplementedError('the stand-in for rclpy does not offer logger services')
+            raise NotImplementedError('the stand-in for rclpy does not support logger services')
         context = get_default_context() if context is None else context
         if not context.ok():
             raise NotInitializedException('cannot create node')
-        own = [parse(['--ros-args', *_without_start(cli_args)])] if cli_args else []
-        given = [context.arguments] if use_global_arguments else []
-        self.__handle = NodeHandle(context, Names(node_name, namespace or '/', [*own, *given]))
+        own = [parse(['--ros-args', *_without_ros_args_flag(cli_args)])] if cli_args else []
+        shared = [context.arguments] if use_global_arguments else []
+        self.__handle = NodeHandle(context, Names(node_name, namespace or '/', [*own, *shared]))
         self.__clock = ROSClock()
-        self.__clock_subscription: Subscription | None = None
         try:
             self.__prepare(
                 {parameter.name: parameter.value for parameter in parameter_overrides or ()},
-                [*given, *own],
+                [*shared, *own],
                 allow_undeclared_parameters,
                 automatically_declare_parameters_from_overrides,
             )
             if start_parameter_services:
-                offer_services(self, self.__parameters, qos_profile_parameters)
+                create_parameter_services(self, self.__parameters, qos_profile_parameters)
             if enable_rosout and context.arguments.to_rosout:
                 self.__publish_logs()
         except BaseException:
-            self.__handle.close()  # a node that cannot be made leaves nothing behind
+            self.__handle.close()  # do not announce a node that cannot be created
             raise
 
     def __prepare(
@@ -93,7 +85,7 @@ class Node:
         allow_undeclared: bool,
         declare_all: bool,
     ) -> None:
-        """Set up parameters and time; ``parameters`` count more than those of ``arguments``."""
+        """Set up parameters and time; ``parameters`` take precedence over ``arguments``."""
         self.__events = self.create_publisher(
             message_class('rcl_interfaces/msg/ParameterEvent'),
             '/parameter_events',
@@ -101,73 +93,70 @@ class Node:
         )
         full_name = self.get_fully_qualified_name()
         values = overrides(full_name, arguments) | parameters
-        self.__parameters = Parameters(full_name, values, allow_undeclared, self.__tell_change)
+        self.__parameters = Parameters(full_name, values, allow_undeclared, self.__publish_event)
         if declare_all:
             self.declare_parameters('', [(n, v) for n, v in values.items()], ignore_override=True)
-        if not self.has_parameter(USE_SIM_TIME):
-            self.declare_parameter(USE_SIM_TIME, False)
-        self.__follow_clock(self.get_parameter(USE_SIM_TIME).value)
-        self.add_on_set_parameters_callback(self.__on_use_sim_time)
+        TimeSource(self, self.__clock).attach()
 
-    # What it is
+    # Identity
 
     @property
     def context(self) -> Context:
-        """The context that it lives in."""
+        """Context of the node."""
         return self.__handle.context
 
     @property
     def default_callback_group(self) -> CallbackGroup:
-        """The group of callbacks without one of their own."""
+        """Callback group that is used if none is given."""
         return self.__handle.default_callback_group
 
     @property
     def handle(self) -> NodeHandle:
-        """What is behind it."""
+        """Internal state of the node."""
         return self.__handle
 
     @property
     def executor(self) -> Any:
-        """The executor that runs its callbacks, None if there is none."""
+        """Executor that runs the callbacks; None if the node is in no executor."""
         return self.__handle.executor
 
     @executor.setter
     def executor(self, new_executor: Any) -> None:
-        before, self.__handle.executor = self.__handle.executor, new_executor
-        if before is not None and before is not new_executor:
-            before.remove_node(self)
+        old_executor, self.__handle.executor = self.__handle.executor, new_executor
+        if old_executor is not None and old_executor is not new_executor:
+            old_executor.remove_node(self)
         if new_executor is not None:
             new_executor.add_node(self)
 
     def get_name(self) -> str:
-        """Return its name, without namespace."""
+        """Return the name without the namespace."""
         return self.__handle.names.node
 
     def get_namespace(self) -> str:
-        """Return its namespace."""
+        """Return the namespace."""
         return self.__handle.names.namespace
 
     def get_fully_qualified_name(self) -> str:
-        """Return its name in its namespace."""
+        """Return the name with the namespace."""
         return self.__handle.names.full
 
     def get_clock(self) -> Clock:
-        """Return its clock, which follows /clock with use_sim_time."""
+        """Return the clock, which follows /clock if use_sim_time is set."""
         return self.__clock
 
     def get_logger(self) -> logging.RcutilsLogger:
-        """Return its logger."""
+        """Return the logger."""
         return self.__handle.logger
 
     def resolve_topic_name(self, topic: str, *, only_expand: bool = False) -> str:
-        """Return the full name of a topic, remapped unless told otherwise."""
+        """Return the full name of a topic, remapped unless ``only_expand`` is set."""
         return self.__handle.names.resolve(topic, only_expand=only_expand)
 
     def resolve_service_name(self, service: str, *, only_expand: bool = False) -> str:
-        """Return the full name of a service, remapped unless told otherwise."""
+        """Return the full name of a service, remapped unless ``only_expand`` is set."""
         return self.__handle.names.resolve(service, is_service=True, only_expand=only_expand)
 
-    # What it has
+    # Publishers, subscriptions, services, clients and timers
 
     def create_publisher(
         self,
@@ -183,10 +172,10 @@ class Node:
         """Create a publisher.
 
         Raises:
-            InvalidTopicNameException: ROS does not allow the name.
-            NotImplementedError: the profile asks for what is not offered.
+            InvalidTopicNameException: the name is invalid.
+            NotImplementedError: the QoS profile or an option is not supported.
         """
-        _refuse(qos_overriding_options=qos_overriding_options, publisher_class=publisher_class)
+        _reject(qos_overriding_options=qos_overriding_options, publisher_class=publisher_class)
         _check_message_type(msg_type)
         qos = to_profile(qos_profile)
         return self.__handle.add(
@@ -205,15 +194,18 @@ class Node:
         qos_overriding_options: None = None,
         raw: bool = False,
     ) -> Subscription:
-        """Create a subscription; its callback takes the message, and if it can, a dict of times.
+        """Create a subscription.
+
+        The callback takes the message and optionally, as a second argument, a dict of its
+        timestamps in ns. With ``raw`` set the message is its CDR, as bytes.
 
         Raises:
-            InvalidTopicNameException: ROS does not allow the name.
-            NotImplementedError: the profile asks for what is not offered.
+            InvalidTopicNameException: the name is invalid.
+            NotImplementedError: the QoS profile or an option is not supported.
         """
-        _refuse(qos_overriding_options=qos_overriding_options)
+        _reject(qos_overriding_options=qos_overriding_options)
         _check_message_type(msg_type)
-        made = Subscription(
+        subscription = Subscription(
             self.__handle,
             msg_type,
             topic,
@@ -223,7 +215,7 @@ class Node:
             callback_group,
             raw,
         )
-        return self.__handle.add(made)
+        return self.__handle.add(subscription)
 
     def create_service(
         self,
@@ -234,10 +226,10 @@ class Node:
         qos_profile: QoSProfile = qos_profile_services_default,
         callback_group: CallbackGroup | None = None,
     ) -> Service:
-        """Create a service; its callback takes a request and an empty response, and returns one.
+        """Create a service; the callback takes the request and an empty response to return.
 
         Raises:
-            InvalidServiceNameException: ROS does not allow the name.
+            InvalidServiceNameException: the name is invalid.
         """
         _check_service_type(srv_type)
         return self.__handle.add(
@@ -255,7 +247,7 @@ class Node:
         """Create a client of a service.
 
         Raises:
-            InvalidServiceNameException: ROS does not allow the name.
+            InvalidServiceNameException: the name is invalid.
         """
         _check_service_type(srv_type)
         return self.__handle.add(
@@ -270,9 +262,9 @@ class Node:
         clock: Clock | None = None,
         autostart: bool = True,
     ) -> Timer:
-        """Call something every so often, by the node's clock or another one."""
+        """Create a timer; it uses the clock of the node if ``clock`` is None."""
         if callback is not None:
-            callable_with(callback, 0)
+            accepted_argument_count(callback, 0)
         period_ns = int(float(timer_period_sec) * 1e9)
         clock = self.__clock if clock is None else clock
         return self.__handle.add(
@@ -281,45 +273,46 @@ class Node:
 
     @property
     def publishers(self) -> Iterator[Publisher]:
-        """Its publishers."""
+        """Publishers of the node."""
         return self.__handle.parts(Publisher)
 
     @property
     def subscriptions(self) -> Iterator[Subscription]:
-        """Its subscriptions."""
+        """Subscriptions of the node."""
         return self.__handle.parts(Subscription)
 
     @property
     def services(self) -> Iterator[Service]:
-        """Its services."""
+        """Services of the node."""
         return self.__handle.parts(Service)
 
     @property
     def clients(self) -> Iterator[Client]:
-        """Its clients of services."""
+        """Service clients of the node."""
         return self.__handle.parts(Client)
 
     @property
     def timers(self) -> Iterator[Timer]:
-        """Its timers."""
+        """Timers of the node."""
         return self.__handle.parts(Timer)
 
     def destroy_publisher(self, part: NodePart) -> bool:
-        """Take back a publisher, or another part; return whether it was there."""
+        """Destroy a publisher or another part; return whether it belonged to the node."""
         return self.__handle.discard(part)
 
     destroy_subscription = destroy_service = destroy_client = destroy_publisher
     destroy_timer = destroy_publisher
 
     def destroy_node(self) -> None:
-        """Take back everything, and the node itself; a second time does nothing."""
+        """Destroy the node and all its parts; further calls do nothing."""
         if self.executor is not None:
             self.executor.remove_node(self)
         self.__handle.close()
 
-    # Logs and time
+    # Logs
 
     def __publish_logs(self) -> None:
+        """Publish the records of the node's logger on /rosout."""
         kind = message_class('rcl_interfaces/msg/Log')
         publisher = Publisher(self.__handle, kind, '/rosout', _ROSOUT, None, None, qos=_ROSOUT_DDS)
         self.__handle.add(publisher)
@@ -340,62 +333,44 @@ class Node:
                 )
             )
 
-        logging.publish_with(self.__handle.logger.name, publish)
-
-    def __follow_clock(self, enabled: Any) -> None:
-        if not isinstance(enabled, bool):
-            self.__handle.logger.error(
-                f'Invalid type for parameter {USE_SIM_TIME!r}: should be bool'
-            )
-            return
-        self.__clock._set_ros_time_is_active(enabled)
-        if enabled and self.__clock_subscription is None:
-            self.__clock_subscription = self.create_subscription(
-                message_class('rosgraph_msgs/msg/Clock'),
-                '/clock',
-                lambda message: self.__clock.set_ros_time_override(Time.from_msg(message.clock)),
-                _CLOCK,
-            )
-        elif not enabled and self.__clock_subscription is not None:
-            self.destroy_subscription(self.__clock_subscription)
-            self.__clock_subscription = None
-
-    def __on_use_sim_time(self, parameters: list[Parameter]) -> Any:
-        result = message_class('rcl_interfaces/msg/SetParametersResult')(successful=True)
-        for parameter in parameters:
-            if parameter.name == USE_SIM_TIME:
-                if parameter.type_ == Parameter.Type.BOOL:
-                    self.__follow_clock(parameter.value)
-                else:
-                    result.successful = False
-                    result.reason = f'{USE_SIM_TIME} parameter set to something besides a bool'
-        return result
+        logging.set_publisher(self.__handle.logger.name, publish)
 
     # Parameters
 
     def declare_parameter(
         self, name: str, value: Any = None, descriptor: Any = None, ignore_override: bool = False
     ) -> Parameter:
-        """Declare a parameter with its default (or type); return it with the value it has.
+        """Declare a parameter.
+
+        Args:
+            name: name of the parameter.
+            value: default, or a ``Parameter.Type``.
+            descriptor: rcl_interfaces/ParameterDescriptor.
+            ignore_override: use the default even if there is an override.
+
+        Returns:
+            The parameter with its initial value.
 
         Raises:
-            ParameterAlreadyDeclaredException, InvalidParameterException,
-            InvalidParameterTypeException, InvalidParameterValueException: see their names.
+            ParameterAlreadyDeclaredException: the parameter is already declared.
+            InvalidParameterException: the name is invalid.
+            InvalidParameterTypeException: the override has another type.
+            InvalidParameterValueException: the value was rejected.
         """
         return self.__parameters.declare('', [(name, value, descriptor)], ignore_override)[0]
 
     def declare_parameters(
         self, namespace: str, parameters: Sequence[Sequence[Any]], ignore_override: bool = False
     ) -> list[Parameter]:
-        """Declare parameters, each a name and maybe a default (or type) and a descriptor."""
+        """Declare parameters: tuples of the first arguments of ``declare_parameter``."""
         return self.__parameters.declare(namespace, parameters, ignore_override)
 
     def undeclare_parameter(self, name: str) -> None:
-        """Forget a parameter."""
+        """Undeclare a parameter."""
         self.__parameters.undeclare(name)
 
     def has_parameter(self, name: str) -> bool:
-        """Tell whether a parameter is declared."""
+        """Return whether a parameter is declared."""
         return self.__parameters.has(name)
 
     def get_parameter(self, name: str) -> Parameter:
@@ -407,50 +382,50 @@ class Node:
         return [self.__parameters.get(name) for name in names]
 
     def get_parameter_or(self, name: str, alternative_value: Parameter | None = None) -> Parameter:
-        """Return a parameter, or another one where it has no value."""
+        """Return a parameter, or the alternative if it has no value."""
         return self.__parameters.get_or(name, alternative_value)
 
     def get_parameters_by_prefix(self, prefix: str) -> dict[str, Parameter]:
-        """Return the parameters whose names begin so, by the rest of their names."""
+        """Return the parameters below a prefix, by name relative to it."""
         return self.__parameters.by_prefix(prefix)
 
     def set_parameters(self, parameter_list: Sequence[Parameter]) -> list[Any]:
-        """Set parameters one by one; return a result for each."""
+        """Set parameters one by one; return a SetParametersResult for each."""
         return [self.__parameters.set([parameter]) for parameter in parameter_list]
 
     def set_parameters_atomically(self, parameter_list: Sequence[Parameter]) -> Any:
-        """Set all parameters or none; return the result."""
+        """Set all parameters or none; return a SetParametersResult."""
         return self.__parameters.set(parameter_list)
 
     def list_parameters(self, prefixes: Sequence[str], depth: int) -> Any:
-        """Return the names below prefixes, no deeper than so many dots."""
+        """Return the names below the prefixes, at most ``depth`` levels deep (0: all)."""
         return self.__parameters.list(prefixes, depth)
 
     def describe_parameter(self, name: str) -> Any:
-        """Return a parameter's descriptor; raises ParameterNotDeclaredException."""
+        """Return the descriptor of a parameter; raises ParameterNotDeclaredException."""
         return self.__parameters.describe(name)
 
     def describe_parameters(self, names: Sequence[str]) -> list[Any]:
-        """Return parameters' descriptors; raises ParameterNotDeclaredException."""
+        """Return the descriptors of parameters; raises ParameterNotDeclaredException."""
         return [self.__parameters.describe(name) for name in names]
 
     def add_on_set_parameters_callback(self, callback: Callable[..., Any]) -> None:
-        """Let a function refuse what is to be set; the newest one is asked first."""
+        """Add a callback that accepts or rejects new values; the newest callback runs first."""
         self.__parameters.callbacks.insert(0, callback)
 
     def add_post_set_parameters_callback(self, callback: Callable[..., Any]) -> None:
-        """Tell a function of what was set."""
+        """Add a callback that runs after parameters were set; the newest callback runs first."""
         self.__parameters.post_callbacks.insert(0, callback)
 
     def remove_on_set_parameters_callback(self, callback: Callable[..., Any]) -> None:
-        """Undo ``add_on_set_parameters_callback``."""
+        """Remove a callback added with ``add_on_set_parameters_callback``."""
         self.__parameters.callbacks.remove(callback)
 
     def remove_post_set_parameters_callback(self, callback: Callable[..., Any]) -> None:
-        """Undo ``add_post_set_parameters_callback``."""
+        """Remove a callback added with ``add_post_set_parameters_callback``."""
         self.__parameters.post_callbacks.remove(callback)
 
-    def __tell_change(self, event: Any) -> None:
+    def __publish_event(self, event: Any) -> None:
         event.stamp = self.__clock.now().to_msg()
         if self.__handle.is_open:
             self.__events.publish(event)
@@ -474,13 +449,13 @@ class Node:
         return self.__handle.context.graph.services()
 
     def count_publishers(self, topic_name: str) -> int:
-        """Return how many publishers a topic has."""
+        """Return the number of publishers of a topic."""
         return self.__handle.context.graph.count(
             f'rt{self.resolve_topic_name(topic_name)}', 'writer'
         )
 
     def count_subscribers(self, topic_name: str) -> int:
-        """Return how many subscriptions a topic has."""
+        """Return the number of subscriptions of a topic."""
         return self.__handle.context.graph.count(
             f'rt{self.resolve_topic_name(topic_name)}', 'reader'
         )
@@ -488,13 +463,13 @@ class Node:
     def get_publishers_info_by_topic(
         self, topic_name: str, no_mangle: bool = False
     ) -> list[TopicEndpointInfo]:
-        """Return who publishes a topic, and how."""
+        """Return the publishers of a topic, with their nodes and QoS profiles."""
         return self.__endpoints(topic_name, no_mangle, 'writer')
 
     def get_subscriptions_info_by_topic(
         self, topic_name: str, no_mangle: bool = False
     ) -> list[TopicEndpointInfo]:
-        """Return who subscribes to a topic, and how."""
+        """Return the subscriptions of a topic, with their nodes and QoS profiles."""
         return self.__endpoints(topic_name, no_mangle, 'reader')
 
     def __endpoints(self, topic: str, no_mangle: bool, kind: str) -> list[TopicEndpointInfo]:
@@ -502,14 +477,14 @@ class Node:
         return self.__handle.context.graph.endpoints(name, kind)
 
 
-def _without_start(args: Sequence[str]) -> list[str]:
+def _without_ros_args_flag(args: Sequence[str]) -> list[str]:
     return list(args[1:]) if args and args[0] == '--ros-args' else list(args)
 
 
-def _refuse(**options: Any) -> None:
+def _reject(**options: Any) -> None:
     for name, value in options.items():
         if value is not None:
-            raise NotImplementedError(f'the stand-in for rclpy does not offer {name}')
+            raise NotImplementedError(f'the stand-in for rclpy does not support {name}')
 
 
 def _check_message_type(msg_type: Any) -> None:

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of a node: values, descriptors, callbacks, and the services that show them."""
+"""Parameters of a node: values, descriptors and callbacks."""
 
 from __future__ import annotations
 
@@ -21,14 +21,15 @@ from ratslam_ros.standalone.exceptions import (
     ParameterNotDeclaredException,
     ParameterUninitializedException,
 )
-from ratslam_ros.standalone.types import message_class, service_class
+from ratslam_ros.standalone.types import message_class
 
 _MSG = 'rcl_interfaces/msg/'
 _VALUE_FIELDS = (
     '', 'bool_value', 'integer_value', 'double_value', 'string_value', 'byte_array_value',
     'bool_array_value', 'integer_array_value', 'double_array_value', 'string_array_value',
 )  # fmt: skip
-_TOLERANCE = 1e-6
+_RELATIVE_TOLERANCE = 1e-6
+"""Tolerance of comparisons with the limits and steps of floating-point ranges."""
 
 
 def _message(kind: str, /, **fields: Any) -> Any:
@@ -36,10 +37,10 @@ def _message(kind: str, /, **fields: Any) -> Any:
 
 
 class Parameter:
-    """A parameter's name, type and value."""
+    """A parameter: name, type and value."""
 
     class Type(Enum):
-        """What a value can be."""
+        """Type of a parameter value."""
 
         NOT_SET = 0
         BOOL = 1
@@ -54,7 +55,7 @@ class Parameter:
 
         @classmethod
         def from_parameter_value(cls, value: Any) -> Parameter.Type:
-            """Return the type of a value; raises TypeError where a parameter cannot have it."""
+            """Return the type of a value; raises TypeError if parameters cannot hold it."""
             if value is None:
                 return cls.NOT_SET
             for kind in (cls.BOOL, cls.INTEGER, cls.DOUBLE, cls.STRING):
@@ -67,7 +68,7 @@ class Parameter:
             raise TypeError(f'a parameter cannot have the value {value!r}')
 
         def check(self, value: Any) -> bool:
-            """Tell whether a value is of this type."""
+            """Return whether a value is of this type."""
             if self in _ARRAYS:
                 return isinstance(value, list | tuple | array.array) and all(
                     isinstance(item, _ARRAYS[self]) for item in value
@@ -78,7 +79,7 @@ class Parameter:
 
     @classmethod
     def from_parameter_msg(cls, param_msg: Any) -> Parameter:
-        """Return what an rcl_interfaces message says."""
+        """Return the parameter in an rcl_interfaces/Parameter message."""
         kind = cls.Type(param_msg.value.type)
         return cls(param_msg.name, kind, parameter_value_to_python(param_msg.value))
 
@@ -95,14 +96,14 @@ class Parameter:
         return f'Parameter(name={self.name!r}, type={self.type_}, value={self.value!r})'
 
     def get_parameter_value(self) -> Any:
-        """Return the value as an rcl_interfaces message."""
-        made = _message('ParameterValue', type=self.type_.value)
+        """Return the value as an rcl_interfaces/ParameterValue message."""
+        message = _message('ParameterValue', type=self.type_.value)
         if self.type_ != Parameter.Type.NOT_SET:
-            setattr(made, _VALUE_FIELDS[self.type_.value], self.value)
-        return made
+            setattr(message, _VALUE_FIELDS[self.type_.value], self.value)
+        return message
 
     def to_parameter_msg(self) -> Any:
-        """Return it as an rcl_interfaces message."""
+        """Return the parameter as an rcl_interfaces/Parameter message."""
         return _message('Parameter', name=self.name, value=self.get_parameter_value())
 
 
@@ -123,13 +124,13 @@ _ARRAYS: dict[Parameter.Type, type] = {
 
 
 def parameter_value_to_python(parameter_value: Any) -> Any:
-    """Return the value that an rcl_interfaces message says."""
+    """Return the value in an rcl_interfaces/ParameterValue message; None if not set."""
     name = _VALUE_FIELDS[parameter_value.type]
     return getattr(parameter_value, name) if name else None
 
 
-class _Refused(Exception):  # noqa: N818
-    """Why parameters were not set."""
+class _Rejected(Exception):  # noqa: N818
+    """Rejection of new parameter values, with the reason."""
 
 
 class Parameters:
@@ -140,20 +141,20 @@ class Parameters:
         node_name: str,
         overrides: dict[str, Any],
         allow_undeclared: bool,
-        changed: Callable[[Any], None],
+        on_change: Callable[[Any], None],
     ) -> None:
-        """Begin with none.
+        """Create the parameters of a node, with none declared.
 
         Args:
-            node_name: full name, for events.
-            overrides: values that count in place of the defaults when they are declared.
-            allow_undeclared: whether setting an unknown parameter declares it.
-            changed: takes the event (rcl_interfaces/ParameterEvent) of every change.
+            node_name: fully qualified name of the node, for events.
+            overrides: initial values by name, which replace the declared defaults.
+            allow_undeclared: whether undeclared parameters can be read and set.
+            on_change: function called with an rcl_interfaces/ParameterEvent after each change.
         """
         self.overrides = {name: Parameter(name, value=value) for name, value in overrides.items()}
         self._node_name = node_name
         self._allow_undeclared = allow_undeclared
-        self._changed = changed
+        self._on_change = on_change
         self._values: dict[str, Parameter] = {}
         self._descriptors: dict[str, Any] = {}
         self._lock = threading.RLock()
@@ -165,22 +166,30 @@ class Parameters:
     def declare(
         self, namespace: str, parameters: Iterable[Sequence[Any]], ignore_override: bool = False
     ) -> list[Parameter]:
-        """Declare parameters, each a name and maybe a default (or type) and a descriptor.
+        """Declare parameters.
+
+        Args:
+            namespace: prefix of the names, or ''.
+            parameters: for each parameter its name and optionally its default (or type) and
+                descriptor.
+            ignore_override: use the defaults even if there are overrides.
 
         Raises:
-            ParameterAlreadyDeclaredException, InvalidParameterException,
-            InvalidParameterTypeException, InvalidParameterValueException: see their names.
+            ParameterAlreadyDeclaredException: a parameter is already declared.
+            InvalidParameterException: a name is invalid.
+            InvalidParameterTypeException: an override has another type.
+            InvalidParameterValueException: a value was rejected.
             ValueError: a parameter of fixed type has neither type nor default.
         """
-        made = []
+        declarations = []
         for entry in parameters:
             if not 1 <= len(entry) <= 3:
                 raise TypeError(f'{entry!r}: expected a name, a value or type, a descriptor')
-            made.append(self._prepared(namespace, ignore_override, *entry))
-        known = [parameter.name for parameter, _ in made if parameter.name in self._values]
-        if known:
-            raise ParameterAlreadyDeclaredException(known)
-        for parameter, descriptor in made:
+            declarations.append(self._declaration(namespace, ignore_override, *entry))
+        declared = [p.name for p, _ in declarations if p.name in self._values]
+        if declared:
+            raise ParameterAlreadyDeclaredException(declared)
+        for parameter, descriptor in declarations:
             result = self._set([parameter], {parameter.name: descriptor})
             if not result.successful:
                 if result.reason.startswith('Wrong parameter type'):
@@ -189,9 +198,9 @@ class Parameters:
                 raise InvalidParameterValueException(
                     parameter.name, parameter.value, result.reason
                 )
-        return [self._values[parameter.name] for parameter, _ in made]
+        return [self._values[parameter.name] for parameter, _ in declarations]
 
-    def _prepared(
+    def _declaration(
         self,
         namespace: str,
         ignore_override: bool,
@@ -199,6 +208,7 @@ class Parameters:
         value: Any = None,
         descriptor: Any = None,
     ) -> tuple[Parameter, Any]:
+        """Return the initial value and the complete descriptor of a parameter to declare."""
         if not isinstance(name, str):
             raise TypeError(f'{name!r}: expected the name of a parameter')
         name = f'{namespace}.{name}' if namespace else name
@@ -224,10 +234,11 @@ class Parameters:
         return Parameter(name, value=value), descriptor
 
     def undeclare(self, name: str) -> None:
-        """Forget a parameter.
+        """Undeclare a parameter.
 
         Raises:
-            ParameterNotDeclaredException, ParameterImmutableException: see their names.
+            ParameterNotDeclaredException: the parameter is not declared.
+            ParameterImmutableException: the parameter is read-only.
         """
         with self._lock:
             if self._descriptor(name).read_only:
@@ -237,14 +248,15 @@ class Parameters:
     # Reading
 
     def has(self, name: str) -> bool:
-        """Tell whether a parameter is declared."""
+        """Return whether a parameter is declared."""
         return name in self._values
 
     def get(self, name: str) -> Parameter:
         """Return a parameter.
 
         Raises:
-            ParameterNotDeclaredException, ParameterUninitializedException: see their names.
+            ParameterNotDeclaredException: the parameter is not declared.
+            ParameterUninitializedException: the parameter has a type but no value yet.
         """
         if name not in self._values and self._allow_undeclared:
             return Parameter(name)
@@ -255,14 +267,14 @@ class Parameters:
         return found
 
     def get_or(self, name: str, alternative: Parameter | None = None) -> Parameter:
-        """Return a parameter, or another one where it has no value."""
+        """Return a parameter, or the alternative if it has no value."""
         found = self._values.get(name)
         if found is None or found.type_ == Parameter.Type.NOT_SET:
             return alternative or Parameter(name)
         return found
 
     def by_prefix(self, prefix: str) -> dict[str, Parameter]:
-        """Return the parameters whose names begin so, by the rest of their names."""
+        """Return the parameters below a prefix, by name relative to it."""
         prefix = f'{prefix}.' if prefix else ''
         return {
             name[len(prefix) :]: parameter
@@ -271,25 +283,25 @@ class Parameters:
         }
 
     def describe(self, name: str) -> Any:
-        """Return a parameter's descriptor; raises ParameterNotDeclaredException."""
+        """Return the descriptor of a parameter; raises ParameterNotDeclaredException."""
         if name not in self._values and self._allow_undeclared:
             return _message('ParameterDescriptor')
         return self._descriptor(name)
 
     def list(self, prefixes: Sequence[str], depth: int) -> Any:
-        """Return the names below prefixes, at most so many levels deep (0: all)."""
-        names, found = [], set()
+        """Return the names below the prefixes, at most ``depth`` levels deep (0: all)."""
+        names, parents = [], set()
         for name in self._values:
-            below = [
+            relative_names = [
                 name[len(prefix) + 1 :] if prefix != name else ''
                 for prefix in prefixes
                 if name == prefix or name.startswith(f'{prefix}.')
             ] if prefixes else [name]  # fmt: skip
-            if any(depth == 0 or rest.count('.') < depth for rest in below):
+            if any(depth == 0 or rest.count('.') < depth for rest in relative_names):
                 names.append(name)
                 if '.' in name:
-                    found.add(name.rpartition('.')[0])
-        return _message('ListParametersResult', names=names, prefixes=sorted(found))
+                    parents.add(name.rpartition('.')[0])
+        return _message('ListParametersResult', names=names, prefixes=sorted(parents))
 
     def _descriptor(self, name: str) -> Any:
         if name not in self._values:
@@ -299,10 +311,11 @@ class Parameters:
     # Setting
 
     def set(self, parameters: Sequence[Parameter]) -> Any:
-        """Set parameters, all or none; return an rcl_interfaces/SetParametersResult.
+        """Set all parameters or none; return an rcl_interfaces/SetParametersResult.
 
         Raises:
-            ParameterNotDeclaredException: one is unknown, and must not be.
+            ParameterNotDeclaredException: a parameter is not declared, and undeclared ones are not
+                allowed.
         """
         unknown = [parameter.name for parameter in parameters if not self.has(parameter.name)]
         if unknown and not self._allow_undeclared:
@@ -310,13 +323,13 @@ class Parameters:
         return self._set(parameters)
 
     def _set(self, parameters: Sequence[Parameter], new: dict[str, Any] | None = None) -> Any:
-        """Set parameters; ``new`` are descriptors of those that are being declared."""
+        """Set parameters; ``new`` contains the descriptors of parameters being declared."""
         with self._lock:
             try:
                 for parameter in parameters:
                     self._check(parameter, (new or self._descriptors).get(parameter.name), new)
-            except _Refused as refused:
-                return _message('SetParametersResult', reason=str(refused))
+            except _Rejected as rejection:
+                return _message('SetParametersResult', reason=str(rejection))
             for callback in list(self.callbacks):
                 result = callback(list(parameters))
                 if not result.successful:
@@ -345,45 +358,45 @@ class Parameters:
                     parameter.to_parameter_msg()
                 )
                 self._values[name] = parameter
-        self._changed(event)
+        self._on_change(event)
         for post in list(self.post_callbacks):
             post(list(parameters))
         return _message('SetParametersResult', successful=True)
 
     def _check(self, parameter: Parameter, descriptor: Any, declared: Any) -> None:
-        """Raise _Refused where a descriptor does not allow a value."""
+        """Raise _Rejected if a descriptor does not allow a value."""
         if descriptor is None:
             return
         descriptor.name = parameter.name
         name, kind, value = parameter.name, parameter.type_, parameter.value
         if declared is None and descriptor.read_only:
-            raise _Refused(f'Trying to set a read-only parameter: {name}.')
+            raise _Rejected(f'Trying to set a read-only parameter: {name}.')
         if descriptor.dynamic_typing:
             descriptor.type = kind.value
         elif kind == Parameter.Type.NOT_SET:
             if self.has(name):
-                raise _Refused('Static parameter cannot be undeclared')
+                raise _Rejected('Static parameter cannot be undeclared')
         elif kind.value != descriptor.type:
-            # An empty list says nothing of its type.
+            # An empty list gets the type BYTE_ARRAY, but is a valid value of any array type.
             expected = Parameter.Type(descriptor.type)
             if kind == Parameter.Type.BYTE_ARRAY and expected in _ARRAYS and not len(value):
                 parameter.type_ = expected
                 return
-            raise _Refused(f"Wrong parameter type, expected '{expected}' got '{kind}'")
+            raise _Rejected(f"Wrong parameter type, expected '{expected}' got '{kind}'")
         if kind == Parameter.Type.INTEGER and descriptor.integer_range:
             low, high, step = _limits(descriptor.integer_range[0])
             if not low <= value <= high:
-                raise _Refused(_out_of_range(name, low, high, value))
+                raise _Rejected(_out_of_range(name, low, high, value))
             if step and value != high and (value - low) % step:
-                raise _Refused(_no_step(name, low, high, value, step))
+                raise _Rejected(_no_step(name, low, high, value, step))
         if kind == Parameter.Type.DOUBLE and descriptor.floating_point_range:
             low, high, step = _limits(descriptor.floating_point_range[0])
             if _close(value, low) or _close(value, high):
                 return
             if not low < value < high:
-                raise _Refused(_out_of_range(name, low, high, value))
+                raise _Rejected(_out_of_range(name, low, high, value))
             if step and not _close(low + round((value - low) / step) * step, value):
-                raise _Refused(_no_step(name, low, high, value, step))
+                raise _Rejected(_no_step(name, low, high, value, step))
 
 
 def _limits(limits: Any) -> tuple[Any, Any, Any]:
@@ -392,7 +405,7 @@ def _limits(limits: Any) -> tuple[Any, Any, Any]:
 
 
 def _close(a: float, b: float) -> bool:
-    return math.isclose(a, b, rel_tol=_TOLERANCE)
+    return math.isclose(a, b, rel_tol=_RELATIVE_TOLERANCE)
 
 
 def _out_of_range(name: str, low: Any, high: Any, value: Any) -> str:
@@ -404,54 +417,3 @@ def _no_step(name: str, low: Any, high: Any, value: Any, step: Any) -> str:
         f'The parameter value for {name} is not a valid step. '
         f'Min: {low}, max: {high}, value: {value}, step: {step}'
     )
-
-
-def offer_services(node: Any, parameters: Parameters, qos: Any) -> None:
-    """Let other nodes see and set a node's parameters."""
-
-    def describe(request: Any, response: Any) -> Any:
-        if all(map(parameters.has, request.names)):
-            response.descriptors = [parameters.describe(name) for name in request.names]
-        return response
-
-    def types(request: Any, response: Any) -> Any:
-        if all(map(parameters.has, request.names)):
-            found = (parameters.get_or(name).type_.value for name in request.names)
-            response.types = array.array('B', found)
-        return response
-
-    def get(request: Any, response: Any) -> Any:
-        try:
-            response.values = [parameters.get(n).get_parameter_value() for n in request.names]
-        except (ParameterNotDeclaredException, ParameterUninitializedException):
-            response.values = []
-        return response
-
-    def list_names(request: Any, response: Any) -> Any:
-        response.result = parameters.list(request.prefixes, request.depth)
-        return response
-
-    def set_all(wanted: Sequence[Any]) -> Any:
-        try:
-            return parameters.set([Parameter.from_parameter_msg(entry) for entry in wanted])
-        except (ParameterNotDeclaredException, ValueError) as error:
-            return _message('SetParametersResult', reason=str(error))
-
-    def set_each(request: Any, response: Any) -> Any:
-        response.results = [set_all([entry]) for entry in request.parameters]
-        return response
-
-    def set_atomically(request: Any, response: Any) -> Any:
-        response.result = set_all(request.parameters)
-        return response
-
-    for name, short, callback in (
-        ('DescribeParameters', 'describe_parameters', describe),
-        ('GetParameterTypes', 'get_parameter_types', types),
-        ('GetParameters', 'get_parameters', get),
-        ('ListParameters', 'list_parameters', list_names),
-        ('SetParameters', 'set_parameters', set_each),
-        ('SetParametersAtomically', 'set_parameters_atomically', set_atomically),
-    ):
-        kind = service_class(f'rcl_interfaces/srv/{name}')
-        node.create_service(kind, f'~/{short}', callback, qos_profile=qos)

@@ -9,19 +9,19 @@ from enum import Enum, IntEnum
 from ratslam_ros.standalone.clock import Duration
 from ratslam_ros.standalone.dds import EndpointQos
 
-_FOREVER = Duration(nanoseconds=2**63 - 1)
+_INFINITE = Duration(nanoseconds=2**63 - 1)
 _UNSPECIFIED = Duration()
 
 
 class InvalidQoSProfileException(Exception):  # noqa: N818
-    """A profile that says too little."""
+    """A QoS profile with incomplete settings."""
 
     def __init__(self, *args: object) -> None:
         super().__init__(f'Invalid QoSProfile: {args}')
 
 
 class QoSPolicyKind(IntEnum):
-    """Which policy an event is about."""
+    """Kind of a QoS policy, in events."""
 
     INVALID = 1
     DURABILITY = 2
@@ -35,7 +35,7 @@ class QoSPolicyKind(IntEnum):
     AVOID_ROS_NAMESPACE_CONVENTIONS = 512
 
 
-KIND_OF_DDS = {
+POLICY_KINDS = {
     2: QoSPolicyKind.DURABILITY,
     4: QoSPolicyKind.DEADLINE,
     8: QoSPolicyKind.LIVELINESS,
@@ -43,16 +43,16 @@ KIND_OF_DDS = {
     13: QoSPolicyKind.HISTORY,
     21: QoSPolicyKind.LIFESPAN,
 }
-"""The kind by the number that DDS gives a policy."""
+"""Policy kind by DDS policy ID."""
 
 
 def qos_policy_name_from_kind(policy_kind: int) -> str:
-    """Return the name of a policy."""
+    """Return the name of a policy kind."""
     return QoSPolicyKind(policy_kind).name
 
 
 class HistoryPolicy(IntEnum):
-    """How many messages are kept."""
+    """Whether the last ``depth`` messages are kept, or all."""
 
     SYSTEM_DEFAULT = 0
     KEEP_LAST = 1
@@ -61,7 +61,7 @@ class HistoryPolicy(IntEnum):
 
 
 class ReliabilityPolicy(IntEnum):
-    """Whether lost messages are sent again."""
+    """Whether lost messages are retransmitted."""
 
     SYSTEM_DEFAULT = 0
     RELIABLE = 1
@@ -71,7 +71,7 @@ class ReliabilityPolicy(IntEnum):
 
 
 class DurabilityPolicy(IntEnum):
-    """Whether who comes late gets earlier messages."""
+    """Whether late-joining subscriptions receive earlier messages."""
 
     SYSTEM_DEFAULT = 0
     TRANSIENT_LOCAL = 1
@@ -81,7 +81,7 @@ class DurabilityPolicy(IntEnum):
 
 
 class LivelinessPolicy(IntEnum):
-    """Who says that a publisher is alive."""
+    """How a publisher asserts that it is alive."""
 
     SYSTEM_DEFAULT = 0
     AUTOMATIC = 1
@@ -167,7 +167,7 @@ qos_profile_parameter_events = QoSProfile(depth=1000)
 
 
 class QoSPresetProfiles(Enum):
-    """Profiles by name."""
+    """Predefined profiles by name."""
 
     UNKNOWN = qos_profile_unknown
     DEFAULT = qos_profile_default
@@ -179,7 +179,7 @@ class QoSPresetProfiles(Enum):
 
 
 def to_profile(qos: QoSProfile | int) -> QoSProfile:
-    """Return the profile that a depth stands for."""
+    """Return a profile; a number stands for KEEP_LAST with that depth."""
     if isinstance(qos, QoSProfile):
         return qos
     if isinstance(qos, int) and not isinstance(qos, bool):
@@ -190,20 +190,20 @@ def to_profile(qos: QoSProfile | int) -> QoSProfile:
 
 
 def to_dds(qos: QoSProfile) -> EndpointQos:
-    """Return what a profile asks of DDS.
+    """Convert a profile to the QoS of a DDS endpoint.
 
     Raises:
-        NotImplementedError: it asks for what is not offered here.
+        NotImplementedError: the profile has an unsupported setting.
     """
     for name in ('lifespan', 'deadline', 'liveliness_lease_duration'):
-        if getattr(qos, name) not in (_UNSPECIFIED, _FOREVER):
-            raise NotImplementedError(f'the stand-in for rclpy does not offer {name}')
+        if getattr(qos, name) not in (_UNSPECIFIED, _INFINITE):
+            raise NotImplementedError(f'the stand-in for rclpy does not support {name}')
     automatic = (LivelinessPolicy.SYSTEM_DEFAULT, LivelinessPolicy.AUTOMATIC)
     if qos.liveliness not in automatic:
-        raise NotImplementedError(f'the stand-in for rclpy does not offer {qos.liveliness!r}')
+        raise NotImplementedError(f'the stand-in for rclpy does not support {qos.liveliness!r}')
     for policy in (qos.history, qos.reliability, qos.durability):
         if policy.name in ('UNKNOWN', 'BEST_AVAILABLE'):
-            raise NotImplementedError(f'the stand-in for rclpy does not offer {policy!r}')
+            raise NotImplementedError(f'the stand-in for rclpy does not support {policy!r}')
     return EndpointQos(
         None if qos.history == HistoryPolicy.KEEP_ALL else max(1, qos.depth),
         qos.reliability != ReliabilityPolicy.BEST_EFFORT,
@@ -212,8 +212,8 @@ def to_dds(qos: QoSProfile) -> EndpointQos:
 
 
 def from_dds(qos: EndpointQos) -> QoSProfile:
-    """Return the profile of an endpoint that was discovered."""
-    lifespan = _FOREVER if qos.lifespan_ns is None else Duration(nanoseconds=qos.lifespan_ns)
+    """Convert the QoS of a discovered endpoint to a profile."""
+    lifespan = _INFINITE if qos.lifespan_ns is None else Duration(nanoseconds=qos.lifespan_ns)
     return QoSProfile(
         history=HistoryPolicy.KEEP_ALL if qos.depth is None else HistoryPolicy.KEEP_LAST,
         depth=qos.depth or 0,
@@ -222,7 +222,7 @@ def from_dds(qos: EndpointQos) -> QoSProfile:
         if qos.transient_local
         else DurabilityPolicy.VOLATILE,
         lifespan=lifespan,
-        deadline=_FOREVER,
+        deadline=_INFINITE,
         liveliness=LivelinessPolicy.AUTOMATIC,
-        liveliness_lease_duration=_FOREVER,
+        liveliness_lease_duration=_INFINITE,
     )

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Requests and responses of the services that are known; the type store has messages only."""
+"""Definitions of the supported services; the type store of rosbags has messages only."""
 
 from __future__ import annotations
 
@@ -31,4 +31,4 @@ SERVICES = {
     'std_srvs/srv/SetBool': ('bool data', 'bool success\nstring message'),
     'std_srvs/srv/Trigger': ('', 'bool success\nstring message'),
 }
-"""The two halves of each .srv file, without comments."""
+"""Request and response part of each .srv file, without comments."""

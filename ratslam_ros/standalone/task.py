@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What will be known later."""
+"""Futures."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any
 
 
 class Future:
-    """A result that somebody else will set."""
+    """The result of an asynchronous call, set when it completes."""
 
     def __init__(self, *, executor: Any = None) -> None:
         self._lock = threading.Lock()
@@ -27,7 +27,7 @@ class Future:
         return self.result()
 
     def cancel(self) -> None:
-        """Say that nobody wants the result any more."""
+        """Cancel the future unless it is done."""
         with self._lock:
             if self._done:
                 return
@@ -35,37 +35,37 @@ class Future:
         self._call_back()
 
     def cancelled(self) -> bool:
-        """Tell whether it was cancelled."""
+        """Return whether the future was cancelled."""
         return self._cancelled
 
     def done(self) -> bool:
-        """Tell whether the result is there."""
+        """Return whether the result or an exception was set."""
         return self._done
 
     def result(self) -> Any:
-        """Return the result, None if there is none yet; raises the exception that was set."""
+        """Return the result, None if it is not set; raises the exception if one was set."""
         if self._exception is not None:
             raise self._exception
         return self._result
 
     def exception(self) -> BaseException | None:
-        """Return the exception that was set."""
+        """Return the exception; None if none was set."""
         return self._exception
 
     def set_result(self, result: Any) -> None:
-        """Set the result."""
+        """Set the result, and run the callbacks."""
         with self._lock:
             self._result, self._done, self._cancelled = result, True, False
         self._call_back()
 
     def set_exception(self, exception: BaseException) -> None:
-        """Set an exception in place of a result."""
+        """Set an exception instead of a result, and run the callbacks."""
         with self._lock:
             self._exception, self._done, self._cancelled = exception, True, False
         self._call_back()
 
     def add_done_callback(self, callback: Callable[[Future], None]) -> None:
-        """Call something when it is done, at once if it is."""
+        """Add a callback for completion; it runs at once if the future is done."""
         with self._lock:
             if not self._done:
                 self._callbacks.append(callback)

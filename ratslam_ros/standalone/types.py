@@ -1,29 +1,36 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Message and service classes, made from the definitions that rosbags has, and their CDR.
+"""Message and service classes, generated from their definitions, and their CDR encoding.
 
-As in rclpy, lists of numbers become array.array (numpy.ndarray where their length is fixed) when
-they are set, and all else is kept as it is: only when a message is sent, it is checked. rosbags'
-codec wants NumPy arrays and small integers where rclpy has array.array, lists of bool and bytes;
-it sees such fields through properties of another name.
+As in rclpy, lists of numbers are converted on assignment: to numpy.ndarray if their length is
+fixed, else to array.array. All other values are stored unchanged and checked when the message is
+encoded. The codec of rosbags requires NumPy arrays and small integers where rclpy has array.array,
+lists of bool, and bytes. It accesses such fields through properties with a prefix.
 """
 
 from __future__ import annotations
 
 import array
-import keyword
 import struct
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import cache
-from typing import Any, ClassVar, NamedTuple, NoReturn
+from typing import Any, ClassVar, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 from rosbags.interfaces import Nodetype
 from rosbags.serde import SerdeError
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, get_typestore
 
+from ratslam_ros.standalone.definitions import (
+    ARRAY_CODES,
+    NO_FIELDS,
+    Field,
+    definition,
+    field_from_definition,
+    fields_of,
+)
 from ratslam_ros.standalone.service_texts import SERVICES
 
 _INTEGERS = {
@@ -31,66 +38,21 @@ _INTEGERS = {
     for sign in ('', 'u')
     for bits in (8, 16, 32, 64)
 } | {'char': (0, 255)}
-_CODES = {
-    'int8': 'b', 'uint8': 'B', 'char': 'B', 'int16': 'h', 'uint16': 'H', 'int32': 'i',
-    'uint32': 'I', 'int64': 'q', 'uint64': 'Q', 'float32': 'f', 'float64': 'd',
-}  # fmt: skip
-_IDL_NAMES = {'float32': 'float', 'float64': 'double', 'byte': 'octet', 'bool': 'boolean',
-              'char': 'uint8'}  # fmt: skip
 _DEFAULTS = {
     ('geometry_msgs/msg/Quaternion', 'w'): '1.0',
     ('sensor_msgs/msg/NavSatStatus', 'status'): '-2',
 }
-"""All that is not zero or empty; the type store does not know defaults."""
-_NO_FIELDS = 'structure_needs_at_least_one_member'
-_WIRE = '_wire_'
-_HELD = '_held_'
-_HEADER = 4
-_PADDED = 4
-
-
-class Field(NamedTuple):
-    """One field of a message."""
-
-    name: str
-    """What Python calls it."""
-    base: str
-    """A primitive type, or the full name of a message type."""
-    is_message: bool
-    size: int | None
-    """None: one value. Otherwise a list: of this length if it is fixed, else of this at most."""
-    is_fixed: bool
-    bound: int
-    """Greatest length of a string, 0 where there is no limit."""
-
-    @property
-    def is_numbers(self) -> bool:
-        """Whether it is a list of numbers, which rclpy keeps in one piece."""
-        return self.size is not None and self.base in _CODES
-
-    @property
-    def is_converted(self) -> bool:
-        """Whether rosbags wants something else than what the message holds."""
-        return (
-            self.is_numbers
-            or self.base == 'byte'
-            or (self.base == 'bool' and self.size is not None)
-        )
-
-    @property
-    def idl(self) -> str:
-        """The type as ``get_fields_and_field_types`` gives it."""
-        name = self.base.replace('/msg/', '/') if self.is_message else self.base
-        name = _IDL_NAMES.get(name, name) + (f'<{self.bound}>' if self.bound else '')
-        if self.size is None:
-            return name
-        if self.is_fixed:
-            return f'{name}[{self.size}]'
-        return f'sequence<{name}, {self.size}>' if self.size else f'sequence<{name}>'
+"""Defaults that are not zero or empty, as source code; the type store has no defaults."""
+_WIRE_PREFIX = '_wire_'
+"""Prefix of the properties that the codec of rosbags reads."""
+_STORED_PREFIX = '_held_'
+"""Prefix of the attributes that store lists of numbers."""
+_HEADER_BYTES = 4
+_ALIGNMENT_BYTES = 4
 
 
 class Message:
-    """Base of all message classes: keyword construction, attributes, comparison."""
+    """Base of all message classes, with comparison and representation."""
 
     __slots__ = ()
     __msgtype__: ClassVar[str]
@@ -98,15 +60,15 @@ class Message:
 
     @classmethod
     def get_fields_and_field_types(cls) -> dict[str, str]:
-        """Return the IDL type of each field, by its name."""
+        """Return the IDL type of each field by its name."""
         return {field.name: field.idl for field in cls.FIELDS}
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, type(self)):
             return False
         for field in self.FIELDS:
-            mine, theirs = getattr(self, field.name), getattr(other, field.name)
-            if not (np.array_equal(mine, theirs) if field.is_fixed else mine == theirs):
+            own, others = getattr(self, field.name), getattr(other, field.name)
+            if not (np.array_equal(own, others) if field.is_fixed else own == others):
                 return False
         return True
 
@@ -121,63 +83,13 @@ class Message:
         return f'{type(self).__module__}.{type(self).__name__}({", ".join(parts)})'
 
 
-# The definitions
-
-
-@cache
-def _store() -> Any:
-    """Return rosbags' types and our services; the only one that can tell type hashes."""
-    store = get_typestore(Stores.ROS2_JAZZY)
-    for name, texts in SERVICES.items():
-        for text, part in zip(texts, ('Request', 'Response'), strict=True):
-            parsed = get_types_from_msg(text, f'{name.replace("/srv/", "/msg/")}_{part}')
-            [(constants, fields)] = parsed.values()
-            fields = fields or [(_NO_FIELDS, (Nodetype.BASE, ('uint8', 0)))]
-            store.fielddefs[f'{name}_{part}'] = (constants, fields)
-    return store
-
-
 @cache
 def _codec() -> Any:
-    """Return the store that encodes and decodes: fields under the names of the properties."""
+    """Return the type store for encoding and decoding, which uses the prefixed properties."""
     return get_typestore(Stores.EMPTY)
 
 
-def packages() -> set[str]:
-    """Return the names of all packages that have messages or services here."""
-    return {name.partition('/')[0] for name in _store().fielddefs} | {
-        name.partition('/')[0] for name in SERVICES
-    }
-
-
-def names_in(package: str, kind: str) -> list[str]:
-    """Return the names of a package's types, ``kind`` being msg or srv."""
-    known = SERVICES if kind == 'srv' else _store().fielddefs
-    return sorted(n.rpartition('/')[2] for n in known if n.startswith(f'{package}/{kind}/'))
-
-
-def fields_of(name: str) -> tuple[Field, ...]:
-    """Return the fields of a message type given by its full name; none for an empty one."""
-    return tuple(_field(*entry) for entry in _store().fielddefs[name][1] if entry[0] != _NO_FIELDS)
-
-
-def type_hash(name: str) -> str:
-    """Return the hash (RIHS01) of a message type, by which ROS tells whether two are the same."""
-    return str(_store().hash_rihs01(name))
-
-
-def _field(name: str, desc: Any) -> Field:
-    size, is_fixed = None, False
-    if desc[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE):
-        size, is_fixed = desc[1][1], desc[0] == Nodetype.ARRAY
-        desc = desc[1][0]
-    name = f'{name}_' if keyword.iskeyword(name) else name
-    if desc[0] == Nodetype.NAME:
-        return Field(name, desc[1], True, size, is_fixed, 0)
-    return Field(name, desc[1][0], False, size, is_fixed, desc[1][1])
-
-
-# The classes
+# Classes
 
 
 @cache
@@ -185,27 +97,27 @@ def message_class(name: str) -> Any:
     """Return the class of a message type given by its full name.
 
     Raises:
-        KeyError: there is no such type.
+        KeyError: the type is unknown.
     """
-    constants, definitions = _store().fielddefs[name]
+    constants, definitions = definition(name)
     fields = fields_of(name)
     package, kind, short = name.split('/')
     body: dict[str, Any] = {
-        '__slots__': tuple((_HELD if f.is_numbers else '') + f.name for f in fields),
+        '__slots__': tuple((_STORED_PREFIX if f.is_numbers else '') + f.name for f in fields),
         '__module__': f'{package}.{kind}',
         '__doc__': f'Message class {short!r}.',
         '__msgtype__': name,
         'FIELDS': fields,
     }
     if not fields:
-        body[_NO_FIELDS] = 0
+        body[NO_FIELDS] = 0
     for constant, base, value in constants:
         body[constant] = bytes([value & 255]) if base == 'byte' else value
     for field in fields:
         if field.is_numbers:
             body[field.name] = _numbers(field)
         if field.is_converted:
-            body[_WIRE + field.name] = property(_to_wire(field))
+            body[_WIRE_PREFIX + field.name] = property(_to_wire(field))
     made = type(short, (Message,), body)
     scope: dict[str, Any] = {'cls': made, 'array': array.array, 'np': np, 'fail': _fail}
     for field in fields:
@@ -236,7 +148,7 @@ def service_class(name: str) -> Any:
     """Return the class of a service type given by its full name.
 
     Raises:
-        KeyError: there is no such type.
+        KeyError: the type is unknown.
     """
     if name not in SERVICES:
         raise KeyError(name)
@@ -252,29 +164,32 @@ def service_class(name: str) -> Any:
 
 
 def _code(name: str, fields: tuple[Field, ...]) -> Iterator[str]:
-    """Yield the source of what is called for every message, with no loop over its fields."""
+    """Yield the source of ``__init__``, ``from_wire`` and ``check``.
+
+    They run for every message, so that their loops over the fields are unrolled.
+    """
     names = [field.name for field in fields]
     yield f'def __init__(self{", *, " if names else ""}{", ".join(f"{n}=None" for n in names)}):'
     yield '    pass'
     for field in fields:
         default = _DEFAULTS.get((name, field.name)) or _default(field)
         yield f'    if {field.name} is None:'
-        yield f'        self.{_HELD if field.is_numbers else ""}{field.name} = {default}'
+        yield f'        self.{_STORED_PREFIX if field.is_numbers else ""}{field.name} = {default}'
         yield '    else:'
         yield f'        self.{field.name} = {field.name}'
     yield f'def from_wire({", ".join(names) or "_"}):'
     yield '    self = cls.__new__(cls)'
     for field in fields:
         value = f'from_wire_{field.name}({field.name})' if field.is_converted else field.name
-        yield f'    self.{_HELD if field.is_numbers else ""}{field.name} = {value}'
+        yield f'    self.{_STORED_PREFIX if field.is_numbers else ""}{field.name} = {value}'
     yield '    return self'
     yield 'def check(self):'
     yield '    pass'
     for field in fields:
         yield f'    value = self.{field.name}'
         if field.size:
-            wrong = '!=' if field.is_fixed else '>'
-            yield f'    if len(value) {wrong} {field.size}: fail(self, {field.name!r}, value)'
+            invalid = '!=' if field.is_fixed else '>'
+            yield f'    if len(value) {invalid} {field.size}: fail(self, {field.name!r}, value)'
         if field.size is None:
             yield from _check_one(field, 'value', '    ')
         elif not field.is_numbers:
@@ -287,7 +202,7 @@ def _default(field: Field) -> str:
     if field.is_numbers:
         if field.is_fixed:
             return f'np.zeros({field.size}, np.{_dtype(field)})'
-        return f'array({_CODES[field.base]!r})'
+        return f'array({ARRAY_CODES[field.base]!r})'
     one = f'class_{field.name}()' if field.is_message else {
         'string': "''", 'bool': 'False', 'byte': "b'\\0'", 'float32': '0.0', 'float64': '0.0',
     }.get(field.base, '0')  # fmt: skip
@@ -298,19 +213,19 @@ def _default(field: Field) -> str:
 
 def _check_one(field: Field, value: str, indent: str) -> Iterator[str]:
     if field.is_message:
-        right = f'type({value}) is class_{field.name}'
+        valid = f'type({value}) is class_{field.name}'
     elif field.base in _INTEGERS:
         low, high = _INTEGERS[field.base]
-        right = f'isinstance({value}, (int, np.integer)) and {low} <= {value} <= {high}'
+        valid = f'isinstance({value}, (int, np.integer)) and {low} <= {value} <= {high}'
     elif field.base == 'byte':
-        right = f'isinstance({value}, bytes) and len({value}) == 1'
+        valid = f'isinstance({value}, bytes) and len({value}) == 1'
     else:
-        # Numbers that are no float are garbage on the wire of rclpy: found here, not there.
+        # rclpy encodes numbers that are no floats as garbage; an error is easier to find.
         kind = {'string': 'str', 'bool': 'bool'}.get(field.base, 'float')
-        right = f'isinstance({value}, {kind})'
+        valid = f'isinstance({value}, {kind})'
         if field.bound:
-            right += f' and len({value}) <= {field.bound}'
-    yield f'{indent}if not ({right}): fail(self, {field.name!r}, {value})'
+            valid += f' and len({value}) <= {field.bound}'
+    yield f'{indent}if not ({valid}): fail(self, {field.name!r}, {value})'
     if field.is_message:
         yield f'{indent}check_{field.name}({value})'
 
@@ -324,15 +239,15 @@ def _fail(message: Message, name: str, value: object) -> NoReturn:
     )
 
 
-# Between what a message holds and what rosbags' codec takes and gives
+# Conversion between the fields of messages and the values of rosbags' codec
 
 
 def _wire_definition(name: str, desc: Any) -> tuple[str, Any]:
-    field = _field(name, desc)
-    if name == _NO_FIELDS or not field.is_converted:
+    field = field_from_definition(name, desc)
+    if name == NO_FIELDS or not field.is_converted:
         return name, desc
     base: Any = (Nodetype.BASE, ('uint8' if field.base in ('byte', 'char') else field.base, 0))
-    return _WIRE + field.name, base if field.size is None else (desc[0], (base, field.size))
+    return _WIRE_PREFIX + field.name, base if field.size is None else (desc[0], (base, field.size))
 
 
 def _dtype(field: Field) -> str:
@@ -347,19 +262,19 @@ def _to_wire(field: Field) -> Callable[[Any], Any]:
         return lambda message: np.array(getattr(message, name), bool)
     if field.base == 'byte':
         return lambda message: np.array(list(b''.join(getattr(message, name))), np.uint8)
-    held = _HELD + name
+    held = _STORED_PREFIX + name
     return lambda message: np.asarray(getattr(message, held))
 
 
 def _numbers(field: Field) -> property:
-    """Return the property of a list of numbers."""
-    name, held, code = field.name, _HELD + field.name, _CODES[field.base]
+    """Return the property for a list of numbers, which converts on assignment."""
+    name, held, code = field.name, _STORED_PREFIX + field.name, ARRAY_CODES[field.base]
     dtype = np.dtype(_dtype(field))
 
-    def give(message: Message) -> Any:
+    def get(message: Message) -> Any:
         return getattr(message, held)
 
-    def take(message: Message, value: Any) -> None:
+    def assign(message: Message, value: Any) -> None:
         setattr(message, held, (fixed if field.is_fixed else sequence)(message, value))
 
     def fixed(message: Message, value: Any) -> NDArray[Any]:
@@ -380,7 +295,7 @@ def _numbers(field: Field) -> property:
             return array.array(code, value)
         _fail(message, name, value)
 
-    return property(give, take)
+    return property(get, assign)
 
 
 def _from_wire(field: Field) -> Callable[[Any], Any]:
@@ -392,7 +307,7 @@ def _from_wire(field: Field) -> Callable[[Any], Any]:
         return lambda value: [bytes((item,)) for item in value]
     if field.is_fixed:
         return lambda value: value.copy()
-    code = _CODES[field.base]
+    code = ARRAY_CODES[field.base]
 
     def numbers(value: NDArray[Any]) -> array.array[Any]:
         made = array.array(code)
@@ -405,56 +320,65 @@ def _from_wire(field: Field) -> Callable[[Any], Any]:
 # CDR
 
 
-def encode(message: Message, room: int = 0) -> bytearray:
-    """Return a message as CDR, with its four bytes of header, padded to a multiple of 4.
+def encode(message: Message, reserved_bytes: int = 0) -> bytearray:
+    """Encode a message as CDR with its 4-byte header, padded to a multiple of 4 bytes.
 
     Args:
         message: any message.
-        room: bytes to leave free between header and body; a multiple of 8.
+        reserved_bytes: space between header and body, set to 0; a multiple of 8.
 
     Raises:
-        TypeError: a field holds what does not fit its type.
+        TypeError: the value of a field does not fit its type.
     """
     name = message.__msgtype__
     try:
         _checkers[name](message)
         codec = _codec().get_msgdef(name)
         size = codec.getsize_cdr(0, message, _codec())
-        out = bytearray(-(-(_HEADER + room + size) // _PADDED) * _PADDED)
+        out = bytearray(
+            -(-(_HEADER_BYTES + reserved_bytes + size) // _ALIGNMENT_BYTES) * _ALIGNMENT_BYTES
+        )
         out[1] = 1  # little-endian
-        codec.serialize_cdr_le(memoryview(out)[_HEADER + room :], 0, message, _codec())
+        codec.serialize_cdr_le(
+            memoryview(out)[_HEADER_BYTES + reserved_bytes :], 0, message, _codec()
+        )
     except (AttributeError, ValueError, SerdeError, struct.error) as error:
         raise TypeError(f'{name} cannot be serialised: {error}') from error
     return out
 
 
-def decode(data: bytes | memoryview, kind: type[Message], room: int = 0) -> Any:
-    """Return the message that CDR holds; see ``encode``.
+def decode(data: bytes | memoryview, kind: type[Message], reserved_bytes: int = 0) -> Any:
+    """Decode a message from CDR.
 
-    Nothing of the message refers to the bytes.
+    Args:
+        data: CDR with its 4-byte header; the message does not refer to this memory.
+        kind: class of the message.
+        reserved_bytes: space between header and body.
 
     Raises:
-        ValueError: the bytes are no such message.
+        ValueError: the bytes do not encode such a message.
     """
     name = kind.__msgtype__
     codec = _codec().get_msgdef(name)
     view = memoryview(data)
-    if len(view) < _HEADER + room or view[0] != 0 or view[1] > 1:
-        raise ValueError(f'{name}: unknown encoding {bytes(view[:_HEADER]).hex()}')
+    if len(view) < _HEADER_BYTES + reserved_bytes or view[0] != 0 or view[1] > 1:
+        raise ValueError(f'{name}: unknown encoding {bytes(view[:_HEADER_BYTES]).hex()}')
     read = codec.deserialize_cdr_le if view[1] else codec.deserialize_cdr_be
-    body = view[_HEADER + room :]
+    body = view[_HEADER_BYTES + reserved_bytes :]
     try:
         message, end = read(body, 0, codec.cls, _codec())
     except (SerdeError, ValueError, struct.error) as error:
         raise ValueError(f'{name} cannot be deserialised: {error}') from error
-    if not 0 <= len(body) - end < _PADDED:
-        raise ValueError(f'{name} cannot be deserialised: {end} bytes of {len(body)} are used')
+    if not 0 <= len(body) - end < _ALIGNMENT_BYTES:
+        raise ValueError(
+            f'{name} cannot be deserialised: it has {end} bytes, but {len(body)} were received'
+        )
     return message
 
 
-def decode_or_none(data: memoryview, kind: type[Message], room: int = 0) -> Any:
-    """Return the message that CDR holds, None where it is no such message; see ``decode``."""
+def decode_or_none(data: memoryview, kind: type[Message], reserved_bytes: int = 0) -> Any:
+    """Decode a message from CDR; return None if the bytes are invalid. See ``decode``."""
     try:
-        return decode(data, kind, room)
+        return decode(data, kind, reserved_bytes)
     except ValueError:
         return None

@@ -265,7 +265,7 @@ def test_where_the_map_refused_a_jump_it_has_not_moved(tmp_path: Path) -> None:
     ):  # fmt: skip
         action = MapAction(kind, 20, target, 0, 0.0, place)  # type: ignore[arg-type]
         match = ViewMatch(target, False, 0.0, 0.0)
-        results.add(ViewStep(START_NS, match, action, refused=refused))
+        results.add(ViewStep(START_NS, match, action, rejected=refused))
     results.finish(ExperienceMap(Config().experience_map), Config(), {})
     rows = (tmp_path / 'frames.csv').read_text().splitlines()[1:]
     assert [row.split(',')[-1] for row in rows] == ['20', '20', '20', '4']

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The same tests run on the stand-in, and where ROS 2 is installed, on the real rclpy."""
+"""Fixtures of tests that run on the stand-in or, if ROS 2 is installed, on the real rclpy."""
 
 import os
 import subprocess
@@ -11,17 +11,17 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from contract import ROOT, WHY_NOT
+from contract import ROOT, SKIP_REASON
 
 PRELUDE = 'from ratslam_ros.standalone import install\ninstall()\n'
-PATIENCE_S = 20.0
+TIMEOUT_S = 20.0
 
 
 @pytest.fixture(scope='session', autouse=True)
 def domain() -> Iterator[None]:
-    """Give each test process a domain of its own, on this machine alone."""
-    if WHY_NOT:
-        pytest.skip(WHY_NOT)
+    """Use a separate domain for each test process, limited to this machine."""
+    if SKIP_REASON:
+        pytest.skip(SKIP_REASON)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv('ROS_DOMAIN_ID', str(1 + os.getpid() % 100))
         patch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
@@ -45,24 +45,24 @@ class Ros:
         self.executor.add_node(node)
         return node
 
-    def until(self, condition: Callable[[], Any], patience_s: float = PATIENCE_S) -> Any:
-        """Spin until something holds."""
-        end_s = time.monotonic() + patience_s
-        while not (found := condition()):
-            assert time.monotonic() < end_s, 'it did not come about'
+    def until(self, condition: Callable[[], Any], timeout_s: float = TIMEOUT_S) -> Any:
+        """Spin until a condition is true, and return its value."""
+        end_s = time.monotonic() + timeout_s
+        while not (value := condition()):
+            assert time.monotonic() < end_s, 'timed out while waiting for a condition'
             self.executor.spin_once(timeout_sec=0.02)
-        return found
+        return value
 
     def spin(self, seconds: float = 0.1) -> None:
-        """Spin for some time, in which nothing should happen."""
+        """Spin for a fixed time, to show that something does not happen."""
         end_s = time.monotonic() + seconds
         while time.monotonic() < end_s:
             self.executor.spin_once(timeout_sec=0.02)
 
     def call(self, client: Any, request: Any) -> Any:
-        assert client.wait_for_service(timeout_sec=PATIENCE_S)
+        assert client.wait_for_service(timeout_sec=TIMEOUT_S)
         future = client.call_async(request)
-        self.executor.spin_until_future_complete(future, timeout_sec=PATIENCE_S)
+        self.executor.spin_until_future_complete(future, timeout_sec=TIMEOUT_S)
         assert future.done()
         return future.result()
 
@@ -74,7 +74,7 @@ class Ros:
 
 @pytest.fixture
 def make_ros() -> Iterator[Callable[..., Ros]]:
-    """Start rclpy with a command line."""
+    """Return a function that initialises rclpy with a command line."""
     import rclpy
 
     started = []
@@ -96,8 +96,8 @@ def ros(make_ros: Callable[..., Ros]) -> Ros:
 
 
 @pytest.fixture
-def child() -> Iterator[Callable[..., Any]]:
-    """Start a Python process; its standard output can be read line by line."""
+def start_process() -> Iterator[Callable[..., Any]]:
+    """Return a function that starts a Python process with unbuffered output pipes."""
     started = []
 
     def start(code: str, *args: str) -> Any:
@@ -120,7 +120,7 @@ def child() -> Iterator[Callable[..., Any]]:
 
 @pytest.fixture(scope='session')
 def m() -> SimpleNamespace:
-    """The messages and services that most tests use."""
+    """Message and service classes that most tests use."""
     from rosidl_runtime_py.utilities import get_message, get_service
 
     messages = (

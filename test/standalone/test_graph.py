@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The graph, as a node sees itself and others."""
+"""The ROS graph: nodes, topics and services of this process and of another one."""
 
 OTHER = """
 import rclpy
@@ -23,21 +23,32 @@ rclpy.shutdown()
 """
 
 
-def test_another_process_comes_and_goes(ros, m, child) -> None:
+def wait_for_publisher(ros, node, topic: str, owner: str):
+    """Return the publisher of a topic, once discovery has assigned it to its node."""
+    found = ros.until(
+        lambda: [i for i in node.get_publishers_info_by_topic(topic) if i.node_name == owner]
+    )
+    assert len(found) == len(node.get_publishers_info_by_topic(topic)) == 1
+    return found[0]
+
+
+def test_graph_follows_nodes_and_endpoints_of_another_process(ros, m, start_process) -> None:
     from rclpy.qos import ReliabilityPolicy
 
     node = ros.node('near')
-    other = child(OTHER)
+    other = start_process(OTHER)
     assert other.stdout.readline() == 'ready\n', other.stderr.read()
     ros.until(lambda: ('other', '/far') in node.get_node_names_and_namespaces())
     ros.until(lambda: node.count_publishers('/far/chat') == 1)
-    info = node.get_publishers_info_by_topic('/far/chat')[0]
+    info = wait_for_publisher(ros, node, '/far/chat', 'other')
     assert (info.node_name, info.node_namespace) == ('other', '/far')
     assert info.topic_type == 'std_msgs/msg/String' and len(info.endpoint_gid) == 16
     assert info.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
     assert info.endpoint_type.name == 'PUBLISHER'
-    assert ('/far/do', ['std_srvs/srv/Trigger']) in node.get_service_names_and_types()
-    assert ('/far/chat', ['std_msgs/msg/String']) in node.get_topic_names_and_types()
+    service = ('/far/do', ['std_srvs/srv/Trigger'])
+    ros.until(lambda: service in node.get_service_names_and_types())
+    topic = ('/far/chat', ['std_msgs/msg/String'])
+    ros.until(lambda: topic in node.get_topic_names_and_types())
     ros.until(lambda: node.get_subscriptions_info_by_topic('/near'))
     other.stdin.write('\n')
     other.stdin.flush()
@@ -50,14 +61,14 @@ def test_another_process_comes_and_goes(ros, m, child) -> None:
     ros.until(lambda: ('other', '/far') not in node.get_node_names_and_namespaces())
 
 
-def test_a_node_sees_itself(ros, m) -> None:
+def test_node_lists_itself_and_its_endpoints(ros, m) -> None:
     node = ros.node('self', namespace='/ns')
     publisher = node.create_publisher(m.String, 'chat', 7)
     node.create_subscription(m.String, 'chat', print, 1)
     ros.until(lambda: node.count_publishers('chat') == node.count_subscribers('/ns/chat') == 1)
     ros.until(lambda: 'self' in node.get_node_names())
     assert ('self', '/ns') in node.get_node_names_and_namespaces()
-    info = ros.until(lambda: node.get_publishers_info_by_topic('chat'))[0]
+    info = wait_for_publisher(ros, node, 'chat', 'self')
     assert (info.node_name, info.node_namespace) == ('self', '/ns')
     assert info.qos_profile.depth == 7
     assert publisher in node.publishers
@@ -67,7 +78,7 @@ def test_a_node_sees_itself(ros, m) -> None:
     assert publisher not in node.publishers
 
 
-def test_two_nodes_of_one_process_are_told_apart(ros, m) -> None:
+def test_endpoints_of_two_nodes_have_own_node_names(ros, m) -> None:
     a, b = ros.node('a'), ros.node('b')
     a.create_publisher(m.String, 'chat', 1)
     b.create_publisher(m.String, 'chat', 1)
@@ -81,9 +92,9 @@ def test_two_nodes_of_one_process_are_told_apart(ros, m) -> None:
     assert 'a' in a.get_node_names()
 
 
-def test_types_that_differ_are_listed_both(ros, m) -> None:
+def test_topic_with_two_types_lists_both(ros, m) -> None:
     node = ros.node()
     node.create_publisher(m.String, 'mixed', 1)
     node.create_subscription(m.Int32, 'mixed', print, 1)
-    wanted = ('/mixed', ['std_msgs/msg/Int32', 'std_msgs/msg/String'])
-    ros.until(lambda: wanted in [(n, sorted(t)) for n, t in node.get_topic_names_and_types()])
+    expected = ('/mixed', ['std_msgs/msg/Int32', 'std_msgs/msg/String'])
+    ros.until(lambda: expected in [(n, sorted(t)) for n, t in node.get_topic_names_and_types()])

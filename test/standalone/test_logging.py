@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Logging: what is written where, and what filters keep back."""
+"""Logging: output format, levels, filters and /rosout."""
 
 import re
 
@@ -24,7 +24,7 @@ for i in range(3):
     logger.info(f'once {i}', once=True)
     logger.info(f'later {i}', skip_first=True)
 logger.set_level(LoggingSeverity.ERROR)
-logger.info('too little')
+logger.info('below the level')
 assert not logger.is_enabled_for(LoggingSeverity.WARN)
 assert logger.get_effective_level() == LoggingSeverity.ERROR
 get_logger('free').info('without a node')
@@ -33,8 +33,8 @@ rclpy.shutdown()
 """
 
 
-def lines(child, *args: str) -> list[tuple[str, str, str]]:
-    process = child(LOG.replace('ARGS', repr(['prog', *args])))
+def run_and_parse(start_process, *args: str) -> list[tuple[str, str, str]]:
+    process = start_process(LOG.replace('ARGS', repr(['prog', *args])))
     _, err = process.communicate(timeout=60.0)
     assert process.returncode == 0, err
     found = re.findall(r'^\[(\w+)\] \[\d+\.\d{9}\] \[([\w.]+)\]: (.*)$', err, re.MULTILINE)
@@ -42,8 +42,8 @@ def lines(child, *args: str) -> list[tuple[str, str, str]]:
     return found
 
 
-def test_lines_look_as_in_ros(child) -> None:
-    assert lines(child) == [
+def test_log_lines_match_ros_format_and_filters(start_process) -> None:
+    assert run_and_parse(start_process) == [
         ('INFO', 'a.talker', 'shown'),
         ('WARN', 'a.talker', 'warned'),
         ('WARN', 'a.talker', 'warned too'),
@@ -58,29 +58,29 @@ def test_lines_look_as_in_ros(child) -> None:
     ]
 
 
-def test_the_command_line_sets_levels(child) -> None:
-    found = lines(child, '--ros-args', '--log-level', 'error')
+def test_log_level_argument_sets_levels(start_process) -> None:
+    found = run_and_parse(start_process, '--ros-args', '--log-level', 'error')
     assert {level for level, _, _ in found} == {'ERROR', 'FATAL'}
-    found = lines(child, '--ros-args', '--log-level', 'a.talker:=warn')
+    found = run_and_parse(start_process, '--ros-args', '--log-level', 'a.talker:=warn')
     assert {level for level, name, _ in found if name == 'a.talker'} == {'WARN', 'ERROR', 'FATAL'}
     assert ('INFO', 'free', 'without a node') in found
 
 
-def test_logs_are_published(ros) -> None:
+def test_log_records_are_published_on_rosout(ros) -> None:
     from rcl_interfaces.msg import Log
     from rclpy.qos import DurabilityPolicy, QoSProfile
 
-    node, got = ros.node('talker'), []
+    node, received = ros.node('talker'), []
     node.get_logger().warning('careful')
-    late = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    ros.node('listener').create_subscription(Log, '/rosout', got.append, late)
-    ros.until(lambda: [log for log in got if log.msg == 'careful'])
-    log = next(log for log in got if log.msg == 'careful')
+    qos = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    ros.node('listener').create_subscription(Log, '/rosout', received.append, qos)
+    ros.until(lambda: [log for log in received if log.msg == 'careful'])
+    log = next(log for log in received if log.msg == 'careful')
     assert (log.name, log.level) == ('talker', 30) and log.stamp.sec > 0
-    assert log.function == 'test_logs_are_published' and log.line > 0
+    assert log.function == 'test_log_records_are_published_on_rosout' and log.line > 0
 
 
-def test_a_logger_needs_a_name() -> None:
+def test_logger_without_name_is_rejected() -> None:
     from rclpy.logging import get_logger
 
     with pytest.raises(ValueError):

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Message classes, and messages as YAML."""
+"""Message classes, serialisation, and conversion to YAML."""
 
 import array
 
@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 
-def test_fields_have_defaults(m) -> None:
+def test_message_fields_have_ros_defaults(m) -> None:
     odometry = m.Odometry()
     assert odometry.header.stamp.sec == 0 and odometry.header.frame_id == ''
     assert odometry.pose.pose.orientation.w == 1.0 and odometry.pose.pose.position.x == 0.0
@@ -22,7 +22,7 @@ def test_fields_have_defaults(m) -> None:
     assert NavSatStatus().status == -2
 
 
-def test_messages_can_be_written_and_compared(m) -> None:
+def test_messages_with_equal_fields_are_equal(m) -> None:
     header = m.Header(frame_id='map')
     header.stamp.sec = 5
     pose = m.PoseStamped(header=header)
@@ -38,12 +38,12 @@ def test_messages_can_be_written_and_compared(m) -> None:
     assert m.Header() is not m.Header() and m.Header().stamp is not m.Header().stamp
 
 
-def test_what_is_no_field_cannot_be_set(m) -> None:
+def test_setting_unknown_field_raises_attribute_error(m) -> None:
     with pytest.raises(AttributeError):
         m.String().dta = 'x'
 
 
-def test_constants_and_bytes() -> None:
+def test_constants_and_byte_fields_survive_serialisation() -> None:
     from diagnostic_msgs.msg import DiagnosticStatus
     from rclpy.serialization import deserialize_message, serialize_message
     from visualization_msgs.msg import Marker
@@ -54,7 +54,7 @@ def test_constants_and_bytes() -> None:
     assert deserialize_message(serialize_message(status), DiagnosticStatus) == status
 
 
-def test_fields_and_their_types(m) -> None:
+def test_message_classes_report_idl_field_types(m) -> None:
     assert m.Image.get_fields_and_field_types() == {
         'header': 'std_msgs/Header', 'height': 'uint32', 'width': 'uint32', 'encoding': 'string',
         'is_bigendian': 'uint8', 'step': 'uint32', 'data': 'sequence<uint8>',
@@ -78,7 +78,7 @@ def test_fields_and_their_types(m) -> None:
     [b'\x01\x02\x03', array.array('B', [1, 2, 3]), np.array([1, 2, 3], np.uint8), [1, 2, 3]],
     ids=lambda data: type(data).__name__,
 )
-def test_bytes_can_be_given_in_many_ways(m, data) -> None:
+def test_uint8_sequence_accepts_bytes_arrays_and_lists(m, data) -> None:
     from rclpy.serialization import deserialize_message, serialize_message
 
     message = deserialize_message(serialize_message(m.Image(data=data)), m.Image)
@@ -91,7 +91,7 @@ def test_bytes_can_be_given_in_many_ways(m, data) -> None:
         image.data = [1, 300]
 
 
-def test_every_kind_of_field_survives() -> None:
+def test_every_field_kind_survives_serialisation() -> None:
     from rcl_interfaces.msg import ParameterValue
     from rclpy.serialization import deserialize_message, serialize_message
     from sensor_msgs.msg import CameraInfo, LaserScan, PointField
@@ -112,12 +112,12 @@ def test_every_kind_of_field_survives() -> None:
     for message in (value, info, scan, transforms, PointField(count=3)):
         copy = deserialize_message(serialize_message(message), type(message))
         assert copy == message
-    again = deserialize_message(serialize_message(value), ParameterValue)
-    assert list(again.byte_array_value) == [b'\x01', b'\xff']
-    assert list(again.string_array_value) == ['', 'ß']
+    decoded = deserialize_message(serialize_message(value), ParameterValue)
+    assert list(decoded.byte_array_value) == [b'\x01', b'\xff']
+    assert list(decoded.string_array_value) == ['', 'ß']
 
 
-def test_types_by_name() -> None:
+def test_types_are_found_by_name() -> None:
     from rosidl_runtime_py.utilities import get_message, get_service
     from std_msgs.msg import String
     from std_srvs.srv import Trigger
@@ -130,7 +130,7 @@ def test_types_by_name() -> None:
         get_service('nothing')
 
 
-def test_messages_as_yaml_and_back(m) -> None:
+def test_messages_convert_to_yaml_and_back(m) -> None:
     from rosidl_runtime_py import message_to_ordereddict, message_to_yaml, set_message_fields
 
     odometry = m.Odometry(child_frame_id='base ü')
@@ -138,9 +138,9 @@ def test_messages_as_yaml_and_back(m) -> None:
     odometry.pose.covariance[3] = 0.5
     text = message_to_yaml(odometry)
     assert 'base ü' in text and text.startswith('header:\n  stamp:\n    sec: 4\n')
-    again = m.Odometry()
-    set_message_fields(again, yaml.safe_load(text))
-    assert again == odometry
+    restored = m.Odometry()
+    set_message_fields(restored, yaml.safe_load(text))
+    assert restored == odometry
     tree = message_to_ordereddict(odometry)
     assert list(tree) == ['header', 'child_frame_id', 'pose', 'twist']
     assert tree['pose']['pose']['position']['x'] == 2.5
@@ -149,12 +149,12 @@ def test_messages_as_yaml_and_back(m) -> None:
     assert plan.goal.pose.position == m.Point(x=1.0, y=2.0) and plan.tolerance == 1.0
     assert isinstance(plan.goal.pose.position.x, float)
     with pytest.raises(AttributeError):
-        set_message_fields(plan, {'gaol': {}})
+        set_message_fields(plan, {'unknown': {}})
     with pytest.raises((TypeError, ValueError)):
         set_message_fields(plan, {'tolerance': 'far'})
 
 
-def test_long_values_are_cut_off(m) -> None:
+def test_yaml_output_truncates_long_values(m) -> None:
     from rosidl_runtime_py import message_to_yaml
 
     image = m.Image(data=bytes(1000), encoding='x' * 50)
@@ -164,7 +164,7 @@ def test_long_values_are_cut_off(m) -> None:
     assert 'string length: <50>' in message_to_yaml(image, no_str=True)
 
 
-def test_lists_of_messages_from_plain_values() -> None:
+def test_message_lists_are_set_from_plain_values() -> None:
     from nav_msgs.msg import Path
     from rosidl_runtime_py import set_message_fields
 

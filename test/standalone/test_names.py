@@ -1,13 +1,13 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Names, remapping, and arguments that are wrong."""
+"""Names, remapping, and ROS arguments."""
 
 from pathlib import Path
 
 import pytest
 
 
-def test_names_in_full(ros, m) -> None:
+def test_relative_and_private_names_expand_to_full_names(ros, m) -> None:
     node = ros.node('n', namespace='/a/b')
     assert node.get_name() == 'n' and node.get_namespace() == '/a/b'
     assert node.get_fully_qualified_name() == '/a/b/n'
@@ -20,7 +20,7 @@ def test_names_in_full(ros, m) -> None:
     assert ros.node('root').get_namespace() == '/'
 
 
-def test_rules_of_the_command_line(make_ros, m) -> None:
+def test_remapping_rules_apply_to_topics_services_and_nodes(make_ros, m) -> None:
     ros = make_ros(
         '--ros-args', '-r', '__ns:=/robot', '-r', '__node:=renamed', '-r', 'image:=/camera/image',
         '--remap', 'odom:=wheels', '-r', '~/private:=public', '-r', 'rosservice://s:=service',
@@ -38,13 +38,13 @@ def test_rules_of_the_command_line(make_ros, m) -> None:
     assert node.create_publisher(m.String, 'image', 1).topic_name == '/camera/image'
 
 
-def test_rules_for_one_node(make_ros) -> None:
+def test_remapping_rule_with_node_name_affects_only_it(make_ros) -> None:
     ros = make_ros('--ros-args', '-r', 'a:x:=y', '-r', 'b:__ns:=/b')
     a, b = ros.node('a'), ros.node('b')
     assert (a.resolve_topic_name('x'), b.resolve_topic_name('x')) == ('/y', '/b/x')
 
 
-def test_arguments_of_one_node(make_ros) -> None:
+def test_node_arguments_take_precedence_over_global_ones(make_ros) -> None:
     ros = make_ros('--ros-args', '-r', 'x:=global', '-p', 'p:=1')
     node = ros.node('n', cli_args=['--ros-args', '-r', 'x:=own', '-p', 'p:=2'])
     assert node.resolve_topic_name('x') == '/own' and node.declare_parameter('p', 0).value == 2
@@ -52,7 +52,7 @@ def test_arguments_of_one_node(make_ros) -> None:
     assert alone.resolve_topic_name('x') == '/x' and alone.declare_parameter('p', 0).value == 0
 
 
-def test_names_that_ros_does_not_allow(ros, m) -> None:
+def test_invalid_names_are_rejected(ros, m) -> None:
     from rclpy.exceptions import (
         InvalidNamespaceException,
         InvalidNodeNameException,
@@ -80,7 +80,7 @@ def test_names_that_ros_does_not_allow(ros, m) -> None:
     ],
     ids=' '.join,
 )  # fmt: skip
-def test_wrong_arguments_raise(words: list[str]) -> None:
+def test_invalid_ros_arguments_are_rejected(words: list[str]) -> None:
     import rclpy
 
     with pytest.raises(RuntimeError):
@@ -88,7 +88,7 @@ def test_wrong_arguments_raise(words: list[str]) -> None:
     assert not rclpy.ok()
 
 
-def test_arguments_that_are_accepted(make_ros) -> None:
+def test_logging_and_non_ros_arguments_are_accepted(make_ros) -> None:
     make_ros(
         'prog', '-x', '--unknown', '--ros-args', '--log-level', 'info', '--log-level', 'a.b:=warn',
         '--disable-rosout-logs', '--enable-stdout-logs', '--disable-external-lib-logs', '--',
@@ -96,14 +96,14 @@ def test_arguments_that_are_accepted(make_ros) -> None:
     )  # fmt: skip
 
 
-def test_what_is_not_for_ros() -> None:
+def test_remove_ros_args_keeps_other_arguments() -> None:
     from rclpy.utilities import remove_ros_args
 
     words = ['prog', '-x', '--ros-args', '-p', 'a:=1', '--', 'rest', '--ros-args', '-r', 'a:=b']
     assert remove_ros_args(words) == ['prog', '-x', 'rest']
 
 
-def test_a_broken_file_is_refused(tmp_path: Path) -> None:
+def test_invalid_parameter_file_is_rejected(tmp_path: Path) -> None:
     import rclpy
 
     path = tmp_path / 'broken.yaml'

@@ -1,13 +1,13 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters: files, command lines, ranges, callbacks, and the services that show them."""
+"""Parameters: files, command lines, ranges, callbacks and parameter services."""
 
 from pathlib import Path
 
 import pytest
 
 
-def test_values_come_from_the_command_line_and_files(make_ros, tmp_path: Path) -> None:
+def test_overrides_from_files_and_command_line_are_merged(make_ros, tmp_path: Path) -> None:
     path = tmp_path / 'parameters.yaml'
     path.write_text(
         """
@@ -49,7 +49,7 @@ def test_values_come_from_the_command_line_and_files(make_ros, tmp_path: Path) -
     }  # fmt: skip
 
 
-def test_what_is_given_counts_more_than_the_default(make_ros) -> None:
+def test_overrides_replace_declared_defaults(make_ros) -> None:
     ros = make_ros('--ros-args', '-p', 'a:=5', '-p', 'b:=6')
     node = ros.node()
     assert node.declare_parameter('a', 1).value == 5
@@ -61,7 +61,7 @@ def test_what_is_given_counts_more_than_the_default(make_ros) -> None:
     assert {'a', 'b', 'c', 'use_sim_time'} <= set(node.get_parameters_by_prefix(''))
 
 
-def test_parameters_of_the_constructor_count_most(make_ros) -> None:
+def test_constructor_overrides_take_precedence_over_command_line(make_ros) -> None:
     from rclpy.parameter import Parameter
 
     ros = make_ros('--ros-args', '-p', 'a:=5')
@@ -69,7 +69,7 @@ def test_parameters_of_the_constructor_count_most(make_ros) -> None:
     assert node.declare_parameter('a', 1).value == 7
 
 
-def test_each_kind_of_value(ros) -> None:
+def test_parameter_type_follows_from_value(ros) -> None:
     from rclpy.parameter import Parameter
 
     node = ros.node()
@@ -86,15 +86,15 @@ def test_each_kind_of_value(ros) -> None:
         parameter = node.declare_parameter(name, value)
         assert (parameter.type_, parameter.value) == (kind, value)
         message = parameter.to_parameter_msg()
-        again = Parameter.from_parameter_msg(message).value
-        assert (list(again) if isinstance(value, list) else again) == value
+        decoded = Parameter.from_parameter_msg(message).value
+        assert (list(decoded) if isinstance(value, list) else decoded) == value
     with pytest.raises(TypeError):
         Parameter('x', value={'a': 1})
     with pytest.raises(ValueError, match='do not agree'):
         Parameter('x', Parameter.Type.INTEGER, 'text')
 
 
-def test_what_is_wrong_is_told(make_ros) -> None:
+def test_invalid_parameter_access_raises_specific_exceptions(make_ros) -> None:
     from rclpy.exceptions import (
         InvalidParameterTypeException,
         ParameterAlreadyDeclaredException,
@@ -108,9 +108,9 @@ def test_what_is_wrong_is_told(make_ros) -> None:
     with pytest.raises(ParameterAlreadyDeclaredException):
         node.declare_parameter('a', 2)
     with pytest.raises(ParameterNotDeclaredException):
-        node.get_parameter('nowhere')
+        node.get_parameter('unknown')
     with pytest.raises(ParameterNotDeclaredException):
-        node.set_parameters([Parameter('nowhere', value=1)])
+        node.set_parameters([Parameter('unknown', value=1)])
     with pytest.raises(InvalidParameterTypeException):
         node.declare_parameter('kind', 1)
     node.declare_parameter('later', Parameter.Type.INTEGER)
@@ -126,7 +126,7 @@ def descriptor(**fields):
     return ParameterDescriptor(**fields)
 
 
-def test_descriptors_are_enforced(ros) -> None:
+def test_descriptor_ranges_types_and_read_only_are_enforced(ros) -> None:
     from rcl_interfaces.msg import FloatingPointRange, IntegerRange
     from rclpy.exceptions import InvalidParameterValueException, ParameterImmutableException
     from rclpy.parameter import Parameter
@@ -159,31 +159,31 @@ def test_descriptors_are_enforced(ros) -> None:
     assert not node.has_parameter('i')
 
 
-def test_callbacks_may_refuse_and_are_told(ros) -> None:
+def test_set_callbacks_can_reject_and_observe_changes(ros) -> None:
     from rcl_interfaces.msg import SetParametersResult
     from rclpy.parameter import Parameter
 
-    node, told = ros.node(), []
+    node, observed = ros.node(), []
     node.declare_parameter('a', 1)
     node.declare_parameter('b', 1)
 
-    def judge(parameters):
+    def reject_large(parameters):
         return SetParametersResult(successful=all(p.value < 5 for p in parameters), reason='big')
 
-    node.add_on_set_parameters_callback(judge)
-    node.add_post_set_parameters_callback(lambda ps: told.append([p.name for p in ps]))
+    node.add_on_set_parameters_callback(reject_large)
+    node.add_post_set_parameters_callback(lambda ps: observed.append([p.name for p in ps]))
     both = [Parameter('a', value=2), Parameter('b', value=9)]
     result = node.set_parameters_atomically(both)
     assert (result.successful, result.reason) == (False, 'big')
     assert node.get_parameter('a').value == 1
     assert [r.successful for r in node.set_parameters(both)] == [True, False]
-    assert told == [['a']]
-    node.remove_on_set_parameters_callback(judge)
+    assert observed == [['a']]
+    node.remove_on_set_parameters_callback(reject_large)
     assert node.set_parameters_atomically(both).successful
     assert node.get_parameter('b').value == 9
 
 
-def test_undeclared_ones_may_be_allowed(ros) -> None:
+def test_undeclared_parameters_are_accessible_if_allowed(ros) -> None:
     from rclpy.parameter import Parameter
 
     node = ros.node(allow_undeclared_parameters=True)
@@ -193,7 +193,7 @@ def test_undeclared_ones_may_be_allowed(ros) -> None:
     assert node.get_parameter_or('y', Parameter('y', value=2)).value == 2
 
 
-def test_other_nodes_see_and_set_them(ros) -> None:
+def test_parameter_services_let_other_nodes_read_and_set(ros) -> None:
     from rcl_interfaces.msg import Parameter, ParameterEvent, ParameterValue
     from rcl_interfaces.srv import (
         DescribeParameters,
@@ -208,50 +208,51 @@ def test_other_nodes_see_and_set_them(ros) -> None:
     node.declare_parameter('a', 1)
     node.declare_parameter('deep.b', 'text', descriptor(read_only=True, description='why'))
 
-    def note(event):
+    def collect(event):
         if event.node == '/node':
             events.append(event)
 
-    other.create_subscription(ParameterEvent, '/parameter_events', note, 10)
+    other.create_subscription(ParameterEvent, '/parameter_events', collect, 10)
     ros.until(lambda: other.count_publishers('/parameter_events') >= 2)
     ros.spin()
 
-    def ask(kind, name, **fields):
+    def call(kind, name, **fields):
         return ros.call(other.create_client(kind, f'/node/{name}'), kind.Request(**fields))
 
-    listed = ask(ListParameters, 'list_parameters').result
+    listed = call(ListParameters, 'list_parameters').result
     assert {'a', 'deep.b', 'use_sim_time'} <= set(listed.names) and 'deep' in listed.prefixes
-    assert ask(ListParameters, 'list_parameters', prefixes=['deep']).result.names == ['deep.b']
-    values = ask(GetParameters, 'get_parameters', names=['a', 'deep.b']).values
+    assert call(ListParameters, 'list_parameters', prefixes=['deep']).result.names == ['deep.b']
+    values = call(GetParameters, 'get_parameters', names=['a', 'deep.b']).values
     assert (values[0].integer_value, values[1].string_value) == (1, 'text')
-    assert list(ask(GetParameters, 'get_parameters', names=['nowhere']).values) == []
-    assert list(ask(GetParameterTypes, 'get_parameter_types', names=['a', 'deep.b']).types) == [
+    assert list(call(GetParameters, 'get_parameters', names=['unknown']).values) == []
+    assert list(call(GetParameterTypes, 'get_parameter_types', names=['a', 'deep.b']).types) == [
         2,
         4,
     ]
-    described = ask(DescribeParameters, 'describe_parameters', names=['deep.b']).descriptors[0]
+    described = call(DescribeParameters, 'describe_parameters', names=['deep.b']).descriptors[0]
     assert (described.name, described.description, described.read_only) == ('deep.b', 'why', True)
     new = Parameter(name='a', value=ParameterValue(type=2, integer_value=5))
-    wrong = Parameter(name='deep.b', value=ParameterValue(type=4, string_value='x'))
-    unknown = Parameter(name='nowhere', value=ParameterValue(type=4, string_value='x'))
-    results = ask(SetParameters, 'set_parameters', parameters=[new, wrong, unknown]).results
+    read_only = Parameter(name='deep.b', value=ParameterValue(type=4, string_value='x'))
+    undeclared = Parameter(name='unknown', value=ParameterValue(type=4, string_value='x'))
+    parameters = [new, read_only, undeclared]
+    results = call(SetParameters, 'set_parameters', parameters=parameters).results
     assert [result.successful for result in results] == [True, False, False]
     assert node.get_parameter('a').value == 5
     changed = ros.until(lambda: [e for e in events if e.changed_parameters])[0]
     assert changed.changed_parameters[0].value.integer_value == 5
     assert changed.stamp.sec > 0
-    result = ask(
-        SetParametersAtomically, 'set_parameters_atomically', parameters=[new, wrong]
+    result = call(
+        SetParametersAtomically, 'set_parameters_atomically', parameters=[new, read_only]
     ).result
     assert not result.successful and result.reason
 
 
-def test_a_node_may_go_without_services(ros) -> None:
+def test_node_without_parameter_services_has_none(ros) -> None:
     node = ros.node('quiet', start_parameter_services=False, enable_rosout=False)
     assert not [service for service in node.services if 'parameter' in service.srv_name]
 
 
-def test_a_node_that_cannot_be_made_leaves_nothing_behind(make_ros) -> None:
+def test_failed_node_creation_leaves_no_node_in_graph(make_ros) -> None:
     ros = make_ros('--ros-args', '-p', 'use_sim_time:=perhaps')
     with pytest.raises(Exception, match='use_sim_time'):
         ros.node('wrong')

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Services: answers reach whoever asked, in this process and in others."""
+"""Services and clients in one process and in several processes."""
 
 import threading
 import time
@@ -8,34 +8,34 @@ import time
 import pytest
 
 
-def doubling(node, m, name='double'):
-    def answer(request, response):
+def create_echo_service(node, m, name='echo'):
+    def respond(request, response):
         response.success = request.data
         response.message = str(request.data)
         return response
 
-    return node.create_service(m.SetBool, name, answer)
+    return node.create_service(m.SetBool, name, respond)
 
 
-def test_a_request_is_answered(ros, m) -> None:
+def test_client_receives_response_to_each_request(ros, m) -> None:
     node = ros.node()
-    doubling(node, m)
-    client = node.create_client(m.SetBool, 'double')
+    create_echo_service(node, m)
+    client = node.create_client(m.SetBool, 'echo')
     assert ros.call(client, m.SetBool.Request(data=True)).message == 'True'
-    answer = ros.call(client, m.SetBool.Request(data=False))
-    assert (answer.success, answer.message) == (False, 'False')
-    assert client.srv_name == 'double'
+    response = ros.call(client, m.SetBool.Request(data=False))
+    assert (response.success, response.message) == (False, 'False')
+    assert client.srv_name == 'echo'
 
 
-def test_no_server_no_service(ros, m) -> None:
-    client = ros.node().create_client(m.Trigger, 'nowhere')
+def test_wait_for_service_without_server_times_out(ros, m) -> None:
+    client = ros.node().create_client(m.Trigger, 'missing')
     assert not client.service_is_ready()
     start_s = time.monotonic()
     assert not client.wait_for_service(timeout_sec=0.3)
     assert time.monotonic() - start_s < 5.0
 
 
-def test_a_message_with_messages_in_it(ros, m) -> None:
+def test_service_with_nested_messages_returns_response(ros, m) -> None:
     node = ros.node()
 
     def plan(request, response):
@@ -47,31 +47,31 @@ def test_a_message_with_messages_in_it(ros, m) -> None:
     client = node.create_client(m.GetPlan, 'plan')
     request = m.GetPlan.Request(tolerance=0.5)
     request.goal.pose.position.x = 4.0
-    answer = ros.call(client, request)
-    assert [pose.pose.position.x for pose in answer.plan.poses] == [0.0, 4.0, 4.0]
-    assert answer.plan.header.frame_id == 'map'
+    response = ros.call(client, request)
+    assert [pose.pose.position.x for pose in response.plan.poses] == [0.0, 4.0, 4.0]
+    assert response.plan.header.frame_id == 'map'
 
 
-def test_an_empty_request_and_answer(ros, m) -> None:
+def test_service_with_empty_messages_returns_response(ros, m) -> None:
     node = ros.node()
     node.create_service(m.Empty, 'nothing', lambda request, response: response)
-    answer = ros.call(node.create_client(m.Empty, 'nothing'), m.Empty.Request())
-    assert answer == m.Empty.Response()
+    response = ros.call(node.create_client(m.Empty, 'nothing'), m.Empty.Request())
+    assert response == m.Empty.Response()
 
 
-def test_each_of_two_clients_gets_its_own_answers(ros, m) -> None:
+def test_two_clients_receive_only_their_own_responses(ros, m) -> None:
     server = ros.node('server')
-    doubling(server, m)
-    clients = [ros.node(f'client_{i}').create_client(m.SetBool, 'double') for i in range(2)]
+    create_echo_service(server, m)
+    clients = [ros.node(f'client_{i}').create_client(m.SetBool, 'echo') for i in range(2)]
     for client in clients:
         assert client.wait_for_service(timeout_sec=10.0)
     futures = [
         (bool((i + k) % 2), client.call_async(m.SetBool.Request(data=bool((i + k) % 2))))
-        for i in range(4)  # the queue holds ten
+        for i in range(4)  # within the queue depth of 10
         for k, client in enumerate(clients)
     ]
     ros.until(lambda: all(future.done() for _, future in futures))
-    assert all(future.result().success == wanted for wanted, future in futures)
+    assert all(future.result().success == expected for expected, future in futures)
 
 
 CALL = """
@@ -80,10 +80,10 @@ import rclpy
 from std_srvs.srv import SetBool
 rclpy.init(args=[])
 node = rclpy.create_node('caller')
-client = node.create_client(SetBool, 'double')
+client = node.create_client(SetBool, 'echo')
 assert client.wait_for_service(timeout_sec=20.0)
 for data in (True, False) * 10:
-    for _ in range(5):  # a server under load may answer the first one before it knows who asks
+    for _ in range(5):  # the response is dropped if the server has not discovered the client
         future = client.call_async(SetBool.Request(data=data))
         rclpy.spin_until_future_complete(node, future, timeout_sec=5.0)
         if future.done():
@@ -95,9 +95,9 @@ rclpy.shutdown()
 """
 
 
-def test_two_other_processes_get_their_own_answers(ros, m, child) -> None:
-    doubling(ros.node(), m)
-    callers = [child(CALL) for _ in range(2)]
+def test_clients_in_two_processes_receive_their_own_responses(ros, m, start_process) -> None:
+    create_echo_service(ros.node(), m)
+    callers = [start_process(CALL) for _ in range(2)]
     ros.until(lambda: all(caller.poll() is not None for caller in callers), 40.0)
     for caller in callers:
         out, err = caller.communicate()
@@ -114,44 +114,44 @@ rclpy.spin(node)
 """
 
 
-def test_a_server_in_another_process(ros, m, child) -> None:
+def test_server_in_another_process_responds(ros, m, start_process) -> None:
     client = ros.node().create_client(m.Trigger, 'there')
-    server = child(SERVE)
+    server = start_process(SERVE)
     assert ros.call(client, m.Trigger.Request()) == m.Trigger.Response(success=True, message='ü')
     server.kill()
     server.wait()
 
 
-def test_a_call_may_block_a_thread_while_another_spins(ros, m) -> None:
+def test_blocking_call_returns_while_another_thread_spins(ros, m) -> None:
     node = ros.node()
-    doubling(node, m)
-    client = node.create_client(m.SetBool, 'double')
+    create_echo_service(node, m)
+    client = node.create_client(m.SetBool, 'echo')
     assert client.wait_for_service(timeout_sec=10.0)
-    answers = []
+    responses = []
 
     def call() -> None:
-        answers.append(client.call(m.SetBool.Request(data=True)))
+        responses.append(client.call(m.SetBool.Request(data=True)))
 
     thread = threading.Thread(target=call)
     thread.start()
-    ros.until(lambda: answers)
+    ros.until(lambda: responses)
     thread.join()
-    assert answers[0].success
+    assert responses[0].success
 
 
-def test_what_is_no_request_is_refused(ros, m) -> None:
-    client = ros.node().create_client(m.SetBool, 'double')
+def test_request_of_wrong_type_is_rejected(ros, m) -> None:
+    client = ros.node().create_client(m.SetBool, 'echo')
     with pytest.raises(TypeError):
         client.call_async(m.Trigger.Request())
 
 
-def test_a_future_calls_back_and_can_be_asked(ros, m) -> None:
-    node, told = ros.node(), []
-    doubling(node, m)
-    client = node.create_client(m.SetBool, 'double')
+def test_future_runs_callback_when_response_arrives(ros, m) -> None:
+    node, results = ros.node(), []
+    create_echo_service(node, m)
+    client = node.create_client(m.SetBool, 'echo')
     assert client.wait_for_service(timeout_sec=10.0)
     future = client.call_async(m.SetBool.Request(data=True))
-    future.add_done_callback(lambda done: told.append(done.result().success))
+    future.add_done_callback(lambda done: results.append(done.result().success))
     assert not future.done() and future.result() is None
-    ros.until(lambda: told)
-    assert told == [True] and future.done() and not future.cancelled()
+    ros.until(lambda: results)
+    assert results == [True] and future.done() and not future.cancelled()

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The end: signals, shutdown, and processes that must not hang."""
+"""Initialisation, signals, shutdown, and clean exit of processes."""
 
 import signal
 import time
@@ -20,7 +20,7 @@ publisher = node.create_publisher(String, 'chat', 10)
 node.create_timer(0.05, lambda: publisher.publish(String(data='x')))
 node.create_subscription(String, 'chat', lambda m: None, 10)
 print('ready')
-how = 'returned'
+outcome = 'returned'
 try:
     if sys.argv[1] == 'rclpy':
         rclpy.spin(node)
@@ -29,33 +29,33 @@ try:
         executor.add_node(node)
         executor.spin()
 except KeyboardInterrupt:
-    how = 'KeyboardInterrupt'
+    outcome = 'KeyboardInterrupt'
 except ExternalShutdownException:
-    how = 'ExternalShutdownException'
+    outcome = 'ExternalShutdownException'
 except RuntimeError as error:
-    how = type(error).__name__
+    outcome = type(error).__name__
 finally:
     node.destroy_node()
     rclpy.try_shutdown()
-print(how, rclpy.ok())
+print(outcome, rclpy.ok())
 """
 
 
-@pytest.mark.parametrize('way', ['rclpy', 'executor'])
+@pytest.mark.parametrize('spin_with', ['rclpy', 'executor'])
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM], ids=lambda n: n.name)
-def test_a_signal_ends_spinning(child, number, way) -> None:
-    process = child(SPIN, way)
+def test_signal_ends_spinning(start_process, number, spin_with) -> None:
+    process = start_process(SPIN, spin_with)
     assert process.stdout.readline() == 'ready\n', process.stderr.read()
     time.sleep(0.2)
     process.send_signal(number)
     out, err = process.communicate(timeout=20.0)
     assert process.returncode == 0, err
-    how, ok = out.split()
+    outcome, ok = out.split()
     if number == signal.SIGINT:
-        assert how == 'KeyboardInterrupt'
+        assert outcome == 'KeyboardInterrupt'
     else:
-        # Between two waits, rclpy can also stumble over the context that is gone.
-        assert how in (
+        # rclpy can raise RCLError if the context is shut down between two waits.
+        assert outcome in (
             'ExternalShutdownException',
             'returned',
             *(() if IS_STAND_IN else ('RCLError',)),
@@ -67,12 +67,12 @@ NO_HANDLERS = """
 import signal
 import rclpy
 from rclpy.signals import SignalHandlerOptions
-asked = []
-signal.signal(signal.SIGTERM, lambda *_: asked.append(1))
+signals = []
+signal.signal(signal.SIGTERM, lambda *_: signals.append(1))
 rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
 node = rclpy.create_node('own')
 print('ready')
-while not asked:
+while not signals:
     rclpy.spin_once(node, timeout_sec=0.1)
 assert rclpy.ok()
 node.destroy_node()
@@ -80,8 +80,8 @@ rclpy.shutdown()
 """
 
 
-def test_a_program_may_handle_signals_itself(child) -> None:
-    process = child(NO_HANDLERS)
+def test_own_signal_handler_is_kept_without_rclpy_handlers(start_process) -> None:
+    process = start_process(NO_HANDLERS)
     assert process.stdout.readline() == 'ready\n', process.stderr.read()
     process.send_signal(signal.SIGTERM)
     _, err = process.communicate(timeout=20.0)
@@ -92,7 +92,7 @@ LEFT_OPEN = """
 import rclpy
 from std_msgs.msg import String
 rclpy.init(args=[])
-node = rclpy.create_node('careless')
+node = rclpy.create_node('left_open')
 publisher = node.create_publisher(String, 'chat', 10)
 node.create_subscription(String, 'chat', print, 10)
 publisher.publish(String(data='x'))
@@ -101,14 +101,14 @@ rclpy.spin_once(node, timeout_sec=0.1)
 
 
 @pytest.mark.parametrize('end', ['', 'rclpy.shutdown()', 'node.destroy_node()', 'del node'])
-def test_nothing_hangs_that_is_left_open(child, end) -> None:
-    process = child(LEFT_OPEN + end)
+def test_process_exits_with_entities_left_open(start_process, end) -> None:
+    process = start_process(LEFT_OPEN + end)
     _, err = process.communicate(timeout=20.0)
     assert (process.returncode, err) == (0, '')
 
 
-def test_shutdown_wakes_who_spins_in_another_thread(child) -> None:
-    process = child("""
+def test_shutdown_ends_spinning_in_another_thread(start_process) -> None:
+    process = start_process("""
 import threading, time
 import rclpy
 from rclpy.executors import ExternalShutdownException
@@ -133,7 +133,7 @@ node.destroy_node()
     assert (process.returncode, err) == (0, '')
 
 
-def test_init_and_shutdown_any_number_of_times() -> None:
+def test_init_and_shutdown_can_be_repeated() -> None:
     import rclpy
 
     for _ in range(3):
@@ -151,7 +151,7 @@ def test_init_and_shutdown_any_number_of_times() -> None:
     rclpy.try_shutdown()
 
 
-def test_without_init_there_are_no_nodes() -> None:
+def test_create_node_without_init_raises() -> None:
     import rclpy
     from rclpy.exceptions import NotInitializedException
 
@@ -159,7 +159,7 @@ def test_without_init_there_are_no_nodes() -> None:
         rclpy.create_node('n')
 
 
-def test_a_context_of_ones_own() -> None:
+def test_nodes_of_separate_contexts_exchange_messages() -> None:
     import rclpy
     from rclpy.context import Context
     from rclpy.executors import SingleThreadedExecutor
@@ -169,17 +169,17 @@ def test_a_context_of_ones_own() -> None:
     rclpy.init(args=[], context=a)
     rclpy.init(args=[], context=b)
     assert not rclpy.ok() and rclpy.ok(context=a)
-    sender, taker = rclpy.create_node('s', context=a), rclpy.create_node('t', context=b)
-    publisher, got = sender.create_publisher(String, 'chat', 1), []
-    taker.create_subscription(String, 'chat', got.append, 1)
+    sender, receiver = rclpy.create_node('s', context=a), rclpy.create_node('t', context=b)
+    publisher, received = sender.create_publisher(String, 'chat', 1), []
+    receiver.create_subscription(String, 'chat', received.append, 1)
     executor = SingleThreadedExecutor(context=b)
-    executor.add_node(taker)
+    executor.add_node(receiver)
     end_s = time.monotonic() + 20.0
-    while not got and time.monotonic() < end_s:
+    while not received and time.monotonic() < end_s:
         publisher.publish(String(data='x'))
         executor.spin_once(timeout_sec=0.1)
-    assert got
+    assert received
     executor.shutdown()
-    for node, context in ((sender, a), (taker, b)):
+    for node, context in ((sender, a), (receiver, b)):
         node.destroy_node()
         rclpy.shutdown(context=context)

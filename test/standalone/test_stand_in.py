@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What only the stand-in does: keeping out of the way, and saying what it does not offer."""
+"""Behaviour specific to the stand-in: installation, unsupported features, encoding."""
 
 import re
 import subprocess
@@ -14,7 +14,7 @@ from contract import IS_STAND_IN, ROOT
 pytestmark = pytest.mark.skipif(not IS_STAND_IN, reason='the real rclpy is installed')
 
 
-def python(code: str, path: Path | None = None) -> str:
+def run_python(code: str, path: Path | None = None) -> str:
     run = subprocess.run(
         [sys.executable, '-c', code],
         capture_output=True,
@@ -26,7 +26,7 @@ def python(code: str, path: Path | None = None) -> str:
     return run.stdout.strip()
 
 
-def test_a_real_rclpy_is_never_shadowed(tmp_path: Path) -> None:
+def test_install_with_real_rclpy_changes_nothing(tmp_path: Path) -> None:
     (tmp_path / 'rclpy.py').write_text('NAME = "real"\n', encoding='utf-8')
     code = (
         'from ratslam_ros.standalone import install\n'
@@ -36,10 +36,10 @@ def test_a_real_rclpy_is_never_shadowed(tmp_path: Path) -> None:
         'import rclpy\n'
         'print(rclpy.NAME, "cyclonedds" in sys.modules)\n'
     )
-    assert python(code, tmp_path) == 'False True\nreal False'
+    assert run_python(code, tmp_path) == 'False True\nreal False'
 
 
-def test_without_rclpy_the_stand_in_is_used_from_then_on() -> None:
+def test_install_without_rclpy_adds_finder_once() -> None:
     code = (
         'from ratslam_ros.standalone import install\n'
         'import sys\n'
@@ -51,10 +51,10 @@ def test_without_rclpy_the_stand_in_is_used_from_then_on() -> None:
         'import rclpy, rclpy.node\n'
         'print(sum("ratslam" in type(f).__module__ for f in sys.meta_path))\n'
     )
-    assert python(code) == 'none\nTrue True\n1'
+    assert run_python(code) == 'none\nTrue True\n1'
 
 
-def test_without_cyclonedds_it_says_what_is_needed() -> None:
+def test_install_without_cyclonedds_reports_requirements() -> None:
     code = (
         'import sys\n'
         'sys.modules["cyclonedds"] = None\n'
@@ -64,20 +64,20 @@ def test_without_cyclonedds_it_says_what_is_needed() -> None:
         'except StandaloneUnavailable as error:\n'
         '    print(error)\n'
     )
-    told = python(code)
-    assert 'ROS 2' in told and 'cyclonedds' in told and 'aarch64' in told
+    message = run_python(code)
+    assert 'ROS 2' in message and 'cyclonedds' in message and 'aarch64' in message
 
 
 @pytest.mark.parametrize(
     'name', ['rclpy.action', 'rclpy.lifecycle', 'rclpy.wait_for_message', 'rosidl_runtime_py.get']
 )
-def test_modules_that_are_not_offered_say_so(name: str) -> None:
+def test_importing_unsupported_module_raises(name: str) -> None:
     with pytest.raises(NotImplementedError, match=re.escape(name)) as error:
         __import__(name)
     assert isinstance(error.value, ImportError)
 
 
-def test_names_that_are_not_offered_say_so() -> None:
+def test_accessing_unknown_names_raises() -> None:
     import rclpy
     import std_msgs.msg
 
@@ -92,14 +92,14 @@ def test_names_that_are_not_offered_say_so() -> None:
         import std_msgs.action
 
 
-def test_several_threads_are_not_offered(ros) -> None:
+def test_multi_threaded_executor_is_rejected(ros) -> None:
     from rclpy.executors import MultiThreadedExecutor
 
     with pytest.raises(NotImplementedError, match='SingleThreadedExecutor'):
         MultiThreadedExecutor()
 
 
-def test_qualities_of_service_that_are_not_offered_say_so(ros, m) -> None:
+def test_unsupported_qos_settings_are_rejected(ros, m) -> None:
     from rclpy.duration import Duration
     from rclpy.event_handler import SubscriptionEventCallbacks
     from rclpy.qos import LivelinessPolicy, QoSProfile, ReliabilityPolicy
@@ -117,7 +117,7 @@ def test_qualities_of_service_that_are_not_offered_say_so(ros, m) -> None:
         SubscriptionEventCallbacks(deadline=print)
 
 
-def test_coroutines_are_not_offered(ros, m) -> None:
+def test_coroutine_callbacks_are_rejected(ros, m) -> None:
     async def callback(msg) -> None: ...
 
     with pytest.raises(NotImplementedError):
@@ -125,7 +125,7 @@ def test_coroutines_are_not_offered(ros, m) -> None:
 
 
 @pytest.mark.parametrize(
-    ('make', 'told'),
+    ('make', 'message'),
     [
         (lambda m: m.String(data=3), 'std_msgs/msg/String.data: expected string, not int 3'),
         (lambda m: m.Point(x=1), r'Point.x: expected double, not int 1'),
@@ -136,48 +136,48 @@ def test_coroutines_are_not_offered(ros, m) -> None:
             lambda m: m.PoseStamped(pose=m.Point()),
             r'PoseStamped.pose: expected geometry_msgs/Pose',
         ),
-        (lambda m: m.GetPlan.Response(plan=None) and wrong_list(m), r'Path.poses'),
+        (lambda m: m.GetPlan.Response(plan=None) and path_of_points(m), r'Path.poses'),
     ],
 )
-def test_what_does_not_fit_is_told_before_it_is_sent(m, make, told) -> None:
+def test_serialising_invalid_field_raises_type_error(m, make, message) -> None:
     from rclpy.serialization import serialize_message
 
-    with pytest.raises(TypeError, match=told):
+    with pytest.raises(TypeError, match=message):
         serialize_message(make(m))
     assert serialize_message(m.Point(x=np.float64(1.0))) and serialize_message(
         m.Image(height=np.int64(3))
     )
 
 
-def wrong_list(m):
+def path_of_points(m):
     from nav_msgs.msg import Path
 
     return Path(poses=[m.Point()])
 
 
-def test_every_message_that_is_known_can_be_sent() -> None:
-    from ratslam_ros.standalone import types
+def test_every_known_type_survives_encoding() -> None:
+    from ratslam_ros.standalone import definitions, types
 
-    number = 0
-    for package in types.packages():
-        for name in types.names_in(package, 'msg'):
+    type_count = 0
+    for package in definitions.packages():
+        for name in definitions.names_in(package, 'msg'):
             kind = types.message_class(f'{package}/msg/{name}')
             assert types.decode(types.encode(kind()), kind) == kind()
-            assert types.type_hash(f'{package}/msg/{name}').startswith('RIHS01_')
-            number += 1
-        for name in types.names_in(package, 'srv'):
+            assert definitions.type_hash(f'{package}/msg/{name}').startswith('RIHS01_')
+            type_count += 1
+        for name in definitions.names_in(package, 'srv'):
             kind = types.service_class(f'{package}/srv/{name}')
             assert (
                 types.decode(types.encode(kind.Request(), 16), kind.Request, 16) == kind.Request()
             )
-    assert number > 150
+    assert type_count > 150
 
 
-def test_what_is_no_message_is_refused() -> None:
+def test_decoding_invalid_bytes_raises_value_error() -> None:
     from ratslam_ros.standalone import types
 
     kind = types.message_class('std_msgs/msg/String')
-    good = bytes(types.encode(kind(data='hello')))
-    for data in (b'', b'\0\1', good[:8], b'\7\7\7\7' + good[4:], good[:4] + b'\xff' * 8):
+    valid = bytes(types.encode(kind(data='hello')))
+    for data in (b'', b'\0\1', valid[:8], b'\7\7\7\7' + valid[4:], valid[:4] + b'\xff' * 8):
         with pytest.raises(ValueError):
             types.decode(data, kind)

@@ -1,30 +1,30 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Timers, clocks, and time that somebody else makes."""
+"""Timers, clocks, times, and simulated time."""
 
 import time
 
 import pytest
 
 
-def test_a_timer_calls_again_and_again_until_it_is_cancelled(ros) -> None:
+def test_timer_runs_periodically_until_cancelled(ros) -> None:
     node, called = ros.node(), []
     timer = node.create_timer(0.01, lambda: called.append(time.monotonic()))
     ros.until(lambda: len(called) >= 5)
     assert called[4] - called[0] >= 0.03
     timer.cancel()
     assert timer.is_canceled()
-    number = len(called)
+    count = len(called)
     ros.spin(0.05)
-    assert len(called) == number
+    assert len(called) == count
     timer.reset()
     assert not timer.is_canceled() and timer.time_until_next_call() <= 10_000_000
-    ros.until(lambda: len(called) > number)
+    ros.until(lambda: len(called) > count)
     node.destroy_timer(timer)
     assert list(node.timers) == []
 
 
-def test_missed_periods_are_left_out(ros) -> None:
+def test_timer_skips_missed_periods(ros) -> None:
     node, called = ros.node(), []
     node.create_timer(0.02, lambda: called.append(1))
     time.sleep(0.3)
@@ -33,7 +33,7 @@ def test_missed_periods_are_left_out(ros) -> None:
     assert len(called) <= 2
 
 
-def test_spinning_once_runs_one_callback_or_waits(ros) -> None:
+def test_spin_once_runs_one_callback_or_times_out(ros) -> None:
     node, called = ros.node(), []
     start_s = time.monotonic()
     ros.executor.spin_once(timeout_sec=0.2)
@@ -43,7 +43,7 @@ def test_spinning_once_runs_one_callback_or_waits(ros) -> None:
     assert called == [1]
 
 
-def test_an_exception_in_a_callback_comes_out(ros) -> None:
+def test_exception_in_callback_propagates_from_spin(ros) -> None:
     node = ros.node()
 
     def fail() -> None:
@@ -54,7 +54,7 @@ def test_an_exception_in_a_callback_comes_out(ros) -> None:
         ros.until(lambda: False)
 
 
-def test_times_and_durations() -> None:
+def test_time_and_duration_arithmetic() -> None:
     from builtin_interfaces.msg import Time as TimeMessage
     from rclpy.clock import Clock, ClockType
     from rclpy.duration import Duration
@@ -76,22 +76,22 @@ def test_times_and_durations() -> None:
     assert abs(Clock().now().nanoseconds - time.time_ns()) < 10e9
 
 
-class Player:
-    """Publishes /clock."""
+class ClockPublisher:
+    """Publisher of /clock."""
 
     def __init__(self, ros) -> None:
         from rosgraph_msgs.msg import Clock
 
         self._clock = Clock
-        self._publisher = ros.node('player').create_publisher(Clock, '/clock', 10)
+        self._publisher = ros.node('clock_publisher').create_publisher(Clock, '/clock', 10)
 
-    def say(self, seconds: float) -> None:
+    def publish(self, seconds: float) -> None:
         message = self._clock()
         message.clock.sec = int(seconds)
         message.clock.nanosec = round(seconds % 1 * 1e9)
         self._publisher.publish(message)
 
-    def ready(self) -> bool:
+    def is_matched(self) -> bool:
         return self._publisher.get_subscription_count() > 0
 
 
@@ -99,13 +99,13 @@ def now_s(node) -> float:
     return node.get_clock().now().nanoseconds / 1e9
 
 
-def test_a_node_can_follow_simulated_time(make_ros) -> None:
+def test_clock_timers_and_jumps_follow_simulated_time(make_ros) -> None:
     from rclpy.clock import Clock, ClockType, JumpThreshold
     from rclpy.duration import Duration
 
     ros = make_ros('--ros-args', '-p', 'use_sim_time:=true')
     node, called, steady, jumps = ros.node(), [], [], []
-    player = Player(ros)
+    clock = ClockPublisher(ros)
     assert now_s(node) == 0.0 and node.get_clock().ros_time_is_active
     node.create_timer(1.0, lambda: called.append(now_s(node)))
     node.create_timer(
@@ -118,34 +118,34 @@ def test_a_node_can_follow_simulated_time(make_ros) -> None:
     handle = node.get_clock().create_jump_callback(
         threshold, pre_callback=lambda: before.append(1), post_callback=jumps.append
     )
-    ros.until(player.ready)
+    ros.until(clock.is_matched)
     ros.spin(0.1)
     assert called == [] and steady
-    player.say(10.0)
+    clock.publish(10.0)
     ros.until(lambda: now_s(node) == 10.0)
     ros.until(lambda: called == [10.0])
-    player.say(10.5)
+    clock.publish(10.5)
     ros.until(lambda: now_s(node) == 10.5)
     ros.spin(0.05)
     assert called == [10.0] and jumps == []
-    player.say(11.2)
+    clock.publish(11.2)
     ros.until(lambda: called == [10.0, 11.2])
-    player.say(100.0)
+    clock.publish(100.0)
     ros.until(lambda: len(jumps) == 1)
     assert jumps[0].delta.nanoseconds == 88_800_000_000 and before == [1]
     ros.until(lambda: called == [10.0, 11.2, 100.0])
-    player.say(3.0)
+    clock.publish(3.0)
     ros.until(lambda: len(jumps) == 2)
     assert jumps[1].delta.nanoseconds == -97_000_000_000
-    player.say(4.5)
+    clock.publish(4.5)
     ros.until(lambda: called == [10.0, 11.2, 100.0, 4.5])
     handle.unregister()
-    player.say(1.0)
+    clock.publish(1.0)
     ros.until(lambda: now_s(node) == 1.0)
     assert len(jumps) == 2
 
 
-def test_simulated_time_can_be_switched_on_and_off(ros) -> None:
+def test_use_sim_time_parameter_switches_clock(ros) -> None:
     from rclpy.clock import ClockChange, JumpThreshold
     from rclpy.parameter import Parameter
 
@@ -163,7 +163,7 @@ def test_simulated_time_can_be_switched_on_and_off(ros) -> None:
     handle.unregister()
 
 
-def test_thresholds_that_say_nothing_are_refused() -> None:
+def test_invalid_jump_thresholds_are_rejected() -> None:
     from rclpy.clock import JumpThreshold
     from rclpy.duration import Duration
 

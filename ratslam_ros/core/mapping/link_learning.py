@@ -1,48 +1,99 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Adaptation: how often transitions were made and failed -> the links to be unlearned.
+"""Link learning: which links are unlearned, from how often they were driven and failed.
 
-Seed 000, section III.D. Two things are a failed try of the transition that a link stands for:
+Milford, Wyeth and Prasser (2006), section III.D. Two events are a failed attempt of a link:
 
-- Its behaviour led from its source to another experience. Places that take turns do so all the
-  time, so this counts for little: a link is in question only once its behaviour has led elsewhere
-  ``exp_min_tries`` times on end, and stays where no other links soon lead round it.
-- A behaviour timed out before it: something stands there. Here what was long ago says little, so
-  a link that was made many times counts as made ``exp_recent_tries`` times.
+- Its behaviour led from its source to another experience. At places that are recognised
+  alternately this is frequent, so it counts little: a link is unlearned only after its behaviour
+  led elsewhere ``exp_min_tries`` times in a row, and only if other links form a short detour.
+- A behaviour timed out in front of it, because something blocks the way. Old successes say little
+  about that, so a link driven many times counts as driven ``exp_recent_tries`` times.
 
-Both are counted from when the link was last made: a transition that is made again is possible.
+Both counts start when the link was last driven: a transition that succeeded is possible.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.compiled import compiled
+from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import ExperienceMapParameters
+from ratslam_ros.core.mapping.links import Links
 
 ELSEWHERE, TIMED_OUT = 0, 1
-"""Columns of a link's failures."""
+"""Columns of a link's failure counts."""
 
-AHEAD_M = 0.2
-"""What a blocked transition leads to lies at least this far ahead of the robot."""
+LEAST_AHEAD_M = 0.2
+"""Least distance ahead of the robot at which the far end of a blocked link lies."""
 
-DETOUR = 8.0
-"""A way round that takes at most so many times as long stands in for a link that is unlearned."""
+DETOUR_RATIO = 8.0
+"""Duration of the longest detour that replaces an unlearned link, relative to that link's."""
 
 
-def confidences(
-    counts: Sequence[int], failures: NDArray[np.int64]
-) -> list[float]:
-    """Return c_ij = n_ij / n_i,beta, equation (9), of all links of one source and behaviour.
+def count_other_transitions(links: Links, source: int, target: int, behaviour: str) -> None:
+    """Count a failed attempt of every other link from a source by the same behaviour."""
+    rows = links.rows_by(source, behaviour)
+    links.failures[[row for row in rows if links.ends[row, 1] != target], ELSEWHERE] += 1
 
-    n_i,beta is how often the behaviour was tried: the transitions by it to any experience, and
-    its time-outs before the link in question.
+
+def count_time_out(
+    links: Links, poses: NDArray[np.float64], here: Pose, ahead_rad: float,
+    p: ExperienceMapParameters,
+) -> list[int]:  # fmt: skip
+    """Count a time-out of every link that leads ahead; return the rows that are blocked now.
 
     Args:
-        counts: (links,) how often each transition was made.
+        links: the links; their failure counts are changed.
+        poses: (n, 3) m, m, rad of the experiences.
+        here: pose of the robot on the map.
+        ahead_rad: direction in which it could not drive on, in the map frame.
+        p: ``exp_try_radius_m``, ``exp_recent_tries`` and ``exp_confidence_threshold`` are used.
+    """
+    rows = leading_ahead(
+        poses, links.ends, here.x_m, here.y_m, math.cos(ahead_rad), math.sin(ahead_rad),
+        p.exp_try_radius_m,
+    )  # fmt: skip
+    links.failures[rows, TIMED_OUT] += 1
+    return [
+        row for row in rows.tolist()
+        if is_blocked(links.notes[row][1], int(links.failures[row, TIMED_OUT]), p)
+    ]  # fmt: skip
+
+
+def least_confident(
+    links: Links, source: int, behaviour: str, p: ExperienceMapParameters, count: int
+) -> int | None:
+    """Return the row of the least confident link that may be unlearned, None if there is none.
+
+    Args:
+        links: all links.
+        source, behaviour: the links considered start there and were made by that behaviour.
+        p: ``exp_confidence_threshold`` and ``exp_min_tries`` are used.
+        count: number of experiences.
+    """
+    rows = links.rows_by(source, behaviour)
+    counts = [links.notes[row][1] for row in rows]
+    for link in unlearning_candidates(counts, links.failures[rows], p):
+        # Without a detour the link is the only way, even if another one is driven more often.
+        if has_detour(links.ends, links.durations_s, rows[link], count):
+            return rows[link]
+    return None
+
+
+def confidences(counts: Sequence[int], failures: NDArray[np.int64]) -> list[float]:
+    """Return c_ij = n_ij / n_i,beta, equation (9), of all links of one source and behaviour.
+
+    n_i,beta is the number of attempts of the behaviour: the transitions by it to any experience,
+    and its time-outs in front of the link.
+
+    Args:
+        counts: (links,) number of times each transition was made.
         failures: (links, 2) ``ELSEWHERE``, ``TIMED_OUT``.
     """
     total = sum(counts)
@@ -52,10 +103,10 @@ def confidences(
     ]
 
 
-def in_question(
+def unlearning_candidates(
     counts: Sequence[int], failures: NDArray[np.int64], p: ExperienceMapParameters
 ) -> list[int]:
-    """Return which links of one source and behaviour may be unlearned, the least confident first.
+    """Return which links of one source and behaviour may be unlearned, least confident first.
 
     Arguments as for ``confidences``.
     """
@@ -71,7 +122,7 @@ def in_question(
 
 
 def is_blocked(count: int, time_outs: int, p: ExperienceMapParameters) -> bool:
-    """Return whether a link that was made so many times is unlearned after so many time-outs."""
+    """Return whether a link driven ``count`` times is unlearned after a number of time-outs."""
     made = min(count, p.exp_recent_tries)
     return made / (made + time_outs) < p.exp_confidence_threshold
 
@@ -81,10 +132,10 @@ def leading_ahead(
     poses: NDArray[np.float64], ends: NDArray[np.int64], x_m: float, y_m: float,
     ahead_x: float, ahead_y: float, radius_m: float,
 ) -> NDArray[np.int64]:  # fmt: skip
-    """Return the links by which a robot should have gone ahead, whichever way they point.
+    """Return the rows of the links that lead ahead of the robot, in either direction.
 
-    They pass within ``radius_m`` of (x_m, y_m) and lead, within 60 degrees of the unit vector
-    (ahead_x, ahead_y), to what lies within 60 degrees ahead, further than ``AHEAD_M``.
+    Such a link passes within ``radius_m`` of (x_m, y_m), points within 60 degrees of the unit
+    vector (ahead_x, ahead_y), and ends within 60 degrees of it, more than ``LEAST_AHEAD_M`` away.
     """
     rows = np.empty(ends.shape[0], np.int64)
     count = 0
@@ -97,12 +148,12 @@ def leading_ahead(
         j_y = poses[j, 1] - y_m
         i_ahead = i_x * ahead_x + i_y * ahead_y
         j_ahead = j_x * ahead_x + j_y * ahead_y
-        if i_ahead > j_ahead:  # from here on i is the nearer end
+        if i_ahead > j_ahead:  # i is the nearer end
             i_x, i_y, i_ahead, j_x, j_y, j_ahead = j_x, j_y, j_ahead, i_x, i_y, i_ahead
         way_x = j_x - i_x
         way_y = j_y - i_y
         square = way_x * way_x + way_y * way_y
-        if j_ahead <= AHEAD_M or 4.0 * j_ahead * j_ahead < j_x * j_x + j_y * j_y:
+        if j_ahead <= LEAST_AHEAD_M or 4.0 * j_ahead * j_ahead < j_x * j_x + j_y * j_y:
             continue
         if square == 0.0 or 4.0 * (j_ahead - i_ahead) * (j_ahead - i_ahead) < square:
             continue
@@ -119,15 +170,15 @@ def leading_ahead(
 def has_detour(
     ends: NDArray[np.int64], durations_s: NDArray[np.float64], link: int, count: int
 ) -> bool:
-    """Return whether other links join the ends of one in at most ``DETOUR`` times its duration.
+    """Return whether other links connect a link's ends in at most ``DETOUR_RATIO`` its duration.
 
     Args:
-        ends: (links, 2) source and target; links are ways in both directions.
+        ends: (links, 2) source and target; links are driven in both directions.
         durations_s: (links,).
-        link: which of them is looked at.
+        link: row of the link.
         count: number of experiences.
     """
-    most_s = DETOUR * durations_s[link]
+    most_s = DETOUR_RATIO * durations_s[link]
     reached_s = np.full(count, np.inf)
     reached_s[ends[link, 0]] = 0.0
     nearer = True

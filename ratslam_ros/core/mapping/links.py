@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Links: the transitions that were made between experiences, and how they went."""
+"""Links: the edges of the experience graph, with geometry, duration, behaviour and counts."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from ratslam_ros.core.common.state import State
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """A transition that was made: where the target lies in the source's frame, and how it went."""
+    """A transition: pose of the target in the source's frame, duration, behaviour and count."""
 
     source_id: int
     target_id: int
@@ -32,8 +32,8 @@ class Link:
     count: int
 
     @property
-    def way(self) -> Pose:
-        """Where the target lies in the frame of the source."""
+    def relative_pose(self) -> Pose:
+        """Pose of the target in the frame of the source."""
         return Pose(
             self.distance_m * math.cos(self.heading_rad),
             self.distance_m * math.sin(self.heading_rad),
@@ -41,8 +41,8 @@ class Link:
         )
 
     def reversed(self) -> Link:
-        """Return the same way, the other way round."""
-        back = inverse(self.way)
+        """Return the link in the opposite direction."""
+        back = inverse(self.relative_pose)
         return replace(
             self,
             source_id=self.target_id,
@@ -53,7 +53,7 @@ class Link:
 
 
 class Links:
-    """Rows of arrays, in the order in which the links were made; one for a source and a target."""
+    """Arrays with a row for each ordered pair of experiences, in the order of creation."""
 
     def __init__(self) -> None:
         self._ends = np.empty((64, 2), np.int64)
@@ -62,14 +62,14 @@ class Links:
         self._failures = np.empty((64, 2), np.int64)
         self.notes: list[tuple[str, int]] = []
         """Behaviour and count of every link."""
-        # A link's serial number stays while rows move up; serials ascend with the rows.
+        # Deleting links changes rows but not serial numbers, which ascend with the rows.
         self._serial: dict[tuple[int, int], int] = {}
         self._serials = np.empty(64, np.int64)
         self._next_serial = 0
         self.version = 0
-        """Grows with every change of a link."""
+        """Counter that grows with every change of a link."""
         self.rebuilt = 0
-        """Grows where links vanish: then others have moved up to their rows."""
+        """Counter that grows when links are deleted, which moves later links to other rows."""
 
     def __len__(self) -> int:
         return len(self.notes)
@@ -80,7 +80,7 @@ class Links:
         duration = float(self._durations_s[row])
         return Link(source, target, distance, heading, facing, duration, *self.notes[row])
 
-    # Views, which hold until the next link is made or deleted
+    # Views, valid until the next link is added or deleted
 
     @property
     def ends(self) -> NDArray[np.int64]:
@@ -99,7 +99,7 @@ class Links:
 
     @property
     def failures(self) -> NDArray[np.int64]:
-        """(links, 2) failed tries, see ``adaptation``."""
+        """(links, 2) numbers of failed attempts, see ``link_learning``."""
         return self._failures[: len(self)]
 
     def row(self, source: int, target: int) -> int | None:
@@ -115,26 +115,26 @@ class Links:
         return rows
 
     def rows_by(self, source: int, behaviour: str) -> list[int]:
-        """Return the rows of the links from an experience that were made by a behaviour."""
+        """Return the rows of the links from an experience that a behaviour made."""
         return [
             row for row in self.rows_at(source)
             if self.notes[row][0] == behaviour and self._ends[row, 0] == source
         ]  # fmt: skip
 
     def of(self, experience_id: int) -> list[Link]:
-        """Return the links from and to an experience, but for one from it to itself."""
+        """Return the links from and to an experience, except for one from it to itself."""
         links = (self[row] for row in self.rows_at(experience_id))
         return [link for link in links if link.source_id != link.target_id]
 
     def append(self, link: Link) -> None:
-        """Add a link that there is not yet."""
+        """Add a link between a pair of experiences that has none."""
         row = len(self)
         if row == len(self._ends):
-            self._ends = with_room(self._ends, 2 * row)
-            self._shapes = with_room(self._shapes, 2 * row)
-            self._durations_s = with_room(self._durations_s, 2 * row)
-            self._failures = with_room(self._failures, 2 * row)
-            self._serials = with_room(self._serials, 2 * row)
+            self._ends = with_capacity(self._ends, 2 * row)
+            self._shapes = with_capacity(self._shapes, 2 * row)
+            self._durations_s = with_capacity(self._durations_s, 2 * row)
+            self._failures = with_capacity(self._failures, 2 * row)
+            self._serials = with_capacity(self._serials, 2 * row)
         self._ends[row] = link.source_id, link.target_id
         self._shapes[row] = link.distance_m, link.heading_rad, link.facing_rad
         self._durations_s[row] = link.duration_s
@@ -146,7 +146,7 @@ class Links:
         self.version += 1
 
     def average(self, row: int, again: Link) -> None:
-        """Take that a transition was made again: half of what was known, half of this time."""
+        """Average a link with a repetition of its transition, each weighted one half."""
         distance, heading, facing = self._shapes[row].tolist()
         self._shapes[row] = (
             0.5 * (distance + again.distance_m),
@@ -160,7 +160,7 @@ class Links:
         self.version += 1
 
     def delete(self, rows: list[int]) -> None:
-        """Take links away; the others move up, in their order."""
+        """Delete links; later ones move up and keep their order."""
         for source, target in self._ends[rows].tolist():
             del self._serial[source, target]
         gone = np.zeros(len(self), np.bool_)
@@ -173,11 +173,16 @@ class Links:
         self.version += 1
         self.rebuilt += 1
 
-    def join_past(self, links: list[Link], middle: int, a: int, b: int) -> None:
-        """Make of the links between a, an experience and b such as lead past that experience.
+    def bridge(self, links: list[Link], middle: int, a: int, b: int) -> None:
+        """Add links between a and b that replace the ways through an experience to be removed.
 
-        In each direction that was driven all through, or else from a to b; none where the two
-        are linked as it is. ``links``: those of that experience, as ``of`` gives them.
+        One for each direction that was driven throughout, else one from a to b; none if a and b
+        are already linked.
+
+        Args:
+            links: those of the experience to be removed, from ``of``.
+            middle: its id.
+            a, b: ids of two of its neighbours.
         """
         if self.row(a, b) is not None or self.row(b, a) is not None:
             return
@@ -192,7 +197,7 @@ class Links:
             )
         ]  # fmt: skip
         for first, second in through:
-            self.append(in_a_row(first, second))
+            self.append(concatenated(first, second))
 
     def state(self) -> State:
         """Return all links, for ``restore``."""
@@ -207,33 +212,27 @@ class Links:
         }
 
     def restore(self, state: State) -> None:
-        """Take what ``state`` gave in place of all links."""
-        self._ends = with_room(state['ends'])
-        self._shapes = with_room(state['shapes'])
-        self._durations_s = with_room(np.array([duration for duration, *_ in state['notes']]))
+        """Replace all links by what ``state`` returned."""
+        self._ends = with_capacity(state['ends'])
+        self._shapes = with_capacity(state['shapes'])
+        self._durations_s = with_capacity(np.array([duration for duration, *_ in state['notes']]))
         self.notes = [(name, count) for _, name, count in state['notes']]
         links = len(self)
-        # Memories of before links learned have no failures.
-        self._failures = with_room(state.get('failures', np.zeros((links, 2), np.int64)))
+        self._failures = with_capacity(state['failures'])
         self._serial = {(i, j): row for row, (i, j) in enumerate(state['ends'].tolist())}
-        self._serials = with_room(np.arange(links))
+        self._serials = with_capacity(np.arange(links))
         self._next_serial = links
         self.version += 1
 
 
-def leading_from(experience_id: int) -> Callable[[Link], Link]:
-    """Return what turns the links of an experience such that all lead away from it."""
+def outgoing_from(experience_id: int) -> Callable[[Link], Link]:
+    """Return a function that reverses an experience's links where they do not start at it."""
     return lambda link: link if link.source_id == experience_id else link.reversed()
 
 
-def length_m(link: Link) -> float:
-    """Return how far apart the ends of a link are."""
-    return link.distance_m
-
-
-def in_a_row(first: Link, second: Link) -> Link:
-    """Return the link that leads where two lead one after the other."""
-    x, y, turn = composed(first.way, second.way)
+def concatenated(first: Link, second: Link) -> Link:
+    """Return the link from the source of the first to the target of the second."""
+    x, y, turn = composed(first.relative_pose, second.relative_pose)
     return Link(
         first.source_id,
         second.target_id,
@@ -246,11 +245,11 @@ def in_a_row(first: Link, second: Link) -> Link:
     )
 
 
-def with_room(rows: NDArray[Any], most: int = 64) -> NDArray[Any]:
-    """Return an array that begins with the given rows, and has room for so many."""
-    room = np.empty((max(most, len(rows)), *rows.shape[1:]), rows.dtype)
-    room[: len(rows)] = rows
-    return room
+def with_capacity(rows: NDArray[Any], capacity: int = 64) -> NDArray[Any]:
+    """Return an array that begins with the given rows and has at least ``capacity`` rows."""
+    grown = np.empty((max(capacity, len(rows)), *rows.shape[1:]), rows.dtype)
+    grown[: len(rows)] = rows
+    return grown
 
 
 @compiled
@@ -270,7 +269,7 @@ def _move_up(
     gone: NDArray[np.bool_], ends: NDArray[np.int64], shapes: NDArray[np.float64],
     durations_s: NDArray[np.float64], failures: NDArray[np.int64], serials: NDArray[np.int64],
 ) -> None:  # fmt: skip
-    """Let the rows that are not gone follow one another, in their order."""
+    """Remove the marked rows from all arrays, keeping the order of the others."""
     to = 0
     for row in range(gone.shape[0]):
         if gone[row]:

@@ -137,7 +137,7 @@ class RouteFollowing:
         self._unknown_m = self._recovery_m = 0.0
         self._known_odometer_m = 0.0
         """Odometer reading at the last known experience or aligned scan in m."""
-        self._scans_fitted_m = 0.0
+        self._scan_confirmed_m = 0.0
         self._slower_since_ns: int | None = None
         self._closest: tuple[float, int] | None = None
         """Smallest distance to the goal in m since the robot entered its radius, and when it
@@ -277,11 +277,11 @@ class RouteFollowing:
         on unknown ground.
         """
         graph = self._map
-        aligned = graph.scans_fitted_m > self._scans_fitted_m
+        aligned = graph.scan_confirmed_m > self._scan_confirmed_m
         created_m = graph.made_m(graph.current_id)
         if self._last_pose is None or aligned or created_m <= self._known_odometer_m:
             self._unknown_m, self._known_odometer_m = 0.0, graph.odometer_m
-            self._scans_fitted_m = graph.scans_fitted_m
+            self._scan_confirmed_m = graph.scan_confirmed_m
         if self._last_pose is not None:
             step_m = math.hypot(pose.x_m - self._last_pose.x_m, pose.y_m - self._last_pose.y_m)
             self._unknown_m += min(step_m, MAX_STEP_M)

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from helpers import ahead, turning
+from helpers import ahead, restored, turning
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -233,7 +233,7 @@ def test_motion_since_the_experience_turns_with_it() -> None:
     drive(graph, ahead(1.0))
     arrive(graph, 1)
     drive(graph, ahead(2.0), turning(0.3))
-    graph._p = ExperienceMapParameters(exp_relaxation='sweep', exp_loops=30)
+    graph = restored(graph, ExperienceMapParameters(exp_relaxation='sweep', exp_loops=30))
     base = graph.pose_of(1)
     graph.apply(NONE)
     turned = graph.pose_of(1)
@@ -311,7 +311,7 @@ def test_the_error_of_a_loop_is_spread_over_its_links() -> None:
     assert np.abs(before[:-1]).max() < 1e-9
     assert abs(before[-1, 2]) == pytest.approx(12 * 0.03)
     graph = polygon(12, 2.0 * math.pi / 12 + 0.03, 0)
-    graph._p = ExperienceMapParameters(exp_relaxation='sweep', exp_loops=100)
+    graph = restored(graph, ExperienceMapParameters(exp_relaxation='sweep', exp_loops=100))
     for _ in range(20):
         graph.apply(NONE)
     after = errors(graph)
@@ -323,9 +323,10 @@ def test_the_error_of_a_loop_is_spread_over_its_links() -> None:
 def test_relaxation_ends_where_equation_7_is_zero() -> None:
     """With small corrections: the least squares of the headings, an equal share a link."""
     graph = polygon(8, 2.0 * math.pi / 8 + 0.02, 0)
-    graph._p = ExperienceMapParameters(
+    sweeping = ExperienceMapParameters(
         exp_relaxation='sweep', exp_loops=10_000, exp_correction=0.002
     )
+    graph = restored(graph, sweeping)
     for _ in range(3):
         graph.apply(NONE)
     e = errors(graph)
@@ -352,8 +353,10 @@ def test_consistent_links_bring_a_disturbed_map_back(seed: int, number: int) -> 
         truth = moved(truth, motion)
     arrive(graph, number)
     expected = graph.poses
-    graph._poses[1 : number + 1] += rng.normal(scale=0.3, size=(number, 3))
-    graph._p = ExperienceMapParameters(exp_relaxation='sweep', exp_loops=10_000)
+    disturbed = expected.copy()
+    disturbed[1:] += rng.normal(scale=0.3, size=(number, 3))
+    sweeping = ExperienceMapParameters(exp_relaxation='sweep', exp_loops=10_000)
+    graph = restored(graph, sweeping, poses=disturbed)
     graph.apply(NONE)
     assert np.isfinite(graph.poses).all()
     assert (np.abs(graph.poses[:, 2]) <= math.pi).all()
@@ -368,7 +371,10 @@ def test_headings_across_half_a_turn_are_corrected_the_short_way() -> None:
     arrive(graph, 1)
     drive(graph, turning(math.pi - 0.05), ahead(1.0))  # 0.1 short of a full turn
     arrive(graph, 0)
-    graph._p = ExperienceMapParameters(exp_relaxation='sweep', exp_loops=200, exp_correction=0.05)
+    sweeping = ExperienceMapParameters(
+        exp_relaxation='sweep', exp_loops=200, exp_correction=0.05
+    )
+    graph = restored(graph, sweeping)
     for _ in range(5):
         graph.apply(NONE)
     assert abs(wrap(graph.pose_of(1).heading_rad - math.pi)) < 0.01
@@ -384,7 +390,7 @@ def test_with_no_sweeps_nothing_moves() -> None:
 
 def test_an_action_of_none_sweeps_too() -> None:
     graph = polygon(5, 1.0, 0)
-    graph._p = ExperienceMapParameters(exp_relaxation='sweep', exp_loops=1)
+    graph = restored(graph, ExperienceMapParameters(exp_relaxation='sweep', exp_loops=1))
     before = graph.poses
     graph.apply(NONE)
     assert not np.array_equal(graph.poses, before)

@@ -28,11 +28,20 @@ def new() -> tuple[ExperienceMap, LateJoin]:
     return graph, LateJoin(graph)
 
 
+def apply(
+    graph: ExperienceMap, joining: LateJoin, item: MapAction, sequence: int,
+    memory_ns: int = MEMORY_NS,
+) -> None:  # fmt: skip
+    translated = joining.translate(item, sequence, memory_ns)
+    if translated is not None:
+        graph.apply(translated)
+
+
 def drive(graph: ExperienceMap, joining: LateJoin, actions: list[tuple[int, MapAction]],
           memory_ns: int = MEMORY_NS) -> None:  # fmt: skip
     for sequence, item in actions:
         graph.integrate(ahead(STEP_M))
-        joining.apply(item, sequence, memory_ns)
+        apply(graph, joining, item, sequence, memory_ns)
 
 
 def test_with_both_there_from_the_start_every_action_is_applied_as_it_came() -> None:
@@ -41,10 +50,10 @@ def test_with_both_there_from_the_start_every_action_is_applied_as_it_came() -> 
     for sequence, item in circles_of_actions(5, 3):
         for one in (graph, plain):
             one.integrate(ahead(STEP_M))
-        joining.apply(item, sequence, MEMORY_NS)
+        apply(graph, joining, item, sequence)
         plain.apply(item)
     assert encode_map(1, graph) == encode_map(1, plain)
-    assert (joining.missed, joining.forgotten, joining.first_sequence) == (0, 0, 0)
+    assert (joining.missed, joining.restarts, joining.first_sequence) == (0, 0, 0)
 
 
 def test_a_map_that_begins_late_makes_what_it_does_not_know() -> None:
@@ -59,7 +68,7 @@ def test_a_map_that_begins_late_makes_what_it_does_not_know() -> None:
 
 def test_a_late_map_does_nothing_for_none() -> None:
     graph, joining = new()
-    joining.apply(action('none', 40, 40), 99, MEMORY_NS)
+    apply(graph, joining, action('none', 40, 40), 99)
     assert (len(graph), graph.current_id) == (0, -1)
 
 
@@ -67,7 +76,7 @@ def test_after_pose_cells_restarted_the_map_goes_on_from_where_the_robot_is() ->
     graph, joining = new()
     drive(graph, joining, [(n, action('create', n - 1, n)) for n in range(3)])
     drive(graph, joining, [(n, action('create', n - 1, n)) for n in range(3)], memory_ns=99)
-    assert joining.forgotten == 1
+    assert joining.restarts == 1
     assert [e.pose.x_m for e in graph.experiences()] == pytest.approx([1, 2, 3, 4, 5, 6])
     assert [(link.source_id, link.target_id) for link in graph.links()] == [
         (n, n + 1) for n in range(5)

@@ -19,7 +19,12 @@ from hypothesis import strategies as st
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.config import ExperienceMapParameters, GoalRecallParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap, NotLinked
-from ratslam_ros.core.mapping.link_learning import AHEAD_M, DETOUR, leading_ahead
+from ratslam_ros.core.mapping.link_learning import (
+    DETOUR_RATIO,
+    LEAST_AHEAD_M,
+    confidences,
+    leading_ahead,
+)
 from ratslam_ros.core.navigation.goal_tree import GoalTree
 from ratslam_ros.core.navigation.route_planner import RoutePlanner, UnreachableGoal
 from ratslam_ros.core.pose_cells.pose_cells import MapAction
@@ -45,6 +50,17 @@ def step(graph: ExperienceMap, target: int, behaviour: str = WALL) -> None:
     """Make a transition that takes 1 s."""
     graph.integrate(ahead(0.3, 1.0))
     go(graph, target, behaviour)
+
+
+def confidence(graph: ExperienceMap, source: int, target: int) -> float:
+    """Return the confidence of a link; 1 for one without a behaviour, which is never tried."""
+    links, failures = graph.links(), graph.state()['failures']
+    (behaviour,) = (k.behaviour for k in links if (k.source_id, k.target_id) == (source, target))
+    if not behaviour:
+        return 1.0
+    rows = [n for n, k in enumerate(links) if (k.source_id, k.behaviour) == (source, behaviour)]
+    found = confidences([links[row].count for row in rows], failures[rows])
+    return found[[links[row].target_id for row in rows].index(target)]
 
 
 def pairs(graph: ExperienceMap) -> set[tuple[int, int]]:
@@ -104,7 +120,7 @@ class Reference:
                     if near == here and (a, b) != (i, j) and far not in steps:
                         steps[far] = steps[here] + 1
                         todo.append(far)
-        return steps.get(j, DETOUR + 1) <= DETOUR
+        return steps.get(j, DETOUR_RATIO + 1) <= DETOUR_RATIO
 
 
 @settings(max_examples=15, deadline=None)
@@ -138,7 +154,7 @@ def test_confidence_is_equation_9_and_the_least_confident_goes(
         }
         for k in links:
             expected = k.count / reference.tried(k.source_id, k.behaviour) if k.behaviour else 1.0
-            assert graph.confidence(k.source_id, k.target_id) == expected
+            assert confidence(graph, k.source_id, k.target_id) == expected
     assert threshold > 0.0 or unlearned == 0
     assert len(set(parts(pairs(graph), count))) == 1
 
@@ -150,12 +166,10 @@ def test_a_wrong_link_is_unlearned_after_the_least_number_of_tries() -> None:
     for tries in range(2, 9):
         step(graph, 0)
         assert (0, 2) in pairs(graph)
-        assert graph.confidence(0, 2) == 1 / (1 + tries)
+        assert confidence(graph, 0, 2) == 1 / (1 + tries)
         step(graph, 1)
     assert (0, 2) not in pairs(graph)
     assert graph.rebuilt == 1
-    with pytest.raises(NotLinked, match='no link leads from experience 0 to 2'):
-        graph.confidence(0, 2)
 
 
 @pytest.mark.parametrize('successors', [2, 3, 5, 7])
@@ -179,7 +193,7 @@ def test_a_way_of_its_own_is_kept_however_seldom_it_is_taken() -> None:
     stand_before(graph, 0)
     for target in (0, 1) * 100:
         step(graph, target)
-    assert graph.confidence(0, 2) < 0.02
+    assert confidence(graph, 0, 2) < 0.02
     assert (0, 2) in pairs(graph)
     stand_before(graph, 3)
     step(graph, 1)  # now it is a second way to 1
@@ -238,7 +252,7 @@ def test_a_blocked_way_is_unlearned_after_a_few_attempts_and_learned_again() -> 
     stand_before(graph, 4)  # at x = 2
     tree = GoalTree(planner, goal)
     assert planner.route_to(goal).experience_ids == (4, 5, 6, 7, 8)
-    attempts = [graph.fail(WALL, 0.0) for _ in range(4)]
+    attempts = [graph.report_blocked(WALL, 0.0) for _ in range(4)]
     assert attempts[:3] == [0, 0, 0]
     # x = 2 to 2.5, 2.5 to 3, 3 to 3.5: their near ends are at most 1 m away; both directions.
     assert attempts[3] == 6
@@ -260,7 +274,7 @@ def test_a_way_made_often_takes_more_attempts_but_not_more_than_recent_ones_tell
     for laps in (1, 2, 3, 20):
         graph = corridor(laps)
         stand_before(graph, 4)
-        needed[laps] = next(n for n in range(1, 50) if graph.fail(WALL, 0.0))
+        needed[laps] = next(n for n in range(1, 50) if graph.report_blocked(WALL, 0.0))
     assert needed == {1: 4, 2: 7, 3: 10, 20: 10}
 
 
@@ -268,28 +282,28 @@ def test_a_transition_that_is_made_takes_its_time_outs_back() -> None:
     graph = corridor()
     for made in range(1, 6):  # somebody stands there for a while, now and then
         stand_before(graph, 4)
-        assert sum(graph.fail(WALL, 0.0) for _ in range(3)) == 0
-        assert graph.confidence(4, 5) == made / (made + 3)
+        assert sum(graph.report_blocked(WALL, 0.0) for _ in range(3)) == 0
+        assert confidence(graph, 4, 5) == made / (made + 3)
         go_on(graph, 22)
-        assert graph.confidence(4, 5) == 1.0
+        assert confidence(graph, 4, 5) == 1.0
     assert graph.rebuilt == 0
 
 
 def test_no_threshold_no_unlearning() -> None:
     graph = corridor(exp_confidence_threshold=0.0)
     stand_before(graph, 4)
-    assert sum(graph.fail(WALL, 0.0) for _ in range(100)) == 0
+    assert sum(graph.report_blocked(WALL, 0.0) for _ in range(100)) == 0
 
 
 def test_without_a_name_or_a_place_or_mapping_nothing_is_counted() -> None:
-    assert new_map().fail(WALL, 0.0) == 0
+    assert new_map().report_blocked(WALL, 0.0) == 0
     graph = corridor()
     stand_before(graph, 4)
-    assert sum(graph.fail('', 0.0) for _ in range(20)) == 0
+    assert sum(graph.report_blocked('', 0.0) for _ in range(20)) == 0
     graph.mapping = False
-    assert sum(graph.fail(WALL, 0.0) for _ in range(20)) == 0
+    assert sum(graph.report_blocked(WALL, 0.0) for _ in range(20)) == 0
     with pytest.raises(UnusableInput, match='finite'):
-        graph.fail(WALL, math.nan)
+        graph.report_blocked(WALL, math.nan)
     assert not graph.state()['failures'].any()
 
 
@@ -301,7 +315,7 @@ def test_without_a_name_or_a_place_or_mapping_nothing_is_counted() -> None:
     ((0.9, 0.0, 2.0, 0.0), True),
     ((1.1, 0.0, 2.0, 0.0), False),  # too far
     ((-0.5, 0.0, 0.0, 0.0), False),  # behind
-    ((0.0, 0.0, AHEAD_M - 0.01, 0.0), False),  # too near for having been kept from it
+    ((0.0, 0.0, LEAST_AHEAD_M - 0.01, 0.0), False),  # too near for having been kept from it
     ((0.0, 0.5, 0.4, 0.9), False),  # to the side
     ((0.5, -0.3, 0.6, 0.3), False),  # across
     ((0.5, 0.0, 0.5, 0.0), False),  # a turn
@@ -327,7 +341,7 @@ def test_parts_of_a_map_that_fell_apart_stay_where_they_are() -> None:
     before = graph.poses
     stand_before(graph, 4)
     for _ in range(4):
-        graph.fail(WALL, 0.0)
+        graph.report_blocked(WALL, 0.0)
     assert len(set(parts(pairs(graph), len(graph)))) > 1
     for _ in range(3):
         graph.settle()
@@ -345,7 +359,7 @@ def test_a_part_with_a_loop_that_does_not_fit_keeps_its_lowest_experience() -> N
     before = graph.poses
     stand_before(graph, 2)
     graph.integrate(ahead(0.2))
-    while not graph.fail(WALL, 0.0):
+    while not graph.report_blocked(WALL, 0.0):
         pass
     part = parts(pairs(graph), len(graph))
     assert part[11] == part[4] == 4
@@ -358,7 +372,7 @@ def exercised(graph: ExperienceMap, rng: random.Random, steps: int) -> None:
     for _ in range(steps):
         graph.integrate(Motion(0.3, rng.uniform(0.2, 1.0), rng.uniform(-1.0, 1.0)))
         if rng.random() < 0.1:
-            graph.fail(WALL, rng.uniform(-3.0, 3.0))
+            graph.report_blocked(WALL, rng.uniform(-3.0, 3.0))
             continue
         new = len(graph) < 25 or rng.random() < 0.1
         target = len(graph) if new else rng.randrange(25)
@@ -384,17 +398,6 @@ def test_who_is_restored_goes_on_to_the_last_bit(seed: int) -> None:
         exercised(one, rng, 200)
     assert encode_map(1, graph) == encode_map(1, other)
     assert np.array_equal(graph.state()['failures'], other.state()['failures'])
-
-
-def test_a_memory_of_before_links_learned_is_read() -> None:
-    graph, other = corridor(), new_map()
-    state = graph.state()
-    del state['failures'], state['planning_work']
-    other.restore(state)
-    for one in (graph, other):
-        stand_before(one, 4)
-        assert sum(one.fail(WALL, 0.0) for _ in range(4)) == 6
-    assert encode_map(1, graph) == encode_map(1, other)
 
 
 @pytest.mark.parametrize('seed', range(3))

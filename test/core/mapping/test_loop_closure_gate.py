@@ -17,12 +17,12 @@ from ratslam_ros.core.common.pose import Pose, composed
 from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.loop_closure_gate import (
-    BEFORE_M,
-    SPACING_M,
-    WITNESSES,
+    LONG_KNOWN_M,
+    REQUIRED_COUNT,
+    SPOT_SPACING_M,
     LoopClosureGate,
-    is_jump,
-    known_before,
+    exceeds_drift,
+    long_known_experience,
 )
 from ratslam_ros.core.mapping.scan_matching import ScanMatch
 from ratslam_ros.core.pose_cells.pose_cells import MapAction
@@ -35,7 +35,7 @@ METRE = np.ones(100)
 
 def jumps_to(claimed: Pose, target: int, drift: float = 0.05, links: int = 100) -> bool:
     """Whether a robot at 0 jumps that is told to be at a place so many metres of way off."""
-    return is_jump(HERE, claimed, drift, CHAIN[:links], METRE[:links], 0, target)
+    return exceeds_drift(HERE, claimed, drift, CHAIN[:links], METRE[:links], 0, target)
 
 
 def test_how_far_the_map_may_be_wrong_grows_with_the_way() -> None:
@@ -61,25 +61,25 @@ def test_claims_that_agree_over_some_metres_are_believed(
 ) -> None:
     gate, relocated = LoopClosureGate(), Pose(x_m, y_m, heading_rad)
     said = [
-        gate.claim(here := Pose(0.4 * n, 0.0, 0.0), composed(relocated, here)) for n in range(10)
+        gate.accepts(here := Pose(0.4 * n, 0.0, 0.0), composed(relocated, here)) for n in range(10)
     ]
-    assert said.index(True) == WITNESSES - 1
-    assert gate.believed == 1
-    assert not any(said[WITNESSES:])  # what comes then is a new matter
+    assert said.index(True) == REQUIRED_COUNT - 1
+    assert gate.relocation_count == 1
+    assert not any(said[REQUIRED_COUNT:])  # what comes then is a new matter
 
 
 def test_a_robot_that_turns_in_one_place_sees_one_corner() -> None:
     gate = LoopClosureGate()
     for n in range(30):
         here = Pose(0.0, 0.0, 0.1 * n)
-        assert not gate.claim(here, composed(Pose(5.0, 0.0, 0.0), here))
-    assert gate.refused == 30
+        assert not gate.accepts(here, composed(Pose(5.0, 0.0, 0.0), here))
+    assert gate.rejected_count == 30
 
 
 def test_claims_that_disagree_are_never_believed() -> None:
     gate = LoopClosureGate()
     for n in range(50):
-        assert not gate.claim(Pose(0.4 * n, 0.0, 0.0), Pose(0.0, 3.0 * n, 0.0))
+        assert not gate.accepts(Pose(0.4 * n, 0.0, 0.0), Pose(0.0, 3.0 * n, 0.0))
 
 
 def test_what_is_seen_where_the_robot_believes_to_be_speaks_against_a_jump() -> None:
@@ -87,69 +87,70 @@ def test_what_is_seen_where_the_robot_believes_to_be_speaks_against_a_jump() -> 
     for n in range(60):
         here = Pose(0.4 * n, 0.0, 0.0)
         if n % 2:
-            gate.stayed(here)
-            assert not gate.doubting
+            gate.record_agreement(here)
+            assert not gate.rejecting
         else:
-            assert not gate.claim(here, composed(Pose(9.0, 0.0, 0.0), here))
-            assert gate.doubting
+            assert not gate.accepts(here, composed(Pose(9.0, 0.0, 0.0), here))
+            assert gate.rejecting
 
 
 def test_a_robot_that_was_carried_may_turn_where_it_recognises_something() -> None:
     gate, relocated = LoopClosureGate(), Pose(7.0, -3.0, 1.0)
-    for n in range(WITNESSES):
+    for n in range(REQUIRED_COUNT):
         for turn_rad in (0.0, math.pi / 2):
             here = Pose(0.4 * n, 0.0, turn_rad)
-            believed = gate.claim(here, composed(relocated, here))
-            if believed:
+            relocation_count = gate.accepts(here, composed(relocated, here))
+            if relocation_count:
                 break
-    assert believed
+    assert relocation_count
 
 
 def test_what_is_new_where_something_was_recognised_does_not_matter() -> None:
     gate = LoopClosureGate()
     said = []
-    for n in range(WITNESSES):
+    for n in range(REQUIRED_COUNT):
         here = Pose(0.4 * n, 0.0, 0.0)
-        said.append(gate.claim(here, composed(Pose(9.0, 0.0, 0.0), here)))
-        gate.passed(Pose(0.4 * n + 0.1, 0.0, 0.0))
-    assert said == [False] * (WITNESSES - 1) + [True]
+        said.append(gate.accepts(here, composed(Pose(9.0, 0.0, 0.0), here)))
+        gate.record_new_place(Pose(0.4 * n + 0.1, 0.0, 0.0))
+    assert said == [False] * (REQUIRED_COUNT - 1) + [True]
 
 
 def test_where_nobody_knows_where_the_robot_is_the_first_jump_is_believed() -> None:
     gate = LoopClosureGate()
     gate.restart()
-    gate.passed(HERE)
-    assert gate.claim(HERE, Pose(9.0, 0.0, 0.0))
-    assert not gate.claim(HERE, Pose(0.0, 9.0, 0.0))
+    gate.record_new_place(HERE)
+    assert gate.accepts(HERE, Pose(9.0, 0.0, 0.0))
+    assert not gate.accepts(HERE, Pose(0.0, 9.0, 0.0))
     gate.restart()
-    gate.stayed(HERE)  # it has not been carried
-    assert not gate.claim(HERE, Pose(9.0, 0.0, 0.0))
+    gate.record_agreement(HERE)  # it has not been carried
+    assert not gate.accepts(HERE, Pose(9.0, 0.0, 0.0))
 
 
 def test_what_was_claimed_survives() -> None:
     gate = LoopClosureGate()
-    for n in range(WITNESSES - 1):
-        gate.claim(here := Pose(0.4 * n, 0.0, 0.0), composed(Pose(9.0, 0.0, 0.0), here))
+    for n in range(REQUIRED_COUNT - 1):
+        gate.accepts(here := Pose(0.4 * n, 0.0, 0.0), composed(Pose(9.0, 0.0, 0.0), here))
     again = LoopClosureGate()
     again.restore(json.loads(json.dumps(gate.state())))
-    last = Pose(0.4 * WITNESSES, 0.0, 0.0)
+    last = Pose(0.4 * REQUIRED_COUNT, 0.0, 0.0)
     for one in (gate, again):
-        assert one.claim(last, composed(Pose(9.0, 0.0, 0.0), last))
-        assert (one.refused, one.believed) == (WITNESSES - 1, 1)
+        assert one.accepts(last, composed(Pose(9.0, 0.0, 0.0), last))
+        assert (one.rejected_count, one.relocation_count) == (REQUIRED_COUNT - 1, 1)
 
 
 # On the map
 
 
 def arrive(
-    graph: ExperienceMap, target: int, source: int | None = None, sight: ScanMatch | None = None
+    graph: ExperienceMap, target: int, source: int | None = None,
+    scan_match: ScanMatch | None = None,
 ) -> None:
     """Apply what the pose cells say; they are at ``source``."""
     action = 'create' if target == len(graph) else 'link'
     source = graph.current_id if source is None else source
     graph.apply(
         MapAction(action, source, target, target, 0.0, Place(float(target), 0.0, 0.0)),
-        sight=sight,
+        scan_match=scan_match,
     )
 
 
@@ -168,7 +169,7 @@ def test_a_jump_that_is_refused_leaves_the_map_and_the_robot_where_they_are() ->
     graph = corridor(0.05)
     before, here = graph.poses, graph.pose
     arrive(graph, 2)
-    assert graph.gate.refused == 1
+    assert graph.gate.rejected_count == 1
     assert graph.current_id == 12
     assert graph.pose == here
     assert graph.link_count == 12
@@ -208,24 +209,24 @@ def test_by_default_every_recognition_is_believed() -> None:
 
 def test_a_robot_that_was_carried_makes_no_link() -> None:
     graph = corridor(0.05)
-    for target in range(2, 2 + WITNESSES):
+    for target in range(2, 2 + REQUIRED_COUNT):
         assert graph.current_id == 12
         arrive(graph, target)
         graph.integrate(ahead(1.0))
-    assert graph.current_id == 1 + WITNESSES
-    assert graph.gate.believed == 1
+    assert graph.current_id == 1 + REQUIRED_COUNT
+    assert graph.gate.relocation_count == 1
     assert graph.link_count == 12
-    arrive(graph, 2 + WITNESSES)
-    assert graph.current_id == 2 + WITNESSES
-    assert graph.gate.refused == WITNESSES - 1
+    arrive(graph, 2 + REQUIRED_COUNT)
+    assert graph.current_id == 2 + REQUIRED_COUNT
+    assert graph.gate.rejected_count == REQUIRED_COUNT - 1
 
 
-def claimed_all_along(graph: ExperienceMap, sight: ScanMatch | None) -> None:
+def claimed_all_along(graph: ExperienceMap, scan_match: ScanMatch | None) -> None:
     """Drive back along a corridor that was driven long ago; all that is seen is six metres off."""
-    graph.integrate(ahead(BEFORE_M / 2))
-    graph.integrate(ahead(-BEFORE_M / 2 - 1.0))
-    for target in range(WITNESSES, 0, -1):
-        arrive(graph, target, sight=sight)
+    graph.integrate(ahead(LONG_KNOWN_M / 2))
+    graph.integrate(ahead(-LONG_KNOWN_M / 2 - 1.0))
+    for target in range(REQUIRED_COUNT, 0, -1):
+        arrive(graph, target, scan_match=scan_match)
         graph.integrate(ahead(-1.0))
 
 
@@ -238,25 +239,25 @@ def test_where_scans_fit_the_places_that_are_there_no_jump_is_believed() -> None
 
     graph = corridor(0.05)
     claimed_all_along(graph, ScanMatch(fits=fits))
-    assert graph.gate.believed == 0
-    assert graph.gate.refused == WITNESSES
-    assert graph.pose.x_m == pytest.approx(12.0 - WITNESSES)
-    assert [asked_id for asked_id, *_ in asked] == list(range(12, 12 - WITNESSES, -1))
+    assert graph.gate.relocation_count == 0
+    assert graph.gate.rejected_count == REQUIRED_COUNT
+    assert graph.pose.x_m == pytest.approx(12.0 - REQUIRED_COUNT)
+    assert [asked_id for asked_id, *_ in asked] == list(range(12, 12 - REQUIRED_COUNT, -1))
     assert np.array([pose for _, *pose in asked]) == pytest.approx(0.0, abs=1e-9)
 
 
-@pytest.mark.parametrize('sight', [None, ScanMatch(), ScanMatch(fits=lambda *_: False)])
-def test_where_they_do_not_or_nothing_tells_it_is(sight: ScanMatch | None) -> None:
+@pytest.mark.parametrize('scan_match', [None, ScanMatch(), ScanMatch(fits=lambda *_: False)])
+def test_where_they_do_not_or_nothing_tells_it_is(scan_match: ScanMatch | None) -> None:
     graph = corridor(0.05)
-    claimed_all_along(graph, sight)
-    assert graph.gate.believed == 1
+    claimed_all_along(graph, scan_match)
+    assert graph.gate.relocation_count == 1
 
 
 def test_a_robot_that_was_put_there_asks_no_scan() -> None:
     graph = corridor(0.05)
     graph.gate.restart()
     claimed_all_along(graph, ScanMatch(fits=lambda *_: True))
-    assert graph.gate.believed == 1
+    assert graph.gate.relocation_count == 1
 
 
 def test_a_map_that_is_loaded_knows_how_old_its_places_are() -> None:
@@ -265,34 +266,34 @@ def test_a_map_that_is_loaded_knows_how_old_its_places_are() -> None:
     again.restore(graph.state())
     for one in (graph, again):
         claimed_all_along(one, ScanMatch(fits=lambda *_: True))
-        assert one.gate.believed == 0
+        assert one.gate.relocation_count == 0
 
 
 def test_only_places_that_are_near_and_old_are_asked() -> None:
     poses = np.array([[0.0, 0.0, 0.0], [0.2, 0.0, 2.0], [0.1, 0.0, 0.0], [5.0, 0.0, 3.1]])
     made_m = np.array([0.0, 1.0, 50.0, 2.0])
-    assert known_before(poses, made_m, 100.0, HERE) == 0
-    assert known_before(poses, made_m, 110.1, Pose(0.1, 0.0, 0.0)) == 2
-    assert known_before(poses, made_m, 59.9, HERE) is None
-    assert known_before(poses, made_m, 100.0, Pose(1.0, 0.0, 0.0)) is None
-    assert known_before(poses, made_m, 100.0, Pose(0.2, 0.0, 2.1)) == 1
-    assert known_before(poses, made_m, 100.0, Pose(5.0, 0.1, -3.1)) == 3
-    assert known_before(poses[:0], made_m[:0], 100.0, HERE) is None
+    assert long_known_experience(poses, made_m, 100.0, HERE) == 0
+    assert long_known_experience(poses, made_m, 110.1, Pose(0.1, 0.0, 0.0)) == 2
+    assert long_known_experience(poses, made_m, 59.9, HERE) is None
+    assert long_known_experience(poses, made_m, 100.0, Pose(1.0, 0.0, 0.0)) is None
+    assert long_known_experience(poses, made_m, 100.0, Pose(0.2, 0.0, 2.1)) == 1
+    assert long_known_experience(poses, made_m, 100.0, Pose(5.0, 0.1, -3.1)) == 3
+    assert long_known_experience(poses[:0], made_m[:0], 100.0, HERE) is None
 
 
 @pytest.mark.parametrize(('fits', 'at_m'), [(True, 12.0), (False, 12.0), (True, 14.0)])
 def test_scans_know_a_place_again_of_which_all_views_are_new(fits: bool, at_m: float) -> None:
     """Where nothing was, 14 m from the start, they do not say so, whatever they fit."""
     graph = corridor(0.05)
-    assert graph.scans_fitted_m == 0.0
-    graph.integrate(ahead(BEFORE_M / 2))
-    graph.integrate(ahead(at_m - 13.0 - BEFORE_M / 2))
-    came_m = 13.0 + BEFORE_M / 2 + abs(at_m - 13.0 - BEFORE_M / 2)
+    assert graph.scan_confirmed_m == 0.0
+    graph.integrate(ahead(LONG_KNOWN_M / 2))
+    graph.integrate(ahead(at_m - 13.0 - LONG_KNOWN_M / 2))
+    came_m = 13.0 + LONG_KNOWN_M / 2 + abs(at_m - 13.0 - LONG_KNOWN_M / 2)
     for _ in range(3):
-        arrive(graph, len(graph), sight=ScanMatch(fits=lambda *_: fits))
+        arrive(graph, len(graph), scan_match=ScanMatch(fits=lambda *_: fits))
         graph.integrate(ahead(0.4))
     # Asked at once, and not again before a metre.
-    assert graph.scans_fitted_m == pytest.approx(came_m if fits and at_m == 12.0 else 0.0)
+    assert graph.scan_confirmed_m == pytest.approx(came_m if fits and at_m == 12.0 else 0.0)
 
 
 def test_a_link_that_is_known_is_no_jump() -> None:
@@ -304,7 +305,7 @@ def test_a_link_that_is_known_is_no_jump() -> None:
         again.integrate(ahead(1.0))
         arrive(again, target)
         assert again.current_id == target
-    assert again.gate.refused == 0
+    assert again.gate.rejected_count == 0
 
 
 def test_but_it_is_where_the_robot_is_elsewhere_than_its_source() -> None:
@@ -316,7 +317,7 @@ def test_but_it_is_where_the_robot_is_elsewhere_than_its_source() -> None:
     arrive(graph, 2, source=13)  # 14 is at 14 m; a view of 2 has the pose cells elsewhere
     graph.integrate(ahead(10.0))
     arrive(graph, 13, source=2)
-    assert graph.gate.refused == 3
+    assert graph.gate.rejected_count == 3
     assert graph.pose.x_m == pytest.approx(34.0)
 
 
@@ -325,7 +326,7 @@ def test_so_is_the_experience_that_the_robot_left_long_ago() -> None:
     arrive(graph, 2)
     graph.integrate(ahead(29.0))
     arrive(graph, 12, source=2)
-    assert graph.gate.refused == 2
+    assert graph.gate.rejected_count == 2
     assert graph.pose.x_m == pytest.approx(42.0)
 
 
@@ -336,7 +337,7 @@ def test_the_way_since_the_last_experience_counts() -> None:
         graph.integrate(ahead(50.0))
         graph.integrate(ahead(-50.0))
     arrive(graph, 12)
-    assert graph.gate.refused == 0
+    assert graph.gate.rejected_count == 0
 
 
 def test_a_loop_that_has_just_been_closed_is_relaxed_before_it_is_judged() -> None:
@@ -363,7 +364,7 @@ def test_a_loop_that_has_just_been_closed_is_relaxed_before_it_is_judged() -> No
             'link', graph.current_id, target, target, math.pi, Place(0.0, 0.0, 0.0)
         ))  # fmt: skip
         assert graph.current_id == target
-    assert graph.gate.refused == 0
+    assert graph.gate.rejected_count == 0
 
 
 def test_a_map_that_is_not_relaxed_is_not_for_this_either() -> None:
@@ -373,7 +374,7 @@ def test_a_map_that_is_not_relaxed_is_not_for_this_either() -> None:
     before = graph.poses
     graph.integrate(ahead(0.5))
     arrive(graph, 3)
-    assert graph.gate.refused >= 1
+    assert graph.gate.rejected_count >= 1
     assert np.array_equal(graph.poses, before)
 
 
@@ -385,10 +386,10 @@ def test_a_map_in_doubt_goes_on_as_it_would_have() -> None:
     )))  # fmt: skip
     maps[1].restore(maps[0].state())
     for graph in maps:
-        for target in range(3, 2 + WITNESSES):
+        for target in range(3, 2 + REQUIRED_COUNT):
             graph.integrate(ahead(1.0))
             arrive(graph, target, source=target - 1)
-    assert [graph.gate.believed for graph in maps] == [1, 1]
+    assert [graph.gate.relocation_count for graph in maps] == [1, 1]
     assert maps[0].pose == maps[1].pose
     assert np.array_equal(maps[0].poses, maps[1].poses)
 
@@ -404,7 +405,7 @@ def test_spacing_is_less_than_what_claims_are_apart() -> None:
     gate = LoopClosureGate()
     for n in range(200):  # 10 m in steps of 5 cm
         here = Pose(0.05 * n, 0.0, 0.0)
-        if gate.claim(here, composed(Pose(9.0, 0.0, 0.0), here)):
+        if gate.accepts(here, composed(Pose(9.0, 0.0, 0.0), here)):
             break
-    assert gate.believed == 1
-    assert here.x_m == pytest.approx((WITNESSES - 1) * SPACING_M, abs=0.35)
+    assert gate.relocation_count == 1
+    assert here.x_m == pytest.approx((REQUIRED_COUNT - 1) * SPOT_SPACING_M, abs=0.35)

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers import restored
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -93,11 +94,11 @@ def test_the_fixed_point_is_that_of_dense_least_squares(
     """Several parts, links in both directions and in parallel; meshes from none to all."""
     poses, ends, shapes = random_graph(seed, count, extra)
     expected = dense_fixed_point(poses, ends, shapes)
-    before, relaxation.MESH = relaxation.MESH, mesh
+    before, relaxation.MAX_DEGREE = relaxation.MAX_DEGREE, mesh
     try:
         plan = Relaxation(ends, count)
     finally:
-        relaxation.MESH = before
+        relaxation.MAX_DEGREE = before
     plan.relax(poses, ends, shapes)
     assert apart(poses, expected) < 1e-9
     assert (np.abs(poses[:, 2]) <= math.pi).all()
@@ -256,7 +257,7 @@ def test_many_small_sweeps_end_at_the_same_fixed_point() -> None:
     close(graph)
     slow = replace(PARAMETERS, exp_relaxation='sweep', exp_loops=10_000, exp_correction=0.002)
     expected = fixed_point(graph)
-    graph._p = slow
+    graph = restored(graph, slow)
     for _ in range(40):
         graph.apply(action('none', 0, 0))
     assert apart(graph.poses, expected) < 5e-3

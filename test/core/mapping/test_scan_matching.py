@@ -16,9 +16,9 @@ from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.scan import points_of
 from ratslam_ros.core.config import ExperienceMapParameters
+from ratslam_ros.core.mapping import icp
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.scan_matching import VIEW_SD_M, ScanMatch, ScanMatcher
-from ratslam_ros.core.mapping.scan_matching import align as aligned
 from ratslam_ros.core.pose_cells.pose_cells import NO_EXPERIENCE, Action, MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 
@@ -38,7 +38,8 @@ def points(walls: list[Line], pose: Pose) -> np.ndarray:
 
 
 def align(place: np.ndarray, here: np.ndarray, guess: Pose) -> Pose | None:
-    return aligned(place, here, guess, VIEW_SD_M)
+    found = icp.align(place, here, guess, VIEW_SD_M)
+    return None if found is None else found.pose
 
 
 def off(found: Pose | None, true: Pose) -> tuple[float, float]:
@@ -185,12 +186,12 @@ def test_along_a_bare_corridor_view_and_map_tell_together(
 
 def test_what_the_map_refused_tells_nothing_of_how_sure_it_is() -> None:
     found = []
-    for refused in (False, True):
+    for undo_last in (False, True):
         scans = ScanMatcher()
         tick = known_in_a_corridor(scans, 300.0)
-        if refused:
+        if undo_last:
             scans.locate(tick * TICK_NS, action('link', 0), -1, HERE, Pose(50.0, 0.0, 0.0))
-            scans.refused()
+            scans.undo_last()
         expected = Pose(0.6, 0.0, 0.0)
         match = scans.locate(tick * TICK_NS, action('link', 0), -1, HERE, expected)
         found.append(match.from_target)
@@ -338,8 +339,8 @@ def test_the_map_takes_what_the_scans_tell() -> None:
     graph.integrate(Motion(1.0, 1.0, 0.0))
     graph.apply(MapAction('create', 0, 1, 1, 0.0, place))
     graph.integrate(Motion(1.0, -0.8, 0.0))
-    sight = ScanMatch(Pose(-0.9, 0.0, 0.0), Pose(0.1, 0.0, 0.0))
-    graph.apply(MapAction('link', 1, 0, 0, 0.0, place), sight=sight)
+    scan_match = ScanMatch(Pose(-0.9, 0.0, 0.0), Pose(0.1, 0.0, 0.0))
+    graph.apply(MapAction('link', 1, 0, 0, 0.0, place), scan_match=scan_match)
     assert graph.pose == pytest.approx((0.1, 0.0, 0.0))
     assert graph.link_shapes[1] == pytest.approx((1.0, math.pi, 0.0))  # no contradiction
     graph.settle()

@@ -137,7 +137,7 @@ def test_unreachable_target_is_rejected() -> None:
 def test_place_keeps_pose_if_experience_is_removed() -> None:
     graph, goals = line(), Goals()
     planner = planner_of(graph)
-    graph.on_forgotten.append(goals.forgotten)
+    graph.on_pruned.append(goals.forgotten)
     goals.name_place(graph, 'last')
     go(graph, 2, -2.0)
     graph.integrate(Motion(1.0, 0.2, 0.0))
@@ -172,7 +172,7 @@ def test_distant_place_is_anchored_at_nearest_experience(x_m: float, anchor_id: 
 
 def test_place_without_stand_in_is_found_by_position() -> None:
     graph, goals = line(), Goals()
-    graph.on_forgotten.append(goals.forgotten)
+    graph.on_pruned.append(goals.forgotten)
     go(graph, 5, linked=False)
     graph.integrate(Motion(1.0, -1.3, 0.0))
     goals.name_place(graph, 'island')

@@ -190,7 +190,7 @@ def test_goal_without_route_fails_after_exploring() -> None:
 def test_queued_goals_survive_removal_of_their_experiences() -> None:
     made = robot(12)
     nav = made.navigator
-    made.map.on_forgotten.append(nav.forgotten)
+    made.map.on_pruned.append(nav.forgotten)
     nav.go_to(10, 5)
     made.run(1.0)
     for forgotten in (10, 5):

@@ -397,7 +397,7 @@ def unlearn(robot: Robot, x_m: float, heading: float) -> None:
     graph.offset = Pose(x_m - at.x_m, -at.y_m, 0.0)
     before = graph.link_count
     for _ in range(50):
-        if graph.fail('centreline', heading):
+        if graph.report_blocked('centreline', heading):
             break
     assert graph.link_count < before
     graph.current_id, graph.offset = saved
@@ -432,7 +432,7 @@ def test_removed_experience_keeps_route_and_goal() -> None:
     robot.start(20)
     following = robot.following
     assert following is not None
-    robot.map.on_forgotten.append(following.forgotten)
+    robot.map.on_pruned.append(following.forgotten)
     x_m = []
     for forgotten in (20, 12, 13):  # new experiences reuse the ids
         robot.map.apply(MapAction('create', 0, forgotten, 99, 0.0, NOWHERE))

@@ -73,7 +73,7 @@ def test_aligned_scan_resets_unknown_distance() -> None:
         step(graph)
         guidance = navigator.update(stamp_ns)
     assert guidance.unknown_m > 2.0
-    graph.scans_fitted_m = 1.0
+    graph.scan_confirmed_m = 1.0
     assert navigator.update(12).unknown_m < 0.3
     for stamp_ns in range(13, 24):
         step(graph)

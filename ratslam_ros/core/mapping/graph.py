@@ -1,0 +1,174 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Experience graph: the poses and labels of experiences, and the links between them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.mapping.links import Link, Links
+from ratslam_ros.core.pose_cells.pose_cells import NO_EXPERIENCE, MapAction
+from ratslam_ros.core.pose_cells.torus import Place
+from ratslam_ros.errors import RatslamError
+
+MIRRORED = {'left_wall': 'right_wall', 'right_wall': 'left_wall'}
+"""Behaviour that follows the same wall when a link is driven against its direction."""
+
+
+class NotLinked(RatslamError):  # noqa: N818 - the errors' names say what they are
+    """Two experiences that no link joins, or that are not on the map."""
+
+
+@dataclass(frozen=True, slots=True)
+class Experience:
+    """A node of the graph: its template, its peak in the pose cells and its pose on the map."""
+
+    id: int
+    template_id: int
+    pose: Pose
+    place: Place
+
+
+class ExperienceGraph:
+    """The nodes and edges of the map, without the robot and without any learning rule."""
+
+    def __init__(self, origin: Pose, frame_id: str) -> None:
+        self.origin = origin
+        """Pose of the robot at the start."""
+        self.frame_id = frame_id
+        """Name of the frame that the poses are in."""
+        self._poses = np.empty((64, 3), np.float64)
+        self._made_m = np.zeros(len(self._poses))
+        self._labels: list[tuple[int, Place]] = []
+        self._links = Links()
+        self._unlearned: set[tuple[int, int]] = set()
+
+    def __len__(self) -> int:
+        return len(self._labels)
+
+    # Experiences
+
+    @property
+    def labels(self) -> Sequence[tuple[int, Place]]:
+        """Template and place in the pose cells of every experience; not to be changed or kept."""
+        return self._labels
+
+    @property
+    def poses(self) -> NDArray[np.float64]:
+        """(n, 3) x, y in m and heading in rad of every experience; a copy."""
+        return self._poses[: len(self)].copy()
+
+    def pose_of(self, experience_id: int) -> Pose:
+        """Return an experience's pose on the map; for -1 the robot's pose at the start."""
+        if experience_id == NO_EXPERIENCE:
+            return self.origin
+        x, y, heading = self._poses[experience_id].tolist()
+        return Pose(x, y, heading)
+
+    def made_m(self, experience_id: int) -> float:
+        """Return the odometer reading, in m, at which an experience was created."""
+        return float(self._made_m[experience_id])
+
+    def experiences(self) -> list[Experience]:
+        """Return all experiences, by id."""
+        return [
+            Experience(i, template, self.pose_of(i), place)
+            for i, (template, place) in enumerate(self._labels)
+        ]
+
+    def neighbours(self, experience_id: int) -> list[int]:
+        """Return the ids of the experiences one link away, in either direction, ascending.
+
+        Raises:
+            NotLinked: there is no such experience.
+        """
+        if not 0 <= experience_id < len(self):
+            raise NotLinked(
+                f'there is no experience {experience_id}; expected 0 to {len(self) - 1}'
+            )
+        ends = {end for k in self._links.of(experience_id) for end in (k.source_id, k.target_id)}
+        return sorted(ends - {experience_id})
+
+    # Links
+
+    @property
+    def link_count(self) -> int:
+        """Number of links."""
+        return len(self._links)
+
+    @property
+    def link_ends(self) -> NDArray[np.int64]:
+        """(links, 2) source and target of every link; a view, not to be changed or kept."""
+        return self._links.ends
+
+    @property
+    def link_durations_s(self) -> NDArray[np.float64]:
+        """(links,) duration of every link; a view, not to be changed or kept."""
+        return self._links.durations_s
+
+    @property
+    def link_shapes(self) -> NDArray[np.float64]:
+        """(links, 3) distance, heading and facing of every link; a view, not to be changed."""
+        return self._links.shapes
+
+    @property
+    def link_notes(self) -> Sequence[tuple[str, int]]:
+        """Behaviour and count of every link; not to be changed or kept."""
+        return self._links.notes
+
+    @property
+    def links_version(self) -> int:
+        """Counter that grows with every change of a link; validity key for derived data."""
+        return self._links.version
+
+    @property
+    def rebuilt(self) -> int:
+        """Counter that grows when links are deleted, which moves later links to other rows."""
+        return self._links.rebuilt
+
+    @property
+    def unlearned_ends(self) -> NDArray[np.int64]:
+        """(n, 2) source and target of unlearned links, sorted.
+
+        They cannot be driven, but still constrain how their ends lie. Links that were learned
+        again are included.
+        """
+        return np.array(sorted(self._unlearned), np.int64).reshape(-1, 2)
+
+    def links(self) -> list[Link]:
+        """Return all links, in the order in which they were created."""
+        return [self._links[row] for row in range(len(self._links))]
+
+    def behaviour_between(self, source_id: int, target_id: int) -> str:
+        """Return the behaviour that drives from one experience to the next, '' if unknown.
+
+        Against a link's direction the wall that was followed is on the other side.
+        """
+        row = self._links.row(source_id, target_id)
+        if row is not None:
+            return self._links.notes[row][0]
+        row = self._links.row(target_id, source_id)
+        return '' if row is None else MIRRORED.get(self._links.notes[row][0], '')
+
+    # Changes
+
+    def _place(self, action: MapAction, pose: Pose, odometer_m: float) -> None:
+        """Store a new experience under the next id, or under the id of a pruned one."""
+        n = len(self)
+        label = action.template_id, action.place
+        if action.target_id < n:
+            self._poses[action.target_id] = pose
+            self._made_m[action.target_id] = odometer_m
+            self._labels[action.target_id] = label
+            return
+        if n == len(self._poses):
+            self._poses = np.concatenate([self._poses, np.empty_like(self._poses)])
+            self._made_m = np.concatenate([self._made_m, np.zeros_like(self._made_m)])
+        self._poses[n] = pose
+        self._made_m[n] = odometer_m
+        self._labels.append(label)

@@ -1,0 +1,36 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Mapping step: one map action, applied to the scan matcher and the experience map."""
+
+from __future__ import annotations
+
+from ratslam_ros.core.mapping.experience_map import ExperienceMap, MapUpdate
+from ratslam_ros.core.mapping.scan_matching import ScanMatcher
+from ratslam_ros.core.pose_cells.pose_cells import MapAction
+
+
+def apply_action(
+    experience_map: ExperienceMap, scan_matcher: ScanMatcher | None, stamp_ns: int,
+    action: MapAction, behaviour: str = '',
+) -> MapUpdate:  # fmt: skip
+    """Locate the robot by its scan if there is a laser, then apply one action to the map.
+
+    Replays and nodes share this step, so that they build the same map.
+
+    Args:
+        experience_map: the map.
+        scan_matcher: the scans of its experiences; None without a laser.
+        stamp_ns: stamp of the action.
+        action: with the ids of the map.
+        behaviour: name of what the robot was doing, '' if unknown.
+    """
+    scan_match = None
+    if scan_matcher is not None:
+        scan_match = scan_matcher.locate(
+            stamp_ns, action, experience_map.current_id, experience_map.offset,
+            experience_map.seen_from(action.target_id),
+        )  # fmt: skip
+    update = experience_map.apply(action, behaviour, scan_match)
+    if update.rejected and scan_matcher is not None:
+        scan_matcher.undo_last()
+    return update

@@ -1,0 +1,107 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Pose graph optimiser: when the experience graph is relaxed, within a budget per action."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ratslam_ros.core.common.state import State
+from ratslam_ros.core.config import ExperienceMapParameters
+from ratslam_ros.core.mapping.links import Links
+from ratslam_ros.core.mapping.relaxation import Relaxation, sweep
+
+LINKS_PER_ACTION = 2000
+"""Number of links that one action may relax on average.
+
+Unused budget is saved for the next change of the graph. Larger maps are relaxed once in several
+actions, so that the mean cost of an action is independent of the size of the map.
+"""
+
+PLANNING_STEPS_PER_LINK = 12
+"""Estimated steps of planning per link, used until the first plan has been made."""
+
+
+class PoseGraphOptimiser:
+    """Relaxes the poses when the links have changed and the saved budget suffices."""
+
+    def __init__(self, parameters: ExperienceMapParameters) -> None:
+        self._p = parameters
+        self._plan: Relaxation | None = None
+        self._planning_work = 0
+        self._plan_holds = False
+        self._saved_steps = 0
+        self.is_settled = True
+        """Whether the poses are the optimum for the present links."""
+
+    @property
+    def is_enabled(self) -> bool:
+        """Whether the parameters allow any relaxation."""
+        return self._p.exp_loops > 0 and self._p.exp_correction > 0.0
+
+    def structure_changed(self) -> None:
+        """Mark that links were added or deleted: the elimination plan has to be made anew."""
+        self.is_settled = self._plan_holds = False
+
+    def measurement_changed(self) -> None:
+        """Mark that a link has another length, heading or facing."""
+        self.is_settled = False
+
+    def step(self, poses: NDArray[np.float64], count: int, links: Links) -> None:
+        """Spend one action's budget; relax if that and what was saved suffices.
+
+        Args:
+            poses: (capacity, 3) m, m, rad; changed in place.
+            count: number of experiences.
+            links: the constraints.
+        """
+        p = self._p
+        if len(links) == 0 or not self.is_enabled:
+            return
+        if p.exp_relaxation == 'sweep':
+            sweep(poses, links.ends, links.shapes, len(links), p.exp_correction, p.exp_loops)
+            return
+        cost = len(links)
+        if not self._plan_holds:
+            cost += (self._planning_work or PLANNING_STEPS_PER_LINK * cost) // 3
+        self._saved_steps = min(self._saved_steps + LINKS_PER_ACTION, cost)
+        if self.is_settled or self._saved_steps < cost:
+            return
+        self.discard_budget()
+        self.settle(poses, count, links)
+
+    def settle(self, poses: NDArray[np.float64], count: int, links: Links) -> None:
+        """Move all experiences to the fixed point of relaxation, whatever the budget.
+
+        Arguments as for ``step``.
+        """
+        if self._plan is None or not self._plan_holds:
+            self._plan = Relaxation(links.ends, count)
+            self._planning_work = self._plan.work
+            self._plan_holds = True
+        self._plan.relax(poses[:count], links.ends, links.shapes)
+        self.is_settled = True
+
+    def discard_budget(self) -> None:
+        """Set the saved budget to zero."""
+        self._saved_steps = 0
+
+    def relaxation_state(self) -> list[int | bool]:
+        """Return the number of planned links, and the flags and budget, for ``restore``."""
+        return [
+            0 if self._plan is None else self._plan.links,
+            self._plan_holds, self.is_settled, self._saved_steps,
+        ]  # fmt: skip
+
+    @property
+    def planning_work(self) -> int:
+        """Steps that the last plan took to make."""
+        return self._planning_work
+
+    def restore(self, state: State, count: int) -> None:
+        """Restore from an experience map's state; ``count``: its number of experiences."""
+        planned, self._plan_holds, self.is_settled, self._saved_steps = state['relaxation']
+        if planned > 0 and self._plan_holds:
+            self._plan = Relaxation(state['ends'][:planned], count)
+        self._planning_work = state['planning_work']
