@@ -133,7 +133,9 @@ def read_map(path: Path) -> ExperienceMap:
         payload = json.loads(path.read_text(encoding='utf-8'))
         experiences, links = payload['experiences'], payload['links']
         ends = _numbers(links, 'source_id', 'target_id').astype(np.int64)
+        graph = ExperienceMap(ExperienceMapParameters())
         state: State = {
+            **graph.state(),
             'poses': _numbers(experiences, 'x_m', 'y_m', 'heading_rad'),
             'labels': [
                 [int(e['template_id']), *(float(e[axis]) for axis in ('pc_x', 'pc_y', 'pc_theta'))]
@@ -144,9 +146,9 @@ def read_map(path: Path) -> ExperienceMap:
             'notes': [
                 [float(k['duration_s']), str(k['behaviour']), int(k['count'])] for k in links
             ],
+            'failures': np.zeros((len(links), 2), np.int64),
             'current': int(payload['current_experience_id']),
-            'offset': [0.0, 0.0, 0.0],
-            'duration_s': 0.0,
+            'made_m': np.zeros(len(experiences)),
             'relaxation': [0, False, True, 0],
         }
         if not ((ends >= 0) & (ends < len(experiences))).all():
@@ -156,7 +158,6 @@ def read_map(path: Path) -> ExperienceMap:
                             'ratslam replay wrote') from None  # fmt: skip
     except (ValueError, KeyError, TypeError) as error:
         raise UnusableInput(f'{path}: not a map of ratslam_ros ({error!r})') from None
-    graph = ExperienceMap(ExperienceMapParameters())
     graph.restore(state)
     return graph
 
