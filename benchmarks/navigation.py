@@ -36,7 +36,8 @@ from ratslam_ros.core.config import Config
 from ratslam_ros.core.config.parameter import Value
 from ratslam_ros.core.driving.steering import Command
 from ratslam_ros.core.navigation.route_following import RECOVERY_M
-from ratslam_ros.core.navigation.route_planner import RoutePlanner, UnreachableGoal
+from ratslam_ros.core.navigation.route_planner import RoutePlanner
+from ratslam_ros.errors import UnreachableGoal
 from ratslam_ros.files.config import load_config
 from ratslam_ros.results.evaluation import figures, fit
 from ratslam_ros.results.goal_memory_plots import draw_temporal_array

@@ -21,7 +21,7 @@ from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation.goal_tree import GoalTree
 from ratslam_ros.core.navigation.navigator import Navigator
 from ratslam_ros.core.navigation.route_planner import RoutePlanner
-from ratslam_ros.core.pose_cells.pose_cells import MapAction
+from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 
 ROUTE_COUNT = 100

@@ -13,7 +13,7 @@ from ratslam_ros.core.config import ExperienceMapParameters, GoalRecallParameter
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation.route_graph import MIN_EDGE_S
 from ratslam_ros.core.navigation.route_planner import RoutePlanner
-from ratslam_ros.core.pose_cells.pose_cells import MapAction
+from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 
 PARAMETERS = GoalRecallParameters(goal_tolerance_m=0.5)

@@ -22,6 +22,7 @@ from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import Scan, UnusableScan, checked_scan
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.ratslam import RatSLAM, Step, ViewStep
+from ratslam_ros.core.vision.local_view import LocalView
 from ratslam_ros.core.vision.visual_odometry import field_of_view_deg
 from ratslam_ros.messages.mapping import MalformedMessage, decode_template
 from ratslam_ros.recordings import (
@@ -365,10 +366,11 @@ class _Film:
             image = event.bgr()
         except UndecodableImage:
             return
-        known = step.match.template_id
+        known, local_view = step.match.template_id, self._slam.local_view
+        assert isinstance(local_view, LocalView)
         self._video.write(
             image,
-            self._slam.local_view.template(known) if known >= 0 else None,
+            local_view.template(known) if known >= 0 else None,
             self._slam.pose_cells.activity(),
             self._slam.experience_map.poses[:, :2],
             self._slam.experience_map.pose,

@@ -15,9 +15,8 @@ import numpy as np
 from tqdm import tqdm
 
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.navigation.route_planner import UnreachableGoal
 from ratslam_ros.core.ratslam import Step
-from ratslam_ros.errors import UnusableInput
+from ratslam_ros.errors import UnreachableGoal, UnusableInput
 from ratslam_ros.results.goal_plots import draw_temporal_map
 from ratslam_ros.results.plots import draw_all
 from ratslam_ros.results.writer import Results, tum_line

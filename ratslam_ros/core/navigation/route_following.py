@@ -16,8 +16,9 @@ from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config.goal_recall import GoalRecallParameters
 from ratslam_ros.core.navigation.goal_tree import GoalTree
 from ratslam_ros.core.navigation.goals import Goal
-from ratslam_ros.core.navigation.route_planner import RoutePlanner, UnreachableGoal
+from ratslam_ros.core.navigation.route_planner import RoutePlanner
 from ratslam_ros.core.navigation.tracked_route import TrackedRoute
+from ratslam_ros.errors import UnreachableGoal
 
 Status = Literal[
     'idle', 'following', 'recovering', 'lost', 'succeeded', 'failed', 'timed_out', 'cancelled'

@@ -16,14 +16,10 @@ from ratslam_ros.core.common.compiled import compiled
 from ratslam_ros.core.config import GoalRecallParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation.route_graph import route_graph
-from ratslam_ros.errors import RatslamError
+from ratslam_ros.errors import UnreachableGoal
 
 if TYPE_CHECKING:  # SciPy loads slowly, so it is imported with the first route
     from scipy.sparse import csr_array
-
-
-class UnreachableGoal(RatslamError):  # noqa: N818 - the errors' names say what they are
-    """A goal that is not on the map, or that no link leads to."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,13 +27,9 @@ from ratslam_ros.core.config import GoalRecallParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation import goal_tree
 from ratslam_ros.core.navigation.goal_tree import GoalTree
-from ratslam_ros.core.navigation.route_planner import (
-    Route,
-    RoutePlanner,
-    TemporalMap,
-    UnreachableGoal,
-)
-from ratslam_ros.core.pose_cells.pose_cells import MapAction
+from ratslam_ros.core.navigation.route_planner import Route, RoutePlanner, TemporalMap
+from ratslam_ros.core.pose_cells.map_action import MapAction
+from ratslam_ros.errors import UnreachableGoal
 
 
 def assert_leads(graph: ExperienceMap, route: Route, start: int, goal: int) -> None:

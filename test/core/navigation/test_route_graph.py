@@ -17,8 +17,9 @@ from ratslam_ros.core.config import ExperienceMapParameters, GoalRecallParameter
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation.navigator import Navigator
 from ratslam_ros.core.navigation.route_graph import TILE_M, route_graph
-from ratslam_ros.core.navigation.route_planner import RoutePlanner, UnreachableGoal
-from ratslam_ros.core.pose_cells.pose_cells import MapAction
+from ratslam_ros.core.navigation.route_planner import RoutePlanner
+from ratslam_ros.core.pose_cells.map_action import MapAction
+from ratslam_ros.errors import UnreachableGoal
 from ratslam_ros.files.memory import load, save
 
 

@@ -16,8 +16,8 @@ from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation.goal_tree import GoalTree
 from ratslam_ros.core.navigation.route_graph import route_graph
-from ratslam_ros.core.navigation.route_planner import UnreachableGoal
-from ratslam_ros.core.pose_cells.pose_cells import MapAction
+from ratslam_ros.core.pose_cells.map_action import MapAction
+from ratslam_ros.errors import UnreachableGoal
 
 
 def test_route_over_reversed_links_has_arrival_times() -> None:

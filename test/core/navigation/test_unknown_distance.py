@@ -15,7 +15,7 @@ from ratslam_ros.core.navigation.navigator import (
     MAX_UNCERTAIN_TRY_COUNT,
     Navigator,
 )
-from ratslam_ros.core.pose_cells.pose_cells import MapAction
+from ratslam_ros.core.pose_cells.map_action import MapAction
 
 
 def step(graph: ExperienceMap) -> None:
