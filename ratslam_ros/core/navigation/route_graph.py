@@ -128,7 +128,8 @@ def _connected_locally(
     for shift in ((0.0, 0.0), (0.0, 0.5), (0.5, 0.0), (0.5, 0.5)):
         tiles = np.floor(places + shift)
         inside = ends[(tiles[ends[:, 0]] == tiles[ends[:, 1]]).all(axis=1)]
-        graph = coo_array((np.ones(len(inside)), inside.T), shape=(count, count))
+        pairs_in_tile = inside.T.astype(np.int32)  # required by SciPy before 1.15
+        graph = coo_array((np.ones(len(inside)), pairs_in_tile), shape=(count, count))
         _, part = connected_components(graph, directed=False)
         found |= part[pairs[:, 0]] == part[pairs[:, 1]]
     return found
