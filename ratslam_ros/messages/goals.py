@@ -19,17 +19,17 @@ from ratslam_ros.core.navigation.goals import Goal, Position, Target
 from ratslam_ros.core.navigation.navigator import GoalTask
 from ratslam_ros.core.navigation.route_following import Guidance
 from ratslam_ros.core.navigation.route_planner import TemporalMap
-from ratslam_ros.messages.mapping import (
-    MOST_ID,
+from ratslam_ros.messages.json_schema import (
+    MAX_ID,
     NS_PER_S,
     SCHEMA_VERSION,
     MalformedMessage,
-    _check,
-    _check_types,
-    _dumps,
-    _loads,
-    _stamp,
-    _stamp_ns,
+    check_range,
+    check_types,
+    decode_fields,
+    decode_stamp,
+    encode_json,
+    encode_stamp,
 )
 
 OUTCOMES_TOLD = 10
@@ -84,11 +84,11 @@ def decode_goal(payload: str) -> GoalRequest:
         if not isinstance(targets, list) or not targets:
             raise MalformedMessage(f'{name}: goals is {targets!r}; expected a list of goals')
         _check_keys(fields, name, ('goals', *options))
-    _check_types(fields, name, {key: options[key] for key in options if key in fields})
+    check_types(fields, name, {key: options[key] for key in options if key in fields})
     allowed = () if 'goals' in fields else tuple(options)
     timeout_s = fields.get('timeout_s')
     if timeout_s is not None:
-        _check(name, 'timeout_s', timeout_s, 0.0, 1e9)
+        check_range(name, 'timeout_s', timeout_s, 0.0, 1e9)
     return GoalRequest(
         tuple(_target(target, name, allowed) for target in targets),
         fields.get('append', False), timeout_s,
@@ -108,13 +108,13 @@ def _target(fields: Any, name: str, allowed: Sequence[str]) -> Target:
             'by experience_id, or by x_m and y_m'
         )
     [types] = given
-    _check_types(fields, name, types)
+    check_types(fields, name, types)
     _check_keys(fields, name, (*types, *allowed))
     if 'x_m' in types:
         return Position(fields['x_m'], fields['y_m'])
     if 'name' in types:
         return str(fields['name'])
-    _check(name, 'experience_id', fields['experience_id'], 0, MOST_ID)
+    check_range(name, 'experience_id', fields['experience_id'], 0, MAX_ID)
     return int(fields['experience_id'])
 
 
@@ -127,7 +127,7 @@ def decode_name(payload: str) -> NameRequest:
     topic = 'experience_map/name_place'
     fields = _typed(payload, topic)
     types = {'name': str, 'rename_to': str, 'remove': bool}
-    _check_types(
+    check_types(
         fields, topic, {key: types[key] for key in types if key == 'name' or key in fields}
     )
     _check_keys(fields, topic, tuple(types))
@@ -139,10 +139,10 @@ def decode_name(payload: str) -> NameRequest:
 
 def encode_behaviour(note: BehaviourNote) -> str:
     """Return the payload of ``goal_follower/behaviour``."""
-    return _dumps(
+    return encode_json(
         {
             'schema_version': SCHEMA_VERSION,
-            'stamp': _stamp(note.stamp_ns),
+            'stamp': encode_stamp(note.stamp_ns),
             'behaviour': note.behaviour,
             'failed': note.failed,
             'ahead_rad': note.ahead_rad,
@@ -158,12 +158,12 @@ def decode_behaviour(payload: str) -> BehaviourNote:
     """
     name = 'goal_follower/behaviour'
     types = {'stamp': dict, 'behaviour': str, 'failed': bool, 'ahead_rad': float}
-    fields = _loads(payload, name, types)
-    _check(name, 'ahead_rad', fields['ahead_rad'], -math.tau, math.tau)
+    fields = decode_fields(payload, name, types)
+    check_range(name, 'ahead_rad', fields['ahead_rad'], -math.tau, math.tau)
     if len(fields['behaviour']) > LONGEST_BEHAVIOUR:
         raise MalformedMessage(f'{name}: expected a behaviour of {LONGEST_BEHAVIOUR} characters')
     return BehaviourNote(
-        _stamp_ns(fields['stamp']), fields['behaviour'], fields['failed'], fields['ahead_rad']
+        decode_stamp(fields['stamp']), fields['behaviour'], fields['failed'], fields['ahead_rad']
     )
 
 
@@ -185,10 +185,10 @@ def encode_status(
     neighbours = experience_map.neighbours(here) if here >= 0 else []
     seen = [(other, experience_map.distance_and_direction(other)) for other in neighbours]
     goal, left_s = guidance.goal, guidance.remaining_s
-    return _dumps(
+    return encode_json(
         {
             'schema_version': SCHEMA_VERSION,
-            'stamp': _stamp(stamp_ns),
+            'stamp': encode_stamp(stamp_ns),
             'status': guidance.status,
             'explore': guidance.explore,
             'behaviour': guidance.behaviour,
@@ -216,7 +216,7 @@ def decode_status(payload: str) -> dict[str, Any]:
     Raises:
         MalformedMessage: it is not such a payload.
     """
-    fields = _loads(
+    fields = decode_fields(
         payload, 'experience_map/status',
         {
             'stamp': dict, 'status': str, 'explore': bool, 'reason': str, 'experience_id': int,
@@ -225,7 +225,7 @@ def decode_status(payload: str) -> dict[str, Any]:
         },
     )  # fmt: skip
     behaviour = str(fields.get('behaviour', ''))
-    return {**fields, 'behaviour': behaviour, 'stamp_ns': _stamp_ns(fields['stamp'])}
+    return {**fields, 'behaviour': behaviour, 'stamp_ns': decode_stamp(fields['stamp'])}
 
 
 def _errand(errand: GoalTask) -> dict[str, Any]:
@@ -241,7 +241,7 @@ def _errand(errand: GoalTask) -> dict[str, Any]:
 def encode_goals(experience_map: ExperienceMap, goals: Iterable[Goal]) -> str:
     """Return the answer of ``experience_map/list_goals``: names, and where their places are."""
     places = [(goal, goal.pose_on(experience_map)) for goal in goals]
-    return _dumps(
+    return encode_json(
         {
             'schema_version': SCHEMA_VERSION,
             'goals': [
@@ -257,7 +257,7 @@ def encode_goals(experience_map: ExperienceMap, goals: Iterable[Goal]) -> str:
 
 def encode_times(times: TemporalMap) -> str:
     """Return the answer of ``experience_map/temporal_map``; null where no link leads."""
-    return _dumps(
+    return encode_json(
         {
             'schema_version': SCHEMA_VERSION,
             'experience_id': times.start_id,
@@ -275,7 +275,7 @@ def _typed(payload: str, name: str) -> dict[str, Any]:
     if isinstance(fields, dict) and 'schema_version' not in fields:
         version = f'"schema_version":{SCHEMA_VERSION}{"," if fields else ""}'
         payload = f'{{{version}{payload.lstrip()[1:]}'
-    return _loads(payload, name, {})
+    return decode_fields(payload, name, {})
 
 
 def _check_keys(fields: Mapping[str, Any], name: str, known: Sequence[str]) -> None:

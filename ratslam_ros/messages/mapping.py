@@ -8,11 +8,9 @@ in a fixed order, and never NaN, so that equal content gives equal bytes.
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from operator import is_not
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,26 +19,29 @@ from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.pose_cells.pose_cells import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.core.vision.local_view import ViewMatch
-from ratslam_ros.errors import UnusableInput
+from ratslam_ros.messages.json_schema import (
+    MAX_ID,
+    SCHEMA_VERSION,
+    MalformedMessage,
+    check_range,
+    check_types,
+    decode_fields,
+    decode_stamp,
+    encode_json,
+    encode_stamp,
+)
 
-SCHEMA_VERSION = 1
-NS_PER_S = 1_000_000_000
-MOST_ID = 2**31 - 1
-MOST_COUNT = 2**63 - 1
-MOST_CELLS = 100_000.0
-MOST_ACTIVITY = 2.0
-
-
-class MalformedMessage(UnusableInput):
-    """A payload that does not fit its schema; none of it is used."""
+MAX_COUNT = 2**63 - 1
+MAX_PLACE_CELLS = 100_000.0
+MAX_ACTIVITY = 2.0
 
 
 def encode_template(stamp_ns: int, match: ViewMatch, memory_ns: int) -> str:
     """Return the payload of ``local_view/template``; ``memory_ns``: when the first was learned."""
-    return _dumps(
+    return encode_json(
         {
             'schema_version': SCHEMA_VERSION,
-            'stamp': _stamp(stamp_ns),
+            'stamp': encode_stamp(stamp_ns),
             'id': match.template_id,
             'is_new': match.is_new,
             'error': match.error,
@@ -56,7 +57,7 @@ def decode_template(payload: str) -> tuple[int, ViewMatch, int]:
     Raises:
         MalformedMessage: it is not such a payload, to the last field.
     """
-    fields = _loads(
+    fields = decode_fields(
         payload,
         'local_view/template',
         {
@@ -65,12 +66,12 @@ def decode_template(payload: str) -> tuple[int, ViewMatch, int]:
         },
     )  # fmt: skip
     for key, low, high in (
-        ('id', -1, MOST_ID), ('error', -1.0, 1.0), ('relative_rad', -math.pi, math.pi),
-        ('memory', 0, MOST_COUNT),
+        ('id', -1, MAX_ID), ('error', -1.0, 1.0), ('relative_rad', -math.pi, math.pi),
+        ('memory', 0, MAX_COUNT),
     ):  # fmt: skip
-        _check('local_view/template', key, fields[key], low, high)
+        check_range('local_view/template', key, fields[key], low, high)
     match = ViewMatch(fields['id'], fields['is_new'], fields['error'], fields['relative_rad'])
-    return _stamp_ns(fields['stamp']), match, fields['memory']
+    return decode_stamp(fields['stamp']), match, fields['memory']
 
 
 def encode_action(stamp_ns: int, sequence: int, action: MapAction, memory_ns: int) -> str:
@@ -79,10 +80,10 @@ def encode_action(stamp_ns: int, sequence: int, action: MapAction, memory_ns: in
     ``sequence`` counts all actions from 0, so that a lost one is noticed; ``memory_ns``: when the
     first experience was made, 0 before.
     """
-    return _dumps(
+    return encode_json(
         {
             'schema_version': SCHEMA_VERSION,
-            'stamp': _stamp(stamp_ns),
+            'stamp': encode_stamp(stamp_ns),
             'sequence': sequence,
             'action': action.action,
             'source_id': action.source_id,
@@ -104,7 +105,7 @@ def decode_action(payload: str) -> tuple[int, int, MapAction, int]:
         MalformedMessage: it is not such a payload, to the last field.
     """
     name = 'pose_cells/action'
-    fields = _loads(
+    fields = decode_fields(
         payload,
         name,
         {
@@ -118,17 +119,17 @@ def decode_action(payload: str) -> tuple[int, int, MapAction, int]:
         raise MalformedMessage(f'{name}: action is {kind!r}; expected create, link, set or none')
     least = -1 if kind == 'none' else 0
     for key, low, high in (
-        ('sequence', 0, MOST_COUNT), ('source_id', -1, MOST_ID), ('target_id', least, MOST_ID),
-        ('template_id', least, MOST_ID), ('relative_rad', -math.pi, math.pi),
-        ('pc_x', 0.0, MOST_CELLS), ('pc_y', 0.0, MOST_CELLS), ('pc_theta', 0.0, MOST_CELLS),
-        ('memory', 0, MOST_COUNT),
+        ('sequence', 0, MAX_COUNT), ('source_id', -1, MAX_ID), ('target_id', least, MAX_ID),
+        ('template_id', least, MAX_ID), ('relative_rad', -math.pi, math.pi),
+        ('pc_x', 0.0, MAX_PLACE_CELLS), ('pc_y', 0.0, MAX_PLACE_CELLS),
+        ('pc_theta', 0.0, MAX_PLACE_CELLS), ('memory', 0, MAX_COUNT),
     ):  # fmt: skip
-        _check(name, key, fields[key], low, high)
+        check_range(name, key, fields[key], low, high)
     action = MapAction(
         kind, fields['source_id'], fields['target_id'], fields['template_id'],
         fields['relative_rad'], Place(fields['pc_x'], fields['pc_y'], fields['pc_theta']),
     )  # fmt: skip
-    return _stamp_ns(fields['stamp']), fields['sequence'], action, fields['memory']
+    return decode_stamp(fields['stamp']), fields['sequence'], action, fields['memory']
 
 
 def encode_goal_memory(
@@ -139,10 +140,10 @@ def encode_goal_memory(
     ``bearing_rad``: from ahead, to the left positive, None where none is known; ``remaining_s``:
     infinite where no way is known.
     """
-    return _dumps(
+    return encode_json(
         {
             'schema_version': SCHEMA_VERSION,
-            'stamp': _stamp(stamp_ns),
+            'stamp': encode_stamp(stamp_ns),
             'goal': goal,
             'bearing_rad': bearing_rad,
             'remaining_s': remaining_s if math.isfinite(remaining_s) else None,
@@ -156,10 +157,10 @@ def encode_active(stamp_ns: int, template_id: int, active: Sequence[tuple[int, f
 
     ``active``: (id, activity) of the experiences of the template that are near the peak.
     """
-    return _dumps(
+    return encode_json(
         {
             'schema_version': SCHEMA_VERSION,
-            'stamp': _stamp(stamp_ns),
+            'stamp': encode_stamp(stamp_ns),
             'template_id': template_id,
             'experiences': [{'id': i, 'activity': activity} for i, activity in active],
         }
@@ -173,17 +174,17 @@ def decode_active(payload: str) -> tuple[int, int, list[tuple[int, float]]]:
         MalformedMessage: it is not such a payload, to the last field.
     """
     name = 'pose_cells/active_experiences'
-    fields = _loads(payload, name, {'stamp': dict, 'template_id': int, 'experiences': list})
-    _check(name, 'template_id', fields['template_id'], -1, MOST_ID)
+    fields = decode_fields(payload, name, {'stamp': dict, 'template_id': int, 'experiences': list})
+    check_range(name, 'template_id', fields['template_id'], -1, MAX_ID)
     active = []
     for item in fields['experiences']:
         if not isinstance(item, dict):
             raise MalformedMessage(f'{name}: {item!r} is no experience; expected an object')
-        _check_types(item, name, {'id': int, 'activity': float})
-        _check(name, 'id', item['id'], 0, MOST_ID)
-        _check(name, 'activity', item['activity'], 0.0, MOST_ACTIVITY)
+        check_types(item, name, {'id': int, 'activity': float})
+        check_range(name, 'id', item['id'], 0, MAX_ID)
+        check_range(name, 'activity', item['activity'], 0.0, MAX_ACTIVITY)
         active.append((item['id'], item['activity']))
-    return _stamp_ns(fields['stamp']), fields['template_id'], active
+    return decode_stamp(fields['stamp']), fields['template_id'], active
 
 
 def encode_map(
@@ -201,11 +202,11 @@ def encode_map(
         ValueError: a number of the graph is not finite.
     """
     experiences, links = (map_text or MapText()).of(experience_map)
-    head = _dumps(
+    head = encode_json(
         {
             'schema_version': SCHEMA_VERSION,
             'frame_id': experience_map.frame_id,
-            'stamp': _stamp(stamp_ns),
+            'stamp': encode_stamp(stamp_ns),
             'current_experience_id': experience_map.current_id,
         }
     )
@@ -260,7 +261,7 @@ class MapText:
         lengths = np.column_stack([experience_map.link_shapes, experience_map.link_durations_s])
 
         def write(rows: list[int]) -> list[str]:
-            behaviours = {name: _dumps(name) for name in {notes[row][0] for row in rows}}
+            behaviours = {name: encode_json(name) for name in {notes[row][0] for row in rows}}
             columns = *ends[rows].T.tolist(), *map(_numbers, lengths[rows].T.tolist())
             return [
                 f'{"," if row else ""}{{"source_id":{source},"target_id":{target},'
@@ -313,61 +314,4 @@ class _Texts:
 
 def _numbers(values: list[float]) -> list[str]:
     """Return numbers as JSON writes them; all at once, as a call takes as long as a number."""
-    return _dumps(values)[1:-1].split(',')
-
-
-def _check(name: str, key: str, value: float, low: float, high: float) -> None:
-    if not low <= value <= high:
-        raise MalformedMessage(f'{name}: {key} is {value}; expected {low:.4g} to {high:.4g}')
-
-
-def _dumps(value: Any) -> str:
-    return json.dumps(value, allow_nan=False, separators=(',', ':'))
-
-
-def _loads(payload: str, name: str, types: Mapping[str, type]) -> dict[str, Any]:
-    """Return the fields of a payload that has the schema version and exactly these types."""
-    try:
-        fields = json.loads(payload)
-    except (ValueError, RecursionError) as error:
-        raise MalformedMessage(f'{name}: not JSON ({error}); expected an object') from None
-    if not isinstance(fields, dict):
-        raise MalformedMessage(f'{name}: {type(fields).__name__}; expected an object')
-    version = fields.get('schema_version')
-    if type(version) is not int or version != SCHEMA_VERSION:
-        raise MalformedMessage(
-            f'{name}: schema_version is {version!r}; expected '
-            f'{SCHEMA_VERSION}: sender and receiver are of different versions'
-        )
-    _check_types(fields, name, types)
-    return fields
-
-
-def _check_types(fields: dict[str, Any], name: str, types: Mapping[str, type]) -> None:
-    """Refuse fields that are not of these types; make floats of whole numbers where expected."""
-    for key, expected in types.items():
-        value = fields.get(key)
-        if expected is float and type(value) is int and abs(value) < 2**53:
-            value = fields[key] = float(value)
-        if not isinstance(value, expected) or (expected is int and isinstance(value, bool)):
-            raise MalformedMessage(f'{name}: {key} is {value!r}; expected {expected.__name__}')
-        if isinstance(value, float) and not math.isfinite(value):
-            raise MalformedMessage(f'{name}: {key} is {value!r}; expected a finite number')
-
-
-def _stamp(stamp_ns: int) -> dict[str, int]:
-    return {'sec': stamp_ns // NS_PER_S, 'nanosec': stamp_ns % NS_PER_S}
-
-
-def _stamp_ns(stamp: Mapping[str, Any]) -> int:
-    sec, nanosec = stamp.get('sec'), stamp.get('nanosec')
-    if (
-        type(sec) is not int
-        or type(nanosec) is not int
-        or not 0 <= sec < 2**31
-        or not 0 <= nanosec < NS_PER_S
-    ):
-        raise MalformedMessage(
-            f'stamp is {dict(stamp)!r}; expected integers, sec below 2^31 and nanosec below 10^9'
-        )
-    return sec * NS_PER_S + nanosec
+    return encode_json(values)[1:-1].split(',')

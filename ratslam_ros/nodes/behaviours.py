@@ -11,7 +11,7 @@ from rclpy.node import Node
 from std_msgs.msg import String
 
 from ratslam_ros.messages.goals import BehaviourNote, decode_behaviour
-from ratslam_ros.messages.mapping import MalformedMessage
+from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.nodes.qos import RESULT
 
 HOLDS_NS = 2_000_000_000

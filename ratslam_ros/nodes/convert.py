@@ -17,7 +17,7 @@ from std_msgs.msg import Header
 
 from ratslam_ros.core.common.odometry import Odometry, Twist
 from ratslam_ros.core.common.pose import Pose, heading_of, quaternion_of
-from ratslam_ros.messages.mapping import NS_PER_S
+from ratslam_ros.messages.json_schema import NS_PER_S
 
 
 def stamp_ns(header: Header) -> int:

@@ -26,7 +26,8 @@ from ratslam_ros.core.mapping.scan_matching import ScanMatcher
 from ratslam_ros.core.pose_cells.pose_cells import MapAction
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
 from ratslam_ros.core.warm_up import warm_up
-from ratslam_ros.messages.mapping import MalformedMessage, MapText, decode_action, encode_map
+from ratslam_ros.messages.json_schema import MalformedMessage
+from ratslam_ros.messages.mapping import MapText, decode_action, encode_map
 from ratslam_ros.nodes.behaviours import Behaviours
 from ratslam_ros.nodes.convert import header_of, odometry_of, pose_message, transform
 from ratslam_ros.nodes.goal_navigation import GoalNavigation

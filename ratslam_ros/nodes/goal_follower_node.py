@@ -22,7 +22,7 @@ from ratslam_ros.core.driving.exploration import Exploration
 from ratslam_ros.core.driving.goal_follower import GoalFollower, rest_of, seen_from
 from ratslam_ros.core.driving.steering import Command
 from ratslam_ros.messages.goals import BehaviourNote, decode_status, encode_behaviour
-from ratslam_ros.messages.mapping import MalformedMessage
+from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.nodes.convert import place_of, stamp_ns
 from ratslam_ros.nodes.node import FLUSH_CHECK_S, RatslamNode
 from ratslam_ros.nodes.qos import LATCHED, RESULT, STATE

@@ -33,7 +33,7 @@ from ratslam_ros.messages.goals import (
     encode_status,
     encode_times,
 )
-from ratslam_ros.messages.mapping import MalformedMessage
+from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.nodes.convert import header_of, place_of, pose_message
 from ratslam_ros.nodes.diagnostics import Diagnostics
 from ratslam_ros.nodes.paths import cloud_of, path_of

@@ -18,12 +18,8 @@ from ratslam_ros.core.common.state import State
 from ratslam_ros.core.mapping.id_map import FIRST_MEMORY, NOTHING_LEARNED, IdMap
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE, ViewMatch
-from ratslam_ros.messages.mapping import (
-    MalformedMessage,
-    decode_template,
-    encode_action,
-    encode_active,
-)
+from ratslam_ros.messages.json_schema import MalformedMessage
+from ratslam_ros.messages.mapping import decode_template, encode_action, encode_active
 from ratslam_ros.nodes.convert import grey_image, odometry_of
 from ratslam_ros.nodes.goal_seeking import GoalSeeking
 from ratslam_ros.nodes.node import FLUSH_CHECK_S, RatslamNode

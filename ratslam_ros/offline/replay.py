@@ -23,7 +23,8 @@ from ratslam_ros.core.common.scan import Scan, UnusableScan, checked_scan
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.ratslam import RatSLAM, Step, ViewStep
 from ratslam_ros.core.vision.visual_odometry import field_of_view_deg
-from ratslam_ros.messages.mapping import MalformedMessage, decode_template
+from ratslam_ros.messages.json_schema import MalformedMessage
+from ratslam_ros.messages.mapping import decode_template
 from ratslam_ros.read_ahead import ReadAhead
 from ratslam_ros.recordings import (
     Event,

@@ -22,7 +22,8 @@ from ratslam_ros.core.ratslam import OdometryStep, Step, ViewStep
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.config import to_yaml
-from ratslam_ros.messages.mapping import NS_PER_S, encode_map
+from ratslam_ros.messages.json_schema import NS_PER_S
+from ratslam_ros.messages.mapping import encode_map
 
 FRAMES_HEADER = 'stamp_ns,template_id,is_new,match_error,relative_rad,experience_id\n'
 

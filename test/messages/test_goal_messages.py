@@ -31,7 +31,7 @@ from ratslam_ros.messages.goals import (
     encode_status,
     encode_times,
 )
-from ratslam_ros.messages.mapping import MalformedMessage
+from ratslam_ros.messages.json_schema import MalformedMessage
 
 
 @pytest.mark.parametrize(('payload', 'request_'), [

@@ -18,8 +18,8 @@ from ratslam_ros.core.pose_cells.pose_cells import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.core.vision.local_view import UNDECODABLE, ViewMatch
 from ratslam_ros.messages import mapping
+from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.messages.mapping import (
-    MalformedMessage,
     MapText,
     decode_action,
     decode_active,
