@@ -31,7 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     0 done, 1 an error of the program's own, 2 unusable input or wrong use, 130 interrupted.
     """
-    signal.signal(signal.SIGTERM, _interrupt)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # raises KeyboardInterrupt
     try:
         options = _parser().parse_args(arguments)
         return int(options.run(options))
@@ -54,10 +54,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         _say(f'ratslam: {error.strerror} while writing; make room, or give another --out')
         return UNUSABLE
-
-
-def _interrupt(signal_number: int, frame: object) -> NoReturn:
-    raise KeyboardInterrupt
 
 
 def _say(text: str) -> None:

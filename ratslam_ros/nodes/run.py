@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import signal
 import sys
 import threading
 from typing import Any
@@ -16,6 +15,7 @@ from rclpy.signals import SignalHandlerOptions
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.errors import RatslamError
 from ratslam_ros.quick_start import import_numba, settle
+from ratslam_ros.signals import StopSignals
 
 DONE, INTERNAL_ERROR, UNUSABLE = 0, 1, 2
 PROMPT_S = 0.1
@@ -31,7 +31,7 @@ def run(*kinds: type[Any], args: list[str] | None = None) -> int:
     0 after a signal, 1 after an error of the program's own, 2 where a parameter or argument
     cannot be used.
     """
-    stop = _Stop()
+    stop = StopSignals()
     # Signals only end the loop below: nodes then still process what they hold, and send it.
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
@@ -56,7 +56,7 @@ def run(*kinds: type[Any], args: list[str] | None = None) -> int:
             for part in {part for node in nodes for part in node.parts}:
                 # No stream of messages needs it, and its imports take long: beside the first ones.
                 threading.Thread(target=warm_up, args=(part,)).start()
-            while not stop.asked and rclpy.ok():
+            while not stop.received and rclpy.ok():
                 executor.spin_once(timeout_sec=PROMPT_S)
                 for node in nodes:
                     if getattr(node, 'error', None) is not None:
@@ -72,25 +72,3 @@ def run(*kinds: type[Any], args: list[str] | None = None) -> int:
             node.destroy_node()
         rclpy.try_shutdown()
     return DONE
-
-
-class _Stop:
-    """Remembers the first SIGINT or SIGTERM; a second one ends the process at once."""
-
-    def __init__(self) -> None:
-        self.asked = False
-        self._before: dict[signal.Signals, Any] = {}
-
-    def __enter__(self) -> _Stop:
-        for number in (signal.SIGINT, signal.SIGTERM):
-            self._before[number] = signal.signal(number, self._note)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for number, before in self._before.items():
-            signal.signal(number, before)
-
-    def _note(self, number: int, frame: object) -> None:
-        if self.asked:
-            raise KeyboardInterrupt
-        self.asked = True
