@@ -10,7 +10,6 @@ import json
 import math
 import signal
 import sys
-import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -309,23 +308,13 @@ def _make(folder: Path) -> Path:
     return folder
 
 
-def _warm_up() -> float:
-    """Compile the inner loops, telling so where it takes long; return the seconds it took."""
-    start_s = time.perf_counter()
-    notice = threading.Timer(
-        1.0,
-        _say,
-        ['compiling the inner loops: once for this installation, about half a minute ...'],
-    )
-    notice.daemon = True
-    notice.start()
+def _warm_up() -> None:
+    """Compile the inner loops or load them from the cache; print a notice if they are compiled."""
+    from ratslam_ros.compilation import announced_compilation
     from ratslam_ros.core.warm_up import warm_up
 
-    try:
+    with announced_compilation(_say):
         warm_up()
-    finally:
-        notice.cancel()
-    return time.perf_counter() - start_s
 
 
 def _info(options: argparse.Namespace) -> int:

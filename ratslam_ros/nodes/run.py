@@ -10,8 +10,10 @@ from typing import Any
 
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.logging import get_logger
 from rclpy.signals import SignalHandlerOptions
 
+from ratslam_ros.compilation import announced_compilation
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.errors import RatslamError
 from ratslam_ros.quick_start import import_numba, settle
@@ -43,8 +45,9 @@ def run(*kinds: type[Any], args: list[str] | None = None) -> int:
         with stop:
             import_numba()
             # Nothing is compiled or loaded when the first message comes.
-            for kind in kinds:
-                kind.warm_up()
+            with announced_compilation(_logger(kinds).info):
+                for kind in kinds:
+                    kind.warm_up()
             for kind in kinds:
                 nodes.append(kind())
             executor = SingleThreadedExecutor()
@@ -72,3 +75,8 @@ def run(*kinds: type[Any], args: list[str] | None = None) -> int:
             node.destroy_node()
         rclpy.try_shutdown()
     return DONE
+
+
+def _logger(kinds: tuple[type[Any], ...]) -> Any:
+    """Return a logger for the time before the nodes exist."""
+    return get_logger(kinds[0].SECTION if len(kinds) == 1 else 'ratslam')
