@@ -248,6 +248,11 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
                 self._counted = Counts()
         except RatslamError as error:
             return self._answer(response, False, str(error))
+        except KeyError as error:
+            return self._answer(
+                response, False, f'{self._memory_path} has no {error.args[0]!r}: it was written '
+                'by an older version of ratslam_ros; map again and save',
+            )  # fmt: skip
         except Exception as error:  # whatever was in the file: the node goes on as it was
             return self._answer(response, False, f'{self._memory_path} does not fit: {error!r}')
         self._diagnostics.missing.clear()

@@ -643,6 +643,40 @@ def test_what_was_saved_is_loaded_and_a_wrong_file_changes_nothing(
     assert graph['experiences'][5]['y_m'] == pytest.approx(5.0)
 
 
+@pytest.mark.parametrize('keys', [('scans',), ('core', 'poses'), ('goals',)], ids='.'.join)
+def test_memory_file_without_a_key_is_refused_unchanged(
+    world: MakeWorld, tmp_path: Path, keys: tuple[str, ...]
+) -> None:
+    from std_srvs.srv import Trigger
+
+    from ratslam_ros.files import memory
+
+    made, heard = experience_map(world, '-p', f'memory_folder:={tmp_path}')
+    drive_straight(made)
+    last_map(made, heard, 5)
+    assert made.call(Trigger, 'experience_map/save').success
+    [path] = tmp_path.iterdir()
+    state = memory.load(path, 'experience_map')
+    part = state
+    for key in keys[:-1]:
+        part = part[key]
+    del part[keys[-1]]
+    memory.save(path, 'experience_map', state)
+    before = heard[-1].data
+    node = made.nodes[0]
+    learned = node._core, node._goals._navigator, node._late_join, node._scans
+    answer = made.call(Trigger, 'experience_map/load')
+    assert not answer.success
+    assert answer.message == (
+        f'{path} has no {keys[-1]!r}: it was written by an older version of ratslam_ros; map '
+        'again and save'
+    )
+    after = node._core, node._goals._navigator, node._late_join, node._scans
+    assert all(new is old for new, old in zip(after, learned, strict=True))
+    made.spin(0.2)
+    assert heard[-1].data == before
+
+
 # Visual odometry
 
 
