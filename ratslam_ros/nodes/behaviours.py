@@ -10,7 +10,7 @@ from collections.abc import Callable
 from rclpy.node import Node
 from std_msgs.msg import String
 
-from ratslam_ros.messages.goals import BehaviourNote, decode_behaviour
+from ratslam_ros.messages.goals import BehaviourReport, decode_behaviour
 from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.nodes.qos import RESULT
 
@@ -35,20 +35,20 @@ class Behaviours:
             refuse: called with the stream and the reason for a message that cannot be used.
         """
         self._refuse = refuse
-        self._waiting: deque[BehaviourNote] = deque(maxlen=MOST_WAITING)
-        self._now = BehaviourNote(-HOLDS_NS, '')
+        self._waiting: deque[BehaviourReport] = deque(maxlen=MOST_WAITING)
+        self._now = BehaviourReport(-HOLDS_NS, '')
         node.create_subscription(String, 'goal_follower/behaviour', self._on_note, RESULT)
 
     def forget(self) -> None:
         """Begin anew."""
         self._waiting.clear()
-        self._now = BehaviourNote(-HOLDS_NS, '')
+        self._now = BehaviourReport(-HOLDS_NS, '')
 
     def at(self, stamp_ns: int) -> str:
         """Return the behaviour at a stamp, empty if nobody tells."""
         return self._now.behaviour if stamp_ns - self._now.stamp_ns <= HOLDS_NS else ''
 
-    def take(self, stamp_ns: int) -> list[BehaviourNote]:
+    def take(self, stamp_ns: int) -> list[BehaviourReport]:
         """Go on to a stamp; return the tries up to it that have failed, the first one first."""
         failed = []
         while self._waiting and self._waiting[0].stamp_ns <= stamp_ns:

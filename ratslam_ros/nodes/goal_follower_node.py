@@ -21,7 +21,7 @@ from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.driving.exploration import Exploration
 from ratslam_ros.core.driving.goal_follower import GoalFollower, rest_of, seen_from
 from ratslam_ros.core.driving.steering import Command
-from ratslam_ros.messages.goals import BehaviourNote, decode_status, encode_behaviour
+from ratslam_ros.messages.goals import BehaviourReport, decode_status, encode_behaviour
 from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.nodes.convert import place_of, stamp_ns
 from ratslam_ros.nodes.node import FLUSH_CHECK_S, RatslamNode
@@ -151,7 +151,7 @@ class GoalFollowerNode(RatslamNode[Scan]):
     def _tell(self, stamp_ns: int, command: Command) -> None:
         self._tries_failed += command.failed
         ahead_rad = wrap(self._pose.heading_rad + command.ahead_rad)
-        note = BehaviourNote(stamp_ns, command.behaviour, command.failed, ahead_rad)
+        note = BehaviourReport(stamp_ns, command.behaviour, command.failed, ahead_rad)
         self._behaviour.publish(String(data=encode_behaviour(note)))
 
     def _move(self, speed_mps: float, turn_rate_radps: float) -> None:

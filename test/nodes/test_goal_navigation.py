@@ -15,7 +15,7 @@ import pytest
 
 from ratslam_ros.core.pose_cells.pose_cells import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
-from ratslam_ros.messages.goals import BehaviourNote, decode_status, encode_behaviour
+from ratslam_ros.messages.goals import BehaviourReport, decode_status, encode_behaviour
 from ratslam_ros.messages.mapping import encode_action
 
 S = 10**9
@@ -208,7 +208,7 @@ def test_behaviours_are_those_of_the_links_made_then(world: MakeWorld) -> None:
     robot = Robot(world)
     for n, behaviour in ((6, 'left_wall'), (7, 'centreline'), (8, ''), (9, '')):
         if behaviour:
-            note = BehaviourNote(robot.stamp_ns + S // 2, behaviour)
+            note = BehaviourReport(robot.stamp_ns + S // 2, behaviour)
             robot.text('goal_follower/behaviour', encode_behaviour(note))
             robot.made.until(lambda: robot.node._behaviours._waiting)
         robot.drive(1.0)
@@ -225,7 +225,7 @@ def test_tries_that_fail_unlearn_links_and_the_route(world: MakeWorld) -> None:
     before = robot.node._core.link_count
     for _ in range(50):
         robot.drive(0.0, 0.1)
-        note = BehaviourNote(robot.stamp_ns, 'centreline', failed=True, ahead_rad=-math.pi / 2)
+        note = BehaviourReport(robot.stamp_ns, 'centreline', failed=True, ahead_rad=-math.pi / 2)
         robot.text('goal_follower/behaviour', encode_behaviour(note))
     robot.drive(0.0)
     status = robot.until_status(status='lost')
