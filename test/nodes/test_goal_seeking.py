@@ -106,7 +106,7 @@ def test_the_node_learns_what_core_learns(world: MakeWorld) -> None:
         if motion is not None:
             cells.integrate(motion)
             memory.integrate(motion, cells)
-    assert memory.state()['mu_s'].tolist() == node._goals.learned()['mu_s'].tolist()
+    assert memory.state()['mu_s'].tolist() == node._goals.memory_state()['mu_s'].tolist()
 
 
 def test_a_goal_that_nobody_marked_is_told_and_an_empty_name_cancels(world: MakeWorld) -> None:
@@ -149,7 +149,7 @@ def test_switched_off_there_is_none_of_it(world: MakeWorld) -> None:
     made = world(PoseCellsNode)
     [node] = made.nodes
     assert not [topic for topic in node.publishers if 'goal' in topic.topic_name]
-    assert 'goal_memory' not in node._learned()
+    assert 'goal_memory' not in node._memory_state()
 
 
 def test_topics_service_and_payload_are_described(world: MakeWorld) -> None:

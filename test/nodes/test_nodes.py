@@ -91,7 +91,7 @@ def test_every_image_gives_a_template_message_and_the_same_as_core(world: MakeWo
     for n, (seed, message) in enumerate(zip(seeds, heard, strict=True)):
         stamp_ns, match, memory_ns = decode_template(message.data)
         assert (stamp_ns, memory_ns) == (START_NS + n * PERIOD_NS, START_NS)
-        assert match == core.estimate(picture(seed, 24, 32))
+        assert match == core.match(picture(seed, 24, 32))
 
 
 def test_images_that_are_wrong_are_counted_and_change_nothing(world: MakeWorld) -> None:
