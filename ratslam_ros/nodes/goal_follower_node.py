@@ -73,7 +73,7 @@ class GoalFollowerNode(RatslamNode[Scan]):
         self._pose = self._odom_pose = Pose(0.0, 0.0, 0.0)
         self._scan_s = self._pose_s = self._odom_s = -math.inf
         self._route, self._route_ns = NO_POSITIONS, 0
-        self._lost, self._wall = False, ''
+        self._explore_requested, self._wall = False, ''
         self._on_relocated()
 
     def _on_relocated(self) -> None:
@@ -111,7 +111,7 @@ class GoalFollowerNode(RatslamNode[Scan]):
         except MalformedMessage as error:
             self._refuse('status', str(error))
             return
-        self._lost, self._wall = status['explore'], status['behaviour']
+        self._explore_requested, self._wall = status['explore'], status['behaviour']
         has_route = status['status'] in ('following', 'recovering')
         # A restarted map sends no empty route: its status ends the route of the previous one.
         if not has_route and status['stamp_ns'] > self._route_ns:
@@ -134,7 +134,7 @@ class GoalFollowerNode(RatslamNode[Scan]):
         if not self._paused:
             if len(self._route):
                 task = 'following'
-            elif self._lost or self._section.explore:
+            elif self._explore_requested or self._section.explore:
                 task = 'exploring'
         if task != self._task:
             if task == 'none':
@@ -183,7 +183,8 @@ class GoalFollowerNode(RatslamNode[Scan]):
             return 'no scan arrives'
         if self._task == 'exploring' and now_s - self._odom_s > POSE_TIMEOUT_S:
             return 'no odometry arrives'
-        if (self._task == 'following' or self._lost) and now_s - self._pose_s > POSE_TIMEOUT_S:
+        needs_pose = self._task == 'following' or self._explore_requested
+        if needs_pose and now_s - self._pose_s > POSE_TIMEOUT_S:
             return 'no experience_map/pose arrives'
         return ''
 
