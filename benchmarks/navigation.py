@@ -1,12 +1,13 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The experiments of the seeds in simulation: goals, an obstacle, goal memory, a loop and more.
+"""Navigation experiments in simulation: goals, an obstacle, goal memory, loop closure and more.
 
     python benchmarks/navigation.py goals [--seeds 10] [--first 1] [--noise 1] [--plan NAME]
     python benchmarks/navigation.py obstacle | goal_memory | loop | kidnapped | pruning | alignment
 
-Each prints a table with a row for every seed, means and the worst, and draws its pictures into
---out. Controllers see image, scan and odometry; the truth judges. Two seeds run at a time.
+Each experiment prints a table with one row per seed, means and worst values, and draws its
+pictures into --out. Controllers use image, scan and odometry only; trials are judged by the true
+pose. One seed runs per core.
 """
 
 from __future__ import annotations
@@ -35,8 +36,10 @@ from ratslam_ros.core.config import Config
 from ratslam_ros.core.config.parameter import Value
 from ratslam_ros.core.driving.steering import Command
 from ratslam_ros.core.navigation.route_following import STRAY_M
-from ratslam_ros.core.navigation.route_planner import RoutePlanner, UnreachableGoal
+from ratslam_ros.core.navigation.route_planner import RoutePlanner
+from ratslam_ros.errors import UnreachableGoal
 from ratslam_ros.files.config import load_config
+from ratslam_ros.results.evaluation import figures, fit
 from ratslam_ros.results.goal_memory_plots import draw_temporal_array
 from ratslam_ros.results.goal_plots import draw_temporal_map
 from ratslam_ros.results.plots import new_figure, save_figure
@@ -44,25 +47,34 @@ from ratslam_ros.simulator.closed_loop import ClosedLoop
 from ratslam_ros.simulator.config import SimulatorParameters, make_simulator
 from ratslam_ros.simulator.drive import DriveOptions, Driver
 from ratslam_ros.simulator.picture import draw_plan
-from ratslam_ros.simulator.robot import Pose as TruePose
-from ratslam_ros.simulator.trials import Driven, Trial, attempt, choose_goals
+from ratslam_ros.simulator.shortest_paths import DrivenGraph
+from ratslam_ros.simulator.trials import Trial, attempt, choose_goals
 
 Job = TypeVar('Job')
 Row = TypeVar('Row')
 
 SIZES = ((100, 40), (40, 20))
-GOALS = 6
+"""Pose cells along x and y in the goals experiment."""
+
+GOALS_COUNT = 6
+"""Goals per run of the goals experiment."""
+
 RING = 'SabcdefgSab'
-CANDIDATES_S = 20.0
+"""Places of the university floor along its ring, driven in the loop experiment."""
+
+NAMING_INTERVAL_S = 20.0
+"""Smallest time between two places that are named during exploration."""
+
 CELLS: dict[str, dict[str, Value]] = {
     'large': {'pose_cells__pc_dim_x': 140, 'pose_cells__pc_dim_y': 80},
     'small': {'pose_cells__pc_dim_x': 40, 'pose_cells__pc_dim_y': 20},
 }
+"""Pose cells in the goal memory experiment."""
 
 
 @dataclass(frozen=True)
 class Setting:
-    """What all experiments share."""
+    """Options that all experiments share."""
 
     plan: str
     noise: float
@@ -72,7 +84,10 @@ class Setting:
     values: tuple[str, ...] = ()
 
     def loop(self, seed: int, plan: str = '', **values: Value) -> ClosedLoop:
-        """Return a robot at its start; ``values``: parameters, a dot written as two underlines."""
+        """Return a robot at its start.
+
+        ``values``: parameters, written as section__name.
+        """
         changes = {name.replace('__', '.'): value for name, value in values.items()}
         for text in self.values:
             name, _, value = text.partition('=')
@@ -85,33 +100,33 @@ class Setting:
         return ClosedLoop(simulator, configured(changes), seed)
 
     def explore_s(self, minutes: float) -> float:
-        """Return how long to explore: what the experiment says, or what was asked for."""
+        """Return the exploration time: that of the experiment unless --minutes overrides it."""
         return 60.0 * (self.minutes or minutes)
 
 
 def configured(changes: dict[str, Value]) -> Config:
-    """Return the preset with some values changed."""
+    """Return the preset ``navigation`` with some parameters changed."""
     return load_config('navigation')[0].with_values(changes)
 
 
 def explore_and_name(
-    loop: ClosedLoop, duration_s: float, named: Callable[[str], None] = lambda _: None
+    loop: ClosedLoop, duration_s: float, on_named: Callable[[str], None] = lambda _: None
 ) -> dict[str, tuple[float, float]]:
-    """Explore; name the place every now and then, while the robot drives. Return the true places.
+    """Explore, and name the robot's place at intervals; return the true positions of the places.
 
-    It is as if somebody walked beside it and pressed a key (seed 001, section IV). ``named``: told
-    every name when it is given.
+    A place is named while the robot drives straight on, like the operator of Milford et al.
+    (2005), section IV, who presses a key. ``on_named`` is called with every new name.
     """
     places: dict[str, tuple[float, float]] = {}
-    end_s, next_s = loop.now_s + duration_s, loop.now_s + CANDIDATES_S
+    end_s, next_s = loop.now_s + duration_s, loop.now_s + NAMING_INTERVAL_S
 
     def until() -> bool:
         nonlocal next_s
         if loop.now_s >= next_s and drives(loop):
-            next_s = loop.now_s + CANDIDATES_S
+            next_s = loop.now_s + NAMING_INTERVAL_S
             name = f'p{len(places)}'
             loop.name_place(name)
-            named(name)
+            on_named(name)
             places[name] = loop.simulator.truth.x_m, loop.simulator.truth.y_m
         return loop.now_s >= end_s
 
@@ -121,33 +136,26 @@ def explore_and_name(
 
 
 def drives(loop: ClosedLoop) -> bool:
-    """Return whether the robot is on its way, and does not just turn or stand."""
+    """Return whether the robot moves forward, as opposed to turning or standing."""
     return loop.command.speed_mps > 0.5 * loop.config.goal_follower.speed_mps
 
 
 def map_error_m(loop: ClosedLoop) -> float:
-    """Return the RMSE of the experiences' places after rigid alignment with the truth."""
+    """Return the RMSE of the experiences' positions after rigid alignment with the truth."""
     ids = sorted(loop.log.truth_of)
-    truth = np.array([loop.log.truth_of[i][:2] for i in ids])
-    return aligned_error_m(loop.experience_map.poses[ids, :2], truth)
+    truth_m = np.array([loop.log.truth_of[i][:2] for i in ids])
+    positions_m = loop.experience_map.poses[ids, :2]
+    aligned_m = fit(positions_m, truth_m).apply(positions_m)
+    return figures(np.linalg.norm(aligned_m - truth_m, axis=1)).rmse
 
 
-def aligned_error_m(found: NDArray[np.float64], truth: NDArray[np.float64]) -> float:
-    """Return the RMSE after turning and shifting one set of points onto the other."""
-    a, b = found - found.mean(axis=0), truth - truth.mean(axis=0)
-    h = a.T @ b
-    angle = math.atan2(h[0, 1] - h[1, 0], h[0, 0] + h[1, 1])
-    c, s = math.cos(angle), math.sin(angle)
-    error = a @ np.array([[c, s], [-s, c]]) - b
-    return float(np.sqrt((error**2).sum(axis=1).mean()))
-
-
-# Seed 000, section V
+# Goals: Milford, Wyeth and Prasser (2006), "RatSLAM on the Edge: Revealing a Coherent
+# Representation from an Overloaded Rat Brain", IROS, section V.
 
 
 @dataclass(frozen=True)
 class GoalsRow:
-    """One run of the first experiment."""
+    """Results of one run of the goals experiment."""
 
     seed: int
     size: tuple[int, int]
@@ -160,7 +168,7 @@ class GoalsRow:
 
 
 def goals_run(setting: Setting, job: tuple[int, tuple[int, int]]) -> GoalsRow:
-    """Explore for an hour, then go to six goals in order."""
+    """Explore for an hour, then drive to six goals."""
     seed, (dim_x, dim_y) = job
     began = time.perf_counter()
     loop = setting.loop(
@@ -169,17 +177,16 @@ def goals_run(setting: Setting, job: tuple[int, tuple[int, int]]) -> GoalsRow:
     places = explore_and_name(loop, setting.explore_s(60.0))
     explored = loop.log.truths()
     error_m, touched = map_error_m(loop), loop.simulator.collisions
-    t = loop.simulator.truth
-    lots = np.random.Generator(np.random.PCG64(seed))
-    names = choose_goals(places, Pose(t.x_m, t.y_m, t.heading_rad), GOALS, lots)
+    rng = np.random.Generator(np.random.PCG64(seed))
+    names = choose_goals(places, loop.simulator.truth, GOALS_COUNT, rng)
     trials = [attempt(loop, name, places[name]) for name in names]
     recall, graph = loop.navigator.recall, loop.experience_map
-    spent = []
+    durations_ms = []
     for _ in range(5):
-        recall = RoutePlanner(recall.parameters)  # what is kept from before must not count
+        recall = RoutePlanner(recall.parameters)  # a new planner, without cached results
         start = time.perf_counter()
         times = recall.temporal_map(graph)
-        spent.append(1e3 * (time.perf_counter() - start))
+        durations_ms.append(1e3 * (time.perf_counter() - start))
     folder = setting.out / f'goals_{dim_x}x{dim_y}'
     if seed == 1:
         folder.mkdir(exist_ok=True)
@@ -188,7 +195,7 @@ def goals_run(setting: Setting, job: tuple[int, tuple[int, int]]) -> GoalsRow:
             {'explored': explored, **{f'to {x.goal}': x.path for x in trials}},
         )  # fmt: skip
         draw_packet(loop, folder / f'packet_{seed}.png', (dim_x, dim_y))
-        goal = loop.navigator.goals.named(names[0])  # the robot stands at the last one
+        goal = loop.navigator.goals.named(names[0])  # not the last goal, at which the robot is
         try:
             route = times.route_to(goal.experience_id)
             positions = graph.poses[list(route.experience_ids), :2]
@@ -199,13 +206,13 @@ def goals_run(setting: Setting, job: tuple[int, tuple[int, int]]) -> GoalsRow:
             title=f'{dim_x} x {dim_y} x 36 pose cells, seed {seed}',
         )  # fmt: skip
     return GoalsRow(
-        seed, (dim_x, dim_y), trials, len(graph), error_m, touched, statistics.median(spent),
-        time.perf_counter() - began,
+        seed, (dim_x, dim_y), trials, len(graph), error_m, touched,
+        statistics.median(durations_ms), time.perf_counter() - began,
     )  # fmt: skip
 
 
 def draw_packet(loop: ClosedLoop, path: Path, size: tuple[int, int]) -> None:
-    """Draw the path of the packet over the pose cells, as figures 8 and 9 of seed 000."""
+    """Draw the path of the activity packet, as in figures 8 and 9 of Milford et al. (2006)."""
     figure = new_figure(9.0, 5.0)
     axes = figure.add_subplot()
     at = np.array([(p.x, p.y) for p in loop.log.packet])
@@ -223,7 +230,7 @@ def draw_packet(loop: ClosedLoop, path: Path, size: tuple[int, int]) -> None:
 
 
 def goals(setting: Setting, seeds: Sequence[int]) -> None:
-    """Print the table of seed 000, section V."""
+    """Print the table of the goals experiment."""
     jobs = [(seed, size) for size in SIZES for seed in seeds]
     rows = pooled(partial(goals_run, setting), jobs)
     print('seed  cells        reached  ratio  (floor)  error [m]  experiences  map [m]  '
@@ -253,29 +260,31 @@ def goals(setting: Setting, seeds: Sequence[int]) -> None:
 
 
 def why(x: Trial) -> str:
-    """Return what became of a trial that failed."""
+    """Return a summary of a failed trial."""
     return (
         f'{x.goal}: {x.outcome}, {x.error_m:.2f} m off, {x.driven_m:.0f} m in {x.took_s:.0f} of '
         f'{x.limit_s:.0f} s, {x.tries_failed} tries failed'
     )
 
 
-# Seed 000, section VI
+# Obstacle: Milford, Wyeth and Prasser (2006), section VI.
 
 BOX_M = (0.8, 2.2)
+"""Extent of the obstacle along x and y."""
+
 AT_START_M = 1.0
-"""A trial from further away than this is none."""
+"""Largest distance from S at the start of a valid trial."""
 
 
 def go_back(loop: ClosedLoop, at_m: tuple[float, float]) -> None:
-    """Send the robot to S; up to three times, as every trial must begin there."""
+    """Send the robot to S, in up to three attempts."""
     for _ in range(3):
         if attempt(loop, 'S', at_m).error_m < AT_START_M:
             return
 
 
 def obstacle_run(setting: Setting, seed: int) -> list[str]:
-    """Three trials: the way is closed, still closed, open again."""
+    """Run three trials: the short route is closed, still closed, and open again."""
     loop = setting.loop(seed, 'obstacle_loop', goal_follower__change_wall_every_s=240.0)
     plan, simulator = loop.simulator.plan, loop.simulator
     named: dict[str, float] = {}
@@ -304,9 +313,9 @@ def obstacle_run(setting: Setting, seed: int) -> list[str]:
     go_back(loop, at['S'])
     for number in (1, 2, 3):
         if number == 1:
-            simulator.put_obstacle('box', *plan.places['X'], *BOX_M)
+            simulator.add_obstacle('box', *plan.places['X'], *BOX_M)
         if number == 3:
-            simulator.take_obstacle('box')
+            simulator.remove_obstacle('box')
         if number > 1:
             loop.explore(360.0)
             go_back(loop, at['S'])
@@ -338,7 +347,7 @@ def obstacle_run(setting: Setting, seed: int) -> list[str]:
 
 
 def obstacle(setting: Setting, seeds: Sequence[int]) -> None:
-    """Print the table of seed 000, section VI."""
+    """Print the table of the obstacle experiment."""
     found = pooled(partial(obstacle_run, setting), list(seeds))
     rows = [line for lines in found for line in lines]
     print('seed            trial 1 | trial 2 | trial 3')
@@ -346,52 +355,52 @@ def obstacle(setting: Setting, seeds: Sequence[int]) -> None:
     print(f'held in {sum("  held" in row for row in rows)} of {len(rows)} seeds')
 
 
-# Seed 001, and figure 4 of seed 000
+# Goal memory: Milford, Wyeth and Prasser (2005), "Efficient Goal Directed Navigation using
+# RatSLAM", ICRA, and figure 4 of Milford, Wyeth and Prasser (2006).
 
-AS_SEED_001: dict[str, Value] = {
-    # 166 m in 17 minutes; back and look after three metres or 30 degrees
+AS_MILFORD_2005: dict[str, Value] = {
+    # Their robot drives 166 m in 17 minutes, and turns back every 3 m or 30 degrees.
     'goal_follower__speed_mps': 0.25,
     'goal_follower__look_back_every_m': 3.0,
     'goal_follower__look_back_turn_deg': 30.0,
     'goal_follower__look_back_m': 2.0,
     'goal_follower__change_wall_every_s': 400.0,
-    # Cells are nowhere aligned by scans: views must be known from nearby only, and the robot must
-    # not stop a cell before its goal.
+    # Scan alignment does not act on the pose cells: views must match only from nearby, and the
+    # robot must not stop a cell before its goal.
     'local_view__vt_match_threshold': 0.05,
     'goal_memory__goal_memory_reached_cells': 0.5,
     'goal_memory__goal_memory': True,
 }
-STRAY_AFTER = 2
-"""After so many tries in vain the robot explores for a while, as it does by the experience map."""
+STRAY_AFTER_COUNT = 2
+"""Failed tries after which the robot explores for a while, as with the experience map."""
 
 
 class GoalMemoryTrial(NamedTuple):
-    """One goal, by goal memory and by the experience map."""
+    """Results for one goal, by goal memory and by the experience map."""
 
     seed: int
     size: str
     reached: bool
     error_m: float
     way_m: float
-    """The shortest over places that were driven."""
+    """Length of the shortest path over places where the robot has been."""
     took_s: float
     reached_by_map: bool
     error_by_map_m: float
 
 
 def goal_memory_run(setting: Setting, job: tuple[int, str]) -> list[GoalMemoryTrial]:
-    """Explore for 13 minutes; two goals by goal memory, then the same by the experience map."""
+    """Explore for 13 minutes; drive to two goals by goal memory, then by the experience map."""
     seed, size = job
-    loop = setting.loop(seed, 'obstacle_loop', **AS_SEED_001, **CELLS[size])
+    loop = setting.loop(seed, 'obstacle_loop', **AS_MILFORD_2005, **CELLS[size])
     memory = loop.ratslam.goal_memory
     assert memory is not None
     places = explore_and_name(
         loop, setting.explore_s(13.0),
         lambda name: memory.mark(name, loop.ratslam.pose_cells.peak),
     )  # fmt: skip
-    t = loop.simulator.truth
     names = choose_goals(
-        places, Pose(t.x_m, t.y_m, t.heading_rad), 2, np.random.Generator(np.random.PCG64(seed))
+        places, loop.simulator.truth, 2, np.random.Generator(np.random.PCG64(seed))
     )
     by_memory = []
     for name in names:
@@ -412,17 +421,18 @@ def goal_memory_run(setting: Setting, job: tuple[int, str]) -> list[GoalMemoryTr
 def by_goal_memory(
     loop: ClosedLoop, name: str, at_m: tuple[float, float]
 ) -> tuple[bool, float, float, float]:
-    """Drive down the temporal map of a goal; return whether it came there, and how far off.
+    """Drive to a goal by its temporal map.
 
-    Besides, how long the shortest way was, and how long it took.
+    Returns:
+        Whether the goal was reached, the true distance from it, the length of the shortest path in
+        metres, and the time taken in seconds.
     """
     memory, cells = loop.ratslam.goal_memory, loop.ratslam.pose_cells
     assert memory is not None
     goal = memory.goal(name)
     simulator = loop.simulator
-    t = simulator.truth
-    way = Driven(loop.log.truths()).way(Pose(t.x_m, t.y_m, t.heading_rad), at_m)
-    length_m = way.length_m if way else 50.0
+    path = DrivenGraph(loop.log.truths()).shortest_path(simulator.truth, at_m)
+    length_m = path.length_m if path else 50.0
     began_s = loop.now_s
     end_s = began_s + 3.0 * length_m / loop.config.goal_follower.speed_mps + 10.0
     tries = 0
@@ -447,7 +457,7 @@ def by_goal_memory(
             memory.blocked(
                 cells.peak, command.ahead_rad, tries * loop.config.goal_follower.try_timeout_s
             )
-            if tries % STRAY_AFTER == 0:
+            if tries % STRAY_AFTER_COUNT == 0:
                 return stray(scan)
         return command
 
@@ -459,14 +469,14 @@ def by_goal_memory(
 
 
 def goal_memory(setting: Setting, seeds: Sequence[int]) -> None:
-    """Print the table of seed 001, on cells that suffice and on those of figure 4 of seed 000."""
+    """Print the table of the goal memory experiment, for both sizes of the pose cells."""
     jobs = [(seed, size) for size in CELLS for seed in seeds]
     trials = [x for found in pooled(partial(goal_memory_run, setting), jobs) for x in found]
     print('seed  cells  goal memory  off by [m]  way [m]  time [s]  experience map  off by [m]')
     for x in trials:
         print(
-            f'{x.seed:4d}  {x.size:5s}  {said(x.reached):>11}  {x.error_m:10.2f}  '
-            f'{x.way_m:7.1f}  {x.took_s:8.0f}  {said(x.reached_by_map):>14}  '
+            f'{x.seed:4d}  {x.size:5s}  {yes_or_no(x.reached):>11}  {x.error_m:10.2f}  '
+            f'{x.way_m:7.1f}  {x.took_s:8.0f}  {yes_or_no(x.reached_by_map):>14}  '
             f'{x.error_by_map_m:10.2f}'
         )
     for size in CELLS:
@@ -478,16 +488,16 @@ def goal_memory(setting: Setting, seeds: Sequence[int]) -> None:
               f'{mean([x.error_by_map_m for x in some if x.reached_by_map]):10.2f}')  # fmt: skip
 
 
-def said(reached: bool) -> str:
-    """Return what a table says of a goal."""
+def yes_or_no(reached: bool) -> str:
+    """Return the entry of a table."""
     return 'yes' if reached else 'NO'
 
 
-# The loop of 122 m
+# Loop closure on a ring of 122 m
 
 
 def loop_run(setting: Setting, seed: int) -> str:
-    """Be driven round the ring by hand, and a little further; see when the loop is closed."""
+    """Drive round the ring and a little further, and report when the loop is closed."""
     loop = setting.loop(seed, 'university_floor')
     simulator = loop.simulator
     places = simulator.plan.places
@@ -516,7 +526,7 @@ def loop_run(setting: Setting, seed: int) -> str:
 
 
 def closing_error_m(truth: NDArray[np.float64], reckoned: NDArray[np.float64]) -> float:
-    """Return how far dead reckoning is off at the end, from the start's place and heading on."""
+    """Return the error of dead reckoning at the end, aligned with the truth at the start."""
     turn = truth[0, 2] - reckoned[0, 2]
     c, s = math.cos(turn), math.sin(turn)
     moved = (reckoned[-1, :2] - reckoned[0, :2]) @ np.array([[c, s], [-s, c]])
@@ -524,7 +534,7 @@ def closing_error_m(truth: NDArray[np.float64], reckoned: NDArray[np.float64]) -
 
 
 def loop(setting: Setting, seeds: Sequence[int]) -> None:
-    """Print how the loop of 122 m is closed."""
+    """Print the table of the loop experiment."""
     print('seed  closed  after [m]  drift [m]  before [m]  after [m]  wrong closures')
     print('\n'.join(pooled(partial(loop_run, setting), list(seeds))))
 
@@ -533,17 +543,17 @@ def loop(setting: Setting, seeds: Sequence[int]) -> None:
 
 
 def alignment_run(setting: Setting, job: tuple[int, bool]) -> str:
-    """Explore with or without aligning scans; return how exact links and map are."""
+    """Explore with or without scan alignment; return the errors of links and map."""
     seed, aligned = job
     loop = setting.loop(seed, 'university_floor', experience_map__exp_align_scans=aligned)
     loop.explore(setting.explore_s(30.0))
     graph = loop.experience_map
     truth = np.array([loop.log.truth_of[i] for i in range(len(graph))])
     ends, (length_m, heading_rad, _) = graph.link_ends, graph.link_shapes.T
-    told = np.stack([length_m * np.cos(heading_rad), length_m * np.sin(heading_rad)], axis=1)
+    links_m = np.stack([length_m * np.cos(heading_rad), length_m * np.sin(heading_rad)], axis=1)
     closing = np.abs(ends[:, 0] - ends[:, 1]) > 1
-    link_m = np.hypot(*(told - seen_from_each(truth, *ends.T)).T)[closing]
-    # Places beside each other that the robot came to at different times.
+    link_m = np.hypot(*(links_m - seen_from_each(truth, *ends.T)).T)[closing]
+    # Neighbouring experiences that were created at different times.
     pairs = cKDTree(truth[:, :2]).query_pairs(0.7, output_type='ndarray')
     pairs = pairs[np.abs(pairs[:, 0] - pairs[:, 1]) > 50]
     beside = seen_from_each(graph.poses, *pairs.T) - seen_from_each(truth, *pairs.T)
@@ -554,53 +564,53 @@ def alignment_run(setting: Setting, job: tuple[int, bool]) -> str:
 
 
 def seen_from_each(
-    poses: NDArray[np.float64], here: NDArray[np.int64], there: NDArray[np.int64]
+    poses: NDArray[np.float64], source: NDArray[np.int64], target: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """Return (n, 2) where places lie in the frames of others."""
-    x, y = (poses[there, :2] - poses[here, :2]).T
-    c, s = np.cos(poses[here, 2]), np.sin(poses[here, 2])
+    """Return the positions of the targets in the frames of the sources, (n, 2)."""
+    x, y = (poses[target, :2] - poses[source, :2]).T
+    c, s = np.cos(poses[source, 2]), np.sin(poses[source, 2])
     return np.stack([c * x + s * y, c * y - s * x], axis=1)
 
 
 def alignment(setting: Setting, seeds: Sequence[int]) -> None:
-    """Print what scans add to the camera."""
+    """Print the table of the alignment experiment."""
     print('seed  aligned  link [m]: median  90 %  beside [m]: median  90 %  map [m]')
     jobs = [(seed, aligned) for seed in seeds for aligned in (False, True)]
     print('\n'.join(pooled(partial(alignment_run, setting), jobs)))
 
 
-# Kidnapped
+# Kidnapped robot
 
 
 def kidnapped_run(setting: Setting, seed: int) -> list[tuple[bool, float, float]]:
-    """Carry the robot to places where it has been; see how long it takes to know where it is."""
+    """Carry the robot to places where it has been, and measure the time to relocalisation."""
     loop = setting.loop(seed, 'university_floor')
     loop.explore(setting.explore_s(30.0))
     rng = np.random.Generator(np.random.PCG64(seed))
-    known = loop.log.truths()
+    driven = loop.log.truths()
     found = []
     for _ in range(5):
-        here = loop.simulator.truth
-        away = np.hypot(known[:, 0] - here.x_m, known[:, 1] - here.y_m) > 8.0
-        x_m, y_m, heading_rad = known[rng.choice(np.flatnonzero(away))].tolist()
-        loop.simulator.carry(TruePose(x_m, y_m, heading_rad))
+        truth = loop.simulator.truth
+        away = np.hypot(driven[:, 0] - truth.x_m, driven[:, 1] - truth.y_m) > 8.0
+        x_m, y_m, heading_rad = driven[rng.choice(np.flatnonzero(away))].tolist()
+        loop.simulator.carry(Pose(x_m, y_m, heading_rad))
         began_s, began_m = loop.now_s, loop.simulator.odometer_m
         before, count = len(loop.log.jump_m), len(loop.experience_map)
 
-        def knows(before: int = before, count: int = count, began_s: float = began_s) -> bool:
+        def located(before: int = before, count: int = count, began_s: float = began_s) -> bool:
             recent = loop.log.jump_m[before:]
             right = loop.experience_map.current_id < count and recent and recent[-1] < 1.0
             return bool(right) or loop.now_s > began_s + 180.0
 
         loop.exploration.restart()
-        loop.run(loop.exploring, knows)
+        loop.run(loop.exploring, located)
         took_s = loop.now_s - began_s
         found.append((took_s < 180.0, took_s, loop.simulator.odometer_m - began_m))
     return found
 
 
 def kidnapped(setting: Setting, seeds: Sequence[int]) -> None:
-    """Print time and distance until a robot that was carried knows where it is."""
+    """Print the times and distances to relocalisation."""
     print('seed  recovered  time [s]: mean  worst   way [m]: mean  worst')
     rows = pooled(partial(kidnapped_run, setting), list(seeds))
     for seed, row in zip(seeds, rows, strict=True):
@@ -609,7 +619,7 @@ def kidnapped(setting: Setting, seeds: Sequence[int]) -> None:
 
 
 def kidnapped_line(name: str, row: Sequence[tuple[bool, float, float]]) -> str:
-    """Return a line of the table."""
+    """Return a row of the table."""
     times, ways = [s for ok, s, _ in row if ok], [m for ok, _, m in row if ok]
     return (f'{name}  {len(times):4d} of {len(row):2d}  {mean(times):14.1f}  '
             f'{max(times, default=math.nan):5.1f}  {mean(ways):14.1f}  '
@@ -620,15 +630,14 @@ def kidnapped_line(name: str, row: Sequence[tuple[bool, float, float]]) -> str:
 
 
 def pruning_run(setting: Setting, seed: int) -> list[str]:
-    """Explore for two hours at a third of the experiences that it would have made; three goals."""
+    """Explore for two hours, without and with a limit of experiences; drive to three goals."""
     free = setting.loop(seed, 'university_floor')
     free.explore(setting.explore_s(120.0))
     limit = len(free.experience_map) // 3
     loop = setting.loop(seed, 'university_floor', pose_cells__exp_max=limit)
     places = explore_and_name(loop, setting.explore_s(120.0))
-    t = loop.simulator.truth
     names = choose_goals(
-        places, Pose(t.x_m, t.y_m, t.heading_rad), 3, np.random.Generator(np.random.PCG64(seed))
+        places, loop.simulator.truth, 3, np.random.Generator(np.random.PCG64(seed))
     )
     trials = [attempt(loop, name, places[name]) for name in names]
     done = sum(x.succeeded for x in trials)
@@ -640,20 +649,20 @@ def pruning_run(setting: Setting, seed: int) -> list[str]:
 
 
 def pruning(setting: Setting, seeds: Sequence[int]) -> None:
-    """Print what a limit to the number of experiences costs."""
+    """Print the table of the pruning experiment."""
     print('seed  without   limit    made  map [m]: without    with  goals reached')
     found = pooled(partial(pruning_run, setting), list(seeds))
     print('\n'.join(line for lines in found for line in lines))
 
 
 def mean(values: Sequence[float]) -> float:
-    """Return the mean of what is known; not a number where that is nothing."""
-    known = [value for value in values if math.isfinite(value)]
-    return statistics.fmean(known) if known else math.nan
+    """Return the mean of the finite values, NaN if there are none."""
+    finite = [value for value in values if math.isfinite(value)]
+    return statistics.fmean(finite) if finite else math.nan
 
 
 def pooled(run: Callable[[Job], Row], jobs: Sequence[Job]) -> list[Row]:
-    """Run jobs on all cores, each once; return the rows in order."""
+    """Run jobs in parallel on all cores; return their rows in order."""
     with ProcessPoolExecutor(min(os.cpu_count() or 1, len(jobs))) as pool:
         return list(tqdm(pool.map(run, jobs), total=len(jobs), unit='run', disable=None))
 
@@ -668,12 +677,14 @@ def main() -> None:
     """Run one experiment."""
     parser = argparse.ArgumentParser(description=(__doc__ or '').partition('\n')[0])
     parser.add_argument('experiment', choices=EXPERIMENTS)
-    parser.add_argument('--seeds', type=int, default=10, help='how many (default: 10)')
-    parser.add_argument('--first', type=int, default=1, help='the first seed (default: 1)')
-    parser.add_argument('--plan', default='', help="another floor plan than the experiment's")
-    parser.add_argument('--noise', type=float, default=1.0, help='times that of a Pioneer')
-    parser.add_argument('--people', type=int, default=0, help='who walk about')
-    parser.add_argument('--minutes', type=float, default=0.0, help='another time to explore')
+    parser.add_argument('--seeds', type=int, default=10, help='number of seeds (default: 10)')
+    parser.add_argument('--first', type=int, default=1, help='first seed (default: 1)')
+    parser.add_argument('--plan', default='', help="floor plan instead of the experiment's")
+    parser.add_argument('--noise', type=float, default=1.0, help='noise relative to a Pioneer')
+    parser.add_argument('--people', type=int, default=0, help='number of people who walk about')
+    parser.add_argument(
+        '--minutes', type=float, default=0.0, help="exploration time instead of the experiment's"
+    )
     parser.add_argument('--set', action='append', default=[], metavar='SECTION.NAME=VALUE')
     parser.add_argument('--out', type=Path, default=Path('results/navigation'))
     options = parser.parse_args()

@@ -1,10 +1,10 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A simulated town of any length: streets on a grid, a way through them, and what a camera sees.
+"""A simulated town of unlimited size: streets on a grid, a drive through them, and a camera.
 
-Nothing of the town is stored but a set of facades: whether a lot is built on, how high, with which
-facade and in which colour follows from its place and the seed. The picture is in correct
-perspective, one ray a column, rendered at half size.
+Only a set of facades is stored. Whether a lot is built on, and the height, facade and colour of
+its building, are hashes of its position and the seed. Images are in perspective, with one ray per
+column, rendered at half size.
 """
 
 from __future__ import annotations
@@ -25,22 +25,32 @@ from numpy.typing import NDArray
 
 Pixels = NDArray[np.uint8]
 Passage = tuple[int, int, int, int]
-"""Where a way leads: the junction's column and row, the heading before it and after it, in quarter
-turns; before the turn the last is -1, after it the one before it is."""
+"""A section of a drive past a junction: the junction's column and row, and the headings before and
+after it in quarter turns. The heading after is -1 before the turn, the heading before -1 after it.
+"""
 
 FACADES, TEXELS, BLUR_LEVELS = 64, 64, 6
+"""Number of facades, their side in texels, and their blur levels."""
+
 REACH_LOTS = 40
+"""Range of vision, in sides of a lot."""
 
 
 @dataclass(frozen=True)
 class Town:
-    """How large things are; the defaults are a car's in a suburb.
+    """Dimensions of the town and properties of the drive; the defaults suit a car in a suburb.
 
-    lot_m: side of a lot; block, street: lots along a block and across a street; eye_m: height of
-    the camera; lane_m: how far left of the middle it drives; corner_m: radius of the turns;
-    columns: junctions to either side, 0 for no end; speed_mps, turning_mps, brake_mps2: how fast
-    it drives; sway_m, light: how much the lateral offset and the brightness (as a share) vary;
-    known: how many times more likely a street is taken again than one not yet driven.
+    lot_m: side of a lot
+    block, street: lots along a block and across a street
+    eye_m: height of the camera
+    fov_deg: horizontal field of view
+    lane_m: lateral offset of the lane to the left of the middle of the street
+    corner_m: radius of turns
+    columns: junctions along each side of the town, 0 for an unlimited town
+    speed_mps, turning_mps, brake_mps2: speed on straights and in turns, and deceleration
+    sway_m: variation of the lateral offset
+    light: relative variation of the brightness
+    known: weight of a street driven before relative to a new one, in the choice at a junction
     """
 
     lot_m: float = 8.0
@@ -60,13 +70,13 @@ class Town:
 
     @property
     def pitch_m(self) -> float:
-        """From junction to junction."""
+        """Distance between neighbouring junctions."""
         return (self.block + self.street) * self.lot_m
 
 
 @dataclass(frozen=True, slots=True)
 class At:
-    """Where the camera is: pose, motion, the stretch of street, and how often it was there."""
+    """State of the camera: pose, speeds, section, and number of its earlier passages."""
 
     x_m: float
     y_m: float
@@ -78,7 +88,7 @@ class At:
 
 
 def drive(town: Town, seed: int, step_s: float) -> Iterator[At]:
-    """Drive for ever; at each junction a known street is preferred, turning back is not done."""
+    """Yield the states of an endless drive, which prefers known streets and never turns back."""
     rng = np.random.default_rng(seed)
     sway = _Wave(rng, town.sway_m, (7.0, 23.0, 61.0))
     driven: defaultdict[Passage, int] = defaultdict(int)
@@ -115,7 +125,7 @@ def drive(town: Town, seed: int, step_s: float) -> Iterator[At]:
 
 
 class Camera:
-    """Takes colour pictures; their brightness wanders, their noise hangs on nothing but a key."""
+    """Renders colour images with varying brightness and pixel noise."""
 
     def __init__(self, town: Town, seed: int, width: int, height: int) -> None:
         rng = np.random.default_rng((seed, 1))
@@ -128,7 +138,7 @@ class Camera:
         self._seed = seed
 
     def take(self, at: At, stamp_s: float, out: Pixels) -> None:
-        """Fill ``out``, (height, width, 3) uint8, with the view of a moment."""
+        """Render a view into ``out``, (height, width, 3) uint8 in BGR."""
         town = self._town
         _render(
             self._facades, self._ground, self._seed, town.lot_m, town.block, town.street,
@@ -139,27 +149,27 @@ class Camera:
 
 
 class Laps:
-    """A stopwatch by step that keeps every duration; called and entered as StepTimes is."""
+    """Stopwatch that keeps every duration by step, with the interface of StepTimes."""
 
     def __init__(self) -> None:
         self.s: defaultdict[str, array[float]] = defaultdict(lambda: array('d'))
 
     @contextmanager
     def __call__(self, step: str) -> Iterator[None]:
-        """Add the time within to a step."""
+        """Measure the duration of the context as one of a step."""
         start_s = time.perf_counter()
         yield
         self.s[step].append(time.perf_counter() - start_s)
 
 
 def resident_mb() -> float:
-    """Return the memory that this process holds now; Linux only."""
+    """Return the resident memory of this process in MB; Linux only."""
     pages = int(Path('/proc/self/statm').read_text().split()[1])
     return pages * 4096 / 2**20
 
 
 class _Wave:
-    """A sum of sines: smooth, and another one at every pass."""
+    """A sum of sines with random phases, as a function of time."""
 
     def __init__(self, rng: np.random.Generator, amplitude: float, periods_s: tuple[float, ...]):
         self._terms = [(2.0 * math.pi / period, rng.uniform(0.0, 6.3)) for period in periods_s]
@@ -173,7 +183,7 @@ def _turn(
     town: Town, rng: np.random.Generator, driven: defaultdict[Passage, int],
     column: int, row: int, heading: int,
 ) -> int:  # fmt: skip
-    """Return -1 for right, 0 for straight on, 1 for left."""
+    """Draw the turn at a junction: -1 for right, 0 for straight on, 1 for left."""
     turns, weights = [], []
     for turn in (-1, 0, 1):
         after = (heading + turn) % 4
@@ -188,7 +198,7 @@ def _on_way(
     town: Town, column: int, row: int, heading: int, turn: int, along_m: float,
     bends: tuple[float, float],
 ) -> tuple[float, float, float]:  # fmt: skip
-    """Return x, y and heading on the middle of the street, from half a block before a junction."""
+    """Return x, y and heading on the centre line, from half a block before a junction on."""
     radius = town.corner_m
     bent = min(max(along_m - bends[0], 0.0), bends[1] - bends[0])
     ahead, left, angle = min(along_m, bends[0]) - town.pitch_m / 2.0, 0.0, 0.0
@@ -212,7 +222,7 @@ def _on_way(
 
 
 def _facades(rng: np.random.Generator) -> NDArray[np.float32]:
-    """Paint what lots show to a street: (levels, facades, v from the ground, u), 0 to 1."""
+    """Paint facades at random: (levels, facades, v from the ground up, u), 0 to 1."""
     sharp = np.empty((FACADES, TEXELS, TEXELS), np.float32)
     for facade in sharp:
         facade[:] = rng.uniform(0.3, 1.0)
@@ -225,7 +235,7 @@ def _facades(rng: np.random.Generator) -> NDArray[np.float32]:
 
 
 def _ground(rng: np.random.Generator) -> NDArray[np.float32]:
-    """Paint 256 x 256 texels of ground, patches of several sizes, without seams."""
+    """Paint 256 x 256 texels of ground with patches of several sizes, periodic at the edges."""
     out = np.zeros((256, 256), np.float32)
     for cells, amplitude in ((16, 0.2), (64, 0.08), (256, 0.03)):
         patches = rng.uniform(-amplitude, amplitude, (cells, cells)).astype(np.float32)
@@ -238,7 +248,7 @@ def _ground(rng: np.random.Generator) -> NDArray[np.float32]:
 
 @njit(cache=True)
 def _hash(seed, a, b):  # type: ignore[no-untyped-def]
-    """Return 64 bits that belong to a place; SplitMix64's mixing."""
+    """Return a 64-bit hash of a position, with the mixing function of SplitMix64."""
     z = np.uint64(seed) * np.uint64(0x9E3779B97F4A7C15)
     z += np.uint64(a) * np.uint64(0xD1B54A32D192ED03)
     z += np.uint64(b) * np.uint64(0x8CB92BA72F3D8DD7)
@@ -249,7 +259,7 @@ def _hash(seed, a, b):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _built(seed, column, row, block, street):  # type: ignore[no-untyped-def]
-    """Tell whether a lot is built on: no street, most beside one, all further in."""
+    """Return whether a lot is built on: never in a street, mostly near one, always further in."""
     a = column % (block + street) - street
     b = row % (block + street) - street
     if a < 0 or b < 0:
@@ -273,7 +283,7 @@ def _render(  # type: ignore[no-untyped-def]
     forward_x, forward_y = math.cos(heading_rad), math.sin(heading_rad)
     noise = key * np.uint64(0x9E3779B97F4A7C15) | np.uint64(1)
     for i in range(width):
-        # Rays reach one metre ahead for each unit of length: their length is the depth itself.
+        # The forward component of each ray is 1, so that its length parameter is the depth.
         left = (width / 2 - i - 0.5) / focal_px
         ray_x, ray_y = forward_x - left * forward_y, forward_y + left * forward_x
         column, row = math.floor(x_m / lot_m), math.floor(y_m / lot_m)
@@ -306,7 +316,7 @@ def _render(  # type: ignore[no-untyped-def]
         level = min(np.int64(math.log2(max(covered, 1.0)) + 0.5), BLUR_LEVELS - 1)
         haze = min(depth / reach_m, 1.0) if hit else 1.0
         if not of_x:
-            shade *= 0.8  # corners are seen
+            shade *= 0.8  # makes corners visible
         for j in range(height):
             up = (height / 2 - j - 0.5) / focal_px
             z_m = eye_m + up * depth

@@ -1,16 +1,16 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Two hours live at 30 Hz, simulated and as fast as possible: does anything slow down?
+"""Latency of the live nodes over two simulated hours at 30 Hz, run as fast as possible.
 
     python benchmarks/two_hours.py [--hours 2] [--seed 1] [--out results/benchmarks]
 
-A robot with a camera of 160x120 at 30 Hz and wheel odometry at 50 Hz drives about a warehouse
-(`town.py` in small), half of the time where it was before, so that its memory keeps growing. The
-nodes are the live ones, all in this process on one executor, over real DDS, on whatever
-`import rclpy` gives. They get each image and its odometry in the order of the stamps, and the next
-image only when the map has taken this one. What is measured is all that one image causes: sending
-it, transport, the three nodes, and the map message, sent as often in simulated time as it would be
-live. Rendering the images is not measured. Nobody listens to the map or its markers. Linux only.
+A robot with a 160x120 camera at 30 Hz and wheel odometry at 50 Hz drives through a warehouse
+(`town.py` at a smaller scale), half of the time in new places, so that its memory keeps growing.
+The live nodes run in this process on one executor over real DDS, on rclpy or its stand-in,
+whichever `import rclpy` finds. They receive images and odometry in stamp order, and the next image
+only when the map has processed the previous one. The time measured per image includes publishing,
+transport, the three nodes, and the map message, which is sent at its live rate in simulated time.
+Rendering is not measured. The map and its markers have no subscribers. Linux only.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ import matplotlib.pyplot as plt
 
 ROOT = Path(__file__).resolve().parents[1]
 WIDTH, HEIGHT, IMAGE_HZ, ODOMETRY_HZ = 160, 120, 30, 50
-STEPS_HZ = 150  # both rates divide it
+STEPS_HZ = 150  # a common multiple of both rates
 BUDGET_MS = 1e3 / IMAGE_HZ
 MINUTE = 60 * IMAGE_HZ
 START_S = 1000
@@ -55,7 +55,7 @@ SETTINGS = {
     'pose_cells.pc_cell_x_size': 0.25,
     'pose_cells.exp_delta_pc_threshold': 1.0,
 }
-"""Where the robot differs from the defaults."""
+"""Parameters that differ from the defaults."""
 ODOMETRY_NOISE = 0.02
 GROUPS = {
     'local view': ('decode', 'local_view'),
@@ -63,18 +63,18 @@ GROUPS = {
     'experience map': ('experience_map',),
     'map message': ('map',),
 }
-"""The parts that are shown, and the stopwatches that are in them; the rest is transport."""
+"""Parts of the report -> their timing steps; the remaining time is transport."""
 
 
 class NodeLaps(Laps):
-    """The stopwatch that the nodes are given in place of their own."""
+    """Stopwatch that replaces those of the nodes."""
 
     def summary_ms(self) -> dict[str, dict[str, float]]:
-        """Return nothing: the diagnostics tell no times here."""
+        """Return no times, so that the diagnostics contain none."""
         return {}
 
     def timed(self, step: str, function: Callable[..., Any]) -> Callable[..., Any]:
-        """Return a function that is measured."""
+        """Return a function whose calls are timed."""
 
         def measured(*args: Any) -> Any:
             with self(step):
@@ -83,7 +83,7 @@ class NodeLaps(Laps):
         return measured
 
     def collection(self, phase: str, info: dict[str, int]) -> None:
-        """Measure Python's full garbage collections: one of gc.callbacks."""
+        """Time Python's full garbage collections, as one of gc.callbacks."""
         if info['generation'] < 2:
             return
         if phase == 'start':
@@ -93,20 +93,20 @@ class NodeLaps(Laps):
 
 
 class SimulatedClock:
-    """Stands for the module ``time`` in the node of the map: simulated time, work included."""
+    """Replacement of the module ``time`` in the map node: simulated time plus time worked."""
 
     def __init__(self) -> None:
         self.at_s = 0.0
         self.work_since_s: float | None = None
 
     def monotonic(self) -> float:
-        """Return the time of the newest message, and what has been worked since."""
+        """Return the stamp of the newest message plus the time worked since, in seconds."""
         since_s = self.work_since_s
         return self.at_s + (0.0 if since_s is None else time.perf_counter() - since_s)
 
 
 class Bench:
-    """The three nodes, and the robot that sends to them."""
+    """The three nodes and the robot that publishes to them."""
 
     def __init__(self, seed: int) -> None:
         import rclpy
@@ -153,13 +153,13 @@ class Bench:
         self.maps: list[tuple[float, int]] = []
         """Simulated time and experiences of every map message."""
         self.known = 0
-        """Images of where the robot was before."""
+        """Images taken at places where the robot has been before."""
         self._busy_s = 0.0
         self.cpu_s = 0.0
-        """Processor time of all the work: less than the wall time where others take the cores."""
+        """Processor time of the work; less than the wall time if other processes use the cores."""
 
     def run(self, images: int, seed: int) -> None:
-        """Send so many images, and the odometry up to each."""
+        """Publish a number of images, and the odometry up to each."""
         waiting = None
         odometry_ns = 0
         for step, at in enumerate(drive(WAREHOUSE, seed, 1.0 / STEPS_HZ)):
@@ -175,13 +175,13 @@ class Bench:
                 self.known += at.times_before > 0
             if waiting is not None and odometry_ns >= waiting:
                 self._work(self._settle, waiting, odometry_ns)
-                self._note()
+                self._record()
                 waiting = None
                 if len(self.times_s['all']) == images:
                     return
 
     def close(self) -> None:
-        """End the nodes."""
+        """Destroy the nodes."""
         for node in self._nodes:
             node.close()
         for node in (*self._nodes, self._robot):
@@ -191,7 +191,7 @@ class Bench:
 
     @property
     def lost(self) -> dict[str, int]:
-        """What the nodes did not use, by reason."""
+        """Number of messages that the nodes dropped, by reason."""
         return {
             f'{node.get_name()} {reason}': number
             for node in self._nodes
@@ -200,11 +200,11 @@ class Bench:
         }
 
     def _encode(self, encode_map: Callable[..., str]) -> Callable[..., str]:
-        """Measure writing the map message."""
+        """Return the encoder of the map message, timed."""
         return self.laps.timed('map, encoding', encode_map)
 
     def _work(self, do: Callable[..., Any], *args: Any) -> None:
-        """Do what counts as work of this image."""
+        """Call a function and add its time to the work of the present image."""
         start_s = self._clock.work_since_s = time.perf_counter()
         cpu_s = time.process_time()
         do(*args)
@@ -213,7 +213,7 @@ class Bench:
         self._clock.work_since_s = None
 
     def _settle(self, image_ns: int, odometry_ns: int) -> None:
-        """Wait until all nodes have done all that these messages cause."""
+        """Wait until all nodes have processed these messages and their consequences."""
         self._spin_until(
             lambda: self.map._action_ns >= image_ns
             and (self.map._order.newest_of('odometry') or 0) >= odometry_ns
@@ -225,10 +225,11 @@ class Bench:
         while not condition():
             self._executor.spin_once(timeout_sec=0.1)
             if time.monotonic() > end_s:
-                sys.exit(f'the nodes are stuck; not used: {self.lost}; {self.local_view.error}')
+                dropped = f'dropped: {self.lost}; {self.local_view.error}'
+                sys.exit(f'the nodes have stopped processing; {dropped}')
 
-    def _note(self) -> None:
-        """Take down what the last image took, by stopwatch."""
+    def _record(self) -> None:
+        """Record the times of the last image by part."""
         times = self.times_s
         times['all'].append(self._busy_s)
         self._busy_s = 0.0
@@ -267,17 +268,17 @@ class Bench:
 
 
 def lags_ms(all_ms: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return how long after each image the map has it, where images come on time and wait."""
+    """Return the latency of the map for each image, if images arrived at 30 Hz and queued."""
     lag_ms = np.empty_like(all_ms)
-    waits = 0.0
-    for i, took in enumerate(all_ms):
-        lag_ms[i] = waits + took
-        waits = max(lag_ms[i] - BUDGET_MS, 0.0)
+    queued_ms = 0.0
+    for i, took_ms in enumerate(all_ms):
+        lag_ms[i] = queued_ms + took_ms
+        queued_ms = max(lag_ms[i] - BUDGET_MS, 0.0)
     return lag_ms
 
 
 def parts_ms(bench: Bench) -> dict[str, NDArray[np.float64]]:
-    """Return the times of every image, by part; those of the map message where one was sent."""
+    """Return the times per image by part; the map message takes 0 if none was sent."""
     parts = {name: np.array(times) * 1e3 for name, times in bench.times_s.items()}
     parts['transport and rest'] = parts['all'] - sum(parts[name] for name in GROUPS)
     parts['all'] = parts.pop('all')
@@ -294,11 +295,11 @@ def report(bench: Bench) -> str:
         f'{images} images of {WIDTH}x{HEIGHT} at {IMAGE_HZ} Hz, odometry at {ODOMETRY_HZ} Hz: '
         f'{images / MINUTE / 60:.2f} h simulated, {parts["all"].sum() / 1e3:.0f} s of work '
         f'({bench.cpu_s:.0f} s of processor)',
-        'defaults but ' + ', '.join(f'{key}={value}' for key, value in SETTINGS.items()),
-        f'{bench.known / images:.0%} of the images where the robot was before; at the end '
+        'defaults except ' + ', '.join(f'{key}={value}' for key, value in SETTINGS.items()),
+        f'{bench.known / images:.0%} of the images at places seen before; at the end '
         f'{len(bench.local_view._core)} templates, {len(core)} experiences, '
-        f'{core.link_count} links; not used: {bench.lost or "nothing"}',
-        f'ms an image               median, first {minutes:.3g} min   last {minutes:.3g} min'
+        f'{core.link_count} links; dropped: {bench.lost or "nothing"}',
+        f'ms per image              median, first {minutes:.3g} min   last {minutes:.3g} min'
         '   ratio     p99   worst',
     ]
     for name, times_ms in parts.items():
@@ -313,30 +314,30 @@ def report(bench: Bench) -> str:
     over = np.mean(parts['all'] > BUDGET_MS)
     lines += [
         '  (map message: only images with which one was sent)',
-        f'over the budget of {BUDGET_MS:.1f} ms   {over:.2%} of the images; were they to come on '
-        f'time and wait: the map is behind by {np.median(lag_ms):.1f} ms (median), '
+        f'over the budget of {BUDGET_MS:.1f} ms   {over:.2%} of the images; latency of the map if '
+        f'images arrived at {IMAGE_HZ} Hz and queued: {np.median(lag_ms):.1f} ms (median), '
         f'{np.percentile(lag_ms, 99):.1f} ms (p99), {lag_ms.max():.0f} ms (worst)',
-        f'share of a core          {parts["all"][:ten].mean() / BUDGET_MS:.1%} at first, '
-        f'{parts["all"][-ten:].mean() / BUDGET_MS:.1%} in the end',
+        f'share of a core          {parts["all"][:ten].mean() / BUDGET_MS:.1%} at the start, '
+        f'{parts["all"][-ten:].mean() / BUDGET_MS:.1%} at the end',
         *map_lines(bench),
     ]
     collections_ms = 1e3 * np.array(bench.laps.s['collection'] or [0.0])
     lines.append(
         f'garbage collection       {len(bench.laps.s["collection"])} full ones, worst '
-        f'{collections_ms.max():.0f} ms: they are in the worst times above'
+        f'{collections_ms.max():.0f} ms; included in the worst times above'
     )
     peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     if bench.sizes:
         first_mb, last_mb = bench.sizes[0][3], bench.sizes[-1][3]
         lines.append(
             f'memory                   peak {peak_mb:.0f} MB; {first_mb:.0f} MB after a minute, '
-            f'{last_mb:.0f} MB in the end'
+            f'{last_mb:.0f} MB at the end'
         )
     return '\n'.join(lines)
 
 
 def map_parts_ms(bench: Bench) -> dict[str, NDArray[np.float64]]:
-    """Return the times of every map message: writing its text, sending it."""
+    """Return the encoding and the sending times of every map message."""
     count = len(bench.maps)
     encoding = np.array(bench.laps.s['map, encoding'])[:count] * 1e3
     whole = np.array([s for s in bench.times_s['map message'] if s > 0.0])[:count] * 1e3
@@ -344,7 +345,7 @@ def map_parts_ms(bench: Bench) -> dict[str, NDArray[np.float64]]:
 
 
 def map_lines(bench: Bench) -> list[str]:
-    """Return what the map message costs, over the number of experiences."""
+    """Return the report's lines on the map message."""
     experiences = np.array([count for _, count in bench.maps])
     last = experiences > 0.9 * experiences[-1]
     lines = [f'map message: {len(bench.maps)} sent; with {experiences[-1]} experiences']
@@ -369,16 +370,16 @@ def plot(bench: Bench, path: Path) -> None:
         p99 = [np.percentile(part, 99) for part in windows]
         times.plot(minute, p99, color=line.get_color(), linestyle=':')
     times.axhline(BUDGET_MS, color='grey', linestyle='--', label=f'{BUDGET_MS:.0f} ms')
-    of = 'a minute' if window == MINUTE else '10 s'
+    span = '1 min' if window == MINUTE else '10 s'
     times.set(xlabel='simulated time, min', yscale='log',
-              ylabel=f'ms an image, over {of}: median, p99 dotted')  # fmt: skip
+              ylabel=f'ms per image, per {span}: median, p99 dotted')  # fmt: skip
     times.legend(ncols=4, loc='lower left', bbox_to_anchor=(0.0, 1.0))  # above the curves
     experiences = [count for _, count in bench.maps]
     for name, times_ms in map_parts_ms(bench).items():
         maps.plot(experiences, times_ms, '.', markersize=2, label=name)
     maps.axhline(BUDGET_MS, color='grey', linestyle='--')
     most = max(np.percentile(values, 99.5) for values in map_parts_ms(bench).values())
-    maps.set(xlabel='experiences', ylabel='ms a map message', ylim=(0.0, 1.3 * most))
+    maps.set(xlabel='experiences', ylabel='ms per map message', ylim=(0.0, 1.3 * most))
     maps.legend()
     minute = np.arange(len(bench.sizes)) + 1
     for i, name in enumerate(('templates', 'experiences', 'links')):
@@ -419,7 +420,7 @@ def main() -> int:
             bench = Bench(options.seed)
             try:
                 gc.collect()
-                gc.freeze()  # as the nodes do when they are ready
+                gc.freeze()  # as the nodes do after start-up
                 gc.callbacks.append(bench.laps.collection)
                 bench.run(round(options.hours * 60 * MINUTE), options.seed)
                 print(report(bench))
@@ -429,7 +430,7 @@ def main() -> int:
             rclpy.try_shutdown()
     path = options.out / 'two_hours.png'
     plot(bench, path)
-    print(f'plotted to {path}')
+    print(f'plot: {path}')
     return 0
 
 

@@ -1,9 +1,9 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Images of ROS messages, files and videos as arrays, without cv_bridge.
+"""Conversion of images from ROS messages, files and videos to NumPy arrays, without cv_bridge.
 
-cv_bridge breaks between NumPy 1 and 2, and needs ROS. The few lines here take the messages of
-rclpy and of rosbags alike: both have the same fields, and ``data`` is any buffer of bytes.
+cv_bridge requires ROS, and a build for NumPy 1 does not work with NumPy 2. This module accepts
+messages of both rclpy and rosbags: they have the same fields, and ``data`` may be any buffer.
 """
 
 from dataclasses import dataclass
@@ -17,23 +17,24 @@ from ratslam_ros.errors import RatslamError
 
 Pixels = npt.NDArray[np.uint8]
 
-MAX_PIXELS = 2**28  # 268 megapixels: above every camera, below what would fill the memory
+MAX_PIXELS = 2**28  # More than any camera has, and few enough to fit into memory.
 DEPTH_ENCODINGS = frozenset({'16uc1', '32fc1'})
 
-_KEEP = None  # the array is what is wanted already
-# encoding: bytes a pixel, channels of the array, conversion to grey, conversion to BGR
+_NO_CONVERSION = None
+# encoding: (bytes per pixel, channels of the array, OpenCV conversion to grey, to BGR)
 _ENCODINGS: dict[str, tuple[int, int, int | None, int | None]] = {
-    'mono8': (1, 1, _KEEP, cv2.COLOR_GRAY2BGR),
-    '8uc1': (1, 1, _KEEP, cv2.COLOR_GRAY2BGR),
-    'mono16': (2, 1, _KEEP, cv2.COLOR_GRAY2BGR),
-    '16uc1': (2, 1, _KEEP, cv2.COLOR_GRAY2BGR),
-    'bgr8': (3, 3, cv2.COLOR_BGR2GRAY, _KEEP),
-    '8uc3': (3, 3, cv2.COLOR_BGR2GRAY, _KEEP),
+    'mono8': (1, 1, _NO_CONVERSION, cv2.COLOR_GRAY2BGR),
+    '8uc1': (1, 1, _NO_CONVERSION, cv2.COLOR_GRAY2BGR),
+    'mono16': (2, 1, _NO_CONVERSION, cv2.COLOR_GRAY2BGR),
+    '16uc1': (2, 1, _NO_CONVERSION, cv2.COLOR_GRAY2BGR),
+    'bgr8': (3, 3, cv2.COLOR_BGR2GRAY, _NO_CONVERSION),
+    '8uc3': (3, 3, cv2.COLOR_BGR2GRAY, _NO_CONVERSION),
     'rgb8': (3, 3, cv2.COLOR_RGB2GRAY, cv2.COLOR_RGB2BGR),
     'bgra8': (4, 4, cv2.COLOR_BGRA2GRAY, cv2.COLOR_BGRA2BGR),
     '8uc4': (4, 4, cv2.COLOR_BGRA2GRAY, cv2.COLOR_BGRA2BGR),
     'rgba8': (4, 4, cv2.COLOR_RGBA2GRAY, cv2.COLOR_RGBA2BGR),
-    # OpenCV names a Bayer pattern by the second row's second pixel, ROS by the first row's first.
+    # ROS names a Bayer pattern after the pixels of its first two rows, OpenCV after the second
+    # and third pixels of the second row.
     'bayer_rggb8': (1, 1, cv2.COLOR_BayerBG2GRAY, cv2.COLOR_BayerBG2BGR),
     'bayer_bggr8': (1, 1, cv2.COLOR_BayerRG2GRAY, cv2.COLOR_BayerRG2BGR),
     'bayer_gbrg8': (1, 1, cv2.COLOR_BayerGR2GRAY, cv2.COLOR_BayerGR2BGR),
@@ -46,63 +47,67 @@ _ENCODINGS: dict[str, tuple[int, int, int | None, int | None]] = {
 
 
 class UndecodableImage(RatslamError):  # noqa: N818 - as the others in ratslam_ros.errors
-    """An image whose bytes cannot be turned into pixels."""
+    """The bytes of an image cannot be converted to pixels."""
 
 
 class Image(Protocol):
-    """Whatever can show itself in grey and in colour."""
+    """An image that can be converted to grey and to colour pixels."""
 
     @property
     def encoding(self) -> str:
-        """How the pixels are stored, in the words of the message or file."""
+        """Pixel format as named by the message or file."""
         ...
 
     @property
     def is_depth(self) -> bool:
-        """Whether the pixels are distances, not light."""
+        """Whether the pixels are distances."""
         ...
 
     def grey(self) -> Pixels:
-        """Return (H, W) uint8."""
+        """Return the grey image as (H, W) uint8."""
         ...
 
     def bgr(self) -> Pixels:
-        """Return (H, W, 3) uint8, blue first."""
+        """Return the image as (H, W, 3) uint8 in BGR order."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class RawImage:
-    """A sensor_msgs/Image of rclpy or of rosbags, decoded when it is asked for.
+    """A sensor_msgs/Image of rclpy or of rosbags, decoded on demand.
 
-    mono16 (and 16UC1, which says the same in other words) becomes 8 bits as value / 256, rounded
-    down: the same for every image, so that two looks at one place stay comparable.
+    mono16 and 16UC1 are reduced to 8 bits as value / 256, rounded down. The factor is the same
+    for every image, so that images of one place stay comparable.
     """
 
     message: Any
 
     @property
     def encoding(self) -> str:
-        """The encoding as the message names it."""
+        """Encoding as named by the message."""
         return str(self.message.encoding)
 
     @property
     def is_depth(self) -> bool:
-        """Whether the pixels are distances, not light."""
+        """Whether the pixels are distances."""
         return self.encoding.lower() in DEPTH_ENCODINGS
 
     def grey(self) -> Pixels:
-        """Return (H, W) uint8; raises UndecodableImage."""
+        """Return the grey image as (H, W) uint8; raises UndecodableImage."""
         pixels, grey, _ = self._pixels()
         return pixels if grey is None else _convert(pixels, grey, self.encoding)
 
     def bgr(self) -> Pixels:
-        """Return (H, W, 3) uint8, blue first; raises UndecodableImage."""
+        """Return the image as (H, W, 3) uint8 in BGR order; raises UndecodableImage."""
         pixels, _, bgr = self._pixels()
         return pixels if bgr is None else _convert(pixels, bgr, self.encoding)
 
     def _pixels(self) -> tuple[Pixels, int | None, int | None]:
-        """Check the sizes and cut the row padding off; (H, W) or (H, W, channels) uint8."""
+        """Validate the size fields and remove the row padding.
+
+        Returns:
+            (H, W) or (H, W, channels) uint8, and the OpenCV conversions to grey and to BGR.
+        """
         message = self.message
         height, width, step = int(message.height), int(message.width), int(message.step)
         layout = _ENCODINGS.get(self.encoding.lower())
@@ -114,18 +119,18 @@ class RawImage:
         pixel_bytes, channels, grey, bgr = layout
         row_bytes = width * pixel_bytes
         data = np.frombuffer(message.data, np.uint8)
-        needed = (height - 1) * step + row_bytes  # some drivers leave the last padding out
+        needed = (height - 1) * step + row_bytes  # Some drivers omit the last row's padding.
         if height <= 0 or width <= 0 or height * width > MAX_PIXELS:
-            raise UndecodableImage(f'the image says that it is {width} x {height} pixels')
+            raise UndecodableImage(f'the message gives an image size of {width} x {height} pixels')
         if step < row_bytes:
             raise UndecodableImage(
-                f'the image says that a row is {step} bytes, but {width} pixels of '
+                f'the message says that a row is {step} bytes, but {width} pixels of '
                 f'{self.encoding} need {row_bytes}'
             )
         if len(data) < needed:
             raise UndecodableImage(
                 f'the image holds {len(data)} bytes, but {width} x {height} pixels of '
-                f'{self.encoding} with {step} bytes a row need {needed}'
+                f'{self.encoding} with {step} bytes per row need {needed}'
             )
         rows = np.lib.stride_tricks.as_strided(data, (height, row_bytes), (step, 1))
         if self.encoding.lower() in ('mono16', '16uc1'):
@@ -136,38 +141,38 @@ class RawImage:
 
 @dataclass(frozen=True, slots=True)
 class EncodedImage:
-    """The bytes of a JPEG, PNG or other file that OpenCV reads, decoded when it is asked for."""
+    """The bytes of a JPEG, PNG or other file that OpenCV reads, decoded on demand."""
 
     data: Any
     encoding: str = ''
 
     @property
     def is_depth(self) -> bool:
-        """Whether the pixels are distances, not light."""
+        """Whether the pixels are distances."""
         words = self.encoding.lower().replace(';', ' ').split()
         return 'compresseddepth' in words or not DEPTH_ENCODINGS.isdisjoint(words)
 
     def grey(self) -> Pixels:
-        """Return (H, W) uint8; raises UndecodableImage."""
+        """Return the grey image as (H, W) uint8; raises UndecodableImage."""
         return self._decode(cv2.IMREAD_GRAYSCALE)
 
     def bgr(self) -> Pixels:
-        """Return (H, W, 3) uint8, blue first; raises UndecodableImage."""
+        """Return the image as (H, W, 3) uint8 in BGR order; raises UndecodableImage."""
         return self._decode(cv2.IMREAD_COLOR)
 
     def _decode(self, flags: int) -> Pixels:
         data = np.frombuffer(self.data, np.uint8)
         if self.is_depth:
             raise UndecodableImage(
-                f'the image is a depth image ({self.encoding!r}): choose a topic of a camera'
+                f'the image is a depth image ({self.encoding!r}): choose a topic of camera images'
             )
         try:
             pixels = cv2.imdecode(data, flags) if len(data) else None
-        except cv2.error as error:  # for instance a header that claims more than OpenCV allows
+        except cv2.error as error:  # For example, the header gives a size above OpenCV's limit.
             raise UndecodableImage(f'OpenCV refuses the image: {error.err}') from None
         if pixels is None:
             raise UndecodableImage(
-                f'{len(data)} bytes that are no whole JPEG, PNG or other image known to OpenCV'
+                f'{len(data)} bytes are not a complete JPEG, PNG or other image that OpenCV reads'
                 + (f' (the message says {self.encoding!r})' if self.encoding else '')
             )
         return np.asarray(pixels, np.uint8)
@@ -175,14 +180,14 @@ class EncodedImage:
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """A picture that is an array already, such as a video's."""
+    """An image that is already an array, such as a frame of a video."""
 
     pixels: Pixels
     encoding: str = 'bgr8'
     is_depth: bool = False
 
     def grey(self) -> Pixels:
-        """Return (H, W) uint8."""
+        """Return the grey image as (H, W) uint8."""
         return (
             self.pixels
             if self.pixels.ndim == 2
@@ -190,7 +195,7 @@ class Frame:
         )
 
     def bgr(self) -> Pixels:
-        """Return (H, W, 3) uint8, blue first."""
+        """Return the image as (H, W, 3) uint8 in BGR order."""
         return (
             self.pixels
             if self.pixels.ndim == 3
@@ -199,7 +204,7 @@ class Frame:
 
 
 def image_of(message: Any) -> Image:
-    """Return the image in a sensor_msgs Image or CompressedImage of rclpy or of rosbags."""
+    """Wrap a sensor_msgs Image or CompressedImage of rclpy or of rosbags."""
     if hasattr(message, 'encoding'):
         return RawImage(message)
     return EncodedImage(message.data, str(message.format))
@@ -208,7 +213,7 @@ def image_of(message: Any) -> Image:
 def _convert(pixels: Pixels, code: int, encoding: str) -> Pixels:
     try:
         return np.asarray(cv2.cvtColor(pixels, code), np.uint8)
-    except cv2.error as error:  # for instance an odd width with two pixels to a colour
+    except cv2.error as error:  # For example, an odd width with chroma shared by two pixels.
         height, width = pixels.shape[:2]
         raise UndecodableImage(
             f'OpenCV cannot convert {width} x {height} pixels of {encoding}: {error.err}'

@@ -1,41 +1,53 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Time by step, cheap enough to be always on and of constant size."""
+"""Durations of processing steps, measured with low overhead in constant memory."""
 
 from __future__ import annotations
 
 import math
 import time
 
-BINS_PER_OCTAVE = 16  # a bin is 4.4 % wide
+BINS_PER_OCTAVE = 16
+"""Histogram bins per factor of 2 in duration; each bin is 4.4 % wide."""
+
+_OCTAVES_BELOW_1_S = 30.0
+_MIN_DURATION_S = 2.0**-30
+"""Shorter durations (below about 1 ns) are counted in the first bin."""
+
+_OCTAVE_COUNT = 45
+"""Durations above 2^15 s (9 hours) are counted in the last bin."""
 
 
 class Histogram:
-    """Durations in bins of equal ratio, from 2^-30 s (1 ns) on."""
+    """Histogram of durations with logarithmic bins."""
 
     def __init__(self) -> None:
         self.count = 0
-        self._bins = [0] * (BINS_PER_OCTAVE * 45)
+        self._bins = [0] * (BINS_PER_OCTAVE * _OCTAVE_COUNT)
 
     def add(self, duration_s: float) -> None:
-        """Count one duration."""
+        """Count one duration, in seconds."""
         self.count += 1
-        octave = math.log2(max(duration_s, 2.0**-30)) + 30.0
+        octave = math.log2(max(duration_s, _MIN_DURATION_S)) + _OCTAVES_BELOW_1_S
         self._bins[min(int(octave * BINS_PER_OCTAVE), len(self._bins) - 1)] += 1
 
     def quantile_s(self, share: float) -> float:
-        """Return the middle of the bin that a share of the durations does not exceed."""
+        """Return a quantile in seconds, as the geometric centre of its bin; 0 if empty.
+
+        Args:
+            share: 0 to 1; 0.5 gives the median.
+        """
         rank = share * self.count
-        seen = 0
+        cumulative_count = 0
         for index, count in enumerate(self._bins):
-            seen += count
-            if count and seen >= rank:
-                return math.exp2((index + 0.5) / BINS_PER_OCTAVE - 30.0)
+            cumulative_count += count
+            if count and cumulative_count >= rank:
+                return math.exp2((index + 0.5) / BINS_PER_OCTAVE - _OCTAVES_BELOW_1_S)
         return 0.0
 
 
 class _Watch:
-    """Adds the time from entering to leaving to a histogram."""
+    """Context manager that adds the time spent inside it to a histogram."""
 
     __slots__ = ('_histogram', '_start_s')
 
@@ -51,21 +63,21 @@ class _Watch:
 
 
 class StepTimes:
-    """A histogram a step; call with a step's name and enter what is returned."""
+    """Durations by step; use as ``with times('step'): ...``."""
 
     def __init__(self) -> None:
         self._watches: dict[str, tuple[Histogram, _Watch]] = {}
 
     def __call__(self, name: str) -> _Watch:
-        """Return the step's stopwatch."""
-        known = self._watches.get(name)
-        if known is None:
+        """Return the context manager that measures a step."""
+        entry = self._watches.get(name)
+        if entry is None:
             histogram = Histogram()
-            known = self._watches[name] = histogram, _Watch(histogram)
-        return known[1]
+            entry = self._watches[name] = histogram, _Watch(histogram)
+        return entry[1]
 
     def summary_ms(self) -> dict[str, dict[str, float]]:
-        """Return ``{step: {count, median, p99}}``, times in ms."""
+        """Return ``{step: {count, median, p99}}``, sorted by step, with times in milliseconds."""
         return {
             name: {
                 'count': histogram.count,

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rooms drawn by lines, what a laser sees in them, ray by ray, and a robot that drives there."""
+"""Rooms made of line segments, laser scans of them, and a robot that drives in them."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ FIRST_RAD, LAST_RAD = -math.pi / 2, math.pi / 2
 
 
 def scan_of_ranges(ranges_m: Sequence[float] | NDArray[np.float64], stamp_ns: int = 0) -> Scan:
-    """Return a scan over half a circle, from right to left."""
+    """Return a scan over 180 degrees, from right to left."""
     ranges = np.array(ranges_m, np.float64)
     return Scan(stamp_ns, FIRST_RAD, (LAST_RAD - FIRST_RAD) / max(len(ranges) - 1, 1), ranges)
 
@@ -35,7 +35,7 @@ def scan_of_ranges(ranges_m: Sequence[float] | NDArray[np.float64], stamp_ns: in
 def scan_in(
     walls: Sequence[Line], pose: Pose = HERE, stamp_ns: int = 0, beams: int = 361
 ) -> Scan:
-    """Return what is seen of walls, each a line through points in m; nothing beyond 8 m."""
+    """Return the scan of walls, each a line through points in m, with a range of 8 m."""
     ends = np.array([pair for wall in walls for pair in itertools.pairwise(wall)])
     ends = ends.reshape(-1, 2, 2)
     a, along = ends[:, 0], ends[:, 1] - ends[:, 0]
@@ -52,7 +52,7 @@ def scan_in(
 
 
 def clearance_m(walls: Sequence[Line], x_m: float, y_m: float) -> float:
-    """Return how far the nearest wall is."""
+    """Return the distance to the nearest wall."""
     return min(
         way_to_point_m(from_m, to_m, (x_m, y_m))
         for wall in walls
@@ -63,7 +63,7 @@ def clearance_m(walls: Sequence[Line], x_m: float, y_m: float) -> float:
 def way_to_point_m(
     from_m: tuple[float, float], to_m: tuple[float, float], point_m: tuple[float, float]
 ) -> float:
-    """Return how near a straight way comes to a point."""
+    """Return the distance between a line segment and a point."""
     (a_x, a_y), (b_x, b_y), (x, y) = from_m, to_m, point_m
     d_x, d_y = b_x - a_x, b_y - a_y
     squared = d_x * d_x + d_y * d_y
@@ -72,7 +72,7 @@ def way_to_point_m(
     return math.hypot(a_x + share * d_x - x, a_y + share * d_y - y)
 
 
-# Walls that several tests need; x is ahead of the robot, y to its left.
+# Walls for several tests; x is ahead of the robot, y to its left.
 
 
 def corridor(half_width_m: float = 1.0) -> list[Line]:
@@ -85,7 +85,7 @@ def dead_end(at_m: float, half_width_m: float = 0.7) -> list[Line]:
 
 
 def t_junction(end_m: float, width_m: float = 2.0, length_m: float = 20.0) -> list[Line]:
-    """A corridor that ends in the middle of one across it, whose far wall is so far ahead."""
+    """Return a corridor that ends in a transverse one, whose far wall is at ``end_m``."""
     near = end_m - width_m
     sides: list[Line] = [
         [(-20.0, side), (near, side), (near, math.copysign(length_m, side))]
@@ -95,7 +95,7 @@ def t_junction(end_m: float, width_m: float = 2.0, length_m: float = 20.0) -> li
 
 
 class Drive:
-    """A robot without faults that follows a route between walls, which may be changed."""
+    """A robot without noise that follows a route between walls, which may change."""
 
     def __init__(self, walls: list[Line], route_m: list[tuple[float, float]]) -> None:
         self.walls = walls

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from ratslam_ros.cli.main import _parser
+from ratslam_ros.cli.main import parser
 from ratslam_ros.cli.parameter_docs import ROOT, documents, main
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.config import SECTIONS, Config, section_of
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
-from ratslam_ros.core.pose_cells.pose_cells import MapAction
+from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.files.config import load_config, parse_setting
 from ratslam_ros.messages.mapping import encode_map
@@ -73,7 +73,7 @@ def test_links_lead_somewhere(path: Path):
 @page
 def test_commands_are_understood(path: Path):
     for command in commands(path.read_text('utf-8')):
-        options = _parser().parse_args(shlex.split(command)[1:])
+        options = parser().parse_args(shlex.split(command)[1:])
         settings = [parse_setting(text) for text in getattr(options, 'settings', [])]
         Config().with_values(dict(settings))
 
@@ -86,7 +86,7 @@ def test_parameters_and_options_exist(path: Path):
     for section, name in re.findall(r'`(\w+)\.(\w+)(?:=[^`]*)?`', text):
         if section in SECTIONS and name != 'py':
             assert name in {known for known, _, _ in SECTIONS[section].parameters()}, name
-    actions = _parser()._subparsers._group_actions[0].choices.values()
+    actions = parser()._subparsers._group_actions[0].choices.values()
     options = {option for parser in actions for option in parser._option_string_actions}
     for option in re.findall(r'`(--[a-z-]+)', text):
         assert option in options, option

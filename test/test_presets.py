@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Presets: each loads, says something of itself, and the published ones have the values."""
+"""Every preset loads and has a title; published ones have the published values."""
 
 from pathlib import Path
 
@@ -41,7 +41,7 @@ PUBLISHED = {
     },
 }  # fmt: skip
 
-# What the published configurations leave at OpenRatSLAM's defaults; ours must be the same ones.
+# OpenRatSLAM's defaults, on which the published configurations rely.
 DEFAULTS = {
     'vt_match_threshold': 0.03, 'vt_normalisation': 0.0, 'vt_patch_normalise': 0,
     'vt_min_patch_normalisation_std': 0.0, 'vt_panoramic': False, 'pc_dim_x': 21, 'pc_dim_y': 21,
@@ -54,7 +54,7 @@ DEFAULTS = {
 
 
 def values(config: Config) -> dict[str, object]:
-    """Return the values by the parameters' names alone."""
+    """Return the values by parameter name, without sections."""
     return {name: value for section in config.values().values() for name, value in section.items()}
 
 
@@ -67,23 +67,23 @@ def test_preset_loads_by_name_and_by_path(name: str):
 
 
 @pytest.mark.parametrize('name', NAMES)
-def test_preset_begins_with_what_it_is_for(name: str):
+def test_preset_begins_with_a_description(name: str):
     first = (FOLDER / f'{name}.yaml').read_text('utf-8').splitlines()[0]
     assert first.startswith('# ') and len(first) > 20
 
 
 @pytest.mark.parametrize('name', PUBLISHED)
-def test_published_preset_has_the_published_values(name: str):
+def test_published_preset_has_published_values(name: str):
     found = values(load_config(name)[0])
     assert {key: found[key] for key in PUBLISHED[name]} == PUBLISHED[name]
 
 
 @pytest.mark.parametrize('name', ['irat', 'stlucia', 'newcollege'])
-def test_published_preset_has_the_defaults_elsewhere(name: str):
+def test_published_preset_keeps_other_defaults(name: str):
     found = values(load_config(name)[0])
     left = {key: value for key, value in DEFAULTS.items() if key not in PUBLISHED[name]}
     assert {key: found[key] for key in left} == left
 
 
-def test_default_preset_changes_nothing():
+def test_default_preset_equals_default_config():
     assert load_config('default')[0] == Config()

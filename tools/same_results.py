@@ -32,7 +32,7 @@ import tarfile
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
@@ -40,6 +40,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from live_session import LiveError, LiveSession, Observer
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = 'ratslam_ros'
@@ -497,6 +498,10 @@ def options(run: Run) -> None:
 
 
 FLOOR_SCENE = ('--plan', 'obstacle_loop', '--explore', '0.7', '--goals', 'X,G', '--seed', '3')
+OBSTACLE_SCENE = (
+    '--plan', 'obstacle_loop', '--explore', '0.8', '--random-goals', '1', '--seed', '5',
+    '--people', '2', '--noise', '1.5', '--obstacle', 'box,8,2,0.8,1,20,90',
+)  # fmt: skip
 SPAN = ('--duration', '60')
 PRESETS = {
     # The crops of these presets are for larger images than those of the simulated camera.
@@ -513,6 +518,264 @@ PRESETS = {
 NAVIGATION = ('--config', 'navigation')
 
 
+class IncompleteError(Exception):
+    """The observer or the nodes lost messages, as can happen on a busy machine."""
+
+
+TRIES = 3
+SETTLE_TIMEOUT_S = 60.0
+FLUSHED_S = 4.0
+"""Nodes process messages that they held back after flush_after_s, 2 s, of silence."""
+LEARNERS = ('local_view', 'pose_cells', 'experience_map')
+TRIGGER = 'std_srvs/srv/Trigger'
+STREAMED = (
+    'local_view/template', 'pose_cells/action', 'pose_cells/active_experiences',
+    'pose_cells/goal_memory',
+)  # fmt: skip
+LIVE_CONFIG = (
+    *NAVIGATION, *setting('experience_map.exp_align_scans=false'),
+    *setting('goal_memory.goal_memory=true'),
+)  # fmt: skip
+BEFORE_MARK = ('--duration', '15')
+AFTER_MARK = ('--start', '15', '--duration', '15')
+BEFORE_SAVE = ('--duration', '30')
+AFTER_SAVE = ('--start', '30', '--duration', '30')
+
+
+def tried(run_case: Callable[[Run], None]) -> Callable[[Run], None]:
+    """Return a case that runs again if messages were lost."""
+
+    def run_again(run: Run) -> None:
+        for number in range(TRIES):
+            folder = run.work / f'try_{number}'
+            folder.mkdir()
+            shutil.rmtree(run.folder)
+            run.folder.mkdir()
+            try:
+                return run_case(replace_work(run, folder))
+            except IncompleteError as error:
+                lost = str(error)
+        raise CaseError(f'{lost} ({TRIES} tries)')
+
+    return run_again
+
+
+def replace_work(run: Run, folder: Path) -> Run:
+    """Return the same run with another folder for its files."""
+    return Run(run.version, run.folder.name, folder)
+
+
+def live(run: Run) -> None:
+    """Play a recording to live nodes; save in the middle, go on, load and go on once more.
+
+    The map before saving must be the map of a replay, and so must be the one at the end.
+    """
+    recording, parts = run.input(FLOOR), (BEFORE_SAVE, AFTER_SAVE)
+    memory = run.work / 'memory'
+    folders = [f'{node}.memory_folder={memory}' for node in LEARNERS]
+    config = [*LIVE_CONFIG, *(word for text in folders for word in setting(text))]
+    run.ratslam('replay', recording, *LIVE_CONFIG, *parts[0], '--quiet', '--out', run.work / 'out')
+    expected = (run.work / 'out' / 'map.json').read_text()
+    images = (run.work / 'out' / 'frames.csv').read_text().count('\n') - 1
+    with session(run) as nodes:
+        nodes.start('launch', 'launch', *config, ready=3)
+        observer = nodes.observe()
+        run.keep('endpoints.txt', '\n'.join(observer.endpoints()) + '\n')
+        nodes.play(recording, *BEFORE_MARK)
+        time.sleep(FLUSHED_S)
+        for service in ('pose_cells/mark_goal', 'experience_map/name_place'):
+            run.keep(f'{service}.yaml', nodes.call(service, TRIGGER))
+        nodes.play(recording, *AFTER_MARK)
+        time.sleep(FLUSHED_S)
+        found = settled(observer, lambda text: text == expected)
+        run.keep('live_map_before_save.json', found)
+        if found != expected:
+            raise IncompleteError('the live map is not the map of a replay')
+        check_complete(observer.received(), images)
+        for service in ('experience_map/list_goals', 'experience_map/temporal_map'):
+            run.keep(f'{service}.yaml', nodes.call(service, TRIGGER))
+        run.keep('recall_goal.yaml', nodes.call(
+            'experience_map/recall_goal', 'nav_msgs/srv/GetPlan', RECALL))
+        save(run, nodes, memory, 'saved')
+        observer.publish('pose_cells/goal', 'goal_1')
+        observer.publish('experience_map/goal', '{"name": "place_1"}')
+        nodes.play(recording, *parts[1])
+        keep_received(run, observer, '', 2 * images)
+        run.keep('exit_code.txt', f'{nodes.stop("launch")}\n')
+    with session(run) as nodes:
+        nodes.start('launch', 'launch', *config, ready=3)
+        observer = nodes.observe()
+        for node in LEARNERS:
+            run.keep(f'{node}/load.txt', success(nodes.call(f'{node}/load', TRIGGER)))
+        nodes.play(recording, *parts[1])
+        keep_received(run, observer, 'loaded/', images)
+        save(run, nodes, memory, 'saved_again')
+        run.keep('exit_code_2.txt', f'{nodes.stop("launch")}\n')
+
+
+RECALL = '{goal: {header: {frame_id: map}, pose: {position: {x: 0.0, y: 0.5}}}, tolerance: 5.0}'
+
+
+def live_camera(run: Run) -> None:
+    """Play images only to all nodes in one process: the map must be that of a replay."""
+    recording, part = run.input(FLOOR), BEFORE_SAVE
+    config = ('--config', 'pioneer')
+    run.ratslam('replay', recording, *config, *part, '--visual-odometry', '--quiet', '--out',
+                run.work / 'out')
+    expected = (run.work / 'out' / 'map.json').read_text()
+    with session(run) as nodes:
+        nodes.start('launch', 'launch', *config, *setting('goal_memory.goal_memory=true'),
+                    '--visual-odometry', '--single-process', ready=4)
+        observer = nodes.observe()
+        nodes.play(recording, *part, '--visual-odometry')
+        found = settled(observer, lambda text: text == expected)
+        run.keep('live_map.json', found)
+        if found != expected:
+            raise IncompleteError('the live map is not the map of a replay')
+        images = (run.work / 'out' / 'frames.csv').read_text().count('\n') - 1
+        keep_received(run, observer, '', images)
+        run.keep('exit_code.txt', f'{nodes.stop("launch")}\n')
+
+
+PARAMETER_SERVICE = re.compile(r'^\d+ subscriber rq/(\S+)/list_parametersRequest ')
+
+
+def graph(run: Run) -> None:
+    """Start all nodes and the simulated robot: compare topics, services and parameters."""
+    with session(run) as nodes:
+        nodes.start('launch', 'launch', '--visual-odometry', '--goal-follower', ready=5)
+        nodes.start('robot', 'simulate', '--live', '--plan', 'obstacle_loop')
+        observer = nodes.observe('--endpoints-only')
+        endpoints = stable(observer.endpoints)
+        run.keep('endpoints.txt', '\n'.join(endpoints) + '\n')
+        names = [match[1] for line in endpoints if (match := PARAMETER_SERVICE.match(line))]
+        if len(names) != 6:
+            raise CaseError(f'nodes with parameters: {names}; expected 6')
+        for name in names:
+            kind = 'rcl_interfaces/srv'
+            listed = nodes.call(f'{name}/list_parameters', f'{kind}/ListParameters')
+            run.keep(f'{name}/list_parameters.yaml', listed)
+            parameters = re.findall(r'^  - (\S+)$', listed, re.MULTILINE)
+            if len(parameters) < 5:
+                raise CaseError(f'{name} has the parameters {parameters}; expected more')
+            request = json.dumps({'names': parameters})
+            for service in ('GetParameters', 'DescribeParameters'):
+                snake = re.sub(r'(?<!^)([A-Z])', r'_\1', service).lower()
+                text = nodes.call(f'{name}/{snake}', f'{kind}/{service}', request)
+                run.keep(f'{name}/{snake}.yaml', without_descriptions(text))
+
+
+def without_descriptions(text: str) -> str:
+    """Return a YAML text without the values of `description` and `additional_constraints`."""
+    import yaml
+
+    def cleaned(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {
+                key: cleaned(item) for key, item in value.items()
+                if key not in ('description', 'additional_constraints')
+            }  # fmt: skip
+        return [cleaned(item) for item in value] if isinstance(value, list) else value
+
+    return json.dumps(cleaned(yaml.safe_load(text)), indent=1)
+
+
+@contextlib.contextmanager
+def session(run: Run) -> Iterator[LiveSession]:
+    """Run nodes of this version."""
+    with LiveSession(ENTRY, run.version.environment(), run.work) as nodes:
+        yield nodes
+
+
+def stable(found: Callable[[], list[str]]) -> list[str]:
+    """Return a list of endpoints once it has been the same for two seconds."""
+    last, since_s = found(), time.monotonic()
+    end_s = since_s + SETTLE_TIMEOUT_S
+    while time.monotonic() < min(since_s + 2.0, end_s):
+        time.sleep(0.2)
+        if (now := found()) != last:
+            last, since_s = now, time.monotonic()
+    return last
+
+
+def settled(observer: Observer, is_final: Callable[[str], bool]) -> str:
+    """Return the last map, as soon as it is final or time is up."""
+    end_s = time.monotonic() + SETTLE_TIMEOUT_S
+    while not is_final(observer.last('experience_map/map')) and time.monotonic() < end_s:
+        time.sleep(0.1)
+    return observer.last('experience_map/map')
+
+
+def check_complete(received: Mapping[str, Sequence[str]], images: int) -> None:
+    """Raise IncompleteError unless there is a template and an action for each image."""
+    for topic in ('local_view/template', 'pose_cells/action'):
+        count = len(received.get(topic, ()))
+        if count != images:
+            raise IncompleteError(f'{count} messages of {topic}; expected {images}')
+
+
+def keep_received(run: Run, observer: Observer, prefix: str, images: int) -> None:
+    """Keep the streams, the last map and the last status, once the map holds the last action."""
+    def stamp(text: str) -> Any:
+        return json.loads(text)['stamp'] if text else None
+
+    settled(observer, lambda text: stamp(text) == stamp(observer.last('pose_cells/action')))
+    time.sleep(FLUSHED_S)
+    map_json, status = observer.last('experience_map/map'), observer.last('experience_map/status')
+    received = observer.end()
+    check_complete(received, images)
+    for topic in STREAMED:
+        if lines := received.get(topic):
+            run.keep(f'{prefix}{topic}.txt', '\n'.join(lines) + '\n')
+    poses = received['experience_map/pose']
+    run.keep(f'{prefix}experience_map/pose.txt', stamps_and_last(poses))
+    run.keep(f'{prefix}map.json', map_json)
+    # The last change of the status may come with either of the last two odometry messages.
+    run.keep(f'{prefix}status.json', re.sub(r'"stamp":\{.*?\},', '', status, count=1))
+
+
+def stamps_and_last(lines: Sequence[str]) -> str:
+    """Return the stamps and frames of all poses, and the last pose with 6 decimals.
+
+    Whether a pose was computed before or after the action of the same stamp came depends on
+    timing. Only the last pose, for which nothing more comes, is certain.
+    """
+    stamps = sorted({line.partition(' (')[0] for line in lines})
+    numbers = ast.literal_eval(lines[-1].partition(' ')[2].partition(' ')[2])
+    last = ' '.join(f'{number + 0.0:.6f}' for number in numbers)
+    return '\n'.join([*stamps, last]) + '\n'
+
+
+def save(run: Run, nodes: LiveSession, memory: Path, name: str) -> None:
+    """Save what the nodes have learned, and keep it."""
+    for node in LEARNERS:
+        run.keep(f'{name}/{node}.answer', success(nodes.call(f'{node}/save', TRIGGER)))
+    for path in sorted(memory.iterdir()):
+        run.keep(f'{name}/{path.name}.txt', describe_memory(path))
+
+
+def success(answer: str) -> str:
+    """Return whether a service succeeded; raise CaseError if it did not."""
+    if 'success: true' not in answer:
+        raise CaseError(f'a service answered {answer}')
+    return 'success: true\n'
+
+
+def goal_memory_trial(run: Run) -> None:
+    """Run the goal memory experiment of the benchmarks, with one seed; compare its numbers."""
+    done = subprocess.run(
+        [sys.executable, str(run.version.tree / 'benchmarks' / 'navigation.py'), 'goal_memory',
+         '--seeds', '1', '--minutes', '1.5', '--out', str(run.work / 'out')],
+        env=run.version.environment(), cwd=run.work, capture_output=True, text=True, check=False,
+        timeout=COMMAND_TIMEOUT_S,
+    )  # fmt: skip
+    rows = [line for line in done.stdout.splitlines() if re.match(r' *(\d+|all) +\w', line)]
+    rows = [row for row in rows if len(row.split()) > 4]
+    if done.returncode or len(rows) < 4:
+        raise CaseError(f'exit code {done.returncode}\n{done.stdout}\n{done.stderr[-2000:]}')
+    run.keep('table.txt', '\n'.join(' '.join(row.split()) for row in rows) + '\n')
+
+
 def all_cases() -> list[Case]:
     """Return the cases; those that make recordings come first."""
     cases = [
@@ -527,6 +790,11 @@ def all_cases() -> list[Case]:
         Case('preset_pioneer', replayed(FLOOR, '--config', 'pioneer'), quick=True),
         Case('default_values', replayed(FLOOR), quick=True),
         Case('ini', ini),
+        Case('live', tried(live)),
+        Case('live_camera', tried(live_camera)),
+        Case('graph', graph),
+        Case('obstacle', simulated('', *OBSTACLE_SCENE)),
+        Case('goal_memory_trial', goal_memory_trial),
         Case('goal_memory', replayed(
             FLOOR, *NAVIGATION, *setting('goal_memory.goal_memory=true')), quick=True),
         Case('visual_odometry', replayed(FLOOR, '--visual-odometry', *SPAN)),
@@ -637,7 +905,7 @@ class Comparison:
             run = Run(version, case.name, Path(temporary))
             try:
                 case.run(run)
-            except CaseError as error:
+            except (CaseError, LiveError) as error:
                 run.keep(FAILURE, str(error))
                 return
         if version.name == 'BASE':

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Compile, or load from the cache, every inner loop before the first message."""
+"""Warm-up: compile all numba functions, or load them from the cache, before the first message."""
 
 from __future__ import annotations
 
@@ -16,12 +16,13 @@ from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.link_learning import has_detour
-from ratslam_ros.core.pose_cells.pose_cells import Action, MapAction, PoseCells
+from ratslam_ros.core.pose_cells.map_action import Action, MapAction
+from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.core.vision.local_view import LocalView, ViewMatch
 from ratslam_ros.core.vision.visual_odometry import VisualOdometry
 
-_SMALL = {
+_SMALL_CONFIG = {
     'local_view.template_x_size': 4, 'local_view.template_y_size': 2,
     'local_view.vt_shift_match': 1, 'local_view.vt_patch_normalise': 1,
 }  # fmt: skip
@@ -29,13 +30,14 @@ _MOTION = Motion(1.0, 1.0, 0.1)
 
 
 def warm_up(*parts: str) -> None:
-    """Run a little of everything through every compiled function; slow where none is cached.
+    """Call every compiled function of some parts once; slow if nothing is cached yet.
 
-    ``parts``: the parts that will run, called as their sections of parameters; none given: all
-    that make a map, so none of those that go to goals.
+    Args:
+        parts: names of the parameter sections of the parts that will run; ``'scan_alignment'``
+            stands for scan matching. By default, all parts that build a map, without navigation.
     """
-    config = Config().with_values(_SMALL)
-    wrap(0.0)  # all parts have angles
+    config = Config().with_values(_SMALL_CONFIG)
+    wrap(0.0)  # Used by all parts.
     for part in parts or _MAPPING:
         _PARTS[part](config)
 
@@ -58,9 +60,9 @@ def _local_view(config: Config) -> None:
 
 def _pose_cells(config: Config) -> None:
     motion_from = MotionFromOdometry(config.pose_cells.odom_source)
-    for views in (0.0, 1.0):  # with none that need agree, all that is known injects
+    for views in (0.0, 1.0):  # With 0, every recognised view injects activity.
         pose_cells = PoseCells(replace(config.pose_cells, pc_vt_agree_views=views))
-        for n in range(30):  # twice the same way: the second time activity is injected
+        for n in range(30):  # Two rounds: in the second, recognised views inject activity.
             motion_from.update(Odometry(n * 10**9, Twist(1.0, 0.1), Pose(0.0, 0.0, 0.0)))
             pose_cells.integrate(_MOTION)
             pose_cells.view(ViewMatch(n % 15, n < 15, 0.0, 0.0))
@@ -84,25 +86,26 @@ def _experience_map(config: Config) -> ExperienceMap:
 
 
 def _scan_alignment(config: Config) -> None:
-    from ratslam_ros.core.mapping.scan_matching import VIEW_SD_M, align
+    from ratslam_ros.core.mapping.icp import align
+    from ratslam_ros.core.mapping.scan_matching import VIEW_SD_M
 
     corner = np.concatenate([np.arange(40.0)[:, None] * step for step in ((0.1, 0.0), (0.0, 0.1))])
     align(corner, corner, Pose(0.0, 0.0, 0.0), VIEW_SD_M)
 
 
 def _goal_recall(config: Config) -> None:
-    from ratslam_ros.core.navigation.navigator import Navigator  # takes long: it needs SciPy
+    from ratslam_ros.core.navigation.navigator import Navigator  # Imports SciPy.
 
     experience_map = _experience_map(config)
     navigator = Navigator(replace(config.goal_recall, goal_radius_m=0.0), experience_map)
     navigator.go_to(1)
     navigator.update(0)
     experience_map.apply(MapAction('link', 0, 0, 0, 0.0, Place(0.0, 0.0, 0.0)))
-    navigator.update(0)  # the links have changed
+    navigator.update(0)  # After a change of the links.
 
 
 def _goal_memory(config: Config) -> None:
-    from ratslam_ros.core.goal_memory.goal_memory import GoalMemory  # as long
+    from ratslam_ros.core.goal_memory.goal_memory import GoalMemory  # Imports SciPy.
 
     memory, pose_cells = (
         GoalMemory(config.goal_memory, config.pose_cells), PoseCells(config.pose_cells)
@@ -119,7 +122,7 @@ def _goal_follower(config: Config) -> None:
     from ratslam_ros.core.driving.goal_follower import GoalFollower
 
     follow = GoalFollower(config.goal_follower)
-    for ahead_m in (2.0, 0.5):  # the second time something stands there
+    for ahead_m in (2.0, 0.5):  # Free, then blocked by an obstacle.
         scan = Scan(0, -1.0, 1.0, np.array([1.0, ahead_m, 1.0]))
         follow.command(scan, np.array([[0.0, 0.0], [1.0, 0.0]]))
 

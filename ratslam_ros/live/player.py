@@ -24,20 +24,22 @@ from std_msgs.msg import String
 
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.live import graph, ros
-from ratslam_ros.live.ahead import Ahead
 from ratslam_ros.live.lockstep import Lockstep
 from ratslam_ros.live.messages import camera_info, message_of, time_message
 from ratslam_ros.live.pacing import Pacing
 from ratslam_ros.nodes.qos import CLOCK, INPUT, PLAYED
 from ratslam_ros.recordings import Event, ImageEvent, OdometryEvent, Recording, Selection
-from ratslam_ros.recordings.decode import (
+from ratslam_ros.recordings.prefetch import Prefetch
+from ratslam_ros.recordings.topics import (
     COMPRESSED_IMAGE,
+    IMAGE_FILES,
     LASER_SCAN,
     ODOMETRY,
     RAW_IMAGE,
     STRING,
+    TABLE,
+    VIDEO,
 )
-from ratslam_ros.recordings.selection import IMAGE_FILES, TABLE, VIDEO
 
 ODOM, SCAN, ACTION, TEMPLATE = 'odom', 'scan', 'pose_cells/action', 'local_view/template'
 CAMERA_INFO = 'camera_info'
@@ -213,7 +215,7 @@ class _Player:
         options = self._options
         events = self._recording.events(self._selection, options.start_s, options.duration_s)
         with ExitStack() as stack:
-            ready = stack.enter_context(Ahead((event, message_of(event)) for event in events))
+            ready = stack.enter_context(Prefetch((event, message_of(event)) for event in events))
             bar = stack.enter_context(_Progress(self._recording, options))
             pacing = None
             for event, message in ready:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
-from ratslam_ros.core.pose_cells.pose_cells import MapAction
+from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.core.vision.local_view import ViewMatch
 from ratslam_ros.messages.json_schema import (

@@ -23,7 +23,7 @@ from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation.goals import Goal, Position, Target
 from ratslam_ros.core.navigation.navigator import Navigator
 from ratslam_ros.core.navigation.route_following import Guidance
-from ratslam_ros.core.navigation.route_planner import UnreachableGoal
+from ratslam_ros.errors import UnreachableGoal
 from ratslam_ros.messages.goals import (
     decode_goal,
     decode_name,

@@ -30,7 +30,6 @@ from ratslam_ros.nodes.node import DIAGNOSTICS_PERIOD_S
 from ratslam_ros.nodes.parameters import declare
 from ratslam_ros.nodes.qos import CLOCK, RESULT, STATE
 from ratslam_ros.nodes.run import run
-from ratslam_ros.simulator import robot
 from ratslam_ros.simulator.config import SimulatorParameters, make_simulator
 from ratslam_ros.simulator.recording import (
     CAMERA_FRAME,
@@ -39,13 +38,8 @@ from ratslam_ros.simulator.recording import (
     ROBOT_FRAME,
     WORLD_FRAME,
 )
-from ratslam_ros.simulator.simulation import (
-    STEP_NS,
-    ImageSample,
-    OdometrySample,
-    Sample,
-    ScanSample,
-)
+from ratslam_ros.simulator.samples import ImageSample, OdometrySample, Sample, ScanSample
+from ratslam_ros.simulator.simulation import STEP_NS
 
 STEP_CHECK_PERIOD_S = 0.01
 """Period of the timer that runs the steps that are due."""
@@ -121,19 +115,21 @@ class SimulatorNode(Node):  # type: ignore[misc]
         if isinstance(sample, OdometrySample):
             self._clock_out.publish(ClockMessage(clock=time_of(stamp_ns)))
             self._publish_odometry(sample)
-            truth = _pose(sample.truth)
-            self._truth.publish(
-                PoseStamped(header=header_of(stamp_ns, WORLD_FRAME), pose=pose_message(truth))
-            )
+            self._publish_truth(stamp_ns, sample.truth)
         elif isinstance(sample, ImageSample):
             self._image.publish(grey_image(stamp_ns, CAMERA_FRAME, sample.image))
             self._camera_info.publish(self._info(stamp_ns))
         else:
             self._scan.publish(self._laser_scan(sample))
 
+    def _publish_truth(self, stamp_ns: int, truth: Pose) -> None:
+        self._truth.publish(
+            PoseStamped(header=header_of(stamp_ns, WORLD_FRAME), pose=pose_message(truth))
+        )
+
     def _publish_odometry(self, sample: OdometrySample) -> None:
         stamp_ns, odometry = sample.stamp_ns, sample.odometry
-        pose = _pose(odometry.pose)
+        pose = odometry.pose
         message = OdometryMessage(
             header=header_of(stamp_ns, ODOM_FRAME), child_frame_id=ROBOT_FRAME
         )
@@ -190,10 +186,6 @@ class SimulatorNode(Node):  # type: ignore[misc]
             'driven_m': round(simulator.odometer_m, 2),
             'collisions': simulator.collisions,
         }
-
-
-def _pose(pose: robot.Pose) -> Pose:
-    return Pose(pose.x_m, pose.y_m, pose.heading_rad)
 
 
 def main(args: list[str] | None = None) -> int:

@@ -20,10 +20,10 @@ from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import Scan, UnusableScan, checked_scan
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.ratslam import RatSLAM, Step, ViewStep
+from ratslam_ros.core.vision.local_view import LocalView
 from ratslam_ros.core.vision.visual_odometry import field_of_view_deg
 from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.messages.mapping import decode_template
-from ratslam_ros.read_ahead import ReadAhead
 from ratslam_ros.recordings import (
     Event,
     ImageEvent,
@@ -33,6 +33,7 @@ from ratslam_ros.recordings import (
     Selection,
     UndecodableImage,
 )
+from ratslam_ros.recordings.prefetch import prefetch_images
 from ratslam_ros.results.video import MapVideo
 from ratslam_ros.results.writer import Results
 from ratslam_ros.signals import StopSignals
@@ -78,7 +79,7 @@ def replay(
             if options.video is not None:
                 run.film = stack.enter_context(_Film(options.video, run.slam))
             events = recording.events(selection, options.start_s, options.duration_s)
-            decoded = stack.enter_context(ReadAhead(events, run.times))
+            decoded = stack.enter_context(prefetch_images(events, run.times))
             bar = stack.enter_context(_Progress(recording, options, run))
             for event, image in decoded:
                 run.feed(event, image)
@@ -338,10 +339,11 @@ class _Film:
             image = event.bgr()
         except UndecodableImage:
             return
-        known = step.match.template_id
+        known, local_view = step.match.template_id, self._slam.local_view
+        assert isinstance(local_view, LocalView)
         self._video.write(
             image,
-            self._slam.local_view.template(known) if known >= 0 else None,
+            local_view.template(known) if known >= 0 else None,
             self._slam.pose_cells.activity(),
             self._slam.experience_map.poses[:, :2],
             self._slam.experience_map.pose,

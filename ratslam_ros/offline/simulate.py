@@ -14,11 +14,9 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.navigation.route_planner import UnreachableGoal
 from ratslam_ros.core.ratslam import Step
-from ratslam_ros.errors import UnusableInput
+from ratslam_ros.errors import UnreachableGoal, UnusableInput
 from ratslam_ros.results.goal_plots import draw_temporal_map
 from ratslam_ros.results.plots import draw_all
 from ratslam_ros.results.writer import Results, tum_line
@@ -190,10 +188,9 @@ class _Run:
         """Return where to go, in order."""
         options = self._options
         if options.random_goals:
-            at = self.loop.simulator.truth
-            here = Pose(at.x_m, at.y_m, at.heading_rad)
             rng = np.random.Generator(np.random.PCG64(seed))
-            return choose_goals(self._named, here, options.random_goals, rng)
+            robot = self.loop.simulator.truth
+            return choose_goals(self._named, robot, options.random_goals, rng)
         return list(self._named if options.goals is None else options.goals)
 
     def attempt(self, name: str, folder: Path) -> Trial:

@@ -1,9 +1,10 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings of every kind as one stream of events in order of time.
+"""Recordings of every supported format, read as one stream of events in time order.
 
-Start with ``open_recording``; ``Recording.select`` chooses the topics and ``Recording.events``
-yields what they tell. ``describe`` is what ``ratslam info`` shows.
+``open_recording`` opens a recording, ``Recording.select`` chooses the topics, and
+``Recording.events`` yields their messages as events. ``describe`` summarises a recording for
+``ratslam info``.
 """
 
 from ratslam_ros.images import UndecodableImage
@@ -18,7 +19,7 @@ from ratslam_ros.recordings.events import (
 )
 from ratslam_ros.recordings.opening import open_recording
 from ratslam_ros.recordings.recording import Recording
-from ratslam_ros.recordings.selection import Selection, Topic
+from ratslam_ros.recordings.topics import Selection, Topic
 
 __all__ = [
     'Description',

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A recording made of files with ROS messages, whatever their format."""
+"""A recording that consists of one or more files with ROS messages, of any format."""
 
 import math
 from collections import Counter
@@ -13,31 +13,31 @@ from pathlib import Path
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.images import image_of
 from ratslam_ros.recordings.decode import (
-    STRING,
     UndecodableMessage,
     decode,
-    event_of,
-    normal_type,
-    unreadable,
+    decode_event,
+    encoding_problem,
+    ros2_type_name,
 )
 from ratslam_ros.recordings.events import Calibration, Event
 from ratslam_ros.recordings.files import Workspace
 from ratslam_ros.recordings.recording import Recording
-from ratslam_ros.recordings.selection import CAMERA_INFO, Selection, Topic, camera_info_of
+from ratslam_ros.recordings.selection import camera_info_topic
 from ratslam_ros.recordings.stream import (
     Channel,
     Message,
     Part,
     Storage,
     Warnings,
-    in_time_order,
+    merge_by_time,
 )
+from ratslam_ros.recordings.topics import CAMERA_INFO, STRING, Selection, Topic
 
-_PEEK = 5  # messages of a stream that must all be unstamped before it is taken as unstamped
+_PEEK_COUNT = 5  # Messages examined to find unstamped topics, depth images and calibrations.
 
 
 class BagRecording(Recording):
-    """The messages of one or several files as one stream."""
+    """The messages of one or more files as one stream in time order."""
 
     def __init__(
         self,
@@ -48,6 +48,19 @@ class BagRecording(Recording):
         counts: dict[str, int] | None = None,
         formats: dict[str, str] | None = None,
     ) -> None:
+        """Merge the topics and counts of the files.
+
+        Args:
+            path: the file or folder that the user gave.
+            storages: the open files, at least one, in the order of the recording.
+            warnings: receives messages for the user.
+            workspace: holds temporary copies of the files; closed with the recording.
+            counts: messages per topic according to the metadata; None if unknown.
+            formats: serialisation format per topic according to the metadata.
+
+        Raises:
+            UnusableInput: the files hold no messages, or none that can be decoded.
+        """
         super().__init__(path, warnings)
         self._storages = storages
         self._workspace = workspace
@@ -55,14 +68,14 @@ class BagRecording(Recording):
         filled = [s.contents for s in storages if s.contents.end_ns >= s.contents.start_ns]
         if not filled:
             raise UnusableInput(
-                f'{path} holds no messages: expected a recording with images; look whether the '
+                f'{path} holds no messages: expected a recording with images; check that the '
                 'recorder was started with the right topics'
             )
         self.start_ns = min(contents.start_ns for contents in filled)
         self.end_ns = max(contents.end_ns for contents in filled)
         self._counts = self._stored_counts(counts)
         self.topics = self._read_topics(formats or {})
-        reasons = {topic.readable for topic in self.topics}
+        reasons = {topic.problem for topic in self.topics}
         if None not in reasons:
             raise UnusableInput(
                 f'{path} cannot be decoded: {"; ".join(sorted(map(str, reasons)))}; record it '
@@ -70,7 +83,7 @@ class BagRecording(Recording):
             )
 
     def count(self) -> dict[str, int]:
-        """Count the messages of each topic, by a scan where that was not stored."""
+        """Return the number of messages of each topic; scan the files if it is not stored."""
         if self._counts is None:
             counts: Counter[str] = Counter()
             for storage in self._storages:
@@ -80,14 +93,14 @@ class BagRecording(Recording):
         return {topic.name: self._counts.get(topic.name, 0) for topic in self.topics}
 
     def is_empty(self, topic: Topic) -> bool:
-        """Tell whether a topic has no messages, by a look where the counts are not stored."""
+        """Return whether a topic has no messages; look for one if no count is stored."""
         if topic.count is None:
             return next(self._messages({topic.name}), None) is None
         return topic.count == 0
 
     def is_depth(self, topic: Topic) -> bool:
-        """Tell a depth image topic, by its first message, from one of a camera."""
-        for message in islice(self._messages({topic.name}), _PEEK):
+        """Return whether the first decodable message of a topic is a depth image."""
+        for message in islice(self._messages({topic.name}), _PEEK_COUNT):
             try:
                 return image_of(decode(message)).is_depth
             except UndecodableMessage:
@@ -95,19 +108,19 @@ class BagRecording(Recording):
         return False
 
     def calibration(self, selection: Selection) -> Calibration | None:
-        """Return what the first usable camera_info beside the images says, None without one."""
+        """Return the calibration of the first valid camera_info message, None without one."""
         if selection.image_topic is None:
             return None
-        name = camera_info_of(selection.image_topic)
+        name = camera_info_topic(selection.image_topic)
         for topic in self.topics:
-            if (topic.name, topic.type, topic.readable) != (name, CAMERA_INFO, None):
+            if (topic.name, topic.type, topic.problem) != (name, CAMERA_INFO, None):
                 continue
-            for message in islice(self._messages({name}), _PEEK):
+            for message in islice(self._messages({name}), _PEEK_COUNT):
                 try:
                     content = decode(message)
                 except UndecodableMessage:
                     continue
-                # ROS 1 has capital letters here.
+                # ROS 1 names this field K.
                 k = content.k if hasattr(content, 'k') else content.K
                 found = Calibration(float(k[0]), int(content.width), content)
                 if math.isfinite(found.focal_px) and found.focal_px > 0.0 and found.width_px > 0:
@@ -115,13 +128,13 @@ class BagRecording(Recording):
         return None
 
     def close(self) -> None:
-        """Let go of the files, and of the temporary copies of compressed ones."""
+        """Close the files and remove their temporary copies."""
         for storage in self._storages:
             storage.close()
         self._workspace.close()
 
     def _stored_counts(self, counts: dict[str, int] | None) -> dict[str, int] | None:
-        """Return the counts of the files themselves, or else those of the metadata."""
+        """Return the counts stored in the files, or those of the metadata if a file has none."""
         found: Counter[str] = Counter()
         for storage in self._storages:
             if storage.contents.counts is None:
@@ -135,17 +148,18 @@ class BagRecording(Recording):
         for storage in self._storages:
             for channel in storage.contents.channels:
                 first = channels.setdefault(channel.topic, channel)
-                if normal_type(first.type) != normal_type(channel.type):
+                if ros2_type_name(first.type) != ros2_type_name(channel.type):
                     self._warnings.add(
                         f'{channel.topic} was recorded with the types {first.type} and '
-                        f'{channel.type}: only the first is read'
+                        f'{channel.type}: only the messages of the first type are read'
                     )
         return tuple(
             Topic(
                 name,
-                normal_type(channel.type),
+                ros2_type_name(channel.type),
                 None if self._counts is None else self._counts.get(name, 0),
-                unreadable(formats.get(name, channel.encoding)) or unreadable(channel.encoding),
+                encoding_problem(formats.get(name, channel.encoding))
+                or encoding_problem(channel.encoding),
             )
             for name, channel in sorted(channels.items())
         )
@@ -153,7 +167,7 @@ class BagRecording(Recording):
     def _messages(
         self, topics: Collection[str], start_ns: int | None = None, stop_ns: int | None = None
     ) -> Iterator[Message]:
-        """Yield the messages of the topics out of all files, in order of time."""
+        """Yield the messages of the topics from all files in time order."""
         start = self.start_ns if start_ns is None else start_ns
         stop = self.end_ns + 1 if stop_ns is None else stop_ns
         types = {topic.name: topic.type for topic in self.topics}
@@ -166,11 +180,12 @@ class BagRecording(Recording):
             for storage in self._storages
             if storage.contents.end_ns >= start and storage.contents.start_ns < stop
         ]
-        for message in in_time_order(parts):
-            if normal_type(message.channel.type) == types[message.channel.topic]:
+        for message in merge_by_time(parts):
+            if ros2_type_name(message.channel.type) == types[message.channel.topic]:
                 yield message
 
-    def _events(self, selection: Selection, start_ns: int, stop_ns: int) -> Iterator[Event]:
+    def read_events(self, selection: Selection, start_ns: int, stop_ns: int) -> Iterator[Event]:
+        """Yield the selected events with start_ns <= log_ns < stop_ns."""
         unstamped = {topic for topic in selection.topics if self._is_unstamped(topic)}
         skipped: Counter[str] = Counter()
         reasons: dict[str, str] = {}
@@ -178,7 +193,7 @@ class BagRecording(Recording):
             for message in self._messages(selection.topics, start_ns, stop_ns):
                 topic = message.channel.topic
                 try:
-                    event = event_of(message)
+                    event = decode_event(message)
                 except UndecodableMessage as error:
                     at_s = (message.log_ns - self.start_ns) / 1e9
                     reasons.setdefault(topic, f'the first at {at_s:.1f} s: {error}')
@@ -194,18 +209,18 @@ class BagRecording(Recording):
                 )
 
     def _is_unstamped(self, topic: str) -> bool:
-        """Look whether the first messages of a topic all lack a stamp; tell the user if so."""
+        """Return whether the first messages of a topic all lack a stamp; warn the user if so."""
         stamps = set()
-        for message in islice(self._messages({topic}), _PEEK):
+        for message in islice(self._messages({topic}), _PEEK_COUNT):
             if message.channel.type.endswith(STRING.split('/')[-1]):
                 return False
             try:
-                stamps.add(event_of(message).stamp_ns)
+                stamps.add(decode_event(message).stamp_ns)
             except UndecodableMessage:
                 continue
         if stamps == {0}:
             self._warnings.add(
-                f'the messages of {topic} are not stamped: the times of the recording are used'
+                f'the messages of {topic} are not stamped: the recording times are used instead'
             )
             return True
         return False

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The messages of a recording's topics as events, with rosbags' type stores."""
+"""Decoding of recorded messages to events, with the type stores of rosbags."""
 
 import functools
 import json
@@ -19,78 +19,75 @@ from ratslam_ros.recordings.events import (
     TemplateEvent,
 )
 from ratslam_ros.recordings.stream import Message
+from ratslam_ros.recordings.topics import LASER_SCAN, ODOMETRY, STRING
 
-RAW_IMAGE = 'sensor_msgs/msg/Image'
-COMPRESSED_IMAGE = 'sensor_msgs/msg/CompressedImage'
-ODOMETRY = 'nav_msgs/msg/Odometry'
-LASER_SCAN = 'sensor_msgs/msg/LaserScan'
-STRING = 'std_msgs/msg/String'
-
-_ZSTD = b'\x28\xb5\x2f\xfd'  # no CDR message begins so: its first byte is zero
+_ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'  # Unambiguous: the first byte of a CDR message is zero.
 
 
 class UndecodableMessage(Exception):  # noqa: N818
-    """A message whose bytes do not fit its type."""
+    """The bytes of a message do not fit its type."""
 
 
-def normal_type(name: str) -> str:
-    """Return package/msg/Type for the package/Type of ROS 1 and of old ROS 2 recordings."""
+def ros2_type_name(name: str) -> str:
+    """Convert package/Type, as in ROS 1 and old ROS 2 recordings, to package/msg/Type."""
     package, _, kind = name.partition('/')
     return name if '/' in kind or not kind else f'{package}/msg/{kind}'
 
 
-def unreadable(encoding: str) -> str | None:
-    """Return why no message of an encoding can be decoded, or None."""
+def encoding_problem(encoding: str) -> str | None:
+    """Return why messages of an encoding cannot be decoded, None if they can."""
     if encoding in ('cdr', 'ros1'):
         return None
     return f'the serialisation format is {encoding!r} and not cdr'
 
 
 def decode(message: Message) -> Any:
-    """Return the message as rosbags decodes it; raises UndecodableMessage."""
-    kind = normal_type(message.channel.type)
+    """Decode a message to its rosbags type; raises UndecodableMessage."""
+    kind = ros2_type_name(message.channel.type)
     try:
         data = message.data
-        if data[:4] == _ZSTD:  # compressed message by message
+        if data[:4] == _ZSTD_MAGIC:  # The recorder compressed each message.
             data = zstandard.ZstdDecompressor().decompressobj().decompress(data)
         if message.channel.encoding == 'ros1':
             return _store(Stores.ROS1_NOETIC).deserialize_ros1(data, kind)
         return _store(Stores.ROS2_JAZZY).deserialize_cdr(data, kind)
-    except Exception as error:  # generated code meets arbitrary bytes: struct, index, value, ...
-        raise UndecodableMessage(f'{len(message.data)} bytes are no {kind}: {error}') from None
+    except Exception as error:  # The generated code raises many types on damaged bytes.
+        raise UndecodableMessage(
+            f'{len(message.data)} bytes are not a valid {kind}: {error}'
+        ) from None
 
 
-def event_of(message: Message) -> Event:
-    """Return a message as an event; raises UndecodableMessage."""
+def decode_event(message: Message) -> Event:
+    """Decode a message to an event; raises UndecodableMessage."""
     content = decode(message)
-    kind = normal_type(message.channel.type)
+    kind = ros2_type_name(message.channel.type)
     if kind == ODOMETRY:
-        return _odometry(content, message.log_ns)
+        return _odometry_event(content, message.log_ns)
     if kind == LASER_SCAN:
-        return _scan(content, message.log_ns)
+        return _scan_event(content, message.log_ns)
     if kind == STRING:
-        return template(content.data, message.log_ns)
-    return ImageEvent(_stamp(content), message.log_ns, image_of(content))
+        return template_event(content.data, message.log_ns)
+    return ImageEvent(_stamp_ns(content), message.log_ns, image_of(content))
 
 
-def template(payload: str, log_ns: int) -> TemplateEvent:
-    """Return a template event, stamped by the payload where that can be read."""
+def template_event(payload: str, log_ns: int) -> TemplateEvent:
+    """Return a template event with the stamp of the JSON payload, or else the recording time."""
     stamp_ns = log_ns
     try:
         stamp = json.loads(payload)['stamp']
         if type(stamp['sec']) is int and type(stamp['nanosec']) is int:
             stamp_ns = stamp['sec'] * 1_000_000_000 + stamp['nanosec']
     except (ValueError, KeyError, TypeError, RecursionError):
-        pass  # the strict check of the payload says what is wrong with it
+        pass  # The consumer validates the payload and reports the problem.
     return TemplateEvent(stamp_ns, log_ns, payload)
 
 
-def _odometry(content: Any, log_ns: int) -> OdometryEvent:
+def _odometry_event(content: Any, log_ns: int) -> OdometryEvent:
     pose, twist = content.pose.pose, content.twist.twist
     q = pose.orientation
-    # Numbers that are not finite are passed on: only whoever uses them knows which are needed.
+    # Non-finite numbers pass: which fields must be finite depends on the consumer.
     return OdometryEvent(
-        _stamp(content),
+        _stamp_ns(content),
         log_ns,
         float(twist.linear.x),
         float(twist.angular.z),
@@ -100,9 +97,9 @@ def _odometry(content: Any, log_ns: int) -> OdometryEvent:
     )
 
 
-def _scan(content: Any, log_ns: int) -> ScanEvent:
+def _scan_event(content: Any, log_ns: int) -> ScanEvent:
     return ScanEvent(
-        _stamp(content),
+        _stamp_ns(content),
         log_ns,
         float(content.angle_min),
         float(content.angle_increment),
@@ -112,11 +109,11 @@ def _scan(content: Any, log_ns: int) -> ScanEvent:
     )
 
 
-def _stamp(content: Any) -> int:
-    """Return the stamp in the header, in nanoseconds."""
+def _stamp_ns(content: Any) -> int:
+    """Return the stamp in the message header, in nanoseconds."""
     stamp = content.header.stamp
     if not 0 <= stamp.nanosec < 1_000_000_000:
-        raise UndecodableMessage(f'the header holds {stamp.nanosec} nanoseconds')
+        raise UndecodableMessage(f'the stamp in the header has {stamp.nanosec} nanoseconds')
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
 
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a recording holds, and the command that uses it: the answer of ``ratslam info``."""
+"""Summary of a recording and the command that replays it, as printed by ``ratslam info``."""
 
 import shlex
 from dataclasses import dataclass
@@ -9,37 +9,39 @@ from ratslam_ros.errors import RatslamError, UnusableInput
 from ratslam_ros.recordings.events import ImageEvent
 from ratslam_ros.recordings.recording import Recording
 from ratslam_ros.recordings.selection import (
+    image_candidates,
+    odometry_candidates,
+    scan_candidates,
+)
+from ratslam_ros.recordings.topics import (
     IMAGE_TYPES,
     ODOMETRY_TYPES,
     SCAN_TYPES,
     Selection,
     Topic,
-    image_candidates,
-    odometry_candidates,
-    scan_candidates,
 )
 
-_TRIES = 5  # images to try before a topic counts as undecodable
+_TRIES_COUNT = 5  # Images that must fail to decode before their topic counts as undecodable.
 
 
 @dataclass(frozen=True, slots=True)
 class TopicDescription:
-    """A topic: its count, mean rate and, of images, the size; ``problem`` is '' if it is usable.
-
-    ``rate_hz`` is None for fewer than two messages, ``image`` is like '160x120 jpeg' or ''.
-    """
+    """One topic of a recording."""
 
     name: str
     type: str
     count: int
     rate_hz: float | None
+    """Mean rate; None for fewer than two messages."""
     image: str
+    """Size and encoding of the images, such as '160x120 jpeg'; '' for other topics."""
     problem: str
+    """Reason why the topic cannot be used; '' if it can."""
 
 
 @dataclass(frozen=True, slots=True)
 class Description:
-    """A recording at a glance; ``command`` is '' where nothing in it can be replayed."""
+    """Summary of a recording."""
 
     path: str
     kind: str
@@ -48,9 +50,10 @@ class Description:
     notices: tuple[str, ...]
     warnings: tuple[str, ...]
     command: str
+    """Command line that replays the recording; '' if it cannot be replayed."""
 
     def format(self) -> str:
-        """Return a text table."""
+        """Format the summary as a text table."""
         rows = [('topic', 'type', 'messages', 'rate', 'image', '')]
         for topic in self.topics:
             rate = '' if topic.rate_hz is None else f'{topic.rate_hz:.1f} Hz'
@@ -74,7 +77,7 @@ class Description:
 
 
 def describe(recording: Recording) -> Description:
-    """Describe a recording; reads it all only where it does not store its counts."""
+    """Summarise a recording; read all of it only if it stores no message counts."""
     counts = recording.count()
     duration_s = (recording.end_ns - recording.start_ns) / 1e9
     topics = tuple(
@@ -97,7 +100,7 @@ def _describe_topic(
     recording: Recording, topic: Topic, count: int, duration_s: float
 ) -> TopicDescription:
     rate = (count - 1) / duration_s if count > 1 and duration_s > 0.0 else None
-    image, problem = '', topic.readable or ''
+    image, problem = '', topic.problem or ''
     if not problem and count and topic.type in IMAGE_TYPES:
         image, problem = _first_image(recording, topic)
     elif not problem and count and topic.type in ODOMETRY_TYPES:
@@ -112,10 +115,10 @@ def _undecodable(recording: Recording, selection: Selection) -> str:
 
 
 def _first_image(recording: Recording, topic: Topic) -> tuple[str, str]:
-    """Return the size and encoding of the first images that can be decoded, or the problem."""
+    """Return the size and encoding of the first decodable image, and the problem if none is."""
     problem = 'no image in it can be decoded'
     for tried, event in enumerate(recording.events(Selection(topic.name, None, None))):
-        if tried == _TRIES:
+        if tried == _TRIES_COUNT:
             break
         if isinstance(event, ImageEvent):
             try:
@@ -127,7 +130,7 @@ def _first_image(recording: Recording, topic: Topic) -> tuple[str, str]:
 
 
 def _command(recording: Recording, broken: set[str]) -> tuple[str, tuple[str, ...]]:
-    """Return the command that replays the recording, with no more options than it needs."""
+    """Return the shortest command that replays the recording, and notices for the user."""
     words = ['ratslam', 'replay', str(recording.path)]
     options: dict[str, str] = {}
     for option, parameter, candidates in (
@@ -142,17 +145,17 @@ def _command(recording: Recording, broken: set[str]) -> tuple[str, tuple[str, ..
         selection = recording.select(**options)  # type: ignore[arg-type]
     except UnusableInput as error:
         return '', (str(error),)
-    return shlex.join(words), selection.notices + _of_scans(recording, broken)
+    return shlex.join(words), selection.notices + _scan_notices(recording, broken)
 
 
-def _of_scans(recording: Recording, broken: set[str]) -> tuple[str, ...]:
-    """Return what to say of scans, which are read only where the configuration asks for them."""
+def _scan_notices(recording: Recording, broken: set[str]) -> tuple[str, ...]:
+    """Return a notice about scans, which are read only if the configuration enables them."""
     candidates = scan_candidates(recording)
     usable = [topic.name for topic in candidates if topic.name not in broken]
     if not usable:
         return ()
     choice = ' or '.join(f'--scan-topic {name}' for name in usable)
     return (
-        f'the scans of {" or ".join(usable)} are read where experience_map.exp_align_scans is set'
+        f'the scans of {" or ".join(usable)} are read if experience_map.exp_align_scans is set'
         + (f'; give {choice}' if len(candidates) > 1 else ''),
     )

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a recording tells, one event at a time."""
+"""The events that a recording yields, one per message."""
 
 import math
 from dataclasses import dataclass
@@ -14,10 +14,10 @@ from ratslam_ros.images import Image, Pixels
 
 @dataclass(frozen=True, slots=True)
 class ImageEvent:
-    """An image; its pixels are decoded when they are asked for, and not before.
+    """An image whose pixels are decoded on demand.
 
-    ``stamp_ns`` is the time in the message's header, ``log_ns`` the recording's own; both are
-    integer nanoseconds.
+    As in every event, ``stamp_ns`` is the time in the message header and ``log_ns`` the time at
+    which the message was recorded.
     """
 
     stamp_ns: int
@@ -25,16 +25,16 @@ class ImageEvent:
     image: Image
 
     def grey(self) -> Pixels:
-        """Return (H, W) uint8; raises UndecodableImage."""
+        """Return the grey image as (H, W) uint8; raises UndecodableImage."""
         return self.image.grey()
 
     def bgr(self) -> Pixels:
-        """Return (H, W, 3) uint8, blue first; raises UndecodableImage."""
+        """Return the image as (H, W, 3) uint8 in BGR order; raises UndecodableImage."""
         return self.image.bgr()
 
 
 class Orientation(NamedTuple):
-    """A quaternion as in messages, kept as it is: a heading read again is then the same."""
+    """An orientation as a quaternion, kept unchanged so that replayed messages are identical."""
 
     x: float
     y: float
@@ -43,19 +43,19 @@ class Orientation(NamedTuple):
 
     @classmethod
     def of_heading(cls, heading_rad: float) -> Self:
-        """Return a turn about the vertical."""
+        """Return the rotation by a heading about the vertical axis."""
         return cls(0.0, 0.0, math.sin(heading_rad / 2.0), math.cos(heading_rad / 2.0))
 
     @property
     def heading_rad(self) -> float:
-        """The turn about the vertical, counter-clockwise from x."""
+        """Rotation about the vertical axis, counter-clockwise positive, in radians."""
         x, y, z, w = self
         return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
 
 @dataclass(frozen=True, slots=True)
 class OdometryEvent:
-    """A motion in m/s and rad/s, and a pose in m, as the odometry believes it."""
+    """An odometry message: velocities in m/s and rad/s, and the integrated pose in metres."""
 
     stamp_ns: int
     log_ns: int
@@ -67,13 +67,13 @@ class OdometryEvent:
 
     @property
     def heading_rad(self) -> float:
-        """The heading of the pose, counter-clockwise from x."""
+        """Heading of the pose, counter-clockwise from the x axis, in radians."""
         return self.orientation.heading_rad
 
 
 @dataclass(frozen=True, slots=True)
 class TemplateEvent:
-    """A recorded local_view/template message: the JSON text, checked by whoever uses it."""
+    """A recorded local_view/template message; its JSON text is not validated here."""
 
     stamp_ns: int
     log_ns: int
@@ -82,7 +82,7 @@ class TemplateEvent:
 
 @dataclass(frozen=True, slots=True)
 class ScanEvent:
-    """A sensor_msgs/LaserScan with the numbers that it holds, checked by whoever uses it."""
+    """The content of a sensor_msgs/LaserScan message; it is not validated here."""
 
     stamp_ns: int
     log_ns: int
@@ -97,9 +97,10 @@ Event = ImageEvent | OdometryEvent | TemplateEvent | ScanEvent
 
 
 class Calibration(NamedTuple):
-    """A camera's focal length along x and its image's width, both in px, and all that is known."""
+    """The calibration of a camera."""
 
     focal_px: float
+    """Focal length along the image's x axis, in pixels."""
     width_px: int
     message: Any
-    """The sensor_msgs/CameraInfo as rosbags has it."""
+    """The complete sensor_msgs/CameraInfo message, as decoded by rosbags."""

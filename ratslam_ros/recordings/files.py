@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a file is, and temporary copies of those that cannot be read where they are."""
+"""Detection of file formats, and temporary copies of files that cannot be read in place."""
 
 import shutil
 import tempfile
@@ -9,13 +9,15 @@ from pathlib import Path
 import zstandard
 
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.recordings import mcap_file, rosbag1, sqlite_file
+from ratslam_ros.recordings.mcap_file import MCAP_MAGIC
+from ratslam_ros.recordings.rosbag1 import ROSBAG1_MAGIC
+from ratslam_ros.recordings.sqlite_file import SQLITE_MAGIC
 
-ZSTD = b'\x28\xb5\x2f\xfd'
+ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
 
 
-def starts_with(path: Path) -> bytes:
-    """Return the first bytes of a file; raises UnusableInput where there are none."""
+def first_bytes(path: Path) -> bytes:
+    """Return the first 16 bytes of a file; raises UnusableInput if it is empty or unreadable."""
     try:
         with path.open('rb') as file:
             head = file.read(16)
@@ -33,20 +35,20 @@ def starts_with(path: Path) -> bytes:
 
 
 def storage_kind(head: bytes) -> str | None:
-    """Return 'mcap', 'sqlite3', 'ros1' or 'zstd' for the first bytes of such a file."""
+    """Return 'mcap', 'sqlite3', 'ros1' or 'zstd' by the first bytes of a file, or None."""
     magics = {
-        'mcap': mcap_file.MAGIC,
-        'sqlite3': sqlite_file.MAGIC,
-        'ros1': rosbag1.MAGIC,
-        'zstd': ZSTD,
+        'mcap': MCAP_MAGIC,
+        'sqlite3': SQLITE_MAGIC,
+        'ros1': ROSBAG1_MAGIC,
+        'zstd': ZSTD_MAGIC,
     }
     return next((kind for kind, magic in magics.items() if head.startswith(magic)), None)
 
 
 class Workspace:
-    """A temporary folder that exists only once it is needed; the recording's own is not touched.
+    """A temporary folder, created on first use, that leaves the recording's folder unchanged.
 
-    Python removes it at the end of the program as well, if it was never closed.
+    If it is not closed, Python removes it at the end of the program.
     """
 
     def __init__(self) -> None:
@@ -54,7 +56,7 @@ class Workspace:
         self._used = 0
 
     def decompressed(self, path: Path) -> tuple[Path, bool]:
-        """Decompress a zstd file; return the plain file, and whether it is whole."""
+        """Decompress a zstd file; return the new file and whether the data were complete."""
         target, whole = self._new(path.name.removesuffix('.zstd')), True
         try:
             with path.open('rb') as packed, target.open('wb') as plain:
@@ -68,7 +70,7 @@ class Workspace:
         return target, whole
 
     def copied(self, path: Path, companions: list[Path]) -> Path:
-        """Copy a file and those that belong to it."""
+        """Copy a file together with its companion files, and return the copy."""
         target = self._new(path.name)
         try:
             for file in (path, *companions):
@@ -78,7 +80,7 @@ class Workspace:
         return target
 
     def close(self) -> None:
-        """Remove the folder."""
+        """Remove the folder and all files in it."""
         if self._folder is not None:
             self._folder.cleanup()
             self._folder = None
@@ -94,6 +96,6 @@ class Workspace:
 
 def _no_room(path: Path, target: Path, error: OSError) -> UnusableInput:
     return UnusableInput(
-        f'{path} cannot be unpacked to {target.parent} ({error.strerror}): expected room for it '
-        'there; make room, or set TMPDIR to a folder that has some'
+        f'{path} cannot be unpacked to {target.parent} ({error.strerror}): expected enough '
+        'free space there; free some, or set TMPDIR to a folder on a larger disk'
     )

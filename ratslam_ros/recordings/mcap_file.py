@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""One mcap file: read by its index, or by what a walk through it finds where it has none."""
+"""Reader of one mcap file, by its index, or by a scan if the index is missing or damaged."""
 
 import struct
 import zlib
@@ -19,28 +19,28 @@ from mcap.records import Chunk, Schema
 from mcap.summary import Summary
 
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.recordings.salvage import decompress, what_was_saved
+from ratslam_ros.recordings.salvage import decompress, recovery_message
 from ratslam_ros.recordings.stream import (
     Channel,
     Contents,
     Message,
     Part,
     Warnings,
-    in_time_order,
+    merge_by_time,
 )
 
-MAGIC = b'\x89MCAP0\r\n'
-_RECORD = struct.Struct('<BQ')  # opcode, length
-_MESSAGE = struct.Struct('<HIQQ')  # channel, sequence, log time, publish time
-_TIMES = struct.Struct('<QQ')  # of the first and the last message, where a chunk begins
-_FOOTER = struct.Struct('<QQI')  # start of the summary, of its offsets, checksum
-_NEVER = frozenset({0, Opcode.HEADER})  # what stands in a chunk only by damage
-_LOOSE_BYTES = 1 << 20  # messages outside chunks are read in pieces of about this size
+MCAP_MAGIC = b'\x89MCAP0\r\n'
+_RECORD = struct.Struct('<BQ')  # Opcode, length.
+_MESSAGE = struct.Struct('<HIQQ')  # Channel id, sequence number, log time, publish time.
+_TIMES = struct.Struct('<QQ')  # First and last log time, at the beginning of a chunk.
+_FOOTER = struct.Struct('<QQI')  # Offsets of summary and summary offset section, checksum.
+_INVALID_IN_CHUNK = frozenset({0, Opcode.HEADER})  # Found in a chunk only if it is damaged.
+_UNCHUNKED_SPAN_BYTES = 1 << 20  # Approximate size of a span of unchunked messages.
 
 
 @dataclass(slots=True)
 class _Span:
-    """A chunk, or a run of messages outside chunks: where it is and what times it holds."""
+    """Location and time range of a chunk, or of consecutive messages outside chunks."""
 
     offset: int
     length: int
@@ -52,6 +52,16 @@ class McapFile:
     """The messages of one mcap file."""
 
     def __init__(self, path: Path, warnings: Warnings, expected: int | None = None) -> None:
+        """Open the file, and scan it if it has no usable index.
+
+        Args:
+            path: the file.
+            warnings: receives messages for the user.
+            expected: number of messages according to the metadata; None if unknown.
+
+        Raises:
+            UnusableInput: the file is damaged and no message can be read.
+        """
         self.path = path
         self._warnings = warnings
         self._expected = expected
@@ -71,7 +81,7 @@ class McapFile:
                     c.chunk_start_offset, c.chunk_length, c.message_start_time, c.message_end_time
                 )
                 for c in summary.chunk_indexes
-                if c.message_end_time or c.message_index_offsets  # not those without messages
+                if c.message_end_time or c.message_index_offsets  # Others hold no messages.
             ]
             self._counted = statistics is not None
             if statistics:
@@ -80,7 +90,7 @@ class McapFile:
             self._scan()
             stored = statistics.message_count if statistics else self._expected
             if summary is None or (statistics and sum(self._counts.values()) < (stored or 0)):
-                self._say_what_was_saved(stored)
+                self._warn_of_recovery(stored)
         self.contents = Contents(
             tuple(dict.fromkeys(self._channels.values())),
             self._by_channel() if self._counted else None,
@@ -90,7 +100,7 @@ class McapFile:
         )
 
     def messages(self, topics: Collection[str], start_ns: int, stop_ns: int) -> Iterator[Message]:
-        """Yield the messages of the topics with start_ns <= log_ns < stop_ns in order of time."""
+        """Yield messages of the topics with start_ns <= log_ns < stop_ns in time order."""
 
         def read(span: _Span) -> list[Message]:
             found = []
@@ -103,14 +113,14 @@ class McapFile:
             found.sort(key=lambda message: message.log_ns)
             return found
 
-        return in_time_order(
+        return merge_by_time(
             Part(span.start_ns, span.end_ns, partial(read, span))
             for span in self._spans
             if span.end_ns >= start_ns and span.start_ns < stop_ns
         )
 
     def count(self) -> dict[Channel, int]:
-        """Count the messages, by a scan where the file does not say."""
+        """Return the number of messages of each channel; scan the file if it is not stored."""
         if not self._counted:
             self._counts.update(
                 channel_id for span in self._spans for _, channel_id, _ in self._messages_in(span)
@@ -130,14 +140,14 @@ class McapFile:
         return counts
 
     def _read_summary(self) -> Summary | None:
-        """Return the summary, or None where there is none or it cannot be trusted."""
+        """Return the summary, None if it is missing or inconsistent with the file."""
         try:
-            self._file.seek(-len(MAGIC) - _FOOTER.size, 2)
+            self._file.seek(-len(MCAP_MAGIC) - _FOOTER.size, 2)
             start, _, checksum = _FOOTER.unpack(self._file.read(_FOOTER.size))
-            if self._file.read() != MAGIC or not start:
+            if self._file.read() != MCAP_MAGIC or not start:
                 return None
             self._file.seek(start)
-            tail = self._file.read(self._size - start - len(MAGIC) - 4)
+            tail = self._file.read(self._size - start - len(MCAP_MAGIC) - 4)
             if checksum and zlib.crc32(tail) != checksum:
                 return None
             self._file.seek(0)
@@ -153,7 +163,7 @@ class McapFile:
             for record in summary.channels.values():
                 self._add_channel(record)
             return summary if summary.channels or not summary.chunk_indexes else None
-        except Exception:  # whatever the bytes of a damaged summary bring the library to
+        except Exception:  # The library raises many types on damaged bytes.
             return None
 
     def _add_channel(self, record: ChannelRecord) -> None:
@@ -165,8 +175,8 @@ class McapFile:
         )
 
     def _scan(self) -> None:
-        """Find the channels, the messages and their times by reading the whole file."""
-        position, loose = len(MAGIC), None
+        """Collect the channels, message counts and time ranges by reading the whole file."""
+        position, loose = len(MCAP_MAGIC), None
         while position + _RECORD.size <= self._size:
             self._file.seek(position)
             opcode, length = _RECORD.unpack(self._file.read(_RECORD.size))
@@ -177,7 +187,7 @@ class McapFile:
             elif opcode == Opcode.MESSAGE and whole and length >= _MESSAGE.size:
                 channel_id, _, log_ns, _ = _MESSAGE.unpack(self._file.read(_MESSAGE.size))
                 self._counts[channel_id] += 1
-                if loose is None or loose.length > _LOOSE_BYTES:
+                if loose is None or loose.length > _UNCHUNKED_SPAN_BYTES:
                     loose = _Span(position, 0, log_ns, log_ns)
                     self._spans.append(loose)
                 loose.length = position + _RECORD.size + length - loose.offset
@@ -202,7 +212,7 @@ class McapFile:
             span.start_ns, span.end_ns = min(times), max(times)
             self._spans.append(span)
 
-    def _say_what_was_saved(self, expected: int | None) -> None:
+    def _warn_of_recovery(self, expected: int | None) -> None:
         if not self._spans:
             self.close()
             raise UnusableInput(
@@ -210,7 +220,7 @@ class McapFile:
                 'an mcap file with messages; copy it again from where it was recorded'
             )
         self._warnings.add(
-            what_was_saved(
+            recovery_message(
                 self.path.name,
                 self._state,
                 sum(self._counts.values()),
@@ -221,14 +231,14 @@ class McapFile:
         )
 
     def _warn_of_damage(self, span: _Span) -> None:
-        if span.offset + span.length <= self._size:  # being cut off is told elsewhere
+        if span.offset + span.length <= self._size:  # Truncation has its own warning.
             self._warnings.add(
                 f'{self.path.name} is damaged at byte {span.offset}: messages '
                 'from there may be missing or wrong'
             )
 
     def _messages_in(self, span: _Span) -> Iterator[tuple[int, int, memoryview]]:
-        """Yield (log_ns, channel id, data) of a span, in the order of the file."""
+        """Yield (log_ns, channel id, data) for the messages of a span, in file order."""
         self._file.seek(span.offset)
         data = self._file.read(min(span.length, self._size - span.offset))
         yield from self._walk(data, span)
@@ -244,21 +254,21 @@ class McapFile:
             position += length
             if opcode == Opcode.CHUNK and not within_chunk and len(body) >= _TIMES.size:
                 first_ns, last_ns = _TIMES.unpack_from(body)
-                for message in self._walk(self._plain(body, span), span, within_chunk=True):
+                for message in self._walk(self._decompressed(body, span), span, within_chunk=True):
                     if not last_ns or first_ns <= message[0] <= last_ns:
                         yield message
                     else:
                         self._warn_of_damage(span)
-            elif len(body) < length or opcode in _NEVER:
+            elif len(body) < length or opcode in _INVALID_IN_CHUNK:
                 self._warn_of_damage(span)
                 return
             elif opcode == Opcode.MESSAGE and length >= _MESSAGE.size:
                 channel_id, _, log_ns, _ = _MESSAGE.unpack_from(body)
                 yield log_ns, channel_id, body[_MESSAGE.size :]
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                self._learn(opcode, bytes(body))
+                self._add_record(opcode, bytes(body))
 
-    def _learn(self, opcode: int, body: bytes) -> None:
+    def _add_record(self, opcode: int, body: bytes) -> None:
         try:
             stream = ReadDataStream(BytesIO(body))
             if opcode == Opcode.SCHEMA:
@@ -266,14 +276,14 @@ class McapFile:
                 self._schemas.setdefault(schema.id, schema.name)
             else:
                 self._add_channel(ChannelRecord.read(stream))
-        except Exception:  # a damaged record: its messages, if any, belong to no known topic
+        except Exception:  # Messages of a damaged channel record are not attributable.
             self._warnings.add(f'{self.path.name} holds a damaged description of a topic')
 
-    def _plain(self, body: memoryview, span: _Span) -> bytes:
-        """Decompress a chunk, as much of it as can be."""
+    def _decompressed(self, body: memoryview, span: _Span) -> bytes:
+        """Decompress a chunk, up to the first damage."""
         try:
             chunk = Chunk.read(ReadDataStream(BytesIO(body)))
-        except Exception:  # damaged or cut off within the chunk's own header
+        except Exception:  # The chunk header is damaged or truncated.
             self._warn_of_damage(span)
             return b''
         plain, whole = decompress(chunk.data, chunk.compression, chunk.uncompressed_size)

@@ -1,22 +1,34 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Finding out what kind of recording a path is."""
+"""Detection of the recording format of a path."""
 
 from pathlib import Path
 
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.recordings import image_folder, video
-from ratslam_ros.recordings.files import starts_with, storage_kind
+from ratslam_ros.recordings.files import first_bytes, storage_kind
+from ratslam_ros.recordings.image_folder import (
+    IMAGE_SUFFIXES,
+    ImageFolder,
+    find_table,
+    image_files,
+)
 from ratslam_ros.recordings.recording import Recording
 from ratslam_ros.recordings.rosbag2 import METADATA, bag_files, open_bag
+from ratslam_ros.recordings.video import VIDEO_SUFFIXES, Video
 
 EXPECTED = 'a rosbag2 folder, a .mcap, .db3 or ROS 1 .bag file, a video or a folder of images'
 
 
 def open_recording(path: str | Path, *, images_rate_hz: float = 10.0) -> Recording:
-    """Open a recording of any kind; ``images_rate_hz`` is for images without a table of times.
+    """Open a recording of any supported format.
 
-    Raises UnusableInput with one line that says what was seen, expected, and what to do.
+    Args:
+        path: a file or folder.
+        images_rate_hz: rate of images that have no table of times, and of a video that does not
+            state its frame rate.
+
+    Raises:
+        UnusableInput: the path holds no usable recording. The message is one line.
     """
     path = Path(path)
     try:
@@ -37,8 +49,8 @@ def open_recording(path: str | Path, *, images_rate_hz: float = 10.0) -> Recordi
 def _open_folder(path: Path, rate_hz: float) -> Recording:
     if (path / METADATA).is_file() or bag_files(path):
         return open_bag(path)
-    if image_folder.image_files(path) or image_folder.find_table(path):
-        return image_folder.ImageFolder(path, rate_hz)
+    if image_files(path) or find_table(path):
+        return ImageFolder(path, rate_hz)
     entries = sorted(entry for entry in path.iterdir() if not entry.name.startswith('.'))
     if not entries:
         raise UnusableInput(f'{path} is an empty folder: expected {EXPECTED}; check the path')
@@ -47,11 +59,9 @@ def _open_folder(path: Path, rate_hz: float) -> Recording:
         for entry in entries
         if (
             entry.is_dir()
-            and (
-                (entry / METADATA).is_file() or bag_files(entry) or image_folder.image_files(entry)
-            )
+            and ((entry / METADATA).is_file() or bag_files(entry) or image_files(entry))
         )
-        or entry.suffix.lower() in video.SUFFIXES
+        or entry.suffix.lower() in VIDEO_SUFFIXES
     ]
     advice = (
         'give one of ' + ', '.join(map(str, inside[:5]))
@@ -62,20 +72,20 @@ def _open_folder(path: Path, rate_hz: float) -> Recording:
 
 
 def _open_file(path: Path, rate_hz: float) -> Recording:
-    head = starts_with(path)
+    head = first_bytes(path)
     suffix = path.suffix.lower()
     if storage_kind(head) is not None or path.name.endswith(('.mcap', '.db3', '.bag', '.zstd')):
         return open_bag(path)
     if path.name == METADATA:
         return open_bag(path.parent)
-    if suffix in video.SUFFIXES:
-        return video.Video(path, rate_hz)
+    if suffix in VIDEO_SUFFIXES:
+        return Video(path, rate_hz)
     if suffix == '.csv':
-        return image_folder.ImageFolder(path, rate_hz)
-    if suffix in image_folder.SUFFIXES:
+        return ImageFolder(path, rate_hz)
+    if suffix in IMAGE_SUFFIXES:
         raise UnusableInput(
             f'{path} is a single image: expected {EXPECTED}; give its folder {path.parent}'
         )
     raise UnusableInput(
-        f'{path} begins with {head!r} and is not known as a recording: expected {EXPECTED}'
+        f'{path} begins with {head!r}, which is no known recording format: expected {EXPECTED}'
     )

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A recording: its topics, what to use of them, and its events in order of time."""
+"""The interface of a recording of any format."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
@@ -10,19 +10,24 @@ from typing import Self
 
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.recordings.events import Calibration, Event
-from ratslam_ros.recordings.selection import Selection, Topic, select
+from ratslam_ros.recordings.selection import select
 from ratslam_ros.recordings.stream import Warnings
+from ratslam_ros.recordings.topics import Selection, Topic
 
 
 class Recording(ABC):
-    """Anything with images or templates in it, and perhaps odometry and scans."""
+    """A source of images or templates, and optionally of odometry and scans."""
 
     path: Path
     name: str
+    """Name of the file or folder, without suffix."""
     kind: str
+    """Format, such as 'rosbag2 (mcap)'."""
     topics: tuple[Topic, ...]
     start_ns: int
+    """Recording time of the first message."""
     end_ns: int
+    """Recording time of the last message."""
 
     def __init__(self, path: Path, warnings: Warnings | None = None) -> None:
         self.path = path
@@ -30,11 +35,11 @@ class Recording(ABC):
         self.name = name if path.is_dir() else Path(name.removesuffix('.zstd')).stem
         self._warnings = warnings or Warnings()
         self.skipped = 0
-        """Messages that could not be decoded, among the events asked for so far."""
+        """Number of messages that were skipped because they could not be decoded."""
 
     @property
     def warnings(self) -> list[str]:
-        """What the user should know; grows while the events are read."""
+        """Problems found, one line each; reading events can add more."""
         return self._warnings.texts
 
     def select(
@@ -45,24 +50,38 @@ class Recording(ABC):
         scan_topic: str | None = None,
         scans: bool = False,
     ) -> Selection:
-        """Choose the topics, guessing those not named; raises UnusableInput if it cannot.
+        """Choose the topics to read.
 
-        ``scans``: one with scans too, if there is one; without, none is read.
+        Args:
+            image_topic: topic with images; None selects the only candidate.
+            odom_topic: topic with odometry; None selects the only candidate.
+            visual_odometry: ignore recorded odometry.
+            scan_topic: topic with scans; None selects the only candidate.
+            scans: whether to read scans at all.
+
+        Raises:
+            UnusableInput: a named topic cannot be used, arguments contradict each other, there are
+                several candidates, or there are neither images nor templates with odometry.
         """
         return select(self, image_topic, odom_topic, visual_odometry, scan_topic, scans)
 
     def events(
         self, selection: Selection, start_s: float = 0.0, duration_s: float | None = None
     ) -> Iterator[Event]:
-        """Yield the selected events in the order of their recording.
+        """Return an iterator over the selected events in order of recording time.
 
-        ``start_s`` and ``duration_s`` are seconds of the recording's own time, from its start.
-        Raises UnusableInput where they leave nothing.
+        Args:
+            selection: the topics to read.
+            start_s: recording time to start at, in seconds from the start of the recording.
+            duration_s: length to read, in seconds; None reads to the end.
+
+        Raises:
+            UnusableInput: the start is outside the recording, or the duration is not positive.
         """
         length_s = (self.end_ns - self.start_ns) / 1e9
         if not 0.0 <= start_s <= length_s:
             raise UnusableInput(
-                f'the start at {start_s:g} s is outside of {self.path}: expected 0 to '
+                f'the start at {start_s:g} s is outside {self.path}: expected 0 to '
                 f'{length_s:.3f} s'
             )
         if duration_s is not None and not duration_s > 0.0:
@@ -71,30 +90,30 @@ class Recording(ABC):
         stop_ns = self.end_ns + 1
         if duration_s is not None and duration_s < length_s:
             stop_ns = min(stop_ns, start_ns + round(duration_s * 1e9))
-        return self._events(selection, start_ns, stop_ns)
+        return self.read_events(selection, start_ns, stop_ns)
 
     def calibration(self, selection: Selection) -> Calibration | None:
-        """Return what is recorded of the camera of the selected images, None if nothing is."""
+        """Return the calibration of the camera of the selected images, None if not recorded."""
         return None
 
     def is_depth(self, topic: Topic) -> bool:
-        """Tell a depth image topic, by its first message, from one of a camera."""
+        """Return whether the first image of a topic is a depth image."""
         return False
 
     def is_empty(self, topic: Topic) -> bool:
-        """Tell whether a topic has no messages, by a look where the counts are not stored."""
+        """Return whether a topic has no messages."""
         return topic.count == 0
 
     def count(self) -> dict[str, int]:
-        """Count the messages of each topic, by a scan where that was not stored."""
+        """Return the number of messages of each topic."""
         return {topic.name: topic.count or 0 for topic in self.topics}
 
     @abstractmethod
-    def _events(self, selection: Selection, start_ns: int, stop_ns: int) -> Iterator[Event]:
+    def read_events(self, selection: Selection, start_ns: int, stop_ns: int) -> Iterator[Event]:
         """Yield the selected events with start_ns <= log_ns < stop_ns."""
 
-    def close(self) -> None:  # noqa: B027 - not every kind holds files open
-        """Let go of the files."""
+    def close(self) -> None:  # noqa: B027 - not every format keeps files open
+        """Close the files."""
 
     def __enter__(self) -> Self:
         return self

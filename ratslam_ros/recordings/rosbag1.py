@@ -1,9 +1,9 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""One ROS 1 bag (format 2.0): read by its index, or by a walk where it was not closed.
+"""Reader of one ROS 1 bag (format 2.0), by its index, or by a scan if it was not closed.
 
-The record format is the few lines of http://wiki.ros.org/Bags/Format/2.0. rosbags reads healthy
-bags as well, but keeps an entry for every message in memory and refuses bags without an index.
+Source: http://wiki.ros.org/Bags/Format/2.0. The rosbags library is not used for this because it
+keeps an entry for every message in memory and rejects bags without an index.
 """
 
 import struct
@@ -14,17 +14,17 @@ from functools import partial
 from pathlib import Path
 
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.recordings.salvage import decompress, what_was_saved
+from ratslam_ros.recordings.salvage import decompress, recovery_message
 from ratslam_ros.recordings.stream import (
     Channel,
     Contents,
     Message,
     Part,
     Warnings,
-    in_time_order,
+    merge_by_time,
 )
 
-MAGIC = b'#ROSBAG V2.0\n'
+ROSBAG1_MAGIC = b'#ROSBAG V2.0\n'
 _U32 = struct.Struct('<I')
 _TIME = struct.Struct('<II')
 _MESSAGE, _BAG_HEADER, _CHUNK, _CHUNK_INFO, _CONNECTION = (
@@ -34,16 +34,16 @@ _MESSAGE, _BAG_HEADER, _CHUNK, _CHUNK_INFO, _CONNECTION = (
     b'\x06',
     b'\x07',
 )
-_MAX_HEADER = 1 << 20  # bytes; longer ones are damage
+_MAX_HEADER_BYTES = 1 << 20  # A longer header is taken for damage.
 
 
 class _Damaged(Exception):  # noqa: N818
-    """The bytes do not hold a record."""
+    """The bytes are not a valid record."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Span:
-    """A chunk: where it is, what times it holds and how many messages of which connections."""
+    """Location and time range of a chunk, and its message count per connection id."""
 
     offset: int
     start_ns: int
@@ -55,13 +55,23 @@ class Rosbag1File:
     """The messages of one ROS 1 bag."""
 
     def __init__(self, path: Path, warnings: Warnings, expected: int | None = None) -> None:
+        """Open the bag, and scan it if it has no usable index.
+
+        Args:
+            path: the file.
+            warnings: receives messages for the user.
+            expected: number of messages according to the metadata; None if unknown.
+
+        Raises:
+            UnusableInput: the bag is encrypted, or no message can be read.
+        """
         self.path = path
         self._warnings = warnings
         self._size = path.stat().st_size
         self._file = path.open('rb')
         self._channels: dict[int, Channel] = {}
         self._spans: list[_Span] = []
-        self._index_pos = 0  # bytes of messages that the bag had when it was closed
+        self._index_pos = 0  # Offset of the index, the size of all chunks before it.
         try:
             if not self._read_index():
                 self._scan(expected)
@@ -77,7 +87,7 @@ class Rosbag1File:
         )
 
     def messages(self, topics: Collection[str], start_ns: int, stop_ns: int) -> Iterator[Message]:
-        """Yield the messages of the topics with start_ns <= log_ns < stop_ns in order of time."""
+        """Yield messages of the topics with start_ns <= log_ns < stop_ns in time order."""
         wanted = {number for number, channel in self._channels.items() if channel.topic in topics}
 
         def read(span: _Span) -> list[Message]:
@@ -90,14 +100,14 @@ class Rosbag1File:
             found.sort(key=lambda message: message.log_ns)
             return found
 
-        return in_time_order(
+        return merge_by_time(
             Part(span.start_ns, span.end_ns, partial(read, span))
             for span in self._spans
             if span.end_ns >= start_ns and span.start_ns < stop_ns and wanted & span.counts.keys()
         )
 
     def count(self) -> dict[Channel, int]:
-        """Count the messages, from the index."""
+        """Return the number of messages of each channel."""
         counts: Counter[Channel] = Counter()
         for span in self._spans:
             for connection, number in span.counts.items():
@@ -110,10 +120,10 @@ class Rosbag1File:
         self._file.close()
 
     def _record(self, position: int) -> tuple[dict[bytes, bytes], int, int]:
-        """Return the header of a record, and where its data begin and end."""
+        """Return the header fields of a record and the begin and end offsets of its data."""
         self._file.seek(position)
         size = self._file.read(4)
-        if len(size) < 4 or _U32.unpack(size)[0] > _MAX_HEADER:
+        if len(size) < 4 or _U32.unpack(size)[0] > _MAX_HEADER_BYTES:
             raise _Damaged
         header = self._file.read(_U32.unpack(size)[0] + 4)
         if len(header) < _U32.unpack(size)[0] + 4:
@@ -122,9 +132,9 @@ class Rosbag1File:
         return _fields(memoryview(header)[:-4]), begin, begin + _U32.unpack(header[-4:])[0]
 
     def _read_index(self) -> bool:
-        """Read the connections and chunks that the end of a closed bag lists; False without."""
+        """Read connections and chunk positions from the index; return False if it is unusable."""
         try:
-            header, _, _ = self._record(len(MAGIC))
+            header, _, _ = self._record(len(ROSBAG1_MAGIC))
             if header.get(b'encryptor'):
                 raise UnusableInput(
                     f'{self.path} is encrypted: expected a plain ROS 1 bag; decrypt it with '
@@ -138,7 +148,7 @@ class Rosbag1File:
                 self._file.seek(begin)
                 data = self._file.read(position - begin)
                 if header[b'op'] == _CONNECTION:
-                    self._learn(header, memoryview(data))
+                    self._add_connection(header, memoryview(data))
                 elif header[b'op'] == _CHUNK_INFO:
                     self._spans.append(
                         _Span(
@@ -153,8 +163,8 @@ class Rosbag1File:
             return False
 
     def _scan(self, expected: int | None) -> None:
-        """Find the connections, the messages and their times by reading the whole file."""
-        self._spans, read, position = [], 0, len(MAGIC)
+        """Collect the connections, message counts and time ranges by reading the whole file."""
+        self._spans, read, position = [], 0, len(ROSBAG1_MAGIC)
         whole = True
         while position < self._size:
             try:
@@ -181,7 +191,7 @@ class Rosbag1File:
             expected = round(read * self._index_pos / self._size)
         state = 'has no index' if whole and position == self._size else 'is truncated'
         self._warnings.add(
-            what_was_saved(
+            recovery_message(
                 self.path.name,
                 state,
                 read,
@@ -192,7 +202,7 @@ class Rosbag1File:
         )
 
     def _messages_in(self, offset: int) -> Iterator[tuple[int, int, memoryview]]:
-        """Yield (log_ns, connection, data) of the chunk at an offset, in the order of the file."""
+        """Yield (log_ns, connection id, data) for the messages of a chunk, in file order."""
         try:
             header, begin, end = self._record(offset)
             compression = header[b'compression'].decode(errors='replace')
@@ -216,12 +226,12 @@ class Rosbag1File:
                 if header[b'op'] == _MESSAGE:
                     yield (_nanoseconds(header[b'time']), _U32.unpack(header[b'conn'])[0], data)
                 elif header[b'op'] == _CONNECTION:
-                    self._learn(header, data)
+                    self._add_connection(header, data)
             except (_Damaged, KeyError, struct.error):
                 whole = False
                 break
             position = start + 4 + length
-        if not whole and end <= self._size:  # being cut off is told elsewhere
+        if not whole and end <= self._size:  # Truncation has its own warning.
             self._warn_of_damage(offset)
 
     def _warn_of_damage(self, offset: int) -> None:
@@ -230,8 +240,8 @@ class Rosbag1File:
             'may be missing or wrong'
         )
 
-    def _learn(self, header: dict[bytes, bytes], data: memoryview) -> None:
-        """Note the topic of a connection."""
+    def _add_connection(self, header: dict[bytes, bytes], data: memoryview) -> None:
+        """Add the channel that a connection record describes."""
         about = _fields(data)
         kind = about.get(b'type', b'').decode(errors='replace')
         self._channels.setdefault(
@@ -241,7 +251,7 @@ class Rosbag1File:
 
 
 def _fields(data: memoryview) -> dict[bytes, bytes]:
-    """Split a header into its fields, each a length and name=value."""
+    """Split a record header into its fields, each stored as a length and name=value."""
     fields, position = {}, 0
     while position < len(data):
         if position + 4 > len(data):

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""rosbag2 folders and single files: which files there are, and what the metadata says of them."""
+"""Opening of rosbag2 folders, folders of ROS 1 bags and single files, with their metadata."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,20 +10,20 @@ import yaml
 
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.recordings.bag import BagRecording
-from ratslam_ros.recordings.files import Workspace, starts_with, storage_kind
-from ratslam_ros.recordings.image_folder import natural
+from ratslam_ros.recordings.files import Workspace, first_bytes, storage_kind
+from ratslam_ros.recordings.image_folder import natural_key
 from ratslam_ros.recordings.mcap_file import McapFile
 from ratslam_ros.recordings.rosbag1 import Rosbag1File
 from ratslam_ros.recordings.sqlite_file import SqliteFile
 from ratslam_ros.recordings.stream import Storage, Warnings
 
 METADATA = 'metadata.yaml'
-SUFFIXES = ('.mcap', '.db3', '.bag', '.mcap.zstd', '.db3.zstd')
+BAG_SUFFIXES = ('.mcap', '.db3', '.bag', '.mcap.zstd', '.db3.zstd')
 
 
 @dataclass(slots=True)
 class _Metadata:
-    """What is used of metadata.yaml: the files, and the counts of messages."""
+    """The part of metadata.yaml that is used; fields keep their defaults if unknown."""
 
     files: list[str] = field(default_factory=list)
     file_counts: dict[str, int] = field(default_factory=dict)
@@ -33,24 +33,24 @@ class _Metadata:
 
 
 def bag_files(folder: Path) -> list[Path]:
-    """Return the files in a folder that look like parts of a recording, in order."""
+    """Return the files in a folder that have the suffix of a bag, in natural order."""
     return sorted(
-        (path for path in folder.iterdir() if path.name.endswith(SUFFIXES) and path.is_file()),
-        key=lambda path: natural(path.name),
+        (path for path in folder.iterdir() if path.name.endswith(BAG_SUFFIXES) and path.is_file()),
+        key=lambda path: natural_key(path.name),
     )
 
 
 def open_bag(path: Path) -> BagRecording:
-    """Open a rosbag2 folder, a folder of ROS 1 bags or a single file of either."""
+    """Open a rosbag2 folder, a folder of ROS 1 bags or a single bag file."""
     warnings, workspace = Warnings(), Workspace()
     storages: list[Storage] = []
     try:
         if path.is_dir():
             metadata = _read_metadata(path, warnings)
-            files = _files_of(path, metadata, warnings)
+            files = _files_to_read(path, metadata, warnings)
         else:
             metadata, files = _metadata_beside(path), [path]
-        empty = []
+        refusals = []
         for file in files:
             expected = metadata.file_counts.get(file.name)
             if expected is None and len(files) == 1:
@@ -60,12 +60,12 @@ def open_bag(path: Path) -> BagRecording:
             except UnusableInput as error:
                 if len(files) == 1:
                     raise
-                empty.append(str(error))  # the other files of a split recording may be well
+                refusals.append(str(error))  # The other files of a split recording may be intact.
         if not storages:
-            raise UnusableInput(empty[0])
-        for text in empty:
+            raise UnusableInput(refusals[0])
+        for text in refusals:
             warnings.add(text)
-        whole = not empty and len(storages) == len(metadata.files)
+        whole = not refusals and len(storages) == len(metadata.files)
         return BagRecording(
             path,
             storages,
@@ -84,19 +84,19 @@ def open_bag(path: Path) -> BagRecording:
 def _open_file(
     path: Path, warnings: Warnings, workspace: Workspace, expected: int | None
 ) -> Storage:
-    kind, plain = storage_kind(starts_with(path)), path
+    kind, plain = storage_kind(first_bytes(path)), path
     if kind == 'zstd':
         plain, whole = workspace.decompressed(path)
         if not whole:
             warnings.add(
-                f'{path.name} is truncated or damaged: it was decompressed as far as that goes'
+                f'{path.name} is truncated or damaged: only the part before that was decompressed'
             )
         if not plain.stat().st_size:
             raise UnusableInput(
                 f'{path} is truncated or damaged and nothing in it can be read: expected a '
                 'compressed recording; copy it again from where it was recorded'
             )
-        kind = storage_kind(starts_with(plain))
+        kind = storage_kind(first_bytes(plain))
     if kind == 'sqlite3':
         leftovers = [
             leftover
@@ -104,13 +104,13 @@ def _open_file(
             if (leftover := Path(f'{path}{suffix}')).is_file() and leftover.stat().st_size
         ]
         if leftovers:
-            # The recorder was killed: its last messages are only in the log, and SQLite would
-            # write beside the recording to read them.
+            # The recorder was killed, and its last messages are only in the write-ahead log. To
+            # read the log in place, SQLite would write to the recording's folder.
             plain = workspace.copied(path, leftovers)
             SqliteFile.merge_log(plain)
             warnings.add(
                 f'{path.name} was not closed: its write-ahead log {leftovers[0].name} '
-                'is read as well, in a temporary copy'
+                'is merged into a temporary copy'
             )
         return SqliteFile(plain, warnings, expected)
     if kind == 'mcap':
@@ -118,18 +118,18 @@ def _open_file(
     if kind == 'ros1':
         return Rosbag1File(plain, warnings, expected)
     raise UnusableInput(
-        f'{path} begins with {starts_with(plain)[:13]!r}: expected an mcap, an SQLite or a ROS 1 '
+        f'{path} begins with {first_bytes(plain)[:13]!r}: expected an mcap, an SQLite or a ROS 1 '
         'bag file (format 2.0); copy it again from where it was recorded, or convert it'
     )
 
 
-def _files_of(folder: Path, metadata: _Metadata, warnings: Warnings) -> list[Path]:
-    """Return the files that the metadata list, or those there are where it lists none."""
+def _files_to_read(folder: Path, metadata: _Metadata, warnings: Warnings) -> list[Path]:
+    """Return the existing files that the metadata lists, or else all bag files of the folder."""
     listed = [folder / Path(name).name for name in metadata.files]
     present = [path for path in listed if path.is_file()]
     if listed and not present:
         warnings.add(
-            f'none of the files that {METADATA} lists is there: all files in the folder are read'
+            f'none of the files listed in {METADATA} exists: all bag files in the folder are read'
         )
     elif len(present) < len(listed):
         missing = [path.name for path in listed if path not in present]
@@ -147,7 +147,7 @@ def _files_of(folder: Path, metadata: _Metadata, warnings: Warnings) -> list[Pat
 
 
 def _metadata_beside(path: Path) -> _Metadata:
-    """Return what the folder's metadata say of a single file, if they say anything."""
+    """Return the part of the folder's metadata that applies to a single file."""
     metadata = _read_metadata(path.parent, Warnings())
     names = [Path(name).name for name in metadata.files]
     if path.name not in names:
@@ -158,7 +158,7 @@ def _metadata_beside(path: Path) -> _Metadata:
 
 
 def _read_metadata(folder: Path, warnings: Warnings) -> _Metadata:
-    """Read metadata.yaml; what is missing in it, or all of it, stays unknown."""
+    """Read metadata.yaml; return defaults if it is missing, and also warn if it is damaged."""
     path = folder / METADATA
     if not path.is_file():
         return _Metadata()

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is left in damaged files: partly decompressed chunks, and rows around broken pages."""
+"""Recovery from damaged files: partial decompression, and rows outside broken pages."""
 
 import bz2
 import sqlite3
@@ -10,22 +10,37 @@ from typing import Any
 import lz4.frame
 import zstandard
 
-_PIECE = 1 << 14  # bytes; small, as all that follows the last whole piece is lost
-_LAST_ROW = 1 << 62
+_PIECE_BYTES = 1 << 14  # Small, because everything after the last complete piece is lost.
+_MAX_ROW_ID = 1 << 62
 
 
-def what_was_saved(
+def recovery_message(
     name: str, state: str, read: int, expected: float | None, first_ns: int, last_ns: int
 ) -> str:
-    """Say how much of a damaged file was saved; ``expected`` is about how many messages it had."""
+    """Format a warning that states how much of a damaged file was read.
+
+    Args:
+        name: name of the file.
+        state: the damage, as a predicate such as 'is truncated'.
+        read: number of messages read.
+        expected: estimated number of messages before the damage; None if unknown.
+        first_ns: log time of the first message read.
+        last_ns: log time of the last message read.
+    """
     about = f' of about {expected:.0f}' if expected and expected > read else ''
     return f'{name} {state}: read {read}{about} messages, up to {(last_ns - first_ns) / 1e9:.1f} s'
 
 
 def decompress(data: bytes, compression: str, size: int = 0) -> tuple[bytes, bool]:
-    """Return the plain bytes, as many as can be had, and whether they are all there.
+    """Decompress data up to the first damage.
 
-    ``size`` is what the file says about the length of the result, where it says anything.
+    Args:
+        data: the compressed bytes.
+        compression: 'zstd', 'lz4', 'bz2', or 'none' or '' for data that are not compressed.
+        size: length of the result according to the file; 0 if unknown.
+
+    Returns:
+        The decompressed bytes, and whether they are complete.
     """
     if compression in ('', 'none'):
         return data, not size or len(data) == size
@@ -36,7 +51,7 @@ def decompress(data: bytes, compression: str, size: int = 0) -> tuple[bytes, boo
             return lz4.frame.decompress(data), True
         if compression == 'bz2':
             return bz2.decompress(data), True
-    except Exception:  # three libraries, each with errors of its own; a piece by piece try follows
+    except Exception:  # Each of the three libraries raises its own types.
         return _decompress_pieces(data, compression), False
     return b'', False
 
@@ -49,50 +64,50 @@ def _decompress_pieces(data: bytes, compression: str) -> bytes:
     }[compression]()
     plain = bytearray()
     try:
-        for begin in range(0, len(data), _PIECE):
-            plain += stream.decompress(data[begin : begin + _PIECE])
-    except Exception:  # what came out before the damage is what can be saved
+        for begin in range(0, len(data), _PIECE_BYTES):
+            plain += stream.decompress(data[begin : begin + _PIECE_BYTES])
+    except Exception:  # The output before the damage is kept.
         pass
     return bytes(plain)
 
 
 def readable_rows(database: sqlite3.Connection, columns: str) -> Iterator[tuple[Any, ...] | None]:
-    """Yield (id, *columns) of the messages that can be read, and None where some are lost.
+    """Yield (id, *columns) of each readable row of the messages table, and None at each gap.
 
-    Reads the table itself, as the indices may be gone, and steps over what is broken. The ids
-    increase, whatever the pages say: damaged ones may lead back to where they were reached from.
+    The indices are not used because they may be damaged too. The ids always increase: pages that
+    point back to earlier rows, which would cause an endless loop, count as damaged.
     """
     query = f'SELECT id, {columns} FROM messages NOT INDEXED WHERE id >= ? ORDER BY id'
-    following: int | None = 0
-    while following is not None:
+    next_id: int | None = 0
+    while next_id is not None:
         try:
-            for row in database.execute(query, (following,)):
-                if row[0] < following:
+            for row in database.execute(query, (next_id,)):
+                if row[0] < next_id:
                     raise sqlite3.DatabaseError
                 yield row
-                following = row[0] + 1
+                next_id = row[0] + 1
             return
         except (sqlite3.Error, OverflowError):
             yield None
-            following = _next_readable(database, query, following)
+            next_id = _next_readable(database, query, next_id)
 
 
 def _next_readable(database: sqlite3.Connection, query: str, broken: int) -> int | None:
-    """Return the first id after a broken one from where reading works again, by bisection."""
+    """Return the first id after a broken row from which reading succeeds, by bisection."""
 
-    def works(row_id: int) -> bool:
+    def is_readable(row_id: int) -> bool:
         try:
             found = database.execute(f'{query} LIMIT 1', (row_id,)).fetchone()
         except sqlite3.Error:
             return False
-        return found is None or found[0] >= row_id  # past the last row there is nothing to fail
+        return found is None or found[0] >= row_id  # None: row_id is past the last row.
 
     low, high = broken, broken + 1
-    while not works(high):
+    while not is_readable(high):
         low, high = high, broken + 2 * (high - broken)
-        if high > _LAST_ROW:
+        if high > _MAX_ROW_ID:
             return None
     while high - low > 1:
         middle = (low + high) // 2
-        low, high = (low, middle) if works(middle) else (middle, high)
+        low, high = (low, middle) if is_readable(middle) else (middle, high)
     return high

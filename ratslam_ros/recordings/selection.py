@@ -1,73 +1,42 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which topics of a recording to use: guessed where that is safe, asked for where it is not."""
-
-from __future__ import annotations
-
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+"""Selection of the topics to read: automatic if unambiguous, otherwise by the user."""
 
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.recordings.decode import (
-    COMPRESSED_IMAGE,
-    LASER_SCAN,
-    ODOMETRY,
-    RAW_IMAGE,
+from ratslam_ros.recordings.topics import (
+    IMAGE_TYPES,
+    ODOMETRY_TYPES,
+    SCAN_TYPES,
     STRING,
+    Selection,
+    Topic,
+    TopicSource,
 )
 
-if TYPE_CHECKING:
-    from ratslam_ros.recordings.recording import Recording
-
-VIDEO, IMAGE_FILES, TABLE = 'video', 'image files', 'table'  # what is not a message
-IMAGE_TYPES = frozenset({RAW_IMAGE, COMPRESSED_IMAGE, VIDEO, IMAGE_FILES})
-ODOMETRY_TYPES = frozenset({ODOMETRY, TABLE})
-SCAN_TYPES = frozenset({LASER_SCAN})
 TEMPLATE_NAME = 'local_view/template'
-CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
-
-
-@dataclass(frozen=True, slots=True)
-class Topic:
-    """A topic; ``count`` is None where only a scan could tell, ``readable`` why it is not."""
-
-    name: str
-    type: str
-    count: int | None
-    readable: str | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Selection:
-    """The topics to use; without ``odom_topic`` the motion comes from the images.
-
-    Scans are read only where ``scan_topic`` is set.
-    """
-
-    image_topic: str | None
-    odom_topic: str | None
-    template_topic: str | None
-    scan_topic: str | None = None
-    notices: tuple[str, ...] = ()
-
-    @property
-    def topics(self) -> frozenset[str]:
-        """The names of all selected topics."""
-        names = (self.image_topic, self.odom_topic, self.template_topic, self.scan_topic)
-        return frozenset(name for name in names if name is not None)
 
 
 def select(
-    recording: Recording,
+    recording: TopicSource,
     image_topic: str | None = None,
     odom_topic: str | None = None,
     visual_odometry: bool = False,
     scan_topic: str | None = None,
     scans: bool = False,
 ) -> Selection:
-    """Choose the topics, guessing those not named; raises UnusableInput if it cannot.
+    """Choose the topics to read.
 
-    ``scans``: one with scans too, if there is one.
+    Args:
+        recording: the recording to choose from.
+        image_topic: topic with images; None selects the only candidate.
+        odom_topic: topic with odometry; None selects the only candidate.
+        visual_odometry: ignore recorded odometry.
+        scan_topic: topic with scans; None selects the only candidate.
+        scans: whether to read scans at all.
+
+    Raises:
+        UnusableInput: a named topic cannot be used, arguments contradict each other, there are
+            several candidates, or there are neither images nor templates with odometry.
     """
     notices: list[str] = []
     templates = template_candidates(recording)
@@ -75,12 +44,12 @@ def select(
     if image_topic is not None:
         image = _named(recording, image_topic, IMAGE_TYPES, 'images', '--image-topic')
     else:
-        image = _only(recording, image_candidates(recording), 'images', '--image-topic')
+        image = _single(recording, image_candidates(recording), 'images', '--image-topic')
     if image is None:
         if not templates:
             raise UnusableInput(
                 f'{recording.path} holds no images: expected a topic of type sensor_msgs/Image or '
-                f'sensor_msgs/CompressedImage; its topics are {_listed(recording.topics)}'
+                f'sensor_msgs/CompressedImage; its topics are {_format_topics(recording.topics)}'
             )
         template = templates[0]
         notices.append(f'no images: the recorded templates of {template.name} are used')
@@ -91,13 +60,13 @@ def select(
         )
     if odom_topic is not None and visual_odometry:
         raise UnusableInput(
-            f'both the odometry of {odom_topic} and visual odometry are asked for: expected one '
+            f'both the odometry of {odom_topic} and visual odometry are requested: expected one '
             'of them; leave out --odom-topic or --visual-odometry'
         )
     if odom_topic is not None:
         odom = _named(recording, odom_topic, ODOMETRY_TYPES, 'odometry', '--odom-topic')
     elif not visual_odometry:
-        odom = _only(recording, odometry_candidates(recording), 'odometry', '--odom-topic')
+        odom = _single(recording, odometry_candidates(recording), 'odometry', '--odom-topic')
     if odom is None:
         if image is None:
             raise UnusableInput(
@@ -106,23 +75,23 @@ def select(
                 + (
                     '; leave out --visual-odometry, which needs images'
                     if visual_odometry
-                    else f'; its topics are {_listed(recording.topics)}'
+                    else f'; its topics are {_format_topics(recording.topics)}'
                 )
             )
         notices.append(
-            'visual odometry is used, as it was asked for'
+            'visual odometry is used, as requested'
             if visual_odometry
             else 'no odometry topic: visual odometry is used'
         )
     if scan_topic is not None:
         if not scans:
             raise UnusableInput(
-                f'the scans of {scan_topic} are asked for, and nothing uses them: set '
+                f'the scans of {scan_topic} are requested, but nothing uses them: set '
                 'experience_map.exp_align_scans, or leave out --scan-topic'
             )
         scan = _named(recording, scan_topic, SCAN_TYPES, 'scans', '--scan-topic')
     elif scans:
-        scan = _only(recording, scan_candidates(recording), 'scans', '--scan-topic')
+        scan = _single(recording, scan_candidates(recording), 'scans', '--scan-topic')
     return Selection(
         image.name if image else None,
         odom.name if odom else None,
@@ -132,13 +101,13 @@ def select(
     )
 
 
-def camera_info_of(image_topic: str) -> str:
-    """Return where a camera's driver publishes camera_info: beside the raw images."""
+def camera_info_topic(image_topic: str) -> str:
+    """Return the camera_info topic in the namespace of an image topic, as image_transport does."""
     return f'{image_topic.removesuffix("/compressed").rpartition("/")[0]}/camera_info'
 
 
-def image_candidates(recording: Recording) -> list[Topic]:
-    """Return the topics of cameras: no depth images, no compressed twins of a raw topic."""
+def image_candidates(recording: TopicSource) -> list[Topic]:
+    """Return the image topics except depth images and compressed duplicates of raw topics."""
     topics = [topic for topic in _usable(recording, IMAGE_TYPES) if not recording.is_depth(topic)]
     names = {topic.name for topic in topics}
     return [
@@ -150,18 +119,18 @@ def image_candidates(recording: Recording) -> list[Topic]:
     ]
 
 
-def odometry_candidates(recording: Recording) -> list[Topic]:
-    """Return the topics with odometry."""
+def odometry_candidates(recording: TopicSource) -> list[Topic]:
+    """Return the usable topics with odometry."""
     return _usable(recording, ODOMETRY_TYPES)
 
 
-def scan_candidates(recording: Recording) -> list[Topic]:
-    """Return the topics with laser scans."""
+def scan_candidates(recording: TopicSource) -> list[Topic]:
+    """Return the usable topics with laser scans."""
     return _usable(recording, SCAN_TYPES)
 
 
-def template_candidates(recording: Recording) -> list[Topic]:
-    """Return the topics with recorded local_view templates."""
+def template_candidates(recording: TopicSource) -> list[Topic]:
+    """Return the usable topics with recorded local_view templates."""
     return [
         topic
         for topic in _usable(recording, frozenset({STRING}))
@@ -169,16 +138,16 @@ def template_candidates(recording: Recording) -> list[Topic]:
     ]
 
 
-def _usable(recording: Recording, types: frozenset[str]) -> list[Topic]:
+def _usable(recording: TopicSource, types: frozenset[str]) -> list[Topic]:
     return [
         topic
         for topic in recording.topics
-        if topic.type in types and topic.readable is None and not recording.is_empty(topic)
+        if topic.type in types and topic.problem is None and not recording.is_empty(topic)
     ]
 
 
 def _named(
-    recording: Recording, name: str, types: frozenset[str], what: str, option: str
+    recording: TopicSource, name: str, types: frozenset[str], what: str, option: str
 ) -> Topic:
     """Return the topic that the user named, with or without its leading slash."""
     fitting = [topic for topic in recording.topics if topic.type in types]
@@ -187,8 +156,8 @@ def _named(
             continue
         if topic.type not in types:
             problem = f'is of type {topic.type}'
-        elif topic.readable is not None:
-            problem = f'cannot be decoded ({topic.readable})'
+        elif topic.problem is not None:
+            problem = f'cannot be decoded ({topic.problem})'
         elif recording.is_empty(topic):
             problem = 'has no messages'
         else:
@@ -198,24 +167,28 @@ def _named(
         problem = 'does not exist'
     others = [topic for topic in fitting if topic.name.lstrip('/') != name.lstrip('/')]
     if others:
-        answer = f'{option} {others[0].name}' if len(others) == 1 else f'one of {_listed(others)}'
+        answer = (
+            f'{option} {others[0].name}'
+            if len(others) == 1
+            else f'one of {_format_topics(others)}'
+        )
     else:
-        answer = f'the topics are {_listed(recording.topics)}'
+        answer = f'the topics are {_format_topics(recording.topics)}'
     raise UnusableInput(
         f'{option} {name} {problem} in {recording.path}: expected a topic with {what}: {answer}'
     )
 
 
-def _only(recording: Recording, found: list[Topic], what: str, option: str) -> Topic | None:
+def _single(recording: TopicSource, found: list[Topic], what: str, option: str) -> Topic | None:
     if len(found) > 1:
         raise UnusableInput(
-            f'{recording.path} holds {len(found)} topics with {what}: expected a choice; give '
+            f'{recording.path} holds {len(found)} topics with {what}: expected one; choose with '
             + ' or '.join(f'{option} {topic.name}' for topic in found)
         )
     return found[0] if found else None
 
 
-def _listed(topics: tuple[Topic, ...] | list[Topic]) -> str:
+def _format_topics(topics: tuple[Topic, ...] | list[Topic]) -> str:
     shown = [f'{topic.name} ({topic.type})' for topic in topics[:12]]
     more = [f'and {len(topics) - 12} more'] if len(topics) > 12 else []
     return ', '.join(shown + more) or 'none'

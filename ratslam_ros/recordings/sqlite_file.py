@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""One SQLite file of a rosbag2 recording, of every schema age, read and never written."""
+"""Read-only reader of one SQLite file of a rosbag2 recording, of any schema version."""
 
 import sqlite3
 import struct
@@ -14,24 +14,24 @@ from typing import Any
 from urllib.parse import quote
 
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.recordings.salvage import readable_rows, what_was_saved
+from ratslam_ros.recordings.salvage import readable_rows, recovery_message
 from ratslam_ros.recordings.stream import (
     Channel,
     Contents,
     Message,
     Part,
     Warnings,
-    in_time_order,
+    merge_by_time,
 )
 
-MAGIC = b'SQLite format 3\x00'
-_ROWS = 64  # rows read at once where the index on the times cannot be used
-_STEPS = 1_000_000  # of SQLite's machine, between two looks at whether it goes round in circles
+SQLITE_MAGIC = b'SQLite format 3\x00'
+_BLOCK_ROW_COUNT = 64  # Rows read at once if the index on the timestamps cannot be used.
+_CHECK_STEP_COUNT = 1_000_000  # Steps of SQLite's virtual machine between checks for loops.
 
 
 @dataclass(slots=True)
 class _Block:
-    """A run of rows: what times it holds, the id of its first row, and how many there are."""
+    """Consecutive rows of the messages table: time range, id of the first row and row count."""
 
     start_ns: int
     end_ns: int
@@ -42,25 +42,35 @@ class _Block:
 class SqliteFile:
     """The messages of one SQLite file of rosbag2.
 
-    It is opened as immutable, so that SQLite writes no -shm or -wal file beside the recording.
+    The file is opened as immutable, so that SQLite creates no -shm or -wal file beside it.
     """
 
     def __init__(self, path: Path, warnings: Warnings, expected: int | None = None) -> None:
+        """Open the file, and scan it if it has no usable index.
+
+        Args:
+            path: the file.
+            warnings: receives messages for the user.
+            expected: number of messages according to the metadata; None if unknown.
+
+        Raises:
+            UnusableInput: the file is not a rosbag2 recording, or no message can be read.
+        """
         self.path = path
         self._warnings = warnings
         self._expected = expected
         self._size = path.stat().st_size
-        self._idle = 0
-        self._blocks: list[_Block] | None = None  # where the index is missing or damaged
+        self._idle_checks = 0
+        self._blocks: list[_Block] | None = None  # Set if the index is unusable.
         self._counts: Counter[int] | None = None
-        self._salvaged = False
+        self._is_salvaged = False
         self._database = sqlite3.connect(
             f'file:{quote(str(path.resolve()))}?mode=ro&immutable=1',
             uri=True,
             check_same_thread=False,
         )
         self._database.text_factory = lambda text: text.decode(errors='replace')
-        self._database.set_progress_handler(self._is_going_in_circles, _STEPS)
+        self._database.set_progress_handler(self._exceeds_step_limit, _CHECK_STEP_COUNT)
         try:
             self._channels = self._read_channels()
             start, end = self._read_times()
@@ -83,38 +93,38 @@ class SqliteFile:
 
     @staticmethod
     def merge_log(path: Path) -> None:
-        """Let SQLite merge the log beside a temporary copy into it."""
+        """Merge the write-ahead log beside a temporary copy of a file into that copy."""
         try:
             with closing(sqlite3.connect(path)) as database:
                 database.execute('PRAGMA wal_checkpoint(TRUNCATE)')
                 database.execute('PRAGMA journal_mode = DELETE')
         except sqlite3.Error:
-            pass  # what is damaged in it is found, and told, when it is read
+            pass  # Reading the file reports the damage.
 
     def messages(self, topics: Collection[str], start_ns: int, stop_ns: int) -> Iterator[Message]:
-        """Yield the messages of the topics with start_ns <= log_ns < stop_ns in order of time."""
+        """Yield messages of the topics with start_ns <= log_ns < stop_ns in time order."""
         ids = [number for number, channel in self._channels.items() if channel.topic in topics]
         read = self._by_index if self._blocks is None else self._by_blocks
-        at, done = start_ns, 0
+        last_ns, yielded_count = start_ns, 0
         try:
             for message in read(ids, start_ns, stop_ns):
-                done = done + 1 if message.log_ns == at else 1
-                at = message.log_ns
+                yielded_count = yielded_count + 1 if message.log_ns == last_ns else 1
+                last_ns = message.log_ns
                 yield message
             return
         except sqlite3.Error as error:
-            if self._salvaged:  # all of it could be read before: the disk, not the file
-                self._warnings.add(f'{self.path.name} cannot be read on: {error}')
+            if self._is_salvaged:  # Readable before, so the disk fails.
+                self._warnings.add(f'{self.path.name} cannot be read any further: {error}')
                 return
             self._salvage()
-        for message in self._by_blocks(ids, at, stop_ns):
-            if message.log_ns == at and done:
-                done -= 1  # this one came before the damage was met
+        for message in self._by_blocks(ids, last_ns, stop_ns):
+            if message.log_ns == last_ns and yielded_count:
+                yielded_count -= 1  # Already yielded before the damage.
             else:
                 yield message
 
     def count(self) -> dict[Channel, int]:
-        """Count the messages, by a scan."""
+        """Return the number of messages of each channel; scan the file on the first call."""
         if self._counts is None:
             _, self._counts, whole = self._find_rows('topic_id, timestamp')
             if not whole:
@@ -125,14 +135,17 @@ class SqliteFile:
         """Close the file."""
         self._database.close()
 
-    def _is_going_in_circles(self) -> bool:
-        """Stop a query that has run for longer than any file of this size could take."""
-        self._idle += 1
-        return self._idle * _STEPS > 4 * self._size + 100 * _STEPS
+    def _exceeds_step_limit(self) -> bool:
+        """Return whether to stop a query that takes more steps than the file size can explain.
+
+        Damaged pages can link to each other in a loop.
+        """
+        self._idle_checks += 1
+        return self._idle_checks * _CHECK_STEP_COUNT > 4 * self._size + 100 * _CHECK_STEP_COUNT
 
     def _query(self, query: str, values: Iterable[Any] = ()) -> Iterator[Any]:
         for row in self._database.execute(query, tuple(values)):
-            self._idle = 0
+            self._idle_checks = 0
             yield row
 
     def _by_channel(self, by_id: dict[int, int]) -> dict[Channel, int]:
@@ -147,7 +160,7 @@ class SqliteFile:
         try:
             names = {name for (name,) in self._query(tables)}
         except sqlite3.DatabaseError:
-            # A file shorter than its header says is refused, unless SQLite is told to go on.
+            # SQLite rejects a file shorter than its header says, unless this is set.
             self._database.execute('PRAGMA writable_schema = ON')
             names = {name for (name,) in self._query(tables)}
             self._salvage()
@@ -172,7 +185,7 @@ class SqliteFile:
                     if not whole:
                         self._salvage()
                 else:
-                    # Two queries, as SQLite answers each by the index, but not both at once.
+                    # SQLite uses the index for MIN or MAX alone, but not for both in one query.
                     ((start,),) = self._query('SELECT MIN(timestamp) FROM messages')
                     ((end,),) = self._query('SELECT MAX(timestamp) FROM messages')
                     return (0, -1) if start is None else (int(start), int(end))
@@ -185,7 +198,7 @@ class SqliteFile:
         )
 
     def _has_index(self) -> bool:
-        """Look whether the messages can be had in order of time without sorting them all."""
+        """Return whether an index allows reading the messages in time order without sorting."""
         return any(
             [column for _, _, column in self._query(f'PRAGMA index_info("{name}")')][:1]
             == ['timestamp']
@@ -193,20 +206,20 @@ class SqliteFile:
         )
 
     def _by_index(self, ids: list[int], start_ns: int, stop_ns: int) -> Iterator[Message]:
-        before = (start_ns, 0)
+        previous = (start_ns, 0)
         for number, log_ns, data, row_id in self._query(
             'SELECT topic_id, timestamp, data, id FROM messages WHERE timestamp >= ? AND '
             f'timestamp < ? AND topic_id IN ({",".join("?" * len(ids))}) ORDER BY timestamp, id',
             (start_ns, stop_ns, *ids),
         ):
-            if (log_ns, row_id) < before:
-                raise sqlite3.DatabaseError('the index leads back')
-            before = (log_ns, row_id)
+            if (log_ns, row_id) < previous:
+                raise sqlite3.DatabaseError('the index is not in time order')
+            previous = (log_ns, row_id)
             yield Message(log_ns, self._channels[number], _as_bytes(data))
 
     def _by_blocks(self, ids: list[int], start_ns: int, stop_ns: int) -> Iterator[Message]:
         def read(block: _Block) -> list[Message]:
-            # LIMIT, as SQLite would look at the row after the last one otherwise: a broken one.
+            # Without LIMIT, SQLite would also read the row after the block, which may be broken.
             rows = self._query(
                 'SELECT topic_id, timestamp, data FROM messages NOT INDEXED '
                 'WHERE id >= ? ORDER BY id LIMIT ?',
@@ -220,28 +233,28 @@ class SqliteFile:
             found.sort(key=lambda message: message.log_ns)
             return found
 
-        return in_time_order(
+        return merge_by_time(
             Part(block.start_ns, block.end_ns, partial(read, block))
             for block in self._blocks or []
             if block.end_ns >= start_ns and block.start_ns < stop_ns
         )
 
     def _find_rows(self, columns: str) -> tuple[list[_Block], Counter[int], bool]:
-        """Find the rows that can be read, as blocks without gaps; count them; are they all."""
+        """Return readable rows as blocks without gaps, counts by topic id, and completeness."""
         blocks: list[_Block] = []
         counts: Counter[int] = Counter()
         block, whole = None, True
         for row in readable_rows(self._database, columns):
-            self._idle = 0
+            self._idle_checks = 0
             if row is None:
                 block, whole = None, False
                 continue
             row_id, topic, log_ns = row[:3]
             if not isinstance(log_ns, int) or not isinstance(topic, int):
-                block, whole = None, False  # SQLite lets any type stand in any column
+                block, whole = None, False  # SQLite does not enforce column types.
                 continue
             counts[topic] += 1
-            if block is None or block.rows == _ROWS:
+            if block is None or block.rows == _BLOCK_ROW_COUNT:
                 block = _Block(log_ns, log_ns, row_id)
                 blocks.append(block)
             block.rows += 1
@@ -249,8 +262,8 @@ class SqliteFile:
         return blocks, counts, whole
 
     def _salvage(self) -> None:
-        """Find what can still be read of a damaged file, and say how much that is."""
-        self._salvaged = True
+        """Find the readable rows of a damaged file and warn the user how many were read."""
+        self._is_salvaged = True
         self._blocks, self._counts, _ = self._find_rows('topic_id, timestamp, data')
         read = sum(self._counts.values())
         if read == 0:
@@ -263,7 +276,7 @@ class SqliteFile:
         page, pages = *struct.unpack_from('>H', header, 16), *struct.unpack_from('>I', header, 28)
         whole = (65536 if page == 1 else page) * pages
         self._warnings.add(
-            what_was_saved(
+            recovery_message(
                 self.path.name,
                 'is truncated' if self._size < whole else 'is damaged',
                 read,

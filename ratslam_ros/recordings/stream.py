@@ -1,25 +1,25 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The raw messages of a recording, and their merging into one stream in order of time."""
+"""Undecoded messages of a recording, and merging them into one stream in time order."""
 
 import heapq
 from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import NamedTuple, Protocol
 
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """A topic as one file holds it; ``encoding`` is 'cdr' (ROS 2), 'ros1' or what nobody reads."""
+    """A topic as stored in one file."""
 
     topic: str
     type: str
     encoding: str
+    """Serialisation format: 'cdr' (ROS 2), 'ros1', or another one, which is not supported."""
 
 
 class Message(NamedTuple):
-    """One message as it was recorded: the time of the recording (ns), and the bytes."""
+    """One serialised message and the time at which it was recorded."""
 
     log_ns: int
     channel: Channel
@@ -28,7 +28,7 @@ class Message(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """A piece of a recording (a chunk, a file) that is opened when its first time is reached."""
+    """A section of a recording, such as a chunk, with its time range; opened when needed."""
 
     start_ns: int
     end_ns: int
@@ -37,26 +37,26 @@ class Part:
 
 @dataclass(slots=True)
 class Contents:
-    """What a file says it holds; ``counts`` is None where that would take a scan.
-
-    A file without messages ends before it starts.
-    """
+    """Table of contents of one file."""
 
     channels: tuple[Channel, ...]
     counts: dict[Channel, int] | None
+    """Messages per channel; None if counting them requires a scan."""
     start_ns: int
     end_ns: int
+    """Time of the last message; less than ``start_ns`` if there are no messages."""
     kind: str
+    """Format, such as 'rosbag2 (mcap)'."""
 
 
 @dataclass(slots=True)
 class Warnings:
-    """Texts for the user, each of them once."""
+    """Warnings for the user, without duplicates."""
 
     texts: list[str] = field(default_factory=list)
 
     def add(self, text: str) -> None:
-        """Keep a text unless it was said before."""
+        """Add a warning unless the same text was added before."""
         if text not in self.texts:
             self.texts.append(text)
 
@@ -64,27 +64,27 @@ class Warnings:
 class Storage(Protocol):
     """One file of a recording."""
 
-    path: Path
     contents: Contents
 
     def messages(self, topics: Collection[str], start_ns: int, stop_ns: int) -> Iterator[Message]:
-        """Yield the messages of the topics with start_ns <= log_ns < stop_ns in order of time."""
+        """Yield messages of the topics with start_ns <= log_ns < stop_ns in time order."""
         ...
 
     def count(self) -> dict[Channel, int]:
-        """Count the messages, by a scan where the file does not say."""
+        """Return the number of messages of each channel; scan the file if it is not stored."""
         ...
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         ...
 
 
-def in_time_order(parts: Iterable[Part]) -> Iterator[Message]:
-    """Merge parts whose messages are each in order of time, with few of them open at once.
+def merge_by_time(parts: Iterable[Part]) -> Iterator[Message]:
+    """Merge parts, each sorted by time, into one sequence sorted by time.
 
-    Equal times come in the order of the parts. Parts that do not overlap are read one by one, so
-    the memory does not grow with the recording.
+    A part is opened only when the merge reaches its start, so parts that do not overlap are read
+    one at a time and memory use does not grow with the recording. Messages with equal times are
+    yielded in the order in which their parts were opened.
     """
     waiting = sorted(parts, key=lambda part: part.start_ns, reverse=True)
     running: list[tuple[int, int, Message, Iterator[Message]]] = []

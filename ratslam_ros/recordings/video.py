@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A video as a recording: its frames, each at its own time."""
+"""A video file as a recording of frames with their presentation times."""
 
 import math
 import os
@@ -15,9 +15,9 @@ from ratslam_ros.errors import UnusableInput
 from ratslam_ros.images import Frame, Pixels
 from ratslam_ros.recordings.events import Event, ImageEvent
 from ratslam_ros.recordings.recording import Recording
-from ratslam_ros.recordings.selection import VIDEO, Selection, Topic
+from ratslam_ros.recordings.topics import VIDEO, Selection, Topic
 
-SUFFIXES = frozenset(
+VIDEO_SUFFIXES = frozenset(
     {
         '.mp4',
         '.avi',
@@ -38,40 +38,52 @@ SUFFIXES = frozenset(
         '.3gp',
     }
 )
-FRAMES = 'images'
+FRAMES_TOPIC = 'images'
 
 
 class Video(Recording):
-    """The frames of a video file; the times start at 0."""
+    """The frames of a video file, with times from 0."""
 
     kind = 'video'
 
     def __init__(self, path: Path, rate_hz: float) -> None:
+        """Read the frame rate and the number of frames.
+
+        Args:
+            path: the video file.
+            rate_hz: assumed frame rate if the file does not state one.
+
+        Raises:
+            UnusableInput: OpenCV cannot decode the file.
+        """
         super().__init__(path)
         with closing(_Capture(path)) as capture:
             frames, rate = capture.frames, capture.rate_hz
             if not capture.grab():
                 raise UnusableInput(
-                    f'{path} gives no frame: expected a video that OpenCV can decode; convert it, '
-                    f'for instance with "ffmpeg -i {path.name} converted.mp4"'
+                    f'no frame of {path} can be decoded: expected a video that OpenCV can decode; '
+                    f'convert it, for instance with "ffmpeg -i {path.name} converted.mp4"'
                 )
-            if not frames:  # a stream whose length nobody knows before its end
+            if not frames:  # The container does not store the number of frames.
                 frames = 1
                 while capture.grab():
                     frames += 1
         if not rate:
             rate = rate_hz
-            self._warnings.add(f'{path.name} does not say its rate: {rate:g} Hz is assumed')
+            self._warnings.add(
+                f'{path.name} does not state its frame rate: {rate:g} Hz is assumed'
+            )
         self._period_ns = 1e9 / rate
         self.start_ns, self.end_ns = 0, round((frames - 1) * self._period_ns)
-        self.topics = (Topic(FRAMES, VIDEO, frames),)
+        self.topics = (Topic(FRAMES_TOPIC, VIDEO, frames),)
         self._expected = frames
 
-    def _events(self, selection: Selection, start_ns: int, stop_ns: int) -> Iterator[Event]:
+    def read_events(self, selection: Selection, start_ns: int, stop_ns: int) -> Iterator[Event]:
+        """Yield the selected events with start_ns <= log_ns < stop_ns."""
         with closing(_Capture(self.path)) as capture:
             index, before_ns = 0, -1
             while capture.grab():
-                # A variable rate is in the frames' own times; some containers have none.
+                # The rate may vary, so use the frame's own time; some containers have none.
                 stamp_ns = capture.time_ns()
                 if stamp_ns <= before_ns:
                     stamp_ns = max(round(index * self._period_ns), before_ns + 1)
@@ -88,10 +100,10 @@ class Video(Recording):
 
 
 class _Capture:
-    """OpenCV's VideoCapture, with the errors of this project."""
+    """Wrapper of cv2.VideoCapture that raises this project's errors."""
 
     def __init__(self, path: Path) -> None:
-        # What FFmpeg finds wrong with a file is told in this project's own one line.
+        # Silence FFmpeg's own log lines: this class reports errors in one line.
         os.environ.setdefault('OPENCV_FFMPEG_LOGLEVEL', '-8')
         self._capture = cv2.VideoCapture(str(path))
         if not self._capture.isOpened():
@@ -106,18 +118,18 @@ class _Capture:
         self.frames = int(frames) if math.isfinite(frames) and 0 < frames < 1e9 else 0
 
     def grab(self) -> bool:
-        """Go to the next frame."""
+        """Advance to the next frame; return False at the end."""
         return bool(self._capture.grab())
 
     def time_ns(self) -> int:
-        """Return the time of the frame."""
+        """Return the presentation time of the current frame; 0 if unknown."""
         time_ms = float(self._capture.get(cv2.CAP_PROP_POS_MSEC))
         return round(time_ms * 1e6) if math.isfinite(time_ms) else 0
 
     def frame(self) -> Pixels:
-        """Return (H, W, 3) uint8, blue first."""
+        """Decode the current frame as (H, W, 3) uint8 in BGR order."""
         return np.asarray(self._capture.retrieve()[1], np.uint8)
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self._capture.release()

@@ -1,3 +1,3 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A simulated office, robot and camera: recordings with a known truth, from a seed."""
+"""Simulator of a wheeled robot with a camera and a laser on a floor plan, with ground truth."""

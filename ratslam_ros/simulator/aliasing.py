@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""How alike the places of a world look: what a recogniser of single views is up against."""
+"""Perceptual aliasing: how often views of different places match each other."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class Aliasing:
-    """How well views tell places apart at one threshold.
+    """How well single views distinguish places at one match threshold.
 
-    look_alike_share: of all views, those that match a view from a place too far off to be this
-    revisited_share: of all views, those that saw their place before, in the same direction
-    recognised_share: of the revisits, those that match a view from then
-    right_share: of the revisits, those for which the best match is nearby and not a look-alike
+    look_alike_share: fraction of views that match a view from a different place
+    revisited_share: fraction of views at a place seen before in the same direction
+    recognised_share: fraction of the revisits that match an earlier view of their place
+    right_share: fraction of the revisits whose best match is of their place, not a look-alike
     """
 
     look_alike_share: float
@@ -35,11 +35,14 @@ def measure_aliasing(
     shift: int = 0,
     far_m: float = 5.0,
 ) -> Aliasing:
-    """Compare all views of a run with each other at a local-view threshold.
+    """Compare all views of a run with each other.
 
-    views: (n, height, width) uint8, the normalised templates, in order of time
-    poses: (n, 3) x_m, y_m, heading_rad, where they were really taken from
-    shift: columns to either side within which views may match, as vt_shift_match
+    Args:
+        views: (n, height, width) uint8, the normalised templates, in time order.
+        poses: (n, 3) x_m, y_m, heading_rad, the true poses at which they were taken.
+        threshold: largest error at which two views match, as vt_match_threshold.
+        shift: largest column offset at which views are compared, as vt_shift_match.
+        far_m: distance beyond which two views are of different places.
     """
     revisit_error, look_alike_error = nearest_errors(views, poses, shift, far_m)
     revisited = np.isfinite(revisit_error)
@@ -63,11 +66,16 @@ def nearest_errors(
     near_rad: float = math.radians(15.0),
     pause: int = 100,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Find how similar the best revisit and the best look-alike of every view are.
+    """Return the match errors of the best revisit and of the best look-alike of every view.
 
-    near_m, near_rad: a revisit is as close as this to a view at least `pause` views older
-    Returns two (n,) arrays: mean |difference| / 255 to the best revisit among the older views and
-        to the best look-alike among all, infinite where there is none
+    Args:
+        views, poses, shift, far_m: as in `measure_aliasing`.
+        near_m, near_rad: largest distance and heading difference between a view and its revisit.
+        pause: smallest number of views between a view and its revisit.
+
+    Returns:
+        Two (n,) arrays of the mean absolute difference / 255: to the best revisit among the
+        earlier views, and to the best look-alike among all views; inf if there is none.
     """
     return _nearest_errors(views, poses, shift, far_m, near_m, near_rad, pause)  # type: ignore
 

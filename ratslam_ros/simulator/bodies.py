@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Round bodies on the floor: where they fit, and how far they get before they touch something."""
+"""Collision of round bodies with solid cells and with each other."""
 
 from __future__ import annotations
 
@@ -10,15 +10,16 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-# What a position may lie inside another body by rounding.
 _ROUNDING_M = 1e-9
-# In a corner a body is pushed off one wall and then off the other; a few times settle it.
-_PUSHES = 6
+"""Penetration depth attributed to rounding."""
+
+_PUSHES_COUNT = 6
+"""Largest number of push-outs per move; in a corner, two walls push alternately."""
 
 
 @njit(cache=True)
 def fits(solid, cell_m, x_m, y_m, radius_m):  # type: ignore[no-untyped-def]
-    """Say whether a disc touches no solid cell."""
+    """Return whether a disc overlaps no solid cell."""
     depth_m, _, _ = _deepest_cell(solid, cell_m, x_m, y_m, radius_m)
     return depth_m <= _ROUNDING_M
 
@@ -27,13 +28,22 @@ def fits(solid, cell_m, x_m, y_m, radius_m):  # type: ignore[no-untyped-def]
 def slide(  # type: ignore[no-untyped-def]
     solid, cell_m, discs, disc_radius_m, from_x_m, from_y_m, x_m, y_m, radius_m,
 ):  # fmt: skip
-    """Move a disc towards a point nearby without entering solid cells or other discs.
+    """Move a disc to a nearby point, pushed out of solid cells and other discs on its way.
 
-    discs: rows of x, y and more, all of one radius; the disc must fit where it comes from
-    Returns x_m, y_m and whether it touched: pushed off along what it met, or where it was
+    Args:
+        solid, cell_m: (n_y, n_x) grid and the side of its cells.
+        discs: (n, 2 or more), x and y first; the other discs.
+        disc_radius_m: radius of the other discs.
+        from_x_m, from_y_m: present position, at which the disc must fit.
+        x_m, y_m: position to move to.
+        radius_m: radius of the disc.
+
+    Returns:
+        x_m, y_m and whether the disc touched anything. If pushing out does not converge, the disc
+        stays at its present position.
     """
     touched = False
-    for _ in range(_PUSHES):
+    for _ in range(_PUSHES_COUNT):
         depth_m, away_x, away_y = _deepest_cell(solid, cell_m, x_m, y_m, radius_m)
         for index in range(len(discs)):
             dx, dy = x_m - discs[index, 0], y_m - discs[index, 1]
@@ -51,7 +61,7 @@ def slide(  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _deepest_cell(solid, cell_m, x_m, y_m, radius_m):  # type: ignore[no-untyped-def]
-    """Find how deep a disc is in solid cells, and the direction that leads out of the deepest."""
+    """Return the largest penetration of a disc into a solid cell, and the direction out of it."""
     n_y, n_x = solid.shape
     deepest_m, away_x, away_y = 0.0, 0.0, 0.0
     first_row, last_row = int((y_m - radius_m) / cell_m), int((y_m + radius_m) / cell_m)
@@ -64,7 +74,7 @@ def _deepest_cell(solid, cell_m, x_m, y_m, radius_m):  # type: ignore[no-untyped
                 distance_m = math.hypot(dx, dy)
                 if radius_m - distance_m > deepest_m:
                     deepest_m = radius_m - distance_m
-                    # The middle itself inside: no way out is better than another.
+                    # With its centre inside the cell, the disc has no preferred direction out.
                     scale = 1.0 / distance_m if distance_m > 0.0 else 0.0
                     away_x, away_y = dx * scale, dy * scale
     return deepest_m, away_x, away_y
@@ -80,7 +90,7 @@ def _room(solid, cell_m, radius_m, room):  # type: ignore[no-untyped-def]
 
 
 def room_for(solid: NDArray[np.bool_], cell_m: float, radius_m: float) -> NDArray[np.bool_]:
-    """Find the cells in whose middle a disc of this radius fits, (n_y, n_x) bool."""
+    """Return the cells at whose centres a disc of this radius fits, (n_y, n_x) bool."""
     room = np.empty_like(solid)
     _room(solid, cell_m, radius_m, room)
     return room

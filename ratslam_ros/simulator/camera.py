@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A camera in the simulated world: one ray a column, walls textured in correct perspective."""
+"""Camera of the simulated robot: ray casting, one ray per image column, with textured walls."""
 
 from __future__ import annotations
 
@@ -16,16 +16,19 @@ from ratslam_ros.simulator.textures import TEXELS_PER_M, WALL_HEIGHT_M
 from ratslam_ros.simulator.world import PERSON_HEIGHT_M, PERSON_RADIUS_M, World
 
 FLOOR_TILE_M = 0.7
-# Lamps hang on a grid through the middle of the floor; in the office, over the corridors.
+"""Side of a floor tile."""
+
 LAMP_SPACING_M = 3.85
+"""Spacing of the grid of ceiling lamps, which is centred on the floor plan."""
 
 
 @dataclass(frozen=True)
 class CameraOptions:
-    """A forward-looking camera on the robot's axis.
+    """Properties of a forward-looking camera above the robot's centre.
 
+    fov_deg: horizontal field of view
     noise_grey: standard deviation of the pixel noise, in grey levels
-    exposure_spread: standard deviation of the slow change of brightness, as a share
+    exposure_spread: standard deviation of the slow relative change of brightness
     """
 
     width: int = 160
@@ -38,12 +41,12 @@ class CameraOptions:
 
     @property
     def focal_px(self) -> float:
-        """Focal length in pixels, the same along both axes."""
+        """Focal length in pixels, equal along both axes."""
         return self.width / 2 / math.tan(math.radians(self.fov_deg) / 2)
 
 
 class Camera:
-    """Takes pictures of a world; noise and exposure come from the generator it is given."""
+    """Renders images of a world, with pixel noise and a varying exposure."""
 
     def __init__(self, world: World, rng: np.random.Generator, options: CameraOptions) -> None:
         self._world = world
@@ -52,12 +55,13 @@ class Camera:
         self._exposure = 0.0
 
     def take(self, x_m: float, y_m: float, heading_rad: float) -> NDArray[np.uint8]:
-        """Render the view from a pose inside the free floor.
+        """Render the image from a pose in a free cell.
 
-        Returns (height, width) uint8
+        Returns:
+            (height, width) uint8.
         """
         options, world = self._options, self._world
-        # An exposure that wanders over about ten seconds, as automatic ones do.
+        # First-order Gauss-Markov exposure with a time constant of 10 s, like an automatic one.
         keep = math.exp(-1.0 / (10.0 * options.rate_hz))
         spread = options.exposure_spread * math.sqrt(1.0 - keep * keep)
         self._exposure = keep * self._exposure + spread * self._rng.standard_normal()
@@ -85,7 +89,7 @@ class Camera:
 
 @njit(cache=True)
 def _light_at(light, column, row):  # type: ignore[no-untyped-def]
-    """Interpolate the light between the middles of cells, so that it shows no steps."""
+    """Interpolate the light bilinearly between cell centres."""
     n_y, n_x = light.shape
     column = min(max(column - 0.5, 0.0), n_x - 1.001)
     row = min(max(row - 0.5, 0.0), n_y - 1.001)
@@ -98,8 +102,8 @@ def _light_at(light, column, row):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _noise(key, pixel):  # type: ignore[no-untyped-def]
-    """Return unit noise for a pixel: the eight bytes of a hash summed are close to a Gaussian."""
-    # SplitMix64: a generator without a state, so that a pixel's noise hangs on nothing but itself.
+    """Return noise of unit variance for a pixel: the sum of a hash's bytes is nearly Gaussian."""
+    # SplitMix64 as a hash: the noise of a pixel depends on the image key and its index alone.
     z = key + np.uint64(pixel + 1) * np.uint64(0x9E3779B97F4A7C15)
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
@@ -121,13 +125,13 @@ def _render(  # type: ignore[no-untyped-def]
     middle_x, middle_y = solid.shape[1] * cell_m / 2, solid.shape[0] * cell_m / 2
     forward_x, forward_y = math.cos(heading_rad), math.sin(heading_rad)
     for i in range(width):
-        # Rays reach one metre ahead for each unit of length: the length is the depth itself,
-        # which is what perspective needs.
+        # The forward component of each ray is 1, so that its length parameter is the depth that
+        # the perspective projection needs.
         left = (width / 2 - i - 0.5) / focal_px
         ray_x, ray_y = forward_x - left * forward_y, forward_y + left * forward_x
         depth_m, row, column, side = cast(solid, cell_m, x_m, y_m, ray_x, ray_y)
         hit_x, hit_y = x_m + depth_m * ray_x, y_m + depth_m * ray_y
-        # How far along the side, from its left end as the viewer sees it.
+        # Distance along the side of the cell, from its left end as seen by the camera.
         if side == WEST:
             along_m, slant = (row + 1) * cell_m - hit_y, abs(ray_x)
         elif side == EAST:
@@ -137,7 +141,7 @@ def _render(  # type: ignore[no-untyped-def]
         else:
             along_m, slant = (column + 1) * cell_m - hit_x, abs(ray_y)
         along_m += panel_u_m[row, column, side]
-        # A column covers this much wall; the level averages over about as much.
+        # Texels that an image column covers; the level blurs over about as many.
         covered = depth_m * (1.0 + left * left) / (focal_px * slant) * TEXELS_PER_M
         level = min(max(int(math.log2(covered) + 0.5), 0), n_levels - 1) if covered > 1.0 else 0
         u = min(max(along_m * TEXELS_PER_M - 0.5, 0.0), n_u - 1.001)
@@ -145,19 +149,19 @@ def _render(  # type: ignore[no-untyped-def]
         fu = u - iu
         near = textures[level, panel[row, column, side], iu]
         next_ = textures[level, panel[row, column, side], iu + 1]
-        # Walls along x are a little darker: it makes corners visible.
+        # Walls along x are slightly darker, which makes corners visible.
         wall_lit = 1.0 if side in (WEST, EAST) else 0.88
         wall_lit *= _light_at(light, hit_x / cell_m, hit_y / cell_m) / (1.0 + 0.03 * depth_m)
         person_m, person = cast_at_discs(people, PERSON_RADIUS_M, x_m, y_m, ray_x, ray_y)
         if person_m < depth_m:
-            # Clothes run once round the body, their middle in front.
+            # The clothes texture wraps once around the body, with its centre in front.
             out_x = x_m + person_m * ray_x - people[person, 0]
             out_y = y_m + person_m * ray_y - people[person, 1]
             round_rad = (math.atan2(out_y, out_x) - people[person, 2]) % math.tau
             around = (round_rad / math.tau + 0.5) % 1.0
             cloth = textures[0, int(people[person, 3]), int(around * n_u)]
             person_lit = _light_at(light, people[person, 0] / cell_m, people[person, 1] / cell_m)
-            # Darker towards the outline, as round things are.
+            # Shading of a cylinder: darker towards the outline.
             facing = -(out_x * ray_x + out_y * ray_y) / (
                 PERSON_RADIUS_M * math.hypot(ray_x, ray_y)
             )

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A simulated robot that maps, explores and goes where it is told, in lock-step with the core."""
+"""Closed loop of the simulator and RatSLAM: a robot that maps, explores and drives to goals."""
 
 from __future__ import annotations
 
@@ -25,42 +25,59 @@ from ratslam_ros.core.navigation.navigator import GoalTask, Navigator
 from ratslam_ros.core.navigation.route_following import Guidance
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.core.ratslam import RatSLAM, Step, ViewStep
-from ratslam_ros.simulator.simulation import ImageSample, OdometrySample, ScanSample, Simulator
+from ratslam_ros.simulator.samples import ImageSample, OdometrySample, ScanSample
+from ratslam_ros.simulator.simulation import Simulator
 
 Steering = Callable[[Scan], Command]
+"""Controller: computes a command from a scan."""
+
+NEWEST_COUNT = 10
+"""Newest experiences, to which a link is not counted as a loop closure."""
 
 
 @dataclass
 class Log:
-    """What happened, for tables and pictures; truth is seen by nobody else.
+    """Record of a run for evaluation; the true poses in it must not be used for control.
 
-    Rows at every odometry message: stamp_ns; truth x, y, heading; believed x, y, heading; the
-    same by dead reckoning; experience id; the packet's x, y, theta in the pose cells.
+    The first six lists have one entry per odometry sample: its stamp, the true pose, the pose
+    estimated by the experience map, the pose by dead reckoning, the id of the current experience,
+    and the position of the activity packet in the pose cells.
     """
 
     stamp_ns: list[int] = field(default_factory=list)
     truth: list[Pose] = field(default_factory=list)
-    believed: list[Pose] = field(default_factory=list)
+    estimated: list[Pose] = field(default_factory=list)
     dead_reckoning: list[Pose] = field(default_factory=list)
     experience_id: list[int] = field(default_factory=list)
     packet: list[Place] = field(default_factory=list)
     closures_ns: list[int] = field(default_factory=list)
-    """Stamps at which an experience that is not among the ten newest became current."""
+    """Stamps of loop closures: an experience that is not among the newest became current."""
     jump_m: list[float] = field(default_factory=list)
-    """How far off the robot truly was, each time that an older experience became current."""
+    """True distance of the robot from the experience at each loop closure."""
     truth_of: dict[int, Pose] = field(default_factory=dict)
-    """Where the robot truly was when an experience was made."""
+    """Id of an experience -> true pose of the experience when it was created."""
 
     def truths(self) -> NDArray[np.float64]:
-        """Return (n, 3) the true poses."""
+        """Return the true poses, (n, 3)."""
         return np.array(self.truth)
 
 
 class ClosedLoop:
-    """Simulator and RatSLAM; somebody steers by what the robot senses."""
+    """A simulator and RatSLAM in lock-step, with controllers that steer by the scans.
+
+    Attributes:
+        tries_failed: number of behaviours of the goal follower that timed out without progress.
+        links_unlearned: number of links that the experience map unlearned because of them.
+    """
 
     def __init__(self, simulator: Simulator, config: Config, exploring_seed: int) -> None:
-        """``exploring_seed``: of what the exploration draws by lot."""
+        """Connect RatSLAM to a simulator.
+
+        Args:
+            simulator: simulator of a robot with a laser.
+            config: configuration of RatSLAM and of the goal follower.
+            exploring_seed: seed of the exploration's random decisions.
+        """
         self.simulator = simulator
         self.ratslam = RatSLAM(config)
         self.config = config
@@ -79,16 +96,16 @@ class ClosedLoop:
 
     @property
     def experience_map(self) -> ExperienceMap:
-        """The map so far."""
+        """Experience map of RatSLAM."""
         return self.ratslam.experience_map
 
     @property
     def now_s(self) -> float:
-        """Simulated time since the beginning."""
+        """Simulated time since the start, in seconds."""
         return self.simulator.elapsed_s
 
     def run(self, steer: Steering, until: Callable[[], bool]) -> None:
-        """Go on until something holds, which is looked at after every step with a scan."""
+        """Run the loop until a condition holds, which is evaluated after every scan."""
         simulator = self.simulator
         over = False
         while not over:
@@ -96,12 +113,10 @@ class ClosedLoop:
                 if isinstance(sample, OdometrySample):
                     self._move(sample)
                 elif isinstance(sample, ImageSample):
-                    self._truth_at[sample.stamp_ns] = Pose(
-                        sample.truth.x_m, sample.truth.y_m, sample.truth.heading_rad
-                    )
+                    self._truth_at[sample.stamp_ns] = sample.truth
                     self._note(self.ratslam.image(sample.stamp_ns, sample.image))
                 else:
-                    scan = scan_of(sample, simulator)
+                    scan = scan_from_sample(sample, simulator)
                     self.ratslam.scan(scan)
                     self.command = steer(scan)
                     self.ratslam.behaviour = self.command.behaviour
@@ -109,67 +124,68 @@ class ClosedLoop:
                     over = until()
 
     def explore(self, duration_s: float) -> None:
-        """Explore for some time."""
+        """Explore for a simulated duration."""
         end_s = self.now_s + duration_s
         self.exploration.restart()
         self.run(self.exploring, lambda: self.now_s >= end_s)
 
     def exploring(self, scan: Scan) -> Command:
-        """Steer as the exploration says."""
+        """Return the command of the exploration for a scan."""
         return self.exploration.command(scan, self.odometry_pose)
 
     def name_place(self, name: str) -> None:
-        """Call the place where the robot is by a name, as somebody who walks beside it would."""
+        """Name the present place of the robot, as an operator who accompanies it would."""
         self.navigator.goals.name_place(self.experience_map, name, self.ratslam.offset)
 
     def go_to(self, *targets: Target, until: Callable[[], bool] = lambda: False) -> list[GoalTask]:
-        """Go to some places; return what became of each.
+        """Drive to targets in order.
 
-        ``until``: give up when this holds.
+        Args:
+            targets: names or experience ids.
+            until: condition under which the remaining targets are cancelled.
+
+        Returns:
+            The goal tasks with their outcomes.
 
         Raises:
-            UnreachableGoal: one is not known, or no link leads there.
+            UnreachableGoal: a target is unknown, or no link leads to it.
         """
-        errands = self.navigator.go_to(*targets)
+        tasks = self.navigator.go_to(*targets)
         self.exploration.restart()
         self.run(self.seeking, lambda: not self.navigator.queue or until())
         self.navigator.cancel()
-        return errands
+        return tasks
 
     def seeking(self, scan: Scan) -> Command:
-        """Steer along the route; where it is lost explore."""
+        """Return the command along the route for a scan, or of the exploration without a route."""
         graph = self.experience_map
-        here = self.ratslam.pose
-        self.guidance = self.navigator.update(scan.stamp_ns, here)
+        pose = self.ratslam.pose
+        self.guidance = self.navigator.update(scan.stamp_ns, pose)
         if self.guidance.explore:
             return self.exploring(scan)
         if len(self.guidance.positions_m) == 0:
             return Command(0.0, 0.0, 'turn')
-        route = seen_from(here, self.guidance.positions_m)
+        route = seen_from(pose, self.guidance.positions_m)
         command = self.follower.command(scan, route, self.guidance.behaviour)
         if command.failed:
             self.tries_failed += 1
             if self.navigator.report_blocked():
-                ahead_rad = wrap(here.heading_rad + command.ahead_rad)
-                self.links_unlearned += graph.report_blocked(command.behaviour, ahead_rad, here)
+                ahead_rad = wrap(pose.heading_rad + command.ahead_rad)
+                self.links_unlearned += graph.report_blocked(command.behaviour, ahead_rad, pose)
         return command
 
     def _move(self, sample: OdometrySample) -> None:
-        o = sample.odometry
-        self.odometry_pose = Pose(o.pose.x_m, o.pose.y_m, o.pose.heading_rad)
-        steps = self.ratslam.odometry(
-            Odometry(
-                sample.stamp_ns, Twist(o.speed_mps, o.turn_rate_radps), self.odometry_pose
-            )
-        )
-        log, truth = self.log, sample.truth
-        at, peak = self.experience_map, self.ratslam.pose_cells.peak
+        reading = sample.odometry
+        self.odometry_pose = reading.pose
+        twist = Twist(reading.speed_mps, reading.turn_rate_radps)
+        steps = self.ratslam.odometry(Odometry(sample.stamp_ns, twist, reading.pose))
+        log, graph = self.log, self.experience_map
         log.stamp_ns.append(sample.stamp_ns)
-        log.truth.append(Pose(truth.x_m, truth.y_m, truth.heading_rad))
-        log.believed.append(at.pose)
+        log.truth.append(sample.truth)
+        log.estimated.append(graph.pose)
         log.dead_reckoning.append(self.ratslam.dead_reckoning)
-        log.experience_id.append(at.current_id)
-        log.packet.append(peak)
+        log.experience_id.append(graph.current_id)
+        log.packet.append(self.ratslam.pose_cells.peak)
         self._note(steps)
 
     def _note(self, steps: Iterable[Step]) -> None:
@@ -183,15 +199,15 @@ class ClosedLoop:
                 self.log.truth_of[action.target_id] = truth._replace(heading_rad=heading_rad)
             elif action.action == 'none' or step.rejected:
                 continue
-            elif action.target_id < len(self.experience_map) - 10:
+            elif action.target_id < len(self.experience_map) - NEWEST_COUNT:
                 self.log.closures_ns.append(step.stamp_ns)
-                there = self.log.truth_of[action.target_id]
-                self.log.jump_m.append(math.hypot(there.x_m - truth.x_m, there.y_m - truth.y_m))
+                target = self.log.truth_of[action.target_id]
+                self.log.jump_m.append(math.hypot(target.x_m - truth.x_m, target.y_m - truth.y_m))
 
 
-def scan_of(sample: ScanSample, simulator: Simulator) -> Scan:
-    """Return a simulated scan as a robot's driver gives it."""
+def scan_from_sample(sample: ScanSample, simulator: Simulator) -> Scan:
+    """Convert a scan sample to the scan that the core takes."""
     laser = simulator.options.laser
-    assert laser is not None  # or there would be no sample
+    assert laser is not None  # there is a scan
     ranges_m = sample.ranges_m.astype(np.float64)
     return Scan(sample.stamp_ns, laser.first_rad, laser.step_rad, ranges_m)

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The parameters of a simulated robot, and the simulator that they make."""
+"""Parameters of the simulated robot, and the construction of a simulator from them."""
 
 from __future__ import annotations
 
@@ -8,84 +8,91 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config.parameter import Section, parameter
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.simulator.camera import CameraOptions
 from ratslam_ros.simulator.floor_plan import FloorPlan, load_floor_plan
 from ratslam_ros.simulator.laser import LaserOptions
-from ratslam_ros.simulator.robot import Pose, RobotOptions
-from ratslam_ros.simulator.simulation import Happening, SimulationOptions, Simulator
+from ratslam_ros.simulator.robot import RobotOptions
+from ratslam_ros.simulator.simulation import ObstacleEvent, SimulationOptions, Simulator
 from ratslam_ros.simulator.world import WorldOptions
 
-NONE = 'none'
+NO_OBSTACLES = 'none'
+"""Value of `obstacles` for a floor without obstacles."""
+
 ANY_PLACE = 'any'
-USUAL_START = 'S'
+"""Value of `start` for the default start of a plan."""
+
+DEFAULT_START = 'S'
+"""Place at which the robot starts by default, if the plan has it."""
 
 VARIETY = 4
-"""Sets of wall panels: a floor of 1000 square metres has more to show than the demo's."""
+"""Sets of wall panels: more than in the demo, whose floor is smaller."""
 
-WHEEL_BASE_ERROR = 0.01
-"""Of a robot whose turns were once compared with the floor; the demo's was not."""
+WHEEL_BASE_ERROR_RATIO = 0.01
+"""Relative error of the wheel base of a calibrated robot; the demo's robot is not calibrated."""
 
 
 @dataclass(frozen=True)
 class SimulatorParameters(Section):
-    """A robot in a floor plan: `ratslam simulate`, and the node that takes a robot's place."""
+    """A simulated robot on a floor plan, for `ratslam simulate` and the node `simulator`."""
 
     plan: str = parameter(
         'university_floor', '', 0, 0,
-        'Floor plan: the name of one that comes with the package, or a text or PNG file.',
-        'set to a plan of your own building', 'leave as it is to try things out')  # fmt: skip
+        'Floor plan: the name of a plan in the package, or a text or PNG file.',
+        'set to a plan of your own building', 'keep the default for a first try')  # fmt: skip
     cell_m: float = parameter(
         0.0, 'm; 0: as the plan says', 0.0, 100.0,
-        'Side of a cell: of a pixel, where the plan is a picture.',
-        'rooms come out too small', 'rooms come out too large')  # fmt: skip
+        'Side of a cell of the plan, or of a pixel if the plan is a picture.',
+        'rooms are too small', 'rooms are too large')  # fmt: skip
     start: str = parameter(
         ANY_PLACE, '', 0, 0,
-        'Where the robot starts: a place of the plan, `x,y,degrees`, or `any`: S, or the first '
-        'place that the plan names.',
-        'set to begin elsewhere', 'leave as it is where the plan has a place S')  # fmt: skip
+        'Start of the robot: a place of the plan, `x,y,degrees`, or `any` for the place S or, if '
+        'there is none, the first place of the plan.',
+        'set to start elsewhere', 'keep the default if the plan has a place S')  # fmt: skip
     seed: int = parameter(
-        1, '', 0, 2**31 - 1, 'Of what walls look like, and of all noise.',
-        'you want another world', 'you want the same world again')  # fmt: skip
+        1, '', 0, 2**31 - 1, 'Seed of the appearance of the walls and of all noise.',
+        'you want a different world', 'you want to repeat a run')  # fmt: skip
     people: int = parameter(
-        0, '', 0, 1000, 'How many people walk about.',
-        'it should be harder', 'the robot waits for people too often')  # fmt: skip
+        0, '', 0, 1000, 'Number of people who walk about.',
+        'the task should be harder', 'the robot waits for people too often')  # fmt: skip
     obstacles: str = parameter(
-        NONE, '', 0, 0,
-        'What is put up and taken away: `name,x,y,width,depth,from_s,to_s`, several of them '
-        'with semicolons between; without `to_s` it stays.',
-        'set to close a door for a while', 'leave as it is where nothing changes')  # fmt: skip
+        NO_OBSTACLES, '', 0, 0,
+        'Obstacles and the times at which they are added and removed: '
+        '`name,x,y,width,depth,from_s,to_s`, separated by semicolons; without `to_s` an obstacle '
+        'stays.',
+        'set to close a door temporarily', 'keep the default for a static floor')  # fmt: skip
     noise: float = parameter(
         1.0, 'times', 0.0, 100.0,
-        'Noise of wheels, camera and laser, against those of a Pioneer.',
-        'it should be harder', 'errors should be told apart from noise')  # fmt: skip
+        'Noise of wheels, camera and laser, relative to that of a Pioneer.',
+        'the task should be harder', 'errors should be separated from noise')  # fmt: skip
     aliasing: float = parameter(
-        0.2, '', 0.0, 1.0, 'Share of the corners that look alike, wherever they are.',
-        'it should be harder', 'places should be easy to tell apart')  # fmt: skip
+        0.2, '', 0.0, 1.0, 'Fraction of the walls around named places that look alike.',
+        'the task should be harder', 'places should be easy to distinguish')  # fmt: skip
     light_change: float = parameter(
-        0.1, 'share', 0.0, 1.0, 'How much the light changes with time.',
-        'it should be harder', 'places should look the same at any time')  # fmt: skip
+        0.1, 'share', 0.0, 1.0, 'Relative change of the light over time.',
+        'the task should be harder', 'places should always look the same')  # fmt: skip
     camera_width: int = parameter(
         80, 'px', 8, 4096, 'Width of images.',
-        'you want to look at them', 'simulating is too slow')  # fmt: skip
+        'you want to look at the images', 'the simulation is too slow')  # fmt: skip
     camera_height: int = parameter(
         60, 'px', 8, 4096, 'Height of images.',
-        'you want to look at them', 'simulating is too slow')  # fmt: skip
+        'you want to look at the images', 'the simulation is too slow')  # fmt: skip
     camera_rate_hz: int = parameter(
-        4, 'Hz; a divisor of 40', 1, 40, 'Images a second.',
-        'the robot is fast', 'simulating is too slow')  # fmt: skip
+        4, 'Hz; a divisor of 40', 1, 40, 'Images per second.',
+        'the robot is fast', 'the simulation is too slow')  # fmt: skip
     rate: float = parameter(
         1.0, 'times real time', 0.01, 100.0,
-        'Live only: speed of time; lower than this where the machine is too slow.',
-        'you do not want to wait', 'the nodes cannot keep up')  # fmt: skip
+        'Live only: simulated time per real time; a slow machine may not reach it.',
+        'the simulation should be faster', 'the nodes cannot keep up')  # fmt: skip
     cmd_timeout_s: float = parameter(
         1.0, 's', 0.05, 3600.0,
-        'Live only: without cmd_vel for this long (on the wall) the motors stop.',
-        'whatever drives it is slow', 'it should stop sooner')  # fmt: skip
+        'Live only: the motors stop when no cmd_vel has arrived for this long in real time.',
+        'commands arrive at a low rate', 'the robot should stop sooner')  # fmt: skip
 
     def options(self) -> SimulationOptions:
-        """Return what the simulator takes of them."""
+        """Return the options of the simulator."""
         robot, camera, laser = RobotOptions(), CameraOptions(), LaserOptions()
         return SimulationOptions(
             world=WorldOptions(
@@ -99,35 +106,33 @@ class SimulatorParameters(Section):
             laser=LaserOptions(noise_m=laser.noise_m * self.noise),
             robot=RobotOptions(
                 wheel_radius_error=robot.wheel_radius_error * self.noise,
-                wheel_base_error=WHEEL_BASE_ERROR * self.noise,
+                wheel_base_error=WHEEL_BASE_ERROR_RATIO * self.noise,
                 slip_m=robot.slip_m * self.noise,
             ),
         )  # fmt: skip
 
 
-def make_simulator(p: SimulatorParameters, happenings: Sequence[Happening] = ()) -> Simulator:
-    """Return the simulator that is asked for; ``happenings`` besides the obstacles.
+def make_simulator(p: SimulatorParameters) -> Simulator:
+    """Return a simulator with these parameters.
 
     Raises:
-        UnusableInput: there is no such plan, start or obstacle.
-        UnusableParameter: the camera's rate does not fit.
+        UnusableInput: the plan, the start or an obstacle is unusable.
+        UnusableParameter: the camera's rate does not divide the step rate.
     """
     plan = load_floor_plan(p.plan, p.cell_m or None)
-    return Simulator(
-        plan, start_of(p.start, plan), p.seed, p.options(),
-        [*obstacles_of(p.obstacles), *happenings], p.people,
-    )  # fmt: skip
+    start, obstacle_events = parse_start(p.start, plan), parse_obstacles(p.obstacles)
+    return Simulator(plan, start, p.seed, p.options(), obstacle_events, p.people)
 
 
-def start_of(text: str, plan: FloorPlan) -> Pose:
-    """Return where to start: a place of the plan, `x,y,degrees`, or any place.
+def parse_start(text: str, plan: FloorPlan) -> Pose:
+    """Return the start pose for the name of a place, for `x,y,degrees` or for `any`.
 
     Raises:
-        UnusableInput: it is neither.
+        UnusableInput: the text is none of these.
     """
     places = plan.places
     if text == ANY_PLACE and places:
-        text = USUAL_START if USUAL_START in places else next(iter(places))
+        text = DEFAULT_START if DEFAULT_START in places else next(iter(places))
     if text in places:
         return Pose(*places[text], 0.0)
     numbers = _numbers(text.split(','))
@@ -138,14 +143,14 @@ def start_of(text: str, plan: FloorPlan) -> Pose:
     return Pose(x_m, y_m, math.radians(degrees))
 
 
-def obstacles_of(text: str) -> list[Happening]:
-    """Return what happens to obstacles: `name,x,y,width,depth,from_s,to_s;...`, or none.
+def parse_obstacles(text: str) -> list[ObstacleEvent]:
+    """Parse `name,x,y,width,depth,from_s,to_s;...` or `none` into obstacle events.
 
     Raises:
-        UnusableInput: it is not that.
+        UnusableInput: the text has another form, or an obstacle is removed before it is added.
     """
-    happenings: list[Happening] = []
-    for one in [] if text == NONE else text.split(';'):
+    events: list[ObstacleEvent] = []
+    for one in [] if text == NO_OBSTACLES else text.split(';'):
         name, *rest = one.split(',')
         numbers = _numbers(rest)
         if not name or numbers is None or len(numbers) not in (5, 6):
@@ -154,15 +159,15 @@ def obstacles_of(text: str) -> list[Happening]:
                 'box,7.2,4.9,1,2,600,900'
             )
         x_m, y_m, width_m, depth_m, from_s = numbers[:5]
-        happenings.append(Happening(from_s, 'put', name, x_m, y_m, width_m, depth_m))
+        events.append(ObstacleEvent(from_s, 'add', name, x_m, y_m, width_m, depth_m))
         if len(numbers) == 6:
             if numbers[5] <= from_s:
                 raise UnusableInput(
-                    f'the obstacle {name!r} is taken away at {numbers[5]:g} s, before it is put '
-                    f'up at {from_s:g} s'
+                    f'the obstacle {name!r} is removed at {numbers[5]:g} s, before it is added '
+                    f'at {from_s:g} s'
                 )
-            happenings.append(Happening(numbers[5], 'take', name))
-    return happenings
+            events.append(ObstacleEvent(numbers[5], 'remove', name))
+    return events
 
 
 def _numbers(texts: Sequence[str]) -> list[float] | None:

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Someone drives the robot: a tour of places, smoothly, never twice in quite the same lane."""
+"""Driver that steers the robot by its true pose along a smoothed tour of places."""
 
 from __future__ import annotations
 
@@ -12,18 +12,25 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from ratslam_ros.simulator.robot import Pose
+from ratslam_ros.core.common.pose import Pose
 
 _SPACING_M = 0.05
+"""Spacing of path points."""
+
+_SEARCH_POINTS_COUNT = 20
+"""Path points ahead among which the nearest one is searched, so that crossings are not cut."""
 
 
 @dataclass(frozen=True)
 class DriveOptions:
-    """How the tour is driven.
+    """Properties of the driver.
 
-    corner_radius_m: corners are rounded with this radius
-    lane_spread_m: standard deviation of the distance to the middle of the corridor
-    rest_every_m, rest_s: the robot stops about this often, for about this long
+    speed_mps, corner_speed_mps: speed on straight and on curved stretches
+    slow_down_mps2: deceleration before corners and at the end
+    corner_radius_m: radius by which corners are rounded
+    lane_spread_m: standard deviation of the lateral offset from the straight path
+    look_ahead_m: path length to the point that the driver steers at
+    rest_every_m, rest_s: mean path length between stops, and mean duration of a stop
     """
 
     speed_mps: float = 0.6
@@ -37,7 +44,7 @@ class DriveOptions:
 
 
 class Driver:
-    """Follows a path by steering at a point ahead on it, and knows when it is done."""
+    """Follows a path by pure pursuit, with stops."""
 
     def __init__(
         self, tour: Sequence[tuple[float, float]], rng: np.random.Generator, options: DriveOptions
@@ -51,17 +58,17 @@ class Driver:
 
     @property
     def start(self) -> Pose:
-        """The pose at the beginning of the path, looking along it."""
+        """Pose at the start of the path, facing along it."""
         (x_m, y_m), (next_x_m, next_y_m) = self._path[0], self._path[1]
         return Pose(float(x_m), float(y_m), math.atan2(next_y_m - y_m, next_x_m - x_m))
 
     @property
     def finished(self) -> bool:
-        """Whether the end of the path is reached."""
+        """Whether the robot has reached the end of the path."""
         return self._index >= len(self._path) - 1
 
     def command(self, pose: Pose, duration_s: float) -> tuple[float, float]:
-        """Choose a speed and turn rate for the coming time."""
+        """Return the speed in m/s and turn rate in rad/s for the coming ``duration_s``."""
         options = self._options
         self._advance(pose)
         along_m = self._index * _SPACING_M
@@ -73,29 +80,30 @@ class Driver:
         ahead = min(self._index + round(options.look_ahead_m / _SPACING_M), len(self._path) - 1)
         dx_m, dy_m = self._path[ahead] - (pose.x_m, pose.y_m)
         bearing_rad = math.remainder(math.atan2(dy_m, dx_m) - pose.heading_rad, math.tau)
-        # Pure pursuit: the curvature of the arc through the point ahead.
+        # Curvature of the arc through the look-ahead point.
         curvature = 2.0 * math.sin(bearing_rad) / max(math.hypot(dx_m, dy_m), _SPACING_M)
         speed_mps = float(self._limit_mps[self._index])
         return speed_mps, speed_mps * curvature
 
     def _advance(self, pose: Pose) -> None:
-        """Move on to the nearest point of the path, looking only a little ahead."""
-        window = self._path[self._index : self._index + 20]
+        """Advance to the nearest path point within the search window."""
+        window = self._path[self._index : self._index + _SEARCH_POINTS_COUNT]
         distance_m = np.hypot(window[:, 0] - pose.x_m, window[:, 1] - pose.y_m)
         self._index += int(np.argmin(distance_m))
 
 
 def path_length_m(tour: Sequence[tuple[float, float]]) -> float:
-    """Add up the straight distances along a tour."""
+    """Return the sum of the straight distances along a tour, in metres."""
     return sum(math.dist(a, b) for a, b in pairwise(tour))
 
 
 def rounded_path(
     tour: Sequence[tuple[float, float]], corner_radius_m: float
 ) -> NDArray[np.float64]:
-    """Join places by straight lines with rounded corners.
+    """Connect places by straight lines with rounded corners.
 
-    Returns (n, 2) points, equally spaced
+    Returns:
+        (n, 2) points in metres, equally spaced.
     """
     points = [np.array(place, float) for place in tour]
     pieces = [points[0][None]]
@@ -126,14 +134,14 @@ def _resample(points: NDArray[np.float64]) -> NDArray[np.float64]:
 def _wander(
     path: NDArray[np.float64], rng: np.random.Generator, options: DriveOptions
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Shift a path sideways by slow waves, and say how fast each of its points may be passed."""
+    """Offset a path laterally by slow waves; return it and the speed limits at its points."""
     tangent = np.gradient(path, axis=0)
     tangent /= np.hypot(*tangent.T)[:, None]
     heading_rad = np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
     curvature = np.gradient(heading_rad) / _SPACING_M
     along_m = np.arange(len(path)) * _SPACING_M
     offset_m = np.zeros(len(path))
-    # No two lengths have a common measure, so that no lap repeats another's wander.
+    # Random wavelengths, so that the offset differs from lap to lap.
     for length_m in rng.uniform(6.0, 20.0, 4):
         phase_rad = rng.uniform(0.0, math.tau)
         offset_m += np.sin(math.tau * along_m / length_m + phase_rad)
@@ -141,7 +149,7 @@ def _wander(
     lane = path + offset_m[:, None] * np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
     limit_mps = np.where(np.abs(curvature) > 0.2, options.corner_speed_mps, options.speed_mps)
     limit_mps[-1] = 0.05
-    # Braking in time: v^2 = v_next^2 + 2 a d, from the end backwards.
+    # Braking distance: v^2 = v_next^2 + 2 a d, from the end backwards.
     for i in range(len(limit_mps) - 2, -1, -1):
         reachable = math.sqrt(limit_mps[i + 1] ** 2 + 2 * options.slow_down_mps2 * _SPACING_M)
         limit_mps[i] = min(limit_mps[i], reachable)
@@ -151,7 +159,7 @@ def _wander(
 def _rests(
     length_m: float, rng: np.random.Generator, options: DriveOptions
 ) -> list[tuple[float, float]]:
-    """Draw where along the path the robot stops, and for how long."""
+    """Draw the stops: path length in metres and duration in seconds of each."""
     rests: list[tuple[float, float]] = []
     along_m = options.rest_every_m * rng.uniform(0.4, 0.8)
     while along_m < length_m - 5.0:

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Floor plans, drawn as text or pictures: what is wall, what is free, and the named places."""
+"""Floor plans: grids of wall and free cells with named places, read from text or PNG files."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from ratslam_ros.errors import UnusableInput
 
-# Two loops that share the whole left half. Corridors are three cells wide, so that a place named
-# in the middle row lies on the centre line; alcoves, a lobby and its pillars tell them apart.
+# Two loops that share the left half. Corridors are three cells wide, so that a place in the middle
+# row lies on the centre line. Alcoves, a lobby and its pillars distinguish the corridors.
 OFFICE = """
 ###########################
 #.........................#
@@ -37,13 +37,14 @@ OFFICE = """
 ###########################
 """
 OFFICE_CELL_M = 0.7
-# Once round the building, then round its left wing, always counter-clockwise: a camera that looks
-# ahead recognises a place only in the direction in which it learned it.
-OFFICE_START, OFFICE_CIRCUIT = 'E', 'BCDAEFDAE'
+"""Side of a cell of the office."""
 
 WALL, FREE = '#', '. '
-# Pixels at least as bright as this, of 0..255, are free.
-LIGHT = 128
+"""Characters of wall and of free cells."""
+
+FREE_MIN_GREY = 128
+"""Grey level, 0 to 255, from which on a pixel of a picture is free."""
+
 _PLANS = files('ratslam_ros') / 'simulator' / 'plans'
 
 
@@ -51,9 +52,9 @@ _PLANS = files('ratslam_ros') / 'simulator' / 'plans'
 class FloorPlan:
     """A grid of wall and free cells with named places.
 
-    solid: (n_y, n_x) bool, True where there is wall; row 0 is the southernmost
+    solid: (n_y, n_x) bool, True for wall; row 0 is the southernmost
     cell_m: side of a cell
-    places: name -> (x_m, y_m); in a text, the centre of the cell that carries the letter
+    places: name -> (x_m, y_m); in a text, the centre of the cell with the letter
     """
 
     solid: NDArray[np.bool_]
@@ -63,29 +64,28 @@ class FloorPlan:
 
     @property
     def size_m(self) -> tuple[float, float]:
-        """Width along x and depth along y."""
+        """Width along x and depth along y, in metres."""
         n_y, n_x = self.solid.shape
         return n_x * self.cell_m, n_y * self.cell_m
 
     def is_solid(self, x_m: float, y_m: float) -> bool:
-        """Whether there is wall at a point within the plan."""
+        """Return whether a point within the plan is in a wall cell."""
         return bool(self.solid[int(y_m / self.cell_m), int(x_m / self.cell_m)])
-
-    def clearance_m(self, x_m: float, y_m: float) -> float:
-        """Distance from a point to the nearest wall, 0 inside one."""
-        rows, columns = np.nonzero(self.solid)
-        # To the nearest point of each wall cell, which is a square.
-        dx = np.maximum(np.abs(x_m - (columns + 0.5) * self.cell_m) - self.cell_m / 2, 0.0)
-        dy = np.maximum(np.abs(y_m - (rows + 0.5) * self.cell_m) - self.cell_m / 2, 0.0)
-        return float(np.sqrt(np.min(dx * dx + dy * dy)))
 
 
 def parse_floor_plan(text: str, cell_m: float | None = None, name: str = '') -> FloorPlan:
-    """Read a plan drawn with `#` for wall, `.` or space for free and letters for named places.
+    """Parse a plan drawn with `#` for wall, `.` or space for free and letters for named places.
 
-    Lines such as `cell_m: 0.25` and `name: a house` may come first. The drawing's first line is
-    the north side. The outer cells must be wall, so that no ray leaves the plan. Raises
-    UnusableInput, which names the line.
+    Header lines such as `cell_m: 0.25` and `name: a house` may come first. The first line of the
+    drawing is the north side. The outer cells must be wall, so that no ray leaves the plan.
+
+    Args:
+        text: the plan.
+        cell_m: side of a cell if the text does not give it.
+        name: name of the plan if the text does not give it.
+
+    Raises:
+        UnusableInput: the text is no floor plan; the message names the line.
     """
     lines = [line.rstrip() for line in text.splitlines()]
     first = 0
@@ -105,7 +105,7 @@ def parse_floor_plan(text: str, cell_m: float | None = None, name: str = '') -> 
         lines.pop()
     drawing = lines[first:]
     if cell_m is None:
-        raise UnusableInput('a floor plan must say how large a cell is: begin with "cell_m: 0.25"')
+        raise UnusableInput('a floor plan must give the side of a cell: begin with "cell_m: 0.25"')
     if len(drawing) < 3 or len(drawing[0]) < 3:
         raise UnusableInput('a floor plan needs a drawing: at least 3 lines of 3 characters')
     places: dict[str, tuple[float, float]] = {}
@@ -120,8 +120,8 @@ def parse_floor_plan(text: str, cell_m: float | None = None, name: str = '') -> 
             if character.isalpha():
                 if character in places:
                     raise UnusableInput(
-                        f'line {number} of a floor plan names place {character!r}, which a line '
-                        'before it has named: choose another letter'
+                        f'line {number} of a floor plan names place {character!r}, which is named '
+                        'before: choose another letter'
                     )
                 places[character] = (
                     (column + 0.5) * cell_m,
@@ -132,10 +132,10 @@ def parse_floor_plan(text: str, cell_m: float | None = None, name: str = '') -> 
                     f'line {number} of a floor plan has {character!r}: draw walls with #, free '
                     'floor with . or space, named places with letters'
                 )
-    # From the south, row by row: whoever draws lots for places relies on their order.
+    # From the south, row by row: random draws of places depend on their order.
     places = dict(sorted(places.items(), key=lambda item: item[1][::-1]))
     grid = np.array([list(line) for line in reversed(drawing)])
-    return _closed(FloorPlan(grid == WALL, cell_m, places, name))
+    return _require_closed(FloorPlan(grid == WALL, cell_m, places, name))
 
 
 def load_floor_plan(
@@ -143,12 +143,18 @@ def load_floor_plan(
     cell_m: float | None = None,
     places: Mapping[str, tuple[float, float]] | None = None,
 ) -> FloorPlan:
-    """Load a shipped plan by its name, or one's own from a text file or a PNG picture.
+    """Load a shipped plan by its name, or a plan from a text file or a PNG picture.
 
-    cell_m: metres for each pixel of a picture; for a text that does not say it, for each cell
-    places: named places, x_m, y_m, besides those that a text names; (0, 0) is the picture's
-        lower left corner
-    A picture is dark where there is wall and light where there is none. Raises UnusableInput.
+    Dark pixels of a picture are wall, light ones free.
+
+    Args:
+        plan: name of a shipped plan, or path of a file.
+        cell_m: side of a pixel of a picture, or of a cell if a text does not give it.
+        places: name -> (x_m, y_m) of places in addition to those in a text; (0, 0) is the lower
+            left corner.
+
+    Raises:
+        UnusableInput: there is no such plan, it is malformed, or a place is not on free floor.
     """
     path = Path(plan)
     if path.suffix.lower() == '.png':
@@ -182,7 +188,7 @@ def load_floor_plan(
 
 
 def shipped_plans() -> list[str]:
-    """List the names of the plans that come with this package."""
+    """Return the names of the plans in this package, sorted."""
     files = [path.name for path in _PLANS.iterdir()]
     return sorted(['office', *(name[:-4] for name in files if name.endswith('.txt'))])
 
@@ -194,15 +200,15 @@ def office() -> FloorPlan:
 
 def _from_picture(path: Path, cell_m: float | None) -> FloorPlan:
     if cell_m is None:
-        raise UnusableInput(f'{path}: say how many metres a pixel of the picture is (cell_m)')
+        raise UnusableInput(f'{path}: give the side of a pixel of the picture in metres (cell_m)')
     _require_length(cell_m, 'metres for each pixel')
     picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     if picture is None:
         raise UnusableInput(f'cannot read {path} as a picture: give a PNG file')
-    return _closed(FloorPlan(picture[::-1] < LIGHT, cell_m, {}, path.stem))
+    return _require_closed(FloorPlan(picture[::-1] < FREE_MIN_GREY, cell_m, {}, path.stem))
 
 
-def _closed(plan: FloorPlan) -> FloorPlan:
+def _require_closed(plan: FloorPlan) -> FloorPlan:
     solid = plan.solid
     if not (solid[0].all() and solid[-1].all() and solid[:, 0].all() and solid[:, -1].all()):
         raise UnusableInput(

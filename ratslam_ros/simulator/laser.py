@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A scanning laser in the simulated world: distances to walls, obstacles and people."""
+"""Laser scanner of the simulated robot: ranges to walls, obstacles and people."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from ratslam_ros.simulator.world import PERSON_RADIUS_M, World
 
 @dataclass(frozen=True)
 class LaserOptions:
-    """A laser on the robot's axis that looks ahead; beams from right to left (REP 103).
+    """Properties of a forward-looking laser at the robot's centre; beams run from right to left.
 
-    noise_m: standard deviation of a distance
+    noise_m: standard deviation of a range
     """
 
     beams: int = 181
@@ -30,27 +30,28 @@ class LaserOptions:
 
     @property
     def first_rad(self) -> float:
-        """Direction of the first beam from straight ahead, to the left."""
+        """Direction of the first beam relative to the heading, counter-clockwise positive."""
         return -math.radians(self.fov_deg) / 2
 
     @property
     def step_rad(self) -> float:
-        """Angle between two beams."""
+        """Angle between neighbouring beams, in rad."""
         return math.radians(self.fov_deg) / (self.beams - 1)
 
 
 class Laser:
-    """Scans a world; noise comes from the generator it is given."""
+    """Scans a world, with Gaussian range noise."""
 
     def __init__(self, world: World, rng: np.random.Generator, options: LaserOptions) -> None:
         self._world = world
         self._rng = rng
         self._options = options
 
-    def take(self, x_m: float, y_m: float, heading_rad: float) -> NDArray[np.float32]:
-        """Scan from a pose on the free floor.
+    def scan(self, x_m: float, y_m: float, heading_rad: float) -> NDArray[np.float32]:
+        """Scan from a pose in a free cell.
 
-        Returns (beams,) float32 metres, infinite where nothing is within range
+        Returns:
+            (beams,) float32 ranges in metres, inf beyond the maximum range.
         """
         options, world = self._options, self._world
         ranges_m = options.noise_m * self._rng.standard_normal(options.beams)
@@ -72,7 +73,7 @@ class Laser:
 def _scan(  # type: ignore[no-untyped-def]
     solid, cell_m, people, x_m, y_m, first_rad, step_rad, range_max_m, ranges_m,
 ):  # fmt: skip
-    """Add distances to the noise that `ranges_m` holds."""
+    """Add the true ranges to `ranges_m`, which holds the noise."""
     for beam in range(len(ranges_m)):
         direction_rad = first_rad + beam * step_rad
         ray_x, ray_y = math.cos(direction_rad), math.sin(direction_rad)

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures of simulated runs: the floor from above, where robots went and what they saw."""
+"""Pictures of floor plans and simulated runs: trajectories, obstacles and camera views."""
 
 from __future__ import annotations
 
@@ -19,10 +19,13 @@ from ratslam_ros.simulator.recording import SimulatedRun
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-VIEWS = 4
-# A rectangle: x_m, y_m of its middle, width_m along x, depth_m along y.
+VIEWS_COUNT = 4
+"""Camera views in the picture of a run."""
+
 Rectangle = tuple[float, float, float, float]
-# Okabe and Ito's, as in the other pictures.
+"""x_m, y_m of the centre, width_m along x, depth_m along y."""
+
+# The colour-blind safe palette of Okabe and Ito, as in pictures.py.
 TRAJECTORY_COLOURS = (GREEN, VERMILLION, BLUE, '#E69F00', '#CC79A7', '#56B4E9', '#000000')
 
 
@@ -33,15 +36,23 @@ def draw_plan(
     obstacles: Sequence[Rectangle] = (),
     title: str | None = None,
 ) -> Path:
-    """Draw a floor plan with its named places, ways over it and obstacles; needs no display.
+    """Draw a floor plan with its named places, trajectories and obstacles; needs no display.
 
-    trajectories: label -> (n, 2 or more), x_m and y_m first; NaN interrupts a line
+    Args:
+        plan: the floor plan.
+        path: file to write.
+        trajectories: label -> (n, 2 or more), x_m and y_m first; NaN interrupts a line.
+        obstacles: rectangles.
+        title: title of the picture; None for the name of the plan.
+
+    Returns:
+        The path of the file.
     """
     width_m, depth_m = plan.size_m
-    # As large as the plan's form wants, with room for the labels of the axes.
+    # The aspect ratio of the plan, with space for the axis labels.
     figure = new_figure(11.0, min(max(10.0 * depth_m / width_m + 1.6, 4.0), 11.0))
     axes = figure.add_subplot()
-    draw_floor(axes, plan, obstacles)
+    _draw_floor(axes, plan, obstacles)
     for index, (label, positions) in enumerate((trajectories or {}).items()):
         colour = TRAJECTORY_COLOURS[index % len(TRAJECTORY_COLOURS)]
         axes.plot(positions[:, 0], positions[:, 1], color=colour, linewidth=1.3, label=label)
@@ -52,8 +63,8 @@ def draw_plan(
     return save_figure(figure, path)
 
 
-def draw_floor(axes: Axes, plan: FloorPlan, obstacles: Sequence[Rectangle] = ()) -> None:
-    """Draw walls, the names of places and obstacles, in metres, into a picture of one's own."""
+def _draw_floor(axes: Axes, plan: FloorPlan, obstacles: Sequence[Rectangle] = ()) -> None:
+    """Draw walls, names of places and obstacles into axes in metres."""
     from matplotlib.patches import Rectangle as Patch
 
     _draw_walls(axes, plan)
@@ -71,15 +82,15 @@ def draw_floor(axes: Axes, plan: FloorPlan, obstacles: Sequence[Rectangle] = ())
 
 
 def draw_run(run: SimulatedRun, path: str | Path) -> Path:
-    """Draw floor plan, true path, dead reckoning and a few camera views; needs no display."""
+    """Draw the floor plan, true path, dead reckoning and camera views; needs no display."""
     figure = new_figure(9.0, 8.2)
-    grid = figure.add_gridspec(2, VIEWS, height_ratios=(4.0, 1.0))
+    grid = figure.add_gridspec(2, VIEWS_COUNT, height_ratios=(4.0, 1.0))
     floor = figure.add_subplot(grid[0, :])
-    _draw_floor(floor, run)
+    _draw_paths(floor, run)
     camera = Camera(run.world, np.random.Generator(np.random.PCG64(0)), CameraOptions())
-    for view in range(VIEWS):
-        # Spread over the first circuit: the others go the same way again.
-        index = len(run.truth_pose) * (2 * view + 1) // (6 * VIEWS)
+    for view in range(VIEWS_COUNT):
+        # Over the first of three circuits, which all follow the same path.
+        index = len(run.truth_pose) * (2 * view + 1) // (6 * VIEWS_COUNT)
         x_m, y_m, heading_rad = run.truth_pose[index]
         name = 'abcdefgh'[view]
         floor.annotate(
@@ -93,10 +104,10 @@ def draw_run(run: SimulatedRun, path: str | Path) -> Path:
     return save_figure(figure, path)
 
 
-def _draw_floor(axes: Axes, run: SimulatedRun) -> None:
+def _draw_paths(axes: Axes, run: SimulatedRun) -> None:
     _draw_walls(axes, run.world.plan)
-    believed = _from_true_start(run.odometry_pose, run.truth_pose[0])
-    axes.plot(*believed.T, color=VERMILLION, linewidth=1.0, label='dead reckoning')
+    odometry_m = _from_true_start(run.odometry_pose, run.truth_pose[0])
+    axes.plot(*odometry_m.T, color=VERMILLION, linewidth=1.0, label='dead reckoning')
     axes.plot(*run.truth_pose[:, :2].T, color=GREEN, linewidth=1.6, label='truth')
     axes.plot(*run.truth_pose[0, :2], 'o', color=GREEN, label='start')
     axes.set_aspect('equal', adjustable='datalim')
@@ -123,7 +134,7 @@ def _draw_walls(axes: Axes, plan: FloorPlan) -> None:
 def _from_true_start(
     odometry_pose: NDArray[np.float64], start: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Turn and shift odometry, which begins at (0, 0, 0), so that it begins at the true start."""
+    """Transform odometry, which starts at (0, 0, 0), to the true start; return (n, 2)."""
     cos, sin = np.cos(start[2]), np.sin(start[2])
     x, y = odometry_pose[:, 0], odometry_pose[:, 1]
     return np.stack([start[0] + cos * x - sin * y, start[1] + sin * x + cos * y], axis=1)

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rays through the grid and to discs: what camera and laser are made of."""
+"""Ray casting through the grid and against discs, for the camera and the laser."""
 
 from __future__ import annotations
 
@@ -8,13 +8,16 @@ import math
 
 from numba import njit
 
-# Sides of a wall cell, named by where the viewer stands.
 WEST, EAST, SOUTH, NORTH = range(4)
+"""Sides of a wall cell, named by the side on which the viewer is."""
 
 
 @njit(cache=True)
 def cast(solid, cell_m, x_m, y_m, ray_x, ray_y):  # type: ignore[no-untyped-def]
-    """Walk a ray through the grid; returns its length in units of the ray, the cell and side."""
+    """Cast a ray to the first solid cell.
+
+    Returns the length in units of (ray_x, ray_y), the row and column of the cell, and its side.
+    """
     column, row = int(x_m / cell_m), int(y_m / cell_m)
     step_x, step_y = (1 if ray_x > 0 else -1), (1 if ray_y > 0 else -1)
     far = 1e12
@@ -37,9 +40,10 @@ def cast(solid, cell_m, x_m, y_m, ray_x, ray_y):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def cast_at_discs(discs, radius_m, x_m, y_m, ray_x, ray_y):  # type: ignore[no-untyped-def]
-    """Find the first disc, rows of x, y and more, that a ray meets from outside.
+    """Cast a ray to the first of the discs, (n, 2 or more) with x and y first, from outside.
 
-    Returns its length in units of the ray, infinite if there is none, and the disc's row
+    Returns the length in units of (ray_x, ray_y), inf if there is no hit, and the index of the
+    disc, -1 if there is none.
     """
     nearest, found = math.inf, -1
     square = ray_x * ray_x + ray_y * ray_y

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Simulated runs as files: a rosbag2 recording that ROS can play, and its truth."""
+"""Recordings of simulated runs: a rosbag2 folder and the true trajectory."""
 
 from __future__ import annotations
 
@@ -17,22 +17,18 @@ from rosbags.interfaces import Connection
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
+from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.simulator.robot import Odometry, Pose
-from ratslam_ros.simulator.simulation import (
-    ImageSample,
-    Sample,
-    ScanSample,
-    Simulation,
-    SimulationOptions,
-)
+from ratslam_ros.simulator.office_tour import OfficeTour
+from ratslam_ros.simulator.robot import OdometryReading
+from ratslam_ros.simulator.samples import ImageSample, Sample, ScanSample
+from ratslam_ros.simulator.simulation import SimulationOptions
 from ratslam_ros.simulator.world import World
 
 IMAGE_TOPIC = '/camera/image/compressed'
 CAMERA_INFO_TOPIC = '/camera/camera_info'
 ODOMETRY_TOPIC = '/odom'
-# Not a nav_msgs/Odometry: a recording should have one odometry only, or which one to use is a
-# question that every tool has to ask.
+# A PoseStamped, not an Odometry: with two odometry topics, tools could not choose one themselves.
 TRUTH_TOPIC = '/ground_truth/pose'
 SCAN_TOPIC = '/scan'
 TRUTH_FILE = 'truth.tum'
@@ -52,11 +48,12 @@ _SCAN = 'sensor_msgs/msg/LaserScan'
 
 @dataclass(frozen=True)
 class SimulatedRun:
-    """A recording that was written, and what is true about it.
+    """A written recording and its ground truth.
 
-    recording: the folder, which rosbag2 plays; truth: a TUM file in it
-    truth_stamp_ns: (n,) int64; truth_pose: (n, 3) x_m, y_m, heading_rad at each odometry stamp
-    odometry_pose: (n, 3) likewise, as the wheels believe, from (0, 0, 0)
+    recording: the rosbag2 folder; truth: a TUM file in it
+    truth_stamp_ns: (n,) int64, the odometry stamps
+    truth_pose: (n, 3) x_m, y_m, heading_rad, the true poses at these stamps
+    odometry_pose: (n, 3), the poses of the wheel odometry, which starts at (0, 0, 0)
     """
 
     recording: Path
@@ -75,42 +72,57 @@ def write_recording(
     duration_s: float | None = None,
     options: SimulationOptions | None = None,
 ) -> SimulatedRun:
-    """Simulate a run and write it as a rosbag2 folder (mcap) with the truth beside the messages.
+    """Simulate a tour of the office and write it as a rosbag2 folder (mcap) with its truth.
 
-    The same seed gives the same bytes, for a folder of the same name.
+    The same seed gives the same bytes if the folder has the same name.
+
+    Args:
+        path: folder to create.
+        seed: seed of the simulation.
+        duration_s: simulated time; None for the whole tour.
+        options: world, robot and camera; the laser is left out.
+
+    Raises:
+        UnusableInput: the path exists.
     """
     options = replace(options or SimulationOptions(), laser=None)
-    simulation = Simulation(seed, duration_s, options)
-    believed: list[Pose] = []
+    tour = OfficeTour(seed, duration_s, options)
+    odometry: list[Pose] = []
     images = 0
     with RecordingWriter(path, options) as writer:
-        for sample in simulation:
+        for sample in tour:
             writer.write(sample)
             if isinstance(sample, ImageSample):
                 images += 1
             else:
-                believed.append(sample.odometry.pose)
+                odometry.append(sample.odometry.pose)
     stamps_ns = [stamp_ns for stamp_ns, _ in writer.truth]
     return SimulatedRun(
         writer.path,
         writer.path / TRUTH_FILE,
-        simulation.world,
+        tour.world,
         (stamps_ns[-1] - stamps_ns[0]) / 1e9,
         images,
         np.array(stamps_ns, np.int64),
         _rows(truth for _, truth in writer.truth),
-        _rows(believed),
+        _rows(odometry),
     )
 
 
 class RecordingWriter:
-    """Writes samples as they come: a rosbag2 folder, and the truth in it as a TUM file.
+    """Context manager that writes samples to a rosbag2 folder, and the truth as a TUM file.
 
-    path: the folder; truth: stamp_ns and pose at each odometry so far
+    Attributes:
+        path: the folder.
+        truth: stamp_ns and true pose at each odometry sample that was written.
     """
 
     def __init__(self, path: str | Path, options: SimulationOptions) -> None:
-        """Open the folder; raises UnusableInput where there is something of its name."""
+        """Prepare to write samples of a robot with these options.
+
+        Raises:
+            UnusableInput: the path exists.
+        """
         self.path = Path(path)
         if self.path.exists():
             raise UnusableInput(f'{path} exists already: choose another folder or remove it')
@@ -136,7 +148,7 @@ class RecordingWriter:
         )
 
     def write(self, sample: Sample) -> None:
-        """Write the messages that a robot would send."""
+        """Write the messages of a sample, with its truth if it is an odometry sample."""
         stamp_ns, messages = sample.stamp_ns, self._messages
         if isinstance(sample, ImageSample):
             self._write(IMAGE_TOPIC, stamp_ns, messages.image(stamp_ns, sample.image))
@@ -154,18 +166,18 @@ class RecordingWriter:
 
 
 def _rows(poses: Iterable[Pose]) -> NDArray[np.float64]:
-    return np.array([(pose.x_m, pose.y_m, pose.heading_rad) for pose in poses])
+    return np.array(list(poses))
 
 
 def tum_line(stamp_ns: int, pose: Pose) -> str:
-    """Format a pose as a line of a TUM file: t x y z qx qy qz qw."""
+    """Return a pose as a line of a TUM file: t x y z qx qy qz qw."""
     sec, nanosec = divmod(stamp_ns, 10**9)
     qz, qw = math.sin(pose.heading_rad / 2), math.cos(pose.heading_rad / 2)
     return f'{sec}.{nanosec:09d} {pose.x_m:.9f} {pose.y_m:.9f} 0 0 0 {qz:.9f} {qw:.9f}\n'
 
 
 class _Messages:
-    """Makes ROS messages of samples."""
+    """Converts samples to ROS messages."""
 
     def __init__(self, options: SimulationOptions) -> None:
         self.store = get_typestore(Stores.ROS2_JAZZY)
@@ -197,13 +209,13 @@ class _Messages:
         return self._make(
             _TOPICS[IMAGE_TOPIC],
             self._header(stamp_ns, CAMERA_FRAME),
-            'mono8; jpeg compressed ',  # as image_transport spells it
+            'mono8; jpeg compressed ',  # the format string of image_transport
             jpeg.reshape(-1),
         )
 
     def camera_info(self, stamp_ns: int) -> Any:
         camera = self._camera
-        assert camera is not None  # it has taken an image
+        assert camera is not None  # there is an image
         focal, centre_x, centre_y = camera.focal_px, camera.width / 2, camera.height / 2
         return self._make(
             _TOPICS[CAMERA_INFO_TOPIC],
@@ -220,7 +232,7 @@ class _Messages:
             self._make('sensor_msgs/msg/RegionOfInterest', 0, 0, 0, 0, False),
         )
 
-    def odometry(self, stamp_ns: int, odometry: Odometry) -> Any:
+    def odometry(self, stamp_ns: int, odometry: OdometryReading) -> Any:
         twist = self._make(
             'geometry_msgs/msg/Twist',
             self._vector(odometry.speed_mps, 0.0, 0.0),
@@ -241,7 +253,7 @@ class _Messages:
 
     def scan(self, stamp_ns: int, ranges_m: NDArray[np.float32]) -> Any:
         laser = self._laser
-        assert laser is not None  # it has scanned
+        assert laser is not None  # there is a scan
         return self._make(
             _SCAN,
             self._header(stamp_ns, LASER_FRAME),

@@ -1,95 +1,69 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The simulator: world, robot and sensors in lock-step; and the demo's tour of the office."""
+"""The simulated robot in its world: moves, senses and collides in fixed time steps."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.simulator.bodies import fits, slide
 from ratslam_ros.simulator.camera import Camera, CameraOptions
-from ratslam_ros.simulator.drive import DriveOptions, Driver, path_length_m
-from ratslam_ros.simulator.floor_plan import OFFICE_CIRCUIT, OFFICE_START, FloorPlan, office
+from ratslam_ros.simulator.floor_plan import FloorPlan
 from ratslam_ros.simulator.laser import Laser, LaserOptions
 from ratslam_ros.simulator.light import LightDrift
 from ratslam_ros.simulator.people import People
-from ratslam_ros.simulator.robot import Odometry, Pose, Robot, RobotOptions, WheelOdometry
+from ratslam_ros.simulator.random_streams import RandomStreams
+from ratslam_ros.simulator.robot import Robot, RobotOptions, WheelOdometry
+from ratslam_ros.simulator.samples import ImageSample, OdometrySample, Sample, ScanSample
 from ratslam_ros.simulator.world import PERSON_RADIUS_M, WorldOptions, build_world
 
-# A fixed date (2026-01-01): a run must not depend on when it was made.
 START_STAMP_NS = 1_767_225_600 * 10**9
-# The robot moves in steps of 25 ms: odometry is 20 Hz, a camera any whole number of steps.
+"""Stamp of the first step, 2026-01-01: a fixed date, so that runs are reproducible."""
+
 STEPS_PER_S = 40
+"""Simulation steps per second of simulated time."""
+
 STEP_NS = 10**9 // STEPS_PER_S
+"""Duration of a simulation step, in ns."""
+
 ODOMETRY_STEPS = 2
-# How long the robot stays at rest at the end of its tour.
-LAST_REST_S = 1.0
-# A robot that scrapes along a wall touches it once: what counts is to begin anew after half a
-# second without.
+"""Simulation steps per odometry sample, which makes odometry 20 Hz."""
+
 TOUCH_STEPS = STEPS_PER_S // 2
+"""Steps without contact after which the next contact counts as a new collision.
+
+A robot that scrapes along a wall thereby collides once.
+"""
 
 
 @dataclass(frozen=True)
 class SimulationOptions:
-    """Everything about a run but its seed.
+    """Properties of the world, the robot and its sensors.
 
-    circuits: how often the tour of the office is driven, unless a duration is asked for
-    camera, laser: None where the robot has none
+    camera, laser: None if the robot has no such sensor
     """
 
-    circuits: int = 3
     world: WorldOptions = field(default_factory=WorldOptions)
     camera: CameraOptions | None = field(default_factory=CameraOptions)
     laser: LaserOptions | None = field(default_factory=LaserOptions)
     robot: RobotOptions = field(default_factory=RobotOptions)
-    drive: DriveOptions = field(default_factory=DriveOptions)
 
 
 @dataclass(frozen=True)
-class OdometrySample:
-    """A report of the wheel odometry, with the truth at the same stamp."""
+class ObstacleEvent:
+    """An obstacle that is added or removed at a given time after the start; lengths in metres.
 
-    stamp_ns: int
-    odometry: Odometry
-    truth: Pose
-
-
-@dataclass(frozen=True)
-class ScanSample:
-    """Distances from right to left, (beams,) float32 metres, infinite where there is nothing."""
-
-    stamp_ns: int
-    ranges_m: NDArray[np.float32]
-    truth: Pose
-
-
-@dataclass(frozen=True)
-class ImageSample:
-    """A picture, (height, width) uint8, and the pose it was taken from."""
-
-    stamp_ns: int
-    image: NDArray[np.uint8]
-    truth: Pose
-
-
-Sample = OdometrySample | ScanSample | ImageSample
-
-
-@dataclass(frozen=True)
-class Happening:
-    """An obstacle that is put up or taken away so long after the start; all lengths in metres.
-
-    what: 'put' or 'take'; x_m, y_m: the middle; width_m along x, depth_m along y
+    action: 'add' or 'remove'; x_m, y_m: centre of the obstacle; width_m along x, depth_m along y
     """
 
     at_s: float
-    what: str
+    action: str
     name: str
     x_m: float = 0.0
     y_m: float = 0.0
@@ -97,23 +71,23 @@ class Happening:
     depth_m: float = 0.0
 
     def __post_init__(self) -> None:
-        if self.what not in ('put', 'take'):
+        if self.action not in ('add', 'remove'):
             raise UnusableInput(
-                f'what happens to an obstacle is "put" or "take", not {self.what!r}'
+                f'the action of an obstacle event is {self.action!r}; expected "add" or "remove"'
             )
 
 
 class Simulator:
-    """A robot in a world, moved on step by step by whoever commands it.
+    """A robot in a world, advanced in steps of STEP_NS under velocity commands.
 
-    The same seed, commands and happenings give the same samples. Raises UnusableInput where the
-    robot would stand inside something or there is no room for so many people, UnusableParameter
-    for a sensor's rate that does not fit the steps.
+    The same seed, commands and obstacle events give the same samples.
 
-    plan: the floor without obstacles; world: what is to be seen at the moment
-    collisions: how often the robot has begun to touch something
-    odometer_m: how far it has really come
-    watchers: called with every sample, before whoever makes the steps gets it
+    Attributes:
+        plan: the floor without obstacles.
+        world: the present state of everything that sensors can see.
+        collisions: number of times the robot has started to touch something.
+        odometer_m: true distance driven, in metres.
+        watchers: functions called with every sample before `step` returns it.
     """
 
     def __init__(
@@ -122,30 +96,47 @@ class Simulator:
         start: Pose,
         seed: int,
         options: SimulationOptions | None = None,
-        happenings: Sequence[Happening] = (),
+        obstacle_events: Sequence[ObstacleEvent] = (),
         people: int = 0,
     ) -> None:
+        """Build the world and place the robot and the people in it.
+
+        Args:
+            plan: floor plan.
+            start: pose at which the robot starts.
+            seed: seed of the world and of all noise.
+            options: world, robot and sensors; None for the defaults.
+            obstacle_events: obstacles to add and remove during the run, in any order.
+            people: number of people who walk about.
+
+        Raises:
+            UnusableInput: the robot does not fit at its start, or the people do not all fit.
+            UnusableParameter: a sensor's rate does not divide the step rate.
+        """
         options = options or SimulationOptions()
-        streams = _Streams.of(seed)
+        streams = RandomStreams.from_seed(seed)
         self.options = options
         self.plan = plan
-        self.world = build_world(plan, streams.decorating, options.world)
-        self._robot = Robot(start, streams.slipping, options.robot)
+        self.world = build_world(plan, streams.decoration, options.world)
+        self._robot = Robot(start, streams.wheel_slip, options.robot)
         self._require_room(start)
         self._odometry = WheelOdometry(options.robot)
         self._camera = self._laser = None
         if options.camera is not None:
             self._camera_steps = _steps_between('camera', 'images', options.camera.rate_hz)
-            self._camera = Camera(self.world, streams.filming, options.camera)
+            self._camera = Camera(self.world, streams.camera, options.camera)
         if options.laser is not None:
             self._laser_steps = _steps_between('laser', 'scans', options.laser.rate_hz)
-            self._laser = Laser(self.world, streams.scanning, options.laser)
+            self._laser = Laser(self.world, streams.laser, options.laser)
         self._people = None
         if people:
             radius_m = options.robot.body_radius_m
-            self._people = People(self.world, people, streams.walking, start, radius_m)
-        self._light = LightDrift(self.world, streams.lighting, options.world.light_change)
-        self._happenings = sorted(happenings, key=lambda happening: happening.at_s, reverse=True)
+            self._people = People(self.world, people, streams.people, start, radius_m)
+        self._light = LightDrift(self.world, streams.light, options.world.light_change)
+        # Latest first: the next event is popped from the end.
+        self._obstacle_events = sorted(
+            obstacle_events, key=lambda event: event.at_s, reverse=True
+        )
         self._step = 0
         self._command = (0.0, 0.0)
         self._touched_step = -TOUCH_STEPS
@@ -155,40 +146,45 @@ class Simulator:
 
     @property
     def stamp_ns(self) -> int:
-        """The present."""
+        """Stamp of the coming step, in ns."""
         return START_STAMP_NS + self._step * STEP_NS
 
     @property
     def elapsed_s(self) -> float:
-        """Time since the start."""
+        """Simulated time since the start, in seconds."""
         return self._step / STEPS_PER_S
 
     @property
     def truth(self) -> Pose:
-        """Where the robot is."""
+        """True pose of the robot."""
         return self._robot.pose
 
     @property
     def odometry_due(self) -> bool:
-        """Whether the coming step reports odometry, and takes up a new command."""
+        """Whether the coming step samples odometry and applies a new command."""
         return self._step % ODOMETRY_STEPS == 0
 
     def command(self, speed_mps: float, turn_rate_radps: float) -> None:
-        """Set the speeds that the motors try to reach, until the next command."""
+        """Set the target speeds of the motors, which hold until the next command.
+
+        Raises:
+            UnusableInput: a speed is not finite.
+        """
         if not (math.isfinite(speed_mps) and math.isfinite(turn_rate_radps)):
             raise UnusableInput(
-                f'a robot cannot drive at {speed_mps} m/s and {turn_rate_radps} rad/s: '
-                'command finite speeds'
+                f'the command is {speed_mps} m/s and {turn_rate_radps} rad/s; '
+                'expected finite speeds'
             )
         self._command = (speed_mps, turn_rate_radps)
 
     def step(self) -> list[Sample]:
-        """Sense what is due at the present stamp, then move on by STEP_NS.
+        """Sample the sensors that are due, then advance by STEP_NS.
 
-        Returns odometry before a scan before an image
+        Returns:
+            The samples of this step: odometry, then the scan, then the image.
         """
-        while self._happenings and self._happenings[-1].at_s <= self.elapsed_s:
-            self._happen(self._happenings.pop())
+        while self._obstacle_events and self._obstacle_events[-1].at_s <= self.elapsed_s:
+            self._apply(self._obstacle_events.pop())
         if self.options.world.light_change > 0.0 and self._step % STEPS_PER_S == 0:
             self._light.update(self.elapsed_s)
         samples = self._sense()
@@ -200,35 +196,48 @@ class Simulator:
         return samples
 
     def carry(self, pose: Pose) -> None:
-        """Lift the robot and set it down elsewhere, which its wheels do not notice."""
+        """Move the robot to another pose without turning its wheels (a kidnapped robot).
+
+        Raises:
+            UnusableInput: the robot does not fit there.
+        """
         self._require_room(pose)
         self._robot.pose = pose
         if self._people is not None:
             self._people.make_way(pose)
 
-    def put_obstacle(
+    def add_obstacle(
         self, name: str, x_m: float, y_m: float, width_m: float, depth_m: float
     ) -> None:
-        """Put a box around x, y, as wide along x and deep along y as the free cells there allow.
+        """Fill the free cells whose centres lie in a rectangle.
 
-        Raises UnusableInput where it would stand on the robot or on no free cell at all, or where
-        there is another of its name
+        Args:
+            name: name by which the obstacle can be removed.
+            x_m, y_m: centre of the rectangle.
+            width_m, depth_m: its extent along x and y.
+
+        Raises:
+            UnusableInput: it overlaps the robot, covers no free cell, or its name is taken.
         """
         cells = self.world.obstacle_cells(x_m, y_m, width_m, depth_m)
         box = np.zeros_like(self.world.solid)
         box[tuple(cells.T)] = True
-        at, radius_m = self.truth, self.options.robot.body_radius_m
-        if not fits(box, self.plan.cell_m, at.x_m, at.y_m, radius_m):
+        robot, radius_m = self.truth, self.options.robot.body_radius_m
+        if not fits(box, self.plan.cell_m, robot.x_m, robot.y_m, radius_m):
             raise UnusableInput(
-                f'the obstacle {name!r} would stand on the robot at ({at.x_m:.2f}, {at.y_m:.2f}): '
-                'put it elsewhere or when the robot has left'
+                f'the obstacle {name!r} would stand on the robot at ({robot.x_m:.2f}, '
+                f'{robot.y_m:.2f}): place it elsewhere or when the robot has left'
             )
-        self.world.put(name, cells)
+        self.world.add_obstacle(name, cells)
         self._floor_changed()
 
-    def take_obstacle(self, name: str) -> None:
-        """Take an obstacle away; raises UnusableInput where there is none of this name."""
-        self.world.take(name)
+    def remove_obstacle(self, name: str) -> None:
+        """Remove an obstacle by its name.
+
+        Raises:
+            UnusableInput: there is no obstacle of this name.
+        """
+        self.world.remove_obstacle(name)
         self._floor_changed()
 
     def _floor_changed(self) -> None:
@@ -236,36 +245,29 @@ class Simulator:
             self._people.make_way(self.truth)
             self._people.floor_changed()
 
-    def _happen(self, happening: Happening) -> None:
-        if happening.what == 'put':
-            self.put_obstacle(
-                happening.name,
-                happening.x_m,
-                happening.y_m,
-                happening.width_m,
-                happening.depth_m,
-            )
+    def _apply(self, event: ObstacleEvent) -> None:
+        if event.action == 'add':
+            self.add_obstacle(event.name, event.x_m, event.y_m, event.width_m, event.depth_m)
         else:
-            self.take_obstacle(happening.name)
+            self.remove_obstacle(event.name)
 
     def _sense(self) -> list[Sample]:
         samples: list[Sample] = []
         stamp_ns, truth = self.stamp_ns, self.truth
-        at = (truth.x_m, truth.y_m, truth.heading_rad)
         if self.odometry_due:
             counts = self._robot.encoder_counts()
             odometry = self._odometry.update(counts, ODOMETRY_STEPS / STEPS_PER_S)
             samples.append(OdometrySample(stamp_ns, odometry, truth))
         if self._laser is not None and self._step % self._laser_steps == 0:
-            samples.append(ScanSample(stamp_ns, self._laser.take(*at), truth))
+            samples.append(ScanSample(stamp_ns, self._laser.scan(*truth), truth))
         if self._camera is not None and self._step % self._camera_steps == 0:
-            samples.append(ImageSample(stamp_ns, self._camera.take(*at), truth))
+            samples.append(ImageSample(stamp_ns, self._camera.take(*truth), truth))
         return samples
 
     def _move(self) -> None:
         robot, world = self._robot, self.world
         if self.odometry_due:
-            # Speeds hold between two reports, so that a report is an exact arc.
+            # Speeds are constant between two odometry samples, so that each covers an exact arc.
             robot.command(*self._command, ODOMETRY_STEPS / STEPS_PER_S)
         before = robot.pose
         robot.move(1 / STEPS_PER_S)
@@ -282,7 +284,7 @@ class Simulator:
             self.options.robot.body_radius_m,
         )
         if touched:
-            # The wheels have turned all the same: on the floor, they slip.
+            # The wheels have turned by the full step: in contact they slip.
             robot.pose = Pose(x_m, y_m, wanted.heading_rad)
             if self._step - self._touched_step >= TOUCH_STEPS:
                 self.collisions += 1
@@ -304,26 +306,6 @@ class Simulator:
             )
 
 
-@dataclass(frozen=True)
-class _Streams:
-    """Randomness, a stream for each use: how a robot slips must not change what walls look like.
-
-    New ones come last, which leaves the others as they are.
-    """
-
-    decorating: np.random.Generator
-    wandering: np.random.Generator
-    slipping: np.random.Generator
-    filming: np.random.Generator
-    scanning: np.random.Generator
-    walking: np.random.Generator
-    lighting: np.random.Generator
-
-    @classmethod
-    def of(cls, seed: int) -> _Streams:
-        return cls(*np.random.Generator(np.random.PCG64(seed)).spawn(len(fields(cls))))
-
-
 def _steps_between(sensor: str, what: str, rate_hz: int) -> int:
     if rate_hz not in (1, 2, 4, 5, 8, 10, 20, 40):
         raise UnusableParameter(
@@ -331,60 +313,3 @@ def _steps_between(sensor: str, what: str, rate_hz: int) -> int:
             f'choose a whole number that divides {STEPS_PER_S}'
         )
     return STEPS_PER_S // rate_hz
-
-
-class Simulation:
-    """The demo's run: a tour of the office, to look at its world and to iterate over once."""
-
-    def __init__(
-        self,
-        seed: int,
-        duration_s: float | None = None,
-        options: SimulationOptions | None = None,
-    ) -> None:
-        options = options or SimulationOptions()
-        self._duration_s = duration_s
-        self.plan = office()
-        self._driver = Driver(
-            self._tour(duration_s, options), _Streams.of(seed).wandering, options.drive
-        )
-        # Somebody drives it by hand: it needs no laser.
-        self._simulator = Simulator(
-            self.plan, self._driver.start, seed, replace(options, laser=None)
-        )
-        self.world = self._simulator.world
-
-    def _tour(
-        self, duration_s: float | None, options: SimulationOptions
-    ) -> list[tuple[float, float]]:
-        """Name enough places to drive past for the whole duration."""
-        places = self.plan.places
-        circuits = options.circuits
-        if duration_s is not None:
-            loop = [places[name] for name in OFFICE_START + OFFICE_CIRCUIT]
-            circuits = 1 + int(duration_s * options.drive.speed_mps / path_length_m(loop))
-        return [places[name] for name in OFFICE_START + OFFICE_CIRCUIT * circuits]
-
-    def __iter__(self) -> Iterator[OdometrySample | ImageSample]:
-        """Yield samples in order of their stamps, odometry before an image of the same stamp."""
-        simulator, driver, rest_steps = self._simulator, self._driver, 0
-        while rest_steps <= LAST_REST_S * STEPS_PER_S:
-            if self._duration_s is not None and simulator.elapsed_s > self._duration_s:
-                return
-            if simulator.odometry_due:
-                period_s = ODOMETRY_STEPS / STEPS_PER_S
-                simulator.command(*driver.command(simulator.truth, period_s))
-            for sample in simulator.step():
-                if not isinstance(sample, ScanSample):
-                    yield sample
-            rest_steps = rest_steps + 1 if driver.finished else 0
-
-
-def simulate(
-    seed: int, duration_s: float | None = None, options: SimulationOptions | None = None
-) -> Iterator[OdometrySample | ImageSample]:
-    """Yield the samples of a run: the same seed gives the same samples, whatever the machine does.
-
-    duration_s: robot time; None drives the whole tour, about seven minutes
-    """
-    return iter(Simulation(seed, duration_s, options))

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The wall panels of an office: painted from a seed, 1.4 m wide, from the floor to the ceiling."""
+"""Textures of wall panels, obstacles and clothes, painted at random."""
 
 from __future__ import annotations
 
@@ -10,22 +10,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 PANEL_WIDTH_M = 1.4
+"""Width of a panel, which is as high as the wall."""
+
 WALL_HEIGHT_M = 2.5
+"""Height of the walls."""
+
 TEXELS_PER_M = 40
+"""Resolution of the textures."""
+
 BLUR_LEVELS = 7
+"""Number of blur levels of each texture, a horizontal mipmap."""
+
+_CLOTHES_COUNT = 6
+"""Number of different clothes."""
 
 Panel = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
 class PanelLibrary:
-    """Painted panels and how the house style repeats them.
+    """Painted panels and their uses.
 
-    textures: (BLUR_LEVELS, n_panels, n_u, n_v) float32 in 0..1; u from left to right as seen by
-        someone facing the wall, v from the floor up; level k is averaged over 2^k texels along u
-    house_style: the panels that repeat along every wall built in the house style
-    on_walls: the first so many panels hang on walls, the others are for what comes and goes
-    cardboard: the panel of obstacles; clothes: those of people, once round the body
+    textures: (BLUR_LEVELS, n_panels, n_u, n_v) float32, 0 to 1; u runs from left to right as seen
+        by a viewer facing the wall, v from the floor up; level k averages 2^k texels along u
+    house_style: indices of the panels that repeat along walls in the house style
+    on_walls: number of panels for walls, which come first
+    cardboard: index of the panel of obstacles
+    clothes: indices of the panels of people, which wrap once around the body
     """
 
     textures: NDArray[np.float32]
@@ -36,9 +47,11 @@ class PanelLibrary:
 
 
 def paint_library(rng: np.random.Generator, variety: int = 1) -> PanelLibrary:
-    """Paint all panels; the seed decides shades, posters, books and papers.
+    """Paint all panels, with random shades, posters, books and papers.
 
-    variety: how many sets of those that are no two alike
+    Args:
+        rng: generator of the random parts.
+        variety: number of sets of unique panels.
     """
     wall_shade = rng.uniform(0.62, 0.74)
     door_shade = rng.uniform(0.26, 0.42)
@@ -60,10 +73,10 @@ def paint_library(rng: np.random.Generator, variety: int = 1) -> PanelLibrary:
     panels += [_cabinets(rng, wall_shade) for _ in range(3 * variety)]
     panels += [_plant(rng, wall_shade) for _ in range(2 * variety)]
     on_walls = len(panels)
-    # From a stream of its own: walls look the same whether or not anybody walks past them.
-    (tailoring,) = rng.spawn(1)
+    # Clothes have their own stream, so that they do not affect the walls.
+    (clothes_rng,) = rng.spawn(1)
     panels += [_cardboard()]
-    panels += [_clothes(tailoring) for _ in range(6)]
+    panels += [_clothes(clothes_rng) for _ in range(_CLOTHES_COUNT)]
     sharp = np.stack([np.clip(panel, 0.0, 1.0) for panel in panels])
     textures = np.stack([_blur(sharp, level) for level in range(BLUR_LEVELS)])
     clothes = tuple(range(on_walls + 1, len(panels)))
@@ -71,7 +84,7 @@ def paint_library(rng: np.random.Generator, variety: int = 1) -> PanelLibrary:
 
 
 def _blur(panels: NDArray[np.float32], level: int) -> NDArray[np.float32]:
-    """Average over 2^level texels along u: what a wall seen at a slant far away looks like."""
+    """Average over 2^level texels along u, against aliasing of distant or slanted walls."""
     reach = 2**level
     padded = np.pad(panels, ((0, 0), (reach // 2, reach - 1 - reach // 2), (0, 0)), mode='edge')
     windows = np.lib.stride_tricks.sliding_window_view(padded, reach, axis=1)
@@ -81,7 +94,7 @@ def _blur(panels: NDArray[np.float32], level: int) -> NDArray[np.float32]:
 def _fill(
     panel: Panel, left_m: float, right_m: float, low_m: float, high_m: float, shade: float
 ) -> None:
-    """Paint a rectangle, cut at the panel's edges."""
+    """Paint a rectangle, clipped to the panel."""
     edges = (np.array([left_m, right_m, low_m, high_m]) * TEXELS_PER_M + 0.5).astype(int)
     left, right, low, high = np.maximum(edges, 0)
     panel[left:right, low:high] = shade
@@ -205,7 +218,7 @@ def _plant(rng: np.random.Generator, wall_shade: float) -> Panel:
 
 
 def _cardboard() -> Panel:
-    """Two stacked boxes, taped along the middle, with a label."""
+    """Paint two stacked boxes with tape and labels."""
     panel = _wall(0.55)
     for low_m in (0.0, 1.25):
         _fill(panel, 0.0, PANEL_WIDTH_M, low_m, low_m + 0.03, 0.25)
@@ -217,7 +230,7 @@ def _cardboard() -> Panel:
 
 
 def _clothes(rng: np.random.Generator) -> Panel:
-    """Shoes, trousers, shirt with an open jacket, and a head; the front is in the middle."""
+    """Paint shoes, trousers, shirt, open jacket and head; the front is at the centre."""
     panel = _wall(rng.uniform(0.1, 0.9))
     trousers, jacket, hair = rng.uniform(0.05, 0.6), rng.uniform(0.1, 0.9), rng.uniform(0.05, 0.5)
     _fill(panel, 0.0, PANEL_WIDTH_M, 0.0, 0.1, 0.05)

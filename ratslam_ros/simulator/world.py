@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The simulated world: a floor plan whose walls carry panels and whose rooms are lit."""
+"""The simulated world: a floor plan with textured walls, lighting, obstacles and people."""
 
 from __future__ import annotations
 
@@ -17,18 +17,22 @@ from ratslam_ros.simulator.textures import PANEL_WIDTH_M, PanelLibrary, paint_li
 PERSON_RADIUS_M, PERSON_HEIGHT_M = 0.25, 1.75
 
 _STEPS = {WEST: (0, -1), EAST: (0, 1), SOUTH: (-1, 0), NORTH: (1, 0)}
+"""Side of a cell -> step in row and column to the cell from which it is seen."""
+
+_LIGHT_WAVES_COUNT = 4
+"""Waves in the sum that makes the light vary from place to place."""
 
 
 @dataclass(frozen=True)
 class WorldOptions:
-    """How a floor plan is decorated.
+    """How a floor plan is decorated and lit.
 
-    aliasing: share of the walls at corners and junctions, 0..1, that are in the house style,
-        which repeats the same few panels: such places look alike, however far apart they are
-    variety: sets of panels that are no two alike; more make fewer walls look the same
-    corner_m: what still counts as at a corner, from the middle of the corridor
-    light_spread: how much the lighting differs from place to place, as a share
-    light_change: how much it drifts with time besides, as a share; 0: it stays as it is
+    aliasing: fraction, 0 to 1, of the walls around named places that are in the house style, a
+        short repeating sequence of panels, so that such places look alike
+    variety: number of sets of unique panels; with more sets, fewer walls look alike
+    corner_m: radius around a named place within which its walls may be in the house style
+    light_spread: relative variation of the light from place to place
+    light_change: relative variation of the light over time; 0 for constant light
     """
 
     aliasing: float = 1.0
@@ -40,14 +44,14 @@ class WorldOptions:
 
 @dataclass
 class World:
-    """Everything that a sensor can see, as it is at the moment.
+    """The present state of everything that sensors can see.
 
-    panel: (n_y, n_x, 4) int16, the panel on each side of each solid cell
-    panel_u_m: (n_y, n_x, 4) float32, where on its panel the cell's side begins, from its left
+    panel: (n_y, n_x, 4) int16, index of the panel on each side of each solid cell
+    panel_u_m: (n_y, n_x, 4) float32, offset on its panel of the left end of the cell's side
     light: (n_y, n_x) float32, brightness of each cell, about 1
     solid: (n_y, n_x) bool, walls and obstacles
-    people: (n, 4) float64, x_m, y_m, the direction each faces, the panel each is clothed in
-    obstacles: name -> the cells it stands on, (k, 2) row, column
+    people: (n, 4) float64, x_m, y_m, heading in rad, index of the panel of the clothes
+    obstacles: name -> (k, 2) row and column of the cells that it covers
     """
 
     plan: FloorPlan
@@ -65,9 +69,14 @@ class World:
     def obstacle_cells(
         self, x_m: float, y_m: float, width_m: float, depth_m: float
     ) -> NDArray[np.intp]:
-        """Find the free cells, (k, 2) row, column, whose middles lie in a rectangle around x, y.
+        """Return the free cells whose centres lie in a rectangle, (k, 2) row and column.
 
-        Raises UnusableInput where there are none.
+        Args:
+            x_m, y_m: centre of the rectangle.
+            width_m, depth_m: its extent along x and y.
+
+        Raises:
+            UnusableInput: there are none.
         """
         rows, columns = np.nonzero(~self.solid)
         dx = np.abs((columns + 0.5) * self.plan.cell_m - x_m)
@@ -80,25 +89,33 @@ class World:
             )
         return np.stack([rows[within], columns[within]], axis=1)
 
-    def put(self, name: str, cells: NDArray[np.intp]) -> None:
-        """Put up an obstacle of cardboard, from the floor to the ceiling."""
+    def add_obstacle(self, name: str, cells: NDArray[np.intp]) -> None:
+        """Fill cells from floor to ceiling with an obstacle that looks like cardboard boxes.
+
+        Raises:
+            UnusableInput: there is an obstacle of this name.
+        """
         if name in self.obstacles:
-            raise UnusableInput(f'there is an obstacle {name!r} already: take it away first')
+            raise UnusableInput(f'there is an obstacle {name!r} already: remove it first')
         rows, columns = cells.T
         self.solid[rows, columns] = True
         self.panel[rows, columns] = self.library.cardboard
-        # Where along a panel: boxes stand side by side, each as wide as its cells allow.
+        # Panels continue from cell to cell, left to right as seen from outside.
         for side, (_, step_x) in _STEPS.items():
             along = rows if step_x else columns
             along = -along if side in (WEST, NORTH) else along
             self.panel_u_m[rows, columns, side] = (along * self.plan.cell_m) % PANEL_WIDTH_M
         self.obstacles[name] = cells
 
-    def take(self, name: str) -> None:
-        """Take an obstacle away."""
+    def remove_obstacle(self, name: str) -> None:
+        """Remove an obstacle.
+
+        Raises:
+            UnusableInput: there is no obstacle of this name.
+        """
         if name not in self.obstacles:
             known = ', '.join(self.obstacles) or 'none'
-            raise UnusableInput(f'there is no obstacle {name!r} to take away (there are: {known})')
+            raise UnusableInput(f'there is no obstacle {name!r} to remove (there are: {known})')
         rows, columns = self.obstacles.pop(name).T
         self.solid[rows, columns] = False
 
@@ -106,7 +123,7 @@ class World:
 def build_world(
     plan: FloorPlan, rng: np.random.Generator, options: WorldOptions | None = None
 ) -> World:
-    """Decorate a floor plan from a seed."""
+    """Decorate and light a floor plan at random."""
     options = options or WorldOptions()
     library = paint_library(rng, options.variety)
     house_style = _house_style_sides(plan, rng, options)
@@ -125,7 +142,7 @@ def build_world(
 
 
 def _walls(solid: NDArray[np.bool_]) -> list[tuple[int, list[tuple[int, int]]]]:
-    """Collect straight stretches of wall, each from left to right as its viewer sees it."""
+    """Return the straight stretches of wall: side, and cells from left to right as seen."""
     n_y, n_x = solid.shape
     walls: list[tuple[int, list[tuple[int, int]]]] = []
     for side, (step_y, step_x) in _STEPS.items():
@@ -148,7 +165,7 @@ def _walls(solid: NDArray[np.bool_]) -> list[tuple[int, list[tuple[int, int]]]]:
 
 
 def _panels_along(length_m: float, library: PanelLibrary, rng: np.random.Generator) -> list[int]:
-    """Draw panels for a wall, never the same twice running."""
+    """Draw panels for a wall, never the same one twice in a row."""
     n_panels = library.on_walls
     chosen = [int(rng.integers(n_panels))]
     for _ in range(int(length_m / PANEL_WIDTH_M) + 1):
@@ -159,7 +176,7 @@ def _panels_along(length_m: float, library: PanelLibrary, rng: np.random.Generat
 def _house_style_sides(
     plan: FloorPlan, rng: np.random.Generator, options: WorldOptions
 ) -> NDArray[np.bool_]:
-    """Choose walls around the named places, (n_y, n_x, 4): the wanted share of them, by lot."""
+    """Draw the sides of cells that are in the house style, (n_y, n_x, 4) bool."""
     rows, columns = np.indices(plan.solid.shape)
     x_m, y_m = (columns + 0.5) * plan.cell_m, (rows + 0.5) * plan.cell_m
     chosen = np.zeros((*plan.solid.shape, 4), bool)
@@ -174,12 +191,12 @@ def _house_style_sides(
 def _lighting(
     plan: FloorPlan, rng: np.random.Generator, options: WorldOptions
 ) -> NDArray[np.float32]:
-    """Sum a few waves, so that the light changes smoothly from place to place."""
+    """Return the light of each cell, (n_y, n_x): a sum of waves, so that it varies smoothly."""
     n_y, n_x = plan.solid.shape
     x_m = (np.arange(n_x) + 0.5)[None, :] * plan.cell_m
     y_m = (np.arange(n_y) + 0.5)[:, None] * plan.cell_m
     light = np.ones((n_y, n_x))
-    for _ in range(4):
+    for _ in range(_LIGHT_WAVES_COUNT):
         direction_rad, phase_rad = rng.uniform(0, 2 * np.pi, 2)
         length_m = rng.uniform(8.0, 25.0)
         along_m = x_m * np.cos(direction_rad) + y_m * np.sin(direction_rad)

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Warming up: afterwards nothing is compiled or loaded, whatever comes."""
+"""After the warm-up, no function is compiled or loaded while messages are processed."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def loaded():
 
 def images():
     views = np.random.default_rng(0).integers(0, 256, (90, 60, 80), np.uint8)
-    views.flags.writeable = False  # as in a message
+    views.flags.writeable = False  # As in a ROS message.
     return [views[n % 80] for n in range(160)]
 
 config = Config()
@@ -86,7 +86,7 @@ again.integrate(motion)
 
 EXPERIENCE_MAP = """
 slam = RatSLAM(config)
-warm_up('pose_cells')  # which tells the map what to do
+warm_up('pose_cells')  # Part of RatSLAM, but not of the experience map node.
 before = loaded()
 for n in range(300):
     slam.odometry(Odometry(n * 10**8, Twist(0.5, 0.3), Pose(0.0, 0.0, 0.0)))
@@ -162,7 +162,7 @@ ALL = VISUAL_ODOMETRY + LOCAL_VIEW + POSE_CELLS + EXPERIENCE_MAP
         ('', ALL),
     ],
 )
-def test_nothing_is_compiled_or_loaded_after_a_part_was_warmed_up(parts: str, code: str) -> None:
+def test_nothing_is_compiled_after_warm_up(parts: str, code: str) -> None:
     after = 'new = loaded() - before\nassert not new, new\n'
     run = subprocess.run(
         [sys.executable, '-c', BEFORE + code + after, *parts.split()],

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from ratslam_ros.cli.main import _parser, main
+from ratslam_ros.cli.main import main, parser
 from ratslam_ros.live import entry
 from ratslam_ros.live.run import NODES
 
@@ -28,21 +28,21 @@ def signals() -> Iterator[None]:
 
 def test_all_after_the_node_is_the_nodes() -> None:
     rest = ['--ros-args', '-p', 'use_sim_time:=true', '-r', '__ns:=/a', '--log-level', 'debug']
-    options = _parser().parse_args(['run', 'pose_cells', *rest])
+    options = parser().parse_args(['run', 'pose_cells', *rest])
     assert (options.node, options.arguments) == ('pose_cells', rest)
 
 
 def test_all_after_ros_args_is_for_ros() -> None:
     rest = ['-r', 'image:=/camera/image', '-r', '__ns:=/a', '--log-level', 'debug']
     for words in (['play', 'bag'], ['call', 'a', 'b', '{}', '--timeout', '3'], ['echo', 'x']):
-        options = _parser().parse_args([*words, '--ros-args', *rest])
+        options = parser().parse_args([*words, '--ros-args', *rest])
         assert options.ros_args == rest
-    assert _parser().parse_args(['call', 'a', 'b', '--ros-args', *rest]).values == ''
-    assert _parser().parse_args(['play', 'bag']).ros_args == []
+    assert parser().parse_args(['call', 'a', 'b', '--ros-args', *rest]).values == ''
+    assert parser().parse_args(['play', 'bag']).ros_args == []
 
 
 def test_launch_understands_its_options() -> None:
-    options = _parser().parse_args(
+    options = parser().parse_args(
         [
             'launch', '--config', 'irat', '--set', 'local_view.vt_shift_match=3',
             '--single-process', '--visual-odometry', '--use-sim-time', '--namespace', 'a',

@@ -16,7 +16,7 @@ from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation.goals import Goal, Position
 from ratslam_ros.core.navigation.navigator import Navigator
 from ratslam_ros.core.navigation.route_planner import TemporalMap
-from ratslam_ros.core.pose_cells.pose_cells import MapAction
+from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.messages.goals import (
     BehaviourReport,

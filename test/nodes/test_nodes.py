@@ -58,7 +58,7 @@ def string(text: str) -> Any:
 
 
 def action_text(stamp_ns: int, sequence: int, kind: str, source: int, target: int) -> str:
-    from ratslam_ros.core.pose_cells.pose_cells import MapAction
+    from ratslam_ros.core.pose_cells.map_action import MapAction
     from ratslam_ros.core.pose_cells.torus import Place
     from ratslam_ros.messages.mapping import encode_action
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from floor_clearance import clearance_m
 
 from ratslam_ros.errors import RatslamError
 from ratslam_ros.nodes.qos import CLOCK
@@ -71,7 +72,7 @@ def test_all_sensor_topics_have_rates_and_contents(world: MakeWorld) -> None:
     ranges_m = scan_from_message(scan).ranges_m
     assert len(ranges_m) == 181
     x_m, y_m = office().places['E']
-    assert ranges_m[0] == pytest.approx(office().clearance_m(x_m, y_m), abs=0.01)
+    assert ranges_m[0] == pytest.approx(clearance_m(office(), x_m, y_m), abs=0.01)
     truth = received['ground_truth/pose'][0]
     assert truth.header.frame_id == 'world'
     assert (truth.pose.position.x, truth.pose.position.y) == pytest.approx((x_m, y_m))

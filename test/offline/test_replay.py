@@ -33,7 +33,7 @@ from ratslam_ros.core.common.odometry import Motion, moved
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
-from ratslam_ros.core.pose_cells.pose_cells import MapAction
+from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.core.ratslam import ViewStep
 from ratslam_ros.core.vision.local_view import ViewMatch
@@ -265,7 +265,7 @@ def test_where_the_map_refused_a_jump_it_has_not_moved(tmp_path: Path) -> None:
     ):  # fmt: skip
         action = MapAction(kind, 20, target, 0, 0.0, place)  # type: ignore[arg-type]
         match = ViewMatch(target, False, 0.0, 0.0)
-        results.add(ViewStep(START_NS, match, action, refused=refused))
+        results.add(ViewStep(START_NS, match, action, rejected=refused))
     results.finish(ExperienceMap(Config().experience_map), Config(), {})
     rows = (tmp_path / 'frames.csv').read_text().splitlines()[1:]
     assert [row.split(',')[-1] for row in rows] == ['20', '20', '20', '4']

@@ -316,9 +316,9 @@ def test_ranges_outside_of_what_the_laser_sees_are_nothing() -> None:
     ((0.0, math.inf, 0.0, 8.0), [1.0, 1.0], 'angle_increment inf'),
     ((0.0, 0.0, 0.0, 8.0), [1.0, 1.0], 'at most one turn'),
     ((0.0, 1.0, 0.0, 8.0), np.ones(9), 'at most one turn'),
-    ((0.0, 0.1, 8.0, 8.0), [1.0, 1.0], 'some range'),
-    ((0.0, 0.1, -1.0, 8.0), [1.0, 1.0], 'some range'),
-    ((0.0, 0.1, math.nan, 8.0), [1.0, 1.0], 'some range'),
+    ((0.0, 0.1, 8.0, 8.0), [1.0, 1.0], 'range_max above'),
+    ((0.0, 0.1, -1.0, 8.0), [1.0, 1.0], 'range_max above'),
+    ((0.0, 0.1, math.nan, 8.0), [1.0, 1.0], 'range_max above'),
 ])  # fmt: skip
 def test_a_scan_in_which_nothing_can_be_seen_is_refused(
     numbers: tuple[float, float, float, float], ranges: Any, told: str

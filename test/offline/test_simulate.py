@@ -14,18 +14,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ratslam_ros.cli import main
+from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.recordings import open_recording
 from ratslam_ros.results.evaluation import read_tum
 from ratslam_ros.simulator.config import (
     SimulatorParameters,
     make_simulator,
-    obstacles_of,
-    start_of,
+    parse_obstacles,
+    parse_start,
 )
 from ratslam_ros.simulator.floor_plan import load_floor_plan, office
-from ratslam_ros.simulator.robot import Pose
-from ratslam_ros.simulator.simulation import Happening
+from ratslam_ros.simulator.simulation import ObstacleEvent
 
 RUN = ('simulate', '--plan', 'office', '--explore', '0.5', '--quiet')
 
@@ -88,30 +88,30 @@ def test_wrong_words_are_told_in_one_line(
 
 def test_a_start_is_a_place_or_a_pose() -> None:
     plan = office()
-    assert start_of('A', plan) == Pose(*plan.places['A'], 0.0)
-    assert start_of('any', load_floor_plan('obstacle_loop')).x_m == pytest.approx(1.26)
+    assert parse_start('A', plan) == Pose(*plan.places['A'], 0.0)
+    assert parse_start('any', load_floor_plan('obstacle_loop')).x_m == pytest.approx(1.26)
     x_m, y_m = next(iter(plan.places.values()))
-    assert start_of('any', plan) == Pose(x_m, y_m, 0.0)
-    assert start_of('1.5,2,90', plan) == Pose(1.5, 2.0, math.pi / 2)
+    assert parse_start('any', plan) == Pose(x_m, y_m, 0.0)
+    assert parse_start('1.5,2,90', plan) == Pose(1.5, 2.0, math.pi / 2)
     for wrong in ('', '1,2', 'nan,1,2', 'a,b,c', '1,2,3,4'):
         with pytest.raises(UnusableInput, match='start'):
-            start_of(wrong, plan)
+            parse_start(wrong, plan)
 
 
 def test_obstacles_come_and_go() -> None:
-    assert obstacles_of('none') == []
-    assert obstacles_of('a,1,2,3,4,5,6;b,1,2,3,4,5') == [
-        Happening(5.0, 'put', 'a', 1.0, 2.0, 3.0, 4.0), Happening(6.0, 'take', 'a'),
-        Happening(5.0, 'put', 'b', 1.0, 2.0, 3.0, 4.0),
+    assert parse_obstacles('none') == []
+    assert parse_obstacles('a,1,2,3,4,5,6;b,1,2,3,4,5') == [
+        ObstacleEvent(5.0, 'add', 'a', 1.0, 2.0, 3.0, 4.0), ObstacleEvent(6.0, 'remove', 'a'),
+        ObstacleEvent(5.0, 'add', 'b', 1.0, 2.0, 3.0, 4.0),
     ]  # fmt: skip
     for wrong in ('', 'a', 'a,1,2,3,4', ',1,2,3,4,5', 'a,1,2,3,4,inf', 'a,1,2,3,4,6,5', 'a;b'):
         with pytest.raises(UnusableInput, match='obstacle'):
-            obstacles_of(wrong)
+            parse_obstacles(wrong)
 
 
 @given(st.text(max_size=20))
 def test_whatever_is_typed_is_understood_or_refused(text: str) -> None:
-    for read in (obstacles_of, lambda typed: start_of(typed, office())):
+    for read in (parse_obstacles, lambda typed: parse_start(typed, office())):
         try:
             read(text)
         except UnusableInput as error:

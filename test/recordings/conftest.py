@@ -6,14 +6,14 @@ from pathlib import Path
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parent))  # for fabricate.py, in every import mode of pytest
+sys.path.insert(0, str(Path(__file__).parent))  # Makes fabricate.py importable.
 
 
 @pytest.fixture
 def data() -> Path:
-    """Return the folder with real recordings, which are not part of this project."""
+    """Return the folder of real recordings, which are not part of this repository."""
     default = Path(__file__).parents[3] / 'shared' / 'data'
     folder = Path(os.environ.get('RATSLAM_DATA', default))
     if not folder.is_dir():
-        pytest.skip(f'the real recordings are not there: {folder}; set RATSLAM_DATA')
+        pytest.skip(f'the real recordings are missing: {folder} does not exist; set RATSLAM_DATA')
     return folder

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Small recordings of every format, written by rosbags and by the mcap library."""
+"""Writers of small test recordings in every format, based on rosbags, mcap and sqlite3."""
 
 import json
 import sqlite3
@@ -28,7 +28,7 @@ SCAN = 'sensor_msgs/msg/LaserScan'
 
 
 def picture(index: int, height: int = 12, width: int = 16) -> np.ndarray:
-    """Return a noisy (H, W) uint8 picture that is different for every index."""
+    """Return an (H, W) uint8 image of noise, different for every index."""
     return np.random.default_rng(index).integers(0, 256, (height, width), dtype=np.uint8)
 
 
@@ -89,7 +89,7 @@ def string(text: str):
 
 def drive(frames: int = 20, store=ROS2, image_topic: str = '/camera/image/compressed',
           stamped: bool = True) -> Iterator[tuple[int, str, str, object]]:
-    """Yield (log_ns, topic, type, message) of a drive: odometry and an image every 0.1 s."""
+    """Yield (log_ns, topic, type, message): an odometry message and an image every 0.1 s."""
     for index in range(frames):
         log_ns = START_NS + index * PERIOD_NS
         stamp_ns = log_ns - 1_000_000 if stamped else 0
@@ -99,7 +99,7 @@ def drive(frames: int = 20, store=ROS2, image_topic: str = '/camera/image/compre
 
 
 def write_rosbag2(path: Path, messages, storage: str = 'mcap', mode: str = 'none') -> Path:
-    """Write a rosbag2 folder; mode is none, file, message or storage."""
+    """Write a rosbag2 folder; mode is the compression: none, file, message or storage."""
     plugin = StoragePlugin.MCAP if storage == 'mcap' else StoragePlugin.SQLITE3
     writer = Writer2(path, version=9, storage_plugin=plugin)
     if mode != 'none':
@@ -135,7 +135,7 @@ def write_mcap(path: Path, messages, compression: str = 'zstd', chunked: bool = 
 
 
 def write_rosbag1(path: Path, messages, compression: str = 'none', chunk: int = 4000) -> Path:
-    """Write a ROS 1 bag; messages are of the ROS 1 store."""
+    """Write a ROS 1 bag of messages from the ROS1 type store."""
     writer = Writer1(path)
     writer.chunk_threshold = chunk
     if compression != 'none':
@@ -150,7 +150,7 @@ def write_rosbag1(path: Path, messages, compression: str = 'none', chunk: int = 
 
 
 def write_sqlite(path: Path, messages, schema: int = 1, index: bool = True) -> Path:
-    """Write a bare SQLite file as the older rosbag2 versions did."""
+    """Write a single SQLite file with a schema of an older rosbag2 version."""
     database = sqlite3.connect(path)
     qos = ', offered_qos_profiles TEXT NOT NULL' if schema >= 2 else ''
     database.executescript(f"""
@@ -173,5 +173,3 @@ def write_sqlite(path: Path, messages, schema: int = 1, index: bool = True) -> P
     database.commit()
     database.close()
     return path
-
-

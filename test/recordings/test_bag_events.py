@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Bags of every format give the same events."""
+"""Tests that bags of every format yield the same events."""
 
 import os
 import sqlite3
@@ -72,7 +72,7 @@ WRITERS = {
 
 
 @pytest.mark.parametrize('write', WRITERS.values(), ids=WRITERS)
-def test_every_format_gives_the_same_events(tmp_path, write):
+def test_every_format_yields_the_same_events(tmp_path, write):
     path = write(tmp_path)
     before = sorted(tmp_path.rglob('*'))
     with open_recording(path) as recording:
@@ -81,24 +81,24 @@ def test_every_format_gives_the_same_events(tmp_path, write):
             START_NS, START_NS + 19 * PERIOD_NS + 2_000_000)
         selection = recording.select()
         assert selection == Selection('/camera/image/compressed', '/odom', None)
-        for _ in range(2):  # a recording can be read again
+        for _ in range(2):  # A recording can be read repeatedly.
             events = list(recording.events(selection))
             assert [type(event) for event in events] == [OdometryEvent, ImageEvent] * 20
             assert [event.log_ns for event in events[::2]] == [
                 START_NS + index * PERIOD_NS for index in range(20)]
             assert all(e.stamp_ns - e.log_ns in (-1_000_000, -3_000_000) for e in events)
-            motion = events[6]
-            assert (motion.linear_x, motion.angular_z) == (0.03, 0.1)
-            assert (motion.x, motion.y) == (1.0, 2.0)
-            assert motion.heading_rad == pytest.approx(0.3)
+            odometry_event = events[6]
+            assert (odometry_event.linear_x, odometry_event.angular_z) == (0.03, 0.1)
+            assert (odometry_event.x, odometry_event.y) == (1.0, 2.0)
+            assert odometry_event.heading_rad == pytest.approx(0.3)
             for index, event in enumerate(events[1::2]):
                 assert np.abs(event.grey().astype(int) - picture(index)).mean() < 40
         assert recording.count() == {'/camera/image/compressed': 20, '/odom': 20}
         assert recording.warnings == []
-    assert sorted(tmp_path.rglob('*')) == before, 'something was left beside the recording'
+    assert sorted(tmp_path.rglob('*')) == before, 'files were added to the folder of the recording'
 
 
-def test_a_part_of_a_recording(tmp_path):
+def test_events_with_start_and_duration_yield_that_part(tmp_path):
     with open_recording(write_mcap(tmp_path / 'r.mcap', drive())) as recording:
         selection = recording.select()
         events = list(recording.events(selection, start_s=0.5, duration_s=0.3))
@@ -112,9 +112,9 @@ def test_a_part_of_a_recording(tmp_path):
 
 
 @pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
-def test_split_recordings_are_one_stream(tmp_path, storage):
+def test_split_recording_is_read_in_time_order(tmp_path, storage):
     messages = list(drive(30))
-    late = messages.pop(19)  # a message that the recorder wrote after the split
+    late = messages.pop(19)  # Written by the recorder after the split.
     folder = tmp_path / 'r'
     folder.mkdir()
     suffix = 'mcap' if storage == 'mcap' else 'db3'
@@ -127,7 +127,7 @@ def test_split_recordings_are_one_stream(tmp_path, storage):
     assert [event.log_ns for event in events] == sorted(event.log_ns for event in events)
 
 
-def test_a_missing_and_an_empty_file_of_a_split_recording_are_told(tmp_path):
+def test_split_recording_missing_files_cause_warnings(tmp_path):
     folder = write_rosbag2(tmp_path / 'r', drive())
     text = (folder / 'metadata.yaml').read_text()
     (folder / 'metadata.yaml').write_text(
@@ -140,7 +140,7 @@ def test_a_missing_and_an_empty_file_of_a_split_recording_are_told(tmp_path):
 
 
 @pytest.mark.parametrize('text', ['', 'a: [', 'rosbag2_bagfile_information: {}', '- 1', '\x00'])
-def test_damaged_metadata_are_told_and_done_without(tmp_path, text):
+def test_damaged_metadata_is_ignored_with_a_warning(tmp_path, text):
     folder = write_rosbag2(tmp_path / 'r', drive())
     (folder / 'metadata.yaml').write_text(text)
     with open_recording(folder) as recording:
@@ -148,7 +148,7 @@ def test_damaged_metadata_are_told_and_done_without(tmp_path, text):
         assert 'metadata.yaml is damaged' in recording.warnings[0]
 
 
-def test_a_write_ahead_log_of_a_killed_recorder_is_read(tmp_path):
+def test_write_ahead_log_is_read_without_changing_the_recording(tmp_path):
     source, target = tmp_path / 'source', tmp_path / 'target'
     source.mkdir()
     target.mkdir()
@@ -159,7 +159,7 @@ def test_a_write_ahead_log_of_a_killed_recorder_is_read(tmp_path):
     database.executemany('INSERT INTO messages(topic_id, timestamp, data) VALUES(?, ?, ?)',
                          rows.fetchall())
     database.commit()
-    for suffix in ('', '-wal'):  # as they lie there while the recorder runs
+    for suffix in ('', '-wal'):  # The state while the recorder runs.
         (target / f'r.db3{suffix}').write_bytes((source / f'r.db3{suffix}').read_bytes())
     database.close()
     before = {path: path.read_bytes() for path in target.iterdir()}
@@ -169,7 +169,7 @@ def test_a_write_ahead_log_of_a_killed_recorder_is_read(tmp_path):
     assert before == {path: path.read_bytes() for path in target.iterdir()}
 
 
-def test_a_read_only_folder_is_enough(tmp_path):
+def test_recording_in_read_only_folder_is_read(tmp_path):
     folder = write_rosbag2(tmp_path / 'r', drive(), 'sqlite3')
     (folder / 'r.db3-wal').touch()
     (folder / 'r.db3-shm').write_bytes(bytes(32768))
@@ -182,14 +182,14 @@ def test_a_read_only_folder_is_enough(tmp_path):
         folder.chmod(0o755)
 
 
-def test_unstamped_streams_take_the_times_of_the_recording(tmp_path):
+def test_unstamped_messages_get_the_recording_time(tmp_path):
     with open_recording(write_mcap(tmp_path / 'r.mcap', drive(stamped=False))) as recording:
         events = list(recording.events(recording.select()))
         assert all(event.stamp_ns == event.log_ns for event in events)
         assert len([text for text in recording.warnings if 'not stamped' in text]) == 2
 
 
-def test_one_zero_stamp_is_passed_on(tmp_path):
+def test_single_zero_stamp_is_kept(tmp_path):
     messages = list(drive())
     messages[1] = (*messages[1][:3], compressed_image(picture(0), 0))
     with open_recording(write_mcap(tmp_path / 'r.mcap', messages)) as recording:
@@ -198,7 +198,7 @@ def test_one_zero_stamp_is_passed_on(tmp_path):
         assert recording.warnings == []
 
 
-def test_messages_that_cannot_be_decoded_are_skipped_and_counted(tmp_path):
+def test_undecodable_messages_are_skipped_and_counted(tmp_path):
     messages = list(drive())
     messages[4] = (*messages[4][:3], b'\x00\x01\x00\x00garbage')
     messages[6] = (*messages[6][:3], odometry(START_NS, float('nan')))
@@ -211,7 +211,7 @@ def test_messages_that_cannot_be_decoded_are_skipped_and_counted(tmp_path):
         assert any(text.startswith('1 of the messages of /camera') for text in recording.warnings)
 
 
-def test_recorded_templates(tmp_path):
+def test_recorded_templates_are_selected_without_images(tmp_path):
     messages = []
     for index in range(5):
         log_ns = START_NS + index * PERIOD_NS
@@ -230,7 +230,7 @@ def test_recorded_templates(tmp_path):
 
 
 @pytest.mark.parametrize('store', ['cdr', 'ros1'])
-def test_raw_images(tmp_path, store):
+def test_raw_images_are_decoded_exactly(tmp_path, store):
     if store == 'ros1':
         messages = [(START_NS, '/image', IMAGE, raw_image(picture(1), store=ROS1))]
         path = write_rosbag1(tmp_path / 'r.bag', messages)
@@ -243,7 +243,7 @@ def test_raw_images(tmp_path, store):
         assert event.bgr().shape == (12, 16, 3)
 
 
-def test_events_are_read_as_they_are_asked_for(tmp_path):
+def test_events_are_read_lazily(tmp_path):
     path = write_mcap(tmp_path / 'r.mcap', drive(200))
     with open_recording(path) as recording:
         events = recording.events(recording.select())
@@ -252,7 +252,7 @@ def test_events_are_read_as_they_are_asked_for(tmp_path):
         events.close()
 
 
-def test_two_types_on_one_topic(tmp_path):
+def test_topic_with_two_types_yields_the_first(tmp_path):
     messages = list(drive(3))
     path = write_sqlite(tmp_path / 'r.db3', messages)
     database = sqlite3.connect(path)
@@ -263,18 +263,18 @@ def test_two_types_on_one_topic(tmp_path):
     database.close()
     with open_recording(path) as recording:
         assert len(list(recording.events(recording.select()))) == 6
-        assert 'only the first is read' in recording.warnings[0]
+        assert 'only the messages of the first type are read' in recording.warnings[0]
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason='root may read everything')
-def test_a_file_without_permission_is_refused(tmp_path):
+def test_unreadable_file_is_rejected(tmp_path):
     path = write_mcap(tmp_path / 'r.mcap', drive())
     path.chmod(0)
     with pytest.raises(UnusableInput, match='permissions'):
         open_recording(path)
 
 
-def test_other_formats_of_messages_are_refused(tmp_path):
+def test_other_serialisation_formats_are_rejected(tmp_path):
     path = write_sqlite(tmp_path / 'r.db3', [(START_NS, '/image', COMPRESSED, b'')])
     database = sqlite3.connect(path)
     database.execute("UPDATE topics SET serialization_format = 'protobuf'")

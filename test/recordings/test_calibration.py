@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The field of view that visual odometry needs, from the camera_info of a recording."""
+"""Tests that the field of view for visual odometry comes from recorded camera_info."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ from ratslam_ros.recordings import open_recording
 
 
 def write(folder: Path, infos: dict[str, float]) -> Path:
-    """Write a bag of images, with camera_info on topics of its own."""
-    first: list[Recorded] = [
+    """Write a bag of images and one camera_info message per topic in ``infos``."""
+    calibrations: list[Recorded] = [
         (START_NS, topic, 'camera_info', camera_info_message(START_NS, focal_px))
         for topic, focal_px in infos.items()
     ]
-    seen: list[Recorded] = [
+    recorded: list[Recorded] = [
         (stamp_ns, '/camera/image_raw', 'image', image_message(stamp_ns, pixels))
         for stamp_ns, pixels in images()
     ]
-    return write_bag(folder, first + seen)
+    return write_bag(folder, calibrations + recorded)
 
 
 def images() -> Iterator[tuple[int, Any]]:
@@ -57,15 +57,15 @@ def final_heading(bag: Path, folder: Path, **values: Any) -> float:
     ({'/camera/camera_info': 16.0}, 90.0), ({'/other/camera_info': 16.0}, None),
     ({'/camera/camera_info': 0.0}, None), ({'/camera/camera_info': math.nan}, None), ({}, None),
 ])  # fmt: skip
-def test_calibration_is_that_of_the_images_camera(
+def test_calibration_comes_from_the_image_topic_namespace(
     infos: dict[str, float], fov_deg: float | None, tmp_path: Path
 ) -> None:
     bag = write(tmp_path / 'bag', infos)
     with open_recording(bag) as recording:
         found = recording.calibration(recording.select())
     assert (found and found[:2]) == (None if fov_deg is None else (16.0, 32))
-    turned = final_heading(bag, tmp_path / 'a')
+    heading = final_heading(bag, tmp_path / 'a')
     expected = final_heading(
         bag, tmp_path / 'b', camera_fov_deg=fov_deg or 50.0, fov_from_camera_info=False
     )
-    assert turned == expected != 0.0
+    assert heading == expected != 0.0

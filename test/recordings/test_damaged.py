@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Files that are cut off or damaged give what can be saved, and say how much that is."""
+"""Tests that the readable part of truncated and damaged files is used, with a warning."""
 
 import random
 import re
@@ -37,7 +37,7 @@ every_format = pytest.mark.parametrize('write', FORMATS.values(), ids=FORMATS)
 
 
 def read(path):
-    """Read all of a recording as a replay does; return its events and warnings."""
+    """Read a complete recording as a replay does; return its events and warnings."""
     with open_recording(path) as recording:
         events = list(recording.events(recording.select()))
         for event in events:
@@ -48,45 +48,45 @@ def read(path):
 
 
 @every_format
-def test_truncated_files_give_what_is_there(tmp_path, write):
+def test_truncated_file_yields_the_remaining_messages(tmp_path, write):
     path = write(tmp_path)
     whole = path.read_bytes()
     path.write_bytes(whole[:len(whole) // 2])
     events, warnings = read(path)
     assert 40 < len(events) < 160
     assert [event.log_ns for event in events] == sorted(event.log_ns for event in events)
-    said = next(text for text in warnings if 'is truncated: read ' in text)
-    # All that was promised is delivered.
-    number, seconds = re.search(r'read (\d+) .*up to ([\d.]+) s$', said).groups()
+    warning = next(text for text in warnings if 'is truncated: read ' in text)
+    # The numbers in the warning match the events.
+    number, seconds = re.search(r'read (\d+) .*up to ([\d.]+) s$', warning).groups()
     assert int(number) == len(events)
     last_s = (events[-1].log_ns - START_NS) / 1e9
     assert float(seconds) == pytest.approx(last_s, abs=0.06)
 
 
 @pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
-def test_the_metadata_tell_how_much_is_missing(tmp_path, storage):
+def test_truncation_warning_states_the_count_from_metadata(tmp_path, storage):
     folder = write_rosbag2(tmp_path / 'r', drive(FRAMES), storage)
     path = next(path for path in folder.iterdir() if path.suffix != '.yaml')
     path.write_bytes(path.read_bytes()[:path.stat().st_size * 2 // 3])
     for given in (folder, path):
         _, warnings = read(given)
-        said = r'is truncated: read \d+ of about 200 messages, up to \d+\.\d s'
-        assert any(re.search(said, text) for text in warnings)
+        pattern = r'is truncated: read \d+ of about 200 messages, up to \d+\.\d s'
+        assert any(re.search(pattern, text) for text in warnings)
 
 
-def test_the_headers_tell_about_how_much_is_missing(tmp_path):
+def test_truncation_warning_estimates_the_count_from_headers(tmp_path):
     for path in (
         write_sqlite(tmp_path / 'r.db3', drive(FRAMES)),
         write_rosbag1(tmp_path / 'r.bag', drive(FRAMES, ROS1)),
     ):
         path.write_bytes(path.read_bytes()[:path.stat().st_size // 2])
         _, warnings = read(path)
-        said = next(text for text in warnings if 'of about' in text)
-        about = int(re.search(r'read \d+ of about (\d+) messages', said).group(1))
+        warning = next(text for text in warnings if 'of about' in text)
+        about = int(re.search(r'read \d+ of about (\d+) messages', warning).group(1))
         assert 160 < about < 240
 
 
-def test_an_mcap_without_an_index_is_read_whole(tmp_path):
+def test_mcap_without_index_is_read_completely(tmp_path):
     path = write_mcap(tmp_path / 'r.mcap', drive(FRAMES))
     whole = path.read_bytes()
     path.write_bytes(whole[:-30])
@@ -95,11 +95,11 @@ def test_an_mcap_without_an_index_is_read_whole(tmp_path):
     assert 'has no index or a damaged one: read 200 messages, up to 9.9 s' in warnings[0]
 
 
-def test_a_ros1_bag_that_was_not_closed_is_read_whole(tmp_path):
+def test_unclosed_ros1_bag_is_read_completely(tmp_path):
     path = write_rosbag1(tmp_path / 'r.bag', drive(FRAMES, ROS1))
     whole = bytearray(path.read_bytes())
     at = whole.index(b'index_pos=') + len(b'index_pos=')
-    whole[at:at + 8] = bytes(8)  # as the recorder leaves it until it closes the bag
+    whole[at:at + 8] = bytes(8)  # The value until the recorder closes the bag.
     path.write_bytes(whole)
     events, warnings = read(path)
     assert len(events) == 2 * FRAMES
@@ -107,30 +107,30 @@ def test_a_ros1_bag_that_was_not_closed_is_read_whole(tmp_path):
 
 
 @every_format
-def test_damage_in_the_middle_costs_little(tmp_path, write):
+def test_damage_in_the_middle_loses_few_messages(tmp_path, write):
     path = write(tmp_path)
     data = bytearray(path.read_bytes())
     middle = len(data) // 2
     data[middle:middle + 64] = random.Random(1).randbytes(64)
     path.write_bytes(data)
     events, _ = read(path)
-    # Without chunks nothing tells where the next message begins after a damaged length.
-    assert len(events) > (80 if 'no chunks' in str(write) else 100)
+    assert len(events) > 100
 
 
 @every_format
-def test_no_damage_ends_in_anything_but_a_clear_answer(tmp_path, write):
+def test_random_damage_ends_in_events_or_unusable_input(tmp_path, write):
     path = write(tmp_path)
     whole = path.read_bytes()
-    dice = random.Random(0)
+    rng = random.Random(0)
     for _ in range(12):
         data = bytearray(whole)
-        if dice.random() < 0.4:
-            del data[dice.randrange(len(data)):]
-        for _ in range(dice.choice((0, 1, 3, 30))):
-            data[dice.randrange(len(data)) if data else 0:][:1] = b''
+        if rng.random() < 0.4:
+            del data[rng.randrange(len(data)):]
+        for _ in range(rng.choice((0, 1, 3, 30))):
+            if data and rng.random() < 0.25:
+                del data[rng.randrange(len(data))]
             if data:
-                data[dice.randrange(len(data))] ^= 1 << dice.randrange(8)
+                data[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
         path.write_bytes(data)
         try:
             events, warnings = read(path)
@@ -142,7 +142,7 @@ def test_no_damage_ends_in_anything_but_a_clear_answer(tmp_path, write):
         assert all('\n' not in text for text in warnings)
 
 
-def test_a_row_of_the_wrong_type_is_skipped(tmp_path):
+def test_sqlite_rows_of_wrong_type_are_skipped(tmp_path):
     path = write_sqlite(tmp_path / 'r.db3', drive(10))
     database = sqlite3.connect(path)
     database.execute("UPDATE messages SET data = 'text' WHERE id = 3")
@@ -154,7 +154,7 @@ def test_a_row_of_the_wrong_type_is_skipped(tmp_path):
     assert warnings
 
 
-def test_files_of_which_nothing_is_left_are_refused(tmp_path):
+def test_files_without_readable_messages_are_rejected(tmp_path):
     for path, kept in (
         (write_mcap(tmp_path / 'r.mcap', drive()), 60),
         (write_sqlite(tmp_path / 'r.db3', drive()), 4096),
@@ -165,24 +165,24 @@ def test_files_of_which_nothing_is_left_are_refused(tmp_path):
             read(path)
 
 
-@pytest.mark.parametrize(('name', 'content', 'said'), [
+@pytest.mark.parametrize(('name', 'content', 'message'), [
     ('a.bag', b'', 'is an empty file'),
     ('a.mcap', b'', 'is an empty file'),
     ('a.db3', b'no database', 'begins with'),
     ('a.bag', b'#ROSBAG V1.2\n' + bytes(40), 'expected an mcap, an SQLite or a ROS 1 bag'),
-    ('a.txt', b'hello', 'not known as a recording'),
+    ('a.txt', b'hello', 'no known recording format'),
     ('a.png', b'hello', 'a single image'),
     ('a.mcap.zstd', b'\x28\xb5\x2f\xfd', 'truncated or damaged'),
 ])
-def test_files_that_are_no_recordings_are_refused(tmp_path, name, content, said):
+def test_files_of_other_formats_are_rejected(tmp_path, name, content, message):
     path = tmp_path / name
     path.write_bytes(content)
-    with pytest.raises(UnusableInput, match=said) as error:
+    with pytest.raises(UnusableInput, match=message) as error:
         open_recording(path)
     assert '\n' not in str(error.value)
 
 
-def test_paths_that_are_no_recordings_are_refused(tmp_path):
+def test_paths_without_recording_are_rejected(tmp_path):
     with pytest.raises(UnusableInput, match='does not exist: expected'):
         open_recording(tmp_path / 'nothing')
     with pytest.raises(UnusableInput, match='is an empty folder'):

@@ -1,7 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings that this project did not make; skipped where they are not there."""
-
+"""Tests on recordings of other projects; skipped if the data folder is missing."""
 
 import pytest
 
@@ -9,7 +8,7 @@ from ratslam_ros.errors import UnusableInput
 from ratslam_ros.recordings import ImageEvent, OdometryEvent, describe, open_recording
 
 
-def test_rc_car_loops(data):
+def test_rc_car_loops_is_read_completely(data):
     with open_recording(data / 'rc_car_loops') as recording:
         selection = recording.select()
         events = list(recording.events(selection))
@@ -22,21 +21,21 @@ def test_rc_car_loops(data):
         assert image.rate_hz == pytest.approx(11.5, abs=0.1)
 
 
-def test_donkeycar_track_and_its_bare_file(data):
+def test_donkeycar_track_is_read_as_folder_and_file(data):
     for name in ('donkeycar_track', 'donkeycar_track/donkeycar_track.db3'):
         with open_recording(data / name) as recording:
             assert len(list(recording.events(recording.select()))) == 1000
             assert recording.count() == {'/camera/image/compressed': 1000}
 
 
-def test_folders_of_images(data):
+def test_image_folder_is_read_and_parent_rejected(data):
     with open_recording(data / 'corridor_circuit') as recording:
         assert len(list(recording.events(recording.select()))) == 84
     with pytest.raises(UnusableInput, match=r'give one of .*query'):
         open_recording(data / 'corridor_vpr')
 
 
-def test_every_recording_of_other_software_reads_or_is_refused_in_one_line(data):
+def test_bags_of_other_software_are_read_or_rejected(data):
     paths = [
         path for path in (data / 'bags').rglob('*')
         if path.suffix in ('.bag', '.mcap', '.db3') or (path.is_dir() and any(path.glob('*_0.*')))

@@ -1,5 +1,7 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
+"""Tests of the conversion of images to pixels."""
+
 import array
 import dataclasses
 from types import SimpleNamespace
@@ -35,7 +37,7 @@ def padded(pixels: np.ndarray, padding: int) -> np.ndarray:
     ('rgba8', cv2.cvtColor(COLOUR, cv2.COLOR_BGR2RGBA),
      cv2.cvtColor(COLOUR, cv2.COLOR_BGR2GRAY), COLOUR),
 ])
-def test_every_encoding_gives_the_same_picture(encoding, pixels, grey, bgr, padding):
+def test_every_encoding_gives_the_same_pixels(encoding, pixels, grey, bgr, padding):
     message = raw_image(padded(pixels, padding), encoding, size=pixels.shape[:2])
     np.testing.assert_array_equal(image_of(message).grey(), grey)
     np.testing.assert_array_equal(image_of(message).bgr(), bgr)
@@ -43,7 +45,7 @@ def test_every_encoding_gives_the_same_picture(encoding, pixels, grey, bgr, padd
 
 @pytest.mark.parametrize('big', [0, 1])
 @pytest.mark.parametrize('encoding', ['mono16', '16UC1'])
-def test_mono16_is_divided_by_256_whatever_its_endianness(encoding, big):
+def test_mono16_of_either_endianness_is_divided_by_256(encoding, big):
     values = np.array([[0, 255, 256], [0x1234, 65280, 65535]], np.uint16)
     stored = padded(values.astype('>u2' if big else '<u2'), 3)
     message = raw_image(stored, encoding, big=big, size=(2, 3))
@@ -51,7 +53,7 @@ def test_mono16_is_divided_by_256_whatever_its_endianness(encoding, big):
 
 
 @pytest.mark.parametrize('pattern', BAYER_GREY)
-def test_bayer_finds_the_colours_by_the_name_of_ros(pattern):
+def test_bayer_pattern_follows_the_ros_name(pattern):
     red, green, blue = 200, 100, 50
     colours = {'r': red, 'g': green, 'b': blue}
     tile = np.array([[colours[pattern[0]], colours[pattern[1]]],
@@ -62,7 +64,7 @@ def test_bayer_finds_the_colours_by_the_name_of_ros(pattern):
 
 
 @pytest.mark.parametrize(('encoding', 'luma'), [('yuv422', 1), ('yuv422_yuy2', 0), ('UYVY', 1)])
-def test_yuv422_gives_its_luma(encoding, luma):
+def test_yuv422_grey_is_its_luma(encoding, luma):
     pixels = np.full((6, 8, 2), 128, np.uint8)
     pixels[..., luma] = GREY
     message = raw_image(pixels, encoding)
@@ -70,19 +72,19 @@ def test_yuv422_gives_its_luma(encoding, luma):
     assert image_of(message).bgr().shape == (6, 8, 3)
 
 
-def test_messages_of_rclpy_hold_an_array_of_the_standard_library():
+def test_rclpy_message_with_array_data_is_decoded():
     message = SimpleNamespace(height=6, width=8, step=8, encoding='mono8', is_bigendian=0,
                               data=array.array('B', GREY.tobytes()))
     np.testing.assert_array_equal(image_of(message).grey(), GREY)
 
 
-def test_the_padding_after_the_last_row_may_be_missing():
+def test_missing_padding_after_last_row_is_accepted():
     message = raw_image(padded(GREY, 4), size=GREY.shape)
     short = dataclasses.replace(message, data=message.data[:-4])
     np.testing.assert_array_equal(image_of(short).grey(), GREY)
 
 
-@pytest.mark.parametrize(('change', 'said'), [
+@pytest.mark.parametrize(('change', 'error'), [
     ({'height': 0}, '8 x 0 pixels'),
     ({'width': 0}, '0 x 6 pixels'),
     ({'width': 2**31, 'height': 2**31}, 'pixels'),
@@ -92,19 +94,19 @@ def test_the_padding_after_the_last_row_may_be_missing():
     ({'encoding': '32FC1'}, "'32FC1' is not supported"),
     ({'encoding': ''}, 'not supported'),
 ])
-def test_images_that_contradict_themselves_are_refused(change, said):
+def test_inconsistent_image_fields_are_rejected(change, error):
     message = dataclasses.replace(raw_image(GREY), **change)
-    for look in (RawImage(message).grey, RawImage(message).bgr):
-        with pytest.raises(UndecodableImage, match=said):
-            look()
+    for convert in (RawImage(message).grey, RawImage(message).bgr):
+        with pytest.raises(UndecodableImage, match=error):
+            convert()
 
 
-def test_an_odd_width_of_yuv422_is_refused():
+def test_yuv422_with_odd_width_is_rejected():
     with pytest.raises(UndecodableImage, match='5 x 6'):
         image_of(raw_image(np.zeros((6, 5, 2), np.uint8), 'yuv422')).bgr()
 
 
-def test_compressed_images_are_decoded_to_grey_by_opencv():
+def test_compressed_images_match_opencv_decoding():
     message = compressed_image(COLOUR)
     np.testing.assert_array_equal(
         image_of(message).grey(), cv2.imdecode(message.data, cv2.IMREAD_GRAYSCALE))
@@ -112,18 +114,18 @@ def test_compressed_images_are_decoded_to_grey_by_opencv():
         image_of(compressed_image(COLOUR, form='png')).bgr(), COLOUR)
 
 
-@pytest.mark.parametrize(('data', 'form', 'said'), [
+@pytest.mark.parametrize(('data', 'form', 'error'), [
     (b'', 'jpeg', '0 bytes'),
     (b'no image', 'h264', "says 'h264'"),
     (compressed_image(COLOUR).data.tobytes()[:40], 'jpeg', '40 bytes'),
     (b'1234', '16UC1; compressedDepth png', 'depth'),
 ])
-def test_compressed_images_that_are_none_are_refused(data, form, said):
-    with pytest.raises(UndecodableImage, match=said):
+def test_invalid_compressed_images_are_rejected(data, form, error):
+    with pytest.raises(UndecodableImage, match=error):
         EncodedImage(data, form).grey()
 
 
-def test_depth_is_known_by_its_encoding():
+def test_depth_images_are_detected_by_encoding():
     assert image_of(raw_image(GREY, '16UC1')).is_depth
     assert image_of(raw_image(GREY, '32FC1')).is_depth
     assert not image_of(raw_image(GREY, 'mono16')).is_depth
@@ -131,7 +133,7 @@ def test_depth_is_known_by_its_encoding():
     assert not EncodedImage(b'', 'rgb8; jpeg compressed bgr8').is_depth
 
 
-def test_frames_of_videos():
+def test_frames_convert_between_grey_and_colour():
     np.testing.assert_array_equal(Frame(COLOUR).bgr(), COLOUR)
     np.testing.assert_array_equal(
         Frame(COLOUR).grey(), cv2.cvtColor(COLOUR, cv2.COLOR_BGR2GRAY))

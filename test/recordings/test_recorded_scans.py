@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Laser scans in recordings of every kind: which are read, and what they hold."""
+"""Tests of the selection and content of laser scans in recordings of every format."""
 
 import sqlite3
 
@@ -27,29 +27,29 @@ RANGES = (0.1, 1.25, np.inf, -np.inf, np.nan)
 
 
 def scans(topic='/scan', frames=20, store=ROS2, stamped=True):
-    """Yield a scan every 0.1 s, between the odometry and the image of drive."""
+    """Yield a scan every 0.1 s, between the odometry message and the image of ``drive``."""
     for index in range(frames):
         log_ns = START_NS + index * PERIOD_NS + 1_000_000
         stamp_ns = log_ns - 2_000_000 if stamped else 0
         yield log_ns, topic, SCAN, laser_scan(stamp_ns, RANGES, store=store)
 
 
-def both(*others, store=ROS2):
+def with_drive(*others, store=ROS2):
     streams = [drive(store=store), *others]
     return sorted((message for stream in streams for message in stream), key=lambda m: m[0])
 
 
 @pytest.mark.parametrize('kind', ['mcap', 'sqlite', 'rosbag2', 'rosbag1'])
-def test_scans_are_read_from_every_kind_of_recording(tmp_path, kind):
+def test_scans_are_read_from_every_format(tmp_path, kind):
     if kind == 'rosbag1':
-        messages = both(scans(store=ROS1), store=ROS1)
+        messages = with_drive(scans(store=ROS1), store=ROS1)
         path = write_rosbag1(tmp_path / 'r.bag', messages)
     else:
         write, name = {
             'mcap': (write_mcap, 'r.mcap'), 'sqlite': (write_sqlite, 'r.db3'),
             'rosbag2': (write_rosbag2, 'r'),
         }[kind]  # fmt: skip
-        path = write(tmp_path / name, both(scans()))
+        path = write(tmp_path / name, with_drive(scans()))
     with open_recording(path) as recording:
         selection = recording.select(scans=True)
         assert selection == Selection('/camera/image/compressed', '/odom', None, '/scan')
@@ -67,31 +67,31 @@ def test_scans_are_read_from_every_kind_of_recording(tmp_path, kind):
     assert np.array_equal(event.ranges_m, np.array(RANGES, np.float32), equal_nan=True)
 
 
-def test_scans_are_read_only_where_they_are_asked_for(tmp_path):
-    with open_recording(write_mcap(tmp_path / 'r.mcap', both(scans(), scans('/rear')))) as r:
+def test_scans_are_read_only_on_request(tmp_path):
+    with open_recording(write_mcap(tmp_path / 'r.mcap', with_drive(scans(), scans('/rear')))) as r:
         assert r.select().scan_topic is None
         assert len(list(r.events(r.select()))) == 40
-        for name in ('/rear', 'rear'):  # the slash may be left out
+        for name in ('/rear', 'rear'):  # The leading slash is optional.
             assert r.select(scan_topic=name, scans=True).scan_topic == '/rear'
 
 
-@pytest.mark.parametrize(('arguments', 'said'), [
+@pytest.mark.parametrize(('arguments', 'message'), [
     ({}, 'holds 2 topics with scans: .* --scan-topic /rear or --scan-topic /scan'),
     ({'scan_topic': '/odom'}, '--scan-topic /odom is of type .* one of /rear'),
     ({'scan_topic': '/x'}, '--scan-topic /x does not exist .* with scans: one of /rear'),
     ({'scan_topic': '/scan', 'scans': False}, 'nothing uses them: set .*exp_align_scans'),
 ])
-def test_what_cannot_be_decided_is_answered_with_the_choice(tmp_path, arguments, said):
-    path = write_mcap(tmp_path / 'r.mcap', both(scans(), scans('/rear')))
+def test_ambiguous_or_invalid_choice_lists_the_options(tmp_path, arguments, message):
+    path = write_mcap(tmp_path / 'r.mcap', with_drive(scans(), scans('/rear')))
     with open_recording(path) as recording:
-        with pytest.raises(UnusableInput, match=said) as error:
+        with pytest.raises(UnusableInput, match=message) as error:
             recording.select(**{'scans': True, **arguments})
         assert '\n' not in str(error.value)
 
 
-def test_topics_without_messages_are_no_candidates(tmp_path):
-    path = write_sqlite(tmp_path / 'r.db3', both(scans(), scans('/rear')))
-    for topic, left in (('/rear', '/scan'), ('/scan', None)):
+def test_topics_without_messages_are_not_candidates(tmp_path):
+    path = write_sqlite(tmp_path / 'r.db3', with_drive(scans(), scans('/rear')))
+    for topic, expected in (('/rear', '/scan'), ('/scan', None)):
         database = sqlite3.connect(path)
         database.execute(
             'DELETE FROM messages WHERE topic_id = (SELECT id FROM topics WHERE name = ?)',
@@ -100,44 +100,44 @@ def test_topics_without_messages_are_no_candidates(tmp_path):
         database.commit()
         database.close()
         with open_recording(path) as recording:
-            assert recording.select(scans=True).scan_topic == left
+            assert recording.select(scans=True).scan_topic == expected
 
 
-def test_scans_that_cannot_be_decoded_are_skipped_and_counted(tmp_path):
+def test_undecodable_scans_are_skipped_and_counted(tmp_path):
     broken = [(START_NS + 5, '/scan', SCAN, b'\x00\x01\x00\x00garbage')]
-    with open_recording(write_mcap(tmp_path / 'r.mcap', both(scans(), broken))) as recording:
+    with open_recording(write_mcap(tmp_path / 'r.mcap', with_drive(scans(), broken))) as recording:
         assert len(list(recording.events(recording.select(scans=True)))) == 60
         assert recording.skipped == 1
         assert recording.warnings[0].startswith('1 of the messages of /scan cannot be decoded')
 
 
-def test_unstamped_scans_take_the_times_of_the_recording(tmp_path):
-    path = write_mcap(tmp_path / 'r.mcap', both(scans(stamped=False)))
+def test_unstamped_scans_get_the_recording_time(tmp_path):
+    path = write_mcap(tmp_path / 'r.mcap', with_drive(scans(stamped=False)))
     with open_recording(path) as recording:
         events = list(recording.events(recording.select(scans=True)))
         found = [event for event in events if isinstance(event, ScanEvent)]
         assert all(event.stamp_ns == event.log_ns for event in found)
         assert recording.warnings == [
-            'the messages of /scan are not stamped: the times of the recording are used'
+            'the messages of /scan are not stamped: the recording times are used instead'
         ]
 
 
-def test_descriptions_tell_which_scans_can_be_read(tmp_path):
-    with open_recording(write_mcap(tmp_path / '1.mcap', both(scans()))) as recording:
+def test_description_lists_readable_scans(tmp_path):
+    with open_recording(write_mcap(tmp_path / '1.mcap', with_drive(scans()))) as recording:
         described = describe(recording)
     assert described.command == f'ratslam replay {tmp_path / "1.mcap"}'
     assert described.notices == (
-        'the scans of /scan are read where experience_map.exp_align_scans is set',
+        'the scans of /scan are read if experience_map.exp_align_scans is set',
     )
     assert [topic.problem for topic in described.topics] == ['', '', '']
     broken = [(START_NS + 5, '/broken', SCAN, b'\x00\x01\x00\x00garbage')]
-    with open_recording(write_mcap(tmp_path / '2.mcap', both(scans(), broken))) as recording:
+    with open_recording(write_mcap(tmp_path / '2.mcap', with_drive(scans(), broken))) as recording:
         described = describe(recording)
     assert {topic.name: topic.problem for topic in described.topics}['/broken'] == (
         'cannot be decoded'
     )
     assert described.notices == (
-        'the scans of /scan are read where experience_map.exp_align_scans is set; give '
+        'the scans of /scan are read if experience_map.exp_align_scans is set; give '
         '--scan-topic /scan',
     )
-    assert described.command.endswith('2.mcap')  # which asks for no scans
+    assert described.command.endswith('2.mcap')  # No --scan-topic: scans are off.

@@ -1,5 +1,7 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
+"""Tests of the selection of topics and of the description of a recording."""
+
 import sqlite3
 
 import numpy as np
@@ -40,7 +42,7 @@ def recorded(tmp_path):
     opened = []
 
     def record(sqlite=False, **topics):
-        """Record one message a topic; a topic is named by its keyword, __ standing for /."""
+        """Record one message per topic; in the keywords, which name the topics, __ is /."""
         messages = [
             (START_NS + index, '/' + name.replace('__', '/'), *MESSAGES[kind])
             for index, (name, kind) in enumerate(topics.items())
@@ -61,22 +63,22 @@ def recorded(tmp_path):
     ({'a': 'depth', 'a__compressed': 'compressed'}, '/a/compressed', None),
     ({'a': 'raw', 'local_view__template': 'template', 'odom': 'odometry'}, '/a', '/odom'),
 ])
-def test_single_candidates_are_guessed(recorded, topics, image, odom):
-    for sqlite in (False, True):  # with the counts and without
+def test_single_candidates_are_selected(recorded, topics, image, odom):
+    for sqlite in (False, True):  # Only mcap stores message counts.
         selection = recorded(sqlite, **topics).select()
         assert (selection.image_topic, selection.odom_topic) == (image, odom)
         assert selection.template_topic is None
 
 
-def test_notices_say_what_was_decided(recorded):
+def test_notices_state_the_selected_source(recorded):
     recording = recorded(a='raw', local_view__template='template', odom='odometry')
     assert 'not the recorded templates' in recording.select().notices[0]
     assert recording.select(visual_odometry=True).odom_topic is None
-    assert 'as it was asked for' in recording.select(visual_odometry=True).notices[1]
+    assert 'as requested' in recording.select(visual_odometry=True).notices[1]
     assert recorded(a='raw').select().notices == ('no odometry topic: visual odometry is used',)
 
 
-@pytest.mark.parametrize(('topics', 'arguments', 'said'), [
+@pytest.mark.parametrize(('topics', 'arguments', 'message'), [
     ({'a': 'raw', 'b': 'compressed'}, {},
      'holds 2 topics with images: .* --image-topic /a or --image-topic /b'),
     ({'a': 'raw', 'o': 'odometry', 'p': 'odometry'}, {},
@@ -91,13 +93,13 @@ def test_notices_say_what_was_decided(recorded):
     ({'a': 'raw', 'o': 'odometry'}, {'odom_topic': '/o', 'visual_odometry': True},
      'expected one of them'),
 ])
-def test_what_cannot_be_decided_is_answered_with_the_choice(recorded, topics, arguments, said):
-    with pytest.raises(UnusableInput, match=said) as error:
+def test_ambiguous_or_invalid_choice_lists_the_options(recorded, topics, arguments, message):
+    with pytest.raises(UnusableInput, match=message) as error:
         recorded(**topics).select(**arguments)
     assert '\n' not in str(error.value)
 
 
-def test_topics_without_messages_are_no_candidates(recorded):
+def test_topics_without_messages_are_not_candidates(recorded):
     path = recorded(sqlite=True, a='raw', b='raw', odom='odometry').path
     database = sqlite3.connect(path)
     database.execute('DELETE FROM messages WHERE topic_id = 1')
@@ -109,15 +111,15 @@ def test_topics_without_messages_are_no_candidates(recorded):
             recording.select('/a')
 
 
-def test_named_topics_are_taken(recorded):
+def test_named_topics_are_selected(recorded):
     recording = recorded(a='raw', b='depth', o='odometry', p='odometry')
-    selection = recording.select('b', '/p')  # the slash may be left out; depth may be wanted
+    selection = recording.select('b', '/p')  # Without slash; depth images only by name.
     assert (selection.image_topic, selection.odom_topic) == ('/b', '/p')
     image = next(event for event in recording.events(selection) if hasattr(event, 'grey'))
     assert image.grey().shape == (4, 4)
 
 
-def test_descriptions_give_the_command(recorded):
+def test_description_gives_the_replay_command(recorded):
     for sqlite in (False, True):
         described = describe(recorded(sqlite, a='raw', o='odometry'))
         assert described.command.startswith('ratslam replay ')
@@ -130,7 +132,7 @@ def test_descriptions_give_the_command(recorded):
         assert 'no image in it can be decoded' in described.format()
 
 
-def test_descriptions_without_a_command_say_why(recorded):
+def test_description_without_command_gives_the_reason(recorded):
     described = describe(recorded(o='odometry'))
     assert described.command == ''
     assert 'holds no images' in described.notices[0]

@@ -1,5 +1,7 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
+"""Tests of videos and folders of images as recordings."""
+
 import cv2
 import numpy as np
 import pytest
@@ -27,7 +29,7 @@ def read(path, **options):
         return list(recording.events(recording.select())), recording
 
 
-def test_images_without_a_table_come_in_natural_order(tmp_path):
+def test_images_without_table_have_natural_order(tmp_path):
     folder = write_images(tmp_path / 'run', ['image1.png', 'image2.png', 'image10.PNG'])
     (folder / 'notes.txt').write_text('hello')
     (folder / 'truth.csv').write_text('image,place\nimage1.png,3\n')
@@ -36,11 +38,11 @@ def test_images_without_a_table_come_in_natural_order(tmp_path):
     assert [event.stamp_ns for event in events] == [0, 250_000_000, 500_000_000]
     for index, event in enumerate(events):
         np.testing.assert_array_equal(event.grey(), picture(index))
-    assert '4 images a second are assumed' in recording.warnings[0]
+    assert 'an image rate of 4 Hz is assumed' in recording.warnings[0]
     assert '16x12 png' in describe(recording).format()
 
 
-def test_a_table_gives_the_times_and_the_odometry(tmp_path):
+def test_table_gives_stamps_and_odometry(tmp_path):
     folder = write_images(tmp_path / 'run', ['a.png', 'b.png'])
     (folder / 'frames.csv').write_text(
         '\ufeffstamp_s, image, linear_x_mps, angular_z_radps\n'
@@ -59,7 +61,7 @@ def test_a_table_gives_the_times_and_the_odometry(tmp_path):
         assert len(list(recording.events(selection))) == 2
 
 
-def test_odometry_of_a_table_is_integrated_along_the_arc(tmp_path):
+def test_table_odometry_is_integrated_along_arcs(tmp_path):
     folder = write_images(tmp_path / 'run', ['a.png'])
     rows = ''.join(f',{index * 10_000_000},1.0,0.5\n' for index in range(1, 201))
     (folder / 'frames.csv').write_text(
@@ -69,24 +71,24 @@ def test_odometry_of_a_table_is_integrated_along_the_arc(tmp_path):
         (2 * np.sin(1.0), 2 - 2 * np.cos(1.0), 1.0), abs=1e-4)
 
 
-@pytest.mark.parametrize(('table', 'said'), [
+@pytest.mark.parametrize(('table', 'message'), [
     ('image,stamp_s\na.png,noon\n', "line 2, .*not 'noon'"),
     ('image,stamp_ns\na.png,1.5\n', 'line 2'),
     ('image,stamp_s\na.png,nan\n', 'line 2'),
-    ('image,stamp_s\nz.png,1\n', 'z.png, which is not there'),
+    ('image,stamp_s\nz.png,1\n', 'z.png does not exist'),
     ('image,stamp_s\na.png\n', 'line 2'),
     ('image,stamp_s\n', 'has no rows'),
     ('image,stamp_s,linear_x_mps,angular_z_radps\na.png,1,inf,0\n', 'finite'),
     ('image,stamp_s,linear_x_mps,angular_z_radps\n,1,1,0\n', 'lists no images'),
 ])
-def test_tables_that_cannot_be_used_are_refused(tmp_path, table, said):
+def test_invalid_tables_are_rejected(tmp_path, table, message):
     folder = write_images(tmp_path / 'run', ['a.png'])
     (folder / 'frames.csv').write_text(table)
-    with pytest.raises(UnusableInput, match=said):
+    with pytest.raises(UnusableInput, match=message):
         open_recording(folder)
 
 
-def test_other_tables_and_rates_are_refused(tmp_path):
+def test_unrelated_tables_and_invalid_rates_are_rejected(tmp_path):
     folder = write_images(tmp_path / 'run', ['a.png'])
     for rate in (0.0, -1.0, float('nan')):
         with pytest.raises(UnusableInput, match='rate'):
@@ -100,7 +102,7 @@ def test_other_tables_and_rates_are_refused(tmp_path):
         open_recording(folder)
 
 
-def test_an_image_that_is_none_is_refused_when_it_is_looked_at(tmp_path):
+def test_invalid_image_file_is_rejected_on_decoding(tmp_path):
     folder = write_images(tmp_path / 'run', ['a.png'])
     (folder / 'b.png').write_bytes(b'')
     events, _ = read(folder)
@@ -120,7 +122,7 @@ def video(tmp_path):
     return path
 
 
-def test_videos(video):
+def test_video_yields_frames_at_their_times(video):
     events, recording = read(video)
     assert (recording.name, recording.kind) == ('drive', 'video')
     assert [event.stamp_ns for event in events] == [index * 50_000_000 for index in range(30)]
@@ -136,9 +138,9 @@ def test_videos(video):
         recording.select(image_topic='/camera')
 
 
-def test_truncated_videos_give_what_is_there(video):
-    whole = video.read_bytes()
-    video.write_bytes(whole[:len(whole) // 2])
+def test_truncated_video_yields_the_remaining_frames(video):
+    content = video.read_bytes()
+    video.write_bytes(content[:len(content) // 2])
     try:
         events, _ = read(video)
     except UnusableInput:
@@ -146,7 +148,7 @@ def test_truncated_videos_give_what_is_there(video):
     assert 0 < len(events) < 30
 
 
-def test_files_that_are_no_videos_are_refused(tmp_path):
+def test_file_that_is_not_a_video_is_rejected(tmp_path):
     path = tmp_path / 'a.mp4'
     path.write_bytes(b'no video')
     with pytest.raises(UnusableInput, match='cannot be opened as a video'):

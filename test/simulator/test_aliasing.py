@@ -5,12 +5,14 @@ import pytest
 
 from ratslam_ros.simulator.aliasing import measure_aliasing, nearest_errors
 from ratslam_ros.simulator.camera import CameraOptions
-from ratslam_ros.simulator.simulation import ImageSample, SimulationOptions, simulate
+from ratslam_ros.simulator.office_tour import OfficeTour
+from ratslam_ros.simulator.samples import ImageSample
+from ratslam_ros.simulator.simulation import SimulationOptions
 from ratslam_ros.simulator.world import WorldOptions
 
 
-def test_look_alikes_are_far_and_revisits_near_and_older():
-    # A place, another one far off that looks the same, and the first one again.
+def test_nearest_errors_separates_revisits_from_look_alikes():
+    # A place, a distant place that looks similar, and the first place again.
     views = np.array([[[0, 0]], [[10, 10]], [[0, 20]]], np.uint8)
     poses = np.array([(0.0, 0.0, 0.0), (9.0, 0.0, 0.0), (0.1, 0.0, 0.1)])
     revisit, look_alike = nearest_errors(views, poses, pause=1)
@@ -18,16 +20,16 @@ def test_look_alikes_are_far_and_revisits_near_and_older():
     assert look_alike == pytest.approx([10 / 255, 10 / 255, 10 / 255])
 
 
-def test_facing_the_other_way_is_no_revisit():
+def test_nearest_errors_opposite_heading_is_no_revisit():
     views = np.zeros((2, 1, 2), np.uint8)
     poses = np.array([(0.0, 0.0, 3.1), (0.0, 0.0, 0.0)])
     assert np.isinf(nearest_errors(views, poses, pause=1)[0]).all()
-    poses[1, 2] = -3.1  # across the wrap, nearly the same
+    poses[1, 2] = -3.1  # close to 3.1 rad across the wrap
     assert nearest_errors(views, poses, pause=1)[0][1] == 0.0
 
 
 def templates(image):
-    """12 x 8 block means, turned into deviations from their neighbourhood."""
+    """Return 12 x 8 block means, normalised by the mean and deviation of their neighbourhoods."""
     blocks = image[:, :156].reshape(8, 15, 12, 13).mean(axis=(1, 3))
     padded = np.pad(blocks, 2, mode='edge')
     patches = np.lib.stride_tricks.sliding_window_view(padded, (5, 5))
@@ -35,18 +37,19 @@ def templates(image):
     return np.floor(255 * np.clip((deviation + 3) / 6, 0, 1) + 0.5).astype(np.uint8)
 
 
-def shares(aliasing):
+def measured(aliasing):
+    """Return the aliasing of a tour through an office with this share of look-alike corners."""
     options = SimulationOptions(
         camera=CameraOptions(rate_hz=2), world=WorldOptions(aliasing=aliasing)
     )
-    samples = [s for s in simulate(2, options=options) if isinstance(s, ImageSample)]
+    samples = [s for s in OfficeTour(2, options=options) if isinstance(s, ImageSample)]
     poses = np.array([(s.truth.x_m, s.truth.y_m, s.truth.heading_rad) for s in samples])
     views = np.stack([templates(s.image) for s in samples])
     return measure_aliasing(views, poses, threshold=0.05, shift=1)
 
 
-def test_office_has_look_alikes_as_asked_and_is_recognised_all_the_same():
-    none, some = (shares(aliasing) for aliasing in (0.0, 0.8))
+def test_office_aliasing_adds_look_alikes_but_keeps_recognition():
+    none, some = (measured(aliasing) for aliasing in (0.0, 0.8))
     assert none.look_alike_share < 0.05
     assert 0.1 < some.look_alike_share < 0.4
     assert some.revisited_share > 0.5

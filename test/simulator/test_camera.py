@@ -20,7 +20,7 @@ def rng(seed=0):
 
 
 def room(textures):
-    """A room of 12 x 12 m, from (1, 1) to (13, 13), with one panel everywhere."""
+    """Return a world with a room from (1, 1) to (13, 13) and the same panel on every wall."""
     shape = (*ROOM.solid.shape, 4)
     library = PanelLibrary(textures.astype(np.float32), (0,))
     return World(ROOM, library, np.zeros(shape, np.int16), np.zeros(shape, np.float32),
@@ -31,7 +31,7 @@ WHITE_ROOM = room(np.ones((7, 1, 60, 100)))
 
 
 @pytest.mark.parametrize('distance_m', [3.0, 5.0, 8.0])
-def test_wall_ahead_is_as_tall_as_perspective_says(distance_m):
+def test_wall_ahead_has_projected_height(distance_m):
     image = Camera(WHITE_ROOM, rng(), QUIET).take(13.0 - distance_m, 7.0, 0.0)
     middle = image[:, QUIET.width // 2]
     foot_row = QUIET.height / 2 + QUIET.height_m * QUIET.focal_px / distance_m
@@ -41,34 +41,34 @@ def test_wall_ahead_is_as_tall_as_perspective_says(distance_m):
     assert wall[-1] + 1 == pytest.approx(min(foot_row, QUIET.height), abs=1)
 
 
-def test_corner_stands_where_the_angle_says():
-    # At 45 degrees between two walls; the south wall, along x, is darker than the east wall.
+def test_corner_appears_at_projected_column():
+    # The south wall is darker than the east wall, so that their corner is visible.
     corner_rad = -math.pi / 4
     for turned_rad in (-0.2, 0.0, 0.2):
         image = Camera(WHITE_ROOM, rng(), QUIET).take(9.0, 5.0, corner_rad + turned_rad)
         row = image[QUIET.height // 2].astype(int)
         edge = int(np.argmax(np.abs(np.diff(row)))) + 1
-        # Turning left, by a positive angle, moves what is seen to the right.
+        # A turn to the left moves the image content to the right.
         expected = QUIET.width / 2 + QUIET.focal_px * math.tan(turned_rad)
         assert edge == pytest.approx(expected, abs=1)
 
 
-def test_panel_is_seen_the_right_way_round_on_every_wall():
+def test_panels_are_not_mirrored_on_any_wall():
     dark_on_the_left = np.ones((7, 1, 60, 100))
     dark_on_the_left[:, :, :30] = 0.2
     world = room(dark_on_the_left)
     for heading_rad in (0.0, math.pi / 2, math.pi, -math.pi / 2):
-        # One metre from the wall, where the dark half ends: a quarter of a cell to the left.
+        # One metre from the wall, in front of the edge of the dark half.
         cos, sin = math.cos(heading_rad), math.sin(heading_rad)
         x_m, y_m = 7.0 + 5.0 * cos - 0.25 * sin, 7.0 + 5.0 * sin + 0.25 * cos
         row = Camera(world, rng(), QUIET).take(x_m, y_m, heading_rad)[QUIET.height // 2]
         left, right = row[: QUIET.width // 2], row[QUIET.width // 2 :]
-        # All but the texel's width about the edge, where the two shades mix.
+        # Leave out the columns at the edge, where the two shades are interpolated.
         assert left[:-3].max() < 60
         assert right[3:20].min() > 200
 
 
-def test_noise_hangs_on_the_seed_alone_and_has_its_size():
+def test_pixel_noise_is_reproducible_with_given_deviation():
     options = CameraOptions(noise_grey=3.0, exposure_spread=0.0)
     images = [Camera(WHITE_ROOM, rng(seed), options).take(7.0, 7.0, 0.0) for seed in (1, 1, 2)]
     assert np.array_equal(images[0], images[1])
@@ -77,7 +77,7 @@ def test_noise_hangs_on_the_seed_alone_and_has_its_size():
     assert floor.std() == pytest.approx(3.0 * math.sqrt(2.0), rel=0.1)
 
 
-def test_camera_is_fast_enough_to_make_recordings_on_the_fly():
+def test_camera_renders_within_one_millisecond():
     camera = Camera(build_world(office(), rng()), rng(), CameraOptions())
     camera.take(6.0, 1.9, 0.0)  # compiles
     fastest_s = math.inf

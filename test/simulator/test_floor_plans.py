@@ -6,6 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from floor_clearance import clearance_m
 from scipy.ndimage import label
 
 from ratslam_ros.errors import UnusableInput
@@ -23,40 +24,40 @@ UNIVERSITY, OBSTACLE = 'university_floor', 'obstacle_loop'
 RING = 'SabcdefgS'
 
 
-def way_m(plan, names):
+def length_m(plan, names):
     return sum(
         np.hypot(*np.subtract(plan.places[b], plan.places[a])) for a, b in pairwise(names)
     )
 
 
 def along(plan, names, step_m=0.1):
-    """Points every so often along straight lines from place to place."""
+    """Yield points at regular distances along the straight lines from place to place."""
     for a, b in pairwise(names):
         start, end = np.array(plan.places[a]), np.array(plan.places[b])
         for share in np.arange(0.0, 1.0, step_m / np.hypot(*(end - start))):
             yield start + share * (end - start)
 
 
-def test_shipped_plans_are_found_by_name():
+def test_shipped_plans_load_by_name():
     assert shipped_plans() == [OBSTACLE, 'office', UNIVERSITY]
     assert np.array_equal(load_floor_plan('office').solid, office().solid)
 
 
-def test_plans_are_installed_with_the_code():
+def test_shipped_plans_are_package_data():
     setup = (Path(__file__).resolve().parents[2] / 'setup.py').read_text('utf-8')
     assert "package_data={f'{NAME}.simulator': ['plans/*.txt']}" in setup
 
 
 @pytest.mark.parametrize('name', [UNIVERSITY, OBSTACLE])
-def test_everything_is_reachable_by_a_robot_of_30_cm_radius(name):
+def test_shipped_plans_are_connected_for_30_cm_radius(name):
     plan = load_floor_plan(name)
     room = room_for(plan.solid, plan.cell_m, 0.3)
     areas, count = label(room)
     assert count == 1
     for name, (x_m, y_m) in plan.places.items():
         assert areas[int(y_m / plan.cell_m), int(x_m / plan.cell_m)] == 1, name
-        assert plan.clearance_m(x_m, y_m) >= 0.6, name
-    # What the middle of the robot does not reach is corners and niches, not rooms.
+        assert clearance_m(plan, x_m, y_m) >= 0.6, name
+    # Areas out of reach of the robot are corners and niches, not rooms.
     beyond = label(~plan.solid & ~cv2.dilate(room.astype(np.uint8), np.ones((5, 5))).astype(bool))
     assert max(np.bincount(beyond[0].ravel())[1:], default=0) <= 4
 
@@ -64,13 +65,13 @@ def test_everything_is_reachable_by_a_robot_of_30_cm_radius(name):
 def test_university_floor_has_a_ring_of_122_m():
     plan = load_floor_plan(UNIVERSITY)
     assert plan.size_m == pytest.approx((46.0, 22.0), abs=1.0)
-    assert way_m(plan, RING) == pytest.approx(122.0, abs=1.0)
-    # The straight lines are the middle of the corridor: wall on both sides of all but crossings.
-    clearances_m = [plan.clearance_m(x_m, y_m) for x_m, y_m in along(plan, RING)]
+    assert length_m(plan, RING) == pytest.approx(122.0, abs=1.0)
+    # The straight lines follow the middle of the corridor.
+    clearances_m = [clearance_m(plan, x_m, y_m) for x_m, y_m in along(plan, RING)]
     assert min(clearances_m) > 0.65
     assert np.median(clearances_m) == pytest.approx(0.98)
     assert max(clearances_m) < 1.5
-    # It is a ring: cut anywhere it hangs together, cut in two places it does not.
+    # A ring stays connected after one cut, but not after two.
     solid = plan.solid.copy()
     for count, name in ((1, 'e'), (2, 'a')):
         x_m, y_m = plan.places[name]
@@ -98,13 +99,13 @@ def test_university_floor_has_rooms_on_both_sides_of_its_ring():
     assert rooms[False] >= 5
 
 
-def test_obstacle_loop_has_a_short_way_and_a_long_one():
+def test_obstacle_loop_has_short_and_long_route():
     plan = load_floor_plan(OBSTACLE)
-    assert way_m(plan, 'SXG') == pytest.approx(12.0, abs=0.5)
-    assert 30.0 < way_m(plan, 'GbcS') < 40.0
+    assert length_m(plan, 'SXG') == pytest.approx(12.0, abs=0.5)
+    assert 30.0 < length_m(plan, 'GbcS') < 40.0
     x_m, y_m = plan.places['X']
     assert x_m == pytest.approx((plan.places['S'][0] + plan.places['G'][0]) / 2, abs=plan.cell_m)
-    assert min(plan.clearance_m(x, y) for x, y in along(plan, 'SGbcS')) > 0.65
+    assert min(clearance_m(plan, x, y) for x, y in along(plan, 'SGbcS')) > 0.65
     assert y_m == plan.places['S'][1] == plan.places['G'][1]
 
 
@@ -113,7 +114,7 @@ def write_picture(plan, path):
     return path
 
 
-def test_picture_of_a_plan_is_the_same_plan(tmp_path):
+def test_picture_loads_as_same_plan_as_text(tmp_path):
     plan = office()
     picture = write_picture(plan, tmp_path / 'office.png')
     loaded = load_floor_plan(picture, cell_m=plan.cell_m, places=plan.places)
@@ -121,7 +122,7 @@ def test_picture_of_a_plan_is_the_same_plan(tmp_path):
     assert (loaded.cell_m, loaded.places) == (plan.cell_m, plan.places)
 
 
-def test_text_file_says_its_own_size(tmp_path):
+def test_text_file_header_sets_name_and_cell_size(tmp_path):
     path = tmp_path / 'mine.txt'
     path.write_text(f'name: mine\ncell_m: {OFFICE_CELL_M}\n\n{OFFICE.strip()}\n\n')
     plan = load_floor_plan(path)
@@ -143,7 +144,7 @@ def test_text_file_says_its_own_size(tmp_path):
         ('###\n#.#\n###', 'cell_m'),
     ],
 )
-def test_bad_text_is_refused_with_its_line(text, message, tmp_path):
+def test_malformed_text_is_refused_with_line_number(text, message, tmp_path):
     path = tmp_path / 'plan.txt'
     path.write_text(text)
     with pytest.raises(UnusableInput, match=message) as refused:
@@ -151,9 +152,9 @@ def test_bad_text_is_refused_with_its_line(text, message, tmp_path):
     assert str(path) in str(refused.value)
 
 
-def test_bad_files_are_refused(tmp_path):
+def test_unusable_files_are_refused(tmp_path):
     picture = write_picture(office(), tmp_path / 'plan.png')
-    with pytest.raises(UnusableInput, match='metres a pixel'):
+    with pytest.raises(UnusableInput, match='pixel of the picture in metres'):
         load_floor_plan(picture)
     with pytest.raises(UnusableInput, match='positive'):
         load_floor_plan(picture, cell_m=-1.0)
@@ -175,5 +176,5 @@ def test_bad_files_are_refused(tmp_path):
         load_floor_plan(tmp_path / 'binary.txt')
 
 
-def test_drawing_may_be_read_without_a_header():
+def test_parse_without_header_uses_given_cell_size():
     assert parse_floor_plan('###\n#.#\n###', cell_m=2.0).size_m == (6.0, 6.0)

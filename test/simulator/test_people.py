@@ -1,15 +1,17 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from floor_clearance import clearance_m
 
+from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.simulator.camera import Camera, CameraOptions
 from ratslam_ros.simulator.floor_plan import load_floor_plan, parse_floor_plan
 from ratslam_ros.simulator.people import People
-from ratslam_ros.simulator.robot import Pose
 from ratslam_ros.simulator.simulation import SimulationOptions, Simulator
 from ratslam_ros.simulator.world import PERSON_HEIGHT_M, PERSON_RADIUS_M, World, build_world
 
@@ -25,7 +27,7 @@ def rng(seed=0):
 
 
 def walk(simulator, duration_s):
-    """Positions of everybody once a second, (n, people, 2)."""
+    """Run the simulator; return the positions of the people once per second, (n, people, 2)."""
     seen = []
     for step in range(round(duration_s * 40)):
         simulator.step()
@@ -35,29 +37,29 @@ def walk(simulator, duration_s):
 
 
 @pytest.mark.parametrize('plan', [UNIVERSITY, LOOP], ids=['university', 'loop'])
-def test_people_walk_all_the_time_never_in_walls_nor_in_each_other(plan):
+def test_people_keep_walking_without_overlap(plan):
     simulator = Simulator(plan, Pose(*plan.places['S'], 0.0), 2, BLIND, people=5)
     seen = walk(simulator, 240.0)
     for positions in seen:
-        assert min(plan.clearance_m(x_m, y_m) for x_m, y_m in positions) > PERSON_RADIUS_M - 1e-6
+        assert min(clearance_m(plan, x_m, y_m) for x_m, y_m in positions) > PERSON_RADIUS_M - 1e-6
         apart_m = np.hypot(*(positions[:, None] - positions[None]).transpose(2, 0, 1))
         assert apart_m[np.triu_indices(5, 1)].min() > 2 * PERSON_RADIUS_M
     steps_m = np.hypot(*np.diff(seen, axis=0).transpose(2, 0, 1))
     assert steps_m.max() < 1.6
     assert (steps_m.mean(axis=0) > 0.5).all()
-    # Nobody stands longer than patience and one more try allow.
+    # Standing times are limited by the patience for two blockages in a row.
     for person in steps_m.T:
         still = ''.join('s' if step_m < 0.02 else '.' for step_m in person)
         assert 's' * 20 not in still
 
 
-def test_people_get_about():
+def test_people_cover_large_distances():
     simulator = Simulator(UNIVERSITY, Pose(*UNIVERSITY.places['S'], 0.0), 4, BLIND, people=3)
     seen = walk(simulator, 300.0)
     assert (np.ptp(seen, axis=0).max(axis=1) > 10.0).all()
 
 
-def test_people_keep_to_the_right_and_pass_each_other():
+def test_people_in_corridor_keep_right():
     world = build_world(CORRIDOR, rng())
     robot = Pose(0.8, 1.5, 0.0)
     people = People(world, 4, rng(1), robot, ROBOT_M)
@@ -71,11 +73,11 @@ def test_people_keep_to_the_right_and_pass_each_other():
     assert np.quantile(sides, 0.75) > 0.35
 
 
-def test_people_stop_for_the_robot_and_go_elsewhere_after_a_while():
+def test_people_blocked_by_robot_stop_then_turn_away():
     world = build_world(CORRIDOR, rng())
     people = People(world, 1, rng(3), Pose(0.8, 1.5, 0.0), ROBOT_M)
     robot = Pose(0.8, 1.5, 0.0)
-    for _ in range(400):  # until somebody is in the middle of the corridor
+    for _ in range(400):  # until the person is in the middle of the corridor
         people.walk(robot, 0.025)
     x_m, y_m, facing_rad, _ = world.people[0]
     robot = Pose(x_m + math.copysign(1.3, math.cos(facing_rad)), y_m, 0.0)
@@ -90,21 +92,19 @@ def test_people_stop_for_the_robot_and_go_elsewhere_after_a_while():
     assert not all(facing)
 
 
-def test_obstacles_make_people_step_aside_and_take_another_way():
+def test_people_avoid_added_obstacles():
     simulator = Simulator(LOOP, Pose(*LOOP.places['S'], 0.0), 2, BLIND, people=4)
     walk(simulator, 5.0)
     x_m, y_m, _, _ = simulator.world.people[0]
-    simulator.put_obstacle('on somebody', x_m, y_m, 1.0, 1.0)
-    simulator.put_obstacle('box', *LOOP.places['X'], 0.8, 2.0)
+    simulator.add_obstacle('on a person', x_m, y_m, 1.0, 1.0)
+    simulator.add_obstacle('box', *LOOP.places['X'], 0.8, 2.0)
+    with_boxes = replace(LOOP, solid=simulator.world.solid)
     for positions in walk(simulator, 120.0):
         for x_m, y_m in positions:
-            rows, columns = np.nonzero(simulator.world.solid)
-            dx = np.maximum(np.abs(x_m - (columns + 0.5) * LOOP.cell_m) - LOOP.cell_m / 2, 0.0)
-            dy = np.maximum(np.abs(y_m - (rows + 0.5) * LOOP.cell_m) - LOOP.cell_m / 2, 0.0)
-            assert np.hypot(dx, dy).min() > PERSON_RADIUS_M - 1e-6
+            assert clearance_m(with_boxes, x_m, y_m) > PERSON_RADIUS_M - 1e-6
 
 
-def test_robot_that_is_set_down_on_somebody_finds_room():
+def test_carry_onto_person_moves_person_aside():
     simulator = Simulator(LOOP, Pose(*LOOP.places['S'], 0.0), 2, BLIND, people=2)
     walk(simulator, 3.0)
     x_m, y_m, _, _ = simulator.world.people[1]
@@ -113,7 +113,7 @@ def test_robot_that_is_set_down_on_somebody_finds_room():
     assert apart_m.min() > ROBOT_M + PERSON_RADIUS_M
 
 
-def test_people_disturb_nobody_elses_chance():
+def test_people_do_not_change_other_random_draws():
     alone, among = (
         Simulator(UNIVERSITY, Pose(*UNIVERSITY.places['S'], 0.0), 6, BLIND, people=n)
         for n in (0, 3)
@@ -130,7 +130,7 @@ def test_too_many_people_are_refused():
         Simulator(LOOP, Pose(*LOOP.places['S'], 0.0), 0, BLIND, people=500)
 
 
-def test_camera_sees_people_as_wide_and_tall_as_they_are():
+def test_people_appear_with_projected_size():
     room = parse_floor_plan('\n'.join(['#' * 14, *['#............#'] * 12, '#' * 14]), cell_m=1.0)
     world = build_world(room, rng())
     white = np.ones_like(world.library.textures)
@@ -155,6 +155,6 @@ def test_camera_sees_people_as_wide_and_tall_as_they_are():
     foot_px = 100 + options.focal_px * options.height_m / depth_m
     assert rows[0] == pytest.approx(top_px, abs=1)
     assert rows[-1] + 1 == pytest.approx(foot_px, abs=1)
-    # Behind a wall nobody is seen.
+    # A wall hides people.
     plain.solid[5:9, 5] = True
     assert (Camera(plain, rng(), options).take(3.0, 7.0, 0.0) > 0).all()

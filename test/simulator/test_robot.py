@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from ratslam_ros.simulator.robot import Pose, Robot, RobotOptions, WheelOdometry
+from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.simulator.robot import Robot, RobotOptions, WheelOdometry, after_arc
 
 EXACT = RobotOptions(
     wheel_radius_error=0.0, wheel_base_error=0.0, slip_m=0.0, encoder_counts_per_turn=10**9
@@ -14,7 +15,7 @@ START = Pose(0.0, 0.0, 0.0)
 
 
 def drive(options, seed=0, steps=2400):
-    """Drive an eight for two minutes; return the true pose and what the odometry says."""
+    """Drive a figure of eight for two minutes; return the true pose and the odometry reading."""
     robot = Robot(START, np.random.Generator(np.random.PCG64(seed)), options)
     odometry = WheelOdometry(options)
     report = odometry.update(robot.encoder_counts(), 0.05)
@@ -30,28 +31,28 @@ def distance_m(a, b):
     return math.hypot(a.x_m - b.x_m, a.y_m - b.y_m)
 
 
-def test_arc_is_exact():
-    quarter = START.after_arc(math.pi / 2, math.pi / 2)
+def test_after_arc_matches_closed_form():
+    quarter = after_arc(START, math.pi / 2, math.pi / 2)
     assert (quarter.x_m, quarter.y_m) == pytest.approx((1.0, 1.0), abs=1e-12)
     assert quarter.heading_rad == pytest.approx(math.pi / 2)
-    straight = START.after_arc(2.0, 0.0)
+    straight = after_arc(START, 2.0, 0.0)
     assert straight == Pose(2.0, 0.0, 0.0)
 
 
-def test_perfect_robot_knows_where_it_is():
+def test_odometry_without_errors_equals_truth():
     truth, report = drive(EXACT)
     assert distance_m(truth, report.pose) < 1e-5
     assert report.pose.heading_rad == pytest.approx(truth.heading_rad, abs=1e-6)
     assert report.speed_mps == pytest.approx(0.5, abs=1e-6)
 
 
-def test_encoders_round_down_to_whole_counts():
+def test_encoder_quantisation_causes_small_odometry_error():
     coarse = RobotOptions(wheel_radius_error=0.0, wheel_base_error=0.0, slip_m=0.0)
     truth, report = drive(coarse)
     assert 0.0 < distance_m(truth, report.pose) < 0.05
 
 
-def test_dead_reckoning_gets_worse_with_noise():
+def test_odometry_error_grows_with_noise():
     errors_m = []
     for factor in (0.0, 1.0, 4.0):
         nominal = RobotOptions()
@@ -66,7 +67,7 @@ def test_dead_reckoning_gets_worse_with_noise():
     assert errors_m[1] < 0.5 * errors_m[2]
 
 
-def test_robot_at_rest_stays_where_it_is():
+def test_robot_at_rest_keeps_pose_and_counts():
     robot = Robot(START, np.random.Generator(np.random.PCG64(0)), RobotOptions())
     for _ in range(100):
         robot.command(0.0, 0.0, 0.05)
@@ -75,7 +76,7 @@ def test_robot_at_rest_stays_where_it_is():
     assert robot.encoder_counts() == (0, 0)
 
 
-def test_motors_accelerate_no_faster_than_they_can():
+def test_command_limits_acceleration():
     robot = Robot(START, np.random.Generator(np.random.PCG64(0)), RobotOptions())
     robot.command(1.0, -2.0, 0.1)
     assert robot.speed_mps == pytest.approx(0.04)

@@ -1,23 +1,24 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A minute or two in the life of a robot that maps a small floor and goes where it is told."""
+"""Closed loop of simulator and RatSLAM on a small floor, for one or two simulated minutes."""
 
 import math
 
 import numpy as np
 import pytest
 
+from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.driving.steering import Command
-from ratslam_ros.core.navigation.route_planner import UnreachableGoal
+from ratslam_ros.errors import UnreachableGoal
 from ratslam_ros.files.config import load_config
 from ratslam_ros.messages.mapping import encode_map
 from ratslam_ros.simulator.closed_loop import ClosedLoop
 from ratslam_ros.simulator.floor_plan import parse_floor_plan
-from ratslam_ros.simulator.robot import Pose, RobotOptions
+from ratslam_ros.simulator.robot import RobotOptions
 from ratslam_ros.simulator.simulation import SimulationOptions, Simulator
 from ratslam_ros.simulator.world import WorldOptions
 
-# A corridor round a block, a minute's way.
+# A corridor around a block, one lap of which takes about a minute.
 PLAN = parse_floor_plan("""
 ##################
 #................#
@@ -36,7 +37,7 @@ PLAN = parse_floor_plan("""
 CONFIG = load_config('navigation')[0]
 
 
-# How well a minute's map makes up for slip and for looks that are alike is for the benchmarks.
+# Without slip and aliasing, which a map of one minute cannot yet correct.
 PLAIN = SimulationOptions(
     world=WorldOptions(aliasing=0.0),
     robot=RobotOptions(wheel_radius_error=0.0, wheel_base_error=0.0, slip_m=0.0),
@@ -62,7 +63,7 @@ def map_bytes(loop):
     return encode_map(0, loop.experience_map)
 
 
-def test_exploring_makes_a_map_and_a_log_of_it():
+def test_explore_builds_map_and_log():
     loop = explored(1, 20.0)
     log, graph = loop.log, loop.experience_map
     first = len(graph)
@@ -73,7 +74,7 @@ def test_exploring_makes_a_map_and_a_log_of_it():
     rows = len(log.stamp_ns)
     assert rows == pytest.approx(80 * 20, abs=3)
     assert {
-        len(column) for column in (log.truth, log.believed, log.dead_reckoning,
+        len(column) for column in (log.truth, log.estimated, log.dead_reckoning,
                                    log.experience_id, log.packet)
     } == {rows}  # fmt: skip
     assert set(np.diff(log.stamp_ns)) == {50_000_000}
@@ -81,20 +82,20 @@ def test_exploring_makes_a_map_and_a_log_of_it():
     assert np.diff(log.truths()[:, :2], axis=0).max() < 0.05
     assert max(log.experience_id) < len(graph)
     assert sorted(log.truth_of) == list(range(len(graph)))
-    # Once round, places are known again, and truly are those.
+    # After one lap, loop closures lead to the right places.
     assert len(log.closures_ns) == len(log.jump_m) > 0
     assert np.median(log.jump_m) < 0.5
     assert np.searchsorted(log.stamp_ns, log.closures_ns[0]) > rows / 4
     assert loop.simulator.collisions == 0
 
 
-def test_the_same_seeds_give_the_same_map_and_others_another():
+def test_equal_seeds_give_equal_maps():
     first, again = (map_bytes(explored(2, 40.0)) for _ in range(2))
     assert first == again
     assert map_bytes(explored(3, 40.0)) != first
 
 
-def test_a_run_in_parts_is_the_same_run():
+def test_run_in_parts_equals_single_run():
     def run(parts_s):
         loop = closed_loop(4)
         for end_s in parts_s:
@@ -105,16 +106,16 @@ def test_a_run_in_parts_is_the_same_run():
 
 
 @pytest.mark.parametrize('seed', [0, 1])
-def test_a_place_that_was_named_is_gone_to(seed):
+def test_go_to_named_place_reaches_it(seed):
     loop = explored(seed, 20.0, PLAIN)
     loop.name_place('corner')
     corner = loop.simulator.truth
     loop.explore(60.0)
     begun_s, begun_m = loop.now_s, loop.simulator.odometer_m
     assert apart_m(loop.simulator.truth, corner) > 3.0
-    (errand,) = loop.go_to('corner', until=lambda: loop.now_s > begun_s + 90.0)
-    assert (errand.status, errand.reason) == ('succeeded', '')
-    # Half a metre takes a longer exploration: views are known a little before their places.
+    (task,) = loop.go_to('corner', until=lambda: loop.now_s > begun_s + 90.0)
+    assert (task.status, task.reason) == ('succeeded', '')
+    # 0.5 m would need a longer exploration: views match slightly before their places.
     assert apart_m(loop.simulator.truth, corner) < 1.0
     assert loop.simulator.odometer_m - begun_m < 30.0
     assert loop.simulator.collisions == 0
@@ -122,7 +123,7 @@ def test_a_place_that_was_named_is_gone_to(seed):
     assert loop.guidance.status == 'succeeded'
 
 
-def test_goals_that_are_not_known_or_given_up():
+def test_go_to_unknown_raises_and_until_cancels():
     loop = explored(0, 20.0)
     stamp_ns = loop.simulator.stamp_ns
     with pytest.raises(UnreachableGoal, match='nowhere'):
@@ -136,26 +137,26 @@ def test_goals_that_are_not_known_or_given_up():
 
 
 @pytest.mark.parametrize('seed', [1, 2])
-def test_a_robot_that_was_carried_finds_out_where_it_is(seed):
+def test_carried_robot_relocalises(seed):
     loop = explored(seed, 90.0, PLAIN)
     log, graph = loop.log, loop.experience_map
-    known = dict(log.truth_of)
+    mapped = dict(log.truth_of)
     closures = len(log.closures_ns)
-    there = log.truth[len(log.truth) * 2 // 3]
-    assert apart_m(there, loop.simulator.truth) > 2.0
-    believed = log.believed[-1]
-    loop.simulator.carry(Pose(*there))
-    loop.explore(0.2)  # nothing has told it
-    assert apart_m(log.believed[-1], believed) < 0.3
+    target = log.truth[len(log.truth) * 2 // 3]
+    assert apart_m(target, loop.simulator.truth) > 2.0
+    estimated = log.estimated[-1]
+    loop.simulator.carry(target)
+    loop.explore(0.2)  # too short for a relocalisation
+    assert apart_m(log.estimated[-1], estimated) < 0.3
 
-    def off_m():
-        """How much further it believes to be from the nearest old experience than it is."""
-        nearest = min(known, key=lambda number: apart_m(known[number], loop.simulator.truth))
+    def error_m():
+        """Return by how much the distance to the nearest old experience is overestimated."""
+        nearest = min(mapped, key=lambda number: apart_m(mapped[number], loop.simulator.truth))
         place = graph.poses[nearest, :2].tolist()
-        believed_m = math.dist(place, graph.pose[:2])
-        return believed_m - apart_m(known[nearest], loop.simulator.truth)
+        estimated_m = math.dist(place, graph.pose[:2])
+        return estimated_m - apart_m(mapped[nearest], loop.simulator.truth)
 
-    assert off_m() > 1.5
+    assert error_m() > 1.5
     loop.explore(30.0)
     assert len(log.closures_ns) > closures
-    assert off_m() < 0.75
+    assert error_m() < 0.75

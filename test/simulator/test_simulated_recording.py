@@ -19,7 +19,7 @@ def bytes_of(folder):
     return {file.name: file.read_bytes() for file in folder.iterdir()}
 
 
-def test_same_seed_writes_the_same_bytes_and_another_seed_others(run, tmp_path):
+def test_equal_seeds_write_equal_recordings(run, tmp_path):
     again = write_recording(tmp_path / 'again' / 'run', seed=3, duration_s=5.0)
     other = write_recording(tmp_path / 'other' / 'run', seed=4, duration_s=5.0)
     first = bytes_of(run.recording)
@@ -29,7 +29,7 @@ def test_same_seed_writes_the_same_bytes_and_another_seed_others(run, tmp_path):
     assert bytes_of(other.recording)['truth.tum'] != first['truth.tum']
 
 
-def test_recording_holds_what_ros_expects(run):
+def test_recording_contains_expected_topics_and_messages(run):
     with AnyReader([run.recording]) as reader:
         messages = {
             connection.topic: [
@@ -56,7 +56,7 @@ def test_recording_holds_what_ros_expects(run):
     assert last.twist.twist.linear.x > 0.4
 
 
-def test_truth_file_has_a_line_for_each_odometry_message(run):
+def test_truth_file_has_line_per_odometry_message(run):
     lines = run.truth.read_text().splitlines()
     assert len(lines) == len(run.truth_stamp_ns) == 101
     stamp, x, y, z, qx, qy, qz, qw = lines[-1].split()
@@ -67,12 +67,12 @@ def test_truth_file_has_a_line_for_each_odometry_message(run):
     assert 2 * np.arctan2(float(qz), float(qw)) == pytest.approx(run.truth_pose[-1, 2], abs=1e-8)
 
 
-def test_recording_never_overwrites(run):
+def test_write_recording_to_existing_folder_is_refused(run):
     with pytest.raises(UnusableInput, match='exists already'):
         write_recording(run.recording, seed=3, duration_s=1.0)
 
 
-def test_picture_of_a_run_is_the_same_bytes_again(run, tmp_path):
+def test_draw_run_is_reproducible(run, tmp_path):
     first, again = (draw_run(run, tmp_path / name).read_bytes() for name in ('1.png', '2.png'))
     assert first == again
     assert cv2.imread(str(tmp_path / '1.png')).shape[1] > 800

@@ -6,15 +6,16 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from floor_clearance import clearance_m
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.config.goal_follower import GoalFollowerParameters
 from ratslam_ros.simulator.closed_loop import ClosedLoop
 from ratslam_ros.simulator.floor_plan import load_floor_plan, parse_floor_plan
-from ratslam_ros.simulator.robot import Pose as TruePose
+from ratslam_ros.simulator.shortest_paths import DrivenGraph, FloorGraph, FloorPath
 from ratslam_ros.simulator.simulation import SimulationOptions, Simulator
-from ratslam_ros.simulator.trials import Driven, Floor, Trial, Way, attempt, choose_goals
+from ratslam_ros.simulator.trials import Trial, attempt, choose_goals
 
 ROOM = parse_floor_plan('\n'.join(['#' * 12, *['#..........#'] * 10, '#' * 12]), 0.5)
 WALLED = parse_floor_plan(
@@ -24,65 +25,66 @@ RADIUS_M = 0.22
 P = GoalFollowerParameters(speed_mps=0.5, braking_mps2=0.25, turn_rate_radps=1.0)
 
 
-def way(*points):
-    return Way(np.array(points, np.float64))
+def path_through(*points):
+    return FloorPath(np.array(points, np.float64))
 
 
 @pytest.mark.parametrize('degrees', range(0, 91, 9))
-def test_the_way_across_a_room_is_as_long_as_a_straight_line(degrees):
+def test_floor_path_across_room_is_nearly_straight(degrees):
     start = Pose(1.0, 1.0, 0.0)
     goal = 1.0 + 3.5 * math.cos(math.radians(degrees)), 1.0 + 3.5 * math.sin(math.radians(degrees))
-    found = Floor(ROOM.solid, ROOM.cell_m, RADIUS_M).way(start, goal)
+    found = FloorGraph(ROOM.solid, ROOM.cell_m, RADIUS_M).shortest_path(start, goal)
     assert 3.5 - 1e-9 <= found.length_m <= 3.5 * 1.04
     assert found.positions_m[0].tolist() == [1.0, 1.0]
     assert tuple(found.positions_m[-1]) == goal
 
 
-def test_the_way_goes_round_walls_with_room_for_the_body():
+def test_floor_path_around_wall_keeps_body_radius():
     start, goal = Pose(1.0, 5.0, 0.0), (5.0, 5.0)
-    found = Floor(WALLED.solid, WALLED.cell_m, RADIUS_M).way(start, goal)
+    found = FloorGraph(WALLED.solid, WALLED.cell_m, RADIUS_M).shortest_path(start, goal)
     assert 8.0 < found.length_m < 9.5
-    assert min(WALLED.clearance_m(x, y) for x, y in found.positions_m) >= RADIUS_M - 1e-9
+    assert min(clearance_m(WALLED, x, y) for x, y in found.positions_m) >= RADIUS_M - 1e-9
 
 
-def test_there_is_no_way_through_walls_or_off_the_plan():
+def test_floor_path_to_unreachable_goal_is_none():
     solid = WALLED.solid.copy()
     solid[:, 5] = True
-    floor = Floor(solid, WALLED.cell_m, RADIUS_M)
-    assert floor.way(Pose(1.0, 5.0, 0.0), (5.0, 5.0)) is None
-    assert floor.way(Pose(1.0, 5.0, 0.0), (50.0, 5.0)) is None
-    assert Floor(np.ones_like(solid), 0.5, RADIUS_M).way(Pose(1.0, 5.0, 0.0), (2.0, 5.0)) is None
+    floor = FloorGraph(solid, WALLED.cell_m, RADIUS_M)
+    assert floor.shortest_path(Pose(1.0, 5.0, 0.0), (5.0, 5.0)) is None
+    assert floor.shortest_path(Pose(1.0, 5.0, 0.0), (50.0, 5.0)) is None
+    no_room = FloorGraph(np.ones_like(solid), 0.5, RADIUS_M)
+    assert no_room.shortest_path(Pose(1.0, 5.0, 0.0), (2.0, 5.0)) is None
 
 
-def test_driven_ways_lead_only_where_the_robot_has_been_and_where_it_still_fits():
+def test_driven_path_uses_only_driven_free_places():
     t = np.linspace(0.0, 1.0, 200)[:, None]
     corners = np.array([[1.0, 5.0], [1.0, 1.0], [5.0, 1.0], [5.0, 5.0]])
     path = np.concatenate([a + t * (b - a) for a, b in pairwise(corners)])
-    driven = Driven(path)
+    driven = DrivenGraph(path)
     assert len(driven.positions_m) < 150
     start = Pose(1.0, 5.0, 0.0)
-    assert driven.way(start, (5.0, 5.0)).length_m == pytest.approx(12.0, abs=0.3)
-    assert driven.way(start, (3.0, 5.0)) is None
-    # Driving it twice, or to and fro, makes no other ways.
-    again = Driven(np.concatenate([path, path[::-1]]))
-    assert again.way(start, (5.0, 5.0)).length_m == pytest.approx(12.0, abs=0.3)
+    assert driven.shortest_path(start, (5.0, 5.0)).length_m == pytest.approx(12.0, abs=0.3)
+    assert driven.shortest_path(start, (3.0, 5.0)) is None
+    # Driving the path a second time, backwards, adds no shortcut.
+    again = DrivenGraph(np.concatenate([path, path[::-1]]))
+    assert again.shortest_path(start, (5.0, 5.0)).length_m == pytest.approx(12.0, abs=0.3)
     solid = ROOM.solid.copy()
     solid[1:4, 6] = True
-    assert driven.without(solid, 0.5, RADIUS_M).way(start, (5.0, 5.0)) is None
+    assert driven.without(solid, 0.5, RADIUS_M).shortest_path(start, (5.0, 5.0)) is None
 
 
-def test_the_shortest_time_counts_turning_starting_and_stopping():
-    straight = way((0.0, 0.0), (1.0, 0.0), (10.0, 0.0))
+def test_path_time_includes_turning_and_acceleration():
+    straight = path_through((0.0, 0.0), (1.0, 0.0), (10.0, 0.0))
     assert straight.time_s(0.0, P) == pytest.approx(22.0)
     assert straight.time_s(math.pi, P) == pytest.approx(22.0 + math.pi)
     assert straight.time_s(-math.pi / 2, P) == pytest.approx(22.0 + math.pi / 2)
-    assert way((0.0, 0.0), (0.25, 0.0)).time_s(0.0, P) == pytest.approx(2.0)
-    short = way((0.0, 0.0), (1.0, 0.0)).time_s(0.0, P)
-    assert short == pytest.approx(way((0.0, 0.0), (1.0 + 1e-9, 0.0)).time_s(0.0, P))
+    assert path_through((0.0, 0.0), (0.25, 0.0)).time_s(0.0, P) == pytest.approx(2.0)
+    short = path_through((0.0, 0.0), (1.0, 0.0)).time_s(0.0, P)
+    assert short == pytest.approx(path_through((0.0, 0.0), (1.0 + 1e-9, 0.0)).time_s(0.0, P))
 
 
-def test_a_trial_has_succeeded_if_the_robot_says_so_and_it_is_true_and_in_time():
-    shortest = way((0.0, 0.0), (10.0, 0.0))
+def test_trial_success_requires_outcome_distance_and_time():
+    shortest = path_through((0.0, 0.0), (10.0, 0.0))
     trial = Trial('A', (10.0, 0.0), 'succeeded', 0.4, 11.0, 60.0, shortest, None, 22.0, math.inf,
                   np.zeros((1, 3)))  # fmt: skip
     assert trial.succeeded
@@ -93,7 +95,7 @@ def test_a_trial_has_succeeded_if_the_robot_says_so_and_it_is_true_and_in_time()
     assert not replace(trial, outcome='timed_out').succeeded
 
 
-def test_chosen_goals_are_apart_and_their_order_is_drawn():
+def test_chosen_goals_are_distant_in_random_order():
     places = {f'{x}{y}': (float(x), float(y)) for x in range(9) for y in range(9)}
     orders = set()
     for seed in range(8):
@@ -106,10 +108,10 @@ def test_chosen_goals_are_apart_and_their_order_is_drawn():
     assert len(choose_goals({'A': (1.0, 1.0)}, Pose(0.0, 0.0, 0.0), 3, rng)) == 1
 
 
-def test_a_goal_that_is_not_known_is_a_failed_trial():
+def test_attempt_unknown_goal_fails_as_refused():
     plan = load_floor_plan('obstacle_loop')
     x_m, y_m = plan.places['S']
-    simulator = Simulator(plan, TruePose(x_m, y_m, 0.0), 1, SimulationOptions(camera=None))
+    simulator = Simulator(plan, Pose(x_m, y_m, 0.0), 1, SimulationOptions(camera=None))
     loop = ClosedLoop(simulator, Config(), 1)
     loop.explore(5.0)
     trial = attempt(loop, 'G', plan.places['G'])

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 import numpy as np
 import pytest
+from floor_clearance import clearance_m
 
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.simulator.floor_plan import office, parse_floor_plan
@@ -12,22 +13,22 @@ def rng(seed):
     return np.random.Generator(np.random.PCG64(seed))
 
 
-def test_plan_has_its_first_line_in_the_north():
+def test_plan_first_line_is_north():
     plan = parse_floor_plan('#####\n#B..#\n#..A#\n#####', cell_m=2.0)
     assert plan.size_m == (10.0, 8.0)
     assert plan.places == {'A': (7.0, 3.0), 'B': (3.0, 5.0)}
-    assert list(plan.places) == ['A', 'B']  # from the south
-    assert plan.clearance_m(5.0, 4.0) == pytest.approx(2.0)
-    assert plan.clearance_m(1.0, 1.0) == 0.0
+    assert list(plan.places) == ['A', 'B']  # sorted from the south
+    assert clearance_m(plan, 5.0, 4.0) == pytest.approx(2.0)
+    assert clearance_m(plan, 1.0, 1.0) == 0.0
 
 
 @pytest.mark.parametrize('text', ['###\n#.#\n#.#', '####\n#.#\n####'])
-def test_plan_that_is_open_or_ragged_is_refused(text):
+def test_open_or_ragged_plan_is_refused(text):
     with pytest.raises(UnusableInput):
         parse_floor_plan(text, cell_m=1.0)
 
 
-def test_same_seed_same_world_and_another_seed_another():
+def test_equal_seeds_build_equal_worlds():
     first, again, other = (build_world(office(), rng(seed)) for seed in (1, 1, 2))
     for name in ('panel', 'panel_u_m', 'light'):
         assert np.array_equal(getattr(first, name), getattr(again, name))
@@ -36,11 +37,11 @@ def test_same_seed_same_world_and_another_seed_another():
     assert not np.array_equal(first.library.textures, other.library.textures)
 
 
-def test_panels_run_on_from_cell_to_cell_as_the_viewer_sees_them():
+def test_panels_continue_across_cells_as_seen():
     plan = parse_floor_plan('######\n#....#\n#....#\n#....#\n#....#\n######', cell_m=0.7)
     world = build_world(plan, rng(0), WorldOptions(aliasing=0.0))
     begin, middle = 0.0, np.float32(0.7)
-    # Seen from the room, left to right is west to east only on the north wall.
+    # Left to right as seen from the room is west to east on the north wall only.
     assert world.panel_u_m[5, 1:5, SOUTH].tolist() == [begin, middle, begin, middle]
     assert world.panel_u_m[0, 1:5, NORTH].tolist() == [middle, begin, middle, begin]
     assert world.panel_u_m[1:5, 0, EAST].tolist() == [begin, middle, begin, middle]
@@ -48,12 +49,12 @@ def test_panels_run_on_from_cell_to_cell_as_the_viewer_sees_them():
     assert world.panel[5, 1, SOUTH] == world.panel[5, 2, SOUTH] != world.panel[5, 3, SOUTH]
 
 
-def test_aliasing_is_the_share_of_corner_walls_in_the_house_style():
+def test_aliasing_sets_share_of_house_style_walls():
     plan = office()
     shares = []
     for aliasing in (0.0, 0.5, 1.0):
         world = build_world(plan, rng(3), WorldOptions(aliasing=aliasing))
         shares.append(np.isin(world.panel, world.library.house_style).mean())
     assert shares == sorted(set(shares))
-    # With all of them so, opposite corners are twins.
+    # With full aliasing, opposite corners look the same.
     assert np.array_equal(world.panel[0, 1:4, NORTH], world.panel[-1, -2:-5:-1, SOUTH])

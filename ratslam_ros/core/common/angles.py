@@ -13,11 +13,11 @@ TWO_PI = 2.0 * math.pi
 
 @compiled
 def wrap(angle_rad: float) -> float:
-    """Map an angle to (-pi, pi]."""
+    """Wrap an angle in radians to (-pi, pi]."""
     if -math.pi < angle_rad <= math.pi:
         return angle_rad
     wrapped = angle_rad - TWO_PI * math.ceil((angle_rad - math.pi) / TWO_PI)
-    # Rounding may leave the lower end itself, which belongs to the other side.
+    # Rounding can return -pi exactly, which lies outside the half-open interval.
     if wrapped <= -math.pi:
         return wrapped + TWO_PI
     return min(wrapped, math.pi)

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""How the inner loops are compiled: strict arithmetic, one thread, cached on disk."""
+"""Numba settings for the inner loops: strict arithmetic, one thread, cached on disk."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ _Function = TypeVar('_Function', bound=Callable[..., Any])
 
 
 def compiled(function: _Function) -> _Function:
-    """Compile a function when it is first called, and cache the machine code.
+    """Compile a function with numba on its first call, and cache the machine code on disk.
 
-    No fastmath and no parallel loops: the same input must give the same bits at every run.
+    Fastmath and parallel loops are off, so that the same input gives bit-identical results in
+    every run.
     """
     dispatcher: _Function = numba.njit(cache=True, fastmath=False)(function)
     return dispatcher

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Odometry: message -> Motion, by stamps alone."""
+"""Convert odometry messages to motions; time intervals are differences of stamps."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from typing import NamedTuple
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.pose import Pose, heading_of, quaternion_of
 
-MOST = 1e9
-"""No robot is this fast (m/s, rad/s) or this far off (m); such a message is refused."""
+MAX_PLAUSIBLE_VALUE = 1e9
+"""Messages with a larger speed (m/s, rad/s), position (m) or heading (rad) are rejected."""
 
-LONGEST_GAP_NS = 60_000_000_000
-"""After a longer time without odometry nobody knows where the robot went: that is no motion."""
+MAX_GAP_NS = 60_000_000_000
+"""Longest interval between two messages over which a motion is computed."""
 
 
 class Twist(NamedTuple):
-    """Forward speed and turn rate, counter-clockwise positive."""
+    """Forward speed and turn rate; counter-clockwise is positive."""
 
     linear_x_mps: float
     angular_z_radps: float
@@ -29,16 +29,20 @@ class Twist(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Odometry:
-    """One odometry message: the twist over the time up to its stamp, and the pose if known."""
+    """One odometry message.
+
+    ``twist`` applies to the interval that ends at ``stamp_ns``; ``pose`` is in the odometry frame.
+    """
 
     stamp_ns: int
     twist: Twist
     pose: Pose
 
     def as_received(self) -> Odometry:
-        """Return it with the heading that a receiver reads from the message's quaternion.
+        """Return this message as a subscriber receives it, its heading converted by quaternion.
 
-        It may differ in the last bit; live and offline must agree to that as well.
+        The conversion may change the last bit of the heading. Offline runs apply it as well, so
+        that they are bit-identical to live runs.
         """
         heading_rad = heading_of(0.0, 0.0, *quaternion_of(self.pose.heading_rad))
         return replace(self, pose=self.pose._replace(heading_rad=heading_rad))
@@ -46,7 +50,10 @@ class Odometry:
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """What the robot did between two odometry messages, as an arc of constant curvature."""
+    """Motion of the robot between two odometry messages: an arc of constant curvature.
+
+    ``distance_m`` is the arc length, negative when driving backwards.
+    """
 
     dt_s: float
     distance_m: float
@@ -54,37 +61,43 @@ class Motion:
 
     @property
     def chord_m(self) -> float:
-        """Length of the straight line between the arc's ends; negative when driving back."""
-        return self.distance_m * sinc(0.5 * self.turn_rad)
+        """Length of the chord of the arc; negative when driving backwards."""
+        return self.distance_m * _sinc(0.5 * self.turn_rad)
 
 
 class MotionFromOdometry:
-    """Turn odometry messages into motions; the first message only sets the clock."""
+    """Conversion of successive odometry messages to motions.
+
+    ``odom_source`` is ``'twist'`` or ``'pose'``: the part of the messages that is used.
+    """
 
     def __init__(self, odom_source: str) -> None:
         self._from_pose = odom_source == 'pose'
         self._last: Odometry | None = None
 
     def accepts(self, odometry: Odometry) -> bool:
-        """Tell whether the part of a message that is used is finite and below any real speed."""
+        """Return whether the used part of a message is finite and plausible."""
         used = odometry.pose if self._from_pose else odometry.twist
-        return all(math.isfinite(value) and abs(value) <= MOST for value in used)
+        return all(math.isfinite(value) and abs(value) <= MAX_PLAUSIBLE_VALUE for value in used)
 
     def restart(self) -> None:
-        """Take the next message for the first one: what lies between is no motion."""
+        """Treat the next message as the first one: no motion is computed for the gap before it."""
         self._last = None
 
     def update(self, odometry: Odometry) -> Motion | None:
-        """Return the motion since the message before; None for the first one, or after a gap.
+        """Return the motion since the previous message.
 
-        Twist n acts over (t[n-1], t[n]]. From poses: the arc that joins the two poses, seen in
-        the robot's frame. Algorithm.md, Odometry input.
+        Twist n applies to the interval (t[n-1], t[n]]. With poses, the motion is the arc between
+        the two poses in the robot's frame (docs/algorithm.md, "Odometry").
+
+        Returns:
+            The motion, or None for the first message and after more than ``MAX_GAP_NS``.
         """
         last, self._last = self._last, odometry
         if last is None:
             return None
         dt_s = (odometry.stamp_ns - last.stamp_ns) * 1e-9
-        if odometry.stamp_ns - last.stamp_ns > LONGEST_GAP_NS:
+        if odometry.stamp_ns - last.stamp_ns > MAX_GAP_NS:
             return None
         if not self._from_pose:
             v, w = odometry.twist
@@ -94,10 +107,15 @@ class MotionFromOdometry:
         chord = (odometry.pose.x_m - last.pose.x_m) * math.cos(direction) + (
             odometry.pose.y_m - last.pose.y_m
         ) * math.sin(direction)
-        return Motion(dt_s, chord / sinc(0.5 * turn), turn)
+        return Motion(dt_s, chord / _sinc(0.5 * turn), turn)
 
     def ahead(self, waiting: Iterable[Odometry], offset: Pose) -> Pose:
-        """Return where messages that still wait for their turn will lead; takes none of them."""
+        """Return ``offset`` moved on by queued messages, without changing this object.
+
+        Args:
+            waiting: messages that have not been passed to ``update`` yet, in order.
+            offset: pose after the last message passed to ``update``.
+        """
         motion_of = copy.copy(self)
         for odometry in waiting:
             motion = motion_of.update(odometry)
@@ -106,13 +124,13 @@ class MotionFromOdometry:
         return offset
 
 
-def sinc(x: float) -> float:
-    """Return sin(x) / x, and 1 at 0."""
+def _sinc(x: float) -> float:
+    """Return sin(x) / x, with the limit 1 at x = 0."""
     return math.sin(x) / x if abs(x) > 1e-8 else 1.0
 
 
 def moved(pose: Pose, motion: Motion) -> Pose:
-    """Return the pose after a motion along the exact arc."""
+    """Return ``pose`` after ``motion``, integrated exactly along the arc."""
     direction = pose.heading_rad + 0.5 * motion.turn_rad
     chord = motion.chord_m
     return Pose(

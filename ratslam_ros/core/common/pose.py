@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Poses in the plane, their composition, and the quaternions that messages carry."""
+"""Planar poses (SE(2)), their composition and inverse, and conversion to quaternions."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ratslam_ros.core.common.angles import wrap
 
 
 class Pose(NamedTuple):
-    """A place in the plane; the heading is counter-clockwise from x."""
+    """A planar pose in metres and radians; the heading is counter-clockwise from the x axis."""
 
     x_m: float
     y_m: float
@@ -19,17 +19,17 @@ class Pose(NamedTuple):
 
 
 def heading_of(x: float, y: float, z: float, w: float) -> float:
-    """Return the heading in rad that a quaternion means in the plane."""
+    """Return the heading (yaw) of a quaternion, in radians."""
     return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
 
 def quaternion_of(heading_rad: float) -> tuple[float, float]:
-    """Return z and w of the quaternion that means a heading."""
+    """Return the z and w components of the quaternion of a heading."""
     return math.sin(0.5 * heading_rad), math.cos(0.5 * heading_rad)
 
 
 def composed(base: Pose, offset: Pose) -> Pose:
-    """Return the pose that lies at ``offset`` in the frame of ``base``."""
+    """Return the composition ``base * offset``: ``offset`` is given in the frame of ``base``."""
     c, s = math.cos(base.heading_rad), math.sin(base.heading_rad)
     return Pose(
         base.x_m + c * offset.x_m - s * offset.y_m,
@@ -39,7 +39,7 @@ def composed(base: Pose, offset: Pose) -> Pose:
 
 
 def inverse(pose: Pose) -> Pose:
-    """Return where the origin lies as seen from a pose."""
+    """Return the inverse transform: the pose of the origin in the frame of ``pose``."""
     c, s = math.cos(pose.heading_rad), math.sin(pose.heading_rad)
     return Pose(
         -c * pose.x_m - s * pose.y_m, s * pose.x_m - c * pose.y_m, -pose.heading_rad

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Laser scans, and where their beams ended."""
+"""Laser scans: validation, and conversion to points."""
 
 from __future__ import annotations
 
@@ -14,15 +14,21 @@ from ratslam_ros.core.common.compiled import compiled
 from ratslam_ros.errors import UnusableInput
 
 MAX_BEAM_COUNT = 100_000
+"""Scans with more beams are rejected."""
+
 CONTACT_RANGE_M = 0.01
-"""Where something is too close to be measured, by a laser that does not say how close that is."""
+"""Range of a beam that is below the minimum range, if the laser gives a smaller ``range_min``."""
+
+_MAX_RANGE_M = 1e6
+"""Beams with at least this range count as free of obstacles."""
 
 
 @dataclass(frozen=True, slots=True)
 class Scan:
-    """One laser scan, beams counter-clockwise from ``angle_min_rad``; 0 is straight ahead.
+    """One laser scan.
 
-    ``ranges_m``: (n,); what is not a finite positive number is no obstacle.
+    Beam i points ``angle_min_rad + i * angle_increment_rad`` counter-clockwise from straight
+    ahead. ``ranges_m`` is (n,); beams whose range is not finite and positive hit no obstacle.
     """
 
     stamp_ns: int
@@ -32,50 +38,59 @@ class Scan:
 
 
 class UnusableScan(UnusableInput):
-    """No way on can be seen in a scan."""
+    """A scan whose beam angles or ranges are invalid."""
 
 
 def checked_scan(
     stamp_ns: int,
-    first_rad: float,
-    step_rad: float,
-    least_m: float,
-    most_m: float,
+    angle_min_rad: float,
+    angle_increment_rad: float,
+    range_min_m: float,
+    range_max_m: float,
     ranges_m: ArrayLike,
 ) -> Scan:
-    """Return what core takes of a scan.
+    """Validate the fields of a sensor_msgs/LaserScan and return them as a Scan.
 
-    What is not within ``least_m`` to ``most_m`` is nothing there, but for -inf: that is too
-    close to be measured (REP 117), so as close as can be.
+    Ranges outside ``range_min_m`` to ``range_max_m`` become infinite (no obstacle). A range of
+    -inf is an object too close to be measured (REP 117): it becomes ``range_min_m``, but at
+    least ``CONTACT_RANGE_M``.
 
     Args:
-        stamp_ns: of the scan.
-        first_rad, step_rad: ``angle_min`` and ``angle_increment`` of a sensor_msgs/LaserScan.
-        least_m, most_m: its ``range_min`` and ``range_max``.
-        ranges_m: (n,), its ``ranges``.
+        stamp_ns: stamp of the scan.
+        angle_min_rad: direction of the first beam, counter-clockwise from straight ahead.
+        angle_increment_rad: angle between two beams.
+        range_min_m: smallest valid range.
+        range_max_m: largest valid range.
+        ranges_m: (n,) ranges.
 
     Raises:
-        UnusableScan: the directions of its beams are not known, or there are none.
+        UnusableScan: there are no beams or too many, or an angle or range limit is invalid.
     """
-    given_m = np.asarray(ranges_m, np.float64)
-    beams = len(given_m)
+    measured_m = np.asarray(ranges_m, np.float64)
+    beams = len(measured_m)
     if not 0 < beams <= MAX_BEAM_COUNT:
         raise UnusableScan(f'it has {beams} beams; expected 1 to {MAX_BEAM_COUNT}')
-    known = all(map(math.isfinite, (first_rad, step_rad))) and (step_rad != 0.0 or beams == 1)
-    if not known or abs(step_rad) * (beams - 1) > math.tau + abs(step_rad):
+    step_rad = abs(angle_increment_rad)
+    are_finite = all(map(math.isfinite, (angle_min_rad, angle_increment_rad)))
+    has_angles = are_finite and (angle_increment_rad != 0.0 or beams == 1)
+    if not has_angles or step_rad * (beams - 1) > math.tau + step_rad:
         raise UnusableScan(
-            f'angle_min is {first_rad} and angle_increment {step_rad} for {beams} beams; expected '
-            'at most one turn'
+            f'angle_min is {angle_min_rad} and angle_increment {angle_increment_rad} for {beams} '
+            'beams; expected at most one turn'
         )
-    if not 0.0 <= least_m < most_m:
-        raise UnusableScan(f'range_min is {least_m} and range_max {most_m}; expected some range')
-    seen_m = np.where((given_m >= least_m) & (given_m <= most_m), given_m, math.inf)
-    seen_m[given_m == -math.inf] = max(least_m, CONTACT_RANGE_M)
-    return Scan(stamp_ns, first_rad, step_rad, seen_m)
+    if not 0.0 <= range_min_m < range_max_m:
+        raise UnusableScan(
+            f'range_min is {range_min_m} and range_max {range_max_m}; expected range_max above '
+            'range_min, which is at least 0'
+        )
+    is_valid = (measured_m >= range_min_m) & (measured_m <= range_max_m)
+    checked_m = np.where(is_valid, measured_m, math.inf)
+    checked_m[measured_m == -math.inf] = max(range_min_m, CONTACT_RANGE_M)
+    return Scan(stamp_ns, angle_min_rad, angle_increment_rad, checked_m)
 
 
 def points_of(scan: Scan) -> NDArray[np.float64]:
-    """Return (n, 2) m, where beams ended, in the robot's frame and the order of the beams."""
+    """Return (n, 2) end points of the beams that hit something, in metres in the robot's frame."""
     points: NDArray[np.float64] = _points(
         scan.ranges_m, scan.angle_min_rad, scan.angle_increment_rad
     )
@@ -89,7 +104,7 @@ def _points(
     points = np.empty((len(ranges_m), 2))
     count = 0
     for beam in range(len(ranges_m)):
-        if 0.0 < ranges_m[beam] < 1e6:
+        if 0.0 < ranges_m[beam] < _MAX_RANGE_M:
             angle = angle_min_rad + beam * angle_increment_rad
             points[count, 0] = ranges_m[beam] * math.cos(angle)
             points[count, 1] = ranges_m[beam] * math.sin(angle)

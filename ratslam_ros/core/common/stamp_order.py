@@ -1,8 +1,9 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Order: several streams -> one, by the messages' stamps and never by when they arrived.
+"""Merge several message streams into one that is ordered by the messages' stamps.
 
-The rule is architecture.md's: what the map becomes depends on the stamps alone.
+The order of the output depends on the stamps alone and not on the arrival times, so that the map
+does not depend on scheduling (docs/algorithm.md, "Time and order").
 """
 
 from __future__ import annotations
@@ -13,17 +14,21 @@ from typing import Generic, NamedTuple, TypeVar
 
 Item = TypeVar('Item')
 
-LEAP_NS = 2_000_000_000
-"""A stamp this far ahead of its stream is doubted until others follow it."""
-JUMP_BACK_NS = 1_000_000_000
-"""Stamps further back than this may be those of a recording that begins again."""
-RUN, SHORT_RUN, SHORT_RUN_NS = 10, 3, 1_000_000_000
-"""So many messages in a row show that time has leapt or jumped back, and not a stamp was wrong;
-fewer if they span some time, for slow cameras."""
+FORWARD_JUMP_NS = 2_000_000_000
+"""A stamp further ahead of its stream than this is held until later messages confirm it."""
+
+BACKWARD_JUMP_NS = 1_000_000_000
+"""A stamp further behind its stream than this may belong to a recording that has restarted."""
+
+RUN_COUNT = 10
+"""Number of consecutive messages that confirm a jump in time, forward or backward."""
+
+SHORT_RUN_COUNT, SHORT_RUN_NS = 3, 1_000_000_000
+"""In a slow stream, this many messages confirm a jump if they span at least this time."""
 
 
 class Released(NamedTuple, Generic[Item]):
-    """A message whose turn it is."""
+    """A message released in stamp order."""
 
     stamp_ns: int
     stream: str
@@ -32,116 +37,138 @@ class Released(NamedTuple, Generic[Item]):
 
 @dataclass(slots=True)
 class Counts:
-    """What did not make it into the map."""
+    """Numbers of messages that were dropped, and of gaps in the input."""
 
     late: int = 0
+    """Messages that arrived after a message with a later stamp was released."""
     refused: int = 0
+    """Messages with an implausible stamp, or with one that does not increase."""
     gaps: int = 0
-    """Leaps that were believed: a pause of the source, or messages that were lost unseen."""
+    """Confirmed forward jumps: the source paused, or messages were lost."""
 
 
 class _Stream(Generic[Item]):
-    """Which messages of one stream are believed; this depends on that stream alone."""
+    """Check of the stamps of one stream, independent of all other streams."""
 
     def __init__(self) -> None:
         self.refused = 0
         self.gaps = 0
         self.last_ns: int | None = None
-        self.left_ns: int | None = None
-        """Where the stream was when another one began again, until it begins again as well."""
-        self.earlier: list[tuple[int, Item]] = []
-        """The newest messages, refused as too old, that would make a stream of their own."""
-        self._doubted: list[tuple[int, Item]] = []
-        self._widest_ns = 0
+        """Stamp of the last accepted message."""
+        self.old_end_ns: int | None = None
+        """Last stamp before another stream restarted, until this stream restarts as well."""
+        self.restart_run: list[tuple[int, Item]] = []
+        """Newest messages that were refused as too old but may be those of a restart."""
+        self._unconfirmed: list[tuple[int, Item]] = []
+        self._max_step_ns = 0
 
     @property
-    def doubted(self) -> int:
-        """Number of messages that lie a leap ahead."""
-        return len(self._doubted)
+    def unconfirmed_count(self) -> int:
+        """Number of messages held because of an unconfirmed forward jump."""
+        return len(self._unconfirmed)
 
-    def take(self, stamp_ns: int, item: Item) -> list[tuple[int, Item]]:
-        """Return the messages that this one makes believed, it among them or not."""
+    def push(self, stamp_ns: int, item: Item) -> list[tuple[int, Item]]:
+        """Add one message and return all messages that are accepted now, in order."""
         if self.last_ns is not None and stamp_ns <= self.last_ns:
             self._refuse_old(stamp_ns, item)
             return []
-        self.earlier.clear()
-        if not self._leaps(stamp_ns, self.last_ns):
-            first = self.last_ns is None and self._doubted and not self._leaps(
-                stamp_ns, self._doubted[0][0]
+        self.restart_run.clear()
+        if not self._jumps_ahead(stamp_ns, self.last_ns):
+            continues = self.last_ns is None and self._unconfirmed and not self._jumps_ahead(
+                stamp_ns, self._unconfirmed[0][0]
             )
-            before = [self._believed(*message) for message in self._doubted] if first else []
-            self.refused += len(self._doubted) - len(before)
-            self._doubted = []
-            return [*before, self._believed(stamp_ns, item)]
-        before_ns = self._doubted[-1][0] if self._doubted else None
-        if before_ns is not None and (
-            stamp_ns <= before_ns or self._leaps(stamp_ns, before_ns, self._doubted[0][0])
+            earlier = (
+                [self._accept(*message) for message in self._unconfirmed] if continues else []
+            )
+            self.refused += len(self._unconfirmed) - len(earlier)
+            self._unconfirmed = []
+            return [*earlier, self._accept(stamp_ns, item)]
+        previous_ns = self._unconfirmed[-1][0] if self._unconfirmed else None
+        if previous_ns is not None and (
+            stamp_ns <= previous_ns
+            or self._jumps_ahead(stamp_ns, previous_ns, self._unconfirmed[0][0])
         ):
-            self._refuse_doubted()
-        self._doubted.append((stamp_ns, item))
-        return self.settle() if _is_run(self._doubted) else []
+            self._refuse_unconfirmed()
+        self._unconfirmed.append((stamp_ns, item))
+        return self.settle() if _is_run(self._unconfirmed) else []
 
     def settle(self) -> list[tuple[int, Item]]:
-        """Believe what follows a leap, if something does."""
-        if len(self._doubted) < 2:
-            self._refuse_doubted()
-        self.gaps += bool(self._doubted) and self.last_ns is not None
-        settled, self._doubted = self._doubted, []
-        return [self._believed(*message) for message in settled]
+        """Accept and return the unconfirmed messages; refuse a single one."""
+        if len(self._unconfirmed) < 2:
+            self._refuse_unconfirmed()
+        self.gaps += bool(self._unconfirmed) and self.last_ns is not None
+        settled, self._unconfirmed = self._unconfirmed, []
+        return [self._accept(*message) for message in settled]
 
-    def is_near(self, begin_ns: int) -> bool:
-        """Tell whether the refused stamps lie nearer to a new beginning than to the old end."""
-        if not self.earlier or self.last_ns is None:
+    def has_restarted(self, begin_ns: int) -> bool:
+        """Return whether the refused stamps are closer to a restart at ``begin_ns`` than to here.
+
+        "Here" is the last accepted stamp of this stream.
+        """
+        if not self.restart_run or self.last_ns is None:
             return False
-        last_ns = self.earlier[-1][0]
-        return _is_run(self.earlier) or abs(last_ns - begin_ns) < abs(last_ns - self.last_ns)
+        last_ns = self.restart_run[-1][0]
+        return _is_run(self.restart_run) or abs(last_ns - begin_ns) < abs(last_ns - self.last_ns)
 
-    def restart(self, begins: bool) -> None:
-        """Take other stamps for the next ones: at once, or when they are nearer to the others'."""
-        self._refuse_doubted()
-        self.left_ns = None if begins else self.last_ns
+    def restart(self, has_restarted: bool) -> None:
+        """Forget the last stamp.
+
+        Args:
+            has_restarted: the stream itself has restarted. Otherwise its messages from before
+                the restart may still arrive, and are recognised by ``old_end_ns``.
+        """
+        self._refuse_unconfirmed()
+        self.old_end_ns = None if has_restarted else self.last_ns
         self.last_ns = None
-        self.earlier = []
+        self.restart_run = []
 
-    def _believed(self, stamp_ns: int, item: Item) -> tuple[int, Item]:
+    def _accept(self, stamp_ns: int, item: Item) -> tuple[int, Item]:
         if self.last_ns is not None:
-            self._widest_ns = max(self._widest_ns, stamp_ns - self.last_ns)
+            self._max_step_ns = max(self._max_step_ns, stamp_ns - self.last_ns)
         self.last_ns = stamp_ns
         return stamp_ns, item
 
-    def _leaps(self, stamp_ns: int, from_ns: int | None, first_ns: int | None = None) -> bool:
-        """Tell whether a stamp is too far ahead; a slow stream's usual steps are not."""
+    def _jumps_ahead(
+        self, stamp_ns: int, from_ns: int | None, first_ns: int | None = None
+    ) -> bool:
+        """Return whether a stamp is too far ahead, compared to the usual steps of the stream."""
         if from_ns is None:
-            return stamp_ns <= 0  # a header that was never filled in, unless others follow it
-        usual_ns = self._widest_ns
+            return stamp_ns <= 0  # A header that was not filled in, unless other messages follow.
+        usual_ns = self._max_step_ns
         if first_ns is not None and self.last_ns is not None:
             usual_ns = max(usual_ns, first_ns - self.last_ns)
-        return stamp_ns - from_ns > max(LEAP_NS, 2 * usual_ns)
+        return stamp_ns - from_ns > max(FORWARD_JUMP_NS, 2 * usual_ns)
 
-    def _refuse_doubted(self) -> None:
-        self.refused += len(self._doubted)
-        self._doubted = []
+    def _refuse_unconfirmed(self) -> None:
+        self.refused += len(self._unconfirmed)
+        self._unconfirmed = []
 
     def _refuse_old(self, stamp_ns: int, item: Item) -> None:
         self.refused += 1
         assert self.last_ns is not None
-        if self.earlier and (
-            stamp_ns <= self.earlier[-1][0] or self._leaps(stamp_ns, self.earlier[-1][0])
+        if self.restart_run and (
+            stamp_ns <= self.restart_run[-1][0]
+            or self._jumps_ahead(stamp_ns, self.restart_run[-1][0])
         ):
-            self.earlier.clear()  # no stream goes on so
-        if self.last_ns - stamp_ns > JUMP_BACK_NS:
-            self.earlier = [*self.earlier[1 - RUN :], (stamp_ns, item)]
+            self.restart_run.clear()  # A restarted stream would have small, increasing steps.
+        if self.last_ns - stamp_ns > BACKWARD_JUMP_NS:
+            self.restart_run = [*self.restart_run[1 - RUN_COUNT :], (stamp_ns, item)]
 
 
 class StampOrder(Generic[Item]):
-    """Merge streams in stamp order.
+    """Merge of several streams in stamp order.
 
-    A message is held until every other stream has delivered its stamp or a later one, or the
-    newest stamp on any stream exceeds its own by more than ``max_lateness_ns``.
+    A message is held until every other stream has delivered the same stamp or a later one, or
+    until the newest stamp of any stream is more than ``max_lateness_ns`` ahead of it.
     """
 
     def __init__(self, streams: tuple[str, ...], max_lateness_ns: int) -> None:
-        """Prepare for streams; of equal stamps, those of the stream named first come first."""
+        """Create an empty merge.
+
+        Args:
+            streams: names of the streams. At equal stamps, the stream named first goes first.
+            max_lateness_ns: longest time to wait for other streams, measured in stamps.
+        """
         self._rank = {stream: rank for rank, stream in enumerate(streams)}
         self._names = streams
         self._max_lateness_ns = max_lateness_ns
@@ -149,12 +176,12 @@ class StampOrder(Generic[Item]):
         self._late = 0
         self._newest_ns: int | None = None
         self._released: tuple[int, int] | None = None
-        # No two keys are equal, so that items are never compared.
+        # (stamp, rank) is unique, so that the heap never compares items.
         self._held: list[tuple[int, int, Item]] = []
 
     @property
     def counts(self) -> Counts:
-        """What was late or refused so far."""
+        """Numbers of dropped messages and of gaps since the start."""
         return Counts(
             self._late,
             sum(stream.refused for stream in self._streams),
@@ -163,40 +190,44 @@ class StampOrder(Generic[Item]):
 
     @property
     def held(self) -> int:
-        """Number of messages that wait."""
-        return len(self._held) + sum(stream.doubted for stream in self._streams)
+        """Number of messages that have been neither released nor dropped yet."""
+        return len(self._held) + sum(stream.unconfirmed_count for stream in self._streams)
 
     @property
     def newest_ns(self) -> int | None:
-        """The newest stamp on any stream, None before the first."""
+        """Newest accepted stamp of any stream, None before the first."""
         return self._newest_ns
 
     def newest_of(self, stream: str) -> int | None:
-        """Return the newest stamp that is believed of a stream, None before the first."""
+        """Return the newest accepted stamp of a stream, None before the first."""
         return self._streams[self._rank[stream]].last_ns
 
     def waiting(self, stream: str) -> list[Item]:
-        """Return the messages of a stream that are held, in order."""
+        """Return the accepted messages of a stream that are still held, in order."""
         rank = self._rank[stream]
-        return [item for _, of, item in sorted(self._held, key=_key) if of == rank]
+        return [
+            item for _, item_rank, item in sorted(self._held, key=_key) if item_rank == rank
+        ]
 
     def push(self, stream: str, stamp_ns: int, item: Item) -> list[Released[Item]]:
-        """Take one message; return all messages whose turn has come, in order.
+        """Add one message and return all messages that can be released now, in order.
 
-        A stamp that does not increase within its stream is refused, one that leaps ahead of it is
-        doubted until a run of messages has followed it, one before the last released message is
-        late. What is refused or late is counted and dropped.
+        Dropped messages are counted:
+
+        - refused: the stamp does not increase within its stream, or it jumps ahead and is not
+          confirmed by further messages;
+        - late: a message with a later stamp has already been released.
         """
         rank = self._rank[stream]
-        if self._is_left_over(self._streams[rank], stamp_ns):
+        if self._is_from_before_restart(self._streams[rank], stamp_ns):
             self._streams[rank].refused += 1
             return []
-        for message in self._streams[rank].take(stamp_ns, item):
+        for message in self._streams[rank].push(stamp_ns, item):
             self._hold(rank, *message)
         return self._release()
 
     def flush(self) -> list[Released[Item]]:
-        """Return all held messages, in order; a single one that leaps ahead is refused."""
+        """Release all held messages, in order; a single message that jumps ahead is refused."""
         for rank, stream in enumerate(self._streams):
             for message in stream.settle():
                 self._hold(rank, *message)
@@ -204,17 +235,20 @@ class StampOrder(Generic[Item]):
 
     @property
     def jumped_back(self) -> bool:
-        """Whether a stream has begun again: a run of refused stamps increases."""
-        return any(_is_run(stream.earlier) for stream in self._streams)
+        """Whether a stream has restarted: a run of too old messages has increasing stamps."""
+        return any(_is_run(stream.restart_run) for stream in self._streams)
 
     def restart(self) -> list[Released[Item]]:
-        """Begin again where a stream jumped back to; return the messages whose turn it then is.
+        """Continue from the earlier time that a stream jumped back to (see ``jumped_back``).
 
-        What is held is dropped and counted: ``flush`` first to keep it. Other streams follow when
-        their stamps are nearer to the new ones than to where they were.
+        Held messages are refused; call ``flush`` first to keep them. The other streams restart
+        once their stamps are closer to the new time than to their old one.
+
+        Returns:
+            The messages that can be released now, in order.
         """
-        begin_ns = next(s.earlier[0][0] for s in self._streams if _is_run(s.earlier))
-        runs = [s.earlier if s.is_near(begin_ns) else [] for s in self._streams]
+        begin_ns = next(s.restart_run[0][0] for s in self._streams if _is_run(s.restart_run))
+        runs = [s.restart_run if s.has_restarted(begin_ns) else [] for s in self._streams]
         for _, rank, _ in self._held:
             self._streams[rank].refused += 1
         self._held.clear()
@@ -228,13 +262,13 @@ class StampOrder(Generic[Item]):
                 out += self.push(name, *message)
         return out
 
-    def _is_left_over(self, stream: _Stream[Item], stamp_ns: int) -> bool:
-        """Tell a message from before the time jumped back, on a stream slower than another."""
-        if stream.left_ns is None or self._newest_ns is None:
+    def _is_from_before_restart(self, stream: _Stream[Item], stamp_ns: int) -> bool:
+        """Return whether a message of a stream that lags behind predates the restart."""
+        if stream.old_end_ns is None or self._newest_ns is None:
             return False
-        if abs(stamp_ns - stream.left_ns) < abs(stamp_ns - self._newest_ns):
+        if abs(stamp_ns - stream.old_end_ns) < abs(stamp_ns - self._newest_ns):
             return True
-        stream.left_ns = None
+        stream.old_end_ns = None
         return False
 
     def _hold(self, rank: int, stamp_ns: int, item: Item) -> None:
@@ -247,11 +281,11 @@ class StampOrder(Generic[Item]):
 
     def _release(self) -> list[Released[Item]]:
         out = []
-        while self._held and self._may_go(*self._held[0][:2]):
+        while self._held and self._is_due(*self._held[0][:2]):
             out.append(self._pop())
         return out
 
-    def _may_go(self, stamp_ns: int, rank: int) -> bool:
+    def _is_due(self, stamp_ns: int, rank: int) -> bool:
         assert self._newest_ns is not None
         if self._newest_ns - stamp_ns > self._max_lateness_ns:
             return True
@@ -273,6 +307,6 @@ def _key(held: tuple[int, int, Item]) -> tuple[int, int]:
 
 def _is_run(messages: list[tuple[int, Item]]) -> bool:
     count = len(messages)
-    return count >= RUN or (
-        count >= SHORT_RUN and messages[-1][0] - messages[0][0] >= SHORT_RUN_NS
+    return count >= RUN_COUNT or (
+        count >= SHORT_RUN_COUNT and messages[-1][0] - messages[0][0] >= SHORT_RUN_NS
     )

@@ -1,9 +1,9 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Every parameter, defined once: name, unit, range, default and effect.
+"""Definition of every parameter: name, unit, range, default and effect.
 
 YAML files, ``--set``, the ROS parameter descriptors and docs/parameters.md are derived from these
-dataclasses. Names follow OpenRatSLAM (Ball et al., 2013), so that its configurations carry over.
+dataclasses. Names follow OpenRatSLAM (Ball et al. 2013), so that its configurations can be used.
 """
 
 from ratslam_ros.core.config.config import SECTIONS, SETTABLE, Config, section_of

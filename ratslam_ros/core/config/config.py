@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""All sections together, and the names of their parameters."""
+"""The complete configuration, and lookup of parameters by name."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from ratslam_ros.errors import UnusableParameter
 
 @dataclass(frozen=True)
 class Config:
-    """All parameters, a section for each of the five core modules."""
+    """All parameters, one section for each core module."""
 
     visual_odometry: VisualOdometryParameters = field(default_factory=VisualOdometryParameters)
     local_view: LocalViewParameters = field(default_factory=LocalViewParameters)
@@ -37,16 +37,19 @@ class Config:
         if sources[0] != sources[1]:
             raise UnusableParameter(
                 'pose_cells.odom_source and experience_map.odom_source are '
-                f'{sources[0]} and {sources[1]}; expected the same, or the map would not be that '
-                'of the pose cells: set both'
+                f'{sources[0]} and {sources[1]}; expected equal values, so that the map and the '
+                'pose cells use the same motion: set both'
             )
 
     def with_values(self, values: Mapping[str, Value]) -> Self:
-        """Return a copy with ``section.name`` keys set; all or nothing.
+        """Return a copy with new values, given by ``section.name``.
+
+        All values are validated together, so that values that depend on each other can be changed
+        at once.
 
         Raises:
-            UnusableParameter: an unknown section or name (the nearest known ones are told), or a
-                value of the wrong type or out of range.
+            UnusableParameter: a section or name is unknown (the message lists the closest known
+                ones), or a value has the wrong type or is out of range.
         """
         changes: dict[str, dict[str, Value]] = {}
         for key, value in values.items():
@@ -59,7 +62,7 @@ class Config:
         return replace(self, **sections)
 
     def values(self) -> dict[str, dict[str, Value]]:
-        """Return every value as ``{section: {name: value}}`` in declared order."""
+        """Return all values as ``{section: {name: value}}``, in declared order."""
         return {
             item.name: {
                 name: getattr(getattr(self, item.name), name)
@@ -94,16 +97,16 @@ SETTABLE = frozenset(
         'route_switch_s', 'route_width_m', 'waypoint_ahead_m', 'explore',
     }
 )  # fmt: skip
-"""What a node lets be set while it runs. All else decides what the map becomes: one map is made
-with one set of values."""
+"""Parameters that can be set while a node runs. All others influence the map, and a map must be
+built with a single set of values."""
 
 
 def section_of(name: str) -> str | None:
-    """Return the first section that has a parameter of this name, None if there is none."""
+    """Return the first section that has a parameter of this name, or None."""
     if name == 'pc_dim_xy':
         return 'pose_cells'
     for section, cls in SECTIONS.items():
-        if name in {known for known, _, _ in cls.parameters()}:
+        if name in {parameter for parameter, _, _ in cls.parameters()}:
             return section
     return None
 

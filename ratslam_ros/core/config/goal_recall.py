@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The parameters of goals and of the routes to them."""
+"""Parameters of goals and of the routes to them."""
 
 from __future__ import annotations
 
@@ -11,89 +11,94 @@ from ratslam_ros.core.config.parameter import Section, parameter
 
 @dataclass(frozen=True)
 class GoalRecallParameters(Section):
-    """How routes are found and followed, and when a goal is reached or given up."""
+    """Route planning and following, and the conditions under which a goal succeeds or fails."""
 
     goal_tolerance_m: float = parameter(
-        0.5, 'm', 0.0, 1e6, 'A goal position means the nearest experience within this distance.',
-        'goals beside the driven path are refused', 'goals are taken for too distant places',
+        0.5, 'm', 0.0, 1e6,
+        'A goal position is assigned to the nearest experience within this distance.',
+        'goals beside the driven path are refused', 'goals are assigned to distant places',
     )  # fmt: skip
     goal_radius_m: float = parameter(
         0.3, 'm', 0.0, 1e6,
-        'A goal is reached where the robot has come within this distance of it on the map and '
-        'comes no closer; at the end of its route 1.2 times that suffices.',
+        'A goal is reached when the robot is within this distance of it on the map and comes no '
+        'closer. At the end of the route, 1.2 times this distance suffices.',
         'the robot turns back and forth beside a goal', 'the robot stops beside its goals',
     )  # fmt: skip
     goal_timeout_s: float = parameter(
-        0.0, 's; 0: as goal_timeout_factor says', 0.0, 1e6,
-        'Time that a goal has, from when the robot sets out for it.',
+        0.0, 's; 0: by goal_timeout_factor', 0.0, 1e6,
+        'Time limit of a goal, from when the robot sets out for it.',
         'goals time out on the way', 'a robot that is stuck should go on with its next goal',
     )  # fmt: skip
     goal_timeout_factor: float = parameter(
-        10.0, 'times the time expected; 0: none', 0.0, 1e6,
-        'Time that a goal has, against what its first route says; at least '
+        10.0, 'times the expected time; 0: no limit', 0.0, 1e6,
+        'Time limit of a goal relative to the duration of its first route; at least '
         'goal_timeout_least_s.',
         'goals time out on the way', 'a robot that is stuck should go on with its next goal',
     )  # fmt: skip
     goal_timeout_least_s: float = parameter(
-        120.0, 's', 0.0, 1e6, 'Time that every goal has, however near it is.',
-        'near goals time out where somebody is in the way',
+        120.0, 's', 0.0, 1e6, 'Lower bound of the time limit by goal_timeout_factor.',
+        'near goals time out because people are in the way',
         'a robot that is stuck should go on with its next goal',
     )  # fmt: skip
     goal_explore_s: float = parameter(
-        600.0, 's; 0: for ever', 0.0, 1e6,
-        'How long a robot that has lost its route explores for another one, before its goal has '
-        'failed.',
-        'goals fail while the robot still explores', 'it should sooner go on with its next goal',
+        600.0, 's; 0: no limit', 0.0, 1e6,
+        'A robot that has lost its route explores for this long to find another one; then its '
+        'goal fails.',
+        'goals fail while the robot still explores',
+        'the robot should go on with its next goal sooner',
     )  # fmt: skip
     route_back_factor: float = parameter(
         1.0, 'times the duration', 1.0, 1000.0,
-        'What a link costs that is driven against the direction in which it was learned: a camera '
-        'that looks ahead has not seen the places from that side. 1: as the papers do.',
-        'the robot loses itself on ways that it has driven in the other direction only',
-        'it makes long detours to drive in the direction that it knows')  # fmt: skip
+        'Cost of driving a link against the direction in which it was learned, where a forward '
+        'camera has never seen the places. 1: no extra cost, as in the papers.',
+        'the robot gets lost on paths that it has driven in the other direction only',
+        'it makes long detours to drive in the known direction')  # fmt: skip
     route_join_m: float = parameter(
         0.0, 'm; 0: links only', 0.0, 100.0,
-        'Places that lie this close together on the map count as linked on a route, however the '
-        'robot came there. 0: as the papers do.',
-        'routes lead into a room and round it that was only passed',
-        'routes lead through walls: there must be more between two ways than this')  # fmt: skip
+        'Experiences within this distance of each other on the map count as linked when a route '
+        'is planned. 0: only learned links are used, as in the papers.',
+        'routes make detours through a room that the robot could simply pass',
+        'routes lead through walls: paths on two sides of a wall must be further apart than this',
+    )  # fmt: skip
     route_keep_s: float = parameter(
         60.0, 's', 0.0, 1e6,
-        'How long the last good route is followed where the present place has no other one.',
-        'the robot turns back, or gives up, in stretches that it does not recognise',
-        'it drives on for too long where it is wrong',
+        'Time for which the last valid route is kept if none is found from the present place.',
+        'the robot turns back or gives up in stretches that it does not recognise',
+        'it drives on for too long in a wrong place',
     )  # fmt: skip
     route_unknown_m: float = parameter(
-        0.0, 'm; 0: any', 0.0, 1e6,
-        'How far the robot goes on by odometry alone, over places that it has never seen, until '
-        'it explores to find itself.',
-        'it breaks off on ways that it knows from one side only', 'it drives into wrong places',
+        0.0, 'm; 0: no limit', 0.0, 1e6,
+        'Distance that the robot continues by odometry alone, without recognising a place, before '
+        'it explores to relocalise.',
+        'it gives up routes that it has driven in the other direction only',
+        'it drives into wrong places',
     )  # fmt: skip
     goal_sure_m: float = parameter(
-        0.0, 'm; 0: any', 0.0, 1e6,
-        'A goal is reached only where the robot has come no further than this from a known '
-        'place, by its view or its scan; else it explores to find itself.',
-        'goals are reached but not believed', 'the robot believes to be where it is not',
+        0.0, 'm; 0: no limit', 0.0, 1e6,
+        'A goal counts as reached only within this driven distance of a place recognised by view '
+        'or scan; beyond it, the robot explores to relocalise.',
+        'the robot is at its goals but they do not succeed',
+        'goals succeed although the robot is elsewhere',
     )  # fmt: skip
     try_unknown_m: float = parameter(
-        0.0, 'm; 0: any', 0.0, 1e6,
-        'What leads nowhere counts as a failed try only so far from a known place: where the '
-        'robot is wrong about its place the way is not closed.',
-        'closed ways are not unlearned', 'open ways are unlearned',
+        0.0, 'm; 0: no limit', 0.0, 1e6,
+        'Failed tries count only within this driven distance of a recognised place; beyond it, a '
+        'wrong pose is the more likely cause.',
+        'links that are blocked are not removed', 'links that are free are removed',
     )  # fmt: skip
     route_switch_s: float = parameter(
         10.0, 's', 0.0, 1e6,
-        'How long a route is followed while only longer ones are found; a shorter one is taken at '
-        'once.',
-        'the robot changes its mind too often', 'it drives on for too long where it is wrong',
+        'Hysteresis: a longer route replaces the present one only if no other is found for this '
+        'long. A shorter route replaces it at once.',
+        'the robot changes its route too often', 'it drives on for too long in a wrong place',
     )  # fmt: skip
     route_width_m: float = parameter(
         1.5, 'm', 0.0, 1e6,
-        'A route that the robot is further away from, on the map, is not followed any longer.',
+        'A route is dropped when the robot is further than this from it on the map.',
         'routes are dropped where the map is bent, or in wide rooms',
-        'the robot follows a route through the wall beside it',
+        'the robot follows a route on the other side of a wall',
     )  # fmt: skip
     waypoint_ahead_m: float = parameter(
-        1.0, 'm', 0.0, 1e6, 'How far ahead on the route the waypoint lies.',
+        1.0, 'm', 0.0, 1e6, 'Distance of the waypoint ahead of the robot along the route.',
         'the robot turns too often for small bends of the route', 'it cuts corners',
     )  # fmt: skip

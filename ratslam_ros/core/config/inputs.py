@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The parameters that several sections share: inputs of live nodes, and saved memories."""
+"""Parameters shared by several sections: inputs of live nodes, and saved memory files."""
 
 from __future__ import annotations
 
@@ -9,74 +9,77 @@ from dataclasses import dataclass
 from ratslam_ros.core.config.parameter import Section, parameter
 
 WHOLE = -1
-"""Upper image bound that stands for the edge of the image."""
+"""Value of an upper image bound that stands for the edge of the image."""
 
 CROP_MAX = 'px; -1: to the edge of the image'
-"""Unit of upper image bounds."""
+"""Unit text of upper image bounds."""
 
 
 @dataclass(frozen=True)
 class LiveInput(Section):
-    """What a node does about inputs that fall silent or begin again."""
+    """Handling of inputs that stop or restart."""
 
     watchdog_after_s: float = parameter(
         5.0, 's', 0.1, 3600.0,
-        'Live only: after this long without an input, warn and tell who publishes it.',
-        'inputs are slower than this', 'a lost input should be told sooner')  # fmt: skip
+        'Live only: warn if an input has been silent for this long, and name its publishers.',
+        'inputs are slower than this', 'a lost input should be reported sooner')  # fmt: skip
     flush_after_s: float = parameter(
         2.0, 's', 0.0, 600.0,
-        'Live only: with no input for this long, all held messages are processed.',
-        'inputs pause for longer than this and late messages are counted after the pause',
+        'Live only: process all held messages if no input has arrived for this long.',
+        'inputs pause for longer than this, and messages are counted as late after the pause',
         'the last messages of a recording should reach the map sooner',
     )  # fmt: skip
     on_jump_back: str = parameter(
         'start_over', '', 0, 0,
-        'Live only: when stamps jump back (a recording played in a loop), forget everything, or '
-        'keep the map and go on as if the robot had been carried.',
-        'set to go_on to see known places again at the next turn of a loop',
-        'set to start_over to get the same map at each turn',
+        'Live only: what to do when stamps jump back, as when a recording is played in a loop. '
+        'start_over clears the map; go_on keeps it and assumes that the robot was carried.',
+        'set to go_on to recognise known places in the next round of a loop',
+        'set to start_over to build the same map in each round',
         choices=('start_over', 'go_on'),
     )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class ImageInput(LiveInput):
-    """Which images a node takes."""
+    """Image subscription."""
 
     image_transport: str = parameter(
         'auto', '', 0, 0,
-        'Live only: subscribe to image (raw) or image/compressed; auto takes compressed where '
-        'nobody publishes raw images.',
-        'set to compressed to save the network', 'set to raw where the compression spoils views',
+        'Live only: subscribe to image (raw) or image/compressed; auto uses compressed images if '
+        'no raw ones are published.',
+        'set to compressed to save network bandwidth',
+        'set to raw if compression artefacts impair recognition',
         choices=('auto', 'raw', 'compressed'),
     )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Memory(LiveInput):
-    """Where a node keeps what it has learned."""
+    """Location of saved memory files."""
 
     memory_folder: str = parameter(
         '~/.ros/ratslam', '', 0, 0,
-        'Live only: where the services save and load keep the memory, a file a node.',
-        'set to a folder for each place that the robot works in',
-        'leave as it is for a single robot in a single place',
+        'Live only: folder in which the services save and load keep one memory file per node.',
+        'set to a separate folder for each environment that the robot works in',
+        'leave as it is for a single robot in a single environment',
     )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class OdometryInput(Memory):
-    """How a section that takes odometry reads it, and how long it waits for slower streams."""
+    """Odometry source, and the time to wait for slower streams."""
 
     odom_source: str = parameter(
         'twist', '', 0, 0,
-        "Read motion from the odometry message's twist, or from differences of its pose.",
+        'Part of the odometry messages that motion is computed from: the twist, or differences '
+        'of the pose.',
         'set to pose if the driver leaves the twist empty',
-        'set to twist if the pose jumps (it is corrected by another filter)',
+        'set to twist if the pose jumps because another filter corrects it',
         choices=('twist', 'pose'),
     )  # fmt: skip
     max_lateness_s: float = parameter(
         2.0, 's', 0.0, 600.0,
-        'A message waits for the other streams at most until a stamp this much newer is seen.',
-        'messages are counted as late', 'the map lags too long behind a camera that fell silent',
+        'Longest time that a message waits for other streams, measured by the newest stamp '
+        'received.',
+        'messages are counted as late', 'the map lags too long behind a camera that has stopped',
     )  # fmt: skip

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a section of parameters is: named values with unit, range, default and effect."""
+"""Declaration and validation of parameter sections."""
 
 from __future__ import annotations
 
@@ -12,19 +12,27 @@ from typing import Any, cast
 from ratslam_ros.errors import UnusableParameter
 
 Value = bool | int | float | str
+"""Type of a parameter value."""
 
 
 @dataclass(frozen=True)
 class ParameterInfo:
-    """What is known of one parameter beside its name and default."""
+    """Metadata of one parameter, apart from its name and default."""
 
     unit: str
+    """Unit of the value, and the meaning of special values; empty if there is none."""
     low: float
+    """Smallest valid number; not used for strings and switches."""
     high: float
+    """Largest valid number; not used for strings and switches."""
     effect: str
+    """Help text: what the parameter does."""
     raise_if: str
+    """Condition under which to raise the value or turn a switch on; for strings, full advice."""
     lower_if: str
+    """Condition under which to lower the value or leave a switch off; for strings, full advice."""
     choices: tuple[str, ...] = ()
+    """Valid strings; if empty, any string without whitespace is valid."""
 
 
 def parameter(
@@ -37,14 +45,23 @@ def parameter(
     lower_if: str = '',
     choices: tuple[str, ...] = (),
 ) -> Any:
-    """Declare one parameter of a section."""
+    """Declare one parameter as a dataclass field of a section.
+
+    Args:
+        default: the default value; its type is the type of the parameter.
+        unit, low, high, effect, raise_if, lower_if, choices: see ``ParameterInfo``.
+    """
     info = ParameterInfo(unit, low, high, effect, raise_if, lower_if, choices)
     return field(default=default, metadata={'info': info})
 
 
 @dataclass(frozen=True)
 class Section:
-    """A frozen group of parameters; constructing one checks every value's type and range."""
+    """A frozen group of parameters, validated on construction.
+
+    Raises:
+        UnusableParameter: a value has the wrong type or is out of range.
+    """
 
     def __post_init__(self) -> None:
         for name, info, default in self.parameters():
@@ -52,7 +69,7 @@ class Section:
 
     @classmethod
     def parameters(cls) -> Iterator[tuple[str, ParameterInfo, Value]]:
-        """Yield name, info and default of each parameter, in declared order."""
+        """Yield name, metadata and default of each parameter, in declared order."""
         for item in fields(cls):
             yield item.name, item.metadata['info'], _default(item)
 
@@ -62,7 +79,7 @@ def _default(item: Field[Any]) -> Value:
 
 
 def _checked(name: str, value: Any, default: Value, info: ParameterInfo) -> Value:
-    """Return the value in the default's type, or say what is wrong with it."""
+    """Return the value converted to the type of the default, or raise UnusableParameter."""
     if isinstance(default, bool):
         if isinstance(value, (bool, int)) and value in (0, 1):
             return bool(value)

@@ -1,15 +1,15 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Relaxation: links, poses -> the poses at which the links pull equally from all sides.
+"""Relaxation: direct solution for the fixed point of the experience map's correction rule.
 
-The fixed point of seed 000 equation (7) is a least squares problem, headings first, then positions
-given the headings; both have one matrix, the graph's Laplacian. It is solved by eliminating one
-experience after the other, the one with the fewest neighbours first. In a network of resistors
-that is the star-mesh transform: an experience is taken out, and its neighbours are linked by what
-led through it. All terms are positive, so nothing cancels, and the order is fixed, so the result
-is the same at every run. Routes are chains with few crossings; hardly any links are added on the
-way, and the cost grows with the number of links, where sweeps from link to link need a number of
-sweeps that itself grows with the square of a loop's length.
+The fixed point of equation (7) of Milford, Wyeth and Prasser (2006) is a linear least-squares
+problem: headings first, then positions given the headings. Both have the same matrix, the
+Laplacian of the graph. It is solved by eliminating experiences in the order of their degree. This
+is the star-mesh transform of resistor networks: a node is removed, and its neighbours are linked
+by weights that represent the paths through it. All terms are positive, so there is no
+cancellation, and the order is fixed, so the result is the same on every run. Routes are chains
+with few crossings, so elimination adds few links and its cost is linear in the number of links;
+sweeps over the links need a number of sweeps that is quadratic in the length of a loop.
 """
 
 from __future__ import annotations
@@ -28,20 +28,22 @@ Reals = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 
-MESH = 8
-"""An experience with more neighbours than this, when no other has fewer, is in a mesh: the rest is
-left to SciPy's sparse factorisation, which orders a mesh slower and eliminates it faster."""
+MAX_DEGREE = 8
+"""Degree above which elimination stops; SciPy's sparse factorisation solves the rest.
 
+It takes longer to order a mesh, but eliminates it faster.
+"""
 
-MESH_WORK = 50
-"""Steps that a link of a mesh counts for; measured on square grids."""
+MESH_STEPS_PER_LINK = 50
+"""Planning steps that a link of the mesh counts for; measured on square grids."""
 
 
 class Elimination(NamedTuple):
-    """An order in which experiences are eliminated, and what goes from each to its neighbours.
+    """Order in which experiences are eliminated, and the weights of their neighbours.
 
-    ``order``: (m,) experiences; ``starts``: (m + 1,) where the neighbours of each begin in
-    ``neighbours`` and ``shares``, the latter summing to 1; ``weights``: (m,) the sum of links.
+    ``order``: (m,) experiences. ``starts``: (m + 1,) index of the first neighbour of each in
+    ``neighbours`` and ``shares``; the shares of an experience sum to 1. ``weights``: (m,) sum of
+    the weights of its links.
     """
 
     order: Indices
@@ -52,25 +54,25 @@ class Elimination(NamedTuple):
 
 
 class Relaxation:
-    """The elimination of a graph, for as long as no link is added to it but to new experiences.
+    """Elimination of a graph; valid until links are added other than to new experiences.
 
-    The experience with the lowest id of each connected part stays where it is.
+    The experience with the lowest id of each connected component is held fixed.
     """
 
     def __init__(self, ends: Indices, count: int) -> None:
-        """Plan.
+        """Plan the elimination.
 
         Args:
             ends: (links, 2) source and target.
             count: number of experiences.
         """
-        held = _lowest_of_part(ends, count)
-        plan, mesh, (sources, targets, weights), work = _eliminate(ends, count, held, MESH)
+        held = _lowest_of_component(ends, count)
+        plan, mesh, (sources, targets, weights), work = _eliminate(ends, count, held, MAX_DEGREE)
         self._plan = Elimination(*plan)
         self._held = held
         self.links = len(ends)
-        self.work = int(work) + MESH_WORK * len(sources)
-        """Steps that planning took, about a third of what relaxing one link takes each."""
+        self.work = int(work) + MESH_STEPS_PER_LINK * len(sources)
+        """Number of planning steps; each takes about a third of the time to relax one link."""
         self._mesh: Indices = mesh
         self._mesh_solve = None
         if len(mesh) > 0:
@@ -79,42 +81,41 @@ class Relaxation:
     def relax(self, poses: Reals, ends: Indices, shapes: Reals) -> None:
         """Move all experiences to the fixed point.
 
-        Headings are unwrapped as the present poses have them: of a link's error in heading, the
-        turn of less than half a circle counts.
+        The heading residuals of the present poses are wrapped to half a turn.
 
         Args:
-            poses: (n, 3) x, y, heading; changed.
-            ends: (links, 2) source and target: those that were planned, and others that each led
-                to an experience that was new then.
+            poses: (n, 3) x, y, heading; changed in place.
+            ends: (links, 2) source and target: the planned links, then any that led to an
+                experience that was new at the time.
             shapes: (links, 3) distance, heading, facing.
         """
-        way = np.zeros((len(poses), 1))
-        _pull_of_headings(poses, ends, shapes, way)
-        self._solve(ends, way)
-        _turn(poses, way)
-        way = np.zeros((len(poses), 2))
-        _pull_of_positions(poses, ends, shapes, way)
-        self._solve(ends, way)
-        poses[:, :2] += way
+        correction = np.zeros((len(poses), 1))
+        _heading_residuals(poses, ends, shapes, correction)
+        self._solve(ends, correction)
+        _rotate(poses, correction)
+        correction = np.zeros((len(poses), 2))
+        _position_residuals(poses, ends, shapes, correction)
+        self._solve(ends, correction)
+        poses[:, :2] += correction
 
-    def _solve(self, ends: Indices, way: Reals) -> None:
-        """Turn what pulls at each experience, (n, k), into the way that it goes."""
+    def _solve(self, ends: Indices, correction: Reals) -> None:
+        """Solve for the displacements; ``correction``: (n, k) right-hand side, changed to them."""
         tail = ends[self.links :]
-        held = np.ones(len(way), np.bool_)
+        held = np.ones(len(correction), np.bool_)
         held[: len(self._held)] = self._held
         held[tail[:, 1]] = False
-        _pass_on(*self._plan, tail, way)
-        way[held] = 0.0
+        _eliminate_forward(*self._plan, tail, correction)
+        correction[held] = 0.0
         if self._mesh_solve is not None:
-            way[self._mesh] = self._mesh_solve(way[self._mesh])
-        _follow(*self._plan, tail, way)
+            correction[self._mesh] = self._mesh_solve(correction[self._mesh])
+        _substitute_back(*self._plan, tail, correction)
 
 
 def _factorised(
     mesh: Indices, held: NDArray[np.bool_], sources: Indices, targets: Indices, weights: Reals
 ) -> Callable[[Reals], Reals]:
-    """Return what solves for the experiences of the mesh."""
-    from scipy.sparse import csc_array  # only a mesh needs it, and it takes a while to load
+    """Return a solver for the experiences of the mesh."""
+    from scipy.sparse import csc_array  # loaded only if there is a mesh: the import is slow
     from scipy.sparse.linalg import splu
 
     number = np.full(len(held), -1)
@@ -133,8 +134,8 @@ def _factorised(
 
 
 @compiled
-def _lowest_of_part(ends: Indices, count: int) -> NDArray[np.bool_]:
-    """Return (n,) whether an experience has the lowest id of its connected part."""
+def _lowest_of_component(ends: Indices, count: int) -> NDArray[np.bool_]:
+    """Return (n,) whether an experience has the lowest id of its connected component."""
     lowest = np.arange(count)
     for link in range(ends.shape[0]):
         i = ends[link, 0]
@@ -155,8 +156,8 @@ def _eliminate(
 ) -> tuple[
     tuple[Indices, Indices, Indices, Reals, Reals], Indices, tuple[Indices, Indices, Reals], int
 ]:
-    """Return an ``Elimination``, the experiences it leaves, their links, and the work it took."""
-    # Neighbours and weights of every experience, as linked lists in a pool that grows.
+    """Return an ``Elimination``, the remaining experiences, their links, and the steps taken."""
+    # Neighbours and weights of every experience, as linked lists in a growing pool.
     head = np.full(count, -1)
     degree = np.zeros(count, np.int64)
     size = 2 * ends.shape[0] + 16
@@ -239,7 +240,7 @@ def _eliminate(
 
         for a in range(begin, filled):
             i = neighbours[a]
-            # Where in i's list everyone is; v is taken out of it.
+            # Index the list of i by neighbour, and remove v from it.
             at = head[i]
             before = -1
             while at >= 0:
@@ -316,66 +317,66 @@ def _eliminate(
 
 
 @compiled
-def _pull_of_headings(poses: Reals, ends: Indices, shapes: Reals, way: Reals) -> None:
-    """Add up how far the links would turn each experience, (n, 1)."""
+def _heading_residuals(poses: Reals, ends: Indices, shapes: Reals, correction: Reals) -> None:
+    """Sum the heading residuals of the links at each experience, (n, 1)."""
     for link in range(ends.shape[0]):
         i = ends[link, 0]
         j = ends[link, 1]
         error = wrap(poses[j, 2] - poses[i, 2] - shapes[link, 2])
-        way[i, 0] += error
-        way[j, 0] -= error
+        correction[i, 0] += error
+        correction[j, 0] -= error
 
 
 @compiled
-def _turn(poses: Reals, way: Reals) -> None:
+def _rotate(poses: Reals, correction: Reals) -> None:
     for i in range(poses.shape[0]):
-        poses[i, 2] = wrap(poses[i, 2] + way[i, 0])
+        poses[i, 2] = wrap(poses[i, 2] + correction[i, 0])
 
 
 @compiled
-def _pull_of_positions(poses: Reals, ends: Indices, shapes: Reals, way: Reals) -> None:
-    """Add up how far the links would move each experience, (n, 2)."""
+def _position_residuals(poses: Reals, ends: Indices, shapes: Reals, correction: Reals) -> None:
+    """Sum the position residuals of the links at each experience, (n, 2)."""
     for link in range(ends.shape[0]):
         i = ends[link, 0]
         j = ends[link, 1]
         direction = poses[i, 2] + shapes[link, 1]
         error_x = poses[j, 0] - poses[i, 0] - shapes[link, 0] * math.cos(direction)
         error_y = poses[j, 1] - poses[i, 1] - shapes[link, 0] * math.sin(direction)
-        way[i, 0] += error_x
-        way[i, 1] += error_y
-        way[j, 0] -= error_x
-        way[j, 1] -= error_y
+        correction[i, 0] += error_x
+        correction[i, 1] += error_y
+        correction[j, 0] -= error_x
+        correction[j, 1] -= error_y
 
 
 @compiled
-def _pass_on(
+def _eliminate_forward(
     order: Indices, starts: Indices, neighbours: Indices, shares: Reals, weights: Reals,
-    tail: Indices, way: Reals,
+    tail: Indices, correction: Reals,
 ) -> None:  # fmt: skip
-    """Let each experience pass what pulls at it on to its neighbours, the newest first."""
-    for axis in range(way.shape[1]):
+    """Forward elimination: add each residual to those of its neighbours, the newest first."""
+    for axis in range(correction.shape[1]):
         for link in range(tail.shape[0] - 1, -1, -1):
-            way[tail[link, 0], axis] += way[tail[link, 1], axis]
+            correction[tail[link, 0], axis] += correction[tail[link, 1], axis]
         for step in range(order.shape[0]):
-            pull = way[order[step], axis]
+            pull = correction[order[step], axis]
             for at in range(starts[step], starts[step + 1]):
-                way[neighbours[at], axis] += shares[at] * pull
+                correction[neighbours[at], axis] += shares[at] * pull
 
 
 @compiled
-def _follow(
+def _substitute_back(
     order: Indices, starts: Indices, neighbours: Indices, shares: Reals, weights: Reals,
-    tail: Indices, way: Reals,
+    tail: Indices, correction: Reals,
 ) -> None:  # fmt: skip
-    """Let each experience follow its neighbours, in the opposite order."""
-    for axis in range(way.shape[1]):
+    """Back substitution: compute each displacement from those of its neighbours."""
+    for axis in range(correction.shape[1]):
         for step in range(order.shape[0] - 1, -1, -1):
-            moved = way[order[step], axis] / weights[step]
+            moved = correction[order[step], axis] / weights[step]
             for at in range(starts[step], starts[step + 1]):
-                moved += shares[at] * way[neighbours[at], axis]
-            way[order[step], axis] = moved
+                moved += shares[at] * correction[neighbours[at], axis]
+            correction[order[step], axis] = moved
         for link in range(tail.shape[0]):
-            way[tail[link, 1], axis] += way[tail[link, 0], axis]
+            correction[tail[link, 1], axis] += correction[tail[link, 0], axis]
 
 
 @compiled
@@ -383,9 +384,10 @@ def sweep(
     poses: NDArray[np.float64], ends: NDArray[np.int64], shapes: NDArray[np.float64],
     links: int, correction: float, sweeps: int,
 ) -> None:  # fmt: skip
-    """Move both ends of each link towards what it says, in the order the links were made.
+    """Correct both ends of each link by a fraction of its residual, in the order of creation.
 
-    Seed 000 equation (7), with p_k - p_i + dp_ki in its second sum; experience 0 is held fixed.
+    Milford, Wyeth and Prasser (2006), equation (7), with p_k - p_i + dp_ki in its second sum;
+    experience 0 is held fixed.
     """
     for _ in range(sweeps):
         for row in range(links):

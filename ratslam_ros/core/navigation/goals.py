@@ -11,8 +11,9 @@ from dataclasses import dataclass, replace
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
-from ratslam_ros.core.navigation.route_planner import RoutePlanner, UnreachableGoal
-from ratslam_ros.core.pose_cells.pose_cells import NO_EXPERIENCE
+from ratslam_ros.core.navigation.route_planner import RoutePlanner
+from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
+from ratslam_ros.errors import UnreachableGoal
 
 AT_IT = Pose(0.0, 0.0, 0.0)
 

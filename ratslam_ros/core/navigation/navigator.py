@@ -14,7 +14,8 @@ from ratslam_ros.core.config.goal_recall import GoalRecallParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation.goals import Goal, Goals, Target
 from ratslam_ros.core.navigation.route_following import Guidance, RouteFollowing, Status
-from ratslam_ros.core.navigation.route_planner import RoutePlanner, UnreachableGoal
+from ratslam_ros.core.navigation.route_planner import RoutePlanner
+from ratslam_ros.errors import UnreachableGoal
 
 MOST_TRIES, MOST_UNSURE = 12, 1
 """More failed tries for a goal than are needed to unlearn a link; and where they do not count."""

@@ -22,8 +22,8 @@ from ratslam_ros.core.navigation.route_planner import (
     GoalTree,
     Route,
     RoutePlanner,
-    UnreachableGoal,
 )
+from ratslam_ros.errors import UnreachableGoal
 
 Status = Literal[
     'idle', 'following', 'recovering', 'lost', 'succeeded', 'failed', 'timed_out', 'cancelled'

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.compiled import compiled
 from ratslam_ros.core.config import GoalRecallParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
-from ratslam_ros.errors import RatslamError
+from ratslam_ros.errors import UnreachableGoal
 
 if TYPE_CHECKING:  # SciPy takes long to load: it is loaded where the first route is asked for
     from scipy.sparse import csr_array
@@ -39,10 +39,6 @@ TURN_RADPS = 1.0
 
 EXPERIENCES_PER_CHANGE = 1000
 """A goal's tree is computed anew after one change of a link for so many experiences of the map."""
-
-
-class UnreachableGoal(RatslamError):  # noqa: N818 - the errors' names say what they are
-    """A goal that is not on the map, or that no link leads to."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,3 +1,3 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Images to template ids (local view) and to odometry (visual odometry)."""
+"""Place recognition (local view) and visual odometry from images."""

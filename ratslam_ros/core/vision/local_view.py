@@ -1,11 +1,15 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Local view: image -> ViewMatch, by exact search for the most similar template."""
+"""Local view: place recognition by exact search for the most similar template.
+
+See docs/algorithm.md, "Local view".
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +18,7 @@ from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.compiled import compiled
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import LocalViewParameters
-from ratslam_ros.core.vision.image_window import Window, plain, window_of
+from ratslam_ros.core.vision.image_window import Window, contiguous, window_of
 from ratslam_ros.core.vision.template_memory import Match, TemplateMemory
 from ratslam_ros.errors import UnusableInput
 
@@ -22,35 +26,45 @@ Image = NDArray[np.uint8]
 Values = NDArray[np.float64]
 
 NO_TEMPLATE = -1
+"""Template id of views that match no template and are not learned."""
 
 
 @dataclass(frozen=True, slots=True)
 class ViewMatch:
-    """Which template a view is.
-
-    ``template_id`` is -1 for an image that could not be decoded, and for one that is unknown
-    while nothing is learned. ``error`` is the exact minimum
-    over all templates known before this view, 0 to 1, and -1 where there were none, or where it
-    is unknown and ``vt_exact_error`` is off.
-    ``relative_rad`` is the heading now minus the heading at learning (panoramic, or by the shift).
-    """
+    """Result of matching one view with the templates."""
 
     template_id: int
+    """The matched or new template. -1 if the image could not be decoded, or if it matches no
+    template while learning is off."""
     is_new: bool
+    """Whether the view was learned as a new template."""
     error: float
+    """Minimum mean absolute difference to the templates known before, from 0 to 1. -1 if there
+    were none, or if the view is unknown and ``vt_exact_error`` is off."""
     relative_rad: float
+    """Present heading minus the heading at which the template was learned. 0 for forward cameras
+    if ``vt_shift_fov_deg`` is 0."""
 
 
 UNDECODABLE = ViewMatch(NO_TEMPLATE, False, -1.0, 0.0)
+"""Result for an image that could not be decoded."""
+
+
+class ViewMatcher(Protocol):
+    """What RatSLAM needs of a local view; a class of your own with this method can replace it."""
+
+    def match(self, image: Image) -> ViewMatch:
+        """Return the template that an image, (H, W) uint8 grey, shows; new ids count from 0."""
+        ...
 
 
 class LocalView:
-    """The memory of views."""
+    """Place recognition with a growing memory of templates."""
 
     def __init__(self, parameters: LocalViewParameters) -> None:
         p = self._p = parameters
         self.mapping = True
-        """Whether unknown views are learned; else they are template -1."""
+        """Whether unknown views are learned; otherwise they are reported as template -1."""
         self._size = p.template_y_size, p.template_x_size
         self._memory = TemplateMemory(
             p.template_x_size, p.template_y_size, p.vt_shift_match, p.vt_shift_match_y,
@@ -66,25 +80,25 @@ class LocalView:
 
     @property
     def templates(self) -> NDArray[np.uint8]:
-        """The templates learned so far: (n, template_y_size, template_x_size) uint8, a copy."""
+        """Copy of all templates: (n, template_y_size, template_x_size) uint8."""
         return self._memory.views()
 
     def template(self, template_id: int) -> Image:
-        """Return one template: (template_y_size, template_x_size) uint8, a copy."""
+        """Return a copy of one template: (template_y_size, template_x_size) uint8."""
         return self._memory.view(template_id)
 
     def match(self, image: Image) -> ViewMatch:
         """Recognise an image, or learn it as a new template.
 
         Args:
-            image: (H, W) uint8 grey.
+            image: (H, W) uint8, greyscale.
 
         Raises:
             UnusableParameter: the crop or template size does not fit the image.
         """
         view = make_view(image, self._p)
-        recognised, least_sad = self._search(view)
-        error = -1.0 if least_sad is None else least_sad / self._memory.full_sum
+        recognised, min_sad = self._search(view)
+        error = -1.0 if min_sad is None else min_sad / self._memory.full_sum
         if recognised is not None:
             relative_rad = self._relative_rad(recognised.offset)
             return ViewMatch(recognised.template_id, False, error, relative_rad)
@@ -93,7 +107,7 @@ class LocalView:
         return ViewMatch(self.learn(view), True, error, 0.0)
 
     def _search(self, view: Image) -> tuple[Match | None, int | None]:
-        """Return the match that is good enough, and the least SAD of all; None for neither."""
+        """Return the match within its threshold, if any, and the minimum SAD, if computed."""
         search = self._memory.search(view)
         best = search.best(limit=None if self._p.vt_exact_error else self._limit)
         if best is None:
@@ -106,33 +120,33 @@ class LocalView:
         return search.best(max(older, 0), self._limit), best.sad
 
     def learn(self, view: Image) -> int:
-        """Append a view, (template_y_size, template_x_size) uint8, and return its id."""
+        """Add a view, (template_y_size, template_x_size) uint8, as a template; return its id."""
         return self._memory.append(view)
 
     def state(self) -> State:
-        """Return all that was learned, for ``restore``."""
+        """Return the learned templates, for ``restore``."""
         return {'templates': self.templates}
 
     def restore(self, state: State) -> None:
-        """Take what ``state`` gave for the present memory, which must be empty.
+        """Load a state returned by ``state`` into this memory, which must be empty.
 
         Raises:
-            UnusableInput: it is of templates of another size.
+            UnusableInput: the templates have another size or type.
         """
         templates = state['templates']
         if templates.dtype != np.uint8 or templates.shape[1:] != self._size:
             raise UnusableInput(
                 f'the templates are {templates.shape[1:]} of {templates.dtype}; expected '
                 f'{self._size} of uint8: template_y_size and template_x_size '
-                'must be those of the run that saved'
+                'must equal those of the run that saved them'
             )
         for view in templates:
             self.learn(view)
 
     def best_match(self, view: Image) -> Match | None:
-        """Return the best match of all, None where nothing is learned.
+        """Return the best match regardless of the threshold, or None if there are no templates.
 
-        Ties go to the lowest id, then to the lowest offset. algorithm.md, Local view, step 4.
+        Ties go to the lowest template id, then to the lowest offset.
         """
         return self._memory.search(view).best()
 
@@ -140,35 +154,38 @@ class LocalView:
         p = self._p
         if p.vt_panoramic:
             return wrap(-2.0 * math.pi * offset / p.template_x_size)
-        # What the template shows further to the left shows further to the right of a view that
-        # was taken with the robot turned to the left.
+        # After a turn to the left, the content of the template appears further right in the view.
         return math.radians(p.vt_shift_fov_deg) * (p.vt_shift_match - offset) / p.template_x_size
 
 
 def make_view(image: Image, p: LocalViewParameters) -> Image:
-    """Reduce a grey image to a view: crop, block means, normalise. Algorithm.md, steps 1 to 4.
+    """Reduce a greyscale image to a view: crop, downsample by block means, and normalise.
 
     Args:
-        image: (H, W) uint8 grey.
+        image: (H, W) uint8, greyscale.
         p: crop, template size and normalisation.
 
     Returns:
         (template_y_size, template_x_size) uint8.
 
     Raises:
-        UnusableParameter: the crop lies outside the image or is smaller than the template.
+        UnusableParameter: the crop exceeds the image or is smaller than the template.
     """
     window = crop_window(image, p)
     view = np.empty((p.template_y_size, p.template_x_size), np.uint8)
     _make_view(
-        plain(image), *window, p.vt_normalisation, p.vt_patch_normalise,
+        contiguous(image), *window, p.vt_normalisation, p.vt_patch_normalise,
         p.vt_min_patch_normalisation_std, view,
     )  # fmt: skip
     return view
 
 
 def crop_window(image: Image, p: LocalViewParameters) -> Window:
-    """Return the part of the image that is compared; see ``make_view`` for what it raises."""
+    """Return the crop of an image that is compared.
+
+    Raises:
+        UnusableParameter: the crop exceeds the image or is smaller than the template.
+    """
     return window_of(
         image,
         'local_view.image_crop',
@@ -183,7 +200,7 @@ def _make_view(
     image: Image, x_min: int, x_max: int, y_min: int, y_max: int,
     normalise_to: float, patch_radius: int, min_std: float, view: Image,
 ) -> None:  # fmt: skip
-    """Fill ``view`` (h, w) from a window of an image; sums are exact or in fixed order."""
+    """Fill ``view`` (h, w) from a window of an image; sums are exact or in a fixed order."""
     height, width = y_max - y_min, x_max - x_min
     rows, columns = view.shape
     value = np.empty((rows, columns), np.float64)
@@ -210,7 +227,7 @@ def _make_view(
             for column in range(columns):
                 total_value += value[row, column]
         mean = total_value / (rows * columns)
-        if mean > 0.0:  # a black view stays black
+        if mean > 0.0:  # A black view stays black.
             for row in range(rows):
                 for column in range(columns):
                     value[row, column] = min(value[row, column] * normalise_to / mean, 1.0)
@@ -225,11 +242,11 @@ def _make_view(
 
 @compiled
 def _normalise_patches(value: Values, n: int, min_std: float, view: Image) -> None:
-    """Fill ``view`` from ``value`` (h, w), each pixel by mean and deviation of its patch."""
+    """Fill ``view`` from ``value`` (h, w), normalised by mean and deviation of each patch."""
     rows, columns = value.shape
     area = (2 * n + 1) * (2 * n + 1)
-    # Sums over the patch's columns first, then over its rows; edges replicated. From the view's
-    # mean on, so that little is cancelled in the squares.
+    # Separable box sums, columns first, with replicated edges. The mean of the view is subtracted
+    # first, to reduce cancellation in the sums of squares.
     middle = 0.0
     for row in range(rows):
         for column in range(columns):
@@ -257,8 +274,8 @@ def _normalise_patches(value: Values, n: int, min_std: float, view: Image) -> No
             mean = middle + total[column] / area
             variance = total_square[column] / area - (mean - middle) * (mean - middle)
             if variance < 1e-8:
-                # Here rounding counts: again, exactly. A flat patch then has a deviation of
-                # rounding errors at most, which counts as none.
+                # Rounding errors dominate so small a variance: compute it by the definition. A
+                # uniform patch then has a deviation of at most 1e-12.
                 variance = 0.0
                 for dy in range(-n, n + 1):
                     y = min(max(row + dy, 0), rows - 1)

@@ -1,10 +1,11 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Sums of absolute differences of bytes, as the one machine instruction that they are.
+"""Sum of absolute differences (SAD) of byte arrays, compiled to SIMD instructions.
 
-x86 processors have psadbw for it, in the widest registers that they offer; everywhere else LLVM
-is given the pattern that it knows (uabdl and its like on ARM). Left to itself it widens each byte
-to 32 bits first, which is several times slower. Integers: the result is exact.
+On x86, the psadbw instruction is emitted for the widest available registers. On other processors,
+LLVM is given a pattern that it compiles to the matching instruction (such as uabdl on ARM). Plain
+numba code would widen each byte to 32 bits first, which is several times slower. The sums are
+integers, so the result is exact.
 """
 
 from __future__ import annotations
@@ -18,28 +19,35 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-PIECE = 64
-"""Bytes are compared in pieces of this many; whatever is compared has room for whole pieces."""
+PIECE_BYTES = 64
+"""Bytes compared at once. Compared arrays must be readable up to a multiple of this."""
 
-STRAIGHT_PIECES = 10
+UNROLLED_PIECES = 10
+"""Up to this number of pieces, the loop over the pieces is unrolled."""
 
 _PSADBW = {
     64: 'llvm.x86.avx512.psad.bw.512',
     32: 'llvm.x86.avx2.psad.bw',
     16: 'llvm.x86.sse2.psad.bw',
 }
-_PATTERN_WIDTH = 32
+"""LLVM intrinsic by register width in bytes."""
+
+_PATTERN_BYTES = 32
+"""Vector width of the generic pattern for other processors."""
 
 
 def pieces_of(length: int) -> tuple[int, NDArray[np.uint8]]:
-    """Return how many pieces hold ``length`` bytes, and (PIECE,) uint8 255 where the last does."""
-    pieces = max(-(-length // PIECE), 1)
-    inside = np.arange(PIECE) < length - (pieces - 1) * PIECE
+    """Return the number of pieces for ``length`` bytes, and the mask of the last piece.
+
+    The mask is (PIECE_BYTES,) uint8, 255 for used bytes and 0 for others.
+    """
+    pieces = max(-(-length // PIECE_BYTES), 1)
+    inside = np.arange(PIECE_BYTES) < length - (pieces - 1) * PIECE_BYTES
     return pieces, inside.astype(np.uint8) * np.uint8(255)
 
 
-def register_bytes(context: Any) -> int:
-    """Return the width of the widest psadbw that code is compiled for; 0: none."""
+def _register_bytes(context: Any) -> int:
+    """Return the widest register for psadbw on the target processor, in bytes; 0: none."""
     triple, _, features = context.codegen().magic_tuple()
     if not triple.startswith('x86_64'):
         return 0
@@ -48,7 +56,12 @@ def register_bytes(context: Any) -> int:
 
 
 def sad_by(width_bytes: int | None) -> Any:
-    """Return ``sad`` for registers of a width; 0: by LLVM's pattern; None: by the processor."""
+    """Return a ``sad`` function for a register width.
+
+    Args:
+        width_bytes: register width; 0: the generic LLVM pattern; None: the widest register of the
+            processor.
+    """
 
     @intrinsic
     def sad_of(
@@ -57,7 +70,7 @@ def sad_by(width_bytes: int | None) -> Any:
         signature = types.int64(a, types.intp, b, types.intp, types.intp, inside)
 
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            width = register_bytes(context) if width_bytes is None else width_bytes
+            width = _register_bytes(context) if width_bytes is None else width_bytes
             step, total_type, difference = _difference(builder, width)
             bytes_type = ir.VectorType(ir.IntType(8), step)
 
@@ -78,7 +91,7 @@ def sad_by(width_bytes: int | None) -> Any:
             total = cgutils.alloca_once_value(builder, ir.Constant(total_type, None))
 
             def add_piece(at: Any, masked: bool) -> None:
-                for part in range(0, PIECE, step):
+                for part in range(0, PIECE_BYTES, step):
                     offset = builder.add(at, at.type(part))
                     x, y = load(first, offset), load(second, offset)
                     if masked:
@@ -86,24 +99,24 @@ def sad_by(width_bytes: int | None) -> Any:
                         x, y = builder.and_(x, bits), builder.and_(y, bits)
                     builder.store(builder.add(builder.load(total), difference(x, y)), total)
 
-            # Straight code for each usual number of pieces: in a loop so short, the loop itself
-            # would take as long as what is in it.
+            # Unrolled for each usual number of pieces, as the overhead of so short a loop would be
+            # as large as its work.
             count = arguments[4]
             done = builder.append_basic_block('sad.done')
             many = builder.append_basic_block('sad.many')
             switch = builder.switch(count, many)
-            for pieces in range(1, STRAIGHT_PIECES + 1):
+            for pieces in range(1, UNROLLED_PIECES + 1):
                 block = builder.append_basic_block(f'sad.{pieces}')
                 switch.add_case(count.type(pieces), block)
                 with builder.goto_block(block):
                     for number in range(pieces):
-                        add_piece(count.type(number * PIECE), masked=number == pieces - 1)
+                        add_piece(count.type(number * PIECE_BYTES), masked=number == pieces - 1)
                     builder.branch(done)
             builder.position_at_end(many)
             last = builder.sub(count, count.type(1))
             with cgutils.for_range(builder, last) as loop:
-                add_piece(builder.mul(loop.index, count.type(PIECE)), masked=False)
-            add_piece(builder.mul(last, count.type(PIECE)), masked=True)
+                add_piece(builder.mul(loop.index, count.type(PIECE_BYTES)), masked=False)
+            add_piece(builder.mul(last, count.type(PIECE_BYTES)), masked=True)
             builder.branch(done)
             builder.position_at_end(done)
             return _sum_of_lanes(builder, builder.load(total))
@@ -114,7 +127,7 @@ def sad_by(width_bytes: int | None) -> Any:
 
 
 def _difference(builder: Any, width: int) -> tuple[int, Any, Any]:
-    """Return bytes at once, type of their differences' sum, and what emits that sum."""
+    """Return vector width in bytes, type of the SAD, and the function that emits the SAD."""
     if width:
         bytes_type = ir.VectorType(ir.IntType(8), width)
         lanes_type = ir.VectorType(ir.IntType(64), width // 8)
@@ -122,7 +135,7 @@ def _difference(builder: Any, width: int) -> tuple[int, Any, Any]:
             builder.module, ir.FunctionType(lanes_type, [bytes_type] * 2), _PSADBW[width]
         )
         return width, lanes_type, lambda x, y: builder.call(psadbw, [x, y])
-    wide_type = ir.VectorType(ir.IntType(32), _PATTERN_WIDTH)
+    wide_type = ir.VectorType(ir.IntType(32), _PATTERN_BYTES)
     zero = ir.Constant(wide_type, None)
 
     def by_pattern(x: Any, y: Any) -> Any:
@@ -132,7 +145,7 @@ def _difference(builder: Any, width: int) -> tuple[int, Any, Any]:
         )
         return builder.zext(_sum_of_lanes(builder, absolute), ir.IntType(64))
 
-    return _PATTERN_WIDTH, ir.IntType(64), by_pattern
+    return _PATTERN_BYTES, ir.IntType(64), by_pattern
 
 
 def _sum_of_lanes(builder: Any, vector: Any) -> Any:
@@ -150,6 +163,10 @@ def _sum_of_lanes(builder: Any, vector: Any) -> Any:
 sad = sad_by(None)
 """``sad(a, at_a, b, at_b, pieces, inside)``: the sum of |a[at_a + k] - b[at_b + k]|, int64.
 
-``a``, ``b``: contiguous (n,) uint8 with room for whole pieces; ``pieces``, ``inside``: what
-``pieces_of`` gave for the number of bytes to compare. Nothing checks the bounds.
+Args:
+    a, b: contiguous (n,) uint8, readable up to whole pieces.
+    at_a, at_b: index of the first byte to compare.
+    pieces, inside: result of ``pieces_of`` for the number of bytes to compare.
+
+Array bounds are not checked.
 """

@@ -1,14 +1,15 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The templates and the exact search among them, which looks at few of them in full.
+"""Template memory with exact search by branch and bound.
 
-Beside each template lie the sums of its blocks, two columns wide and two or three rows high. The
-difference of two blocks' sums is at most the sum of their pixels' differences, so the blocks tell
-a least SAD for every offset, at a quarter of the work; only a template whose least could still win
-is compared pixel by pixel. The result is that of comparing all of them.
+For each template, the sums of small pixel blocks are stored, two columns wide and two or three
+rows high. The difference between the sums of two blocks is at most the sum of absolute differences
+(SAD) of their pixels. The blocks therefore give a lower bound of the SAD for every offset, at a
+quarter of the cost, and only templates whose bound is below the best SAD are compared pixel by
+pixel. The result equals that of an exhaustive search.
 
-Templates lie on shelves, stretches of memory that never move: to learn one costs the same at any
-size, and little memory waits for more.
+Templates are stored in chunks of memory that are never moved, so that the cost of learning one
+does not depend on the number of templates, and little memory is allocated in advance.
 """
 
 from __future__ import annotations
@@ -19,110 +20,130 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.compiled import compiled
-from ratslam_ros.core.vision.sad import PIECE, pieces_of, sad
+from ratslam_ros.core.vision.sad import PIECE_BYTES, pieces_of, sad
 
 Bytes = NDArray[np.uint8]
-Places = NDArray[np.int64]
+Indices = NDArray[np.int64]
 
-SHELF_BYTES = 1 << 24
-"""Room that is made at once for templates; the system lends it as it is filled."""
+CHUNK_BYTES = 1 << 24
+"""Memory allocated at once for templates; the operating system maps it as it is filled."""
 
-LARGEST_SAD = 2**31 - 1
+MAX_SAD = 2**31 - 1
+"""Upper bound of any SAD."""
+
 BLOCK_COLUMNS = 2
+"""Width of a block, in pixels."""
+
 BLOCK_ROWS = 3
-"""Blocks have at most this many rows. Found on noise, simulated and real views: smaller blocks
-bound the SAD better, larger ones are fewer."""
+"""Largest height of a block, in pixels. Smaller blocks give tighter bounds, larger blocks less
+work; the size was tuned on noise, simulated views and real views."""
 
 
 class Match(NamedTuple):
-    """A template, at which horizontal offset it fits best, and the SAD there."""
+    """The best match of a view."""
 
     template_id: int
     offset: int
+    """Column of the template at which the compared columns begin."""
     sad: int
+    """Sum of absolute differences at this offset."""
 
 
-class _Shelf(NamedTuple):
-    """Room for some templates: their pixels, their blocks, and scratch for what a search finds."""
+class _Chunk(NamedTuple):
+    """Memory for a number of templates."""
 
     pixels: Bytes
     blocks: Bytes
-    least: NDArray[np.int32]
+    bounds: NDArray[np.int32]
+    """Scratch: lower bound of the SAD of each template in the present search."""
 
 
 class _Layer(NamedTuple):
-    """What is compared at a place: where it begins in template and query, and how much it is."""
+    """Memory layout of the pixels or of the blocks.
+
+    The offset of a view against a template, vertical and horizontal, is numbered by a place.
+    """
 
     stride: int
-    in_template: Places
-    in_query: Places
+    """Bytes per template."""
+    in_template: Indices
+    """(places,) first compared byte within a template."""
+    in_query: Indices
+    """(places,) first compared byte within the query."""
     pieces: int
+    """Number of compared pieces; see ``pieces_of``."""
     inside: Bytes
+    """Mask of the last piece."""
 
 
 class TemplateMemory:
-    """Views of one size, uint8, column by column, each once for every vertical offset."""
+    """Memory of views of one size, uint8.
+
+    Pixels are stored column by column, so that a horizontal offset is a shift in memory, and
+    separately for every vertical offset.
+    """
 
     def __init__(
         self, width: int, height: int, shift_x: int, shift_y: int, step: int, *,
         panoramic: bool, signed: bool,
     ) -> None:  # fmt: skip
-        """Prepare an empty memory.
+        """Create an empty memory.
 
         Args:
-            width, height: of a view, in pixels.
-            shift_x, shift_y: how far a view is shifted to either side, and up and down.
-            step: of the horizontal shifts.
-            panoramic: shift round the full circle instead of by ``shift_x``.
-            signed: blocks hold differences of rows in place of sums, which tells views apart
-                that have been brought to the same brightness everywhere.
+            width, height: size of a view, in pixels.
+            shift_x, shift_y: largest shift of a view to either side, and up and down, in pixels.
+            step: step between horizontal shifts, in pixels.
+            panoramic: try all rotations of the view instead of shifts up to ``shift_x``.
+            signed: blocks hold differences between rows instead of sums, which give tighter bounds
+                for views with normalised local brightness.
         """
         self._width, self._height = width, height
         self._rows = rows = height - 2 * shift_y
-        self._falls = 2 * shift_y + 1
+        self._vertical_count = 2 * shift_y + 1
         self._top, self._left = shift_y, 0 if panoramic else shift_x
         self._columns = columns = width - 2 * self._left
         self._panoramic = panoramic
         self.full_sum = 255 * columns * rows
-        """The largest SAD there can be."""
+        """Largest possible SAD: that between a black and a white view."""
 
         groups = -(-rows // BLOCK_ROWS)
         self._edges = np.array([g * rows // groups for g in range(groups + 1)])
         negative = (np.arange(rows) + 1) // 2 % 2 == 1  # + - - + + - - +
         self._signs = np.where(signed & negative, -1, 1)
-        most_rows = int(np.diff(self._edges).max())
-        self._divisor = BLOCK_COLUMNS * most_rows
+        max_rows = int(np.diff(self._edges).max())
+        self._divisor = BLOCK_COLUMNS * max_rows
         pairs = columns // BLOCK_COLUMNS
         self._compared = pairs * groups
-        # A block's sum is rounded down to a byte: two may be this much nearer than their sums.
+        # Block sums are divided and rounded down to a byte, so that the difference between two
+        # views' blocks can be too large by up to this.
         self._slack = (self._divisor - 1) * self._compared
 
         offsets = np.arange(0, width if panoramic else 2 * shift_x + 1, step)
-        falls = np.arange(self._falls)[:, None]
-        self._offsets = np.tile(offsets, self._falls)
-        """The offset of every place, in the order in which ties are decided."""
+        vertical = np.arange(self._vertical_count)[:, None]
+        self._offsets = np.tile(offsets, self._vertical_count)
+        """(places,) horizontal offset of each place; ties go to the first place."""
         turns = (width - offsets) % width if panoramic else offsets
-        still = np.zeros_like(turns)
+        zero = np.zeros_like(turns)
         per_phase = (width + (width if panoramic else 0)) // BLOCK_COLUMNS * groups
         block_turns = turns % 2 * per_phase + turns // 2 * groups
-        self._fall_pixels = width * rows
-        self._fall_blocks = 2 * (width // BLOCK_COLUMNS) * groups
+        self._pixels_per_offset = width * rows
+        self._blocks_per_offset = 2 * (width // BLOCK_COLUMNS) * groups
 
-        def layer(fall_size: int, moves: Places, length: int) -> _Layer:
-            in_template = falls * fall_size + (still if panoramic else moves)
-            in_query = 0 * falls + (moves if panoramic else still)
-            stride = self._falls * fall_size
-            whole = -(-stride // PIECE) * PIECE
-            # Templates that are always read from their first pixel on are worth a little room, so
-            # that no load straddles two lines of the cache.
-            if panoramic and 8 * (whole - stride) <= stride:
-                stride = whole
+        def layer(offset_size: int, moves: Indices, length: int) -> _Layer:
+            in_template = vertical * offset_size + (zero if panoramic else moves)
+            in_query = 0 * vertical + (moves if panoramic else zero)
+            stride = self._vertical_count * offset_size
+            aligned = -(-stride // PIECE_BYTES) * PIECE_BYTES
+            # Panoramic templates are always read from their first pixel, so aligning them to cache
+            # lines is worth a little memory.
+            if panoramic and 8 * (aligned - stride) <= stride:
+                stride = aligned
             return _Layer(stride, in_template.ravel(), in_query.ravel(), *pieces_of(length))
 
-        self._fine = layer(self._fall_pixels, turns * rows, columns * rows)
-        self._coarse = layer(self._fall_blocks, block_turns, self._compared)
-        self._shelves: list[_Shelf] = []
-        self._per_shelf = max(SHELF_BYTES // (self._fine.stride + self._coarse.stride), 1)
+        self._fine = layer(self._pixels_per_offset, turns * rows, columns * rows)
+        self._coarse = layer(self._blocks_per_offset, block_turns, self._compared)
+        self._chunks: list[_Chunk] = []
+        self._per_chunk = max(CHUNK_BYTES // (self._fine.stride + self._coarse.stride), 1)
         self._count = 0
 
     def __len__(self) -> int:
@@ -130,55 +151,56 @@ class TemplateMemory:
 
     @property
     def nbytes(self) -> int:
-        """Bytes that the learned templates take, all that lies beside them included."""
+        """Memory used by the learned templates and their blocks, in bytes."""
         return self._count * (self._fine.stride + self._coarse.stride + 4)
 
     def view(self, template_id: int) -> Bytes:
-        """Return one template: (height, width) uint8, a copy."""
-        shelf, row = divmod(template_id, self._per_shelf)
+        """Return a copy of one template: (height, width) uint8."""
+        chunk, row = divmod(template_id, self._per_chunk)
         at = row * self._fine.stride
-        pixels = self._shelves[shelf].pixels[at : at + self._falls * self._fall_pixels]
-        falls = pixels.reshape(self._falls, self._width, self._rows)
+        size = self._vertical_count * self._pixels_per_offset
+        pixels = self._chunks[chunk].pixels[at : at + size]
+        parts = pixels.reshape(self._vertical_count, self._width, self._rows)
         out = np.empty((self._height, self._width), np.uint8)
-        for fall in range(self._falls):
-            out[fall : fall + self._rows] = falls[fall].T
+        for dy in range(self._vertical_count):
+            out[dy : dy + self._rows] = parts[dy].T
         return out
 
     def views(self) -> Bytes:
-        """Return all templates: (n, height, width) uint8, a copy."""
+        """Return a copy of all templates: (n, height, width) uint8."""
         out = np.empty((self._count, self._height, self._width), np.uint8)
         for template_id in range(self._count):
             out[template_id] = self.view(template_id)
         return out
 
     def append(self, view: Bytes) -> int:
-        """Learn a view, (height, width) uint8, and return its id."""
-        number, row = divmod(self._count, self._per_shelf)
-        if number == len(self._shelves):
-            n = self._per_shelf
-            self._shelves.append(
-                _Shelf(
+        """Add a view, (height, width) uint8, as a template and return its id."""
+        number, row = divmod(self._count, self._per_chunk)
+        if number == len(self._chunks):
+            n = self._per_chunk
+            self._chunks.append(
+                _Chunk(
                     _aligned(n * self._fine.stride), _aligned(n * self._coarse.stride),
                     np.empty(n, np.int32),
                 )
             )
-        shelf = self._shelves[number]
-        fine, coarse = self._fall_pixels, self._fall_blocks
-        for fall in range(self._falls):
-            columns = np.ascontiguousarray(view[fall : fall + self._rows].T)
-            at = row * self._fine.stride + fall * fine
-            shelf.pixels[at : at + fine] = columns.reshape(-1)
-            at = row * self._coarse.stride + fall * coarse
+        chunk = self._chunks[number]
+        fine, coarse = self._pixels_per_offset, self._blocks_per_offset
+        for dy in range(self._vertical_count):
+            columns = np.ascontiguousarray(view[dy : dy + self._rows].T)
+            at = row * self._fine.stride + dy * fine
+            chunk.pixels[at : at + fine] = columns.reshape(-1)
+            at = row * self._coarse.stride + dy * coarse
             _blocks(
-                columns, self._edges, self._signs, self._divisor, shelf.blocks[at : at + coarse]
+                columns, self._edges, self._signs, self._divisor, chunk.blocks[at : at + coarse]
             )
         self._count += 1
         return self._count - 1
 
     def search(self, view: Bytes) -> Search:
-        """Begin a search for a view, (height, width) uint8; valid until one is learned."""
+        """Start a search for a view, (height, width) uint8; valid until a view is added."""
         columns = view[self._top : self._top + self._rows].T
-        if self._panoramic:  # twice round, so that every turn of the view is one stretch
+        if self._panoramic:  # Two periods, so that every rotation is contiguous.
             columns = np.concatenate([columns, columns])
         else:
             columns = columns[self._left : self._left + self._columns]
@@ -192,74 +214,75 @@ class TemplateMemory:
 
 
 class Search:
-    """One view held against a memory."""
+    """Search for one view in a memory."""
 
     def __init__(self, memory: TemplateMemory, pixels: Bytes, blocks: Bytes) -> None:
         self._memory = memory
         self._pixels = pixels
         self._blocks = blocks
-        likely, least = 0, LARGEST_SAD
-        for number, shelf, count in self._shelves(len(memory)):
-            row = _bound(shelf.blocks, count, *memory._coarse, blocks, shelf.least)
-            if shelf.least[row] < least:
-                likely, least = number * memory._per_shelf + row, int(shelf.least[row])
+        likely, min_bound = 0, MAX_SAD
+        for number, chunk, count in self._chunks(len(memory)):
+            row = _bound(chunk.blocks, count, *memory._coarse, blocks, chunk.bounds)
+            if chunk.bounds[row] < min_bound:
+                likely, min_bound = number * memory._per_chunk + row, int(chunk.bounds[row])
         self._likely = likely
 
     def best(self, count: int | None = None, limit: int | None = None) -> Match | None:
-        """Return the best match, None where there is none.
+        """Return the best match, or None if there is none.
 
-        Ties go to the lowest id, then to the lowest vertical and horizontal offset.
+        Ties go to the lowest template id, then to the lowest vertical and horizontal offset.
 
         Args:
-            count: search the oldest ``count`` templates only.
-            limit: matches with a SAD above this are none; far ones then cost nothing.
+            count: search only the oldest ``count`` templates; None: all.
+            limit: largest SAD of a match; a limit makes the search faster.
         """
         m = self._memory
         count = len(m) if count is None else count
-        bound = LARGEST_SAD if limit is None else limit + 1
+        bound = MAX_SAD if limit is None else limit + 1
         if self._likely < count:
-            # Wherever it lies, a good match found first spares most others; one more than its
-            # SAD, so that a lower id that is as good is found again.
-            number, row = divmod(self._likely, m._per_shelf)
-            found = self._refine(m._shelves[number], row, row + 1, bound)
+            # Evaluating the most promising template first excludes most others. The bound is one
+            # above its SAD, so that an equally good template with a lower id is still found.
+            number, row = divmod(self._likely, m._per_chunk)
+            found = self._refine(m._chunks[number], row, row + 1, bound)
             bound = min(bound, found[2] + 1)
         best: Match | None = None
-        for number, shelf, learned in self._shelves(count):
-            row, place, found_sad = self._refine(shelf, 0, learned, bound)
+        for number, chunk, learned in self._chunks(count):
+            row, place, found_sad = self._refine(chunk, 0, learned, bound)
             if row >= 0:
                 bound = found_sad
-                template_id = number * m._per_shelf + row
+                template_id = number * m._per_chunk + row
                 best = Match(template_id, int(m._offsets[place]), found_sad)
         return best
 
-    def _shelves(self, count: int) -> list[tuple[int, _Shelf, int]]:
-        """Return number, shelf and how many templates of it are among the oldest ``count``."""
-        size = self._memory._per_shelf
-        shelves = self._memory._shelves[: -(-count // size)]
-        return [(n, shelf, min(count - n * size, size)) for n, shelf in enumerate(shelves)]
+    def _chunks(self, count: int) -> list[tuple[int, _Chunk, int]]:
+        """Return index, chunk, and number of its templates among the oldest ``count``."""
+        size = self._memory._per_chunk
+        chunks = self._memory._chunks[: -(-count // size)]
+        return [(n, chunk, min(count - n * size, size)) for n, chunk in enumerate(chunks)]
 
-    def _refine(self, shelf: _Shelf, first: int, last: int, bound: int) -> tuple[int, int, int]:
+    def _refine(self, chunk: _Chunk, first: int, last: int, bound: int) -> tuple[int, int, int]:
         m = self._memory
         row, place, found = _refine(
-            shelf.pixels, *m._fine, self._pixels, shelf.blocks, *m._coarse, self._blocks,
-            shelf.least, m._divisor, m._slack, first, last, bound,
+            chunk.pixels, *m._fine, self._pixels, chunk.blocks, *m._coarse, self._blocks,
+            chunk.bounds, m._divisor, m._slack, first, last, bound,
         )  # fmt: skip
         return int(row), int(place), int(found)
 
 
 def _aligned(size: int) -> Bytes:
-    """Return (size + PIECE,) uint8 that begin where a piece does: loads that straddle cost two."""
-    room = np.empty(size + 2 * PIECE, np.uint8)
-    return room[-room.ctypes.data % PIECE :][: size + PIECE]
+    """Return (size + PIECE_BYTES,) uint8, uninitialised, aligned to cache lines."""
+    padded = np.empty(size + 2 * PIECE_BYTES, np.uint8)
+    return padded[-padded.ctypes.data % PIECE_BYTES :][: size + PIECE_BYTES]
 
 
 @compiled
 def _blocks(
-    columns: Bytes, edges: Places, signs: Places, divisor: int, blocks: Bytes
+    columns: Bytes, edges: Indices, signs: Indices, divisor: int, blocks: Bytes
 ) -> None:
-    """Fill ``blocks`` from (w, rows): pairs of columns from the first, then from the second on.
+    """Fill ``blocks`` from ``columns`` (w, rows).
 
-    A block is a sum, rows with a negative sign turned over (255 - value) to keep it positive.
+    Column pairs that start at even columns come first, then those that start at odd columns. Rows
+    with a negative sign are inverted (255 - value), which keeps the sums positive.
     """
     pairs = columns.shape[0] // BLOCK_COLUMNS
     groups = edges.shape[0] - 1
@@ -277,55 +300,55 @@ def _blocks(
 
 @compiled
 def _bound(
-    blocks: Bytes, count: int, stride: int, in_template: Places, in_query: Places, pieces: int,
-    inside: Bytes, query: Bytes, least: NDArray[np.int32],
+    blocks: Bytes, count: int, stride: int, in_template: Indices, in_query: Indices, pieces: int,
+    inside: Bytes, query: Bytes, bounds: NDArray[np.int32],
 ) -> int:  # fmt: skip
-    """Fill ``least`` (n,) with each template's least SAD of blocks; return where it is least."""
+    """Fill ``bounds`` (n,) with the minimum block SAD per template; return the best row."""
     likely = 0
     for row in range(count):
         base = row * stride
-        smallest = np.int64(LARGEST_SAD)
+        smallest = np.int64(MAX_SAD)
         for place in range(in_template.shape[0]):
-            at, there = base + in_template[place], in_query[place]
-            if pieces == 2:  # as at 60x10: known when compiled, it needs no branch
-                found = sad(blocks, at, query, there, 2, inside)
+            at, in_query_at = base + in_template[place], in_query[place]
+            if pieces == 2:  # The size for 60 x 10 px: a compile-time constant avoids a branch.
+                found = sad(blocks, at, query, in_query_at, 2, inside)
             else:
-                found = sad(blocks, at, query, there, pieces, inside)
+                found = sad(blocks, at, query, in_query_at, pieces, inside)
             smallest = min(smallest, found)
-        least[row] = smallest
-        if smallest < least[likely]:
+        bounds[row] = smallest
+        if smallest < bounds[likely]:
             likely = row
     return likely
 
 
 @compiled
 def _refine(
-    pixels: Bytes, stride: int, in_template: Places, in_query: Places, pieces: int,
+    pixels: Bytes, stride: int, in_template: Indices, in_query: Indices, pieces: int,
     inside: Bytes, query: Bytes,
-    blocks: Bytes, block_stride: int, block_in_template: Places, block_in_query: Places,
+    blocks: Bytes, block_stride: int, block_in_template: Indices, block_in_query: Indices,
     block_pieces: int, block_inside: Bytes, block_query: Bytes,
-    least: NDArray[np.int32], divisor: int, slack: int, first: int, last: int, bound: int,
+    bounds: NDArray[np.int32], divisor: int, slack: int, first: int, last: int, bound: int,
 ) -> tuple[int, int, int]:  # fmt: skip
-    """Return row, place and SAD of the first best match below ``bound``; row -1 for none."""
+    """Return row, place and SAD of the first best match below ``bound``; row -1 if none."""
     best_row = -1
     best_place = -1
-    looked = 0
-    spared = 0
+    checked = 0
+    skipped = 0
     for row in range(first, last):
-        if np.int64(least[row]) * divisor - slack >= bound:
+        if np.int64(bounds[row]) * divisor - slack >= bound:
             continue
         at = row * stride
         for place in range(in_template.shape[0]):
-            # The blocks again, place by place, as long as that spares a quarter of the pixels.
-            if spared * 4 >= looked - 1000:
-                looked += 1
+            # Check the block bound of each place first, as long as at least a quarter is skipped.
+            if skipped * 4 >= checked - 1000:
+                checked += 1
                 at_block = row * block_stride + block_in_template[place]
-                least_here = sad(
+                block_sad = sad(
                     blocks, at_block, block_query, block_in_query[place], block_pieces,
                     block_inside,
                 )  # fmt: skip
-                if least_here * divisor - slack >= bound:
-                    spared += 1
+                if block_sad * divisor - slack >= bound:
+                    skipped += 1
                     continue
             found = sad(pixels, at + in_template[place], query, in_query[place], pieces, inside)
             if found < bound:

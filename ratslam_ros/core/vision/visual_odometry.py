@@ -1,6 +1,9 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Visual odometry: image -> Odometry, from the shift and change of intensity profiles."""
+"""Visual odometry from the shift and change of column intensity profiles.
+
+See docs/algorithm.md, "From the camera alone".
+"""
 
 from __future__ import annotations
 
@@ -14,23 +17,26 @@ from ratslam_ros.core.common.compiled import compiled
 from ratslam_ros.core.common.odometry import Motion, Odometry, Twist, moved
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import VisualOdometryParameters
-from ratslam_ros.core.vision.image_window import Window, plain, window_of
+from ratslam_ros.core.vision.image_window import Window, contiguous, window_of
 
 Profile = NDArray[np.int64]
-"""Sum of each column of a window: integers, so that ties are ties and not decided by rounding."""
+"""(w,) sum of each column of a window; integers, so that equal differences compare as equal."""
 
 MAX_SHIFT_PX = 39
+"""Largest shift between the profiles of successive images that is tried."""
+
 BAND_ROWS = 257
-"""So many rows add up to 65535 at most: four times as many columns at once as in 64 bits."""
+"""Rows summed in 16-bit integers: 257 * 255 = 65535. A SIMD register holds four times as many
+columns of 16 bits as of 64 bits."""
 
 
 def field_of_view_deg(focal_px: float, width_px: int) -> float:
-    """Return the horizontal field of view of a pinhole camera."""
+    """Return the horizontal field of view of a pinhole camera, in degrees."""
     return math.degrees(2.0 * math.atan(0.5 * width_px / focal_px))
 
 
 class VisualOdometry:
-    """Turn rate from the shift of the view, speed from how much it changed."""
+    """Estimation of the turn rate from the image shift, and of the speed from the image change."""
 
     def __init__(self, parameters: VisualOdometryParameters) -> None:
         self._p = parameters
@@ -40,32 +46,33 @@ class VisualOdometry:
         self._windows: tuple[Window, Window]
 
     def estimate(self, stamp_ns: int, image: NDArray[np.uint8]) -> Odometry | None:
-        """Return the motion since the previous image, and all motions together as a pose.
-
-        None for the first image, and where the size has changed.
+        """Estimate the motion since the previous image, and integrate the pose.
 
         Args:
-            stamp_ns: the image's stamp; stamps must increase.
-            image: (H, W) uint8 grey, always of one size.
+            stamp_ns: stamp of the image; stamps must increase.
+            image: (H, W) uint8, greyscale.
+
+        Returns:
+            The odometry, or None for the first image and after a change of the image size.
 
         Raises:
-            UnusableParameter: a window lies outside the image.
+            UnusableParameter: a window exceeds the image.
         """
         p = self._p
         if self._shape != image.shape:
-            self._windows = self.rotation_window(image), self.translation_window(image)
+            self._windows = self._rotation_window(image), self._translation_window(image)
             self._shape = image.shape
-        pixels = plain(image)
+        pixels = contiguous(image)
         window = self._windows[1]
         rotation = _profile_of(pixels, self._windows[0])
         translation = _profile_of(pixels, window)
         last, self._last = self._last, (stamp_ns, image.shape, rotation, translation)
         if last is None or last[1] != image.shape:
-            return None  # of another image size there is nothing to compare with
+            return None  # Profiles of different lengths cannot be compared.
         dt_s = (stamp_ns - last[0]) * 1e-9
         offset_px, _ = _compare(rotation, last[2])
-        _, least = _compare(translation, last[3])
-        difference = least / (255.0 * (window.y_max - window.y_min))
+        _, min_difference = _compare(translation, last[3])
+        difference = min_difference / (255.0 * (window.y_max - window.y_min))
         rad_per_px = p.camera_fov_deg / image.shape[1] * (math.pi / 180.0)
         speed_mps = difference * p.vtrans_scaling / (dt_s * p.camera_hz)
         twist = Twist(min(speed_mps, p.vtrans_max), offset_px * rad_per_px / dt_s)
@@ -74,23 +81,21 @@ class VisualOdometry:
         return Odometry(stamp_ns, twist, self._pose)
 
     def set_field_of_view(self, camera_fov_deg: float) -> None:
-        """Use another field of view from the next image on."""
+        """Set the field of view, in degrees, used from the next image on."""
         self._p = replace(self._p, camera_fov_deg=camera_fov_deg)
 
     def restart(self) -> None:
-        """Take the next image for the first one; the pose stays."""
+        """Treat the next image as the first one; the pose is kept."""
         self._last = None
 
-    def rotation_window(self, image: NDArray[np.uint8]) -> Window:
-        """Return the window that the turn rate is measured in."""
+    def _rotation_window(self, image: NDArray[np.uint8]) -> Window:
         p = self._p
         return window_of(
             image, 'visual_odometry.vrot_image',
             (p.vrot_image_x_min, p.vrot_image_x_max), (p.vrot_image_y_min, p.vrot_image_y_max),
         )  # fmt: skip
 
-    def translation_window(self, image: NDArray[np.uint8]) -> Window:
-        """Return the window that the speed is measured in."""
+    def _translation_window(self, image: NDArray[np.uint8]) -> Window:
         p = self._p
         return window_of(
             image, 'visual_odometry.vtrans_image',
@@ -109,7 +114,7 @@ def _profile_of(image: NDArray[np.uint8], window: Window) -> Profile:
 def _profile(
     image: NDArray[np.uint8], x_min: int, x_max: int, y_min: int, y_max: int, profile: Profile
 ) -> None:
-    """Add the sum of each of a window's columns to ``profile`` (w,)."""
+    """Add the column sums of a window to ``profile`` (w,)."""
     width = x_max - x_min
     band = np.empty(width, np.uint16)
     for top in range(y_min, y_max, BAND_ROWS):
@@ -124,10 +129,10 @@ def _profile(
 
 @compiled
 def _compare(now: Profile, before: Profile) -> tuple[int, float]:
-    """Return the shift in px with the least mean difference, and that difference.
+    """Return the shift in px with the smallest mean absolute difference, and that difference.
 
-    Content that moved left gives a negative shift. Ties: left before right, then the smaller.
-    Algorithm.md, Visual odometry: L(s) and R(s).
+    Content that moved left gives a negative shift. Ties go to left before right, then to the
+    smaller shift.
     """
     width = now.shape[0]
     best_total = np.int64(0)

@@ -16,7 +16,7 @@ START = Pose(1.0, -2.0, 0.7)
 
 
 def end_of(pose: Pose, speed: float, rate: float, dt_s: float) -> Pose:
-    """Return the closed form of driving at constant speed and turn rate."""
+    """Return the end pose at constant speed and turn rate, in closed form."""
     if rate == 0.0:
         return Pose(
             pose.x_m + speed * dt_s * math.cos(pose.heading_rad),
@@ -39,33 +39,33 @@ def assert_same(a: Pose, b: Pose, tolerance: float = 1e-12) -> None:
 
 @given(st.floats(-3, 3), st.floats(-2.0, 2.0).filter(lambda w: w == 0 or abs(w) > 1e-3),
        st.floats(0.01, 2.0))  # fmt: skip
-def test_a_step_moves_along_the_exact_arc(speed: float, rate: float, dt_s: float) -> None:
+def test_moved_follows_the_exact_arc(speed: float, rate: float, dt_s: float) -> None:
     motion = Motion(dt_s, speed * dt_s, rate * dt_s)
     assert_same(moved(START, motion), end_of(START, speed, rate, dt_s), 1e-10)
 
 
-def test_one_long_step_ends_where_many_short_ones_do() -> None:
-    """Also for most of a circle, where the ends' chord is a fraction of the way."""
-    at = START
+def test_moved_one_long_step_equals_many_short_steps() -> None:
+    """The arc is most of a circle, so that its chord is much shorter than the arc."""
+    pose = START
     for _ in range(1000):
-        at = moved(at, Motion(0.001, 0.002, 0.006))
-    assert_same(at, moved(START, Motion(1.0, 2.0, 6.0)), 1e-10)
+        pose = moved(pose, Motion(0.001, 0.002, 0.006))
+    assert_same(pose, moved(START, Motion(1.0, 2.0, 6.0)), 1e-10)
 
 
-def test_a_full_circle_ends_where_it_began() -> None:
+def test_moved_full_circle_returns_to_start() -> None:
     assert_same(moved(START, Motion(1.0, 5.0, 2.0 * math.pi)), START)
 
 
-def test_the_twist_acts_up_to_its_own_stamp() -> None:
-    """Twist n over (t[n-1], t[n]]; the first message only sets the clock."""
+def test_twist_applies_to_interval_before_its_stamp() -> None:
+    """Twist n applies to (t[n-1], t[n]]; the first message gives no motion."""
     motion_of = MotionFromOdometry('twist')
     assert motion_of.update(twist(SECOND, 9.0, 9.0)) is None
     assert motion_of.update(twist(SECOND + SECOND // 4, 2.0, -1.0)) == Motion(0.25, 0.5, -0.25)
     assert motion_of.update(twist(2 * SECOND, 1.0, 0.0)) == Motion(0.75, 0.75, 0.0)
 
 
-def test_time_is_the_difference_of_integer_stamps() -> None:
-    """Stamps of today's epoch in float seconds would lose the last hundred ns."""
+def test_interval_is_difference_of_integer_stamps() -> None:
+    """Float seconds since the Unix epoch would lose the last 100 ns."""
     motion_of = MotionFromOdometry('twist')
     now = 1_700_000_000_123_456_789
     motion_of.update(twist(now))
@@ -75,7 +75,7 @@ def test_time_is_the_difference_of_integer_stamps() -> None:
 
 
 @given(st.lists(st.tuples(st.floats(-2, 2), st.floats(-3.0, 3.0)), min_size=1, max_size=20))
-def test_pose_and_twist_agree_on_arcs(twists: list[tuple[float, float]]) -> None:
+def test_pose_and_twist_give_equal_motions_on_arcs(twists: list[tuple[float, float]]) -> None:
     from_twist, from_pose = MotionFromOdometry('twist'), MotionFromOdometry('pose')
     wheel = Pose(4.0, 5.0, 3.0)
     a = b = START
@@ -96,8 +96,8 @@ def test_pose_and_twist_agree_on_arcs(twists: list[tuple[float, float]]) -> None
     assert_same(a, b, 1e-9)
 
 
-def test_poses_are_differenced_in_the_robots_frame() -> None:
-    """Where the odometry's own frame lies does not matter, nor headings across half a turn."""
+def test_pose_source_differences_poses_in_robot_frame() -> None:
+    """The origin of the odometry frame has no effect, even if headings cross half a turn."""
     for origin in (Pose(0.0, 0.0, 0.0), Pose(100.0, -7.0, 3.1), Pose(0.0, 0.0, -3.1)):
         motion_of = MotionFromOdometry('pose')
         motion_of.update(Odometry(0, Twist(0.0, 0.0), origin))
@@ -108,7 +108,7 @@ def test_poses_are_differenced_in_the_robots_frame() -> None:
         assert motion.turn_rad == pytest.approx(0.4, abs=1e-12)
 
 
-def test_driving_back_is_negative_from_poses_as_well() -> None:
+def test_pose_source_driving_backwards_gives_negative_distance() -> None:
     motion_of = MotionFromOdometry('pose')
     motion_of.update(Odometry(0, Twist(0.0, 0.0), Pose(0.0, 0.0, 1.0)))
     back = moved(Pose(0.0, 0.0, 1.0), Motion(1.0, -0.5, 0.1))
@@ -118,7 +118,7 @@ def test_driving_back_is_negative_from_poses_as_well() -> None:
 
 
 @pytest.mark.parametrize('source', ['twist', 'pose'])
-def test_after_a_minute_without_odometry_nothing_is_known_of_the_motion(source: str) -> None:
+def test_gap_over_a_minute_gives_no_motion(source: str) -> None:
     motion_from = MotionFromOdometry(source)
     assert motion_from.update(twist(SECOND, 1.0)) is None
     assert motion_from.update(twist(SECOND + 60 * 10**9, 1.0)) is not None

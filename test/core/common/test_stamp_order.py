@@ -1,9 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The order of messages depends on their stamps alone.
-
-In the original the map depends on when messages happen to arrive.
-"""
+"""The order of messages depends on their stamps alone, and not on their arrival times."""
 
 from collections.abc import Iterator
 
@@ -11,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ratslam_ros.core.common.stamp_order import RUN, Released, StampOrder
+from ratslam_ros.core.common.stamp_order import RUN_COUNT, Released, StampOrder
 
 STREAMS = ('odometry', 'template')
 Arrivals = list[tuple[str, int]]
@@ -22,7 +19,7 @@ def order(max_lateness_ns: int = 100, streams: tuple[str, ...] = STREAMS) -> Sta
 
 
 def run(arrivals: Arrivals, max_lateness_ns: int = 100) -> tuple[list[Released[str]], int, int]:
-    """Return what was released, in order, the number late and the number refused."""
+    """Return the released messages in order, the late count and the refused count."""
     merger = order(max_lateness_ns)
     out = []
     for stream, stamp in arrivals:
@@ -46,7 +43,7 @@ def interleavings(a: Arrivals, b: Arrivals) -> Iterator[Arrivals]:
 
 
 def within(arrivals: Arrivals, max_lateness_ns: int) -> bool:
-    """Tell whether no message arrives later than the bound behind the newest one."""
+    """Return whether no message arrives later than the bound behind the newest one."""
     newest = arrivals[0][1]
     for _, stamp in arrivals:
         newest = max(newest, stamp)
@@ -60,12 +57,12 @@ def within(arrivals: Arrivals, max_lateness_ns: int) -> bool:
     ([5], [1, 2, 3, 4, 5, 6]), ([1, 2, 3, 10], [9, 10]), ([2, 4], []), ([], [1, 3]),
 ])  # fmt: skip
 @pytest.mark.parametrize('max_lateness_ns', [0, 1, 3, 100])
-def test_every_interleaving_of_small_streams_gives_one_order(
+def test_every_interleaving_is_released_in_stamp_order(
     stamps: tuple[list[int], list[int]], max_lateness_ns: int
 ) -> None:
     streams = [[(name, s) for s in part] for name, part in zip(STREAMS, stamps, strict=True)]
     expected = by_stamp(streams[0] + streams[1])
-    tried = 0
+    tested_count = 0
     for arrivals in interleavings(*streams):
         if not within(arrivals, max_lateness_ns):
             continue
@@ -73,26 +70,26 @@ def test_every_interleaving_of_small_streams_gives_one_order(
         assert [(r.stream, r.stamp_ns) for r in released] == expected
         assert [r.item for r in released] == [f'{name} {stamp}' for name, stamp in expected]
         assert late == refused == 0
-        tried += 1
-    assert tried > 0
+        tested_count += 1
+    assert tested_count > 0
 
 
 @st.composite
 def arrivals_within(draw: st.DrawFn, bound: int) -> Arrivals:
-    """Return any arrival of two increasing streams that keeps within the lateness bound."""
+    """Draw an arrival order of two increasing streams that respects the lateness bound."""
     queues = {
         name: sorted(draw(st.sets(st.integers(1, 60), max_size=20))) for name in STREAMS
     }
     arrivals: Arrivals = []
     newest = -1
     while any(queues.values()):
-        # The next of a stream may come now if what waits on the other does not get too late.
+        # A stream may deliver next if the head of the other stream does not become too late.
         heads = [queue[0] for queue in queues.values() if queue]
-        able = [
+        candidates = [
             name for name, queue in queues.items()
             if queue and max(newest, queue[0]) - min(heads) <= bound
         ]  # fmt: skip
-        name = draw(st.sampled_from(able))
+        name = draw(st.sampled_from(candidates))
         stamp = queues[name].pop(0)
         newest = max(newest, stamp)
         arrivals.append((name, stamp))
@@ -100,7 +97,7 @@ def arrivals_within(draw: st.DrawFn, bound: int) -> Arrivals:
 
 
 @given(st.integers(0, 30).flatmap(lambda b: st.tuples(st.just(b), arrivals_within(b))))
-def test_any_arrival_within_the_bound_is_released_in_order_of_stamps(
+def test_any_arrival_within_bound_is_released_by_stamp(
     case: tuple[int, Arrivals],
 ) -> None:
     bound, arrivals = case
@@ -113,7 +110,7 @@ def test_any_arrival_within_the_bound_is_released_in_order_of_stamps(
     st.lists(st.tuples(st.sampled_from(STREAMS), st.integers(1, 40)), max_size=40),
     st.integers(0, 20),
 )
-def test_whatever_arrives_is_released_in_order_or_counted(
+def test_any_arrival_is_released_in_order_or_counted(
     arrivals: Arrivals, bound: int
 ) -> None:
     merger = order(bound)
@@ -129,10 +126,10 @@ def test_whatever_arrives_is_released_in_order_or_counted(
 
 
 @given(st.lists(st.integers(1, 5), max_size=60), st.integers(0, 20))
-def test_a_silent_stream_holds_messages_for_the_bound_and_no_longer(
+def test_silent_stream_delays_messages_by_the_bound(
     gaps: list[int], bound: int
 ) -> None:
-    """A camera that falls silent makes the map lag by max_lateness and no more."""
+    """If the camera stops, the map lags by at most max_lateness."""
     merger = order(bound)
     stamp = 0
     sent: list[int] = []
@@ -146,7 +143,7 @@ def test_a_silent_stream_holds_messages_for_the_bound_and_no_longer(
     assert merger.counts.late == merger.counts.refused == 0
 
 
-def test_of_equal_stamps_odometry_comes_first_whichever_arrives_first() -> None:
+def test_equal_stamps_release_odometry_first() -> None:
     for arrivals in ([('odometry', 5), ('template', 5)], [('template', 5), ('odometry', 5)]):
         merger = order()
         assert merger.push(*arrivals[0], '') == [] or arrivals[0][0] == 'template'
@@ -154,7 +151,7 @@ def test_of_equal_stamps_odometry_comes_first_whichever_arrives_first() -> None:
         assert [r.stream for r in released] == ['odometry', 'template']
 
 
-def test_a_message_waits_for_the_other_stream() -> None:
+def test_message_waits_for_the_other_stream() -> None:
     merger = order()
     assert merger.push('odometry', 10, 'a') == []
     assert merger.push('odometry', 20, 'b') == []
@@ -164,20 +161,20 @@ def test_a_message_waits_for_the_other_stream() -> None:
     assert [r.item for r in merger.push('template', 20, 'd')] == ['b', 'd']
 
 
-def test_with_three_streams_a_message_waits_for_all_others() -> None:
+def test_three_streams_message_waits_for_all_others() -> None:
     merger = order(100, ('odometry', 'template', 'action'))
     assert merger.push('odometry', 1, 'a') == []
     assert merger.push('template', 1, 'b') == []
     assert [r.item for r in merger.push('action', 1, 'c')] == ['a', 'b', 'c']
 
 
-def test_a_single_stream_waits_for_nobody() -> None:
+def test_single_stream_releases_at_once() -> None:
     merger = order(100, ('odometry',))
     assert [r.stamp_ns for r in merger.push('odometry', 7, '')] == [7]
 
 
 @pytest.mark.parametrize('stamp', [10, 9, -1])
-def test_a_stamp_that_does_not_increase_is_refused_and_counted(stamp: int) -> None:
+def test_non_increasing_stamp_is_refused_and_counted(stamp: int) -> None:
     merger = order()
     merger.push('odometry', 10, 'first')
     assert merger.push('odometry', stamp, 'again') == []
@@ -185,7 +182,7 @@ def test_a_stamp_that_does_not_increase_is_refused_and_counted(stamp: int) -> No
     assert [r.item for r in merger.flush()] == ['first']
 
 
-def test_a_refused_message_does_not_set_the_clock_back() -> None:
+def test_refused_message_keeps_the_last_stamp() -> None:
     merger = order()
     merger.push('odometry', 10, '')
     merger.push('odometry', 4, '')
@@ -193,7 +190,7 @@ def test_a_refused_message_does_not_set_the_clock_back() -> None:
     assert merger.counts.refused == 2
 
 
-def test_a_message_older_than_the_last_released_is_late_and_dropped() -> None:
+def test_message_older_than_last_released_is_dropped_late() -> None:
     merger = order(3)
     merger.push('odometry', 1, 'a')
     assert [r.item for r in merger.push('odometry', 5, 'b')] == ['a']
@@ -204,7 +201,7 @@ def test_a_message_older_than_the_last_released_is_late_and_dropped() -> None:
     assert [r.item for r in merger.flush()] == ['c']
 
 
-def test_odometry_is_late_once_the_template_of_its_stamp_is_released() -> None:
+def test_odometry_after_template_of_equal_stamp_is_late() -> None:
     merger = order(1)
     merger.push('template', 5, '')
     assert [r.stream for r in merger.push('template', 7, '')] == ['template']
@@ -212,7 +209,7 @@ def test_odometry_is_late_once_the_template_of_its_stamp_is_released() -> None:
     assert merger.counts.late == 1
 
 
-def test_a_template_is_not_late_when_only_the_odometry_of_its_stamp_is_released() -> None:
+def test_template_after_odometry_of_equal_stamp_is_released() -> None:
     merger = order(1)
     merger.push('odometry', 5, '')
     merger.push('odometry', 7, '')
@@ -220,14 +217,14 @@ def test_a_template_is_not_late_when_only_the_odometry_of_its_stamp_is_released(
     assert merger.counts.late == 0
 
 
-def test_exactly_the_bound_is_still_held() -> None:
+def test_lateness_equal_to_bound_is_held() -> None:
     merger = order(10)
     merger.push('odometry', 1, '')
     assert merger.push('odometry', 11, '') == []
     assert [r.stamp_ns for r in merger.push('odometry', 12, '')] == [1]
 
 
-def test_after_a_flush_order_goes_on() -> None:
+def test_order_continues_after_flush() -> None:
     merger = order()
     merger.push('odometry', 10, '')
     merger.push('odometry', 20, '')
@@ -260,32 +257,32 @@ def stamps_of(merger: StampOrder[int], stamps: list[int]) -> list[int]:
     return out
 
 
-def test_one_stamp_from_the_future_is_refused_and_nothing_else() -> None:
+def test_single_future_stamp_is_refused() -> None:
     merger = single()
     assert stamps_of(merger, [S, S + 1, 3600 * S, S + 2, S + 3]) == [S, S + 1, S + 2, S + 3]
     assert (merger.counts.refused, merger.held) == (1, 0)
 
 
-def test_a_burst_of_stamps_from_the_future_is_refused() -> None:
+def test_short_burst_of_future_stamps_is_refused() -> None:
     merger = single()
-    future = [3600 * S + n for n in range(RUN - 1)]
+    future = [3600 * S + n for n in range(RUN_COUNT - 1)]
     assert stamps_of(merger, [S, *future]) == [S]
-    assert merger.held == RUN - 1
+    assert merger.held == RUN_COUNT - 1
     assert stamps_of(merger, [S + 1]) == [S + 1]
-    assert (merger.counts.refused, merger.held) == (RUN - 1, 0)
+    assert (merger.counts.refused, merger.held) == (RUN_COUNT - 1, 0)
 
 
-def test_after_a_pause_all_is_believed_once_enough_has_followed() -> None:
+def test_pause_is_accepted_after_a_run() -> None:
     merger = single()
-    later = [100 * S + n * S // 20 for n in range(RUN)]
+    later = [100 * S + n * S // 20 for n in range(RUN_COUNT)]
     assert stamps_of(merger, [S, *later[:-1]]) == [S]
     assert stamps_of(merger, later[-1:]) == later
     assert (merger.counts.refused, merger.counts.gaps) == (0, 1)
 
 
-def test_a_slow_stream_waits_only_until_its_step_is_known() -> None:
+def test_slow_stream_is_held_until_step_is_known() -> None:
     merger = single()
-    slow = [n * 5 * S for n in range(1, 2 * RUN)]
+    slow = [n * 5 * S for n in range(1, 2 * RUN_COUNT)]
     assert stamps_of(merger, slow[:3]) == slow[:1]
     assert stamps_of(merger, slow[3:4]) == slow[1:4]
     for stamp in slow[4:]:
@@ -293,7 +290,7 @@ def test_a_slow_stream_waits_only_until_its_step_is_known() -> None:
     assert merger.counts.refused == 0
 
 
-def test_at_a_flush_a_single_leap_is_refused_and_a_followed_one_believed() -> None:
+def test_flush_refuses_single_jump_accepts_confirmed_jump() -> None:
     merger = single()
     stamps_of(merger, [S, 9 * S])
     assert merger.flush() == []
@@ -302,7 +299,7 @@ def test_at_a_flush_a_single_leap_is_refused_and_a_followed_one_believed() -> No
     assert [r.stamp_ns for r in merger.flush()] == [20 * S, 21 * S]
 
 
-def test_a_stamp_of_zero_is_no_time_unless_the_recording_begins_there() -> None:
+def test_zero_stamp_is_refused_unless_recording_begins_there() -> None:
     merger = single()
     assert stamps_of(merger, [0, 1_700_000_000 * S]) == [1_700_000_000 * S]
     assert merger.counts.refused == 1
@@ -312,10 +309,10 @@ def test_a_stamp_of_zero_is_no_time_unless_the_recording_begins_there() -> None:
     assert video.counts.refused == 0
 
 
-def test_a_recording_that_begins_again_is_noticed_and_nothing_of_it_lost() -> None:
+def test_restarted_recording_is_detected_without_loss() -> None:
     merger = single()
     stamps_of(merger, [n * S for n in range(100, 120)])
-    again = [n * S // 20 for n in range(100, 100 + RUN)]
+    again = [n * S // 20 for n in range(100, 100 + RUN_COUNT)]
     assert stamps_of(merger, again[:-1]) == []
     assert not merger.jumped_back
     assert stamps_of(merger, again[-1:]) == []
@@ -324,20 +321,20 @@ def test_a_recording_that_begins_again_is_noticed_and_nothing_of_it_lost() -> No
     assert (merger.jumped_back, merger.counts.refused) == (False, 0)
 
 
-def test_wrong_stamps_from_the_past_are_no_new_beginning() -> None:
+def test_wrong_past_stamps_are_no_restart() -> None:
     merger = single()
     stamps_of(merger, [100 * S])
     stamps_of(merger, [n * S for n in range(60, 20, -1)])  # backwards
     stamps_of(merger, [7 * S] * 40)
-    stamps_of(merger, [1, 30 * S, 60 * S, 90 * S])  # no stream has such steps
+    stamps_of(merger, [1, 30 * S, 60 * S, 90 * S])  # implausibly large steps
     assert not merger.jumped_back
-    for n in range(40):  # another publisher that sends old ones in between
+    for n in range(40):  # a second publisher interleaves old stamps
         stamps_of(merger, [n * S, (101 + n) * S])
     assert not merger.jumped_back
     assert merger.counts.refused == 124
 
 
-def test_a_slow_camera_that_begins_again_needs_three_images() -> None:
+def test_slow_camera_restart_needs_three_images() -> None:
     merger = single()
     stamps_of(merger, [n * S for n in range(100, 120)])
     assert stamps_of(merger, [S, 2 * S]) == []
@@ -347,56 +344,56 @@ def test_a_slow_camera_that_begins_again_needs_three_images() -> None:
     assert [r.stamp_ns for r in merger.restart()] == [S, 2 * S, 3 * S]
 
 
-def test_at_a_new_beginning_nothing_of_the_slower_streams_is_lost() -> None:
+def test_restart_keeps_messages_of_slower_streams() -> None:
     merger = order(LATENESS_NS)
     for n in range(100, 110):
         merger.push('odometry', n * S, 'old')
         merger.push('template', n * S, 'old')
     merger.flush()
-    for n in range(RUN):  # the camera is the faster one
+    for n in range(RUN_COUNT):  # the camera is the faster one
         if n % 3 == 0:
             merger.push('odometry', n * S // 30 + 1, 'new')
         merger.push('template', n * S // 30 + 1, 'new')
     assert merger.jumped_back
     out = merger.restart() + merger.flush()
     assert [r.stream for r in out].count('odometry') == 4
-    assert [r.stream for r in out].count('template') == RUN
+    assert [r.stream for r in out].count('template') == RUN_COUNT
     assert merger.counts.refused == 0
 
 
-def test_what_is_held_at_a_new_beginning_is_counted() -> None:
+def test_restart_counts_held_messages_as_refused() -> None:
     merger = order(LATENESS_NS)
     for n in range(5):
         merger.push('odometry', 100 * S + n, 'old')
-    for n in range(RUN):
+    for n in range(RUN_COUNT):
         merger.push('odometry', S + n, 'new')
     merger.restart()
     assert merger.counts.refused == 5
 
 
-def test_streams_that_hear_of_a_new_beginning_later_do_not_mix_old_and_new() -> None:
+def test_restart_drops_old_messages_of_lagging_streams() -> None:
     merger = order(LATENESS_NS)
     for n in range(100, 110):
         merger.push('odometry', n * S, 'old')
         merger.push('template', n * S, 'old')
-    for n in range(RUN):
+    for n in range(RUN_COUNT):
         merger.push('odometry', n * S // 10 + 1, 'new')
     assert merger.jumped_back
     merger.flush()
     out = merger.restart()
-    for n in range(110, 113):  # a slow local view still sends those of before
+    for n in range(110, 113):  # a slow local view still sends messages from before
         assert merger.push('template', n * S, 'old') == []
     assert merger.counts.refused == 3
-    for n in range(RUN):
+    for n in range(RUN_COUNT):
         out += merger.push('template', n * S // 10 + 1, 'new')
     out += merger.flush()
-    assert [r.item for r in out] == ['new'] * 2 * RUN
-    assert [r.stream for r in out] == [*STREAMS] * RUN
+    assert [r.item for r in out] == ['new'] * 2 * RUN_COUNT
+    assert [r.stream for r in out] == [*STREAMS] * RUN_COUNT
     assert (merger.counts.refused, merger.counts.late) == (3, 0)
 
 
 @given(st.lists(st.integers(0, 200), max_size=60), st.integers(0, 200))
-def test_what_a_stream_believes_increases_and_the_rest_is_counted(
+def test_released_stamps_increase_and_rest_is_counted(
     tens: list[int], flush_after: int
 ) -> None:
     merger = single()

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Every parameter has a range, and nothing is set by half."""
+"""Every parameter is validated, and a failed change changes nothing."""
 
 import dataclasses
 import math
@@ -27,14 +27,14 @@ each = pytest.mark.parametrize(('section', 'name', 'info', 'default'), PARAMETER
 
 
 def refused(key: str, value: Any) -> str:
-    """Return the reason for which a value is refused."""
+    """Return the error message for an invalid value."""
     with pytest.raises(UnusableParameter) as error:
         Config().with_values({key: value})
     return str(error.value)
 
 
 @each
-def test_every_parameter_is_described_and_takes_its_default(
+def test_parameter_has_help_text_and_accepts_its_default(
     section: str, name: str, info: Any, default: Any
 ) -> None:
     assert info.effect.endswith('.')
@@ -45,12 +45,12 @@ def test_every_parameter_is_described_and_takes_its_default(
 
 
 @each
-def test_every_number_is_refused_outside_its_range(
+def test_value_of_wrong_type_or_range_is_refused(
     section: str, name: str, info: Any, default: Any
 ) -> None:
     if isinstance(default, (bool, str)):
-        free = isinstance(default, str) and not info.choices
-        for wrong in (7, 'two words' if free else 'nonsense', None, 2.5, [True], ''):
+        any_name = isinstance(default, str) and not info.choices
+        for wrong in (7, 'two words' if any_name else 'nonsense', None, 2.5, [True], ''):
             assert name in refused(f'{section}.{name}', wrong)
         return
     assert info.low <= default <= info.high
@@ -64,7 +64,7 @@ def test_every_number_is_refused_outside_its_range(
 
 
 @each
-def test_whole_numbers_may_be_written_as_floats_and_floats_as_whole_numbers(
+def test_whole_values_are_converted_to_the_declared_type(
     section: str, name: str, info: Any, default: Any
 ) -> None:
     if isinstance(default, bool):
@@ -101,19 +101,19 @@ def test_whole_numbers_may_be_written_as_floats_and_floats_as_whole_numbers(
     ('visual_odometry', 'vrot_image_x_min', 0), ('visual_odometry', 'vtrans_image_y_max', -1),
     ('local_view', 'image_crop_x_min', 0), ('local_view', 'image_crop_y_max', -1),
 ])  # fmt: skip
-def test_names_and_defaults_are_openratslams(section: str, name: str, default: Any) -> None:
+def test_names_and_defaults_match_openratslam(section: str, name: str, default: Any) -> None:
     assert Config().values()[section][name] == default
 
 
-def test_one_bad_value_among_good_ones_sets_nothing() -> None:
+def test_one_invalid_value_leaves_config_unchanged() -> None:
     config = Config()
     with pytest.raises(UnusableParameter):
         config.with_values({'local_view.vt_shift_match': 3, 'pose_cells.pc_dim_th': -1})
     assert config == Config()
 
 
-def test_values_that_fit_only_together_are_set_together() -> None:
-    """Each alone would leave nothing to compare."""
+def test_interdependent_values_are_validated_together() -> None:
+    """Each change alone would leave no columns to compare."""
     config = Config().with_values({'local_view.vt_shift_match': 40,
                                    'local_view.template_x_size': 100})  # fmt: skip
     assert config.local_view.vt_shift_match == 40
@@ -121,7 +121,7 @@ def test_values_that_fit_only_together_are_set_together() -> None:
     assert back.local_view.template_x_size == 12
 
 
-def test_pc_dim_xy_sets_both_sides() -> None:
+def test_pc_dim_xy_sets_both_dimensions() -> None:
     config = Config().with_values({'pose_cells.pc_dim_xy': 30})
     assert (config.pose_cells.pc_dim_x, config.pose_cells.pc_dim_y) == (30, 30)
     later = config.with_values({'pose_cells.pc_dim_y': 11})
@@ -139,26 +139,26 @@ def test_pc_dim_xy_sets_both_sides() -> None:
     ('pc_dim_xy', 'pose_cells.pc_dim_xy'),
     ('experience_map.exp_loop', 'exp_loops'),
 ])  # fmt: skip
-def test_unknown_names_are_told_with_the_nearest_known(key: str, hint: str) -> None:
+def test_unknown_name_error_suggests_closest_known(key: str, hint: str) -> None:
     text = refused(key, 1)
     assert hint in text
     assert key.rpartition('.')[2] in text
 
 
 @pytest.mark.parametrize('name', ['pc_w_e_dim', 'pc_w_i_dim'])
-def test_kernels_have_a_middle(name: str) -> None:
+def test_even_kernel_width_is_refused(name: str) -> None:
     assert 'odd' in refused(f'pose_cells.{name}', 6)
     assert 'pose_cells.' in refused(f'pose_cells.{name}', 6)
 
 
-def test_shifts_leave_something_to_compare() -> None:
+def test_shifts_beyond_half_the_template_are_refused() -> None:
     assert 'vt_shift_match' in refused('local_view.vt_shift_match', 30)
     assert 'vt_shift_match_y' in refused('local_view.vt_shift_match_y', 5)
     LocalViewParameters(vt_shift_match=29)
-    LocalViewParameters(vt_shift_match=30, vt_panoramic=True)  # there it has no effect
+    LocalViewParameters(vt_shift_match=30, vt_panoramic=True)  # no effect if panoramic
 
 
-def test_messages_name_value_and_what_was_expected() -> None:
+def test_error_names_value_and_expected_range() -> None:
     text = refused('local_view.vt_match_threshold', 3.5)
     assert 'local_view.vt_match_threshold' in text
     assert '3.5' in text
@@ -166,17 +166,17 @@ def test_messages_name_value_and_what_was_expected() -> None:
     assert 'twist, pose' in refused('pose_cells.odom_source', 'wheel')
 
 
-def test_a_configuration_cannot_be_changed() -> None:
+def test_config_is_immutable() -> None:
     with pytest.raises(dataclasses.FrozenInstanceError):
         Config().pose_cells.pc_dim_x = 5  # type: ignore[misc]
 
 
-def test_sections_check_themselves_when_made_directly() -> None:
+def test_section_validates_values_when_constructed() -> None:
     with pytest.raises(UnusableParameter, match='pc_dim_x'):
         PoseCellsParameters(pc_dim_x=0)
 
 
-def test_every_name_is_found_in_its_section() -> None:
+def test_section_of_finds_every_name() -> None:
     for section, name, _, _ in PARAMETERS:
         found = section_of(name)
         assert found is not None
@@ -189,7 +189,7 @@ def test_every_name_is_found_in_its_section() -> None:
     assert section_of('nonsense') is None
 
 
-def test_values_hold_every_parameter_in_declared_order() -> None:
+def test_values_has_all_parameters_in_declared_order() -> None:
     assert [
         (section, name) for section, values in Config().values().items() for name in values
     ] == [(section, name) for section, name, _, _ in PARAMETERS]

@@ -20,7 +20,8 @@ from ratslam_ros.simulator.floor_plan import FloorPlan, parse_floor_plan
 from ratslam_ros.simulator.laser import LaserOptions
 from ratslam_ros.simulator.robot import Pose as Start
 from ratslam_ros.simulator.robot import RobotOptions
-from ratslam_ros.simulator.simulation import ScanSample, SimulationOptions, Simulator
+from ratslam_ros.simulator.samples import ScanSample
+from ratslam_ros.simulator.simulation import SimulationOptions, Simulator
 
 LASER = LaserOptions(noise_m=0.0)
 FAULTLESS = SimulationOptions(

@@ -25,10 +25,10 @@ from ratslam_ros.core.mapping.link_learning import (
     confidences,
     leading_ahead,
 )
-from ratslam_ros.core.navigation.route_planner import GoalTree, RoutePlanner, UnreachableGoal
-from ratslam_ros.core.pose_cells.pose_cells import MapAction
+from ratslam_ros.core.navigation.route_planner import GoalTree, RoutePlanner
+from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
-from ratslam_ros.errors import UnusableInput
+from ratslam_ros.errors import UnreachableGoal, UnusableInput
 from ratslam_ros.messages.mapping import MapText, encode_map
 
 WALL = 'left_wall'

@@ -19,7 +19,7 @@ from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.mapping import relaxation
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.relaxation import Relaxation
-from ratslam_ros.core.pose_cells.pose_cells import MapAction
+from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 
 Reals = NDArray[np.float64]
@@ -94,11 +94,11 @@ def test_the_fixed_point_is_that_of_dense_least_squares(
     """Several parts, links in both directions and in parallel; meshes from none to all."""
     poses, ends, shapes = random_graph(seed, count, extra)
     expected = dense_fixed_point(poses, ends, shapes)
-    before, relaxation.MESH = relaxation.MESH, mesh
+    before, relaxation.MAX_DEGREE = relaxation.MAX_DEGREE, mesh
     try:
         plan = Relaxation(ends, count)
     finally:
-        relaxation.MESH = before
+        relaxation.MAX_DEGREE = before
     plan.relax(poses, ends, shapes)
     assert apart(poses, expected) < 1e-9
     assert (np.abs(poses[:, 2]) <= math.pi).all()

@@ -16,10 +16,10 @@ from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.scan import points_of
 from ratslam_ros.core.config import ExperienceMapParameters
+from ratslam_ros.core.mapping import icp
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.scan_matching import VIEW_SD_M, ScanMatch, ScanMatcher
-from ratslam_ros.core.mapping.scan_matching import align as aligned
-from ratslam_ros.core.pose_cells.pose_cells import NO_EXPERIENCE, Action, MapAction
+from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, Action, MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 
 ROOM: list[Line] = [
@@ -38,7 +38,8 @@ def points(walls: list[Line], pose: Pose) -> np.ndarray:
 
 
 def align(place: np.ndarray, here: np.ndarray, guess: Pose) -> Pose | None:
-    return aligned(place, here, guess, VIEW_SD_M)
+    found = icp.align(place, here, guess, VIEW_SD_M)
+    return None if found is None else found.pose
 
 
 def off(found: Pose | None, true: Pose) -> tuple[float, float]:

@@ -14,9 +14,10 @@ from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import ExperienceMapParameters, GoalRecallParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation.goals import Goal, Goals, Position
-from ratslam_ros.core.navigation.route_planner import RoutePlanner, UnreachableGoal
-from ratslam_ros.core.pose_cells.pose_cells import MapAction
+from ratslam_ros.core.navigation.route_planner import RoutePlanner
+from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
+from ratslam_ros.errors import UnreachableGoal
 
 RECALL = RoutePlanner(GoalRecallParameters(goal_tolerance_m=0.6))
 NOWHERE = Place(0.0, 0.0, 0.0)

@@ -19,10 +19,11 @@ from ratslam_ros.core.config import (
 )
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation.navigator import MOST_TRIES, MOST_UNSURE, Navigator
-from ratslam_ros.core.navigation.route_planner import TILE_M, RoutePlanner, UnreachableGoal
-from ratslam_ros.core.pose_cells.pose_cells import MapAction
+from ratslam_ros.core.navigation.route_planner import TILE_M, RoutePlanner
+from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.core.vision.local_view import LocalView
+from ratslam_ros.errors import UnreachableGoal
 from ratslam_ros.files.memory import load, save
 
 NOWHERE = Place(0.0, 0.0, 0.0)

@@ -15,9 +15,9 @@ from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation.goals import Position
 from ratslam_ros.core.navigation.navigator import MOST_OUTCOMES, Navigator
 from ratslam_ros.core.navigation.route_following import STUCK_S
-from ratslam_ros.core.navigation.route_planner import UnreachableGoal
-from ratslam_ros.core.pose_cells.pose_cells import MapAction
+from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
+from ratslam_ros.errors import UnreachableGoal
 
 NOWHERE = Place(0.0, 0.0, 0.0)
 S = 1_000_000_000

@@ -28,7 +28,7 @@ from ratslam_ros.core.navigation.route_following import (
     point_ahead,
 )
 from ratslam_ros.core.navigation.route_planner import RoutePlanner
-from ratslam_ros.core.pose_cells.pose_cells import Action, MapAction
+from ratslam_ros.core.pose_cells.map_action import Action, MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 
 NOWHERE = Place(0.0, 0.0, 0.0)

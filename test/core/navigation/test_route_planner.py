@@ -20,11 +20,11 @@ from ratslam_ros.core.navigation.route_planner import (
     Route,
     RoutePlanner,
     TemporalMap,
-    UnreachableGoal,
     durations,
 )
-from ratslam_ros.core.pose_cells.pose_cells import MapAction
+from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
+from ratslam_ros.errors import UnreachableGoal
 
 RECALL = RoutePlanner(GoalRecallParameters(goal_tolerance_m=0.5))
 BACK = 2.5

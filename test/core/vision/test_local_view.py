@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Views and matches are those of the plain definition in helpers.py, ties included."""
+"""Views and matches equal those of the reference implementation in helpers.py."""
 
 import contextlib
 import math
@@ -29,35 +29,35 @@ def parameters(
 
 
 def assert_same_view(image: Image, p: LocalViewParameters) -> None:
-    """Compare with the definition; a value on the edge of rounding may go either way."""
+    """Compare with the reference; values at a rounding boundary may differ by one."""
     difference = np.abs(make_view(image, p).astype(int) - plain_view(image, p))
     brightness = plain_brightness(image, p)
-    on_the_edge = np.abs(brightness - np.floor(brightness) - 0.5) < 1e-9
+    at_boundary = np.abs(brightness - np.floor(brightness) - 0.5) < 1e-9
     assert difference.max() <= 1
-    assert not difference[~on_the_edge].any()
+    assert not difference[~at_boundary].any()
 
 
 # From image to view
 
 
 @pytest.mark.parametrize('size', [(4, 8), (5, 9), (7, 13), (24, 32), (31, 50), (4, 15)])
-def test_blocks_end_at_the_floor_of_their_share(size: tuple[int, int]) -> None:
+def test_block_borders_are_rounded_down(size: tuple[int, int]) -> None:
     image = picture(3, *size)
     p = parameters()
     assert np.array_equal(make_view(image, p), plain_view(image, p))
 
 
-def test_a_block_is_the_mean_of_its_pixels_rounded_to_nearest() -> None:
+def test_block_is_pixel_mean_rounded_to_nearest() -> None:
     image = np.array([[10, 11, 0, 255], [10, 11, 0, 255], [7, 7, 7, 8], [7, 7, 7, 8]], np.uint8)
     assert make_view(image, parameters(2, 2, 0)).tolist() == [[11, 128], [7, 8]]
 
 
-def test_an_image_as_large_as_the_template_is_taken_as_it_is() -> None:
+def test_image_of_template_size_is_unchanged() -> None:
     image = picture(1, 4, 8)
     assert np.array_equal(make_view(image, parameters()), image)
 
 
-def test_the_crop_leaves_the_rest_out() -> None:
+def test_crop_excludes_pixels_outside() -> None:
     image = np.full((20, 30), 200, np.uint8)
     image[5:13, 6:22] = 40
     p = parameters(image_crop_x_min=6, image_crop_x_max=22,
@@ -66,7 +66,7 @@ def test_the_crop_leaves_the_rest_out() -> None:
     assert_same_view(picture(5, 20, 30), p)
 
 
-def test_a_crop_of_minus_1_goes_to_the_edge() -> None:
+def test_crop_of_minus_1_extends_to_edge() -> None:
     image = picture(9, 20, 30)
     assert np.array_equal(
         make_view(image, parameters(image_crop_x_min=10)), make_view(image[:, 10:], parameters())
@@ -77,7 +77,7 @@ def test_a_crop_of_minus_1_goes_to_the_edge() -> None:
     {'image_crop_x_max': 31}, {'image_crop_y_max': 21}, {'image_crop_x_min': 23},
     {'image_crop_y_min': 17}, {'image_crop_x_min': 12, 'image_crop_x_max': 10},
 ])  # fmt: skip
-def test_a_crop_that_does_not_fit_is_named(crop: dict[str, int]) -> None:
+def test_crop_outside_image_is_named_in_error(crop: dict[str, int]) -> None:
     with pytest.raises(UnusableParameter, match=r'local_view\.image_crop_[xy].*30 x 20 px'):
         make_view(picture(1, 20, 30), parameters(**crop))
 
@@ -88,7 +88,7 @@ def test_a_crop_that_does_not_fit_is_named(crop: dict[str, int]) -> None:
     st.sampled_from([0.0, 0.2, 0.5, 0.9]), st.sampled_from([0.0, 0.05, 0.3]),
     st.sampled_from([2, 16, 256]),
 )  # fmt: skip
-def test_any_view_is_that_of_the_definition(
+def test_view_equals_reference_for_any_image(
     seed: int, rows: int, columns: int, patch: int, mean: float, least_std: float, levels: int
 ) -> None:
     rng = np.random.default_rng(seed)
@@ -98,7 +98,7 @@ def test_any_view_is_that_of_the_definition(
     ))  # fmt: skip
 
 
-def test_normalisation_sets_the_mean_and_cuts_at_white() -> None:
+def test_normalisation_sets_mean_and_saturates_at_white() -> None:
     image = np.full((4, 8), 50, np.uint8)
     assert (make_view(image, parameters(vt_normalisation=0.4)) == 102).all()
     image[0, 0] = 255
@@ -108,7 +108,7 @@ def test_normalisation_sets_the_mean_and_cuts_at_white() -> None:
 
 
 @pytest.mark.parametrize('patch', [0, 2])
-def test_a_black_view_stays_black_under_normalisation(patch: int) -> None:
+def test_black_view_stays_black_when_normalised(patch: int) -> None:
     view = make_view(
         np.zeros((8, 16), np.uint8), parameters(vt_normalisation=0.5, vt_patch_normalise=patch)
     )
@@ -117,15 +117,15 @@ def test_a_black_view_stays_black_under_normalisation(patch: int) -> None:
 
 @pytest.mark.parametrize('value', range(0, 256, 15))
 @pytest.mark.parametrize('mean', [0.0, 0.37])
-def test_flat_patches_are_a_half_and_never_nan(value: int, mean: float) -> None:
-    """The original divides by a deviation of 0, or of rounding errors."""
+def test_uniform_image_becomes_a_half(value: int, mean: float) -> None:
+    """Neither a zero deviation nor one of rounding errors is divided by."""
     image = np.full((7, 13), value, np.uint8)
     for n in (1, 2, 3, 9):
         view = make_view(image, parameters(vt_patch_normalise=n, vt_normalisation=mean))
         assert (view == 128).all()  # floor(255 * 0.5 + 0.5)
 
 
-def test_only_the_flat_patches_of_a_view_are_a_half() -> None:
+def test_only_uniform_patches_become_a_half() -> None:
     image = np.full((12, 24), 77, np.uint8)
     image[4:, 16:] = picture(1, 8, 8)
     p = parameters(24, 12, 0, vt_patch_normalise=2)
@@ -137,8 +137,8 @@ def test_only_the_flat_patches_of_a_view_are_a_half() -> None:
 
 
 @pytest.mark.parametrize('patch', [1, 2, 3])
-def test_flat_patches_are_a_half_for_every_grey_and_whatever_lies_beside(patch: int) -> None:
-    """What is left of rounding in their deviation is none."""
+def test_uniform_patches_become_a_half_for_every_grey(patch: int) -> None:
+    """Rounding errors in their deviation have no effect, whatever lies beside them."""
     for value in range(256):
         image = np.full((8, 24), value, np.uint8)
         image[:, 16:] = picture(value, 8, 8)
@@ -146,7 +146,7 @@ def test_flat_patches_are_a_half_for_every_grey_and_whatever_lies_beside(patch: 
         assert (view[:, : 16 - patch] == 128).all(), value
 
 
-def test_faint_patches_are_a_half_below_the_least_deviation() -> None:
+def test_patches_below_minimum_deviation_become_a_half() -> None:
     image = np.full((8, 16), 100, np.uint8)
     image[:, 8:] = picture(2, 8, 8)
     image[:, :8] += picture(3, 8, 8) % 3
@@ -157,7 +157,7 @@ def test_faint_patches_are_a_half_below_the_least_deviation() -> None:
     assert (make_view(image, parameters(16, 8, 0, vt_patch_normalise=1))[:, :7] != 128).any()
 
 
-def test_patches_are_cut_at_three_deviations() -> None:
+def test_patch_values_saturate_at_three_deviations() -> None:
     image = np.full((9, 9), 100, np.uint8)
     image[4, 4] = 200
     view = make_view(image, parameters(9, 9, 0, vt_patch_normalise=4))
@@ -177,7 +177,7 @@ def memory(templates: list[Image], p: LocalViewParameters) -> LocalView:
 
 @st.composite
 def worlds(draw: st.DrawFn) -> tuple[LocalViewParameters, list[Image], list[Image]]:
-    """Return parameters, templates and views that are alike, so that ties are common."""
+    """Draw parameters, and templates and views so similar that ties are common."""
     width, height = draw(st.integers(4, 12)), draw(st.integers(1, 4))
     panoramic = draw(st.booleans())
     shift = draw(st.integers(0, (width - 1) // 2))
@@ -188,7 +188,7 @@ def worlds(draw: st.DrawFn) -> tuple[LocalViewParameters, list[Image], list[Imag
     count = draw(st.integers(1, 12))
     images = (rng.integers(0, levels, (count + 4, height, width)) * 31).astype(np.uint8)
     templates = list(images[:count])
-    for template in templates[: count // 3]:  # the same again, turned, or nearly the same
+    for template in templates[: count // 3]:  # Add rotated and nearly identical copies.
         templates.append(np.roll(template, 1, axis=1))
         near = template.copy()
         near[0, 0] ^= 1
@@ -199,7 +199,7 @@ def worlds(draw: st.DrawFn) -> tuple[LocalViewParameters, list[Image], list[Imag
 
 @settings(max_examples=150)
 @given(worlds())
-def test_matches_are_those_of_the_definition_ties_included(
+def test_match_equals_reference_including_ties(
     world: tuple[LocalViewParameters, list[Image], list[Image]],
 ) -> None:
     p, templates, views = world
@@ -208,7 +208,7 @@ def test_matches_are_those_of_the_definition_ties_included(
         assert local_view.best_match(view) == plain_match(templates, view, p)
 
 
-def test_among_constant_views_ties_go_to_the_lowest_id_and_offset() -> None:
+def test_ties_go_to_lowest_id_and_offset() -> None:
     flat = [np.full((4, 8), value, np.uint8) for value in (90, 100, 110, 100)]
     for panoramic in (False, True):
         local_view = memory(flat, parameters(vt_panoramic=panoramic))
@@ -218,7 +218,7 @@ def test_among_constant_views_ties_go_to_the_lowest_id_and_offset() -> None:
         assert found[:2] == (1, 0)
 
 
-def test_a_forward_view_is_found_shifted_to_either_side() -> None:
+def test_forward_view_is_matched_at_horizontal_shifts() -> None:
     p = parameters(20, 4, 3)
     wide = picture(5, 4, 40)
     local_view = memory([np.ascontiguousarray(wide[:, 10:30])], p)
@@ -231,8 +231,8 @@ def test_a_forward_view_is_found_shifted_to_either_side() -> None:
 
 
 @pytest.mark.parametrize('turned', range(-9, 10))
-def test_a_panoramic_view_tells_how_far_the_robot_turned(turned: int) -> None:
-    """Columns run clockwise: after a turn to the left the same thing is further right."""
+def test_panoramic_view_gives_relative_heading(turned: int) -> None:
+    """Columns run clockwise: a turn to the left moves the content to the right."""
     p = parameters(20, 4, 0, vt_panoramic=True)
     local_view = LocalView(p)
     first = picture(8, 4, 20)
@@ -243,14 +243,14 @@ def test_a_panoramic_view_tells_how_far_the_robot_turned(turned: int) -> None:
     assert match.relative_rad == pytest.approx(2.0 * math.pi * turned / 20, abs=1e-12)
 
 
-def test_half_a_turn_is_plus_pi() -> None:
+def test_panoramic_half_turn_is_plus_pi() -> None:
     local_view = LocalView(parameters(20, 4, 0, vt_panoramic=True))
     local_view.match(picture(8, 4, 20))
     match = local_view.match(np.roll(picture(8, 4, 20), 10, axis=1))
     assert match.relative_rad == pytest.approx(math.pi)
 
 
-def test_a_forward_camera_has_no_relative_heading() -> None:
+def test_forward_camera_has_no_relative_heading() -> None:
     local_view = LocalView(parameters(20, 4, 5))
     wide = picture(5, 4, 40)
     local_view.match(np.ascontiguousarray(wide[:, 10:30]))
@@ -259,10 +259,10 @@ def test_a_forward_camera_has_no_relative_heading() -> None:
     assert match.relative_rad == 0.0
 
 
-def test_a_template_of_quite_another_mean_is_found_still() -> None:
-    """The original skips templates whose mean differs by more than the threshold + 0.005.
+def test_template_with_different_mean_is_matched() -> None:
+    """The means differ by 0.1 because of columns that are not compared at the matching shift.
 
-    The means here differ by 0.1, for what lies outside of the columns compared.
+    OpenRatSLAM skips templates whose mean differs by more than the threshold + 0.005.
     """
     template = picture(1, 4, 20)
     view = template.copy()
@@ -279,7 +279,7 @@ def test_a_template_of_quite_another_mean_is_found_still() -> None:
 # Recognising and learning
 
 
-def test_the_first_view_is_learned_and_recognised_from_then_on() -> None:
+def test_first_view_is_learned_and_later_recognised() -> None:
     local_view = LocalView(parameters())
     first = local_view.match(picture(0))
     assert (first.template_id, first.is_new, first.error) == (0, True, -1.0)
@@ -292,7 +292,7 @@ def test_the_first_view_is_learned_and_recognised_from_then_on() -> None:
 
 @pytest.mark.parametrize('threshold', [0.0, 0.02, 0.03, 0.1, 0.5, 1.0])
 @pytest.mark.parametrize('panoramic', [False, True])
-def test_exactly_the_threshold_is_recognised_and_one_more_is_not(
+def test_error_up_to_threshold_is_recognised(
     threshold: float, panoramic: bool
 ) -> None:
     p = parameters(20, 4, 2, vt_match_threshold=threshold, vt_panoramic=panoramic)
@@ -314,8 +314,8 @@ def test_exactly_the_threshold_is_recognised_and_one_more_is_not(
 
 
 @pytest.mark.parametrize('panoramic', [False, True])
-def test_the_error_told_is_the_exact_minimum_also_of_a_new_view(panoramic: bool) -> None:
-    """People tune the threshold with it."""
+def test_error_is_exact_minimum_even_for_new_views(panoramic: bool) -> None:
+    """Users choose the threshold by it."""
     p = parameters(10, 4, 2, vt_panoramic=panoramic)
     area = 40 if panoramic else 24
     local_view = LocalView(p)
@@ -326,7 +326,7 @@ def test_the_error_told_is_the_exact_minimum_also_of_a_new_view(panoramic: bool)
         assert match.error == (-1.0 if expected is None else expected[2] / (255.0 * area))
 
 
-def test_templates_are_numbered_in_the_order_of_learning_however_many() -> None:
+def test_templates_are_numbered_in_learning_order() -> None:
     local_view = LocalView(parameters())
     ids = [local_view.match(picture(seed)).template_id for seed in range(200)]
     assert ids == list(range(200))
@@ -335,23 +335,23 @@ def test_templates_are_numbered_in_the_order_of_learning_however_many() -> None:
     assert [local_view.match(picture(seed)).template_id for seed in again] == again
 
 
-def test_templates_cannot_be_changed_from_outside() -> None:
+def test_returned_templates_do_not_alias_the_memory() -> None:
     local_view = LocalView(parameters())
     local_view.match(picture(0))
-    given_out = local_view.templates
+    returned = local_view.templates
     with contextlib.suppress(ValueError):  # read-only, or a copy
-        given_out[:] = 1
+        returned[:] = 1
     assert not local_view.match(picture(0)).is_new
 
 
-def test_a_threshold_of_1_recognises_everything_as_the_nearest() -> None:
+def test_threshold_of_1_recognises_every_view() -> None:
     local_view = memory([picture(s, 4, 8) for s in range(5)], parameters(vt_match_threshold=1.0))
     match = local_view.match(picture(99))
     assert not match.is_new
     assert match.template_id < 5
 
 
-def test_a_black_view_is_a_template_like_any_other() -> None:
+def test_black_view_is_learned_and_recognised() -> None:
     for p in (parameters(vt_normalisation=0.4), parameters(vt_patch_normalise=1), parameters()):
         local_view = LocalView(p)
         black = np.zeros((8, 16), np.uint8)
@@ -360,10 +360,10 @@ def test_a_black_view_is_a_template_like_any_other() -> None:
         assert local_view.match(picture(3)).is_new
 
 
-# Vertical shifts and recent templates, beyond the original
+# Vertical shifts and recent templates (not in OpenRatSLAM)
 
 
-def test_a_view_is_found_shifted_up_or_down() -> None:
+def test_view_is_matched_at_vertical_shifts() -> None:
     p = parameters(12, 9, 1, vt_shift_match_y=2)
     tall = picture(4, 20, 12)
     local_view = memory([np.ascontiguousarray(tall[5:14])], p)
@@ -372,7 +372,7 @@ def test_a_view_is_found_shifted_up_or_down() -> None:
         assert found == (0, 1, 0)
 
 
-def test_recent_templates_are_recognised_by_the_narrow_threshold_only() -> None:
+def test_recent_templates_need_the_stricter_threshold() -> None:
     p = parameters(8, 4, 0, vt_match_threshold=0.1, vt_recent_templates=2,
                    vt_recent_threshold=0.5)  # fmt: skip
     base = picture(1, 4, 8) // 2
@@ -384,8 +384,8 @@ def test_recent_templates_are_recognised_by_the_narrow_threshold_only() -> None:
     assert old.match(far).template_id == 0
 
 
-def test_no_kind_of_image_has_to_be_compiled_for() -> None:
-    """Crops, read-only buffers and every other stride would each compile again, mid-run."""
+def test_image_layouts_share_one_compiled_function() -> None:
+    """Otherwise crops, read-only buffers and other strides would be compiled during a run."""
     from ratslam_ros.core.config import VisualOdometryParameters
     from ratslam_ros.core.vision import local_view, visual_odometry
 

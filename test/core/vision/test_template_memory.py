@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The search returns what comparing every template at every place returns."""
+"""The search returns the same match as an exhaustive comparison."""
 
 import os
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ratslam_ros.core.config import LocalViewParameters
 from ratslam_ros.core.vision import template_memory
 from ratslam_ros.core.vision.local_view import LocalView, make_view
-from ratslam_ros.core.vision.sad import PIECE, pieces_of, sad_by
+from ratslam_ros.core.vision.sad import PIECE_BYTES, pieces_of, sad_by
 from ratslam_ros.core.vision.template_memory import Match, TemplateMemory
 from ratslam_ros.recordings import ImageEvent, open_recording
 
@@ -27,7 +27,7 @@ Views = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class Shape:
-    """What a memory is made with."""
+    """Constructor arguments of a memory."""
 
     width: int = 60
     height: int = 10
@@ -48,13 +48,13 @@ class Shape:
 
 
 def all_sads(views: Views, view: Views, s: Shape) -> tuple[NDArray[np.int64], list[int]]:
-    """Return (n, places) SADs by plain NumPy, and the offset of each place."""
+    """Return (n, places) SADs computed with NumPy, and the offset of each place."""
     left = 0 if s.panoramic else s.shift_x
     columns, rows = s.width - 2 * left, s.height - 2 * s.shift_y
     now = view[s.shift_y : s.shift_y + rows, left : left + columns].astype(np.int64)
     sads, places = [], []
-    for fall in range(2 * s.shift_y + 1):
-        known = views[:, fall : fall + rows].astype(np.int64)
+    for dy in range(2 * s.shift_y + 1):
+        known = views[:, dy : dy + rows].astype(np.int64)
         for offset in range(0, s.width if s.panoramic else 2 * s.shift_x + 1, s.step):
             part = np.roll(known, -offset, 2) if s.panoramic else known[:, :, offset:]
             sads.append(np.abs(part[:, :, :columns] - now).sum((1, 2)))
@@ -70,10 +70,10 @@ def check(views: Views, queries: Views, s: Shape) -> None:
         search = memory.search(query)
         at, place = divmod(int(sads.argmin()), len(offsets))
         least = int(sads[at, place])
-        right = Match(at, offsets[place], least)
-        assert search.best() == right
-        assert search.best(limit=least) == right
-        assert search.best(limit=least + 1) == right
+        expected = Match(at, offsets[place], least)
+        assert search.best() == expected
+        assert search.best(limit=least) == expected
+        assert search.best(limit=least + 1) == expected
         assert search.best(limit=least - 1) is None
         half = len(views) // 2
         older = search.best(half)
@@ -101,7 +101,7 @@ SHAPES = [
 
 
 @pytest.mark.parametrize('s', SHAPES, ids=str)
-def test_noise_of_few_and_many_levels(s: Shape) -> None:
+def test_search_noise_matches_exhaustive_search(s: Shape) -> None:
     rng = np.random.default_rng(4)
     for levels, scale in ((2, 1), (3, 100), (256, 1)):
         images = (rng.integers(0, levels, (48, s.height, s.width)) * scale).astype(np.uint8)
@@ -109,8 +109,8 @@ def test_noise_of_few_and_many_levels(s: Shape) -> None:
 
 
 @pytest.mark.parametrize('s', SHAPES[:6], ids=str)
-def test_near_ties(s: Shape) -> None:
-    """Copies of one view that differ by single pixels, in no order, and the same again."""
+def test_search_near_ties_matches_exhaustive_search(s: Shape) -> None:
+    """The templates are copies of one view, identical or different in a few pixels."""
     rng = np.random.default_rng(5)
     base = rng.integers(1, 255, (s.height, s.width))
     views = np.repeat(base[None], 60, 0)
@@ -121,15 +121,15 @@ def test_near_ties(s: Shape) -> None:
 
 
 @pytest.mark.parametrize('s', SHAPES[:6], ids=str)
-def test_constant_views(s: Shape) -> None:
+def test_search_constant_views_matches_exhaustive_search(s: Shape) -> None:
     grey = np.array([90, 100, 110, 100, 0, 255, 105], np.uint8)
     views = np.broadcast_to(grey[:, None, None], (7, s.height, s.width)).copy()
     check(views, views, s)
 
 
 @pytest.mark.parametrize('s', SHAPES[:6], ids=str)
-def test_views_whose_blocks_all_sum_to_the_same(s: Shape) -> None:
-    """No bound can tell them apart: what differs cancels within every block and every mean."""
+def test_search_views_with_equal_blocks_matches_exhaustive_search(s: Shape) -> None:
+    """Block bounds cannot distinguish these views, as differences cancel within each block."""
     rng = np.random.default_rng(6)
     views = np.empty((50, s.height, s.width), np.uint8)
     for view in views:
@@ -141,7 +141,7 @@ def test_views_whose_blocks_all_sum_to_the_same(s: Shape) -> None:
 
 @settings(max_examples=60)
 @given(st.integers(0, 10**6), st.booleans(), st.booleans())
-def test_the_bound_never_exceeds_the_least_sad(
+def test_block_bound_never_exceeds_minimum_sad(
     seed: int, panoramic: bool, signed: bool
 ) -> None:
     rng = np.random.default_rng(seed)
@@ -152,35 +152,37 @@ def test_the_bound_never_exceeds_the_least_sad(
     images = rng.choice([0, 1, 127, 128, 254, 255], shape).astype(np.uint8)
     memory = s.memory(images[:8])
     memory.search(images[8])
-    least = memory._shelves[0].least[:8].astype(np.int64)
+    least = memory._chunks[0].bounds[:8].astype(np.int64)
     sads, _ = all_sads(images[:8], images[8], s)
     assert (least * memory._divisor - memory._slack <= sads.min(1)).all()
 
 
-def test_more_than_one_shelf(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(template_memory, 'SHELF_BYTES', 5000)
+def test_search_several_chunks_matches_exhaustive_search(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(template_memory, 'CHUNK_BYTES', 5000)
     rng = np.random.default_rng(7)
     views = rng.integers(0, 256, (40, 10, 60), dtype=np.uint8)
     views[31] = views[3]
     check(views, np.concatenate([views[[3, 31, 20, 39]], views[:2] // 2]), Shape())
 
 
-def test_what_was_learned_never_moves_and_takes_little_more_than_itself() -> None:
+def test_templates_never_move_and_memory_overhead_is_small() -> None:
     memory = Shape().memory(np.zeros((1, 10, 60), np.uint8))
-    before = memory._shelves[0].pixels.ctypes.data
+    before = memory._chunks[0].pixels.ctypes.data
     for value in range(1000):
         memory.append(np.full((10, 60), value % 256, np.uint8))
-    assert memory._shelves[0].pixels.ctypes.data == before
+    assert memory._chunks[0].pixels.ctypes.data == before
     assert memory.nbytes <= 1.5 * 600 * len(memory)
 
 
 @pytest.mark.parametrize('width', [None, 16, 0])
-def test_every_kind_of_register_gives_the_same_sum(width: int | None) -> None:
-    """16 bytes: every x86 has them; 0: what other processors are given."""
+def test_sad_is_equal_for_every_register_width(width: int | None) -> None:
+    """16 bytes exist on every x86; 0 is the generic code for other processors."""
     if width and not numba.core.registry.cpu_target.target_context.codegen().magic_tuple()[
         0
     ].startswith('x86_64'):
-        pytest.skip('psadbw is an instruction of x86')
+        pytest.skip('psadbw is an x86 instruction')
     sad_of = sad_by(width)
 
     @numba.njit
@@ -188,7 +190,7 @@ def test_every_kind_of_register_gives_the_same_sum(width: int | None) -> None:
         return sad_of(a, at_a, b, at_b, pieces, inside)
 
     rng = np.random.default_rng(8)
-    a, b = rng.integers(0, 256, (2, 2000 + PIECE), dtype=np.uint8)
+    a, b = rng.integers(0, 256, (2, 2000 + PIECE_BYTES), dtype=np.uint8)
     for length in (0, 1, 63, 64, 65, 127, 500, 600, 640, 641, 1500):
         for at_a, at_b in ((0, 0), (1, 64), (77, 3)):
             parts = a[at_a : at_a + length].astype(int), b[at_b : at_b + length].astype(int)
@@ -197,9 +199,9 @@ def test_every_kind_of_register_gives_the_same_sum(width: int | None) -> None:
 
 @pytest.mark.parametrize('patch', [0, 2])
 @pytest.mark.parametrize('panoramic', [False, True])
-def test_real_views(patch: int, panoramic: bool) -> None:
+def test_search_real_views_matches_exhaustive_search(patch: int, panoramic: bool) -> None:
     if not (DATA / 'donkeycar_track').is_dir():
-        pytest.skip(f'there is no {DATA / "donkeycar_track"}')
+        pytest.skip(f'{DATA / "donkeycar_track"} does not exist')
     p = LocalViewParameters(template_x_size=60, template_y_size=10, vt_patch_normalise=patch)
     with open_recording(DATA / 'donkeycar_track') as recording:
         events = recording.events(recording.select(), 0.0, 10.0)
@@ -210,7 +212,7 @@ def test_real_views(patch: int, panoramic: bool) -> None:
     check(views, np.concatenate([queries, views[::25]]), s)
 
 
-def test_unknown_views_need_not_be_told_how_unknown_they_are() -> None:
+def test_without_exact_error_unknown_views_report_minus_one() -> None:
     rng = np.random.default_rng(9)
     images = rng.integers(0, 256, (30, 10, 60), dtype=np.uint8)
     found = []

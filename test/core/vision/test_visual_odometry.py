@@ -19,13 +19,13 @@ Image = NDArray[np.uint8]
 
 
 def scene(width: int = 400, height: int = 10, seed: int = 1) -> Image:
-    """Return a wide view of columns that differ, to cut frames from."""
+    """Return a wide image with varying columns, of which frames are crops."""
     columns = np.random.default_rng(seed).integers(20, 236, width, dtype=np.uint8)
     return np.tile(columns, (height, 1))
 
 
 def frame(shift: int, width: int = 120) -> Image:
-    """Return what is seen when the content has moved right by so many columns."""
+    """Return a frame whose content has moved right by ``shift`` columns."""
     return np.ascontiguousarray(scene()[:, 150 - shift : 150 - shift + width])
 
 
@@ -37,7 +37,7 @@ def twists(
 
 
 def plain_compare(now: NDArray[np.float64], before: NDArray[np.float64]) -> tuple[int, float]:
-    """Return offset and least difference by the formulas L(s) and R(s)."""
+    """Return offset and smallest difference by the definition, shifts to the left first."""
     width = len(now)
     best: tuple[int, float] | None = None
     shifts = range(min(39, width // 2) + 1)
@@ -50,13 +50,12 @@ def plain_compare(now: NDArray[np.float64], before: NDArray[np.float64]) -> tupl
     return best
 
 
-def test_the_first_frame_gives_no_odometry() -> None:
-    """The original publishes garbage for it."""
+def test_first_frame_gives_no_odometry() -> None:
     assert twists([(0, frame(0))]) == [None]
 
 
 @pytest.mark.parametrize('shift', [-39, -7, -1, 0, 1, 12, 39])
-def test_content_that_moves_left_is_a_turn_to_the_right(shift: int) -> None:
+def test_content_moving_left_is_a_right_turn(shift: int) -> None:
     _, motion = twists([(0, frame(0)), (FRAME_NS, frame(shift))], camera_fov_deg=60.0)
     assert motion is not None
     # 60 degrees over 120 px, in 0.1 s; counter-clockwise is positive.
@@ -64,14 +63,14 @@ def test_content_that_moves_left_is_a_turn_to_the_right(shift: int) -> None:
     assert math.copysign(1, motion.angular_z_radps) == math.copysign(1, shift) or shift == 0
 
 
-def test_shifts_go_to_39_px_and_not_beyond() -> None:
+def test_shifts_are_limited_to_39_px() -> None:
     for shift in (41, 60):
         _, motion = twists([(0, frame(0)), (FRAME_NS, frame(shift))], camera_fov_deg=120.0)
         assert motion is not None
         assert abs(motion.angular_z_radps) <= math.radians(39) / 0.1 + 1e-9
 
 
-def test_in_a_narrow_window_shifts_go_to_half_its_width() -> None:
+def test_shifts_are_limited_to_half_a_narrow_window() -> None:
     window = {'vrot_image_x_min': 50, 'vrot_image_x_max': 60, 'camera_fov_deg': 120.0}
     offsets = set()
     for shift in range(-12, 13):
@@ -82,8 +81,8 @@ def test_in_a_narrow_window_shifts_go_to_half_its_width() -> None:
     assert {-5, 0, 5} <= offsets
 
 
-def test_a_dropped_frame_does_not_change_the_speed() -> None:
-    """The original takes dt as 1 / camera_hz, and so over-estimates after a dropped frame."""
+def test_dropped_frame_does_not_change_the_speed() -> None:
+    """Intervals come from the stamps; OpenRatSLAM assumes 1 / camera_hz."""
     half, full = frame(0).copy(), frame(0).copy()
     half[:, :] = 100
     full[:, :] = 100
@@ -101,7 +100,7 @@ def test_a_dropped_frame_does_not_change_the_speed() -> None:
     assert turn_dropped.angular_z_radps == pytest.approx(turn.angular_z_radps)
 
 
-def test_speed_is_the_least_difference_scaled_and_limited() -> None:
+def test_speed_is_scaled_difference_up_to_limit() -> None:
     start, brighter = np.full((4, 20), 100, np.uint8), np.full((4, 20), 151, np.uint8)
     frames = [(0, start), (FRAME_NS // 2, brighter)]
     _, motion = twists(frames, vtrans_scaling=10.0, camera_hz=8.0, vtrans_max=20.0)
@@ -113,8 +112,8 @@ def test_speed_is_the_least_difference_scaled_and_limited() -> None:
     assert limited.linear_x_mps == 1.5
 
 
-def test_ties_go_to_the_left_and_to_the_smaller_shift() -> None:
-    """Stripes 8 px apart, moved by half a period: 4 px to either side fit equally."""
+def test_ties_go_to_left_and_smaller_shift() -> None:
+    """Stripes with a period of 8 px moved by 4 px: both directions match equally."""
     columns = np.tile(np.repeat(np.array([10, 200], np.uint8), 4), 10)
     before, now = np.tile(columns, (3, 1)), np.tile(np.roll(columns, 4), (3, 1))
     _, motion = twists([(0, before), (FRAME_NS, now)], camera_fov_deg=80.0)
@@ -123,8 +122,8 @@ def test_ties_go_to_the_left_and_to_the_smaller_shift() -> None:
 
 
 @pytest.mark.parametrize('brighter', [0, 1, 51, 77])
-def test_a_view_without_any_structure_does_not_turn(brighter: int) -> None:
-    """All shifts are equal: the least wins, and not the one that rounding favours."""
+def test_uniform_view_does_not_turn(brighter: int) -> None:
+    """All shifts match equally: the smallest one wins, regardless of rounding."""
     flat = np.full((6, 90), 90, np.uint8)
     _, motion = twists([(0, flat), (FRAME_NS, flat + np.uint8(brighter))])
     assert motion is not None
@@ -134,8 +133,8 @@ def test_a_view_without_any_structure_does_not_turn(brighter: int) -> None:
 
 @settings(max_examples=60)
 @given(st.integers(0, 10_000), st.integers(2, 100), st.integers(2, 12), st.integers(-20, 20))
-def test_motion_is_that_of_the_formulas(seed: int, width: int, levels: int, shift: int) -> None:
-    """Also with few levels, where many shifts are nearly equal."""
+def test_motion_equals_the_definition(seed: int, width: int, levels: int, shift: int) -> None:
+    """With few grey levels, many shifts match nearly equally."""
     rng = np.random.default_rng(seed)
     wide = (rng.integers(0, levels, (5, width + 40)) * (255 // levels)).astype(np.uint8)
     before = np.ascontiguousarray(wide[:, 20 : 20 + width])
@@ -147,7 +146,7 @@ def test_motion_is_that_of_the_formulas(seed: int, width: int, levels: int, shif
     assert motion.linear_x_mps == pytest.approx(min(difference * 100.0, 1000.0))
 
 
-def test_turn_and_speed_are_measured_each_in_its_own_window() -> None:
+def test_turn_and_speed_use_separate_windows() -> None:
     before, now = np.tile(scene(60)[:1], (20, 1)), np.tile(scene(60)[:1], (20, 1))
     now[:10] = np.roll(now[:10], 4, axis=1)  # above: a turn
     now[10:] += 10  # below: a change
@@ -157,12 +156,12 @@ def test_turn_and_speed_are_measured_each_in_its_own_window() -> None:
     }  # fmt: skip
     _, motion = twists([(0, before), (FRAME_NS, now)], **windows)
     assert motion is not None
-    # Degrees a px are those of the whole image, 60 px, not of the window.
+    # The angle per pixel follows from the width of the whole image, 60 px.
     assert motion.angular_z_radps == pytest.approx(math.radians(4.0) / 0.1)
     assert motion.linear_x_mps == pytest.approx(10 / 255 * 100.0 / (0.1 * 10.0))
 
 
-def test_another_image_size_starts_anew() -> None:
+def test_changed_image_size_restarts_estimation() -> None:
     narrow, low = frame(0)[:, :80].copy(), frame(0)[:6, :80].copy()
     images = [frame(0), frame(0), narrow, narrow, low, low]
     motions = twists([(n * FRAME_NS, image) for n, image in enumerate(images)])
@@ -173,6 +172,6 @@ def test_another_image_size_starts_anew() -> None:
     {'vrot_image_x_max': 17}, {'vtrans_image_y_max': 13}, {'vrot_image_x_min': 16},
     {'vtrans_image_x_min': 8, 'vtrans_image_x_max': 8},
 ])  # fmt: skip
-def test_a_window_outside_the_image_is_named(window: dict[str, int]) -> None:
+def test_window_outside_image_is_named_in_error(window: dict[str, int]) -> None:
     with pytest.raises(UnusableParameter, match=next(iter(window)).rsplit('_', 2)[0]):
         twists([(0, picture(1))], **window)

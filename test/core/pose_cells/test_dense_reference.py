@@ -1,10 +1,11 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The network's packets are what the same shift rule gives on whole arrays, at every step.
+"""The network's sparse packets equal those of a dense reference implementation at every step.
 
-The reference below knows no boxes of cells: a packet is the whole torus on the packet's own
-lattice. Besides, it knows the arc of each circle that a packet spans, which is what decides
-whether two packets are one, and which planes' ways count for how far a packet grows.
+The network stores each packet in a box of cells. In the reference, a packet is an array over the
+whole torus, on the packet's own lattice. The reference also keeps the arc that a packet spans on
+each axis. The arcs decide whether two packets are merged, and which heading planes limit the
+growth of a packet.
 """
 
 from __future__ import annotations
@@ -25,21 +26,23 @@ from ratslam_ros.core.pose_cells.attractor import Network, Packet, kernel
 Reals = NDArray[np.float64]
 Dims = tuple[int, int, int]
 Arc = tuple[int, int]
-"""First place on a circle and number of places; the first may be beyond the circle's ends."""
+"""First cell on an axis and number of cells; the first cell may lie outside the axis range."""
 
-RUNS, STEPS = 5, 200
-"""Of every world. Rounding differs, and a pose that feeds back on itself makes more of it: two
-references that begin 1e-15 apart are up to 1e-12 apart after 200 steps, 1e-9 after 600."""
+RUN_COUNT, STEP_COUNT = 5, 200
+"""Runs per world, and steps per run. The feedback of the network amplifies rounding differences:
+two references that start 1e-15 apart differ by up to 1e-12 after 200 steps, 1e-9 after 600."""
+
 TOLERANCE = 1e-9
-PEAK_TOLERANCE = 1e-6
-PEAK_EVERY = 4
-"""Steps."""
+"""Tolerance of activities and of lattice offsets in cells."""
+
+PEAK_TOLERANCE_CELLS = 1e-6
+PEAK_EVERY_STEPS = 4
 
 
 class World(NamedTuple):
     dims: Dims
     widths: tuple[int, int]
-    """Of the excitatory and the inhibitory kernel."""
+    """Widths of the excitatory and the inhibitory kernel, in cells."""
     deviations: tuple[float, float]
     cutoff: float
 
@@ -61,14 +64,14 @@ WORLDS = [
     World((7, 5, 8), *WIDE, 0.0002),
     World((5, 3, 30), *SMALL, 0.0005),
 ]
-"""Most have room for several packets on some axis; the others are whole at times."""
+"""Most have room for several packets on one axis; in others packets span a whole axis at times."""
 
 
-# The reference
+# The dense reference
 
 
 class Whole(NamedTuple):
-    """A packet: the torus on the packet's lattice, where that lies, what it spans per axis."""
+    """A packet: cells of the whole torus, offset of its lattice, and the arc it spans per axis."""
 
     cells: Reals
     frame: Reals
@@ -76,7 +79,7 @@ class Whole(NamedTuple):
 
 
 class Reference:
-    """The rule on whole arrays. ``seen`` counts what happened, to tell what was tested."""
+    """The network on dense arrays. ``seen`` counts events, to check what the tests cover."""
 
     def __init__(self, world: World) -> None:
         w_e, w_i = (gauss(*of) for of in zip(world.widths, world.deviations, strict=True))
@@ -103,7 +106,7 @@ class Reference:
             cells = np.maximum(cells, 0.0)
             part = float(cells.sum())
             if part > 0.0:
-                # Whole where the inhibition of one end is felt at the other, behind the torus.
+                # An arc spans the whole axis if inhibition reaches around the torus.
                 arcs = [grown(arc, self._r_e, n, self._r_i)
                         for arc, n in zip(p.arcs, self.dims, strict=True)]
                 parts = self._trimmed(Whole(cells, p.frame, tuple(arcs)))
@@ -125,7 +128,7 @@ class Reference:
     def inject(self, place: Reals, energy: float) -> None:
         whole = np.floor(place)
         point = self._point(whole.astype(int), energy, place - whole)
-        near = [p for p in self.packets if self._together(p, point)]
+        near = [p for p in self.packets if self._in_reach(p, point)]
         frame = max(near, key=lambda p: float(p.cells.sum())).frame if near else np.zeros(3)
         nothing = Whole(np.zeros(self.dims), frame, point.arcs)
         self.packets.append(self._joined(nothing, point))
@@ -148,7 +151,7 @@ class Reference:
 
         first, length = p.arcs[0]
         spanned = np.abs(ways[:, np.arange(first, first + length) % n_t]).max(1)
-        # What is nothing but for rounding does not count as a cell.
+        # Motions that are zero up to rounding do not grow an arc.
         grow = [int(turn != 0.0), *(math.ceil(way - 1e-9) + int(chord != 0.0) for way in spanned)]
         arcs = [grown(arc, by, n)
                 for arc, by, n in zip(p.arcs, grow, self.dims, strict=True)]
@@ -172,7 +175,7 @@ class Reference:
         return Whole(cells, frame - whole, tuple(arcs))
 
     def _joined(self, keep: Whole, give: Whole) -> Whole:
-        """Add ``give`` to ``keep``, on the lattice of ``keep``, linearly between its cells."""
+        """Add ``give`` to ``keep`` on the lattice of ``keep``, by linear interpolation."""
         cells = give.cells
         arcs = []
         for axis, n in enumerate(self.dims):
@@ -184,10 +187,10 @@ class Reference:
             if part > 0.0:
                 cells = (1.0 - part) * cells + part * np.roll(cells, 1, axis)
                 length = min(length + 1, n)
-            arcs.append(over_both(keep.arcs[axis], (first + whole, length), n))
+            arcs.append(union_arc(keep.arcs[axis], (first + whole, length), n))
         return Whole(keep.cells + cells, keep.frame, tuple(arcs))
 
-    def _together(self, a: Whole, b: Whole) -> bool:
+    def _in_reach(self, a: Whole, b: Whole) -> bool:
         for p, q, n in zip(a.arcs, b.arcs, self.dims, strict=True):
             behind_p = (q[0] - p[0]) % n - p[1]
             behind_q = (p[0] - q[0]) % n - q[1]
@@ -196,11 +199,14 @@ class Reference:
         return True
 
     def _merge(self) -> None:
-        """Join the first two that are together, put them last, and so on; the heavier keeps."""
+        """Merge pairs in reach until there are none; the lattice of the heavier packet is kept.
+
+        The first pair is merged first, and the result is put last.
+        """
         packets = self.packets
         while True:
             pairs = ((i, j) for i in range(len(packets)) for j in range(i + 1, len(packets)))
-            pair = next((p for p in pairs if self._together(*(packets[i] for i in p))), None)
+            pair = next((p for p in pairs if self._in_reach(*(packets[i] for i in p))), None)
             if pair is None:
                 break
             a, b = (packets[i] for i in pair)
@@ -212,7 +218,7 @@ class Reference:
         self.packets = packets
 
     def _trimmed(self, p: Whole) -> list[Whole]:
-        """Bound the active cells; two packets where a gap in them is too long to act across."""
+        """Shrink the arcs to the active cells; split a packet at gaps longer than the reach."""
         arcs = []
         used = p.cells != 0.0
         columns = used.any(2)
@@ -224,9 +230,10 @@ class Reference:
             begin, end = int(active[0]), int(active[-1]) + 1
             gaps = active[1:] - active[:-1] - 1
             gap = int(gaps.max(initial=0))
-            after = int(active[gaps.argmax() + 1]) if gap else begin  # behind the longest gap
+            # First active cell after the longest gap.
+            after = int(active[gaps.argmax() + 1]) if gap else begin
             if length == n and gap > begin + n - end:
-                # A whole circle is opened at its longest gap, wherever it was open before.
+                # An arc over the whole axis is reopened at its longest gap.
                 self.seen['circles opened'] += 1
                 return self._trimmed(p._replace(arcs=changed(p.arcs, axis, (first + after, n))))
             if gap > self._reach:
@@ -247,7 +254,7 @@ def gauss(width: int, deviation: float) -> Reals:
 
 
 def rolls(weights: Reals, n: int) -> Reals:
-    """Return the matrix that adds up a circle's cells, rolled and weighted."""
+    """Return the circulant matrix that convolves an axis with a kernel."""
     radius = len(weights) // 2
     rolled = [w * np.roll(np.eye(n), k - radius, 0) for k, w in enumerate(weights)]
     return np.sum(rolled, axis=0)
@@ -260,7 +267,10 @@ def convolved(a: Reals, matrices: list[Reals]) -> Reals:
 
 
 def taps(shift: Reals, spread_as: Reals) -> tuple[NDArray[np.int64], Reals, Reals, Reals]:
-    """Return whole cells, and weights before, at and after: mean ``shift``, bilinear variance."""
+    """Return the whole-cell shift, and weights of the cells before, at and after it.
+
+    The weights have the mean ``shift`` and the variance of bilinear interpolation.
+    """
     whole = np.floor(shift + 0.5).astype(np.int64)
     e = shift - whole
     size = np.abs(e)
@@ -273,9 +283,9 @@ def taps(shift: Reals, spread_as: Reals) -> tuple[NDArray[np.int64], Reals, Real
 def shifts(
     whole: NDArray[np.int64], weights: list[Reals], n: int, *, back: bool = False
 ) -> Reals:
-    """Return matrices that shift a circle of ``n`` cells with ``taps``, one for each of them.
+    """Return one matrix per shift that shifts an axis of ``n`` cells with ``taps``.
 
-    ``back``: for rows, from behind; else for columns.
+    ``back``: the matrix is for multiplication from the right; otherwise from the left.
     """
     by = np.zeros((len(whole), n))
     for k, w in zip((-1, 0, 1), weights, strict=True):
@@ -285,14 +295,14 @@ def shifts(
 
 @cache
 def turned(turn: float, n: int) -> Reals:
-    """Return the matrix that spreads planes as a turn does; the frame has turned already."""
+    """Return the matrix that spreads heading planes in a turn; the frame is turned separately."""
     whole, *weights = taps(np.zeros(1), np.array(turn))
     return shifts(whole, weights, n)[0]
 
 
 @cache
 def differences(n: int) -> NDArray[np.int64]:
-    """Return how far round a circle of ``n`` cells the column's cell is before the row's."""
+    """Return (n, n) row index minus column index, modulo ``n``."""
     return (np.arange(n)[:, None] - np.arange(n)) % n
 
 
@@ -301,15 +311,15 @@ def grown(arc: Arc, by: int, n: int, more: int = 0) -> Arc:
     return (first, n) if length + 2 * by + more >= n else (first - by, length + 2 * by)
 
 
-def over_both(a: Arc, b: Arc, n: int) -> Arc:
-    """Return the shorter of the two arcs that begin as one of them and hold both."""
+def union_arc(a: Arc, b: Arc, n: int) -> Arc:
+    """Return the shorter arc that begins with one of two arcs and contains both."""
     from_a = max(a[1], (b[0] - a[0]) % n + b[1])
     from_b = max(b[1], (a[0] - b[0]) % n + a[1])
     return (a[0], min(from_a, n)) if from_a <= from_b else (b[0], min(from_b, n))
 
 
 def within(a: Reals, axis: int, arc: Arc) -> Reals:
-    """Return what of an array is in an arc of an axis, and zeros."""
+    """Return an array with zeros outside an arc of one axis."""
     n = a.shape[axis]
     inside = (np.arange(n) - arc[0]) % n < arc[1]
     return np.where(np.expand_dims(inside, tuple({0, 1, 2} - {axis})), a, 0.0)
@@ -319,11 +329,11 @@ def changed(arcs: tuple[Arc, ...], axis: int, arc: Arc) -> tuple[Arc, ...]:
     return (*arcs[:axis], arc, *arcs[axis + 1 :])
 
 
-# Both, side by side
+# Comparison
 
 
-def on_the_torus(packet: Packet, dims: Dims) -> Reals:
-    """Return a packet's cells on the whole of its own lattice."""
+def dense_cells(packet: Packet, dims: Dims) -> Reals:
+    """Return a packet's cells as an array over the whole torus, on its own lattice."""
     cells = np.zeros(dims)
     box = packet.box
     places = [(box[axis] + np.arange(box[3 + axis])) % dims[axis] for axis in range(3)]
@@ -334,7 +344,7 @@ def on_the_torus(packet: Packet, dims: Dims) -> Reals:
 def compare(packets: list[Packet], ref: Reference, where: str) -> None:
     assert len(packets) == len(ref.packets), f'{where}: number of packets'
     for i, (ours, theirs) in enumerate(zip(packets, ref.packets, strict=True)):
-        off = float(np.abs(on_the_torus(ours, ref.dims) - theirs.cells).max())
+        off = float(np.abs(dense_cells(ours, ref.dims) - theirs.cells).max())
         assert off <= TOLERANCE, f'{where}: activity of packet {i} of {len(packets)}'
         off = float(np.abs(ours.frame - theirs.frame).max())
         assert off <= TOLERANCE, f'{where}: frame of packet {i} of {len(packets)}'
@@ -349,11 +359,11 @@ def compare_peak(net: Network, packets: list[Packet], ref: Reference, where: str
     ref.seen['peaks'] += 1
     expected = peak_of(largest.cells) + largest.frame
     off = float(np.abs(around(net.peak(packets) - expected, np.array(ref.dims))).max())
-    assert off <= PEAK_TOLERANCE, f'{where}: peak'
+    assert off <= PEAK_TOLERANCE_CELLS, f'{where}: peak'
 
 
 class Injections:
-    """Where and how much: bursts at a place near a packet, across the torus, or anywhere."""
+    """Random injections: bursts at a place near a packet, across the torus, or anywhere."""
 
     def __init__(self, rng: np.random.Generator) -> None:
         self._rng = rng
@@ -388,7 +398,7 @@ class Injections:
 
 @cache
 def run(world: World, seed: int) -> Counter[str]:
-    """Drive both through the same steps; return what happened, if they never differed."""
+    """Run both through the same steps, compare them at each, and return the events counted."""
     ref = Reference(world)
     w_e, w_i = (kernel(*of) for of in zip(world.widths, world.deviations, strict=True))
     net = Network(world.dims, w_e, w_i, world.cutoff)
@@ -397,7 +407,7 @@ def run(world: World, seed: int) -> Counter[str]:
     packets = net.start()
     ref.start()
     chord = turn = 0.3
-    for step in range(STEPS):
+    for step in range(STEP_COUNT):
         where = f'{world}, seed {seed}, step {step}'
         if step % 8 == 7:
             slow, fast = rng.normal(0.0, 0.3, 2), rng.uniform(-2.0, 2.0, 2)
@@ -409,31 +419,31 @@ def run(world: World, seed: int) -> Counter[str]:
         packets = net.step(packets, chord, turn)
         ref.step(chord, turn)
         compare(packets, ref, where)
-        if step % PEAK_EVERY == 0:
+        if step % PEAK_EVERY_STEPS == 0:
             compare_peak(net, packets, ref, where)
-            note_arcs(ref)
+            count_arcs(ref)
         ref.seen['steps'] += 1
         ref.seen['steps with several'] += len(packets) > 1
     return ref.seen
 
 
-def note_arcs(ref: Reference) -> None:
+def count_arcs(ref: Reference) -> None:
     for axis, n in enumerate(ref.dims):
         arcs = [(first % n, length) for first, length in (p.arcs[axis] for p in ref.packets)]
         ref.seen[f'whole on {axis}'] += any(length == n for _, length in arcs)
         ref.seen[f'over the end of {axis}'] += any(a + length > n > length for a, length in arcs)
 
 
-@pytest.mark.parametrize('seed', range(RUNS))
+@pytest.mark.parametrize('seed', range(RUN_COUNT))
 @pytest.mark.parametrize('world', WORLDS, ids=str)
-def test_packets_are_those_of_the_rule_on_whole_arrays(world: World, seed: int) -> None:
-    assert run(world, seed)['steps'] == STEPS
+def test_packets_equal_dense_reference_at_every_step(world: World, seed: int) -> None:
+    assert run(world, seed)['steps'] == STEP_COUNT
 
 
-def test_these_runs_have_seen_all_that_can_happen() -> None:
-    """The test above would say little of packets that never meet, die or wrap round."""
-    seen = sum((run(world, seed) for world in WORLDS for seed in range(RUNS)), Counter[str]())
-    assert seen['steps'] == len(WORLDS) * RUNS * STEPS == 10_000
+def test_runs_cover_all_events() -> None:
+    """The comparison covers packets that merge, die and wrap around."""
+    seen = sum((run(world, seed) for world in WORLDS for seed in range(RUN_COUNT)), Counter[str]())
+    assert seen['steps'] == len(WORLDS) * RUN_COUNT * STEP_COUNT == 10_000
     assert seen['steps with several'] >= 1_000
     least = {
         'injections that join': 500, 'injections apart': 100, 'merges': 500, 'deaths': 50,

@@ -1,0 +1,193 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""``ratslam run``, ``launch``, ``play``, ``call`` and ``echo``: live topics and services."""
+
+from __future__ import annotations
+
+import argparse
+import math
+
+from ratslam_ros.cli.options import (
+    DONE,
+    NO_ANSWER,
+    Commands,
+    add_config,
+    add_recording,
+    add_ros_args,
+    add_span,
+    add_topics,
+    config_of,
+    print_notice,
+)
+
+
+def add_live(commands: Commands) -> None:
+    """Add the commands that communicate, over ROS 2 or over the stand-in for rclpy."""
+    from ratslam_ros.live.run import NODES
+
+    run = commands.add_parser('run', help='run one node')
+    run.add_argument('node', metavar='NODE', help=f'one of {", ".join(NODES)}')
+    run.add_argument('arguments', nargs=argparse.REMAINDER, metavar='--ros-args ...',
+                     help='arguments of the node, such as --ros-args -p use_sim_time:=true')
+    run.set_defaults(run=_run)
+
+    launch = commands.add_parser('launch', help='run all nodes, each in its own process')
+    add_config(launch)
+    launch.add_argument('--visual-odometry', action='store_true',
+                        help='estimate odometry from the camera; otherwise the robot publishes '
+                             'odom')
+    launch.add_argument('--single-process', action='store_true', help='all nodes in one process')
+    launch.add_argument('--goal-follower', action='store_true',
+                        help='drive to goals: publish cmd_vel, computed from a laser scan')
+    launch.add_argument('--use-sim-time', action='store_true',
+                        help='take the time from /clock, which ratslam play --clock publishes')
+    launch.add_argument('--namespace', default='', metavar='NS')
+    launch.add_argument('--image-topic', default='', metavar='T',
+                        help='camera topic, raw or .../compressed (default: image)')
+    launch.add_argument('--odom-topic', default='', metavar='T',
+                        help='odometry topic (default: odom)')
+    launch.add_argument('--scan-topic', default='', metavar='T',
+                        help='laser topic (default: scan)')
+    launch.add_argument('--cmd-vel-topic', default='', metavar='T',
+                        help='velocity command topic (default: cmd_vel)')
+    launch.add_argument('--log-level', default='', metavar='L',
+                        help='debug, info, warn, error or fatal')
+    launch.set_defaults(run=_launch)
+
+    play = commands.add_parser('play', help='publish a recording in place of a robot')
+    add_recording(play)
+    play.add_argument('--rate', type=float, default=1.0, metavar='R',
+                      help='playback speed; 0: as fast as possible (default: 1)')
+    play.add_argument('--clock', action='store_true',
+                      help='publish the time of the recording on /clock')
+    play.add_argument('--loop', action='store_true', help='repeat the recording until interrupted')
+    play.add_argument('--lockstep', action='store_true',
+                      help='wait for the action of each image before going on')
+    add_span(play)
+    add_topics(play)
+    play.add_argument('--scan-topic', metavar='T',
+                      help='also publish these scans, for experience_map.exp_align_scans')
+    play.add_argument('--visual-odometry', action='store_true',
+                      help='publish no odometry, even if it is recorded')
+    play.add_argument('--wait', type=float, default=10.0, metavar='S',
+                      help='time to wait for subscribers at the start (default: 10)')
+    play.add_argument('--quiet', action='store_true', help='no progress bar, no summary')
+    add_ros_args(play)
+    play.set_defaults(run=_play)
+
+    call = commands.add_parser('call', help='call a service')
+    call.add_argument('service', metavar='SERVICE')
+    call.add_argument('type', metavar='TYPE', help='service type, such as std_srvs/srv/Trigger')
+    call.add_argument('values', metavar='YAML', nargs='?', default='',
+                      help='the request, such as "{data: true}"')
+    call.add_argument('--timeout', type=float, default=10.0, metavar='S',
+                      help='time to wait for the response (default: 10)')
+    add_ros_args(call)
+    call.set_defaults(run=_call)
+
+    echo = commands.add_parser('echo', help='print the messages of a topic')
+    echo.add_argument('topic', metavar='TOPIC')
+    echo.add_argument('type', metavar='TYPE', nargs='?',
+                      help='message type (default: that of the publishers)')
+    echo.add_argument('--once', action='store_true', help='print one message and exit')
+    echo.add_argument('--field', metavar='NAME', help='print only this field, such as pose.pose')
+    echo.add_argument('--timeout', type=float, default=math.inf, metavar='S',
+                      help='exit after S seconds without a message (default: never)')
+    add_ros_args(echo)
+    echo.set_defaults(run=_echo)
+
+
+def _run(options: argparse.Namespace) -> int:
+    from ratslam_ros.live.run import run
+
+    return run(options.node, options.arguments)
+
+
+def _launch(options: argparse.Namespace) -> int:
+    from ratslam_ros.live import ros
+    from ratslam_ros.live.launch import LaunchOptions, launch
+
+    ros.look()
+    return launch(
+        config_of(options),
+        LaunchOptions(
+            visual_odometry=options.visual_odometry,
+            single_process=options.single_process,
+            goal_follower=options.goal_follower,
+            use_sim_time=options.use_sim_time,
+            namespace=options.namespace,
+            image_topic=options.image_topic,
+            odom_topic=options.odom_topic,
+            scan_topic=options.scan_topic,
+            cmd_vel_topic=options.cmd_vel_topic,
+            log_level=options.log_level,
+        ),
+    )
+
+
+def _play(options: argparse.Namespace) -> int:
+    from ratslam_ros.live import ros
+    from ratslam_ros.recordings import open_recording
+
+    with open_recording(options.recording, images_rate_hz=options.images_rate) as recording:
+        selection = recording.select(
+            options.image_topic, options.odom_topic, options.visual_odometry,
+            options.scan_topic, options.scan_topic is not None,
+        )  # fmt: skip
+        ros.require()
+        from ratslam_ros.live.player import PlayOptions, play
+
+        if not options.quiet:
+            for notice in selection.notices:
+                print_notice(notice)
+        summary = play(
+            recording,
+            selection,
+            PlayOptions(
+                rate=options.rate,
+                clock=options.clock,
+                loop=options.loop,
+                lockstep=options.lockstep,
+                start_s=options.start,
+                duration_s=options.duration,
+                wait_s=options.wait,
+                progress=not options.quiet,
+            ),
+            options.ros_args,
+        )
+    if not options.quiet:
+        print(summary)
+    return DONE
+
+
+def _call(options: argparse.Namespace) -> int:
+    from ratslam_ros.live import ros
+
+    ros.require()
+    from ratslam_ros.live.call import call
+
+    try:
+        print(call(options.service, options.type, options.values, options.timeout,
+                   options.ros_args))
+    except ros.Silence as silence:
+        print_notice(f'ratslam: {silence}')
+        return NO_ANSWER
+    return DONE
+
+
+def _echo(options: argparse.Namespace) -> int:
+    from ratslam_ros.live import ros
+
+    ros.require()
+    from ratslam_ros.live.echo import EchoOptions, echo
+
+    try:
+        echo(
+            options.topic,
+            EchoOptions(options.type, options.once, options.field, options.timeout),
+            options.ros_args,
+        )
+    except ros.Silence as silence:
+        print_notice(f'ratslam: {silence}')
+        return NO_ANSWER
+    return DONE

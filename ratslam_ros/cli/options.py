@@ -1,0 +1,156 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Options that several commands share, and what they stand for."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, NoReturn
+
+from ratslam_ros.core.config import Config
+from ratslam_ros.errors import UnusableInput
+
+if TYPE_CHECKING:
+    pass
+
+DONE, INTERNAL_ERROR, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
+"""Exit codes: success, a fault of the program, unusable input or wrong use, interrupted."""
+
+NO_ANSWER = 1
+"""Exit code of ``call`` and ``echo`` when nothing arrived in time."""
+
+class Parser(argparse.ArgumentParser):
+    """Argument parser that reports wrong use in one line."""
+
+    def error(self, message: str) -> NoReturn:
+        """Raise UnusableInput with a pointer to the help text."""
+        raise UnusableInput(f'{message}; see {self.prog} --help')
+
+
+if TYPE_CHECKING:
+    from ratslam_ros.results.evaluation import Trajectory
+
+    Commands = argparse._SubParsersAction[Parser]
+else:
+    Commands = argparse._SubParsersAction  # has no subscript at run time
+
+
+
+def add_recording(parser: argparse.ArgumentParser) -> None:
+    """Add the recording, and options for reading it."""
+    parser.add_argument('recording', type=Path, metavar='RECORDING',
+                        help='rosbag2 folder or file, ROS 1 bag, video, or folder of images')
+    parser.add_argument('--images-rate', type=float, default=10.0, metavar='HZ',
+                        help='frame rate of a folder of images without time stamps (default: 10)')
+
+
+def add_topics(parser: argparse.ArgumentParser) -> None:
+    """Add the topics to read from a recording."""
+    parser.add_argument('--image-topic', metavar='T',
+                        help='camera topic (default: the only one)')
+    parser.add_argument('--odom-topic', metavar='T',
+                        help='odometry topic (default: the only one)')
+
+
+def add_config(parser: argparse.ArgumentParser, default: str | None = None) -> None:
+    """Add the configuration, and single parameters that override it."""
+    suffix = f' (default: {default})' if default else ''
+    parser.add_argument('--config', metavar='FILE|PRESET', default=default,
+                        help=f'YAML, an INI file of OpenRatSLAM, or the name of a preset{suffix}')
+    parser.add_argument('--set', action='append', default=[], dest='settings',
+                        metavar='section.name=value', help='one parameter; may be repeated')
+
+
+def add_span(parser: argparse.ArgumentParser) -> None:
+    """Add the part of a recording to use."""
+    parser.add_argument('--start', type=float, default=0.0, metavar='S',
+                        help='skip the first S seconds of the recording')
+    parser.add_argument('--duration', type=float, metavar='S',
+                        help='stop after S seconds of the recording')
+
+
+def add_out(parser: argparse.ArgumentParser, default: str) -> None:
+    """Add the folder for results."""
+    parser.add_argument('--out', type=Path, metavar='DIR',
+                        help=f'folder for the results (default: {default})')
+
+
+def add_ros_args(parser: argparse.ArgumentParser) -> None:
+    """Add arguments in the form that ROS 2 nodes take."""
+    parser.add_argument('--ros-args', nargs=argparse.REMAINDER, default=[], metavar='...',
+                        help='pass the rest to ROS, such as -r image:=/camera/image -r __ns:=/b')
+
+
+def whole_number(text: str) -> int:
+    """Parse an integer of 0 or more."""
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f'{text!r} is not a whole number of 0 or more')
+    return int(text)
+
+
+def positive_number(text: str) -> int:
+    """Parse an integer of 1 or more."""
+    if whole_number(text) == 0:
+        raise argparse.ArgumentTypeError('0 is not a number of 1 or more')
+    return int(text)
+
+
+def config_of(options: argparse.Namespace) -> Config:
+    """Return the configuration that ``--config`` and ``--set`` select; print its notices."""
+    from ratslam_ros.files.config import load_config, parse_setting
+
+    config, notices = load_config(options.config)
+    for notice in notices:
+        print_notice(notice)
+    return config.with_values(dict(parse_setting(text) for text in options.settings))
+
+
+def results_folder(options: argparse.Namespace, name: str) -> Path:
+    """Return the folder for results: ``--out``, or one named after the run and the time."""
+    if options.out is not None:
+        return Path(options.out)
+    return Path('results') / f'{name}-{time.strftime("%Y%m%d-%H%M%S")}'
+
+
+def make_folder(folder: Path) -> Path:
+    """Create a folder; raises UnusableInput if that is impossible."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UnusableInput(
+            f'{folder} cannot be written to ({error.strerror}); give another --out'
+        ) from None
+    return folder
+
+
+def read_truth(path: Path | None) -> Trajectory | None:
+    """Read the true trajectory; callers do so first, so that a wrong file costs no time."""
+    if path is None:
+        return None
+    from ratslam_ros.results.evaluation import read_tum
+
+    return read_tum(path)
+
+
+def compile_kernels() -> None:
+    """Compile the inner loops or load them from the cache; print a notice if they are compiled."""
+    from ratslam_ros.compilation import announced_compilation
+    from ratslam_ros.core.warm_up import warm_up
+
+    with announced_compilation(print_notice):
+        warm_up()
+
+
+def print_warnings(warnings: Sequence[str]) -> None:
+    """Print warnings to the standard error stream, one a line."""
+    for warning in warnings:
+        print_notice(f'warning: {warning}')
+
+
+def print_notice(text: str) -> None:
+    """Print a line to the standard error stream."""
+    print(text, file=sys.stderr, flush=True)

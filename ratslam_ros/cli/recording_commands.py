@@ -1,0 +1,183 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""``ratslam info``, ``replay`` and ``tune``: from a recording to a map."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ratslam_ros.cli.options import (
+    DONE,
+    INTERRUPTED,
+    Commands,
+    add_config,
+    add_out,
+    add_recording,
+    add_span,
+    add_topics,
+    compile_kernels,
+    config_of,
+    make_folder,
+    print_notice,
+    print_warnings,
+    read_truth,
+    results_folder,
+)
+from ratslam_ros.errors import UnusableInput
+
+if TYPE_CHECKING:
+    pass
+
+if TYPE_CHECKING:
+    from ratslam_ros.results.evaluation import Trajectory
+
+
+def add_info(commands: Commands) -> None:
+    """Add ``ratslam info``."""
+    info = commands.add_parser('info',
+                               help='list the contents of a recording and print the next command')
+    add_recording(info)
+    info.set_defaults(run=_info)
+
+
+def add_replay(commands: Commands) -> None:
+    """Add ``ratslam replay``."""
+    replay = commands.add_parser('replay', help='build a map from a recording')
+    add_recording(replay)
+    add_config(replay)
+    add_topics(replay)
+    replay.add_argument('--scan-topic', metavar='T',
+                        help='laser topic, read if experience_map.exp_align_scans is set')
+    replay.add_argument('--visual-odometry', action='store_true',
+                        help='estimate odometry from the camera, even if there is an odometry '
+                             'topic')
+    add_span(replay)
+    replay.add_argument('--truth', type=Path, metavar='FILE.tum',
+                        help='true trajectory, for the plot and the errors')
+    replay.add_argument('--video', type=Path, metavar='FILE.mp4',
+                        help='write a video of the growing map')
+    add_out(replay, 'results/NAME-TIME, with the link results/latest')
+    replay.add_argument('--quiet', action='store_true', help='no progress bar, no summary')
+    replay.set_defaults(run=_replay)
+
+
+def add_tune(commands: Commands) -> None:
+    """Add ``ratslam tune``."""
+    tune = commands.add_parser('tune', help='propose a match threshold, template size and crop')
+    add_recording(tune)
+    add_config(tune)
+    add_topics(tune)
+    add_out(tune, 'results/NAME-tune-TIME')
+    tune.set_defaults(run=_tune)
+
+
+def _info(options: argparse.Namespace) -> int:
+    from ratslam_ros.recordings import describe, open_recording
+
+    with open_recording(options.recording, images_rate_hz=options.images_rate) as recording:
+        print(describe(recording).format())
+    return DONE
+
+
+def _replay(options: argparse.Namespace) -> int:
+    from ratslam_ros.offline.replay import ReplayOptions, replay
+    from ratslam_ros.recordings import open_recording
+    from ratslam_ros.results.plots import draw_all
+    from ratslam_ros.results.writer import link_latest
+
+    config = config_of(options)
+    truth = read_truth(options.truth)
+    with open_recording(options.recording, images_rate_hz=options.images_rate) as recording:
+        selection = recording.select(
+            options.image_topic, options.odom_topic, options.visual_odometry,
+            options.scan_topic, config.experience_map.exp_align_scans,
+        )  # fmt: skip
+        if not options.quiet:
+            for notice in selection.notices:
+                print_notice(notice)
+        compile_kernels()
+        folder = results_folder(options, recording.name)
+        outcome = replay(
+            recording, selection, config, folder,
+            ReplayOptions(options.start, options.duration, options.video, not options.quiet),
+        )  # fmt: skip
+        print_warnings(recording.warnings)
+        print_warnings(_empty_map_warnings(outcome.summary))
+        print_warnings(_loss_warnings(outcome.summary))
+    if options.out is None:
+        link_latest(folder)
+    pictures = draw_all(folder, truth, config.local_view.vt_match_threshold)
+    if outcome.interrupted:
+        print_notice(f'interrupted: the results so far are in {folder}')
+        return INTERRUPTED
+    if not options.quiet:
+        print(_summary_text(outcome.summary))
+        if truth is not None:
+            _print_errors(folder, truth)
+        for path in pictures:
+            print(path)
+    return DONE
+
+
+def _tune(options: argparse.Namespace) -> int:
+    from ratslam_ros.offline.revisits import sample_frames
+    from ratslam_ros.offline.tuning import plot_proposal, propose
+    from ratslam_ros.recordings import open_recording
+
+    config = config_of(options)
+    with open_recording(options.recording, images_rate_hz=options.images_rate) as recording:
+        selection = recording.select(options.image_topic, options.odom_topic)
+        if selection.image_topic is None:
+            raise UnusableInput(
+                f'{recording.path} holds templates and no images; expected images to tune on'
+            )
+        compile_kernels()
+        proposal = propose(sample_frames(recording, selection.image_topic), config.local_view)
+        folder = make_folder(results_folder(options, f'{recording.name}-tune'))
+        path = plot_proposal(proposal, folder / 'tune.png')
+        print_warnings(recording.warnings)
+    print(f'{proposal.format()}\n{path}')
+    return DONE
+
+
+def _loss_warnings(summary: Mapping[str, Any]) -> list[str]:
+    """Return a warning if at least a tenth of the messages could not be used."""
+    lost = {key: summary[key] for key in ('dropped', 'late', 'refused') if summary[key]}
+    if sum(lost.values()) * 10 < summary['frames'] + summary['odometry']:
+        return []
+    counts = ', '.join(f'{number} {key}' for key, number in lost.items())
+    return [f'many messages were not used ({counts}): undecodable images and scans are dropped, '
+            'messages whose stamps do not increase are refused, and messages more than '
+            'pose_cells.max_lateness_s behind the other streams are late'] if lost else []
+
+
+def _empty_map_warnings(summary: Mapping[str, Any]) -> list[str]:
+    """Return a warning if a whole stream was unusable."""
+    if not summary['odometry']:
+        return ['no odometry could be used, so the map is empty; try --visual-odometry, or a '
+                'longer part of the recording']
+    if not summary['frames']:
+        return ['no image or template could be used, so the map is empty']
+    return []
+
+
+def _summary_text(summary: Mapping[str, Any]) -> str:
+    text = (
+        '{frames} frames and {odometry} odometry messages over {duration_s:.1f} s, in '
+        '{wall_s:.1f} s ({times_realtime:.0f}x real time)\n'
+        '{templates} templates, {experiences} experiences, {links} links, '
+        '{loop_closures} loop closures'
+    ).format(**summary)
+    lost = [f'{summary[key]} {key}' for key in ('dropped', 'late', 'refused') if summary[key]]
+    return text + (f'\nmessages not used: {", ".join(lost)}' if lost else '')
+
+
+def _print_errors(folder: Path, truth: Trajectory) -> None:
+    from ratslam_ros.results.evaluation import evaluate, read_tum
+
+    for name in ('trajectory_final', 'trajectory', 'dead_reckoning'):
+        ate = evaluate(read_tum(folder / f'{name}.tum'), truth).ate
+        print(f'{name.replace("_", " "):17} ATE {ate.rmse:7.3f} m RMSE, {ate.max:7.3f} m at most')

@@ -1,0 +1,128 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""``ratslam demo`` and ``simulate``: simulated robots."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from pathlib import Path
+
+from ratslam_ros.cli.options import (
+    DONE,
+    Commands,
+    add_config,
+    add_out,
+    compile_kernels,
+    config_of,
+    make_folder,
+    positive_number,
+    results_folder,
+    whole_number,
+)
+from ratslam_ros.errors import UnusableInput
+
+
+def add_demo(commands: Commands) -> None:
+    """Add ``ratslam demo``."""
+    demo = commands.add_parser('demo', help='simulate a robot in an office, and map it')
+    demo.add_argument('--seed', type=whole_number, default=1,
+                      help='random seed of world and noise (default: 1)')
+    demo.add_argument('--seeds', type=positive_number, metavar='N',
+                      help='run N seeds, starting at --seed, and print the mean and worst errors')
+    add_out(demo, 'results/demo-TIME, with the link results/latest')
+    demo.add_argument('--quiet', action='store_true', help='no progress bar')
+    demo.set_defaults(run=_demo)
+
+
+def add_simulate(commands: Commands) -> None:
+    """Add ``ratslam simulate``."""
+    simulate = commands.add_parser(
+        'simulate', help='simulate a robot that explores a floor plan and drives to goals'
+    )
+    simulate.add_argument('--plan', metavar='NAME|FILE',
+                          help='floor plan: a name from the package, or a text or PNG file')
+    simulate.add_argument('--cell-m', type=float, metavar='M',
+                          help='side length of a cell or pixel')
+    simulate.add_argument('--start', metavar='PLACE|X,Y,DEG',
+                          help='start pose (default: place S, or a random one)')
+    simulate.add_argument('--seed', type=whole_number,
+                          help='random seed of world and noise (default: 1)')
+    simulate.add_argument('--explore', type=float, default=30.0, metavar='MINUTES',
+                          help='duration of exploration before the goals (default: 30)')
+    which = simulate.add_mutually_exclusive_group()
+    which.add_argument('--goals', metavar='A,B,C',
+                       help='places of the plan, in order (default: all visited ones)')
+    which.add_argument('--random-goals', type=positive_number, default=0, metavar='N',
+                       help='drive to N randomly chosen visited places')
+    simulate.add_argument('--people', type=whole_number, metavar='N',
+                          help='number of people who walk about')
+    simulate.add_argument('--obstacle', action='append', metavar='NAME,X,Y,W,D,FROM_S,TO_S',
+                          help='place a box from FROM_S to TO_S; may be repeated')
+    simulate.add_argument('--noise', type=float, metavar='FACTOR',
+                          help='factor on the odometry noise (default: 1)')
+    add_config(simulate, 'navigation')
+    simulate.add_argument('--record', type=Path, metavar='DIR',
+                          help='record all sensor data (rosbag2)')
+    simulate.add_argument('--live', action='store_true',
+                          help='simulate the robot for live nodes: publish image, odom, scan '
+                               'and /clock')
+    simulate.add_argument('--rate', type=float, metavar='R',
+                          help='speed of time with --live (default: 1)')
+    add_out(simulate, 'results/simulate-TIME, with the link results/latest')
+    simulate.add_argument('--quiet', action='store_true', help='no progress bar')
+    simulate.set_defaults(run=_simulate)
+
+
+def _demo(options: argparse.Namespace) -> int:
+    from ratslam_ros.offline.demo import run_demo, run_seeds
+
+    compile_kernels()
+    if options.seeds is not None:
+        print(run_seeds(range(options.seed, options.seed + options.seeds)))
+        return DONE
+    folder = make_folder(results_folder(options, 'demo'))
+    print(run_demo(options.seed, folder, progress=not options.quiet))
+    if options.out is None:
+        from ratslam_ros.results.writer import link_latest
+
+        link_latest(folder)
+    return DONE
+
+
+def _simulate(options: argparse.Namespace) -> int:
+    from ratslam_ros.simulator.config import SimulatorParameters
+
+    given = {
+        name: value
+        for name in ('plan', 'cell_m', 'start', 'seed', 'people', 'noise', 'rate')
+        if (value := getattr(options, name)) is not None
+    }
+    if options.obstacle:
+        given['obstacles'] = ';'.join(options.obstacle)
+    if options.live:
+        from ratslam_ros.live.run import run
+
+        values = [f'{name}:={json.dumps(value)}' for name, value in given.items()]
+        return run('simulator', ['--ros-args', *(w for value in values for w in ('-p', value))])
+    from ratslam_ros.offline.simulate import SimulateOptions, simulate
+    from ratslam_ros.results.writer import link_latest
+
+    config = config_of(options)
+    parameters = SimulatorParameters(**given)
+    if not 0.0 <= options.explore < math.inf:
+        raise UnusableInput(f'--explore is {options.explore}; expected 0 or more minutes')
+    compile_kernels()
+    folder = make_folder(results_folder(options, 'simulate'))
+    goals = None if options.goals is None else options.goals.split(',')
+    print(
+        simulate(
+            parameters, config, folder,
+            SimulateOptions(60.0 * options.explore, goals, options.random_goals, options.record,
+                            not options.quiet),
+        )
+    )  # fmt: skip
+    if options.out is None:
+        link_latest(folder)
+    return DONE

@@ -1,0 +1,70 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The topics of a recording: their types, and the selection of those to read."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+RAW_IMAGE = 'sensor_msgs/msg/Image'
+COMPRESSED_IMAGE = 'sensor_msgs/msg/CompressedImage'
+CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
+ODOMETRY = 'nav_msgs/msg/Odometry'
+LASER_SCAN = 'sensor_msgs/msg/LaserScan'
+STRING = 'std_msgs/msg/String'
+# Types of topics in recordings that hold no ROS messages.
+VIDEO, IMAGE_FILES, TABLE = 'video', 'image files', 'table'
+
+IMAGE_TYPES = frozenset({RAW_IMAGE, COMPRESSED_IMAGE, VIDEO, IMAGE_FILES})
+ODOMETRY_TYPES = frozenset({ODOMETRY, TABLE})
+SCAN_TYPES = frozenset({LASER_SCAN})
+
+
+@dataclass(frozen=True, slots=True)
+class Topic:
+    """One topic of a recording."""
+
+    name: str
+    type: str
+    count: int | None
+    """Number of messages; None if counting them requires a scan of the recording."""
+    problem: str | None = None
+    """Reason why the messages cannot be decoded; None if they can."""
+
+
+@dataclass(frozen=True, slots=True)
+class Selection:
+    """The topics to read from a recording, each None if not used.
+
+    Without ``odom_topic`` the motion is estimated from the images (visual odometry).
+    """
+
+    image_topic: str | None
+    odom_topic: str | None
+    template_topic: str | None
+    scan_topic: str | None = None
+    notices: tuple[str, ...] = ()
+    """Messages for the user about choices that the selection made."""
+
+    @property
+    def topics(self) -> frozenset[str]:
+        """Names of all selected topics."""
+        names = (self.image_topic, self.odom_topic, self.template_topic, self.scan_topic)
+        return frozenset(name for name in names if name is not None)
+
+
+class TopicSource(Protocol):
+    """The part of a recording that a selection of topics depends on."""
+
+    path: Path
+    topics: tuple[Topic, ...]
+
+    def is_depth(self, topic: Topic) -> bool:
+        """Return whether the first image of a topic is a depth image."""
+        ...
+
+    def is_empty(self, topic: Topic) -> bool:
+        """Return whether a topic has no messages."""
+        ...
