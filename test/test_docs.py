@@ -29,6 +29,8 @@ SOURCES = sorted(
     if path.suffix in ('.py', '.yaml') and path != Path(__file__)
 )
 
+SCRIPTS = [path for folder in ('benchmarks', 'tools') for path in (ROOT / folder).glob('*.py')]
+
 CODE_FOLDERS = (ROOT, ROOT / 'ratslam_ros', ROOT / 'ratslam_ros/core')
 """Folders that paths of modules in the pages are relative to."""
 
@@ -139,7 +141,7 @@ def test_broken_link_and_anchor_are_found(tmp_path):
 
 
 def test_missing_files_are_found():
-    text = '`core/ratslam.py`, `core/none.py`, benchmarks/none.py, `ratslam.py`, `none.py`, a.python'
+    text = '`core/ratslam.py`, `core/none.py`, benchmarks/none.py, `ratslam.py`, `none.py`'
     assert missing_files(text) == ['core/none.py', 'benchmarks/none.py', 'none.py']
 
 
@@ -162,8 +164,8 @@ def test_cited_papers_are_in_reference_list():
     entries = set(re.findall(r'^\d+\. (\w+).*?\((\d{4})\)', text, re.MULTILINE))
     name = r'[A-Z][a-z]+'
     citations = (
-        rf'({name})(?:, {name})*(?: and {name}| et al\.)[,\s]\s*\(?((?:19|20)\d\d)\b',
-        rf'({name})\s\(((?:19|20)\d\d)\)',
+        rf'(?<!, )\b({name})(?:, {name})*(?: and {name}| et al\.)\s\(?((?:19|20)\d\d)\b',
+        rf'(?<!and )(?<!, )({name})\s\(((?:19|20)\d\d)\)',
     )
     cited = {
         paper
@@ -204,6 +206,8 @@ def test_parameters_and_options_of_page_exist(path: Path):
             assert name in {known for known, _, _ in SECTIONS[section].parameters()}, name
     actions = parser()._subparsers._group_actions[0].choices.values()
     options = {option for parser in actions for option in parser._option_string_actions}
+    for script in SCRIPTS:
+        options |= set(re.findall(r"add_argument\(\s*'(--[a-z-]+)'", script.read_text('utf-8')))
     for option in re.findall(r'`(--[a-z-]+)', text):
         assert option in options, option
 
