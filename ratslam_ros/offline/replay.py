@@ -4,9 +4,7 @@
 
 from __future__ import annotations
 
-import signal
 import sys
-import threading
 import time
 from collections import Counter
 from contextlib import ExitStack
@@ -22,8 +20,10 @@ from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import Scan, UnusableScan, checked_scan
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.ratslam import RatSLAM, Step, ViewStep
+from ratslam_ros.core.vision.local_view import LocalView
 from ratslam_ros.core.vision.visual_odometry import field_of_view_deg
-from ratslam_ros.messages.mapping import MalformedMessage, decode_template
+from ratslam_ros.messages.json_schema import MalformedMessage
+from ratslam_ros.messages.mapping import decode_template
 from ratslam_ros.recordings import (
     Event,
     ImageEvent,
@@ -36,6 +36,7 @@ from ratslam_ros.recordings import (
 from ratslam_ros.recordings.prefetch import prefetch_images
 from ratslam_ros.results.video import MapVideo
 from ratslam_ros.results.writer import Results
+from ratslam_ros.signals import StopSignals
 from ratslam_ros.timing import StepTimes
 
 
@@ -74,7 +75,7 @@ def replay(
     interrupted = False
     try:
         with ExitStack() as stack:
-            interrupts = stack.enter_context(_Interrupts())
+            stop = stack.enter_context(StopSignals())
             if options.video is not None:
                 run.film = stack.enter_context(_Film(options.video, run.slam))
             events = recording.events(selection, options.start_s, options.duration_s)
@@ -83,7 +84,7 @@ def replay(
             for event, image in decoded:
                 run.feed(event, image)
                 bar.update()
-                if interrupts.seen:
+                if stop.received:
                     raise KeyboardInterrupt
     except KeyboardInterrupt:
         if run.results is None:
@@ -93,33 +94,6 @@ def replay(
         run.abandon()
         raise
     return ReplayOutcome(run.finish(), interrupted)
-
-
-class _Interrupts:
-    """Keeps SIGINT and SIGTERM until a step is done, so that nothing is left half done.
-
-    Raised wherever they fall they could also come out of compiled code as an internal error. A
-    second one is raised at once, for a recording that gives no more events.
-    """
-
-    def __init__(self) -> None:
-        self.seen = False
-        self._before: dict[signal.Signals, Any] = {}
-
-    def __enter__(self) -> Self:
-        if threading.current_thread() is threading.main_thread():  # others cannot set signals
-            for number in (signal.SIGINT, signal.SIGTERM):
-                self._before[number] = signal.signal(number, self._note)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
-
-    def _note(self, number: int, frame: object) -> None:
-        if self.seen:
-            raise KeyboardInterrupt
-        self.seen = True
 
 
 class _Run:
@@ -365,10 +339,11 @@ class _Film:
             image = event.bgr()
         except UndecodableImage:
             return
-        known = step.match.template_id
+        known, local_view = step.match.template_id, self._slam.local_view
+        assert isinstance(local_view, LocalView)
         self._video.write(
             image,
-            self._slam.local_view.template(known) if known >= 0 else None,
+            local_view.template(known) if known >= 0 else None,
             self._slam.pose_cells.activity(),
             self._slam.experience_map.poses[:, :2],
             self._slam.experience_map.pose,

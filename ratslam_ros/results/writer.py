@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 import struct
 import tempfile
@@ -14,15 +13,16 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import IO, Any
 
-from ratslam_ros.core.common.pose import Pose, composed
+from ratslam_ros.core.common.pose import Pose, composed, quaternion_of
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.experience_map import ExperienceMap, PrunedExperience
-from ratslam_ros.core.pose_cells.pose_cells import NO_EXPERIENCE
+from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
 from ratslam_ros.core.ratslam import OdometryStep, Step, ViewStep
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.config import to_yaml
-from ratslam_ros.messages.mapping import NS_PER_S, encode_map
+from ratslam_ros.messages.json_schema import NS_PER_S
+from ratslam_ros.messages.mapping import encode_map
 
 FRAMES_HEADER = 'stamp_ns,template_id,is_new,match_error,relative_rad,experience_id\n'
 
@@ -174,11 +174,8 @@ class _Places:
 def tum_line(stamp_ns: int, pose: Pose) -> str:
     """Return ``t x y z qx qy qz qw`` with t from integer ns, nine decimals."""
     sec, nanosec = divmod(stamp_ns, NS_PER_S)
-    half = 0.5 * pose.heading_rad
-    return (
-        f'{sec}.{nanosec:09d} {pose.x_m:.9f} {pose.y_m:.9f} 0 0 0 '
-        f'{math.sin(half):.9f} {math.cos(half):.9f}\n'
-    )
+    z, w = quaternion_of(pose.heading_rad)
+    return f'{sec}.{nanosec:09d} {pose.x_m:.9f} {pose.y_m:.9f} 0 0 0 {z:.9f} {w:.9f}\n'
 
 
 def link_latest(folder: Path) -> None:

@@ -26,8 +26,9 @@ from ratslam_ros.core.mapping.link_learning import (
     confidences,
     leading_ahead,
 )
-from ratslam_ros.core.navigation.route_planner import GoalTree, RoutePlanner, UnreachableGoal
-from ratslam_ros.errors import UnusableInput
+from ratslam_ros.core.navigation.goal_tree import GoalTree
+from ratslam_ros.core.navigation.route_planner import RoutePlanner
+from ratslam_ros.errors import UnreachableGoal, UnusableInput
 from ratslam_ros.messages.mapping import MapText, encode_map
 
 WALL = 'left_wall'
@@ -239,11 +240,11 @@ def drive_to(graph: ExperienceMap, end: int) -> None:
 
 def test_blocked_links_are_unlearned_and_learned_again() -> None:
     graph = corridor()
-    recall = RoutePlanner(GoalRecallParameters())
+    planner = RoutePlanner(GoalRecallParameters(), graph)
     goal = 8
     set_current(graph, 4)  # at x = 2
-    tree = GoalTree(recall, graph, goal)
-    assert recall.route_to(graph, goal).experience_ids == (4, 5, 6, 7, 8)
+    tree = GoalTree(planner, goal)
+    assert planner.route_to(goal).experience_ids == (4, 5, 6, 7, 8)
     attempts = [graph.report_blocked(WALL, 0.0) for _ in range(4)]
     assert attempts[:3] == [0, 0, 0]
     # From x = 2 to 2.5, 2.5 to 3 and 3 to 3.5 m, in both directions: they pass within 1 m.
@@ -252,12 +253,12 @@ def test_blocked_links_are_unlearned_and_learned_again() -> None:
     assert not blocked & link_pairs(graph)
     assert graph.link_count == 22 - 6
     with pytest.raises(UnreachableGoal):
-        recall.route_to(graph, goal)
+        planner.route_to(goal)
     assert math.isinf(tree.remaining_s())
     drive_to(graph, 8)  # the obstacle has been removed
     assert {(4, 5), (5, 6), (6, 7)} <= link_pairs(graph)
     set_current(graph, 4)
-    assert recall.route_to(graph, goal).experience_ids == (4, 5, 6, 7, 8)
+    assert planner.route_to(goal).experience_ids == (4, 5, 6, 7, 8)
     assert tree.route().experience_ids == (4, 5, 6, 7, 8)
 
 
@@ -398,15 +399,15 @@ def test_texts_and_routes_follow_unlearned_links(seed: int) -> None:
     rng = random.Random(seed)
     graph = new_map(exp_min_tries=2, exp_confidence_threshold=0.4, exp_try_radius_m=2.0)
     drive_randomly(graph, rng, 60)
-    text, recall = MapText(), RoutePlanner(GoalRecallParameters())
-    tree = GoalTree(recall, graph, 3)
+    text, planner = MapText(), RoutePlanner(GoalRecallParameters(), graph)
+    tree = GoalTree(planner, 3)
     for _ in range(60):
         drive_randomly(graph, rng, 5)
         assert encode_map(1, graph, text) == encode_map(1, graph)
         for link in graph.links():
             behaviour = graph.behaviour_between(link.source_id, link.target_id)
             assert behaviour == link.behaviour
-        fresh = recall.temporal_map(graph, 3).arrival_s
+        fresh = planner.temporal_map(3).arrival_s
         for start in range(len(graph)):
             assert math.isfinite(tree.remaining_s(start)) == math.isfinite(fresh[start])
         if tree.exact():

@@ -25,7 +25,7 @@ from ratslam_ros.core.mapping.loop_closure_gate import (
     long_known_experience,
 )
 from ratslam_ros.core.mapping.scan_matching import ScanMatch
-from ratslam_ros.core.pose_cells.pose_cells import Action, MapAction
+from ratslam_ros.core.pose_cells.map_action import Action, MapAction
 
 ORIGIN = Pose(0.0, 0.0, 0.0)
 CHAIN_ENDS = np.array([[n, n + 1] for n in range(100)])

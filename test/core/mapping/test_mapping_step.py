@@ -15,7 +15,7 @@ from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.mapping.experience_map import ExperienceMap, MapUpdate
 from ratslam_ros.core.mapping.mapping_step import apply_action
 from ratslam_ros.core.mapping.scan_matching import ScanMatcher
-from ratslam_ros.core.pose_cells.pose_cells import Action, MapAction
+from ratslam_ros.core.pose_cells.map_action import Action, MapAction
 from ratslam_ros.messages.mapping import encode_map
 
 

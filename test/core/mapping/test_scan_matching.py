@@ -13,7 +13,7 @@ from scans import HALL, ORIGIN, ROOM, TICK_NS, drive, map_action, pose_error
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.mapping.scan_matching import ScanMatch, ScanMatcher
-from ratslam_ros.core.pose_cells.pose_cells import MapAction
+from ratslam_ros.core.pose_cells.map_action import MapAction
 
 
 def locate(matcher: ScanMatcher, tick: int, action: MapAction) -> Pose | None:
