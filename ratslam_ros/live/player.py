@@ -28,6 +28,7 @@ from ratslam_ros.live.lockstep import Lockstep
 from ratslam_ros.live.messages import camera_info, message_of, time_message
 from ratslam_ros.live.pacing import Pacing
 from ratslam_ros.nodes.qos import CLOCK, INPUT, PLAYED
+from ratslam_ros.progress import ProgressBar
 from ratslam_ros.recordings import Event, ImageEvent, OdometryEvent, Recording, Selection
 from ratslam_ros.recordings.prefetch import Prefetch
 from ratslam_ros.recordings.topics import (
@@ -75,7 +76,6 @@ AHEAD_NS = 1_000_000_000  # the half of max_lateness_s, as it is by default
 POLL_S = 0.002
 PATIENCE_S = 30.0
 ACKNOWLEDGED_S = 10.0
-PROGRESS_S = 0.1
 
 
 @dataclass(frozen=True)
@@ -216,7 +216,11 @@ class _Player:
         events = self._recording.events(self._selection, options.start_s, options.duration_s)
         with ExitStack() as stack:
             ready = stack.enter_context(Prefetch((event, message_of(event)) for event in events))
-            bar = stack.enter_context(_Progress(self._recording, options))
+            bar = stack.enter_context(
+                ProgressBar(
+                    self._recording, options.start_s, options.duration_s, shown=options.progress
+                )
+            )
             pacing = None
             for event, message in ready:
                 if pacing is None:
@@ -367,43 +371,6 @@ class _ClockThread:
 
     def _publish(self) -> None:
         self._publisher.publish(Clock(clock=time_message(self._pacing.time_ns())))
-
-
-class _Progress:
-    """A progress bar, from the first message on."""
-
-    def __init__(self, recording: Recording, options: PlayOptions) -> None:
-        total_s = (recording.end_ns - recording.start_ns) * 1e-9 - options.start_s
-        if options.duration_s is not None:
-            total_s = min(total_s, options.duration_s)
-        self._total_s = round(total_s, 1)
-        self._shown = options.progress
-        self._next_s = 0.0
-        self._bar: Any = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._bar is not None:
-            self._bar.close()
-
-    def update(self, done_s: float) -> None:
-        """Show how far it is, a few times a second."""
-        now_s = time.monotonic()
-        if not self._shown or now_s < self._next_s:
-            return
-        self._next_s = now_s + PROGRESS_S
-        if self._bar is None:
-            from tqdm import tqdm
-
-            self._bar = tqdm(
-                total=self._total_s,
-                file=sys.stderr,
-                bar_format='{percentage:3.0f}% |{bar}| {n:.0f}/{total:.0f} s',
-            )
-        self._bar.n = min(done_s, self._total_s)
-        self._bar.refresh()
 
 
 def send(publisher: Any, message: Any, patience_s: float = PATIENCE_S) -> None:

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import signal
-import sys
 import threading
 import time
 from collections import Counter
@@ -24,6 +23,7 @@ from ratslam_ros.core.config import Config
 from ratslam_ros.core.ratslam import RatSLAM, Step, ViewStep
 from ratslam_ros.core.vision.visual_odometry import field_of_view_deg
 from ratslam_ros.messages.mapping import MalformedMessage, decode_template
+from ratslam_ros.progress import ProgressBar
 from ratslam_ros.recordings import (
     Event,
     ImageEvent,
@@ -37,6 +37,9 @@ from ratslam_ros.recordings.prefetch import prefetch_images
 from ratslam_ros.results.video import MapVideo
 from ratslam_ros.results.writer import Results
 from ratslam_ros.timing import StepTimes
+
+PROGRESS_DELAY_S = 0.5
+"""The progress bar appears later than errors in the options, which then take one line."""
 
 
 @dataclass(frozen=True)
@@ -79,10 +82,15 @@ def replay(
                 run.film = stack.enter_context(_Film(options.video, run.slam))
             events = recording.events(selection, options.start_s, options.duration_s)
             decoded = stack.enter_context(prefetch_images(events, run.times))
-            bar = stack.enter_context(_Progress(recording, options, run))
+            bar = stack.enter_context(
+                ProgressBar(
+                    recording, options.start_s, options.duration_s,
+                    shown=options.progress, delay_s=PROGRESS_DELAY_S, status=run.status,
+                )
+            )  # fmt: skip
             for event, image in decoded:
                 run.feed(event, image)
-                bar.update()
+                bar.update(run.span.duration_s)
                 if interrupts.seen:
                     raise KeyboardInterrupt
     except KeyboardInterrupt:
@@ -222,6 +230,17 @@ class _Run:
         """Time since the start of the replay, reading and decoding included."""
         return time.perf_counter() - self._start_s
 
+    def status(self) -> str:
+        """Return the speed of the replay and the size of the map, for the progress bar."""
+        text = f'{self.span.duration_s / max(self.elapsed_s, 1e-6):.0f}x real time'
+        results = self.results
+        if results is not None:
+            text += (
+                f', {results.templates} templates, {results.experiences} experiences, '
+                f'{results.loop_closures} loop closures'
+            )
+        return text
+
     def _pass_over(self, kind: str, error: Exception) -> None:
         self._unused[kind] += 1
         self._why_unused.setdefault(kind, str(error))
@@ -280,58 +299,6 @@ class _Span:
     @property
     def duration_s(self) -> float:
         return 0.0 if self._first_ns is None else (self._last_ns - self._first_ns) * 1e-9
-
-
-class _Progress:
-    """A progress bar with the figures that tell whether a map is coming about.
-
-    It appears when there is some progress: what is refused at once is told in one line.
-    """
-
-    def __init__(self, recording: Recording, options: ReplayOptions, run: _Run) -> None:
-        total_s = (recording.end_ns - recording.start_ns) * 1e-9 - options.start_s
-        if options.duration_s is not None:
-            total_s = min(total_s, options.duration_s)
-        self._total_s = round(total_s, 1)
-        self._run = run
-        self._shown = options.progress
-        self._next_s = 0.5
-        self._bar: Any = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: object, *_: object) -> None:
-        if kind is None:
-            self._next_s = 0.0
-            self.update()
-        if self._bar is not None:
-            self._bar.close()
-
-    def update(self) -> None:
-        """Show how far the replay is, a few times a second."""
-        elapsed_s = self._run.elapsed_s
-        if elapsed_s < self._next_s or not self._shown:
-            return
-        self._next_s = elapsed_s + 0.1
-        if self._bar is None:
-            from tqdm import tqdm
-
-            self._bar = tqdm(
-                total=self._total_s,
-                file=sys.stderr,
-                bar_format='{percentage:3.0f}% |{bar}| {n:.0f}/{total:.0f} s{postfix}',
-            )
-        done_s = self._run.span.duration_s
-        self._bar.n = min(done_s, self._total_s)
-        text = f'{done_s / max(elapsed_s, 1e-6):.0f}x real time'
-        r = self._run.results
-        if r is not None:
-            text += (
-                f', {r.templates} templates, {r.experiences} experiences, '
-                f'{r.loop_closures} loop closures'
-            )
-        self._bar.set_postfix_str(text)
 
 
 class _Film:

@@ -1,0 +1,81 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Progress bar of the commands that read a recording."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from typing import Any, Self
+
+from ratslam_ros.recordings import Recording
+
+REFRESH_PERIOD_S = 0.1
+
+
+class ProgressBar:
+    """Progress bar on standard error, in seconds of the recording.
+
+    Used as a context manager. The bar appears at the first update after a delay, or at the end
+    of the context, and not at all if an exception occurs before.
+    """
+
+    def __init__(
+        self,
+        recording: Recording,
+        start_s: float,
+        duration_s: float | None,
+        *,
+        shown: bool = True,
+        delay_s: float = 0.0,
+        status: Callable[[], str] = lambda: '',
+    ) -> None:
+        """Compute the total duration; nothing is shown before the first update.
+
+        Args:
+            recording: the recording that is read.
+            start_s: skipped seconds at the start of the recording.
+            duration_s: limit on the duration, None for the whole rest.
+            shown: False for no bar at all.
+            delay_s: time before the bar appears, in seconds.
+            status: text behind the bar, called at each refresh.
+        """
+        total_s = (recording.end_ns - recording.start_ns) * 1e-9 - start_s
+        if duration_s is not None:
+            total_s = min(total_s, duration_s)
+        self._total_s = round(total_s, 1)
+        self._shown = shown
+        self._status = status
+        self._done_s = 0.0
+        self._due_s = time.monotonic() + delay_s
+        self._bar: Any = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, error_type: object, *_: object) -> None:
+        if error_type is None and self._shown:
+            self._refresh()
+        if self._bar is not None:
+            self._bar.close()
+
+    def update(self, done_s: float) -> None:
+        """Set the processed duration in seconds, and refresh the bar if that is due."""
+        self._done_s = done_s
+        now_s = time.monotonic()
+        if self._shown and now_s >= self._due_s:
+            self._due_s = now_s + REFRESH_PERIOD_S
+            self._refresh()
+
+    def _refresh(self) -> None:
+        if self._bar is None:
+            from tqdm import tqdm
+
+            self._bar = tqdm(
+                total=self._total_s,
+                file=sys.stderr,
+                bar_format='{percentage:3.0f}% |{bar}| {n:.0f}/{total:.0f} s{postfix}',
+            )
+        self._bar.n = min(self._done_s, self._total_s)
+        self._bar.set_postfix_str(self._status())
