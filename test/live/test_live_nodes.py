@@ -23,6 +23,7 @@ from helpers import (
     circles,
     live_environment,
     picture,
+    real_recording,
     write_bag,
 )
 
@@ -34,7 +35,6 @@ except StandaloneUnavailable as error:
     pytest.skip(str(error), allow_module_level=True)
 
 ROOT = Path(__file__).parents[2]
-RC_CAR = ROOT.parent / 'shared/data/rc_car_loops'
 SMALL = {
     'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
     'local_view.vt_shift_match': 2, 'pose_cells.pc_cell_x_size': 0.5,
@@ -390,12 +390,12 @@ def preset(name: str) -> dict[str, Any]:
     } | {'pose_cells.max_lateness_s': 5.0, 'experience_map.max_lateness_s': 5.0}  # fmt: skip
 
 
-@pytest.mark.skipif(not RC_CAR.exists(), reason='the recording rc_car_loops is not here')
 def test_a_real_recording_at_ten_times_speed_makes_the_map_of_a_replay(tmp_path: Path) -> None:
+    recording = real_recording('rc_car_loops')
     settings = preset('rc_car')
-    expected = offline(RC_CAR, tmp_path / 'offline', settings)
+    expected = offline(recording, tmp_path / 'offline', settings)
     with Live(tmp_path / 'live', settings) as live:
         live.start(*THREE)
-        live.run('play', str(RC_CAR), '--rate', '10', '--quiet')
+        live.run('play', str(recording), '--rate', '10', '--quiet')
         assert live.settled_map(expected, 60.0) == expected, live.logs()
         assert set(live.stop().values()) == {0}

@@ -3,13 +3,12 @@
 """The tuner on small worlds, where the right answer is known, and on real recordings."""
 
 import csv
-import os
 from dataclasses import replace
-from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from helpers import real_recording
 
 from ratslam_ros.core.config import Config, LocalViewParameters
 from ratslam_ros.core.vision.local_view import LocalView, make_view
@@ -18,7 +17,6 @@ from ratslam_ros.offline.revisits import NO_MATCH, compare_all, measure, sample_
 from ratslam_ros.offline.tuning import plot_proposal, propose
 from ratslam_ros.recordings import open_recording
 
-DATA = Path(os.environ.get('RATSLAM_DATA', Path(__file__).parents[3] / 'shared' / 'data'))
 PER_LAP = 100
 HEIGHT, WIDTH = 48, 64
 START = LocalViewParameters(template_x_size=20, template_y_size=12, vt_shift_match=2)
@@ -172,9 +170,7 @@ def test_what_cannot_be_tuned_is_refused():
 @pytest.mark.parametrize(('name', 'lap_length', 'tolerance', 'at_most'), [
     ('rc_car_loops', 191, 8, 1000), ('donkeycar_track', 521, 15, 1000)])
 def test_real_laps_are_recognised(name, lap_length, tolerance, at_most):
-    folder = DATA / name
-    if not folder.is_dir():
-        pytest.skip(f'no recording at {folder}')
+    folder = real_recording(name)
     with (folder / 'lap_phase.csv').open() as file:
         rows = list(csv.DictReader(file))
     lap, place = ([int(row[key]) for row in rows] for key in ('lap', 'ref_frame'))
