@@ -33,7 +33,7 @@ class Parser(argparse.ArgumentParser):
 
 
 if TYPE_CHECKING:
-    from ratslam_ros.results.evaluation import Trajectory
+    from ratslam_ros.results.trajectory import Trajectory
 
     Commands = argparse._SubParsersAction[Parser]
 else:
@@ -132,7 +132,7 @@ def read_truth(path: Path | None) -> Trajectory | None:
     """Read the true trajectory; callers do so first, so that a wrong file costs no time."""
     if path is None:
         return None
-    from ratslam_ros.results.evaluation import read_tum
+    from ratslam_ros.results.trajectory import read_tum
 
     return read_tum(path)
 

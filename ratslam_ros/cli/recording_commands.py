@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     pass
 
 if TYPE_CHECKING:
-    from ratslam_ros.results.evaluation import Trajectory
+    from ratslam_ros.results.trajectory import Trajectory
 
 
 def add_info(commands: Commands) -> None:
@@ -176,7 +176,8 @@ def _summary_text(summary: Mapping[str, Any]) -> str:
 
 
 def _print_errors(folder: Path, truth: Trajectory) -> None:
-    from ratslam_ros.results.evaluation import evaluate, read_tum
+    from ratslam_ros.results.evaluation import evaluate
+    from ratslam_ros.results.trajectory import read_tum
 
     for name in ('trajectory_final', 'trajectory', 'dead_reckoning'):
         ate = evaluate(read_tum(folder / f'{name}.tum'), truth).ate

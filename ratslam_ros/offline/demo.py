@@ -20,8 +20,9 @@ from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.config import load_config
 from ratslam_ros.offline.replay import ReplayOptions, ReplayOutcome, replay
 from ratslam_ros.recordings import ImageEvent, Recording, Selection, open_recording
-from ratslam_ros.results.evaluation import evaluate, read_tum
+from ratslam_ros.results.evaluation import evaluate
 from ratslam_ros.results.plots import draw_all
+from ratslam_ros.results.trajectory import read_tum
 from ratslam_ros.simulator.aliasing import measure_aliasing
 from ratslam_ros.simulator.picture import draw_run
 from ratslam_ros.simulator.recording import SimulatedRun, write_recording

@@ -20,7 +20,8 @@ from ratslam_ros.core.ratslam import Step
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.results.goal_plots import draw_temporal_map
 from ratslam_ros.results.plots import draw_all
-from ratslam_ros.results.writer import Results, tum_line
+from ratslam_ros.results.trajectory import tum_line
+from ratslam_ros.results.writer import Results
 from ratslam_ros.simulator.closed_loop import ClosedLoop
 from ratslam_ros.simulator.config import SimulatorParameters, make_simulator
 from ratslam_ros.simulator.floor_plan import FloorPlan

@@ -28,8 +28,8 @@ from ratslam_ros.offline.revisits import (
     Image,
     measure,
 )
-from ratslam_ros.results.evaluation import NS_PER_S, thinned
 from ratslam_ros.results.plots import BLACK, BLUE, GREY, VERMILLION, new_figure, save_figure
+from ratslam_ros.results.trajectory import NS_PER_S, thinned
 
 SIZES = ((12, 8), (20, 12), (32, 16), (48, 24), (60, 10), (60, 20))
 PATCHES = (0, 2, 4)

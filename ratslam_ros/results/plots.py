@@ -19,17 +19,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.results.evaluation import (
-    NS_PER_S,
-    Evaluation,
-    Floats,
-    Trajectory,
-    Transform2D,
-    associate,
-    fit,
-    read_tum,
-    thinned,
-)
+from ratslam_ros.results.evaluation import Evaluation, Transform2D, associate, fit
+from ratslam_ros.results.trajectory import NS_PER_S, Floats, Trajectory, read_tum, thinned
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

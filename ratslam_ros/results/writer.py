@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 import struct
 import tempfile
@@ -22,7 +21,8 @@ from ratslam_ros.core.ratslam import OdometryStep, Step, ViewStep
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.config import to_yaml
-from ratslam_ros.messages.mapping import NS_PER_S, encode_map
+from ratslam_ros.messages.mapping import encode_map
+from ratslam_ros.results.trajectory import tum_line
 
 FRAMES_HEADER = 'stamp_ns,template_id,is_new,match_error,relative_rad,experience_id\n'
 
@@ -169,16 +169,6 @@ class _Places:
         for place, stand_in, pose in reversed(self._forgotten):  # those it hangs on went later
             gone[place] = composed(pose_of(stand_in), pose)
         return pose_of
-
-
-def tum_line(stamp_ns: int, pose: Pose) -> str:
-    """Return ``t x y z qx qy qz qw`` with t from integer ns, nine decimals."""
-    sec, nanosec = divmod(stamp_ns, NS_PER_S)
-    half = 0.5 * pose.heading_rad
-    return (
-        f'{sec}.{nanosec:09d} {pose.x_m:.9f} {pose.y_m:.9f} 0 0 0 '
-        f'{math.sin(half):.9f} {math.cos(half):.9f}\n'
-    )
 
 
 def link_latest(folder: Path) -> None:

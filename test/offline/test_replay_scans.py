@@ -38,8 +38,8 @@ from ratslam_ros.errors import UnusableInput
 from ratslam_ros.messages.mapping import encode_map
 from ratslam_ros.offline.replay import ReplayOptions, replay
 from ratslam_ros.recordings import open_recording
-from ratslam_ros.results.evaluation import evaluate, read_tum
-from ratslam_ros.results.writer import tum_line
+from ratslam_ros.results.evaluation import evaluate
+from ratslam_ros.results.trajectory import read_tum, tum_line
 
 SETTINGS = {
     'local_view.template_x_size': 16, 'local_view.template_y_size': 8,

@@ -17,7 +17,7 @@ from ratslam_ros.cli import main
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.recordings import open_recording
-from ratslam_ros.results.evaluation import read_tum
+from ratslam_ros.results.trajectory import read_tum
 from ratslam_ros.simulator.config import (
     SimulatorParameters,
     make_simulator,

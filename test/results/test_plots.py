@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.results.evaluation import evaluate, read_tum
+from ratslam_ros.results.evaluation import evaluate
 from ratslam_ros.results.plots import (
     MOST_POINTS,
     _frames,
@@ -21,6 +21,7 @@ from ratslam_ros.results.plots import (
     draw_matches,
     plot_evaluation,
 )
+from ratslam_ros.results.trajectory import read_tum
 from ratslam_ros.results.writer import FRAMES_HEADER
 
 START_NS = 1_700_000_000_000_000_000
