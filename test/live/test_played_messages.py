@@ -14,6 +14,7 @@ from helpers import PERIOD_NS, START_NS, image_message, odometry_message, write_
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.errors import UnusableInput
+from ratslam_ros.event_inputs import odometry_from_event, scan_from_event
 from ratslam_ros.images import EncodedImage, Frame, RawImage, image_of
 from ratslam_ros.recordings import (
     Event,
@@ -110,7 +111,6 @@ def test_odometry_is_received_to_the_last_bit(seed: int) -> None:
 
 def test_recorded_odometry_and_that_of_tables_is_the_same_live(tmp_path: Path) -> None:
     from ratslam_ros.nodes.convert import odometry_of
-    from ratslam_ros.offline.replay import _odometry
 
     chance = Random(7)
     table = ['image,stamp_ns,linear_x_mps,angular_z_radps']
@@ -135,14 +135,13 @@ def test_recorded_odometry_and_that_of_tables_is_the_same_live(tmp_path: Path) -
             ]
         assert len(events) == 100
         for sent in events:
-            assert odometry_of(message_of(sent)) == _odometry(sent)
+            assert odometry_of(message_of(sent)) == odometry_from_event(sent)
 
 
 @pytest.mark.parametrize('beams', [0, 1, 181])
 def test_a_scan_is_received_to_the_last_bit(beams: int) -> None:
     from ratslam_ros.core.common.scan import UnusableScan
     from ratslam_ros.nodes.scans import scan_from_message
-    from ratslam_ros.offline.replay import _scan
 
     first, step = (float(np.float32(number)) for number in (-1.57, 0.017))
     ranges_m = np.random.default_rng(4).uniform(-1.0, 40.0, beams).astype(np.float32)
@@ -153,7 +152,7 @@ def test_a_scan_is_received_to_the_last_bit(beams: int) -> None:
         with pytest.raises(UnusableScan):
             scan_from_message(message)
         return
-    got, expected = scan_from_message(message), _scan(sent)
+    got, expected = scan_from_message(message), scan_from_event(sent)
     assert got.ranges_m.tobytes() == expected.ranges_m.tobytes()
     assert got.stamp_ns == expected.stamp_ns == START_NS + 5
     assert bits(got.angle_min_rad, got.angle_increment_rad) == bits(first, step)
