@@ -17,8 +17,8 @@ from ratslam_ros.cli.options import (
     add_span,
     add_topics,
     config_of,
-    print_notice,
 )
+from ratslam_ros.console import print_notice
 
 
 def add_live(commands: Commands) -> None:

@@ -12,10 +12,11 @@ from typing import NoReturn
 
 from ratslam_ros import __version__
 from ratslam_ros.cli.live_commands import add_live
-from ratslam_ros.cli.options import DONE, INTERRUPTED, UNUSABLE, Parser, print_notice
+from ratslam_ros.cli.options import DONE, INTERRUPTED, UNUSABLE, Parser
 from ratslam_ros.cli.recording_commands import add_info, add_replay, add_tune
 from ratslam_ros.cli.result_commands import add_evaluate, add_plot
 from ratslam_ros.cli.simulation_commands import add_demo, add_simulate
+from ratslam_ros.console import print_notice
 from ratslam_ros.errors import RatslamError
 
 DISK_FULL_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)

@@ -5,24 +5,22 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
+from ratslam_ros.console import print_notice
 from ratslam_ros.core.config import Config
 from ratslam_ros.errors import UnusableInput
-
-if TYPE_CHECKING:
-    pass
 
 DONE, INTERNAL_ERROR, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
 """Exit codes: success, a fault of the program, unusable input or wrong use, interrupted."""
 
 NO_ANSWER = 1
 """Exit code of ``call`` and ``echo`` when nothing arrived in time."""
+
 
 class Parser(argparse.ArgumentParser):
     """Argument parser that reports wrong use in one line."""
@@ -38,7 +36,6 @@ if TYPE_CHECKING:
     Commands = argparse._SubParsersAction[Parser]
 else:
     Commands = argparse._SubParsersAction  # has no subscript at run time
-
 
 
 def add_recording(parser: argparse.ArgumentParser) -> None:
@@ -160,8 +157,3 @@ def print_warnings(warnings: Sequence[str]) -> None:
     """Print warnings to the standard error stream, one a line."""
     for warning in warnings:
         print_notice(f'warning: {warning}')
-
-
-def print_notice(text: str) -> None:
-    """Print a line to the standard error stream."""
-    print(text, file=sys.stderr, flush=True)

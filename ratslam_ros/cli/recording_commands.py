@@ -21,15 +21,12 @@ from ratslam_ros.cli.options import (
     compile_kernels,
     config_of,
     make_folder,
-    print_notice,
     print_warnings,
     read_truth,
     results_folder,
 )
+from ratslam_ros.console import print_notice
 from ratslam_ros.errors import UnusableInput
-
-if TYPE_CHECKING:
-    pass
 
 if TYPE_CHECKING:
     from ratslam_ros.results.trajectory import Trajectory

@@ -16,6 +16,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from ratslam_ros.console import ProgressBar
 from ratslam_ros.core.common.scan import UnusableScan
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.ratslam import RatSLAM, Step
@@ -23,7 +24,6 @@ from ratslam_ros.core.vision.visual_odometry import field_of_view_deg
 from ratslam_ros.event_inputs import odometry_from_event, scan_from_event
 from ratslam_ros.messages.mapping import MalformedMessage, decode_template
 from ratslam_ros.offline.replay_video import ReplayVideo
-from ratslam_ros.progress import ProgressBar
 from ratslam_ros.recordings import (
     Event,
     ImageEvent,

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from ratslam_ros.progress import ProgressBar
+from ratslam_ros.console import ProgressBar
 
 RECORDING: Any = SimpleNamespace(start_ns=10**9, end_ns=21 * 10**9)
 

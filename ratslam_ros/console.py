@@ -1,21 +1,27 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Progress bar of the commands that read a recording."""
+"""Notices and progress bar of the commands, on standard error."""
 
 from __future__ import annotations
 
 import sys
 import time
 from collections.abc import Callable
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
-from ratslam_ros.recordings import Recording
+if TYPE_CHECKING:
+    from ratslam_ros.recordings import Recording
 
 REFRESH_PERIOD_S = 0.1
 
 
+def print_notice(text: str) -> None:
+    """Print a line to standard error."""
+    print(text, file=sys.stderr, flush=True)
+
+
 class ProgressBar:
-    """Progress bar on standard error, in seconds of the recording.
+    """Progress bar in seconds of a recording.
 
     Used as a context manager. The bar appears at the first update after a delay, or at the end
     of the context, and not at all if an exception occurs before.
