@@ -148,7 +148,7 @@ def evaluate(trajectory: Trajectory, truth: Trajectory, align: Alignment = 'se2'
                  for t in (trajectory, truth)]
         raise UnusableInput(
             f'{len(of_truth)} poses match within {max_difference_s:g} s, expected 2: trajectory '
-            f'from {spans[0]}, truth from {spans[1]}; bring both to the same clock')
+            f'from {spans[0]}, truth from {spans[1]}; convert both to the same clock')
     estimate, reference = trajectory.at(of_trajectory), truth.at(of_truth)
     transform = Transform2D() if align == 'none' else fit(
         estimate.position_m, reference.position_m, scale=align == 'sim2')
