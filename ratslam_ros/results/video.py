@@ -129,7 +129,8 @@ def compose(size: tuple[int, int], image_bgr: Image, template: Image | None, act
                 cv2.INTER_NEAREST)
     _draw_activity(Box(0, split, half, body - split).inside(frame), activity)
     _draw_map(Box(half, 0, width - half, body).inside(frame), experiences_xy, current_xy_heading)
-    cv2.putText(frame, _ascii(caption), (2 * MARGIN_PX, height - 9), FONT, 0.5, INK, 1, cv2.LINE_AA)
+    at = (2 * MARGIN_PX, height - 9)
+    cv2.putText(frame, _ascii(caption), at, FONT, 0.5, INK, 1, cv2.LINE_AA)
     return frame
 
 
