@@ -358,7 +358,9 @@ def test_malformed_templates_are_dropped_with_warning(
     assert bytes_of(tmp_path / 'results') == bytes_of(base)
 
 
-def test_recording_without_odometry_uses_visual_odometry(drive: list[Recorded], tmp_path: Path) -> None:
+def test_recording_without_odometry_uses_visual_odometry(
+    drive: list[Recorded], tmp_path: Path
+) -> None:
     images = [message for message in drive if message[1] == IMAGE_TOPIC]
     summary = run(write_bag(tmp_path / 'bag', images), tmp_path / 'results').summary
     assert summary['odometry'] == FRAMES - 1
@@ -384,7 +386,9 @@ def test_odometry_from_poses_maps_recording_without_twists(tmp_path: Path) -> No
 # Parts of a recording, and runs that end early
 
 
-def test_start_and_duration_select_part_of_recording(drive: list[Recorded], tmp_path: Path) -> None:
+def test_start_and_duration_select_part_of_recording(
+    drive: list[Recorded], tmp_path: Path
+) -> None:
     bag = write_bag(tmp_path / 'bag', drive)
     options = ReplayOptions(start_s=2.0, duration_s=3.0, progress=False)
     summary = run(bag, tmp_path / 'results', options).summary
