@@ -31,7 +31,7 @@ NODES = [
     'single_process',
 ]
 
-TEST = ['hypothesis>=6.90', 'pytest>=8.0']
+TEST = ['hypothesis>=6.90', 'pytest>=7.4']  # the versions of Ubuntu 24.04 suffice
 
 setup(
     name=NAME,
@@ -46,7 +46,7 @@ setup(
     license='Apache-2.0',
     keywords=['SLAM', 'RatSLAM', 'ROS 2', 'robotics', 'mapping', 'place recognition'],
     packages=find_packages(include=[NAME, f'{NAME}.*']),
-    package_data={f'{NAME}.simulator': ['plans/*.txt']},
+    package_data={NAME: ['py.typed'], f'{NAME}.simulator': ['plans/*.txt']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
@@ -76,8 +76,10 @@ setup(
     extras_require={
         'test': TEST,  # by this name colcon knows that pytest runs the tests
         'dev': [
-            *TEST, 'mypy>=1.8', 'pytest-xdist>=3.5', 'ruff>=0.4', 'types-PyYAML', 'types-tqdm',
+            *TEST, 'mypy>=1.8', 'networkx>=3.0', 'pytest-xdist>=3.5', 'ruff>=0.4', 'types-PyYAML',
+            'types-tqdm',
         ],
+        'examples': ['networkx>=3.0'],
     },
     entry_points={
         'console_scripts': [

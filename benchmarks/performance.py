@@ -40,7 +40,8 @@ from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.config import ExperienceMapParameters, PoseCellsParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.relaxation import sweep
-from ratslam_ros.core.pose_cells.pose_cells import MapAction, PoseCells
+from ratslam_ros.core.pose_cells.map_action import MapAction
+from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.core.vision.template_memory import TemplateMemory
 from ratslam_ros.core.vision.visual_odometry import VisualOdometry

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The nodes of RatSLAM, on the topics of a robot, and RViz if it is asked for."""
+"""Launch file: the nodes of RatSLAM on the topics of a robot, optionally with RViz."""
 
 import shutil
 import tempfile
@@ -28,50 +28,51 @@ YES_OR_NO = ['true', 'false']
 ARGUMENTS = [
     DeclareLaunchArgument(
         'config', default_value='default',
-        description='the parameters: name of a preset, a YAML file, or an INI file of OpenRatSLAM',
+        description='parameters: name of a preset, a YAML file, or an INI file of OpenRatSLAM',
     ),
     DeclareLaunchArgument(
         'namespace', default_value='', description='namespace of the nodes and their topics'),
     DeclareLaunchArgument(
         'use_sim_time', default_value='false', choices=YES_OR_NO,
-        description='take the time from /clock'),
+        description='use the time on /clock'),
     DeclareLaunchArgument(
         'visual_odometry', default_value='false', choices=YES_OR_NO,
-        description='odometry from the camera; false: the robot publishes it'),
+        description='true: odometry from the camera; false: the robot publishes odometry'),
     DeclareLaunchArgument(
         'single_process', default_value='false', choices=YES_OR_NO,
-        description='all nodes in one process; false: one process each'),
+        description='true: the mapping nodes in one process; false: one process for each node'),
     DeclareLaunchArgument(
         'goal_follower', default_value='false', choices=YES_OR_NO,
-        description='drive to goals by a laser scan; leave it out where Nav2 drives'),
+        description='drive to goals by a laser scan; false if Nav2 or another node drives'),
     DeclareLaunchArgument(
         'image_topic', default_value='image',
-        description="the camera's topic, raw or .../compressed; the other one is derived from it"),
+        description="the camera's topic, raw or .../compressed; each is derived from the other"),
     DeclareLaunchArgument(
-        'odom_topic', default_value='odom', description='the odometry, nav_msgs/Odometry'),
+        'odom_topic', default_value='odom',
+        description='topic of the odometry, nav_msgs/Odometry'),
     DeclareLaunchArgument(
         'scan_topic', default_value='scan',
-        description='the laser, sensor_msgs/LaserScan; also of exp_align_scans'),
+        description='topic of the laser, sensor_msgs/LaserScan; for driving and exp_align_scans'),
     DeclareLaunchArgument(
         'cmd_vel_topic', default_value='cmd_vel',
-        description='of the goal follower: the motors, geometry_msgs/Twist'),
+        description='topic of the motors, geometry_msgs/Twist; for goal_follower'),
     DeclareLaunchArgument(
         'image_transport', default_value='', choices=['', 'auto', 'raw', 'compressed'],
-        description='which images to take (empty: as the parameters say, auto if they do not)'),
+        description='images to subscribe to (empty: image_transport of the parameters)'),
     DeclareLaunchArgument(
         'publish_tf', default_value='', choices=['', *YES_OR_NO],
-        description='publish the transform from map to odom (empty: as the parameters say)'),
+        description='publish the transform map -> odom (empty: publish_tf of the parameters)'),
     DeclareLaunchArgument(
         'rviz', default_value='false', choices=YES_OR_NO,
-        description='show everything in RViz; its layout is that of the root namespace'),
+        description='start RViz; its layout uses the topics of the root namespace'),
     DeclareLaunchArgument(
         'log_level', default_value='info', choices=['debug', 'info', 'warn', 'error', 'fatal'],
-        description='least severity of what the nodes log'),
+        description='lowest severity that the nodes log'),
 ]  # fmt: skip
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Return what is launched; every argument has a description (--show-args)."""
+    """Return the launch description; --show-args prints its arguments."""
     return LaunchDescription([*ARGUMENTS, OpaqueFunction(function=_start)])
 
 
@@ -91,29 +92,29 @@ def _start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
             package='ratslam_ros',
             executable=name,
             namespace=given('namespace'),
-            arguments=own,
+            arguments=arguments,
             parameters=[str(parameters), {'use_sim_time': use_sim_time}],
             remappings=remappings(*(
                 given(f'{name}_topic') for name in ('image', 'odom', 'scan', 'cmd_vel')
             )),
             ros_arguments=['--log-level', given('log_level')],
             output='screen',
-            # The others are of no use without it, and could only map a part of the way.
+            # The nodes are useless without one another, and would map incompletely.
             on_exit=Shutdown(reason=f'{name} has ended'),
         )
-        for name, own in nodes(
+        for name, arguments in nodes(
             *(given(name) == 'true'
               for name in ('visual_odometry', 'single_process', 'goal_follower'))
         ).items()
     ]
-    forget = OnShutdown(on_shutdown=lambda event, context: shutil.rmtree(folder, True))
+    remove_folder = OnShutdown(on_shutdown=lambda event, context: shutil.rmtree(folder, True))
     viewer = _rviz(use_sim_time) if given('rviz') == 'true' else []
-    told = [LogInfo(msg=notice) for notice in notices]
-    return [*told, RegisterEventHandler(forget), *started, *viewer]
+    logged = [LogInfo(msg=notice) for notice in notices]
+    return [*logged, RegisterEventHandler(remove_folder), *started, *viewer]
 
 
 def _parameters(config: str, image_transport: str, publish_tf: str) -> tuple[str, list[str]]:
-    """Return all parameters as one file for all nodes, and what is to be told of them."""
+    """Return the parameters of all nodes as the text of one file, and notices about them."""
     try:
         values, notices = load_config(config)
         changes: dict[str, str | bool] = {}
@@ -134,7 +135,7 @@ def _rviz(use_sim_time: bool) -> list[LaunchDescriptionEntity]:
         return [
             LogInfo(
                 msg='rviz:=true, but rviz2 is not installed (sudo apt install ros-jazzy-rviz2); '
-                'going on without it'
+                'continuing without RViz'
             )
         ]
     layout = Path(get_package_share_directory('ratslam_ros')) / 'rviz' / 'ratslam.rviz'

@@ -1,8 +1,8 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The nodes of RatSLAM, and a recording that is played to them in place of a robot.
+"""Launch file: the nodes of RatSLAM, and a recording played to them in place of a robot.
 
-All arguments of ratslam.launch.py are arguments of this file too.
+It has all arguments of ratslam.launch.py too.
 """
 
 from pathlib import Path
@@ -30,40 +30,41 @@ ARGUMENTS = [
         'recording',
         description='rosbag2 folder or file, ROS 1 bag, video, or folder of images'),
     DeclareLaunchArgument(
-        'rate', default_value='1.0', description='speed; 0: as fast as possible'),
+        'rate', default_value='1.0', description='playback speed; 0: as fast as possible'),
     DeclareLaunchArgument(
         'clock', default_value='false', choices=YES_OR_NO,
-        description="publish the recording's time on /clock, and have the nodes use it"),
+        description="publish the recording's time on /clock, and make the nodes use it"),
     DeclareLaunchArgument(
-        'loop', default_value='false', choices=YES_OR_NO, description='again and again'),
+        'loop', default_value='false', choices=YES_OR_NO,
+        description='repeat the recording until interrupted'),
     DeclareLaunchArgument(
         'lockstep', default_value='false', choices=YES_OR_NO,
-        description='wait until each image has been acted on'),
+        description='wait for the action of each image before playing on'),
     DeclareLaunchArgument(
-        'start', default_value='0.0', description='skip so many seconds of the recording'),
+        'start', default_value='0.0', description='seconds to skip at the start of the recording'),
     DeclareLaunchArgument(
-        'duration', default_value='', description='stop after so many seconds (empty: at the end)'
+        'duration', default_value='', description='seconds to play (empty: to the end)'
     ),
     DeclareLaunchArgument(
         'recorded_image_topic', default_value='',
-        description='which images of the recording (empty: where there is no choice)'),
+        description='recorded topic of the images (empty: the only one)'),
     DeclareLaunchArgument(
         'recorded_odom_topic', default_value='',
-        description='which odometry of the recording (empty: where there is no choice)'),
+        description='recorded topic of the odometry (empty: the only one)'),
     DeclareLaunchArgument(
         'recorded_scan_topic', default_value='',
-        description='which scans of the recording, for exp_align_scans (empty: none)'),
+        description='recorded topic of the scans, for exp_align_scans (empty: none)'),
     DeclareLaunchArgument(
         'wait', default_value='30.0',
-        description='wait so many seconds for the nodes; their first start compiles for a while'),
+        description='seconds to wait for the nodes, which compile at their first start'),
     DeclareLaunchArgument(
         'shutdown', default_value='false', choices=YES_OR_NO,
-        description='end everything when the recording has been played'),
+        description='end all nodes when the recording has been played'),
 ]  # fmt: skip
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Return what is launched; every argument has a description (--show-args)."""
+    """Return the launch description; --show-args prints its arguments."""
     nodes = IncludeLaunchDescription(
         PythonLaunchDescriptionSource(str(NODES)),
         launch_arguments={'use_sim_time': LaunchConfiguration('clock')}.items(),

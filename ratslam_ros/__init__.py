@@ -1,5 +1,76 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""RatSLAM for ROS 2 Jazzy, and for anyone with a recording and no ROS."""
+"""RatSLAM for ROS 2 Jazzy, and for recordings without ROS.
+
+The names below are the library's public interface; examples/ shows how to use them. They are
+imported on first use, because a node needs only a part of them and has to start quickly.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from ratslam_ros.core.common.odometry import Odometry, Twist
+    from ratslam_ros.core.common.pose import Pose
+    from ratslam_ros.core.config import Config
+    from ratslam_ros.core.mapping.experience_map import ExperienceMap
+    from ratslam_ros.core.ratslam import RatSLAM
+    from ratslam_ros.core.vision.local_view import ViewMatch, ViewMatcher
+    from ratslam_ros.files.config import load_config
+    from ratslam_ros.images import Frame
+    from ratslam_ros.messages.mapping import encode_map
+    from ratslam_ros.offline.replay import replay
+    from ratslam_ros.recordings import (
+        Event,
+        ImageEvent,
+        OdometryEvent,
+        Orientation,
+        Recording,
+        Selection,
+        Topic,
+        open_recording,
+    )
 
 __version__ = '0.1.0'
+
+_HOME = {
+    'Config': 'core.config',
+    'Event': 'recordings',
+    'ExperienceMap': 'core.mapping.experience_map',
+    'Frame': 'images',
+    'ImageEvent': 'recordings',
+    'Odometry': 'core.common.odometry',
+    'OdometryEvent': 'recordings',
+    'Orientation': 'recordings',
+    'Pose': 'core.common.pose',
+    'RatSLAM': 'core.ratslam',
+    'Recording': 'recordings',
+    'Selection': 'recordings',
+    'Topic': 'recordings',
+    'Twist': 'core.common.odometry',
+    'ViewMatch': 'core.vision.local_view',
+    'ViewMatcher': 'core.vision.local_view',
+    'encode_map': 'messages.mapping',
+    'load_config': 'files.config',
+    'open_recording': 'recordings',
+    'replay': 'offline.replay',
+}
+
+__all__ = [
+    'Config', 'Event', 'ExperienceMap', 'Frame', 'ImageEvent', 'Odometry', 'OdometryEvent',
+    'Orientation', 'Pose', 'RatSLAM', 'Recording', 'Selection', 'Topic', 'Twist', 'ViewMatch',
+    'ViewMatcher', 'encode_map', 'load_config', 'open_recording', 'replay',
+]  # fmt: skip
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name on first use (PEP 562)."""
+    if name not in _HOME:
+        raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
+    value = getattr(import_module(f'{__name__}.{_HOME[name]}'), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

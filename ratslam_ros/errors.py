@@ -13,3 +13,7 @@ class UnusableInput(RatslamError):  # noqa: N818
 
 class UnusableParameter(RatslamError):  # noqa: N818
     """A parameter that is unknown, of the wrong type or out of its range."""
+
+
+class UnreachableGoal(RatslamError):  # noqa: N818
+    """A goal that is not on the map or in the goal memory, or that no link leads to."""

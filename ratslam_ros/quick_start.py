@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What makes a node start in less time: most of that goes into imports, numba's above all."""
+"""Shorter start of nodes, most of which is spent in imports, above all that of Numba."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ _BLAS = 'scipy.linalg.cython_blas'
 
 @contextmanager
 def quick_start() -> Iterator[None]:
-    """Start and run a node in here: until ``settle`` nobody looks for garbage.
+    """Start and run a node in this context, with garbage collection off until ``settle``.
 
-    A start makes next to none, and looking through all that it makes takes a sixth of its time.
+    A start creates almost no garbage, but searching for it takes a sixth of the time.
     """
     gc.disable()
     try:
@@ -27,23 +27,23 @@ def quick_start() -> Iterator[None]:
 
 
 def settle() -> None:
-    """End the haste: from now on garbage is collected, but not sought in what the start made."""
+    """Switch garbage collection on again, and exempt the objects created by the start."""
     if not gc.isenabled():
         gc.freeze()
         gc.enable()
 
 
 def import_numba() -> None:
-    """Import what numba needs of itself to load a compiled function, and not SciPy.
+    """Import the part of Numba that loading a compiled function needs, without SciPy.
 
-    numba imports SciPy's BLAS then, which takes long, only to see whether it could. Nothing here
-    is compiled to use it; what is, elsewhere, imports it when it is compiled.
+    Numba imports SciPy's BLAS there, which is slow, only to check whether it exists. No function
+    of this package uses it; functions that do import it when they are compiled.
     """
     if _BLAS in sys.modules:
         return
     sys.modules[_BLAS] = ModuleType(_BLAS)
     try:
-        with suppress(ImportError):  # a numba that is arranged otherwise: then it takes as long
+        with suppress(ImportError):  # another layout of Numba: the start is slower then
             import numba.np.arraymath  # noqa: F401
     finally:
         del sys.modules[_BLAS]

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Small worlds and recordings, and plain references that say what the fast code must do."""
+"""Small worlds and recordings, and simple reference implementations for the tests."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from ratslam_ros.core.config import (
     PoseCellsParameters,
 )
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
-from ratslam_ros.core.pose_cells.pose_cells import Action, MapAction
+from ratslam_ros.core.pose_cells.map_action import Action, MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.core.vision.local_view import ViewMatch
 
@@ -53,11 +53,11 @@ def seen(template_id: int, relative_rad: float = 0.0, is_new: bool = False) -> V
     return ViewMatch(template_id, is_new, 0.0, relative_rad)
 
 
-# The pose cells, dense
+# Dense reference of the pose cells
 
 
 class DenseNetwork:
-    """Algorithm.md's network as it is written there, on the whole torus, with bilinear shifts."""
+    """Reference implementation of the network: the whole torus, with bilinear shifts."""
 
     def __init__(self, p: PoseCellsParameters) -> None:
         self.dims = (p.pc_dim_th, p.pc_dim_y, p.pc_dim_x)
@@ -68,12 +68,12 @@ class DenseNetwork:
         self.activity[tuple(n // 2 for n in self.dims)] = 1.0
 
     def step(self, cells: float = 0.0, planes: float = 0.0) -> None:
-        """Compete, normalise, move every plane its own way, then all planes along theta."""
+        """Compete, normalise, shift every plane along its heading, then all planes along theta."""
         p = _convolved(self.activity, self._excitation)
         p = p - _convolved(p, self._inhibition)
         p = np.maximum(p - self._cutoff, 0.0)
-        survives = p if p.sum() > 0.0 else self.activity
-        self.activity = survives / survives.sum()
+        surviving = p if p.sum() > 0.0 else self.activity
+        self.activity = surviving / surviving.sum()
         if cells != 0.0:
             for k in range(self.dims[0]):
                 heading = 2.0 * math.pi * k / self.dims[0]
@@ -82,26 +82,26 @@ class DenseNetwork:
         self.activity = shifted(self.activity, planes, 0)
 
     def inject(self, theta: float, y: float, x: float, energy: float) -> None:
-        """Add energy to the eight cells around a place."""
+        """Distribute energy over the eight cells around a place."""
         for i, w_i in _two_cells(theta, self.dims[0]):
             for j, w_j in _two_cells(y, self.dims[1]):
                 for k, w_k in _two_cells(x, self.dims[2]):
                     self.activity[i, j, k] += energy * w_i * w_j * w_k
 
     def peak(self) -> tuple[float, float, float]:
-        """Return theta, y and x of the largest cell, refined within 3 cells."""
+        """Return theta, y and x of the peak."""
         return peak_of(self.activity)
 
 
 def gaussian(width: int, deviation: float) -> NDArray[np.float64]:
-    """Return one axis of the cube exp(-r^2 / (2 sigma^2)), which is a product of its axes."""
+    """Return one axis of the separable kernel exp(-r^2 / (2 sigma^2)), with a sum of 1."""
     k = np.arange(width) - width // 2
     weights = np.exp(-(k**2) / (2.0 * deviation**2))
     return weights / weights.sum()
 
 
 def peak_of(activity: NDArray[np.float64]) -> tuple[float, float, float]:
-    """Return theta, y and x of the largest cell, by population vectors of the +-3 box."""
+    """Decode theta, y and x by population vectors within 3 cells of the largest cell."""
     largest = np.unravel_index(int(activity.argmax()), activity.shape)
     radii = [min(3, (n - 1) // 2) for n in activity.shape]
     around = [np.arange(c - r, c + r + 1) for c, r in zip(largest, radii, strict=True)]
@@ -134,20 +134,20 @@ def centroid(
 
 
 def shifted(a: NDArray[np.float64], cells: float, axis: int) -> NDArray[np.float64]:
-    """Shift cyclically by any number of cells, linearly between two cells."""
+    """Shift cyclically by any number of cells, with linear interpolation."""
     whole = math.floor(cells)
     part = cells - whole
     return (1.0 - part) * np.roll(a, whole, axis) + part * np.roll(a, whole + 1, axis)
 
 
 def around(difference: Any, circle: float) -> Any:
-    """Return a difference on a circle, the shortest way."""
+    """Wrap a difference on a circle to the shortest one."""
     return (difference + circle / 2) % circle - circle / 2
 
 
 def _convolved(a: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
     for axis in range(3):
-        if len(weights) > a.shape[axis]:  # the kernel goes round the circle more than once
+        if len(weights) > a.shape[axis]:  # the kernel wraps around the axis more than once
             radius = len(weights) // 2
             a = sum(w * np.roll(a, k - radius, axis) for k, w in enumerate(weights))
         else:

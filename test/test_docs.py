@@ -14,7 +14,7 @@ from ratslam_ros.cli.parameter_docs import ROOT, documents, main
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.config import SECTIONS, Config, section_of
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
-from ratslam_ros.core.pose_cells.pose_cells import MapAction
+from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.files.config import load_config, parse_setting
 from ratslam_ros.messages.mapping import encode_map

@@ -1,11 +1,14 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Who may know of whom: core of nobody, recordings and the stand-in for rclpy not of RatSLAM."""
+"""The layers of the code: which package may import which, and what core must not use."""
+
+from __future__ import annotations
 
 import ast
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -17,51 +20,145 @@ ROS = {
     'visualization_msgs', 'diagnostic_msgs', 'builtin_interfaces', 'rosbag2_py', 'cv_bridge',
     'launch', 'launch_ros', 'ament_index_python', 'rosbags', 'mcap', 'cyclonedds',
 }  # fmt: skip
-WORLD = {
+SIDE_EFFECTS = {
     'time', 'datetime', 'random', 'secrets', 'uuid', 'os', 'pathlib', 'io', 'shutil', 'tempfile',
     'socket', 'threading', 'multiprocessing', 'concurrent', 'asyncio', 'subprocess', 'sys',
     'logging', 'glob', 'pickle', 'json', 'yaml', 'configparser',
 }  # fmt: skip
+
+# Layers, lowest first. A package may import those below it; packages of one row are independent.
+CORE_LAYERS = [
+    ['common'],
+    ['config'],
+    ['vision'],
+    ['pose_cells'],
+    ['mapping', 'goal_memory'],
+    ['navigation'],
+    ['driving'],
+    ['ratslam', 'warm_up'],
+]
+LAYERS = [
+    ['errors'],
+    ['images', 'timing', 'quick_start', 'signals', 'progress', 'standalone'],
+    ['core', 'recordings'],
+    ['messages', 'files'],
+    ['results'],
+    ['simulator'],
+    ['offline', 'nodes'],
+    ['live'],
+    ['cli'],
+    ['__main__'],
+]
+INDEPENDENT = {
+    'core': {'errors'},
+    'recordings': {'errors', 'images'},
+    'standalone': set(),
+    'simulator': {'errors', 'core', 'results', 'recordings'},
+    'results': {'errors', 'images', 'core', 'files', 'messages'},
+}
+"""Packages that may import less than their layer permits."""
+
+
+@cache
+def modules() -> dict[str, Path]:
+    """Return the dotted name of every module within the package, without its first part."""
+    names = {}
+    for path in PACKAGE.rglob('*.py'):
+        parts = path.relative_to(PACKAGE).with_suffix('').parts
+        names['.'.join(parts[:-1] if parts[-1] == '__init__' else parts)] = path
+    return names
 
 
 def files(part: str) -> list[Path]:
     return sorted((PACKAGE / part).glob('**/*.py'))
 
 
-def imports(path: Path) -> Iterator[str]:
-    """Yield the full names of all modules a file imports, wherever in it."""
+@cache
+def imports(path: Path) -> tuple[str, ...]:
+    """Return the full names of all that a file imports, in functions too."""
+    found: list[str] = []
     for node in ast.walk(ast.parse(path.read_text(encoding='utf-8'))):
         if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
+            found += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f'{path} imports relatively'
-            yield from (f'{node.module}.{alias.name}' for alias in node.names)
+            found += [f'{node.module}.{alias.name}' for alias in node.names]
+    return tuple(found)
 
 
-def own(name: str) -> bool:
-    return name.split('.')[0] == 'ratslam_ros'
+@cache
+def own_imports(path: Path) -> frozenset[str]:
+    """Return the modules of this package that a file imports."""
+    known = modules()
+    found = set()
+    for name in imports(path):
+        first, _, rest = name.partition('.')
+        if first == 'ratslam_ros':
+            found.add(rest if rest in known else rest.rpartition('.')[0])
+    return frozenset(found)
+
+
+def layer_of(layers: list[list[str]], package: str) -> int:
+    (level,) = (n for n, row in enumerate(layers) if package in row)
+    return level
 
 
 def ids(path: Path) -> str:
     return path.relative_to(PACKAGE).as_posix()
 
 
+def test_every_package_has_a_layer() -> None:
+    assert {name.split('.')[0] for name in modules() if name} == {
+        package for row in LAYERS for package in row
+    }
+    assert {name.split('.')[1] for name in modules() if name.startswith('core.')} == {
+        package for row in CORE_LAYERS for package in row
+    }
+
+
+@pytest.mark.parametrize('name', sorted(set(modules()) - {''}))
+def test_modules_import_only_lower_layers(name: str) -> None:
+    package = name.split('.')[0]
+    for target in own_imports(modules()[name]) - {''}:
+        other = target.split('.')[0]
+        if other == package:
+            continue
+        assert layer_of(LAYERS, other) < layer_of(LAYERS, package), f'{name} imports {target}'
+        assert other in INDEPENDENT.get(package, {other}), f'{name} imports {target}'
+
+
+@pytest.mark.parametrize('name', sorted(n for n in modules() if n.startswith('core.')))
+def test_core_packages_import_only_lower_layers(name: str) -> None:
+    package = name.split('.')[1]
+    for target in own_imports(modules()[name]):
+        if not target.startswith('core.') or target.split('.')[1] == package:
+            continue
+        other = target.split('.')[1]
+        assert layer_of(CORE_LAYERS, other) < layer_of(CORE_LAYERS, package), (
+            f'{name} imports {target}'
+        )
+
+
+def test_modules_have_no_import_cycle() -> None:
+    """Imports within functions count, so that none of them hides a cycle."""
+    edges = {name: own_imports(path) & modules().keys() for name, path in modules().items()}
+    while leaves := {name for name, targets in edges.items() if not targets - {name}}:
+        edges = {
+            name: targets - leaves for name, targets in edges.items() if name not in leaves
+        }
+    assert not edges, f'these modules are on cycles, or import modules that are: {sorted(edges)}'
+
+
 @pytest.mark.parametrize('path', files('core'), ids=ids)
-def test_core_knows_no_ros_no_files_no_clock_and_no_chance(path: Path) -> None:
+def test_core_uses_no_ros_files_clock_or_randomness(path: Path) -> None:
     found = set(imports(path))
-    assert not {name.split('.')[0] for name in found} & (ROS | WORLD)
-    # Chance is brought by whoever calls: its type may be named.
+    assert not {name.split('.')[0] for name in found} & (ROS | SIDE_EFFECTS)
+    # Random generators are passed in by callers, so their type may be named.
     assert not {n for n in found if n.startswith('numpy.random')} - {'numpy.random.Generator'}
 
 
 @pytest.mark.parametrize('path', files('core'), ids=ids)
-def test_core_knows_nothing_around_it(path: Path) -> None:
-    for name in filter(own, imports(path)):
-        assert name.startswith(('ratslam_ros.core.', 'ratslam_ros.errors.'))
-
-
-@pytest.mark.parametrize('path', files('core'), ids=ids)
-def test_core_opens_no_files_and_draws_no_chance(path: Path) -> None:
+def test_core_calls_no_file_or_random_function(path: Path) -> None:
     for node in ast.walk(ast.parse(path.read_text(encoding='utf-8'))):
         if isinstance(node, ast.Name):
             assert node.id not in ('open', 'print', 'input', 'exec', 'eval', '__import__')
@@ -70,8 +167,8 @@ def test_core_opens_no_files_and_draws_no_chance(path: Path) -> None:
 
 
 @pytest.mark.parametrize('path', files('core'), ids=ids)
-def test_core_compiles_strictly(path: Path) -> None:
-    """No fastmath, no parallel loops: numbers are the same at every run."""
+def test_core_is_compiled_with_strict_arithmetic(path: Path) -> None:
+    """No fastmath and no parallel loops, so that results are the same on every run."""
     for node in ast.walk(ast.parse(path.read_text(encoding='utf-8'))):
         if isinstance(node, ast.keyword) and node.arg in ('fastmath', 'parallel'):
             assert isinstance(node.value, ast.Constant)
@@ -80,38 +177,26 @@ def test_core_compiles_strictly(path: Path) -> None:
             assert node.attr not in ('prange', 'vectorize', 'guvectorize', 'dot', 'matmul')
 
 
-@pytest.mark.parametrize('path', files('recordings'), ids=ids)
-def test_recordings_know_nothing_of_ratslam(path: Path) -> None:
-    for name in filter(own, imports(path)):
-        assert name.startswith(
-            ('ratslam_ros.recordings.', 'ratslam_ros.images.', 'ratslam_ros.errors.')
-        )
+def ros_free_files() -> Iterator[Path]:
+    """Yield all files but the nodes, and the packages that put the stand-in in place."""
+    for path in files('.'):
+        if not {'nodes', 'standalone', 'live'} & set(path.relative_to(PACKAGE).parts):
+            yield path
 
 
-def test_the_stand_in_for_rclpy_knows_nothing_of_ratslam() -> None:
-    for path in files('standalone'):
-        for name in filter(own, imports(path)):
-            assert name.startswith('ratslam_ros.standalone.'), path
-
-
-@pytest.mark.parametrize(
-    'path', [path for path in files('.') if 'nodes' not in path.parts], ids=ids
-)
-def test_ros_is_only_needed_by_nodes(path: Path) -> None:
-    """Everything else runs with no ROS installed; live commands put the stand-in there first."""
-    if 'standalone' in path.parts or 'live' in path.parts:
-        return
+@pytest.mark.parametrize('path', list(ros_free_files()), ids=ids)
+def test_only_nodes_and_live_commands_import_ros(path: Path) -> None:
     found = {name.split('.')[0] for name in imports(path)}
     assert not found & {'rclpy', 'sensor_msgs', 'nav_msgs', 'tf2_ros', 'cv_bridge', 'rosbag2_py'}
 
 
-def test_core_can_be_imported_alone() -> None:
-    """Without OpenCV, SciPy, rosbags and all that the commands need."""
+def test_core_imports_without_optional_dependencies() -> None:
     code = (
         'import sys\n'
         'for name in ("cv2", "scipy", "rosbags", "matplotlib", "yaml", "tqdm", "rclpy"):\n'
         '    sys.modules[name] = None\n'
-        'import ratslam_ros.core.ratslam, ratslam_ros.core.config, ratslam_ros.messages.mapping\n'
+        'import ratslam_ros.core.ratslam, ratslam_ros.core.config\n'
+        'import ratslam_ros.messages.mapping, ratslam_ros.messages.goals\n'
         'print(sorted(m for m in sys.modules if m.startswith("ratslam_ros.")))\n'
     )
     run = subprocess.run(

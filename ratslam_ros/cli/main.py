@@ -8,7 +8,6 @@ import errno
 import signal
 import sys
 from collections.abc import Sequence
-from typing import NoReturn
 
 from ratslam_ros import __version__
 from ratslam_ros.cli.live_commands import add_live
@@ -27,7 +26,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     0 success, 1 a fault of the program, 2 unusable input or wrong use, 130 interrupted.
     """
-    signal.signal(signal.SIGTERM, _interrupt)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # raises KeyboardInterrupt
     try:
         options = parser().parse_args(arguments)
         return int(options.run(options))
@@ -50,10 +49,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         print_notice(f'ratslam: {error.strerror} while writing; make room, or give another --out')
         return UNUSABLE
-
-
-def _interrupt(signal_number: int, frame: object) -> NoReturn:
-    raise KeyboardInterrupt
 
 
 def parser() -> Parser:

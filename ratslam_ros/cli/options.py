@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import argparse
-import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -134,23 +133,13 @@ def read_truth(path: Path | None) -> Trajectory | None:
     return read_tum(path)
 
 
-def compile_kernels() -> float:
-    """Compile the inner loops, with a notice if that takes long; return the seconds it took."""
-    start_s = time.perf_counter()
-    notice = threading.Timer(
-        1.0,
-        print_notice,
-        ['compiling the inner loops: about half a minute, once per installation ...'],
-    )
-    notice.daemon = True
-    notice.start()
+def compile_kernels() -> None:
+    """Compile the inner loops or load them from the cache; print a notice if they are compiled."""
+    from ratslam_ros.compilation import announced_compilation
     from ratslam_ros.core.warm_up import warm_up
 
-    try:
+    with announced_compilation(print_notice):
         warm_up()
-    finally:
-        notice.cancel()
-    return time.perf_counter() - start_s
 
 
 def print_warnings(warnings: Sequence[str]) -> None:

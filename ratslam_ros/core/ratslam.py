@@ -25,8 +25,9 @@ from ratslam_ros.core.goal_memory.goal_memory import GoalMemory
 from ratslam_ros.core.mapping.experience_map import ExperienceMap, PrunedExperience
 from ratslam_ros.core.mapping.mapping_step import apply_action
 from ratslam_ros.core.mapping.scan_matching import ScanMatcher
-from ratslam_ros.core.pose_cells.pose_cells import MapAction, PoseCells
-from ratslam_ros.core.vision.local_view import UNDECODABLE, LocalView, ViewMatch
+from ratslam_ros.core.pose_cells.map_action import MapAction
+from ratslam_ros.core.pose_cells.pose_cells import PoseCells
+from ratslam_ros.core.vision.local_view import UNDECODABLE, LocalView, ViewMatch, ViewMatcher
 from ratslam_ros.core.vision.visual_odometry import VisualOdometry
 from ratslam_ros.errors import UnusableParameter
 
@@ -70,6 +71,7 @@ class RatSLAM:
         config: Config,
         visual_odometry: bool = False,
         stopwatch: Stopwatch = lambda name: nullcontext(),
+        local_view: ViewMatcher | None = None,
     ) -> None:
         """Prepare an empty map.
 
@@ -78,9 +80,10 @@ class RatSLAM:
             visual_odometry: estimate odometry from the images.
             stopwatch: context manager entered with a part's name around each of its steps,
                 because core has no clock.
+            local_view: recognises images; None: the one that the configuration describes.
         """
         self.visual_odometry = VisualOdometry(config.visual_odometry) if visual_odometry else None
-        self.local_view = LocalView(config.local_view)
+        self.local_view = LocalView(config.local_view) if local_view is None else local_view
         self.pose_cells = PoseCells(config.pose_cells)
         self.experience_map = ExperienceMap(config.experience_map)
         self.behaviour = ''

@@ -16,7 +16,8 @@ from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.link_learning import has_detour
-from ratslam_ros.core.pose_cells.pose_cells import Action, MapAction, PoseCells
+from ratslam_ros.core.pose_cells.map_action import Action, MapAction
+from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.core.vision.local_view import LocalView, ViewMatch
 from ratslam_ros.core.vision.visual_odometry import VisualOdometry

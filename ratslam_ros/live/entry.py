@@ -5,10 +5,10 @@
 from __future__ import annotations
 
 import sys
-from importlib import import_module
 from importlib.util import find_spec
 
-from ratslam_ros.live.run import NODES
+from ratslam_ros.errors import UnusableInput
+from ratslam_ros.live.run import load, require_packages
 from ratslam_ros.quick_start import quick_start
 
 
@@ -22,7 +22,11 @@ def _main(node: str) -> int:
         return 2
     try:
         with quick_start():
-            return int(import_module(f'ratslam_ros.nodes.{NODES[node]}').main())
+            require_packages(node)
+            return int(load(node).main())
+    except UnusableInput as error:
+        print(f'{node}: {error}', file=sys.stderr)
+        return 2
     except KeyboardInterrupt:  # while it was starting
         return 0
 

@@ -14,14 +14,15 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
 
 from ratslam_ros.core.config import Config
 from ratslam_ros.files.config import to_yaml
+from ratslam_ros.signals import StopSignals
 
 GRACE_S = 20.0  # to end in, which includes writing a map
 POLL_S = 0.05
 PARAMETERS = 'parameters.yaml'
+FORWARDED_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 _PR_SET_PDEATHSIG = 1
 
@@ -113,7 +114,7 @@ def supervise(commands: Mapping[str, Sequence[str]], grace_s: float = GRACE_S) -
     ended too.
     """
     processes: dict[str, subprocess.Popen[bytes]] = {}
-    with _Signals() as signals:
+    with StopSignals(FORWARDED_SIGNALS, raise_on_second=False) as signals:
         try:
             for name, command in commands.items():
                 processes[name] = _start(command)
@@ -141,17 +142,17 @@ def _end_with_parent() -> Callable[[], object] | None:
 
 
 def _watch(
-    processes: Mapping[str, subprocess.Popen[bytes]], signals: _Signals, grace_s: float
+    processes: Mapping[str, subprocess.Popen[bytes]], signals: StopSignals, grace_s: float
 ) -> int:
     asked, failed, kill_at_s = 0, False, math.inf
     while left := [name for name, process in processes.items() if process.poll() is None]:
         number = None
-        if signals.seen > 1 or time.monotonic() > kill_at_s:
+        if signals.count > 1 or time.monotonic() > kill_at_s:
             _say(f'killing {", ".join(left)}')
             _end(processes, left, signal.SIGKILL)
             break
-        if signals.seen > asked:
-            asked, number = signals.seen, signals.last
+        if signals.count > asked:
+            asked, number = signals.count, signals.last
         elif len(left) < len(processes) and not asked and not failed:
             gone = [name for name in processes if name not in left]
             _say(f'{_how(processes, gone)}; ending {", ".join(left)}')
@@ -161,7 +162,7 @@ def _watch(
             kill_at_s = time.monotonic() + grace_s
         time.sleep(POLL_S)
     # One that was still starting may end by the signal itself.
-    fine = (0, *(-number for number in _Signals.NUMBERS)) if asked else ()
+    fine = (0, *(-number for number in FORWARDED_SIGNALS)) if asked else ()
     bad = [name for name, process in processes.items() if process.wait() not in fine]
     if bad and not failed:
         _say(_how(processes, bad))
@@ -188,27 +189,3 @@ def _how(processes: Mapping[str, subprocess.Popen[bytes]], names: Sequence[str])
 
 def _say(text: str) -> None:
     print(f'ratslam launch: {text}', file=sys.stderr, flush=True)
-
-
-class _Signals:
-    """Notes the signals that ask for an end, in place of acting on them."""
-
-    NUMBERS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-
-    def __init__(self) -> None:
-        self.seen = 0
-        self.last = signal.SIGINT
-        self._before: dict[signal.Signals, Any] = {}
-
-    def __enter__(self) -> Self:
-        for number in self.NUMBERS:
-            self._before[number] = signal.signal(number, self._note)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
-
-    def _note(self, number: int, frame: object) -> None:
-        self.seen += 1
-        self.last = signal.Signals(number)

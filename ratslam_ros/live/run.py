@@ -4,8 +4,11 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from importlib import import_module
+from importlib.util import find_spec
+from types import ModuleType
 
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.live import ros
@@ -22,6 +25,13 @@ NODES = {
 }
 """The nodes, and the modules of ratslam_ros.nodes with their ``main``."""
 
+PACKAGES = {'numpy': 'numpy', 'numba': 'numba', 'llvmlite': 'llvmlite'}
+"""Packages that every node imports when it starts: name for pip by module."""
+
+IMAGE_PACKAGES = {'cv2': 'opencv-python-headless'}
+"""Packages that the nodes with images import besides."""
+IMAGE_NODES = frozenset({'visual_odometry', 'local_view', 'simulator', 'single_process'})
+
 
 def run(node: str, arguments: Sequence[str] = ()) -> int:
     """Run a node until it ends or is interrupted; return its exit code.
@@ -36,8 +46,29 @@ def run(node: str, arguments: Sequence[str] = ()) -> int:
         raise UnusableInput(f'there is no node {node!r}: expected one of {", ".join(NODES)}')
     try:
         with quick_start():
+            require_packages(node)
             ros.require()
-            module = import_module(f'ratslam_ros.nodes.{NODES[node]}')
-            return int(module.main(list(arguments)))
+            return int(load(node).main(list(arguments)))
     except KeyboardInterrupt:  # also while it was starting
         return 0
+
+
+def load(node: str) -> ModuleType:
+    """Import the module of a node."""
+    return import_module(f'ratslam_ros.nodes.{NODES[node]}')
+
+
+def require_packages(node: str) -> None:
+    """Check that the packages that a node needs are installed; this imports none of them.
+
+    Raises:
+        UnusableInput: one of them is not.
+    """
+    packages = PACKAGES | IMAGE_PACKAGES if node in IMAGE_NODES else PACKAGES
+    for module, package in packages.items():
+        if find_spec(module) is None:
+            raise UnusableInput(
+                f'ratslam_ros needs {package}, which this Python ({sys.executable}) does not '
+                'have: build with the Python of the virtual environment, python3 -m colcon build '
+                f'(docs/ros.md); without ROS, python3 -m pip install {package}'
+            )

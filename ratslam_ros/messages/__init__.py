@@ -1,3 +1,3 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The JSON payloads of the topics: encoding and strict decoding."""
+"""JSON payloads of the topics: encoding and strict decoding."""

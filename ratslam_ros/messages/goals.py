@@ -1,9 +1,9 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The JSON payloads of goals and behaviours: encode, and decode strictly.
+"""JSON payloads of goals and behaviours: encoding and strict decoding.
 
-What people type, goals and names, may leave ``schema_version`` out; a key that is not known is
-refused, so that a wrong one is not passed over.
+Goals and names are typed by people: such a payload may leave out ``schema_version``, and unknown
+keys are refused, so that a misspelt one is not ignored.
 """
 
 from __future__ import annotations
@@ -19,28 +19,28 @@ from ratslam_ros.core.navigation.goals import Goal, Position, Target
 from ratslam_ros.core.navigation.navigator import GoalTask
 from ratslam_ros.core.navigation.route_following import Guidance
 from ratslam_ros.core.navigation.route_planner import TemporalMap
-from ratslam_ros.messages.mapping import (
-    MOST_ID,
+from ratslam_ros.messages.json_schema import (
+    MAX_ID,
     NS_PER_S,
     SCHEMA_VERSION,
     MalformedMessage,
-    _check,
-    _check_types,
-    _dumps,
-    _loads,
-    _stamp,
-    _stamp_ns,
+    check_range,
+    check_types,
+    decode_fields,
+    decode_stamp,
+    encode_json,
+    encode_stamp,
 )
 
-OUTCOMES_TOLD = 10
-"""Of the goals that have ended, the status tells so many."""
+MAX_OUTCOMES = 10
+"""Number of ended goals listed in the status."""
 
-LONGEST_BEHAVIOUR = 100
+MAX_BEHAVIOUR_CHARACTERS = 100
 
 
 @dataclass(frozen=True, slots=True)
 class GoalRequest:
-    """What to go to, one after the other; see ``Navigator.go_to``."""
+    """Places to drive to, in order; see ``Navigator.go_to``."""
 
     targets: tuple[Target, ...]
     append: bool = False
@@ -49,7 +49,7 @@ class GoalRequest:
 
 @dataclass(frozen=True, slots=True)
 class NameRequest:
-    """A name for the place where the robot is, or what else to do with it."""
+    """A request to name the robot's current place, or to rename or remove a name."""
 
     name: str
     rename_to: str | None = None
@@ -57,10 +57,10 @@ class NameRequest:
 
 
 @dataclass(frozen=True, slots=True)
-class BehaviourNote:
-    """What the robot does from a stamp on.
+class BehaviourReport:
+    """Behaviour of the robot from a stamp on.
 
-    ``failed``: it was tried and led nowhere; ``ahead_rad``: where it should have led, on the map.
+    ``failed``: the attempt was blocked; ``ahead_rad``: its intended direction in the map's frame.
     """
 
     stamp_ns: int
@@ -70,10 +70,10 @@ class BehaviourNote:
 
 
 def decode_goal(payload: str) -> GoalRequest:
-    """Return what an ``experience_map/goal`` payload asks for.
+    """Return the request of an ``experience_map/goal`` payload.
 
     Raises:
-        MalformedMessage: it is not such a payload, to the last field.
+        MalformedMessage: the payload does not match the schema.
     """
     name = 'experience_map/goal'
     fields = _typed(payload, name)
@@ -84,11 +84,11 @@ def decode_goal(payload: str) -> GoalRequest:
         if not isinstance(targets, list) or not targets:
             raise MalformedMessage(f'{name}: goals is {targets!r}; expected a list of goals')
         _check_keys(fields, name, ('goals', *options))
-    _check_types(fields, name, {key: options[key] for key in options if key in fields})
+    check_types(fields, name, {key: options[key] for key in options if key in fields})
     allowed = () if 'goals' in fields else tuple(options)
     timeout_s = fields.get('timeout_s')
     if timeout_s is not None:
-        _check(name, 'timeout_s', timeout_s, 0.0, 1e9)
+        check_range(name, 'timeout_s', timeout_s, 0.0, 1e9)
     return GoalRequest(
         tuple(_target(target, name, allowed) for target in targets),
         fields.get('append', False), timeout_s,
@@ -97,7 +97,7 @@ def decode_goal(payload: str) -> GoalRequest:
 
 def _target(fields: Any, name: str, allowed: Sequence[str]) -> Target:
     if not isinstance(fields, dict):
-        raise MalformedMessage(f'{name}: {fields!r} is no goal; expected an object')
+        raise MalformedMessage(f'{name}: {fields!r} is not a goal; expected an object')
     kinds: tuple[Mapping[str, type], ...] = (
         {'name': str}, {'experience_id': int}, {'x_m': float, 'y_m': float},
     )  # fmt: skip
@@ -108,26 +108,26 @@ def _target(fields: Any, name: str, allowed: Sequence[str]) -> Target:
             'by experience_id, or by x_m and y_m'
         )
     [types] = given
-    _check_types(fields, name, types)
+    check_types(fields, name, types)
     _check_keys(fields, name, (*types, *allowed))
     if 'x_m' in types:
         return Position(fields['x_m'], fields['y_m'])
     if 'name' in types:
         return str(fields['name'])
-    _check(name, 'experience_id', fields['experience_id'], 0, MOST_ID)
+    check_range(name, 'experience_id', fields['experience_id'], 0, MAX_ID)
     return int(fields['experience_id'])
 
 
 def decode_name(payload: str) -> NameRequest:
-    """Return what an ``experience_map/name_place`` payload asks for.
+    """Return the request of an ``experience_map/name_place`` payload.
 
     Raises:
-        MalformedMessage: it is not such a payload, to the last field.
+        MalformedMessage: the payload does not match the schema.
     """
     topic = 'experience_map/name_place'
     fields = _typed(payload, topic)
     types = {'name': str, 'rename_to': str, 'remove': bool}
-    _check_types(
+    check_types(
         fields, topic, {key: types[key] for key in types if key == 'name' or key in fields}
     )
     _check_keys(fields, topic, tuple(types))
@@ -137,33 +137,36 @@ def decode_name(payload: str) -> NameRequest:
     return request
 
 
-def encode_behaviour(note: BehaviourNote) -> str:
+def encode_behaviour(report: BehaviourReport) -> str:
     """Return the payload of ``goal_follower/behaviour``."""
-    return _dumps(
+    return encode_json(
         {
             'schema_version': SCHEMA_VERSION,
-            'stamp': _stamp(note.stamp_ns),
-            'behaviour': note.behaviour,
-            'failed': note.failed,
-            'ahead_rad': note.ahead_rad,
+            'stamp': encode_stamp(report.stamp_ns),
+            'behaviour': report.behaviour,
+            'failed': report.failed,
+            'ahead_rad': report.ahead_rad,
         }
     )
 
 
-def decode_behaviour(payload: str) -> BehaviourNote:
-    """Return what a ``goal_follower/behaviour`` payload says.
+def decode_behaviour(payload: str) -> BehaviourReport:
+    """Return the report of a ``goal_follower/behaviour`` payload.
 
     Raises:
-        MalformedMessage: it is not such a payload, to the last field.
+        MalformedMessage: the payload does not match the schema.
     """
     name = 'goal_follower/behaviour'
     types = {'stamp': dict, 'behaviour': str, 'failed': bool, 'ahead_rad': float}
-    fields = _loads(payload, name, types)
-    _check(name, 'ahead_rad', fields['ahead_rad'], -math.tau, math.tau)
-    if len(fields['behaviour']) > LONGEST_BEHAVIOUR:
-        raise MalformedMessage(f'{name}: expected a behaviour of {LONGEST_BEHAVIOUR} characters')
-    return BehaviourNote(
-        _stamp_ns(fields['stamp']), fields['behaviour'], fields['failed'], fields['ahead_rad']
+    fields = decode_fields(payload, name, types)
+    check_range(name, 'ahead_rad', fields['ahead_rad'], -math.tau, math.tau)
+    if len(fields['behaviour']) > MAX_BEHAVIOUR_CHARACTERS:
+        raise MalformedMessage(
+            f'{name}: expected a behaviour of at most '
+            f'{MAX_BEHAVIOUR_CHARACTERS} characters'
+        )
+    return BehaviourReport(
+        decode_stamp(fields['stamp']), fields['behaviour'], fields['failed'], fields['ahead_rad']
     )
 
 
@@ -174,36 +177,36 @@ def encode_status(
     """Return the payload of ``experience_map/status``.
 
     Args:
-        stamp_ns: of the odometry that the status is of.
-        experience_map: with the neighbours of the current experience.
-        guidance: where to go.
+        stamp_ns: stamp of the odometry.
+        experience_map: the map, for the neighbours of the current experience.
+        guidance: the current guidance of the navigator.
         queue: the goals that have not ended.
-        outcomes: those that have, of which the last ones are told.
-        reason: why there is no route to what was asked for last.
+        outcomes: the ended goals, of which the last MAX_OUTCOMES are listed.
+        reason: why the last requested goal has no route, else empty.
     """
-    here = experience_map.current_id
-    neighbours = experience_map.neighbours(here) if here >= 0 else []
-    seen = [(other, experience_map.distance_and_direction(other)) for other in neighbours]
-    goal, left_s = guidance.goal, guidance.remaining_s
-    return _dumps(
+    current_id = experience_map.current_id
+    neighbours = experience_map.neighbours(current_id) if current_id >= 0 else []
+    directions = [(other, experience_map.distance_and_direction(other)) for other in neighbours]
+    goal, remaining_s = guidance.goal, guidance.remaining_s
+    return encode_json(
         {
             'schema_version': SCHEMA_VERSION,
-            'stamp': _stamp(stamp_ns),
+            'stamp': encode_stamp(stamp_ns),
             'status': guidance.status,
             'explore': guidance.explore,
             'behaviour': guidance.behaviour,
             'reason': reason,
-            'experience_id': here,
+            'experience_id': current_id,
             'neighbours': [
                 {'id': i, 'distance_m': at.distance_m, 'direction_rad': at.direction_rad}
-                for i, at in seen
+                for i, at in directions
             ],
             'goal': None if goal is None else {'x_m': goal.x_m, 'y_m': goal.y_m},
-            'remaining_s': left_s if math.isfinite(left_s) else None,
+            'remaining_s': remaining_s if math.isfinite(remaining_s) else None,
             'replanned': guidance.replanned,
             'switched': guidance.switched,
-            'queue': [_errand(errand) for errand in queue],
-            'outcomes': [_errand(errand) for errand in list(outcomes)[-OUTCOMES_TOLD:]],
+            'queue': [_task_fields(task) for task in queue],
+            'outcomes': [_task_fields(task) for task in list(outcomes)[-MAX_OUTCOMES:]],
         }
     )
 
@@ -211,12 +214,12 @@ def encode_status(
 def decode_status(payload: str) -> dict[str, Any]:
     """Return the fields of an ``experience_map/status`` payload, and its ``stamp_ns``.
 
-    A payload without ``behaviour``, of an earlier release, has an empty one.
+    A payload without ``behaviour``, from an earlier release, gets an empty one.
 
     Raises:
-        MalformedMessage: it is not such a payload.
+        MalformedMessage: the payload does not match the schema.
     """
-    fields = _loads(
+    fields = decode_fields(
         payload, 'experience_map/status',
         {
             'stamp': dict, 'status': str, 'explore': bool, 'reason': str, 'experience_id': int,
@@ -225,23 +228,23 @@ def decode_status(payload: str) -> dict[str, Any]:
         },
     )  # fmt: skip
     behaviour = str(fields.get('behaviour', ''))
-    return {**fields, 'behaviour': behaviour, 'stamp_ns': _stamp_ns(fields['stamp'])}
+    return {**fields, 'behaviour': behaviour, 'stamp_ns': decode_stamp(fields['stamp'])}
 
 
-def _errand(errand: GoalTask) -> dict[str, Any]:
+def _task_fields(task: GoalTask) -> dict[str, Any]:
     took_s = None
-    if errand.started_ns is not None and errand.ended_ns is not None:
-        took_s = (errand.ended_ns - errand.started_ns) / NS_PER_S
+    if task.started_ns is not None and task.ended_ns is not None:
+        took_s = (task.ended_ns - task.started_ns) / NS_PER_S
     return {
-        'number': errand.number, 'goal': errand.asked, 'status': errand.status,
-        'reason': errand.reason, 'expected_s': errand.expected_s, 'took_s': took_s,
+        'number': task.number, 'goal': task.asked, 'status': task.status,
+        'reason': task.reason, 'expected_s': task.expected_s, 'took_s': took_s,
     }  # fmt: skip
 
 
 def encode_goals(experience_map: ExperienceMap, goals: Iterable[Goal]) -> str:
-    """Return the answer of ``experience_map/list_goals``: names, and where their places are."""
+    """Return the answer of ``experience_map/list_goals``: the names and their poses on the map."""
     places = [(goal, goal.pose_on(experience_map)) for goal in goals]
-    return _dumps(
+    return encode_json(
         {
             'schema_version': SCHEMA_VERSION,
             'goals': [
@@ -256,8 +259,8 @@ def encode_goals(experience_map: ExperienceMap, goals: Iterable[Goal]) -> str:
 
 
 def encode_times(times: TemporalMap) -> str:
-    """Return the answer of ``experience_map/temporal_map``; null where no link leads."""
-    return _dumps(
+    """Return the answer of ``experience_map/temporal_map``; null for unreachable experiences."""
+    return encode_json(
         {
             'schema_version': SCHEMA_VERSION,
             'experience_id': times.start_id,
@@ -267,7 +270,7 @@ def encode_times(times: TemporalMap) -> str:
 
 
 def _typed(payload: str, name: str) -> dict[str, Any]:
-    """Return the fields of a payload that people type."""
+    """Return the fields of a payload typed by a person; ``schema_version`` may be left out."""
     try:
         fields = json.loads(payload)
     except (ValueError, RecursionError):
@@ -275,14 +278,14 @@ def _typed(payload: str, name: str) -> dict[str, Any]:
     if isinstance(fields, dict) and 'schema_version' not in fields:
         version = f'"schema_version":{SCHEMA_VERSION}{"," if fields else ""}'
         payload = f'{{{version}{payload.lstrip()[1:]}'
-    return _loads(payload, name, {})
+    return decode_fields(payload, name, {})
 
 
 def _check_keys(fields: Mapping[str, Any], name: str, known: Sequence[str]) -> None:
     unknown = fields.keys() - {*known, 'schema_version'}
     if unknown:
         raise MalformedMessage(
-            f'{name}: {", ".join(sorted(unknown))} is not known here; expected {", ".join(known)}'
+            f'{name}: {", ".join(sorted(unknown))} is unknown here; expected {", ".join(known)}'
         )
 
 

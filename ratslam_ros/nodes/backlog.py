@@ -1,10 +1,9 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Backlog: images that wait to be processed, outside of the middleware's memory.
+"""Queue of images that wait to be processed in a thread of their own.
 
-Looking at an image takes longer than receiving one. A thread of its own does it, so that the
-executor keeps taking images: what is then too much is dropped here and counted, and not in a
-place where nobody would know.
+Processing an image takes longer than receiving one. The executor therefore only queues images:
+those that exceed the queue are dropped here and counted, and not unnoticed in the middleware.
 """
 
 from __future__ import annotations
@@ -17,11 +16,11 @@ from typing import Generic, TypeVar
 Item = TypeVar('Item')
 
 MAX_BYTES = 256 * 2**20
-"""Some 290 raw images of 640x480, ten seconds of them; compressed ones for minutes."""
+"""About 290 raw colour images of 640x480, ten seconds at 30 Hz; minutes of compressed images."""
 
 
 class Backlog(Generic[Item]):
-    """A queue of bounded size and the thread that empties it."""
+    """A queue of limited size, and the thread that processes its items."""
 
     def __init__(
         self,
@@ -32,10 +31,10 @@ class Backlog(Generic[Item]):
         """Start the thread.
 
         Args:
-            process: called for each item, in order, in the thread.
-            failed: called once, in the thread, with an error that ``process`` raised; the thread
-                then ends.
-            max_bytes: what may wait.
+            process: called in the thread for each item, in order.
+            failed: called in the thread with an exception that ``process`` raised; the thread then
+                ends.
+            max_bytes: limit of the queued bytes; one item is queued whatever its size.
         """
         self._process = process
         self._failed = failed
@@ -52,7 +51,7 @@ class Backlog(Generic[Item]):
         return len(self._items) + self._busy
 
     def put(self, item: Item, size: int) -> bool:
-        """Append an item of so many bytes; return False where there is no room for it."""
+        """Append an item of ``size`` bytes; return False if it does not fit."""
         with self._changed:
             if self._items and self._bytes + size > self._max_bytes:
                 return False
@@ -62,7 +61,7 @@ class Backlog(Generic[Item]):
         return True
 
     def clear(self) -> int:
-        """Drop all that waits; return how much that was."""
+        """Drop all queued items; return their number."""
         with self._changed:
             dropped = len(self._items)
             self._items.clear()
@@ -70,7 +69,7 @@ class Backlog(Generic[Item]):
         return dropped
 
     def close(self) -> int:
-        """End the thread after the item in hand; return how many items were dropped."""
+        """End the thread after the current item; return the number of dropped items."""
         with self._changed:
             self._open = False
             self._changed.notify_all()

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the robot says that it does -> the behaviour of a link, and tries that have failed."""
+"""Behaviour reports of the robot, which label new links and report blocked attempts."""
 
 from __future__ import annotations
 
@@ -10,61 +10,61 @@ from collections.abc import Callable
 from rclpy.node import Node
 from std_msgs.msg import String
 
-from ratslam_ros.messages.goals import BehaviourNote, decode_behaviour
-from ratslam_ros.messages.mapping import MalformedMessage
+from ratslam_ros.messages.goals import BehaviourReport, decode_behaviour
+from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.nodes.qos import RESULT
 
-HOLDS_NS = 2_000_000_000
-"""Who steers the robot says so more often than this; after it, nobody does."""
+VALIDITY_NS = 2_000_000_000
+"""Time for which a report applies if no other follows; reports must come more often than this."""
 
-MOST_WAITING = 10_000
+MAX_WAITING = 10_000
 
 
 class Behaviours:
-    """Notes of what the robot does, until the map has come as far as their stamps.
+    """Queue of behaviour reports that are applied when the map reaches their stamps.
 
-    Nothing waits for them, as a robot need not tell what it does: a note that comes after the
-    map has gone past its stamp is used for what comes next.
+    The map does not wait for reports, since a robot need not send any. A report that arrives
+    after the map has passed its stamp applies from then on.
     """
 
     def __init__(self, node: Node, refuse: Callable[[str, str], None]) -> None:
-        """Listen.
+        """Subscribe.
 
         Args:
-            node: that takes the messages.
+            node: the node that subscribes.
             refuse: called with the stream and the reason for a message that cannot be used.
         """
         self._refuse = refuse
-        self._waiting: deque[BehaviourNote] = deque(maxlen=MOST_WAITING)
-        self._now = BehaviourNote(-HOLDS_NS, '')
-        node.create_subscription(String, 'goal_follower/behaviour', self._on_note, RESULT)
+        self._waiting: deque[BehaviourReport] = deque(maxlen=MAX_WAITING)
+        self._current = BehaviourReport(-VALIDITY_NS, '')
+        node.create_subscription(String, 'goal_follower/behaviour', self._on_report, RESULT)
 
-    def forget(self) -> None:
-        """Begin anew."""
+    def reset(self) -> None:
+        """Drop all reports."""
         self._waiting.clear()
-        self._now = BehaviourNote(-HOLDS_NS, '')
+        self._current = BehaviourReport(-VALIDITY_NS, '')
 
     def at(self, stamp_ns: int) -> str:
-        """Return the behaviour at a stamp, empty if nobody tells."""
-        return self._now.behaviour if stamp_ns - self._now.stamp_ns <= HOLDS_NS else ''
+        """Return the reported behaviour at a stamp, or an empty string if there is none."""
+        return self._current.behaviour if stamp_ns - self._current.stamp_ns <= VALIDITY_NS else ''
 
-    def take(self, stamp_ns: int) -> list[BehaviourNote]:
-        """Go on to a stamp; return the tries up to it that have failed, the first one first."""
+    def take(self, stamp_ns: int) -> list[BehaviourReport]:
+        """Apply the reports up to a stamp; return those of failed attempts, in order."""
         failed = []
         while self._waiting and self._waiting[0].stamp_ns <= stamp_ns:
-            self._now = self._waiting.popleft()
-            if self._now.failed:
-                failed.append(self._now)
+            self._current = self._waiting.popleft()
+            if self._current.failed:
+                failed.append(self._current)
         return failed
 
-    def _on_note(self, message: String) -> None:
+    def _on_report(self, message: String) -> None:
         try:
-            note = decode_behaviour(message.data)
+            report = decode_behaviour(message.data)
         except MalformedMessage as error:
             self._refuse('behaviour', str(error))
             return
-        last = self._waiting[-1] if self._waiting else self._now
-        if note.stamp_ns < last.stamp_ns:
-            self._refuse('behaviour', 'its stamp is before that of the last one')
+        last = self._waiting[-1] if self._waiting else self._current
+        if report.stamp_ns < last.stamp_ns:
+            self._refuse('behaviour', 'its stamp is before that of the last report')
             return
-        self._waiting.append(note)
+        self._waiting.append(report)

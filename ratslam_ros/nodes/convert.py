@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Between ROS messages and what core takes and gives."""
+"""Conversion between ROS messages and the types of core."""
 
 from __future__ import annotations
 
@@ -17,52 +17,52 @@ from std_msgs.msg import Header
 
 from ratslam_ros.core.common.odometry import Odometry, Twist
 from ratslam_ros.core.common.pose import Pose, heading_of, quaternion_of
-from ratslam_ros.messages.mapping import NS_PER_S
+from ratslam_ros.messages.json_schema import NS_PER_S
 
 
 def stamp_ns(header: Header) -> int:
-    """Return a header's stamp in ns; one with 10^9 nanoseconds or more is none: 0."""
+    """Return a header's stamp in ns; 0, which is no stamp, if it has 10^9 nanoseconds or more."""
     if header.stamp.nanosec >= NS_PER_S:
         return 0
     return int(header.stamp.sec) * NS_PER_S + int(header.stamp.nanosec)
 
 
 def time_of(stamp_ns: int) -> Time:
-    """Return a stamp as a message."""
+    """Return a stamp in ns as a message."""
     return Time(sec=stamp_ns // NS_PER_S, nanosec=stamp_ns % NS_PER_S)
 
 
 def header_of(stamp_ns: int, frame_id: str) -> Header:
-    """Return a header."""
+    """Return a header with a stamp in ns and a frame."""
     return Header(stamp=time_of(stamp_ns), frame_id=frame_id)
 
 
 def odometry_of(message: OdometryMessage) -> Odometry:
-    """Return what core takes of an odometry message."""
+    """Return the stamp, the planar twist and the planar pose of an odometry message."""
     twist = message.twist.twist
     return Odometry(
         stamp_ns(message.header),
         Twist(float(twist.linear.x), float(twist.angular.z)),
-        place_of(message.pose.pose),
+        planar_pose(message.pose.pose),
     )
 
 
-def place_of(message: PoseMessage) -> Pose:
-    """Return where a pose lies in the plane."""
+def planar_pose(message: PoseMessage) -> Pose:
+    """Return the planar part of a pose."""
     q = message.orientation
     heading_rad = heading_of(q.x, q.y, q.z, q.w)
     return Pose(float(message.position.x), float(message.position.y), heading_rad)
 
 
 def pose_message(pose: Pose) -> PoseMessage:
-    """Return a place in the plane as a message."""
+    """Return a planar pose as a message."""
     return PoseMessage(
         position=Point(x=pose.x_m, y=pose.y_m, z=0.0), orientation=_orientation(pose)
     )
 
 
 def transform(stamp_ns: int, parent: str, child: str, pose: Pose) -> TransformStamped:
-    """Return the transform of a frame that lies at a pose in its parent."""
+    """Return the transform to a frame from the pose of its origin in the parent frame."""
     message = TransformStamped(header=header_of(stamp_ns, parent), child_frame_id=child)
     message.transform.translation.x = pose.x_m
     message.transform.translation.y = pose.y_m
@@ -71,7 +71,7 @@ def transform(stamp_ns: int, parent: str, child: str, pose: Pose) -> TransformSt
 
 
 def grey_image(stamp_ns: int, frame_id: str, pixels: NDArray[np.uint8]) -> Image:
-    """Return (H, W) uint8 as a mono8 message."""
+    """Return an image, (H, W) uint8, as a mono8 message."""
     height, width = pixels.shape
     return Image(
         header=header_of(stamp_ns, frame_id), height=height, width=width, encoding='mono8',

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a node tells of itself: counts, rates, step times, and warnings at a bounded rate."""
+"""Diagnostics of a node: counts, rates, step times, and warnings at a limited rate."""
 
 from __future__ import annotations
 
@@ -17,8 +17,9 @@ from ratslam_ros.nodes.qos import STATE
 from ratslam_ros.timing import StepTimes
 
 WARN_PERIOD_S = 5.0
-TOLD_FOR_S = 10.0
-"""How long the diagnostics show what was warned about last."""
+"""Shortest time between two logged warnings with the same key."""
+WARNING_SHOWN_S = 10.0
+"""How long the diagnostics show the last warning."""
 
 
 class Diagnostics:
@@ -28,45 +29,46 @@ class Diagnostics:
         self._node = node
         self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', STATE)
         self.counts: Counter[str] = Counter()
-        """What was not used, by reason; what is not zero is a warning for good."""
+        """Messages that were not used, by reason; a nonzero count keeps the level at WARN."""
         self.missing: dict[str, str] = {}
-        """What the node knows that it lacks, by topic; told until it is mended."""
+        """Known deficiencies by topic, shown until they are removed."""
         self.times = StepTimes()
         self._warned_s: dict[str, float] = {}
-        self._unsaid: Counter[str] = Counter()
+        self._suppressed: Counter[str] = Counter()
         self._last_warning = ''
-        self._last_warning_s = -TOLD_FOR_S
+        self._last_warning_s = -WARNING_SHOWN_S
 
     def warn(self, key: str, text: str) -> None:
-        """Log a warning, at most one a key every few seconds, and show it."""
+        """Show a warning, and log it at most once per key every WARN_PERIOD_S."""
         now_s = time.monotonic()
         self._last_warning, self._last_warning_s = text, now_s
         if now_s - self._warned_s.get(key, -WARN_PERIOD_S) < WARN_PERIOD_S:
-            self._unsaid[key] += 1
+            self._suppressed[key] += 1
             return
         self._warned_s[key] = now_s
-        unsaid = self._unsaid.pop(key, 0)
-        self._node.get_logger().warning(text + (f' ({unsaid} more like it)' if unsaid else ''))
+        suppressed = self._suppressed.pop(key, 0)
+        more = f' ({suppressed} more of this kind)' if suppressed else ''
+        self._node.get_logger().warning(text + more)
 
     def drop(self, reason: str, text: str, number: int = 1) -> None:
-        """Count messages that are not used, and warn."""
+        """Count messages that are not used, and warn; a ``number`` of 0 or less does nothing."""
         if number > 0:
             self.counts[reason] += number
             self.warn(reason, text)
 
     def publish(self, values: Mapping[str, Any]) -> None:
-        """Publish the node's state: ``values`` first, then the counts and step times."""
+        """Publish the node's status: ``values`` first, then the counts and step times."""
         lost = {reason: number for reason, number in sorted(self.counts.items()) if number}
-        recent = time.monotonic() - self._last_warning_s < TOLD_FOR_S
+        recent = time.monotonic() - self._last_warning_s < WARNING_SHOWN_S
         if self.missing:
             level, text = DiagnosticStatus.WARN, '; '.join(self.missing.values())
         elif recent:
             level, text = DiagnosticStatus.WARN, self._last_warning
         elif lost:
-            told = ', '.join(f'{number} {reason}' for reason, number in lost.items())
-            level, text = DiagnosticStatus.WARN, f'not used so far: {told}'
+            listed = ', '.join(f'{number} {reason}' for reason, number in lost.items())
+            level, text = DiagnosticStatus.WARN, f'messages not used since the start: {listed}'
         else:
-            level, text = DiagnosticStatus.OK, 'all used'
+            level, text = DiagnosticStatus.OK, 'all messages used'
         shown = {**values, **{reason: self.counts[reason] for reason in sorted(self.counts)}}
         for step, figures in self.times.summary_ms().items():
             shown[f'{step}_median_ms'] = figures['median']

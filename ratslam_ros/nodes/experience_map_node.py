@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Experience map as a node: odom, pose_cells/action -> map, pose, map -> odom; goal -> route."""
+"""Node of the experience map: odom, pose_cells/action -> map, pose, TF; goals -> route."""
 
 from __future__ import annotations
 
@@ -23,26 +23,27 @@ from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.late_join import LateJoin
 from ratslam_ros.core.mapping.mapping_step import apply_action
 from ratslam_ros.core.mapping.scan_matching import ScanMatcher
-from ratslam_ros.core.pose_cells.pose_cells import MapAction
+from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
 from ratslam_ros.core.warm_up import warm_up
-from ratslam_ros.messages.mapping import MalformedMessage, MapText, decode_action, encode_map
+from ratslam_ros.messages.json_schema import MalformedMessage
+from ratslam_ros.messages.mapping import MapText, decode_action, encode_map
 from ratslam_ros.nodes.behaviours import Behaviours
 from ratslam_ros.nodes.convert import header_of, odometry_of, pose_message, transform
 from ratslam_ros.nodes.goal_navigation import GoalNavigation
 from ratslam_ros.nodes.markers import markers_of
-from ratslam_ros.nodes.node import FLUSH_CHECK_S, RatslamNode
+from ratslam_ros.nodes.node import FLUSH_CHECK_PERIOD_S, RatslamNode
 from ratslam_ros.nodes.qos import LATCHED, STATE
 from ratslam_ros.nodes.run import run
 from ratslam_ros.nodes.scans import accepted_scan
 
-LARGEST_SHARE = 0.1
-"""Of one core, for sending the map: a large map is sent less often than map_period_s."""
+MAX_MAP_LOAD_RATIO = 0.1
+"""Largest share of a core for sending the map: a large map is sent at a longer period."""
 
 
 @dataclass(frozen=True, slots=True)
 class Action:
-    """An action message: what to do, its number, and the memory that its ids are of."""
+    """An action message: the action, its number, and the memory that its ids belong to."""
 
     action: MapAction
     sequence: int
@@ -50,7 +51,7 @@ class Action:
 
 
 class ExperienceMapNode(RatslamNode[Odometry | Action]):
-    """Publishes the map, where the robot is on it, and the way to a goal."""
+    """Builds the map; publishes it, the robot's pose on it, and routes to goals."""
 
     SECTION = 'experience_map'
     PARTS = ('goal_recall',)
@@ -67,19 +68,19 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
         self._next_map_s = 0.0
         self._sent = False
         self._viewers = self._pose_ns = 0
-        self._forget()
-        self._listen('odometry', {'odom': OdometryMessage}, self._on_odometry)
+        self._reset_state()
+        self._add_input('odometry', {'odom': OdometryMessage}, self._on_odometry)
         if self._section.exp_align_scans:
-            self._listen('scan', {'scan': LaserScan}, self._on_scan)
-        self._listen('action', {'pose_cells/action': String}, self._on_action)
-        self.create_timer(FLUSH_CHECK_S, self._tick, clock=self._steady)
+            self._add_input('scan', {'scan': LaserScan}, self._on_scan)
+        self._add_input('action', {'pose_cells/action': String}, self._on_action)
+        self.create_timer(FLUSH_CHECK_PERIOD_S, self._on_timer, clock=self._steady)
 
     @classmethod
     def warm_up(cls) -> None:
-        """Compile, or load from the cache, what a message needs."""
+        """Compile or load from the cache all functions that processing a message needs."""
         warm_up(cls.SECTION, 'scan_alignment')
 
-    def _forget(self) -> None:
+    def _reset_state(self) -> None:
         self._core = ExperienceMap(self._section)
         self._core.mapping = self._mapping
         self._map_text = MapText()
@@ -87,28 +88,28 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
         self._scans = ScanMatcher()
         self._motion = MotionFromOdometry(self._section.odom_source)
         self._action_ns = 0
-        self._changed = self._sent  # whoever has the old map is told that it is no more
-        self._goals.begin(self._core)
-        self._behaviours.forget()
+        self._changed = self._sent  # subscribers that have the old map get the empty one
+        self._goals.use_map(self._core)
+        self._behaviours.reset()
         self._pose: Pose | None = None
         self._odom_pose = Pose(0.0, 0.0, 0.0)
         self._pose_ns = 0
 
-    def _carried(self) -> None:
+    def _on_relocated(self) -> None:
         self._motion.restart()
         self._scans.restart()
         self._core.gate.restart()
-        self._behaviours.forget()
+        self._behaviours.reset()
 
     def _set_mapping(self, mapping: bool) -> None:
         self._core.mapping = mapping
 
-    def _learned(self) -> State:
+    def _memory_state(self) -> State:
         return {
             'action_ns': self._action_ns,
             'joining': self._late_join.state(),
             'core': self._core.state(),
-            'goals': self._goals.learned(),
+            'goals': self._goals.memory_state(),
             'scans': self._scans.state(),
         }
 
@@ -121,7 +122,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
         action_ns = int(state['action_ns'])
         scans = ScanMatcher()
         scans.restore(state['scans'])
-        self._goals.begin(core, state['goals'])
+        self._goals.use_map(core, state['goals'])
         self._action_ns = action_ns
         self._core, self._late_join, self._scans = core, late_join, scans
         self._map_text = MapText()
@@ -130,7 +131,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
         self._changed = True
 
     def close(self) -> None:
-        """Process what still waits, and send the last map."""
+        """Process the messages that are still held, and publish the last map."""
         super().close()
         self._send_map()
 
@@ -157,80 +158,82 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
             self._refuse('action', str(error))
             return
         self._push('action', stamp_ns, Action(action, sequence, memory_ns))
-        self._correct()
+        self._republish_pose()
         if self._changed and time.monotonic() >= self._next_map_s:
             self._send_map()
 
-    def _use(self, stamp_ns: int, stream: str, item: Odometry | Action) -> None:
+    def _process_item(self, stamp_ns: int, stream: str, item: Odometry | Action) -> None:
         if isinstance(item, Odometry):
-            self._fail(stamp_ns - 1)
+            self._unlearn_blocked(stamp_ns - 1)
             motion = self._motion.update(item)
             if motion is not None:
                 self._core.integrate(motion)
                 self._scans.integrate(stamp_ns, motion)
             return
-        self._fail(stamp_ns)
-        joining, behaviour = self._late_join, self._behaviours.at(stamp_ns)
-        missed, restarts = joining.missed, joining.restarts
+        self._unlearn_blocked(stamp_ns)
+        late_join, behaviour = self._late_join, self._behaviours.at(stamp_ns)
+        missed, restarts = late_join.missed, late_join.restarts
         with self._diagnostics.times('experience_map'):
-            action = joining.translate(item.action, item.sequence, item.memory_ns)
+            action = late_join.translate(item.action, item.sequence, item.memory_ns)
             if action is not None:
                 apply_action(self._core, self._scans, stamp_ns, action, behaviour)
         if item.action.template_id != NO_TEMPLATE:
             self._action_ns = stamp_ns
             self._changed = True
         self._diagnostics.drop(
-            'missed', f'{joining.missed - missed} actions of pose_cells never came: the map is '
-            'not the one of a replay', joining.missed - missed,
+            'missed', f'{late_join.missed - missed} actions of pose_cells were lost: the map '
+            'differs from that of a replay', late_join.missed - missed,
         )  # fmt: skip
-        if joining.restarts > restarts:
-            self._miss('pose_cells has begun with an empty memory: the map goes on, but what was '
-                       'mapped before will not be recognised. To start over call '
-                       'experience_map/reset')  # fmt: skip
-        elif item.sequence > 0 and item.sequence == joining.first_sequence and not missed:
-            self._miss(f'this node came late: {item.sequence} actions of pose_cells were before '
-                       'it, and what was mapped then is missing. To start over call reset on all '
-                       'nodes')  # fmt: skip
+        if late_join.restarts > restarts:
+            self._report_missing(
+                'pose_cells has started with an empty memory: the map is continued, but places '
+                'mapped before will not be recognised. To start over, call experience_map/reset'
+            )
+        elif item.sequence > 0 and item.sequence == late_join.first_sequence and not missed:
+            self._report_missing(
+                f'this node came late: {item.sequence} actions of pose_cells were sent before it '
+                'started, and are missing in the map. To start over, call reset on all nodes'
+            )
 
-    def _fail(self, stamp_ns: int) -> None:
-        """Count the tries up to a stamp that have failed."""
-        for note in self._behaviours.take(stamp_ns):
+    def _unlearn_blocked(self, stamp_ns: int) -> None:
+        """Report the blocked attempts up to a stamp to the map, which may unlearn links."""
+        for report in self._behaviours.take(stamp_ns):
             if not self._goals.report_blocked():
                 continue
-            unlearned = self._core.report_blocked(note.behaviour, note.ahead_rad)
+            unlearned = self._core.report_blocked(report.behaviour, report.ahead_rad)
             if unlearned > 0:
                 self._changed = True
                 self.get_logger().info(
-                    f'{unlearned} links are unlearned: {note.behaviour} led nowhere'
+                    f'{unlearned} links are unlearned: {report.behaviour} was blocked'
                 )
 
-    def _miss(self, text: str) -> None:
+    def _report_missing(self, text: str) -> None:
         if self._diagnostics.missing.get('action') != text:
             self._diagnostics.missing['action'] = text
             self.get_logger().warning(text)
 
-    # Where the robot is
+    # The robot's pose
 
     def _locate(self, odometry: Odometry) -> None:
-        """Publish the pose at an odometry message, with the motion that the map waits with.
+        """Publish the pose at an odometry message.
 
-        What is held is only added to what is published: it enters the map in its turn.
+        The pose includes the motion of the held messages, which enter the map later, in order.
         """
         if odometry.stamp_ns != self._order.newest_of('odometry'):
-            return  # refused, late, or not yet believed
+            return  # refused, late, or doubted by the stamp order
         self._pose_ns, self._odom_pose = odometry.stamp_ns, odometry.pose
-        self._publish_pose(self._pose_ahead())
+        self._publish_pose(self._current_pose())
         self._publish_tf()
 
-    def _correct(self) -> None:
-        """Publish the pose of the last odometry again where an action has changed it."""
-        if self._pose is not None and self._pose != (pose := self._pose_ahead()):
+    def _republish_pose(self) -> None:
+        """Publish the pose at the last odometry again if an action has changed it."""
+        if self._pose is not None and self._pose != (pose := self._current_pose()):
             self._publish_pose(pose)
 
-    def _pose_ahead(self) -> Pose:
-        """Return where the robot is, the motion that is still held included."""
-        waiting = (o for o in self._order.waiting('odometry') if isinstance(o, Odometry))
-        offset = self._motion.ahead(waiting, self._core.offset)
+    def _current_pose(self) -> Pose:
+        """Return the robot's pose on the map, including the motion of the held messages."""
+        held = (o for o in self._order.waiting('odometry') if isinstance(o, Odometry))
+        offset = self._motion.ahead(held, self._core.offset)
         return composed(self._core.pose_of(self._core.current_id), offset)
 
     def _publish_pose(self, pose: Pose) -> None:
@@ -250,7 +253,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
 
     # The map
 
-    def _tick(self) -> None:
+    def _on_timer(self) -> None:
         self._flush()
         if self._changed and time.monotonic() >= self._next_map_s:
             self._send_map()
@@ -261,7 +264,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
         self._goals.update()
 
     def _send_map(self) -> None:
-        """Send the whole map, if it has changed since."""
+        """Publish the whole map if it has changed since the last time."""
         if not self._changed:
             return
         self._changed, self._sent = False, True
@@ -271,19 +274,19 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
         if self._viewers > 0:
             self._send_markers()
         took_s = time.monotonic() - start_s
-        self._next_map_s = start_s + max(self._section.map_period_s, took_s / LARGEST_SHARE)
+        self._next_map_s = start_s + max(self._section.map_period_s, took_s / MAX_MAP_LOAD_RATIO)
 
     def _send_markers(self) -> None:
         self._markers.publish(markers_of(self._core, self._action_ns, self._section.map_frame))
 
-    def _state(self) -> dict[str, Any]:
+    def _diagnostic_values(self) -> dict[str, Any]:
         return {
             'experiences': len(self._core),
             'links': self._core.link_count,
             'experience': self._core.current_id,
             'jumps_refused': self._core.gate.rejected_count,
             'carried': self._core.gate.relocation_count,
-            **self._goals.state(),
+            **self._goals.diagnostic_values(),
         }
 
 

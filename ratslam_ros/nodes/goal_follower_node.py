@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Goal follower as a node: scan, experience_map/route -> cmd_vel; or it explores."""
+"""Node that drives the robot: scan, experience_map/route -> cmd_vel, or exploration."""
 
 from __future__ import annotations
 
@@ -19,29 +19,29 @@ from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.driving.exploration import Exploration
-from ratslam_ros.core.driving.goal_follower import GoalFollower, rest_of, seen_from
+from ratslam_ros.core.driving.goal_follower import GoalFollower, in_robot_frame, remaining_route
 from ratslam_ros.core.driving.steering import Command
-from ratslam_ros.messages.goals import BehaviourNote, decode_status, encode_behaviour
-from ratslam_ros.messages.mapping import MalformedMessage
-from ratslam_ros.nodes.convert import place_of, stamp_ns
-from ratslam_ros.nodes.node import FLUSH_CHECK_S, RatslamNode
+from ratslam_ros.messages.goals import BehaviourReport, decode_status, encode_behaviour
+from ratslam_ros.messages.json_schema import MalformedMessage
+from ratslam_ros.nodes.convert import planar_pose, stamp_ns
+from ratslam_ros.nodes.node import FLUSH_CHECK_PERIOD_S, RatslamNode
 from ratslam_ros.nodes.qos import LATCHED, RESULT, STATE
 from ratslam_ros.nodes.run import run
 from ratslam_ros.nodes.scans import accepted_scan
 
-WATCH_S = 0.05
-"""So often it is looked whether the robot has what it needs to be moved."""
+INPUT_CHECK_PERIOD_S = 0.05
+"""Period of the checks whether the inputs needed for driving have arrived."""
 
 POSE_TIMEOUT_S = 1.0
-"""Without the place on the map, or the odometry to explore by, for this long the robot stands."""
+"""Age of the pose on the map, or of the odometry for exploring, at which the robot is stopped."""
 
-NOWHERE = np.empty((0, 2))
+NO_POSITIONS = np.empty((0, 2))
 
 
 class GoalFollowerNode(RatslamNode[Scan]):
-    """Moves the robot along its route; without one it stands still, or explores if it shall.
+    """Drives the robot along its route, or explores if that is requested.
 
-    While it has nothing to do it publishes nothing, so that somebody else may drive.
+    Without a task it publishes no velocities, so that another node may drive.
     """
 
     SECTION = 'goal_follower'
@@ -52,31 +52,31 @@ class GoalFollowerNode(RatslamNode[Scan]):
         self._behaviour = self.create_publisher(String, 'goal_follower/behaviour', RESULT)
         self._task = 'none'
         self._tries_failed = 0
-        self._forget()
-        self._listen('scan', {'scan': LaserScan}, self._on_scan)
-        self._listen('odometry', {'odom': OdometryMessage}, self._on_odometry)
+        self._reset_state()
+        self._add_input('scan', {'scan': LaserScan}, self._on_scan)
+        self._add_input('odometry', {'odom': OdometryMessage}, self._on_odometry)
         self.create_subscription(PoseStamped, 'experience_map/pose', self._on_pose, STATE)
         self.create_subscription(Path, 'experience_map/route', self._on_route, LATCHED)
         self.create_subscription(String, 'experience_map/status', self._on_status, LATCHED)
-        self.create_timer(FLUSH_CHECK_S, self._flush, clock=self._steady)
-        self.create_timer(WATCH_S, self._watch, clock=self._steady)
+        self.create_timer(FLUSH_CHECK_PERIOD_S, self._flush, clock=self._steady)
+        self.create_timer(INPUT_CHECK_PERIOD_S, self._check_inputs, clock=self._steady)
 
     def close(self) -> None:
         """Stop the robot."""
         super().close()
-        self._halt()
+        self._stop_robot()
 
-    def _forget(self) -> None:
+    def _reset_state(self) -> None:
         p = self._section
         rng = np.random.Generator(np.random.PCG64(p.explore_seed))
         self._exploration = Exploration(p, rng)
         self._pose = self._odom_pose = Pose(0.0, 0.0, 0.0)
         self._scan_s = self._pose_s = self._odom_s = -math.inf
-        self._route, self._route_ns = NOWHERE, 0
-        self._lost, self._wall = False, ''
-        self._carried()
+        self._route, self._route_ns = NO_POSITIONS, 0
+        self._explore_requested, self._wall = False, ''
+        self._on_relocated()
 
-    def _carried(self) -> None:
+    def _on_relocated(self) -> None:
         self._follower = GoalFollower(self._section)
         self._exploration.restart()
 
@@ -88,18 +88,18 @@ class GoalFollowerNode(RatslamNode[Scan]):
             self._push('scan', scan.stamp_ns, scan)
 
     def _on_odometry(self, message: OdometryMessage) -> None:
-        pose = place_of(message.pose.pose)
+        pose = planar_pose(message.pose.pose)
         if not all(math.isfinite(value) for value in pose):
             self._refuse('odometry', f'its pose is not finite: {pose}')
             return
         self._odom_pose, self._odom_s = pose, time.monotonic()
 
     def _on_pose(self, message: PoseStamped) -> None:
-        self._pose, self._pose_s = place_of(message.pose), time.monotonic()
+        self._pose, self._pose_s = planar_pose(message.pose), time.monotonic()
 
     def _on_route(self, message: Path) -> None:
-        places = [stamped.pose.position for stamped in message.poses]
-        route = np.array([(at.x, at.y) for at in places], np.float64).reshape(-1, 2)
+        positions = [stamped.pose.position for stamped in message.poses]
+        route = np.array([(at.x, at.y) for at in positions], np.float64).reshape(-1, 2)
         if not np.isfinite(route).all():
             self._refuse('route', 'its positions are not finite')
             return
@@ -111,94 +111,95 @@ class GoalFollowerNode(RatslamNode[Scan]):
         except MalformedMessage as error:
             self._refuse('status', str(error))
             return
-        self._lost, self._wall = status['explore'], status['behaviour']
-        routed = status['status'] in ('following', 'recovering')
-        # A map that was begun anew knows nothing of a route that it never sent.
-        if not routed and status['stamp_ns'] > self._route_ns:
-            self._route = NOWHERE
+        self._explore_requested, self._wall = status['explore'], status['behaviour']
+        has_route = status['status'] in ('following', 'recovering')
+        # A restarted map sends no empty route: its status ends the route of the previous one.
+        if not has_route and status['stamp_ns'] > self._route_ns:
+            self._route = NO_POSITIONS
 
-    # What the robot does
+    # Driving
 
-    def _use(self, stamp_ns: int, stream: str, item: Scan) -> None:
+    def _process_item(self, stamp_ns: int, stream: str, item: Scan) -> None:
         self._scan_s = time.monotonic()
         self._choose_task()
-        if self._task == 'none' or self._lack():
-            return  # the watch sees to it that the robot stands
+        if self._task == 'none' or self._missing_input():
+            return  # _check_inputs stops the robot
         with self._diagnostics.times('steer'):
             command = self._steer(item)
-        self._move(command.speed_mps, command.turn_rate_radps)
-        self._tell(stamp_ns, command)
+        self._publish_velocity(command.speed_mps, command.turn_rate_radps)
+        self._publish_behaviour(stamp_ns, command)
 
     def _choose_task(self) -> None:
         task = 'none'
         if not self._paused:
             if len(self._route):
                 task = 'following'
-            elif self._lost or self._section.explore:
+            elif self._explore_requested or self._section.explore:
                 task = 'exploring'
         if task != self._task:
             if task == 'none':
-                self._halt()
-            self._carried()  # something else has moved the robot
+                self._stop_robot()
+            self._on_relocated()  # another node may have moved the robot
             self._task = task
 
     def _steer(self, scan: Scan) -> Command:
         if self._task == 'exploring':
             return self._exploration.command(scan, self._odom_pose)
-        self._route = rest_of(self._route, self._pose.x_m, self._pose.y_m)
-        return self._follower.command(scan, seen_from(self._pose, self._route), self._wall)
+        self._route = remaining_route(self._route, self._pose.x_m, self._pose.y_m)
+        return self._follower.command(scan, in_robot_frame(self._pose, self._route), self._wall)
 
-    def _tell(self, stamp_ns: int, command: Command) -> None:
+    def _publish_behaviour(self, stamp_ns: int, command: Command) -> None:
         self._tries_failed += command.failed
         ahead_rad = wrap(self._pose.heading_rad + command.ahead_rad)
-        note = BehaviourNote(stamp_ns, command.behaviour, command.failed, ahead_rad)
-        self._behaviour.publish(String(data=encode_behaviour(note)))
+        report = BehaviourReport(stamp_ns, command.behaviour, command.failed, ahead_rad)
+        self._behaviour.publish(String(data=encode_behaviour(report)))
 
-    def _move(self, speed_mps: float, turn_rate_radps: float) -> None:
+    def _publish_velocity(self, speed_mps: float, turn_rate_radps: float) -> None:
         twist = Twist()
         twist.linear.x, twist.angular.z = float(speed_mps), float(turn_rate_radps)
         self._velocity.publish(twist)
 
-    def _halt(self) -> None:
-        self._move(0.0, 0.0)
+    def _stop_robot(self) -> None:
+        self._publish_velocity(0.0, 0.0)
 
     # Safety
 
-    def _watch(self) -> None:
-        """Stop the robot, again and again, where it should move but lacks what it needs for it."""
+    def _check_inputs(self) -> None:
+        """Stop the robot at every check while it has a task but an input is missing."""
         self._choose_task()
-        lack = self._lack() if self._task != 'none' else ''
-        if not lack:
+        missing = self._missing_input() if self._task != 'none' else ''
+        if not missing:
             self._diagnostics.missing.pop('steering', None)
             return
-        self._halt()
+        self._stop_robot()
         if 'steering' not in self._diagnostics.missing:
-            self.get_logger().warning(f'the robot stands: {lack}')
-        self._diagnostics.missing['steering'] = f'the robot stands: {lack}'
+            self.get_logger().warning(f'the robot is stopped: {missing}')
+        self._diagnostics.missing['steering'] = f'the robot is stopped: {missing}'
 
-    def _lack(self) -> str:
-        """Return what must come before the robot may move."""
+    def _missing_input(self) -> str:
+        """Return which input must arrive before the robot may move, or an empty string."""
         now_s = time.monotonic()
         if now_s - self._scan_s > self._section.scan_timeout_s:
-            return 'no scan comes'
+            return 'no scan arrives'
         if self._task == 'exploring' and now_s - self._odom_s > POSE_TIMEOUT_S:
-            return 'no odometry comes'
-        if (self._task == 'following' or self._lost) and now_s - self._pose_s > POSE_TIMEOUT_S:
-            return 'no experience_map/pose comes'
+            return 'no odometry arrives'
+        needs_pose = self._task == 'following' or self._explore_requested
+        if needs_pose and now_s - self._pose_s > POSE_TIMEOUT_S:
+            return 'no experience_map/pose arrives'
         return ''
 
     def _on_pause(self, request: Any, response: Any) -> Any:
         response = super()._on_pause(request, response)
         if request.data:
-            self._halt()
+            self._stop_robot()
         return response
 
     def _on_reset(self, request: Any, response: Any) -> Any:
         response = super()._on_reset(request, response)
-        self._halt()
+        self._stop_robot()
         return response
 
-    def _state(self) -> dict[str, Any]:
+    def _diagnostic_values(self) -> dict[str, Any]:
         return {'task': self._task, 'tries_failed': self._tries_failed}
 
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Goals in the node of the experience map: what is asked for, and where to go now."""
+"""Goals in the node of the experience map: requests, guidance and named places."""
 
 from __future__ import annotations
 
@@ -9,9 +9,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 from geometry_msgs.msg import PoseStamped
-from nav_msgs.msg import Path
 from nav_msgs.srv import GetPlan
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
@@ -25,169 +23,136 @@ from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation.goals import Goal, Position, Target
 from ratslam_ros.core.navigation.navigator import Navigator
 from ratslam_ros.core.navigation.route_following import Guidance
-from ratslam_ros.core.navigation.route_planner import UnreachableGoal
+from ratslam_ros.errors import UnreachableGoal
 from ratslam_ros.messages.goals import (
     decode_goal,
     decode_name,
     encode_goals,
-    encode_status,
     encode_times,
 )
-from ratslam_ros.messages.mapping import MalformedMessage
-from ratslam_ros.nodes.convert import header_of, place_of, pose_message
+from ratslam_ros.messages.json_schema import MalformedMessage
+from ratslam_ros.nodes.convert import planar_pose
 from ratslam_ros.nodes.diagnostics import Diagnostics
 from ratslam_ros.nodes.paths import cloud_of, path_of
-from ratslam_ros.nodes.qos import GOAL, LATCHED, STATE, VIEW
+from ratslam_ros.nodes.qos import GOAL, VIEW
+from ratslam_ros.nodes.route_publisher import NO_POSITIONS, RoutePublisher
 
-PERIOD_NS = 50_000_000
-"""Where to go is worked out at most so often, in the time of the odometry."""
-
-AGAIN_NS = 1_000_000_000
-"""Route and status are sent again after this, as the map moves below them."""
+UPDATE_PERIOD_NS = 50_000_000
+"""Shortest time between two updates of the guidance, by the stamps of the odometry."""
 
 TIMES_PERIOD_S = 1.0
-
-NOWHERE = np.empty((0, 2))
+"""Shortest time between two messages with the temporal map."""
 
 
 class GoalNavigation:
-    """Takes goals, and publishes the route to them, its next waypoint, and what becomes of them.
+    """Receives goals and names of places, and publishes the guidance to the goals.
 
-    The node tells where the robot is, and calls ``update`` when the map may have changed.
+    The node passes the robot's pose by ``locate`` and calls ``update`` when the map may have
+    changed.
     """
 
     def __init__(
         self, node: Node, diagnostics: Diagnostics, config: Callable[[], Config],
         refuse: Callable[[str, str], None],
     ) -> None:  # fmt: skip
-        """Make the topics and services.
+        """Create the topics and services.
 
         Args:
-            node: that they are of.
-            diagnostics: where what cannot be reached is told.
-            config: returns the parameters as they are now.
+            node: the node of the topics and services.
+            diagnostics: where unreachable goals are reported.
+            config: returns the current parameters.
             refuse: called with the stream and the reason for a message that cannot be used.
         """
         self._node, self._diagnostics, self._config = node, diagnostics, config
         self._refuse = refuse
-        self._route = node.create_publisher(Path, 'experience_map/route', LATCHED)
-        self._waypoint = node.create_publisher(PoseStamped, 'experience_map/waypoint', STATE)
-        self._status = node.create_publisher(String, 'experience_map/status', LATCHED)
+        self._publisher = RoutePublisher(node)
         self._times = node.create_publisher(PointCloud2, 'experience_map/times', VIEW)
         self.reason = ''
-        """Why there is no route to what was asked for last."""
-        self._routed = False
+        """Why the last requested goal has no route, else empty."""
         self._next_times_s = 0.0
-        self._begin_telling()
-        for kind, topic, take in (
+        for kind, topic, callback in (
             (PoseStamped, 'goal_pose', self._on_goal_pose),
             (String, 'experience_map/goal', self._on_goal),
             (String, 'experience_map/name_place', self._on_name),
         ):
-            node.create_subscription(kind, topic, take, GOAL)
-        for service, answer in (
+            node.create_subscription(kind, topic, callback, GOAL)
+        for service, handler in (
             ('name_place', self._on_name_place), ('list_goals', self._on_list),
             ('cancel_goal', self._on_cancel), ('temporal_map', self._on_temporal_map),
         ):  # fmt: skip
-            node.create_service(Trigger, f'experience_map/{service}', answer)
+            node.create_service(Trigger, f'experience_map/{service}', handler)
         node.create_service(GetPlan, 'experience_map/recall_goal', self._on_recall_goal)
 
-    def begin(self, experience_map: ExperienceMap, state: State | None = None) -> None:
-        """Go on with another map, and the names that were saved with it; None: without any."""
+    def use_map(self, experience_map: ExperienceMap, state: State | None = None) -> None:
+        """Replace the map; all goals are dropped.
+
+        Args:
+            experience_map: the new map.
+            state: the named places saved with it; None: none.
+        """
         navigator = Navigator(self._config().goal_recall, experience_map)
         if state is not None:
             navigator.goals.restore(state)
         experience_map.on_pruned.append(navigator.forgotten)
         self._map, self._navigator = experience_map, navigator
-        self._begin_telling()
+        self._reset_state()
         self._end_route()
 
-    def _begin_telling(self) -> None:
+    def _reset_state(self) -> None:
         self._pose: Pose | None = None
         self._odom_pose = Pose(0.0, 0.0, 0.0)
         self._stamp_ns = 0
-        self._told = 0
-        self._route_key: tuple[Any, ...] = ()
-        self._status_key: tuple[Any, ...] = ()
+        self._logged_count = 0
+        self._publisher.reset()
         self._times_key: tuple[Any, ...] = ()
 
-    def learned(self) -> State:
-        """Return the names and their places."""
+    def memory_state(self) -> State:
+        """Return the named places, for ``use_map``."""
         return self._navigator.goals.state()
 
     def report_blocked(self) -> bool:
-        """Take note of a try that led nowhere; return whether the map shall count it."""
+        """Report a blocked attempt; return whether the map shall count it."""
         return self._navigator.report_blocked()
 
     def locate(self, stamp_ns: int, pose: Pose, odom_pose: Pose) -> None:
-        """Take where the robot is on the map and in the frame of the odometry."""
+        """Set the robot's pose and update the guidance if it is due.
+
+        Args:
+            stamp_ns: stamp of the odometry.
+            pose: pose on the map.
+            odom_pose: pose in the frame of the odometry.
+        """
         self._stamp_ns, self._pose, self._odom_pose = stamp_ns, pose, odom_pose
         if stamp_ns < self._navigator.stamp_ns:
             self._cancel('the stamps have jumped back')
-        if not 0 <= stamp_ns - self._navigator.stamp_ns < PERIOD_NS:
+        if not 0 <= stamp_ns - self._navigator.stamp_ns < UPDATE_PERIOD_NS:
             self.update()
 
     def update(self) -> None:
-        """Publish where to go now, and what has changed."""
+        """Compute the guidance, and publish what has changed."""
         navigator = self._navigator
-        navigator.parameters = self._config().goal_recall  # may change while it runs
+        navigator.parameters = self._config().goal_recall  # may change at run time
         with self._diagnostics.times('goals'):
             guidance = navigator.update(self._stamp_ns, self._pose)
-        self._publish_way(guidance)
-        self._tell_outcomes()
-        self._publish_status(guidance)
+        self._publish(guidance)
         self._publish_times()
 
-    # What is told
+    def _publish(self, guidance: Guidance) -> None:
+        stamp_ns, publisher = self._stamp_ns, self._publisher
+        publisher.publish_route(stamp_ns, self._frame, guidance, self._map.current_id)
+        self._log_outcomes()
+        publisher.publish_status(stamp_ns, self._map, guidance, self._navigator, self.reason)
 
-    def _publish_way(self, guidance: Guidance) -> None:
-        if guidance.waypoint is None:
-            self._end_route()
-            return
-        self._waypoint.publish(
-            PoseStamped(header=self._header(), pose=pose_message(guidance.waypoint))
-        )
-        period = self._stamp_ns // AGAIN_NS
-        key = guidance.status, guidance.replanned, self._map.current_id, guidance.goal, period
-        if key != self._route_key:
-            self._route_key, self._routed = key, True
-            self._route.publish(
-                path_of(guidance.positions_m, guidance.arrival_s.tolist(), self._stamp_ns,
-                        self._frame)
-            )  # fmt: skip
-
-    def _end_route(self) -> None:
-        """Tell those who have a route that there is none."""
-        self._route_key = ()
-        if self._routed:
-            self._routed = False
-            self._route.publish(path_of(NOWHERE, [], self._stamp_ns, self._frame))
-
-    def _tell_outcomes(self) -> None:
+    def _log_outcomes(self) -> None:
         navigator = self._navigator
-        new = min(navigator.ended - self._told, len(navigator.outcomes))
-        self._told = navigator.ended
-        for errand in list(navigator.outcomes)[len(navigator.outcomes) - new :]:
-            because = f': {errand.reason}' if errand.reason else ''
-            self._node.get_logger().info(f'goal {errand.asked} {errand.status}{because}')
-
-    def _publish_status(self, guidance: Guidance) -> None:
-        navigator = self._navigator
-        key = (
-            guidance.status, guidance.replanned, guidance.behaviour, self._map.current_id,
-            navigator.ended, self.reason, len(navigator.queue),
-            self._stamp_ns // AGAIN_NS if navigator.queue else 0,
-        )  # fmt: skip
-        if key != self._status_key:
-            self._status_key = key
-            payload = encode_status(
-                self._stamp_ns, self._map, guidance, navigator.queue, navigator.outcomes,
-                self.reason,
-            )  # fmt: skip
-            self._status.publish(String(data=payload))
+        new = min(navigator.ended - self._logged_count, len(navigator.outcomes))
+        self._logged_count = navigator.ended
+        for task in list(navigator.outcomes)[len(navigator.outcomes) - new :]:
+            reason = f': {task.reason}' if task.reason else ''
+            self._node.get_logger().info(f'goal {task.asked} {task.status}{reason}')
 
     def _publish_times(self) -> None:
-        """Publish the temporal map, while somebody looks."""
+        """Publish the temporal map if it has subscribers and has changed."""
         if self._times.get_subscription_count() == 0 or len(self._map) == 0:
             self._times_key = ()
             return
@@ -195,12 +160,12 @@ class GoalNavigation:
         if key == self._times_key or time.monotonic() < self._next_times_s:
             return
         self._times_key, self._next_times_s = key, time.monotonic() + TIMES_PERIOD_S
-        times = self._navigator.recall.temporal_map(self._map)
+        times = self._navigator.planner.temporal_map()
         places = self._map.poses[:, :2]
         self._times.publish(cloud_of(places, times.arrival_s, self._stamp_ns, self._frame))
 
-    def state(self) -> dict[str, Any]:
-        """Return what the diagnostics show."""
+    def diagnostic_values(self) -> dict[str, Any]:
+        """Return the values for the diagnostics."""
         queue = self._navigator.queue
         return {
             'goal': queue[0].asked if queue else 'none',
@@ -209,13 +174,13 @@ class GoalNavigation:
             'no_route_because': self.reason,
         }
 
-    # What is asked for
+    # Requests
 
     def _on_goal_pose(self, message: PoseStamped) -> None:
         try:
             place = self._on_map(message)
         except UnreachableGoal as error:
-            self._cannot(error, append=False)
+            self._refuse_goal(error, append=False)
             return
         self._go_to(Position(place.x_m, place.y_m))
 
@@ -234,18 +199,21 @@ class GoalNavigation:
         try:
             self._navigator.go_to(*targets, append=append, timeout_s=timeout_s)
         except UnreachableGoal as error:
-            self._cannot(error, append)
+            self._refuse_goal(error, append)
             return
         self.reason = ''
         self.update()
 
-    def _cannot(self, error: UnreachableGoal, append: bool) -> None:
-        """Tell why there is no route; who wants to go elsewhere does not want to go on."""
+    def _refuse_goal(self, error: UnreachableGoal, append: bool) -> None:
+        """Report an unreachable goal; unless it was appended, cancel the earlier goals too."""
         self.reason = str(error)
         self._diagnostics.warn('goal', f'no route: {error}')
         if not append:
-            self._cancel('another goal was asked for, that cannot be reached')
+            self._cancel('another goal was requested, which cannot be reached')
         self.update()
+
+    def _end_route(self) -> None:
+        self._publisher.end_route(self._stamp_ns, self._frame)
 
     def _cancel(self, reason: str) -> int:
         number = self._navigator.cancel(reason)
@@ -263,12 +231,12 @@ class GoalNavigation:
         try:
             if request.remove:
                 goals.remove(request.name)
-                text = f'no place is called {request.name} any more'
+                text = f'the name {request.name} is removed'
             elif request.rename_to is not None:
                 goals.rename(request.name, request.rename_to)
-                text = f'{request.name} is called {request.rename_to} now'
+                text = f'{request.name} is renamed to {request.rename_to}'
             else:
-                text = f'{self._name_place(request.name)} is here'
+                text = f'this place is named {self._name_place(request.name).name}'
         except UnreachableGoal as error:
             self._refuse('name_place', str(error))
             return
@@ -277,14 +245,14 @@ class GoalNavigation:
     def _name_place(self, name: str) -> Goal:
         offset = None
         if self._pose is not None and self._map.current_id >= 0:
-            # The motion that the map still waits with counts.
+            # The pose includes the motion of messages that the map has not processed yet.
             offset = composed(inverse(self._map.pose_of(self._map.current_id)), self._pose)
         return self._navigator.goals.name_place(self._map, name, offset)
 
     def _on_name_place(self, request: Any, response: Any) -> Any:
         try:
             response.success, response.message = True, self._name_place('').name
-            self._node.get_logger().info(f'{response.message} is here')
+            self._node.get_logger().info(f'this place is named {response.message}')
         except UnreachableGoal as error:
             response.success, response.message = False, str(error)
         return response
@@ -302,7 +270,7 @@ class GoalNavigation:
 
     def _on_temporal_map(self, request: Any, response: Any) -> Any:
         try:
-            response.message = encode_times(self._navigator.recall.temporal_map(self._map))
+            response.message = encode_times(self._navigator.planner.temporal_map())
             response.success = True
         except UnreachableGoal as error:
             response.success, response.message = False, str(error)
@@ -311,21 +279,21 @@ class GoalNavigation:
     def _on_recall_goal(self, request: Any, response: Any) -> Any:
         navigator = self._navigator
         navigator.parameters = self._config().goal_recall
-        recall = navigator.recall
+        planner = navigator.planner
         try:
             start = None
             if request.start.header.frame_id:
                 place = self._on_map(request.start)
-                start = recall.nearest(self._map, place.x_m, place.y_m)
+                start = planner.nearest(place.x_m, place.y_m)
             goal = self._on_map(request.goal)
             tolerance_m = float(request.tolerance)
             if not 0.0 <= tolerance_m < math.inf:
                 raise UnreachableGoal(f'the tolerance is {tolerance_m}; expected 0 or more m')
-            route = recall.route_to_place(self._map, goal.x_m, goal.y_m, tolerance_m, start)
+            route = planner.route_to_place(goal.x_m, goal.y_m, tolerance_m, start)
         except UnreachableGoal as error:
             self.reason = str(error)
             self._diagnostics.warn('goal', f'no route: {error}')
-            response.plan = path_of(NOWHERE, [], self._stamp_ns, self._frame)
+            response.plan = path_of(NO_POSITIONS, [], self._stamp_ns, self._frame)
             return response
         self.reason = ''
         positions_m = self._map.poses[list(route.experience_ids), :2]
@@ -342,17 +310,14 @@ class GoalNavigation:
     def _frame(self) -> str:
         return self._p.map_frame
 
-    def _header(self) -> Any:
-        return header_of(self._stamp_ns, self._frame)
-
     def _on_map(self, message: PoseStamped) -> Pose:
-        """Return a pose in the map's frame.
+        """Transform a pose to the map's frame.
 
         Raises:
             UnreachableGoal: it is not finite, or its frame has no transform to the map.
         """
         p, frame = self._p, message.header.frame_id.lstrip('/')
-        pose = place_of(message.pose)
+        pose = planar_pose(message.pose)
         if not all(math.isfinite(value) for value in pose):
             raise UnreachableGoal('its position or orientation is not finite')
         if frame in ('', p.map_frame):
@@ -362,5 +327,5 @@ class GoalNavigation:
         if self._pose is not None and frame == p.odom_frame:
             return composed(composed(self._pose, inverse(self._odom_pose)), pose)
         known = f'{p.map_frame}, {p.odom_frame} or {p.base_frame}'
-        why = 'no odometry has come yet' if frame in known.split() else f'expected {known}'
-        raise UnreachableGoal(f'there is no transform from {frame!r} to {p.map_frame!r}: {why}')
+        reason = 'no odometry has come yet' if frame in known.split() else f'expected {known}'
+        raise UnreachableGoal(f'there is no transform from {frame!r} to {p.map_frame!r}: {reason}')

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The goal memory in the node of the pose cells: marking goals, and telling the way to one."""
+"""Goal memory in the node of the pose cells: marking goals and publishing directions to them."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.goal_memory.goal_memory import GoalMemory
-from ratslam_ros.core.navigation.route_planner import UnreachableGoal
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
+from ratslam_ros.errors import UnreachableGoal
 from ratslam_ros.messages.mapping import encode_goal_memory
 from ratslam_ros.nodes.diagnostics import Diagnostics
 from ratslam_ros.nodes.qos import GOAL, STATE
 
 
 class GoalSeeking:
-    """Learns a goal memory, and publishes the way to a goal while there is one."""
+    """Learns a goal memory, and publishes the direction to a goal while one is set."""
 
     def __init__(self, node: Node, diagnostics: Diagnostics, config: Config) -> None:
         self._node = node
@@ -33,11 +33,15 @@ class GoalSeeking:
         node.create_subscription(String, 'pose_cells/goal', self._on_goal, GOAL)
         node.create_service(Trigger, 'pose_cells/mark_goal', self._on_mark)
 
-    def begin(self, pose_cells: PoseCells, state: State | None = None) -> None:
-        """Go on with other pose cells, and with what ``state`` gave for them; None: nothing.
+    def use_pose_cells(self, pose_cells: PoseCells, state: State | None = None) -> None:
+        """Replace the pose cells and the goal memory.
+
+        Args:
+            pose_cells: the new pose cells.
+            state: the goal memory saved with them; None: an empty one.
 
         Raises:
-            UnusableInput: it is of pose cells of other extents; nothing has changed then.
+            UnusableInput: the state is of pose cells of another size; nothing is changed then.
         """
         memory = GoalMemory(self._config.goal_memory, self._config.pose_cells)
         if state is not None:
@@ -46,15 +50,15 @@ class GoalSeeking:
         self._goal = ''
 
     def relocated(self) -> None:
-        """Link nothing to what was active before."""
+        """Create no link from the place before a relocation to the next one."""
         self._memory.relocated()
 
-    def learned(self) -> State:
-        """Return all that was learned."""
+    def memory_state(self) -> State:
+        """Return the goal memory, for ``use_pose_cells``."""
         return self._memory.state()
 
     def integrate(self, stamp_ns: int, motion: Motion) -> None:
-        """Learn from a motion that the pose cells have followed, and tell the way on."""
+        """Learn from a motion that the pose cells have integrated; publish the direction."""
         with self._diagnostics.times('goal_memory'):
             self._memory.integrate(motion, self._pose_cells)
             if self._goal:
@@ -67,7 +71,7 @@ class GoalSeeking:
         try:
             times = memory.recall(place)
         except UnreachableGoal as error:
-            self._diagnostics.warn('goal', f'no way to {self._goal}: {error}')
+            self._diagnostics.warn('goal', f'no route to {self._goal}: {error}')
         else:
             bearing_rad, remaining_s = memory.bearing(times, peak), memory.remaining_s(times, peak)
         reached = memory.reached(place, peak)
@@ -78,7 +82,7 @@ class GoalSeeking:
             self._goal = ''
 
     def _on_goal(self, message: String) -> None:
-        """Seek a goal by its name; none is sought after an empty one."""
+        """Set the goal by its name; an empty name ends the search."""
         if message.data:
             try:
                 self._memory.goal(message.data)
@@ -93,12 +97,12 @@ class GoalSeeking:
             number += 1
         name = f'goal_{number}'
         self._memory.mark(name, self._pose_cells.peak)
-        self._node.get_logger().info(f'{name} is here')
+        self._node.get_logger().info(f'{name} is marked here')
         response.success, response.message = True, name
         return response
 
-    def state(self) -> dict[str, Any]:
-        """Return what the diagnostics show."""
+    def diagnostic_values(self) -> dict[str, Any]:
+        """Return the values for the diagnostics."""
         return {
             'goals': ', '.join(self._memory.goals) or 'none',
             'goal': self._goal or 'none',

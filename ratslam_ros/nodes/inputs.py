@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Inputs: subscriptions that lose nothing in silence and tell when nothing comes."""
+"""Inputs: subscriptions that count lost messages and warn when no messages arrive."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from rclpy.qos import ReliabilityPolicy
 from ratslam_ros.nodes.diagnostics import Diagnostics
 from ratslam_ros.nodes.qos import INPUT, INPUT_BEST_EFFORT
 
-QUIET_S = 0.5
-"""After this long without a message a subscription may be made anew."""
+RESUBSCRIBE_AFTER_S = 0.5
+"""Time without a message after which a subscription may be replaced."""
 
 
 class Input:
-    """One stream, on one of several topics: reliable wherever every publisher offers it."""
+    """One stream on one of several topics, reliable if all its publishers are."""
 
     def __init__(
         self,
@@ -33,12 +33,12 @@ class Input:
         """Subscribe.
 
         Args:
-            node: whose input it is.
-            diagnostics: where losses and silence are told.
-            name: of the stream, in diagnostics.
-            topics: message type by topic; of several that have publishers the first one counts,
-                for as long as it has one.
-            callback: takes each message.
+            node: the node that subscribes.
+            diagnostics: where losses and silence are reported.
+            name: name of the stream in the diagnostics.
+            topics: message type by topic. The first one with a publisher is used for as long as
+                it has a publisher.
+            callback: called with each message.
         """
         self._node = node
         self._diagnostics = diagnostics
@@ -53,21 +53,22 @@ class Input:
         self._counted_s = self.last_s = time.monotonic()
         self._warned_s = self.last_s
         for topic in topics:
-            self._subscribe(topic, self._offers_less(topic))
+            self._subscribe(topic, self._is_best_effort(topic))
 
     def update(self, silence_s: float) -> float:
-        """Follow the publishers' quality of service; warn of silence; return the rate in Hz."""
-        wanted = self._wanted()
+        """Adapt to the publishers' quality of service, warn of silence, return the rate in Hz."""
+        wanted = self._wanted_topics()
         for topic in self._topics:
             if topic not in wanted:
                 self._unsubscribe(topic)
                 continue
-            less = self._offers_less(topic)
-            # One that receives is left alone: another could miss messages and not know.
-            changed = less != self._best_effort.get(topic) and self.silent_s() > QUIET_S
+            best_effort = self._is_best_effort(topic)
+            # A subscription that receives is kept: replacing it could lose messages uncounted.
+            is_silent = self.silent_s() > RESUBSCRIBE_AFTER_S
+            changed = best_effort != self._best_effort.get(topic) and is_silent
             if topic not in self._subscriptions or changed:
                 self._unsubscribe(topic)
-                self._subscribe(topic, less)
+                self._subscribe(topic, best_effort)
         now_s = time.monotonic()
         if now_s - max(self.last_s, self._warned_s) >= silence_s:
             self._warned_s = now_s
@@ -77,17 +78,17 @@ class Input:
         return rate_hz
 
     def silent_s(self) -> float:
-        """Return how long nothing has come, in s of a steady clock."""
+        """Return the time since the last message, in s of a steady clock."""
         return time.monotonic() - self.last_s
 
     def silence(self, now_s: float) -> str:
-        """Return a line on what is waited for, and who is there to send it."""
+        """Return a line that names the expected topics and types, and the present publishers."""
         parts = []
         for topic, kind in self._topics.items():
             name = self._node.resolve_topic_name(topic)
-            less = self._best_effort.get(topic, False)
+            best_effort = self._best_effort.get(topic, False)
             parts.append(
-                f'{name} ({_type_name(kind)}, {"best effort" if less else "reliable"}): '
+                f'{name} ({_type_name(kind)}, {"best effort" if best_effort else "reliable"}): '
                 f'{self._publishers(name)}'
             )
         silent_s = now_s - self.last_s
@@ -97,23 +98,23 @@ class Input:
     def _publishers(self, topic: str) -> str:
         found = []
         for info in self._node.get_publishers_info_by_topic(topic):
-            less = info.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
+            best_effort = info.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
             namespace = info.node_namespace.rstrip('/')
             found.append(
                 f'{namespace}/{info.node_name} ({info.topic_type}, '
-                f'{"best effort" if less else "reliable"})'
+                f'{"best effort" if best_effort else "reliable"})'
             )
         return ', '.join(found) or 'none (is the name right? see "ros2 topic list")'
 
-    def _wanted(self) -> list[str]:
-        """Return the topics to listen to: the one in use, else all that might be."""
+    def _wanted_topics(self) -> list[str]:
+        """Return the topics to subscribe to: the one in use, or all if none has a publisher."""
         if self._used is not None and self._publisher_count(self._used) > 0:
             return [self._used]
         return list(self._topics)
 
-    def _uses(self, topic: str) -> bool:
-        """Tell whether messages of a topic count: not where they come on a better one as well."""
-        if topic != self._used and len(self._wanted()) == len(self._topics):
+    def _accepts(self, topic: str) -> bool:
+        """Return whether to use messages of a topic: not if a preferred one has a publisher."""
+        if topic != self._used and len(self._wanted_topics()) == len(self._topics):
             offered = [t for t in self._topics if self._publisher_count(t) > 0]
             self._used = offered[0] if offered else topic
         return topic == self._used
@@ -121,7 +122,7 @@ class Input:
     def _publisher_count(self, topic: str) -> int:
         return publisher_count(self._node, topic)
 
-    def _offers_less(self, topic: str) -> bool:
+    def _is_best_effort(self, topic: str) -> bool:
         name = self._node.resolve_topic_name(topic)
         return any(
             info.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
@@ -129,8 +130,8 @@ class Input:
         )
 
     def _subscribe(self, topic: str, best_effort: bool) -> None:
-        def take(message: Any) -> None:
-            if not self._uses(topic):
+        def on_message(message: Any) -> None:
+            if not self._accepts(topic):
                 return
             self.received += 1
             self.last_s = time.monotonic()
@@ -140,7 +141,7 @@ class Input:
         self._subscriptions[topic] = self._node.create_subscription(
             self._topics[topic],
             topic,
-            take,
+            on_message,
             INPUT_BEST_EFFORT if best_effort else INPUT,
             event_callbacks=SubscriptionEventCallbacks(message_lost=self._lost),
         )
@@ -153,14 +154,14 @@ class Input:
     def _lost(self, event: Any) -> None:
         self._diagnostics.drop(
             'lost',
-            f'{event.total_count_change} messages were lost on the way to {self.name}: the '
+            f'{event.total_count_change} messages of {self.name} were lost in transport: the '
             'network or this machine is too slow, or the publisher is best effort',
             event.total_count_change,
         )
 
 
 def publisher_count(node: Node, topic: str) -> int:
-    """Return how many publish a topic; rclpy does not remap the names that it counts by."""
+    """Return the number of publishers of a topic; rclpy counts without applying remappings."""
     return int(node.count_publishers(node.resolve_topic_name(topic)))
 
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Local view as a node: image -> local_view/template."""
+"""Node of the local view: image -> local_view/template."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from ratslam_ros.nodes.qos import RESULT, VIEW
 from ratslam_ros.nodes.run import run
 
 SHOWN_WIDTH_PX = 240
-"""Views are a few dozen pixels wide: they are shown enlarged."""
+"""Width that views are enlarged to for viewers; they are a few dozen pixels wide."""
 
 
 class LocalViewNode(ImageNode):
-    """Publishes one template message for each image."""
+    """Matches each image with the learned templates and publishes one template message."""
 
     SECTION = 'local_view'
     MAPS = True
@@ -34,10 +34,10 @@ class LocalViewNode(ImageNode):
         super().__init__()
         self._publisher = self.create_publisher(String, 'local_view/template', RESULT)
         self._matched = self.create_publisher(Image, 'local_view/matched', VIEW)
-        self._forget()
-        self._listen_to_images()
+        self._reset_state()
+        self._subscribe_to_images()
 
-    def _forget(self) -> None:
+    def _reset_state(self) -> None:
         self._core = LocalView(self._section)
         self._core.mapping = self._mapping
         self._memory_ns = NOTHING_LEARNED
@@ -46,7 +46,7 @@ class LocalViewNode(ImageNode):
     def _set_mapping(self, mapping: bool) -> None:
         self._core.mapping = mapping
 
-    def _learned(self) -> State:
+    def _memory_state(self) -> State:
         return {'memory_ns': self._memory_ns, 'core': self._core.state()}
 
     def _restore(self, state: State) -> None:
@@ -56,16 +56,16 @@ class LocalViewNode(ImageNode):
         self._core = core
         self._core.mapping = self._mapping
 
-    def _see(self, stamp_ns: int, image: NDArray[np.uint8], frame_id: str) -> None:
+    def _process_image(self, stamp_ns: int, image: NDArray[np.uint8], frame_id: str) -> None:
         with self._diagnostics.times('local_view'):
             match = self._core.match(image)
         if match.is_new and self._memory_ns == NOTHING_LEARNED:
             self._memory_ns = max(stamp_ns, FIRST_MEMORY)
         self._publish(stamp_ns, match)
         if self._matched.get_subscription_count() > 0:
-            self._show(stamp_ns, image, frame_id, match)
+            self._publish_matched(stamp_ns, image, frame_id, match)
 
-    def _see_nothing(self, stamp_ns: int) -> None:
+    def _process_undecodable(self, stamp_ns: int) -> None:
         self._publish(stamp_ns, UNDECODABLE)
 
     def _publish(self, stamp_ns: int, match: ViewMatch) -> None:
@@ -73,24 +73,24 @@ class LocalViewNode(ImageNode):
         payload = encode_template(stamp_ns, match, self._memory_ns)
         self._publisher.publish(String(data=payload))
 
-    def _show(
+    def _publish_matched(
         self, stamp_ns: int, image: NDArray[np.uint8], frame_id: str, match: ViewMatch
     ) -> None:
-        """Publish the view as it was compared, above the template that it was found to be."""
+        """Publish the view as it was compared, above the template that it matched."""
         view = make_view(image, self._section)
-        known = np.zeros_like(view)
+        template = np.zeros_like(view)
         if match.template_id >= 0:
-            known = self._core.template(match.template_id)
+            template = self._core.template(match.template_id)
         gap = np.full((1, view.shape[1]), 255, np.uint8)
-        both = np.concatenate([view, gap, known])
+        both = np.concatenate([view, gap, template])
         factor = max(SHOWN_WIDTH_PX // view.shape[1], 1)
         self._matched.publish(
             grey_image(stamp_ns, frame_id, both.repeat(factor, 0).repeat(factor, 1))
         )
 
-    def _state(self) -> dict[str, Any]:
+    def _diagnostic_values(self) -> dict[str, Any]:
         return {
-            **super()._state(),
+            **super()._diagnostic_values(),
             'templates': len(self._core),
             'template': self._last.template_id,
             'match_error': round(self._last.error, 4),

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The experience map as markers, for RViz and Foxglove."""
+"""Markers of the experience map, for RViz and Foxglove."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ CURRENT = ColorRGBA(r=0.9, g=0.3, b=0.1, a=1.0)
 
 
 def markers_of(experience_map: ExperienceMap, stamp_ns: int, frame_id: str) -> MarkerArray:
-    """Return the links as lines, the experiences as points, the current one as a ball."""
-    at = [Point(x=x, y=y, z=0.0) for x, y, _ in experience_map.poses.tolist()]
+    """Return markers: links as lines, experiences as small spheres, the current one larger."""
+    points = [Point(x=x, y=y, z=0.0) for x, y, _ in experience_map.poses.tolist()]
     links = _marker(0, 'links', Marker.LINE_LIST, 0.05, LINKS)
     for source, target in experience_map.link_ends.tolist():
-        links.points.extend((at[source], at[target]))
+        links.points.extend((points[source], points[target]))
     places = _marker(0, 'experiences', Marker.SPHERE_LIST, 0.15, PLACES)
-    places.points.extend(at)
+    places.points.extend(points)
     current = _marker(0, 'current', Marker.SPHERE_LIST, 0.4, CURRENT)
     if experience_map.current_id >= 0:
-        current.points.append(at[experience_map.current_id])
+        current.points.append(points[experience_map.current_id])
     markers = [links, places, current]
     for marker in markers:
         marker.header = header_of(stamp_ns, frame_id)

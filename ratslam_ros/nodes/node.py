@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What all nodes share: parameters, inputs in order, diagnostics, services."""
+"""Base class of the nodes: parameters, inputs in stamp order, diagnostics, services."""
 
 from __future__ import annotations
 
@@ -25,42 +25,44 @@ from ratslam_ros.nodes.parameters import NodeParameters
 
 Item = TypeVar('Item')
 
-HOUSEKEEPING_S = 1.0
-FLUSH_CHECK_S = 0.1
+DIAGNOSTICS_PERIOD_S = 1.0
+FLUSH_CHECK_PERIOD_S = 0.1
+"""Period of the checks whether held messages must be processed, as all inputs are silent."""
 
 
 class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
-    """A node that merges its inputs by their stamps and does something with each message.
+    """A node that merges its inputs in the order of their stamps and processes each message.
 
-    Subclasses say what: ``_use`` processes one message, ``_forget`` empties the memory.
+    Subclasses implement ``_process_item``, which processes one message, and ``_reset_state``,
+    which empties the memory.
     """
 
     SECTION: str
-    """Name of the node, of its parameters and of the topics it publishes."""
+    """Name of the node, of its section of parameters and prefix of the topics it publishes."""
     PARTS: tuple[str, ...] = ()
-    """Other sections of parameters that the node reads: what it can do besides."""
+    """Further sections of parameters that the node reads, for its optional functions."""
     MAPS = False
-    """Whether the node learns, so that this can be switched off."""
+    """Whether the node learns, and so has the services ``mapping``, ``save`` and ``load``."""
 
     def __init__(self, streams: tuple[str, ...]) -> None:
         super().__init__(self.SECTION, automatically_declare_parameters_from_overrides=True)
         try:
             self._checked = NodeParameters(self, self.SECTION, *self.PARTS)
         except BaseException:
-            self.destroy_node()  # nobody else has it yet
+            self.destroy_node()  # the caller gets no node that it could destroy
             raise
         self._diagnostics = Diagnostics(self)
         self._inputs: list[Input] = []
         self._streams = streams
         self._lock = threading.RLock()
-        """Held while the memory is used: images are looked at in a thread of their own."""
+        """Held while the memory is used: images are processed in another thread."""
         self._order: StampOrder[Item] = self._new_order()
         self._counted = Counts()
         self._paused = False
         self._mapping = True
-        # Wall time that never jumps: with use_sim_time and no clock, a node must still tell so.
+        # With use_sim_time and no /clock, the node must still publish diagnostics.
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(HOUSEKEEPING_S, self._keep_house, clock=self._steady)
+        self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=self._steady)
         self.create_service(Trigger, f'{self.SECTION}/reset', self._on_reset)
         self.create_service(SetBool, f'{self.SECTION}/pause', self._on_pause)
         if self.MAPS:
@@ -70,17 +72,17 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
 
     @classmethod
     def warm_up(cls) -> None:
-        """Compile, or load from the cache, what a message needs."""
+        """Compile or load from the cache all functions that processing a message needs."""
         warm_up(cls.SECTION)
 
     @property
     def config(self) -> Config:
-        """All parameters; those of other nodes have their defaults."""
+        """All parameters; the sections of other nodes have their defaults."""
         return self._checked.config
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """Those of PARTS that are in use."""
+        """The sections of PARTS that are in use."""
         return self.PARTS
 
     @property
@@ -88,34 +90,36 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
         return getattr(self.config, self.SECTION)
 
     def close(self) -> None:
-        """Process what still waits, and stop."""
+        """Process the messages that are still held."""
         with self._lock:
             self._process(self._order.flush())
 
-    # What subclasses do
+    # Implemented by subclasses
 
-    def _use(self, stamp_ns: int, stream: str, item: Item) -> None:
-        """Process one message whose turn it is."""
+    def _process_item(self, stamp_ns: int, stream: str, item: Item) -> None:
+        """Process the next message in stamp order."""
         raise NotImplementedError
 
-    def _forget(self) -> None:
-        """Begin with an empty memory."""
+    def _reset_state(self) -> None:
+        """Start with an empty memory."""
         raise NotImplementedError
 
-    def _drop_waiting(self) -> int:
-        """Drop what has come and waits outside of the order; return how much that was."""
+    def _drop_queued(self) -> int:
+        """Drop received messages that are not in the stamp order yet; return their number."""
         return 0
 
-    def _carried(self) -> None:
-        """Go on with the memory, after a time in which nobody watched the odometry."""
+    def _on_relocated(self) -> None:
+        """Keep the memory after a time without odometry, in which the robot may have moved."""
 
-    def _state(self) -> dict[str, Any]:
-        """Return what the diagnostics show."""
+    def _diagnostic_values(self) -> dict[str, Any]:
+        """Return the node's own values for the diagnostics."""
         return {}
 
-    # Inputs, in order
+    # Inputs, in stamp order
 
-    def _listen(self, name: str, topics: dict[str, type], callback: Callable[[Any], None]) -> None:
+    def _add_input(
+        self, name: str, topics: dict[str, type], callback: Callable[[Any], None]
+    ) -> None:
         self._inputs.append(Input(self, self._diagnostics, name, topics, callback))
 
     def _new_order(self) -> StampOrder[Item]:
@@ -123,93 +127,92 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
         return StampOrder(self._streams, round(lateness_s * 1e9))
 
     def _push(self, stream: str, stamp_ns: int, item: Item) -> None:
-        """Take one message into the order, and process all whose turn has come."""
+        """Put a message into the stamp order, and process all messages this releases."""
         if self._paused:
             self._diagnostics.counts['paused'] += 1
             return
         self._process(self._order.push(stream, stamp_ns, item))
         if self._order.jumped_back:
-            self._jump_back(stream, stamp_ns)
-        self._count(stream, stamp_ns)
+            self._handle_jump_back(stream, stamp_ns)
+        self._count_dropped(stream, stamp_ns)
 
     def _refuse(self, stream: str, reason: str) -> None:
-        """Count a message that cannot be used, and warn."""
+        """Count and report a message that cannot be used."""
         self._diagnostics.drop('refused', f'a message of {stream} was refused: {reason}')
 
     def _process(self, released: Iterable[Released[Item]]) -> None:
         for stamp_ns, stream, item in released:
-            self._use(stamp_ns, stream, item)
+            self._process_item(stamp_ns, stream, item)
 
     def _flush(self) -> None:
-        """Process what waits, if nothing has come for a while."""
-        silent = all(put.silent_s() >= self._section.flush_after_s for put in self._inputs)
+        """Process the held messages if all inputs have been silent for flush_after_s."""
+        silent = all(one.silent_s() >= self._section.flush_after_s for one in self._inputs)
         if silent and self._order.held:
             with self._lock:
                 self._process(self._order.flush())
-                self._count('its inputs', self._order.newest_ns or 0)
+                self._count_dropped('its inputs', self._order.newest_ns or 0)
 
-    def _jump_back(self, stream: str, stamp_ns: int) -> None:
+    def _handle_jump_back(self, stream: str, stamp_ns: int) -> None:
         self._diagnostics.counts['jumps_back'] += 1
         if self._section.on_jump_back == 'start_over':
             self.get_logger().warning(
-                f'the stamps of {stream} have jumped back: starting over with an empty memory '
+                f'the stamps of {stream} have jumped back: starting with an empty memory '
                 '(on_jump_back)'
             )
-            self._forget()
+            self._reset_state()
             self._diagnostics.missing.clear()
         else:
             self.get_logger().warning(
-                f'the stamps of {stream} have jumped back: going on with what is known '
-                '(on_jump_back)'
+                f'the stamps of {stream} have jumped back: keeping the memory (on_jump_back)'
             )
             self._process(self._order.flush())
-            self._carried()
+            self._on_relocated()
         self._process(self._order.restart())
 
-    def _count(self, stream: str, stamp_ns: int) -> None:
-        """Take over what the order has dropped since the last time."""
-        now, before = self._order.counts, self._counted
-        self._counted = now
-        at = f'a message of {stream} with stamp {stamp_ns * 1e-9:.3f} s'
+    def _count_dropped(self, stream: str, stamp_ns: int) -> None:
+        """Count and report the messages that the stamp order has dropped since the last call."""
+        counts, before = self._order.counts, self._counted
+        self._counted = counts
+        message = f'a message of {stream} with stamp {stamp_ns * 1e-9:.3f} s'
         self._diagnostics.drop(
             'late',
-            f'{at} came too late, behind later ones that are in the map already (max_lateness_s)',
-            now.late - before.late,
+            f'{message} came too late: later ones have been processed already (max_lateness_s)',
+            counts.late - before.late,
         )
         self._diagnostics.drop(
             'refused',
-            f'{at} or before it was refused: stamps must increase, and not leap',
-            now.refused - before.refused,
+            f'{message} or before it was refused: stamps must increase without leaps',
+            counts.refused - before.refused,
         )
         self._diagnostics.drop(
             'gaps',
             f'{stream} has a gap before {stamp_ns * 1e-9:.3f} s: it paused, or messages were lost',
-            now.gaps - before.gaps,
+            counts.gaps - before.gaps,
         )
-        if now.refused < before.refused:  # a jump back made them believed after all
-            self._diagnostics.counts['refused'] += now.refused - before.refused
+        if counts.refused < before.refused:  # messages accepted later, as the begin of a jump back
+            self._diagnostics.counts['refused'] += counts.refused - before.refused
 
     # Timers and services
 
-    def _keep_house(self) -> None:
-        state: dict[str, Any] = {}
-        for put in self._inputs:
-            state[f'{put.name}_received'] = put.received
-            state[f'{put.name}_hz'] = round(put.update(self._section.watchdog_after_s), 2)
+    def _publish_diagnostics(self) -> None:
+        values: dict[str, Any] = {}
+        for one in self._inputs:
+            values[f'{one.name}_received'] = one.received
+            values[f'{one.name}_hz'] = round(one.update(self._section.watchdog_after_s), 2)
         with self._lock:
-            state['held'] = self._order.held
-            state['memory'] = 'paused' if self._paused else 'mapping'
+            values['held'] = self._order.held
+            values['memory'] = 'paused' if self._paused else 'mapping'
             if not self._mapping and not self._paused:
-                state['memory'] = 'localisation only'
-            state |= self._state()
-        self._diagnostics.publish(state)
+                values['memory'] = 'localisation only'
+            values |= self._diagnostic_values()
+        self._diagnostics.publish(values)
 
     def _on_reset(self, request: Any, response: Any) -> Any:
         with self._lock:
-            self._drop_waiting()
+            self._drop_queued()
             self._order = self._new_order()
             self._counted = Counts()
-            self._forget()
+            self._reset_state()
             self._diagnostics.missing.clear()
         return self._answer(response, True, f'{self.SECTION} has an empty memory')
 
@@ -218,7 +221,7 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
             if request.data and not self._paused:
                 self._process(self._order.flush())
             elif self._paused and not request.data:
-                self._carried()
+                self._on_relocated()
             self._paused = bool(request.data)
         state = 'paused' if self._paused else 'running'
         return self._answer(response, True, f'{self.SECTION} is {state}')
@@ -227,14 +230,14 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
         with self._lock:
             self._mapping = bool(request.data)
             self._set_mapping(self._mapping)
-        state = 'learns' if self._mapping else 'learns nothing more: localisation only'
+        state = 'is mapping' if self._mapping else 'learns nothing more: localisation only'
         return self._answer(response, True, f'{self.SECTION} {state}')
 
     def _on_save(self, request: Any, response: Any) -> Any:
         try:
             with self._lock:
                 self._process(self._order.flush())
-                memory_files.save(self._memory_path, self.SECTION, self._learned())
+                memory_files.save(self._memory_path, self.SECTION, self._memory_state())
         except RatslamError as error:
             return self._answer(response, False, str(error))
         return self._answer(response, True, f'saved to {self._memory_path}')
@@ -248,7 +251,12 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
                 self._counted = Counts()
         except RatslamError as error:
             return self._answer(response, False, str(error))
-        except Exception as error:  # whatever was in the file: the node goes on as it was
+        except KeyError as error:
+            return self._answer(
+                response, False, f'{self._memory_path} has no {error.args[0]!r}: it was written '
+                'by an older version of ratslam_ros; map again and save',
+            )  # fmt: skip
+        except Exception as error:  # the content can be anything; the node keeps its memory
             return self._answer(response, False, f'{self._memory_path} does not fit: {error!r}')
         self._diagnostics.missing.clear()
         return self._answer(response, True, f'loaded from {self._memory_path}')
@@ -266,16 +274,16 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
         name = self.get_fully_qualified_name().lstrip('/').replace('/', '.')
         return Path(self._section.memory_folder).expanduser() / f'{name}.npz'
 
-    # What nodes that map do
+    # Implemented by the nodes that learn
 
     def _set_mapping(self, mapping: bool) -> None:
         """Switch learning on or off."""
         raise NotImplementedError
 
-    def _learned(self) -> State:
-        """Return all that was learned."""
+    def _memory_state(self) -> State:
+        """Return the memory, for ``_restore``."""
         raise NotImplementedError
 
     def _restore(self, state: State) -> None:
-        """Take what ``_learned`` gave in place of what is known; all of it, or raise."""
+        """Replace the memory by a saved one; raise and change nothing if it cannot be used."""
         raise NotImplementedError

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Declare a node's parameters from the dataclasses of core/config, and keep them checked."""
+"""Declaration and checking of node parameters, from the dataclasses of core/config."""
 
 from __future__ import annotations
 
@@ -28,27 +28,27 @@ from ratslam_ros.errors import UnusableParameter
 
 AnySection = TypeVar('AnySection', bound=Section)
 
-OF_ROS = ('use_sim_time', 'start_type_description_service', 'qos_overrides')
-"""Parameters that every node has; what begins so is not ours."""
+ROS_PREFIXES = ('use_sim_time', 'start_type_description_service', 'qos_overrides')
+"""Prefixes of the parameters that ROS declares on every node."""
 
 
 class NodeParameters:
-    """A node's parameters: those of the section of its name, and of its parts.
+    """The parameters of a node: those of its section and of further sections, its parts.
 
-    The node must have been made with ``automatically_declare_parameters_from_overrides``: only
-    so can it tell what it was given and does not know.
+    The node must be created with ``automatically_declare_parameters_from_overrides``, or given
+    parameters that are unknown could not be detected.
     """
 
     def __init__(self, node: Node, section: str, *parts: str) -> None:
-        """Declare them all.
+        """Declare all parameters.
 
         Args:
-            node: named anything; it may have been remapped.
-            section: whose parameters are declared by their names alone.
+            node: the node; its name may be remapped.
+            section: section whose parameters are declared by their plain names.
             parts: sections whose parameters are declared as ``part.name``.
 
         Raises:
-            UnusableParameter: one given is unknown, of the wrong type or out of range.
+            UnusableParameter: a given parameter is unknown, of the wrong type or out of range.
         """
         self._node = node
         self._keys = {name: f'{section}.{name}' for name, _, _ in SECTIONS[section].parameters()}
@@ -67,13 +67,13 @@ class NodeParameters:
         node.add_on_set_parameters_callback(self._set)
 
     def _given(self) -> Config:
-        """Return the configuration that the command line and files ask for."""
+        """Return the configuration from the command line and parameter files."""
         values: dict[str, Value] = {}
         for name, parameter in sorted(self._node.get_parameters_by_prefix('').items()):
-            if name.startswith(OF_ROS):
+            if name.startswith(ROS_PREFIXES):
                 continue
             key = self._keys.get(name, f'{self._section}.{name}')
-            # One file may hold what all nodes need: below /**, each takes its own.
+            # One file may hold the parameters of all nodes below /**; each node takes its own.
             of = section_of(name.rpartition('.')[2])
             if name not in self._keys and of not in (None, self._section):
                 self._node.get_logger().info(f'{name} is a parameter of {of}; not used here')
@@ -81,15 +81,15 @@ class NodeParameters:
                 continue
             values[key] = parameter.value
             if name not in self._keys:
-                Config().with_values({key: parameter.value})  # raises where it is no alias
+                Config().with_values({key: parameter.value})  # raises if it is no alias
                 self._node.undeclare_parameter(name)
-        # What sets several parameters goes first: one that is named itself counts.
+        # Aliases that set several parameters first: a parameter given by its name takes priority.
         own = set(self._keys.values())
         ordered = dict(sorted(values.items(), key=lambda item: item[0] in own))
         return _with_values(Config(), ordered)
 
     def _set(self, parameters: list[Parameter]) -> SetParametersResult:
-        """Take new values of parameters that may change while the node runs."""
+        """Check and set parameters that may change while the node runs."""
         values: dict[str, Any] = {
             self._keys[p.name]: p.value for p in parameters if p.name in self._keys
         }
@@ -101,17 +101,17 @@ class NodeParameters:
 
 
 def declare(node: Node, kind: type[AnySection]) -> AnySection:
-    """Declare a section that is no part of the configuration; return it with what is given.
+    """Declare a section outside of the configuration; return it with the given values.
 
-    The node must have been made with ``automatically_declare_parameters_from_overrides``.
+    The node must be created with ``automatically_declare_parameters_from_overrides``.
 
     Raises:
-        UnusableParameter: one given is unknown, of the wrong type or out of range.
+        UnusableParameter: a given parameter is unknown, of the wrong type or out of range.
     """
     known = {name: (info, default) for name, info, default in kind.parameters()}
     given: dict[str, Any] = {}
     for name, item in sorted(node.get_parameters_by_prefix('').items()):
-        if name.startswith(OF_ROS):
+        if name.startswith(ROS_PREFIXES):
             continue
         node.undeclare_parameter(name)
         if name in known:
@@ -128,7 +128,7 @@ def declare(node: Node, kind: type[AnySection]) -> AnySection:
 
 
 def _with_values(config: Config, values: dict[str, Any]) -> Config:
-    """Set values; of what two nodes must agree on, a single node knows only its own half."""
+    """Set values; odom_source must agree in two sections, of which a node gets only one."""
     for section, other in (('pose_cells', 'experience_map'), ('experience_map', 'pose_cells')):
         if f'{section}.odom_source' in values:
             values.setdefault(f'{other}.odom_source', values[f'{section}.odom_source'])

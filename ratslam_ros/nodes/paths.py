@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Routes and times as messages, for RViz, Foxglove, Nav2 and whatever else moves a robot."""
+"""Routes and arrival times as messages, for viewers and for programs that drive a robot."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from sensor_msgs.msg import PointCloud2, PointField
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.nodes.convert import header_of, pose_message, time_of
 
-SHORTEST_M = 1e-6
-"""A step that is shorter has no heading."""
+MIN_STEP_M = 1e-6
+"""Length below which a step of a route has no heading."""
 
 
 def path_of(
     positions_m: NDArray[np.float64], arrival_s: Sequence[float], stamp_ns: int, frame_id: str
 ) -> Path:
-    """Return a route, headings along it, each pose stamped with when the robot should be there.
+    """Return a route as a path, each pose heading along it and stamped with its arrival time.
 
     Args:
-        positions_m: (n, 2) on the map; none: an empty path.
-        arrival_s: (n,) from the stamp on.
-        stamp_ns: of now.
-        frame_id: name of the frame of the map.
+        positions_m: (n, 2) positions on the map; n = 0 gives an empty path.
+        arrival_s: (n,) expected arrival times after ``stamp_ns``.
+        stamp_ns: the current stamp.
+        frame_id: the frame of the map.
     """
     path = Path(header=header_of(stamp_ns, frame_id))
     headings = _headings(positions_m) if len(positions_m) else []
@@ -43,10 +43,10 @@ def path_of(
 
 
 def _headings(positions_m: NDArray[np.float64]) -> list[float]:
-    """Return the heading towards the next place of each position; at the end that of arrival."""
+    """Return the heading from each position to the next; the last one keeps that of arrival."""
     towards: list[float | None] = [None]
     for d_x, d_y in np.diff(positions_m, axis=0)[::-1].tolist():
-        is_step = math.hypot(d_x, d_y) > SHORTEST_M
+        is_step = math.hypot(d_x, d_y) > MIN_STEP_M
         towards.append(math.atan2(d_y, d_x) if is_step else towards[-1])
     arrival = next((heading for heading in towards if heading is not None), 0.0)
     return [arrival if heading is None else heading for heading in reversed(towards)]
@@ -55,18 +55,18 @@ def _headings(positions_m: NDArray[np.float64]) -> list[float]:
 def cloud_of(
     positions_m: NDArray[np.float64], seconds: NDArray[np.float64], stamp_ns: int, frame_id: str
 ) -> PointCloud2:
-    """Return places with a time each, those that have one.
+    """Return positions with their times as a point cloud with the fields x, y, z and time.
 
     Args:
-        positions_m: (n, 2) on the map.
-        seconds: (n,) infinite where there is no time.
-        stamp_ns: of now.
-        frame_id: name of the frame of the map.
+        positions_m: (n, 2) positions on the map.
+        seconds: (n,) time of each; positions with an infinite time are left out.
+        stamp_ns: the current stamp.
+        frame_id: the frame of the map.
     """
-    there = np.isfinite(seconds)
-    points = np.zeros((np.count_nonzero(there), 4), np.dtype('<f4'))
-    points[:, :2] = positions_m[there]
-    points[:, 3] = seconds[there]
+    is_finite = np.isfinite(seconds)
+    points = np.zeros((np.count_nonzero(is_finite), 4), np.dtype('<f4'))
+    points[:, :2] = positions_m[is_finite]
+    points[:, 3] = seconds[is_finite]
     return PointCloud2(
         header=header_of(stamp_ns, frame_id), height=1, width=len(points),
         fields=[

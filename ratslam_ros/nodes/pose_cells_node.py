@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Pose cells as a node: odom, local_view/template -> pose_cells/action."""
+"""Node of the pose cells: odom, local_view/template -> pose_cells/action."""
 
 from __future__ import annotations
 
@@ -18,31 +18,28 @@ from ratslam_ros.core.common.state import State
 from ratslam_ros.core.mapping.id_map import FIRST_MEMORY, NOTHING_LEARNED, IdMap
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE, ViewMatch
-from ratslam_ros.messages.mapping import (
-    MalformedMessage,
-    decode_template,
-    encode_action,
-    encode_active,
-)
+from ratslam_ros.messages.json_schema import MalformedMessage
+from ratslam_ros.messages.mapping import decode_template, encode_action, encode_active
 from ratslam_ros.nodes.convert import grey_image, odometry_of
 from ratslam_ros.nodes.goal_seeking import GoalSeeking
-from ratslam_ros.nodes.node import FLUSH_CHECK_S, RatslamNode
+from ratslam_ros.nodes.node import FLUSH_CHECK_PERIOD_S, RatslamNode
 from ratslam_ros.nodes.qos import RESULT, VIEW
 from ratslam_ros.nodes.run import run
 
 ACTIVITY_PERIOD_S = 0.1
+"""Shortest time between two images of the activity."""
 
 
 @dataclass(frozen=True, slots=True)
 class Template:
-    """A template message: the match, and the memory that its id is of."""
+    """A template message: the match, and the memory that its id belongs to."""
 
     match: ViewMatch
     memory_ns: int
 
 
 class PoseCellsNode(RatslamNode[Odometry | Template]):
-    """Publishes one action for each template message."""
+    """Tracks the robot in the pose cells; publishes one action for each template message."""
 
     SECTION = 'pose_cells'
     PARTS = ('goal_memory',)
@@ -57,27 +54,27 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
         self._goals: GoalSeeking | None = None
         if self.parts:
             self._goals = GoalSeeking(self, self._diagnostics, self.config)
-        self._forget()
-        self._listen('odometry', {'odom': OdometryMessage}, self._on_odometry)
-        self._listen('template', {'local_view/template': String}, self._on_template)
-        self.create_timer(FLUSH_CHECK_S, self._flush, clock=self._steady)
+        self._reset_state()
+        self._add_input('odometry', {'odom': OdometryMessage}, self._on_odometry)
+        self._add_input('template', {'local_view/template': String}, self._on_template)
+        self.create_timer(FLUSH_CHECK_PERIOD_S, self._flush, clock=self._steady)
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """The goal memory, where it is switched on."""
+        """The section of the goal memory if it is switched on."""
         return self.PARTS if self.config.goal_memory.goal_memory else ()
 
-    def _forget(self) -> None:
+    def _reset_state(self) -> None:
         self._core = PoseCells(self._section)
         self._core.mapping = self._mapping
         if self._goals is not None:
-            self._goals.begin(self._core)
+            self._goals.use_pose_cells(self._core)
         self._motion = MotionFromOdometry(self._section.odom_source)
         self._numbering = IdMap()
         self._memory_ns = NOTHING_LEARNED
         self._sequence = 0
 
-    def _carried(self) -> None:
+    def _on_relocated(self) -> None:
         self._motion.restart()
         if self._goals is not None:
             self._goals.relocated()
@@ -85,14 +82,16 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
     def _set_mapping(self, mapping: bool) -> None:
         self._core.mapping = mapping
 
-    def _learned(self) -> State:
-        state = {
+    def _memory_state(self) -> State:
+        state: State = {
             'memory_ns': self._memory_ns,
             'sequence': self._sequence,
             'numbering': self._numbering.state(),
             'core': self._core.state(),
         }
-        return state if self._goals is None else state | {'goal_memory': self._goals.learned()}
+        if self._goals is not None:
+            state['goal_memory'] = self._goals.memory_state()
+        return state
 
     def _restore(self, state: State) -> None:
         core, numbering = PoseCells(self._section), IdMap()
@@ -100,7 +99,7 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
         numbering.restore(state['numbering'])
         memory_ns, sequence = int(state['memory_ns']), int(state['sequence'])
         if self._goals is not None:
-            self._goals.begin(core, state.get('goal_memory'))
+            self._goals.use_pose_cells(core, state.get('goal_memory'))
         self._memory_ns, self._sequence = memory_ns, sequence
         self._core, self._numbering = core, numbering
         self._core.mapping = self._mapping
@@ -121,7 +120,7 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
             return
         self._push('template', stamp_ns, Template(match, memory_ns))
 
-    def _use(self, stamp_ns: int, stream: str, item: Odometry | Template) -> None:
+    def _process_item(self, stamp_ns: int, stream: str, item: Odometry | Template) -> None:
         if isinstance(item, Odometry):
             motion = self._motion.update(item)
             if motion is not None:
@@ -130,11 +129,11 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
                 if self._goals is not None:
                     self._goals.integrate(stamp_ns, motion)
         else:
-            self._see(stamp_ns, item)
-        self._show(stamp_ns)
+            self._process_template(stamp_ns, item)
+        self._publish_activity(stamp_ns)
 
-    def _see(self, stamp_ns: int, template: Template) -> None:
-        self._notice_memory(stamp_ns, template)
+    def _process_template(self, stamp_ns: int, template: Template) -> None:
+        self._check_memory(stamp_ns, template)
         number = self._numbering.number(template.match.template_id)
         with self._diagnostics.times('pose_cells_view'):
             action = self._core.view(replace(template.match, template_id=number))
@@ -147,36 +146,39 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
             active = self._core.active_experiences()
             self._active.publish(String(data=encode_active(stamp_ns, number, active)))
 
-    def _notice_memory(self, stamp_ns: int, template: Template) -> None:
+    def _check_memory(self, stamp_ns: int, template: Template) -> None:
+        """Detect that local_view has another memory than before, and renumber its templates."""
         first = self._numbering.memory_ns == NOTHING_LEARNED
         match = template.match
         if match.is_new and not first and template.memory_ns == self._numbering.memory_ns and (
             self._numbering.was_used(match.template_id)
         ):
             self._numbering.forget()
-            self._diagnostics.missing['template'] = (
+            self._report_missing(
                 'local_view has gone back to an earlier memory: its ids mean other views now, so '
                 'places seen before will not be recognised; load or reset all nodes together'
             )
-            self.get_logger().warning(self._diagnostics.missing['template'])
         if self._numbering.remember(template.memory_ns):
-            self._diagnostics.missing['template'] = (
-                'local_view has begun with an empty memory: places seen before will not be '
-                'recognised; to start over as well call pose_cells/reset and experience_map/reset'
+            self._report_missing(
+                'local_view has started with an empty memory: places seen before will not be '
+                'recognised; to start over, call pose_cells/reset and experience_map/reset too'
             )
-            self.get_logger().warning(self._diagnostics.missing['template'])
         elif first and template.match.template_id > NO_TEMPLATE and (
             template.memory_ns < stamp_ns
         ):
             self._diagnostics.counts['missed'] += match.template_id + 1
-            self._diagnostics.missing['template'] = (
-                'this node came late: local_view learned before it; places seen before are tied '
-                'to pose cells when they are seen again. To start over call reset on all nodes'
+            self._report_missing(
+                'this node came late: local_view had learned before; views learned then are '
+                'associated with pose cells when they are seen again. To start over, call reset '
+                'on all nodes'
             )
-            self.get_logger().warning(self._diagnostics.missing['template'])
 
-    def _show(self, stamp_ns: int) -> None:
-        """Publish the activity, over all headings, as seen from above with x to the right."""
+    def _report_missing(self, text: str) -> None:
+        self._diagnostics.missing['template'] = text
+        self.get_logger().warning(text)
+
+    def _publish_activity(self, stamp_ns: int) -> None:
+        """Publish the largest activity over all headings, with x to the right and y up."""
         now_s = time.monotonic()
         if now_s - self._shown_s < ACTIVITY_PERIOD_S:
             return
@@ -190,14 +192,14 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
             grey_image(stamp_ns, 'pose_cells', np.rint(255.0 * shown).astype(np.uint8))
         )
 
-    def _state(self) -> dict[str, Any]:
+    def _diagnostic_values(self) -> dict[str, Any]:
         peak = self._core.peak
         return {
             'experiences': len(self._core),
             'experience': self._core.current_experience,
             'peak': f'x {peak.x:.2f}, y {peak.y:.2f}, theta {peak.theta:.2f}',
             'actions': self._sequence,
-            **(self._goals.state() if self._goals is not None else {}),
+            **(self._goals.diagnostic_values() if self._goals is not None else {}),
         }
 
 

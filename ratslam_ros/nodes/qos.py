@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Quality of service: every profile, named once, with its reason."""
+"""Quality-of-service profiles of all topics, with their reasons."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ INPUT = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.VOLATILE,
 )
-"""What a map is made of. A reader with a depth overwrites what was not taken yet and tells
-nobody; one that keeps all cannot change the map in silence. The nodes empty it at once."""
+"""Inputs of the map. A queue with a depth drops messages without notice, which would change the
+map; KEEP_ALL does not. The nodes take messages from the queue at once."""
 
 INPUT_BEST_EFFORT = QoSProfile(
     history=HistoryPolicy.KEEP_ALL,
@@ -21,7 +21,7 @@ INPUT_BEST_EFFORT = QoSProfile(
     reliability=ReliabilityPolicy.BEST_EFFORT,
     durability=DurabilityPolicy.VOLATILE,
 )
-"""The same from drivers that offer no more, as many cameras do: DDS counts what was lost."""
+"""Inputs from best-effort publishers, such as many camera drivers: DDS counts lost messages."""
 
 RESULT = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
@@ -29,8 +29,8 @@ RESULT = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.VOLATILE,
 )
-"""Odometry, templates and actions: nothing may be lost between two nodes, and a reader that hangs
-may not hang the writer. 1000 are half a minute of images."""
+"""Odometry, templates and actions: no message may be lost between two nodes, but a reader that
+hangs must not block the writer. 1000 messages are half a minute of images."""
 
 LATCHED = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
@@ -38,7 +38,7 @@ LATCHED = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
-"""Map, markers and route: whoever comes late gets the last one at once."""
+"""Map, markers, route and status: a late subscriber gets the last message at once."""
 
 VIEW = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
@@ -46,7 +46,7 @@ VIEW = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.VOLATILE,
 )
-"""Pictures for viewers: the newest is enough. Reliable, as RViz asks for that by default."""
+"""Images for viewers, who need the newest only. Reliable, which is RViz's default."""
 
 STATE = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
@@ -54,7 +54,7 @@ STATE = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.VOLATILE,
 )
-"""Pose, TF and diagnostics, as their usual subscribers expect them; TF's own depth is 100."""
+"""Pose, TF and diagnostics, as their usual subscribers expect them; TF uses a depth of 100."""
 
 GOAL = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
@@ -62,7 +62,7 @@ GOAL = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.VOLATILE,
 )
-"""Goals from RViz: few, and each counts."""
+"""Goals and names: few messages, of which none may be lost."""
 
 PLAYED = QoSProfile(
     history=HistoryPolicy.KEEP_ALL,
@@ -70,7 +70,7 @@ PLAYED = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.VOLATILE,
 )
-"""A recording that is played: the player waits for slow readers in place of losing messages."""
+"""Topics of `ratslam play`, which waits for slow readers so that no message is lost."""
 
 CLOCK = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
@@ -78,4 +78,4 @@ CLOCK = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.VOLATILE,
 )
-"""A recording's time: only the newest says anything, and nobody may miss the last one."""
+"""Simulated time: only the newest message matters, and the last one must arrive."""

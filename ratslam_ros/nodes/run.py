@@ -1,50 +1,54 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Run nodes until they are interrupted, and end them cleanly."""
+"""Run nodes until SIGINT or SIGTERM, and end them cleanly."""
 
 from __future__ import annotations
 
-import signal
 import sys
 import threading
 from typing import Any
 
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.logging import get_logger
 from rclpy.signals import SignalHandlerOptions
 
+from ratslam_ros.compilation import announced_compilation
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.errors import RatslamError
 from ratslam_ros.quick_start import import_numba, settle
+from ratslam_ros.signals import StopSignals
 
-DONE, INTERNAL_ERROR, UNUSABLE = 0, 1, 2
-PROMPT_S = 0.1
-"""A signal is noticed within this time."""
+DONE, UNUSABLE = 0, 2
+SIGNAL_CHECK_PERIOD_S = 0.1
 
 
 def run(*kinds: type[Any], args: list[str] | None = None) -> int:
-    """Make nodes, spin them on one executor until SIGINT or SIGTERM; return the exit code.
+    """Create nodes and spin them on one executor until SIGINT or SIGTERM.
 
-    The nodes are RatslamNodes, or have their ``warm_up``, ``parts`` and ``close``; none needs
-    arguments.
+    Args:
+        kinds: node classes whose constructors take no arguments: RatslamNodes, or classes with
+            the same ``SECTION``, ``warm_up``, ``parts`` and ``close``.
+        args: arguments for rclpy; None: those of the process.
 
-    0 after a signal, 1 after an error of the program's own, 2 where a parameter or argument
-    cannot be used.
+    Returns:
+        The exit code: 0 after a signal, 2 if a parameter or argument cannot be used.
     """
-    stop = _Stop()
-    # Signals only end the loop below: nodes then still process what they hold, and send it.
+    stop = StopSignals()
+    # Signals only end the loop below: the nodes then still process and publish what they hold.
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-    except Exception as error:  # rclpy has several kinds, and tells the arguments
+    except Exception as error:  # rclpy raises several types; the text contains the arguments
         print(f'ratslam: {" ".join(str(error).split())[:300]}', file=sys.stderr, flush=True)
         return UNUSABLE
     nodes: list[Any] = []
     try:
         with stop:
             import_numba()
-            # Nothing is compiled or loaded when the first message comes.
-            for kind in kinds:
-                kind.warm_up()
+            # Before the first message, which must not wait for the compiler.
+            with announced_compilation(_logger(kinds).info):
+                for kind in kinds:
+                    kind.warm_up()
             for kind in kinds:
                 nodes.append(kind())
             executor = SingleThreadedExecutor()
@@ -54,10 +58,10 @@ def run(*kinds: type[Any], args: list[str] | None = None) -> int:
             for node in nodes:
                 node.get_logger().info('ready')
             for part in {part for node in nodes for part in node.parts}:
-                # No stream of messages needs it, and its imports take long: beside the first ones.
+                # Its imports take long and no stream of messages needs it: not before `ready`.
                 threading.Thread(target=warm_up, args=(part,)).start()
-            while not stop.asked and rclpy.ok():
-                executor.spin_once(timeout_sec=PROMPT_S)
+            while not stop.received and rclpy.ok():
+                executor.spin_once(timeout_sec=SIGNAL_CHECK_PERIOD_S)
                 for node in nodes:
                     if getattr(node, 'error', None) is not None:
                         raise node.error
@@ -74,23 +78,6 @@ def run(*kinds: type[Any], args: list[str] | None = None) -> int:
     return DONE
 
 
-class _Stop:
-    """Remembers the first SIGINT or SIGTERM; a second one ends the process at once."""
-
-    def __init__(self) -> None:
-        self.asked = False
-        self._before: dict[signal.Signals, Any] = {}
-
-    def __enter__(self) -> _Stop:
-        for number in (signal.SIGINT, signal.SIGTERM):
-            self._before[number] = signal.signal(number, self._note)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for number, before in self._before.items():
-            signal.signal(number, before)
-
-    def _note(self, number: int, frame: object) -> None:
-        if self.asked:
-            raise KeyboardInterrupt
-        self.asked = True
+def _logger(kinds: tuple[type[Any], ...]) -> Any:
+    """Return a logger for the time before the nodes exist."""
+    return get_logger(kinds[0].SECTION if len(kinds) == 1 else 'ratslam')

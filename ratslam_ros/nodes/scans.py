@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Messages with scans -> what core takes of them."""
+"""Conversion of LaserScan messages."""
 
 from __future__ import annotations
 
@@ -13,7 +13,12 @@ from ratslam_ros.nodes.convert import stamp_ns
 
 
 def accepted_scan(message: LaserScan, refuse: Callable[[str, str], None]) -> Scan | None:
-    """Return what core takes of a scan; None where nothing can be, which ``refuse`` is told."""
+    """Convert a scan; return None if it is unusable.
+
+    Args:
+        message: the scan.
+        refuse: called with the stream and the reason if the scan is unusable.
+    """
     try:
         return scan_from_message(message)
     except UnusableScan as error:
@@ -22,7 +27,7 @@ def accepted_scan(message: LaserScan, refuse: Callable[[str, str], None]) -> Sca
 
 
 def scan_from_message(message: LaserScan) -> Scan:
-    """Return what core takes of a scan; raises UnusableScan."""
+    """Convert a scan; raises UnusableScan."""
     return checked_scan(
         stamp_ns(message.header),
         float(message.angle_min),

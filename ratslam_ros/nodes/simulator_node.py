@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Simulator as a node: cmd_vel -> image, odom, scan, /clock and the truth, as of a robot."""
+"""Node of the simulator: cmd_vel -> image, odom, scan, /clock and the true pose."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from ratslam_ros.nodes.convert import (
     transform,
 )
 from ratslam_ros.nodes.diagnostics import Diagnostics
-from ratslam_ros.nodes.node import HOUSEKEEPING_S
+from ratslam_ros.nodes.node import DIAGNOSTICS_PERIOD_S
 from ratslam_ros.nodes.parameters import declare
 from ratslam_ros.nodes.qos import CLOCK, RESULT, STATE
 from ratslam_ros.nodes.run import run
@@ -41,17 +41,18 @@ from ratslam_ros.simulator.recording import (
 from ratslam_ros.simulator.samples import ImageSample, OdometrySample, Sample, ScanSample
 from ratslam_ros.simulator.simulation import STEP_NS
 
-PUMP_S = 0.01
-"""So often time goes on, by as many steps as are due."""
+STEP_CHECK_PERIOD_S = 0.01
+"""Period of the timer that runs the steps that are due."""
 
-MOST_DEBT_S = 0.2
-"""Time on the wall that may be made up for; a machine that is slower lets the robot wait."""
+MAX_LAG_S = 0.2
+"""Largest lag behind wall time that is caught up; beyond it, simulated time slows down."""
 
-SLOW = 0.9
-"""Below this share of the rate that was asked for, the node says so."""
+SLOW_RATIO = 0.9
+"""Fraction of the requested rate below which the node warns."""
+
 
 class SimulatorNode(Node):  # type: ignore[misc]
-    """A robot that is not there, on the topics of one that is. Its clock is /clock."""
+    """Simulates a robot on the topics of a real one; publishes its time on /clock."""
 
     SECTION = 'simulator'
     parts: tuple[str, ...] = ()
@@ -74,19 +75,19 @@ class SimulatorNode(Node):  # type: ignore[misc]
         self._tf = self.create_publisher(TFMessage, '/tf', STATE)
         self.create_subscription(Twist, 'cmd_vel', self._on_command, STATE)
         self._command_s = -math.inf
-        self._due_s = self._told_s = time.monotonic()
-        self._told_ns = self.simulator.stamp_ns
+        self._due_s = self._reported_s = time.monotonic()
+        self._reported_ns = self.simulator.stamp_ns
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(PUMP_S, self._pump, clock=steady)
-        self.create_timer(HOUSEKEEPING_S, self._tell, clock=steady)
+        self.create_timer(STEP_CHECK_PERIOD_S, self._step_due, clock=steady)
+        self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=steady)
 
     @classmethod
     def warm_up(cls) -> None:
-        """Compile what a step needs."""
+        """Compile or load from the cache all functions that a step needs."""
         make_simulator(SimulatorParameters(plan='office')).step()
 
     def close(self) -> None:
-        """End; there is nothing to keep."""
+        """Do nothing: no messages are held."""
 
     def _on_command(self, message: Twist) -> None:
         speed_mps, turn_rate_radps = float(message.linear.x), float(message.angular.z)
@@ -96,18 +97,18 @@ class SimulatorNode(Node):  # type: ignore[misc]
         self._command_s = time.monotonic()
         self.simulator.command(speed_mps, turn_rate_radps)
 
-    def _pump(self) -> None:
-        """Go on by the steps that are due."""
+    def _step_due(self) -> None:
+        """Run the steps that are due."""
         now_s = time.monotonic()
         if now_s - self._command_s > self._p.cmd_timeout_s:
             self.simulator.command(0.0, 0.0)
-        self._due_s = max(self._due_s, now_s - MOST_DEBT_S)
+        self._due_s = max(self._due_s, now_s - MAX_LAG_S)
         while self._due_s <= now_s:
             self._due_s += STEP_NS * 1e-9 / self._p.rate
             for sample in self.simulator.step():
                 self._publish(sample)
-            if time.monotonic() - now_s > MOST_DEBT_S:
-                return  # others want to be heard too
+            if time.monotonic() - now_s > MAX_LAG_S:
+                return  # let the executor serve the other callbacks
 
     def _publish(self, sample: Sample) -> None:
         stamp_ns = sample.stamp_ns
@@ -142,7 +143,7 @@ class SimulatorNode(Node):  # type: ignore[misc]
 
     def _laser_scan(self, sample: ScanSample) -> LaserScan:
         laser = self.simulator.options.laser
-        assert laser is not None  # it has scanned
+        assert laser is not None  # there is a scan sample
         return LaserScan(
             header=header_of(sample.stamp_ns, LASER_FRAME),
             angle_min=laser.first_rad,
@@ -156,7 +157,7 @@ class SimulatorNode(Node):  # type: ignore[misc]
 
     def _info(self, stamp_ns: int) -> CameraInfo:
         camera = self.simulator.options.camera
-        assert camera is not None  # it has taken an image
+        assert camera is not None  # there is an image sample
         f, x, y = camera.focal_px, camera.width / 2, camera.height / 2
         return CameraInfo(
             header=header_of(stamp_ns, CAMERA_FRAME), height=camera.height, width=camera.width,
@@ -165,19 +166,19 @@ class SimulatorNode(Node):  # type: ignore[misc]
             p=[f, 0.0, x, 0.0, 0.0, f, y, 0.0, 0.0, 0.0, 1.0, 0.0],
         )  # fmt: skip
 
-    def _tell(self) -> None:
+    def _publish_diagnostics(self) -> None:
         now_s, simulator = time.monotonic(), self.simulator
-        passed_s = (simulator.stamp_ns - self._told_ns) * 1e-9
-        rate = passed_s / max(now_s - self._told_s, 1e-3)
-        self._told_s, self._told_ns = now_s, simulator.stamp_ns
-        if rate < SLOW * self._p.rate:
+        passed_s = (simulator.stamp_ns - self._reported_ns) * 1e-9
+        rate = passed_s / max(now_s - self._reported_s, 1e-3)
+        self._reported_s, self._reported_ns = now_s, simulator.stamp_ns
+        if rate < SLOW_RATIO * self._p.rate:
             self._diagnostics.warn(
-                'slow', f'this machine is too slow: time goes on at {rate:.2f} times real time in '
-                f'place of {self._p.rate:g}',
+                'slow', f'this machine is too slow: the simulation runs at {rate:.2f} times real '
+                f'time, not at {self._p.rate:g}',
             )  # fmt: skip
-        self._diagnostics.publish(self._state(rate))
+        self._diagnostics.publish(self._diagnostic_values(rate))
 
-    def _state(self, rate: float) -> dict[str, Any]:
+    def _diagnostic_values(self, rate: float) -> dict[str, Any]:
         simulator = self.simulator
         return {
             'rate': round(rate, 2),

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""All nodes in one process on one executor."""
+"""All mapping nodes in one process on one executor."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from ratslam_ros.nodes.visual_odometry_node import VisualOdometryNode
 
 
 def main(args: list[str] | None = None) -> int:
-    """Run three nodes, or with --visual-odometry all four, until they are interrupted."""
+    """Run three nodes, or four with --visual-odometry, until they are interrupted."""
     parser = argparse.ArgumentParser(
-        prog='single_process', description='All nodes of RatSLAM in one process.'
+        prog='single_process', description='All mapping nodes of RatSLAM in one process.'
     )
     parser.add_argument('--visual-odometry', action='store_true',
-                        help='odometry from the camera: publish odom')
+                        help='run visual_odometry too, which publishes odom')
     given = sys.argv if args is None else ['single_process', *args]
     options = parser.parse_args(remove_ros_args(given)[1:])
-    makers = [LocalViewNode, PoseCellsNode, ExperienceMapNode]
+    kinds = [LocalViewNode, PoseCellsNode, ExperienceMapNode]
     if options.visual_odometry:
-        makers.insert(0, VisualOdometryNode)
-    return run(*makers, args=args)
+        kinds.insert(0, VisualOdometryNode)
+    return run(*kinds, args=args)

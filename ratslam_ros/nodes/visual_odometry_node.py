@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Visual odometry as a node: image -> odom."""
+"""Node of the visual odometry: image -> odom."""
 
 from __future__ import annotations
 
@@ -25,14 +25,17 @@ from ratslam_ros.nodes.qos import RESULT, STATE
 from ratslam_ros.nodes.run import run
 
 TWIST_VARIANCES = (0.05, 1e-9, 1e-9, 1e-9, 1e-9, 0.01)
-"""(m/s)^2 and (rad/s)^2 about x, y, z: poor in speed, better in turning, nothing else measured."""
+"""Variances of the linear, (m/s)^2, and angular, (rad/s)^2, velocity along x, y and z.
+
+The speed is measured poorly and the turn rate better; the motion is planar."""
 PER_METRE_M2, PER_RADIAN_RAD2 = 0.1, 0.02
-"""How the pose's variances grow with the way and the turn."""
+"""Growth of the variances of position and heading, per metre driven and per radian turned."""
 CAMERA_INFO_WAIT_S = 2.0
+"""Time for which images wait for the field of view from camera_info."""
 
 
 class VisualOdometryNode(ImageNode):
-    """Publishes ``odom`` for each image but the first."""
+    """Estimates the motion between images; publishes ``odom`` for each image but the first."""
 
     SECTION = 'visual_odometry'
 
@@ -43,14 +46,14 @@ class VisualOdometryNode(ImageNode):
         self._fov_deg: float | None = None
         self._waiting: list[Message] = []
         self._wait_until_s = math.inf
-        self._forget()
+        self._reset_state()
         if self._section.fov_from_camera_info:
             self.create_subscription(
                 CameraInfo, 'camera_info', self._on_camera_info, qos_profile_sensor_data
             )
-        self._listen_to_images()
+        self._subscribe_to_images()
 
-    def _forget(self) -> None:
+    def _reset_state(self) -> None:
         parameters = self._section
         if self._fov_deg is not None:
             parameters = replace(parameters, camera_fov_deg=self._fov_deg)
@@ -58,18 +61,18 @@ class VisualOdometryNode(ImageNode):
         self._variances = [0.0, 0.0]
         self._last_ns: int | None = None
 
-    def _carried(self) -> None:
+    def _on_relocated(self) -> None:
         self._core.restart()
 
-    def _look(self, message: Message) -> None:
-        """Wait for the field of view where somebody will tell it."""
+    def _process_message(self, message: Message) -> None:
+        """Process an image, once the field of view is known if camera_info has a publisher."""
         with self._lock:
             self._waiting.append(message)
             if self._must_wait():
                 return
             waiting, self._waiting = self._waiting, []
             for waited in waiting:
-                super()._look(waited)
+                super()._process_message(waited)
 
     def _must_wait(self) -> bool:
         if self._fov_deg is not None or not self._section.fov_from_camera_info:
@@ -81,13 +84,14 @@ class VisualOdometryNode(ImageNode):
         if time.monotonic() < self._wait_until_s:
             return True
         self._diagnostics.warn(
-            'camera_info', 'camera_info tells no focal length: camera_fov_deg is used'
+            'camera_info', 'no field of view came from camera_info within '
+            f'{CAMERA_INFO_WAIT_S:g} s: camera_fov_deg is used',
         )
         return False
 
-    def _drop_waiting(self) -> int:
+    def _drop_queued(self) -> int:
         waiting, self._waiting = self._waiting, []
-        return len(waiting) + super()._drop_waiting()
+        return len(waiting) + super()._drop_queued()
 
     def _on_camera_info(self, message: CameraInfo) -> None:
         focal_px, width_px = float(message.k[0]), int(message.width)
@@ -105,7 +109,7 @@ class VisualOdometryNode(ImageNode):
             self.get_logger().info(f'field of view from camera_info: {self._fov_deg:.2f} deg')
             self._core.set_field_of_view(self._fov_deg)
 
-    def _see(self, stamp_ns: int, image: NDArray[np.uint8], frame_id: str) -> None:
+    def _process_image(self, stamp_ns: int, image: NDArray[np.uint8], frame_id: str) -> None:
         with self._diagnostics.times('visual_odometry'):
             odometry = self._core.estimate(stamp_ns, image)
         if odometry is not None:
@@ -132,10 +136,10 @@ class VisualOdometryNode(ImageNode):
             frames = transform(odometry.stamp_ns, p.odom_frame, p.base_frame, odometry.pose)
             self._tf.publish(TFMessage(transforms=[frames]))
 
-    def _state(self) -> dict[str, Any]:
+    def _diagnostic_values(self) -> dict[str, Any]:
         fov_deg = self._fov_deg if self._fov_deg is not None else self._section.camera_fov_deg
         source = 'camera_fov_deg' if self._fov_deg is None else 'camera_info'
-        return {**super()._state(), 'field_of_view': f'{fov_deg:.2f} deg ({source})'}
+        return {**super()._diagnostic_values(), 'field_of_view': f'{fov_deg:.2f} deg ({source})'}
 
 
 def _diagonal(*variances: float) -> NDArray[np.float64]:

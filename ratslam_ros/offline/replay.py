@@ -4,14 +4,12 @@
 
 from __future__ import annotations
 
-import signal
-import threading
 import time
 from collections import Counter
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +20,8 @@ from ratslam_ros.core.config import Config
 from ratslam_ros.core.ratslam import RatSLAM, Step
 from ratslam_ros.core.vision.visual_odometry import field_of_view_deg
 from ratslam_ros.event_inputs import odometry_from_event, scan_from_event
-from ratslam_ros.messages.mapping import MalformedMessage, decode_template
+from ratslam_ros.messages.json_schema import MalformedMessage
+from ratslam_ros.messages.mapping import decode_template
 from ratslam_ros.offline.replay_video import ReplayVideo
 from ratslam_ros.recordings import (
     Event,
@@ -34,6 +33,7 @@ from ratslam_ros.recordings import (
 )
 from ratslam_ros.recordings.prefetch import prefetch_images
 from ratslam_ros.results.writer import Results
+from ratslam_ros.signals import StopSignals
 from ratslam_ros.timing import StepTimes
 
 PROGRESS_DELAY_S = 0.5
@@ -90,7 +90,7 @@ def replay(
     interrupted = False
     try:
         with ExitStack() as stack:
-            interrupts = stack.enter_context(_Interrupts())
+            stop = stack.enter_context(StopSignals())
             if options.video is not None:
                 run.video = stack.enter_context(ReplayVideo(options.video, run.slam))
             events = recording.events(selection, options.start_s, options.duration_s)
@@ -104,7 +104,7 @@ def replay(
             for event, image in decoded:
                 run.feed(event, image)
                 bar.update(run.span.duration_s)
-                if interrupts.seen:
+                if stop.received:
                     raise KeyboardInterrupt
     except KeyboardInterrupt:
         if run.results is None:
@@ -114,33 +114,6 @@ def replay(
         run.abandon()
         raise
     return ReplayOutcome(run.finish(), interrupted)
-
-
-class _Interrupts:
-    """Keeps SIGINT and SIGTERM until a step is done, so that nothing is left half done.
-
-    Raised wherever they fall they could also come out of compiled code as an internal error. A
-    second one is raised at once, for a recording that gives no more events.
-    """
-
-    def __init__(self) -> None:
-        self.seen = False
-        self._before: dict[signal.Signals, Any] = {}
-
-    def __enter__(self) -> Self:
-        if threading.current_thread() is threading.main_thread():  # others cannot set signals
-            for number in (signal.SIGINT, signal.SIGTERM):
-                self._before[number] = signal.signal(number, self._note)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
-
-    def _note(self, number: int, frame: object) -> None:
-        if self.seen:
-            raise KeyboardInterrupt
-        self.seen = True
 
 
 class _Run:

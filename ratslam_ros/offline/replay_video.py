@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Self
 
 from ratslam_ros.core.ratslam import RatSLAM, Step, ViewStep
+from ratslam_ros.core.vision.local_view import LocalView
 from ratslam_ros.recordings import ImageEvent, UndecodableImage
 from ratslam_ros.results.video import MapVideo
 
@@ -48,10 +49,11 @@ class ReplayVideo:
             image = event.bgr()
         except UndecodableImage:
             return
-        template_id = step.match.template_id
+        template_id, local_view = step.match.template_id, self._slam.local_view
+        assert isinstance(local_view, LocalView)
         self._video.write(
             image,
-            self._slam.local_view.template(template_id) if template_id >= 0 else None,
+            local_view.template(template_id) if template_id >= 0 else None,
             self._slam.pose_cells.activity(),
             self._slam.experience_map.poses[:, :2],
             self._slam.experience_map.pose,

@@ -15,9 +15,8 @@ import numpy as np
 from tqdm import tqdm
 
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.navigation.route_planner import UnreachableGoal
 from ratslam_ros.core.ratslam import Step
-from ratslam_ros.errors import UnusableInput
+from ratslam_ros.errors import UnreachableGoal, UnusableInput
 from ratslam_ros.results.goal_plots import draw_temporal_map
 from ratslam_ros.results.plots import draw_all
 from ratslam_ros.results.trajectory import tum_line
@@ -217,8 +216,8 @@ class _Run:
     def _draw_times(self, name: str, folder: Path) -> None:
         graph, navigator = self.loop.experience_map, self.loop.navigator
         try:
-            goal = navigator.goals.find(name, graph, navigator.recall, 0.0)
-            times = navigator.recall.temporal_map(graph)
+            goal = navigator.goals.find(name, navigator.planner, 0.0)
+            times = navigator.planner.temporal_map()
             ids = times.route_to(goal.experience_id).experience_ids
         except UnreachableGoal:
             return

@@ -184,7 +184,8 @@ class BagRecording(Recording):
             if ros2_type_name(message.channel.type) == types[message.channel.topic]:
                 yield message
 
-    def _events(self, selection: Selection, start_ns: int, stop_ns: int) -> Iterator[Event]:
+    def read_events(self, selection: Selection, start_ns: int, stop_ns: int) -> Iterator[Event]:
+        """Yield the selected events with start_ns <= log_ns < stop_ns."""
         unstamped = {topic for topic in selection.topics if self._is_unstamped(topic)}
         skipped: Counter[str] = Counter()
         reasons: dict[str, str] = {}

@@ -126,7 +126,8 @@ class ImageFolder(Recording):
         )
         self.start_ns, self.end_ns = self._rows[0].stamp_ns, self._rows[-1].stamp_ns
 
-    def _events(self, selection: Selection, start_ns: int, stop_ns: int) -> Iterator[Event]:
+    def read_events(self, selection: Selection, start_ns: int, stop_ns: int) -> Iterator[Event]:
+        """Yield the selected events with start_ns <= log_ns < stop_ns."""
         x = y = heading = 0.0
         before_ns = self.start_ns
         for row in self._rows:

@@ -90,7 +90,7 @@ class Recording(ABC):
         stop_ns = self.end_ns + 1
         if duration_s is not None and duration_s < length_s:
             stop_ns = min(stop_ns, start_ns + round(duration_s * 1e9))
-        return self._events(selection, start_ns, stop_ns)
+        return self.read_events(selection, start_ns, stop_ns)
 
     def calibration(self, selection: Selection) -> Calibration | None:
         """Return the calibration of the camera of the selected images, None if not recorded."""
@@ -109,7 +109,7 @@ class Recording(ABC):
         return {topic.name: topic.count or 0 for topic in self.topics}
 
     @abstractmethod
-    def _events(self, selection: Selection, start_ns: int, stop_ns: int) -> Iterator[Event]:
+    def read_events(self, selection: Selection, start_ns: int, stop_ns: int) -> Iterator[Event]:
         """Yield the selected events with start_ns <= log_ns < stop_ns."""
 
     def close(self) -> None:  # noqa: B027 - not every format keeps files open

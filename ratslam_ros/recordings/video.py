@@ -78,7 +78,8 @@ class Video(Recording):
         self.topics = (Topic(FRAMES_TOPIC, VIDEO, frames),)
         self._expected = frames
 
-    def _events(self, selection: Selection, start_ns: int, stop_ns: int) -> Iterator[Event]:
+    def read_events(self, selection: Selection, start_ns: int, stop_ns: int) -> Iterator[Event]:
+        """Yield the selected events with start_ns <= log_ns < stop_ns."""
         with closing(_Capture(self.path)) as capture:
             index, before_ns = 0, -1
             while capture.grab():

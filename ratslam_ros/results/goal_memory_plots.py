@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures of the goal memory: how long it takes from each pose cell to the goal."""
+"""Plots of the goal memory: time from each pose cell to the goal."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.results.plots import BLACK, BLUE, VERMILLION, new_figure, save_figure
 
 JUMP_CELLS = 7.0
-"""A longer step of a way is drawn dashed: a discontinuity of the pose cells."""
+"""Links longer than this are drawn dotted: jumps of the activity packet."""
 
 Floats = NDArray[np.float64]
 
@@ -22,13 +22,13 @@ Floats = NDArray[np.float64]
 def draw_temporal_array(
     times: TemporalArray, peak: Place, file: str | Path, driven: Floats | None = None
 ) -> Path:
-    """Draw the times to a goal as figures 7 and 9 of seed 001 do: the lighter, the nearer.
+    """Plot the times to a goal like Milford et al. (2005), figures 7 and 9: light is near.
 
     Args:
-        times: what the goal memory recalled; cells that nothing leads on from stay white.
-        peak: where the robot is; the way from the known cell nearest to it is drawn over.
-        file: a PNG to write.
-        driven: (n, 2) x and y in cells of where the peak has been, drawn as well.
+        times: times to the goal; cells that are not connected to it stay white.
+        peak: position of the robot; the route starts at the connected cell nearest to it.
+        file: PNG file to write.
+        driven: (n, 2) previous positions of the peak, x and y in cells, to plot as well.
 
     Returns:
         The file.
@@ -36,23 +36,23 @@ def draw_temporal_array(
     n_y, n_x = times.remaining_s.shape
     figure = new_figure(8.0, 1.6 + 6.0 * n_y / n_x)
     axes = figure.add_subplot()
-    known = np.ma.masked_invalid(times.remaining_s)
-    shown = axes.imshow(
-        known, cmap='viridis_r', origin='lower', interpolation='nearest', vmin=0.0,
+    finite = np.ma.masked_invalid(times.remaining_s)
+    image = axes.imshow(
+        finite, cmap='viridis_r', origin='lower', interpolation='nearest', vmin=0.0,
         extent=(-0.5, n_x - 0.5, -0.5, n_y - 0.5), zorder=1,
     )  # fmt: skip
-    figure.colorbar(shown, ax=axes, label='time to the goal in s', shrink=0.85)
+    figure.colorbar(image, ax=axes, label='time to the goal in s', shrink=0.85)
     if driven is not None:
-        axes.plot(*_broken(driven, n_x, n_y).T, color=BLUE, linewidth=1.0, label='driven')
-    way = _way(times, peak)
-    steps = np.diff(way, axis=0)
+        axes.plot(*_split_at_edges(driven, n_x, n_y).T, color=BLUE, linewidth=1.0, label='driven')
+    route = _route(times, peak)
+    steps = np.diff(route, axis=0)
     steps -= np.round(steps / (n_x, n_y)) * (n_x, n_y)
     jumps = np.hypot(*steps.T) > JUMP_CELLS
     for at in np.flatnonzero(jumps).tolist():
-        axes.plot(*way[at : at + 2].T, color=VERMILLION, linewidth=1.2, linestyle=':')
-    pieces = np.split(way, np.flatnonzero(jumps) + 1)
+        axes.plot(*route[at : at + 2].T, color=VERMILLION, linewidth=1.2, linestyle=':')
+    pieces = np.split(route, np.flatnonzero(jumps) + 1)
     for number, piece in enumerate(pieces):
-        axes.plot(*_broken(piece, n_x, n_y).T, color=VERMILLION, linewidth=2.0,
+        axes.plot(*_split_at_edges(piece, n_x, n_y).T, color=VERMILLION, linewidth=2.0,
                   label='' if number else 'way to the goal')  # fmt: skip
     axes.plot(peak.x, peak.y, linestyle='', marker='X', markersize=10, markeredgecolor='white',
               color=BLACK, label='robot')  # fmt: skip
@@ -67,20 +67,20 @@ def draw_temporal_array(
     return save_figure(figure, Path(file))
 
 
-def _way(times: TemporalArray, peak: Place) -> Floats:
-    """Return (n, 2) x and y of the cells from the known one nearest to the peak to the goal."""
+def _route(times: TemporalArray, peak: Place) -> Floats:
+    """Return (n, 2) x and y of the cells on the route, from the cell nearest to the peak."""
     n_y, n_x = times.remaining_s.shape
     cells = np.flatnonzero(np.isfinite(times.remaining_s))
-    away_x = np.abs(cells % n_x - peak.x)
-    away_y = np.abs(cells // n_x - peak.y)
-    away = np.hypot(np.minimum(away_x, n_x - away_x), np.minimum(away_y, n_y - away_y))
-    way = [int(cells[np.argmin(away)])]
-    while times.onward.flat[way[-1]] >= 0:
-        way.append(int(times.onward.flat[way[-1]]))
-    return np.array([(cell % n_x, cell // n_x) for cell in way], np.float64)
+    d_x = np.abs(cells % n_x - peak.x)
+    d_y = np.abs(cells // n_x - peak.y)
+    distances = np.hypot(np.minimum(d_x, n_x - d_x), np.minimum(d_y, n_y - d_y))
+    route = [int(cells[np.argmin(distances)])]
+    while times.onward.flat[route[-1]] >= 0:
+        route.append(int(times.onward.flat[route[-1]]))
+    return np.array([(cell % n_x, cell // n_x) for cell in route], np.float64)
 
 
-def _broken(places: Floats, n_x: int, n_y: int) -> Floats:
-    """Return places with a gap (NaN) wherever they pass over an edge of the torus."""
-    over = (np.abs(np.diff(places, axis=0)) > (n_x / 2, n_y / 2)).any(axis=1)
-    return np.insert(places, np.flatnonzero(over) + 1, np.nan, axis=0)
+def _split_at_edges(places: Floats, n_x: int, n_y: int) -> Floats:
+    """Insert a gap (NaN) wherever consecutive places cross an edge of the torus."""
+    crosses = (np.abs(np.diff(places, axis=0)) > (n_x / 2, n_y / 2)).any(axis=1)
+    return np.insert(places, np.flatnonzero(crosses) + 1, np.nan, axis=0)

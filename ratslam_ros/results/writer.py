@@ -16,7 +16,7 @@ from typing import IO, Any
 from ratslam_ros.core.common.pose import Pose, composed
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.experience_map import ExperienceMap, PrunedExperience
-from ratslam_ros.core.pose_cells.pose_cells import NO_EXPERIENCE
+from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
 from ratslam_ros.core.ratslam import OdometryStep, Step, ViewStep
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
 from ratslam_ros.errors import UnusableInput

@@ -77,7 +77,7 @@ def _graph(solid: NDArray[np.bool_], cell_m: float) -> csr_array:
         room_for(solid, cell_m, PERSON_RADIUS_M), NEAR_WALL_COST_RATIO, TOO_NARROW_COST_RATIO
     )
     factor[room_for(solid, cell_m, PERSON_RADIUS_M + COMFORT_MARGIN_M)] = 1.0
-    number = np.arange(solid.size).reshape(solid.shape)
+    number = np.arange(solid.size, dtype=np.int32).reshape(solid.shape)
     sources, targets, lengths = [], [], []
     for step_y, step_x in ((0, 1), (1, 0), (1, 1), (1, -1)):
         n_y, n_x = solid.shape

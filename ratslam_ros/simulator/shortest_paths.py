@@ -152,7 +152,7 @@ class DrivenGraph:
         # A sparse matrix has no entries of 0: identical places need a positive length.
         lengths_m = np.maximum(lengths_m, 1e-9)
         size = len(points)
-        graph = coo_array((lengths_m, tuple(pairs.T)), shape=(size, size)).tocsr()
+        graph = coo_array((lengths_m, pairs.T.astype(np.int32)), shape=(size, size)).tocsr()
         _, before = dijkstra(graph, directed=False, indices=size - 2, return_predecessors=True)
         nodes = _trace_back(before, size - 2, size - 1)
         return None if nodes is None else FloorPath(points[nodes])
@@ -164,7 +164,7 @@ def _grid_graph(room: NDArray[np.bool_], cell_m: float) -> csr_array:
     A move requires room in all cells of the rectangle that it crosses, so that no corner is cut.
     """
     n_y, n_x = room.shape
-    nodes = np.arange(n_y * n_x).reshape(n_y, n_x)
+    nodes = np.arange(n_y * n_x, dtype=np.int32).reshape(n_y, n_x)
     starts, ends, lengths = [], [], []
     for rows, columns in _MOVES:
         # A move to the left crosses the same rectangle from its other lower corner.

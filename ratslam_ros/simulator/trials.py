@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.navigation.route_planner import UnreachableGoal
+from ratslam_ros.errors import UnreachableGoal
 from ratslam_ros.simulator.closed_loop import ClosedLoop
 from ratslam_ros.simulator.shortest_paths import DrivenGraph, FloorGraph, FloorPath
 

@@ -99,12 +99,33 @@ def test_without_rclpy_and_cyclonedds_one_line_says_so(words: list[str]) -> None
     run = python(
         'import importlib.util, sys\n'
         'sys.modules["rclpy"] = sys.modules["cyclonedds"] = None\n'
-        'importlib.util.find_spec = lambda name: None\n'
+        'find, absent = importlib.util.find_spec, ("rclpy", "cyclonedds")\n'
+        'importlib.util.find_spec = lambda name: None if name in absent else find(name)\n'
         'from ratslam_ros.cli import main\n'
         f'sys.exit(main({words}))\n'
     )
     assert run.returncode == 2, run.stderr
     assert run.stderr.count('\n') == 1 and 'cyclonedds' in run.stderr
+
+
+@pytest.mark.parametrize('package', ['numba', 'numpy', 'cv2'])
+@pytest.mark.parametrize('start', [
+    'from ratslam_ros.live.entry import local_view as start',
+    'from ratslam_ros.cli import main\nstart = lambda: main(["run", "local_view"])',
+], ids=['entry', 'command'])  # fmt: skip
+def test_missing_package_is_reported_in_one_line(package: str, start: str) -> None:
+    run = python(
+        'import sys\n'
+        f'sys.modules["{package}"] = None\n'
+        'from ratslam_ros.live import entry\n'
+        'entry.find_spec = lambda name: True  # rclpy is there\n'
+        f'{start}\n'
+        'sys.exit(start())\n'
+    )
+    assert run.returncode == 2, run.stderr
+    assert run.stderr.count('\n') == 1
+    assert package.replace('cv2', 'opencv') in run.stderr
+    assert f'({sys.executable})' in run.stderr and 'colcon build' in run.stderr
 
 
 def test_the_commands_start_quickly() -> None:

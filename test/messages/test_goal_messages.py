@@ -16,10 +16,10 @@ from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation.goals import Goal, Position
 from ratslam_ros.core.navigation.navigator import Navigator
 from ratslam_ros.core.navigation.route_planner import TemporalMap
-from ratslam_ros.core.pose_cells.pose_cells import MapAction
+from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.messages.goals import (
-    BehaviourNote,
+    BehaviourReport,
     GoalRequest,
     NameRequest,
     decode_behaviour,
@@ -31,7 +31,7 @@ from ratslam_ros.messages.goals import (
     encode_status,
     encode_times,
 )
-from ratslam_ros.messages.mapping import MalformedMessage
+from ratslam_ros.messages.json_schema import MalformedMessage
 
 
 @pytest.mark.parametrize(('payload', 'request_'), [
@@ -40,7 +40,7 @@ from ratslam_ros.messages.mapping import MalformedMessage
     ('{"x_m":1,"y_m":-2.5,"timeout_s":9}', GoalRequest((Position(1.0, -2.5),), timeout_s=9.0)),
     ('{"schema_version":1,"goals":[{"name":"a"},{"experience_id":0}]}', GoalRequest(('a', 0))),
 ])  # fmt: skip
-def test_goals_are_asked_for_in_many_ways(payload: str, request_: GoalRequest) -> None:
+def test_goal_request_accepts_every_kind_of_target(payload: str, request_: GoalRequest) -> None:
     assert decode_goal(payload) == request_
 
 
@@ -52,16 +52,16 @@ def test_goals_are_asked_for_in_many_ways(payload: str, request_: GoalRequest) -
     ('{"x_m":NaN,"y_m":0}', 'finite'), ('{"experience_id":true}', 'expected int'),
     ('{"experience_id":-1}', 'experience_id is -1'), ('{"name":"a","appent":true}', 'appent'),
     ('{"name":"a","append":1}', 'append is 1'), ('{"name":"a","timeout_s":-1}', 'timeout_s is -1'),
-    ('{"goals":[]}', 'expected a list'), ('{"goals":["a"]}', "'a' is no goal"),
-    ('{"goals":[{"name":"a","append":true}]}', 'append is not known here'),
-    ('{"goals":[{"name":"a"}],"name":"b"}', 'name is not known here'),
+    ('{"goals":[]}', 'expected a list'), ('{"goals":["a"]}', "'a' is not a goal"),
+    ('{"goals":[{"name":"a","append":true}]}', 'append is unknown here'),
+    ('{"goals":[{"name":"a"}],"name":"b"}', 'name is unknown here'),
 ])  # fmt: skip
-def test_a_goal_that_does_not_fit_is_refused(payload: str, reason: str) -> None:
+def test_malformed_goal_request_is_refused_with_reason(payload: str, reason: str) -> None:
     with pytest.raises(MalformedMessage, match=reason):
         decode_goal(payload)
 
 
-def test_names_are_given_changed_and_taken_away() -> None:
+def test_name_request_names_renames_or_removes() -> None:
     assert decode_name('{"name":"a"}') == NameRequest('a')
     assert decode_name('{"name":"a","rename_to":"b"}') == NameRequest('a', rename_to='b')
     assert decode_name('{"name":"a","remove":true}') == NameRequest('a', remove=True)
@@ -70,10 +70,10 @@ def test_names_are_given_changed_and_taken_away() -> None:
             decode_name(payload)
 
 
-def test_behaviours_come_back_as_they_were() -> None:
-    note = BehaviourNote(1_700_000_000_500_000_000, 'left_wall', True, -1.25)
-    assert decode_behaviour(encode_behaviour(note)) == note
-    text = encode_behaviour(note)
+def test_behaviour_report_round_trips_and_malformed_is_refused() -> None:
+    report = BehaviourReport(1_700_000_000_500_000_000, 'left_wall', True, -1.25)
+    assert decode_behaviour(encode_behaviour(report)) == report
+    text = encode_behaviour(report)
     for wrong in (
         text.replace('true', '1'), text.replace('-1.25', '9.0'), text.replace('"failed"', '"f"'),
         text.replace('left_wall', 'x' * 101), text.replace('500000000', '-1'),
@@ -83,7 +83,7 @@ def test_behaviours_come_back_as_they_were() -> None:
 
 
 def corridor() -> ExperienceMap:
-    """Return experiences at x = 0, 1 and 2 m; the robot has come 0.25 m beyond the last."""
+    """Return experiences at x = 0, 1 and 2 m; the robot is 0.25 m beyond the last."""
     graph = ExperienceMap(ExperienceMapParameters(exp_initial_em_deg=0.0))
     for n in range(3):
         graph.integrate(Motion(2.0, 1.0 if n else 0.0, 0.0))
@@ -92,7 +92,7 @@ def corridor() -> ExperienceMap:
     return graph
 
 
-def test_the_status_tells_of_places_and_goals() -> None:
+def test_status_contains_neighbours_queue_and_outcomes() -> None:
     graph = corridor()
     navigator = Navigator(GoalRecallParameters(), graph)
     navigator.goals.name_place(graph, 'here')
@@ -102,35 +102,35 @@ def test_the_status_tells_of_places_and_goals() -> None:
     text = encode_status(
         5, graph, guidance, navigator.queue, navigator.outcomes, 'no such place'
     )  # fmt: skip
-    told = decode_status(text)
-    assert (told['status'], told['experience_id'], told['reason']) == (
+    fields = decode_status(text)
+    assert (fields['status'], fields['experience_id'], fields['reason']) == (
         'following', 2, 'no such place'
     )  # fmt: skip
-    [neighbour] = told['neighbours']
+    [neighbour] = fields['neighbours']
     assert neighbour['id'] == 1
     assert neighbour['distance_m'] == pytest.approx(1.25)
     assert abs(neighbour['direction_rad']) == pytest.approx(math.pi)
-    assert [(e['goal'], e['status']) for e in told['queue']] == [
+    assert [(e['goal'], e['status']) for e in fields['queue']] == [
         ('experience 0', 'active'), ('here', 'queued')
     ]  # fmt: skip
-    assert [(e['goal'], e['status'], e['took_s']) for e in told['outcomes']] == [
+    assert [(e['goal'], e['status'], e['took_s']) for e in fields['outcomes']] == [
         ('experience 1', 'cancelled', None)
     ]
-    assert told['remaining_s'] == pytest.approx(4.0)
+    assert fields['remaining_s'] == pytest.approx(4.0)
     empty = ExperienceMap(ExperienceMapParameters())
     idle = Navigator(GoalRecallParameters(), empty)
-    told = decode_status(encode_status(0, empty, idle.update(0), idle.queue, idle.outcomes))
-    assert (told['status'], told['goal'], told['remaining_s'], told['neighbours']) == (
+    fields = decode_status(encode_status(0, empty, idle.update(0), idle.queue, idle.outcomes))
+    assert (fields['status'], fields['goal'], fields['remaining_s'], fields['neighbours']) == (
         'idle', None, None, []
     )  # fmt: skip
 
 
-def test_named_places_and_times_are_told() -> None:
+def test_named_places_and_arrival_times_are_encoded() -> None:
     graph = corridor()
-    told = json.loads(encode_goals(graph, [Goal(1, name='kitchen')]))
-    assert told['goals'] == [
+    fields = json.loads(encode_goals(graph, [Goal(1, name='kitchen')]))
+    assert fields['goals'] == [
         {'name': 'kitchen', 'experience_id': 1, 'x_m': 1.0, 'y_m': 0.0, 'heading_rad': 0.0}
     ]
     times = TemporalMap(2, np.array([3.0, math.inf]), np.array([-1, -1], np.int32))
-    told = json.loads(encode_times(times))
-    assert told == {'schema_version': 1, 'experience_id': 2, 'arrival_s': [3.0, None]}
+    fields = json.loads(encode_times(times))
+    assert fields == {'schema_version': 1, 'experience_id': 2, 'arrival_s': [3.0, None]}

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Payloads: equal content gives equal bytes, and what does not fit is refused whole."""
+"""Payloads: equal content gives equal bytes, and malformed payloads are refused entirely."""
 
 import json
 import math
@@ -14,12 +14,12 @@ from hypothesis import strategies as st
 
 from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
-from ratslam_ros.core.pose_cells.pose_cells import MapAction
+from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.core.vision.local_view import UNDECODABLE, ViewMatch
 from ratslam_ros.messages import mapping
+from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.messages.mapping import (
-    MalformedMessage,
     MapText,
     decode_action,
     decode_active,
@@ -52,7 +52,7 @@ def refused(payload: str) -> str:
     st.integers(0, 2**31 * 10**9 - 1), st.integers(-1, 10**6), st.booleans(), st.floats(-1.0, 1.0),
     st.floats(-3.14, 3.14), st.integers(0, 2**62),
 )  # fmt: skip
-def test_what_is_encoded_is_decoded_to_the_last_bit(
+def test_template_round_trips_bit_identically(
     stamp_ns: int, number: int, is_new: bool, error: float, relative: float, memory: int
 ) -> None:
     match = ViewMatch(number, is_new, error, relative)
@@ -61,7 +61,7 @@ def test_what_is_encoded_is_decoded_to_the_last_bit(
     assert encode_template(*decode_template(payload)) == payload
 
 
-def test_a_template_has_its_keys_in_order_and_nothing_else() -> None:
+def test_template_payload_has_exactly_the_documented_keys() -> None:
     payload = encode_template(START_NS + 42, ViewMatch(3, False, 0.1, -0.5), 7)
     assert payload == (
         '{"schema_version":1,"stamp":{"sec":1700000000,"nanosec":42},"id":3,"is_new":false,'
@@ -69,12 +69,12 @@ def test_a_template_has_its_keys_in_order_and_nothing_else() -> None:
     )
 
 
-def test_an_undecodable_image_has_a_message_too() -> None:
+def test_undecodable_image_round_trips() -> None:
     assert decode_template(encode_template(8, UNDECODABLE, 0)) == (8, UNDECODABLE, 0)
 
 
 @pytest.mark.parametrize('key', KEYS)
-def test_a_missing_key_is_refused(key: str) -> None:
+def test_template_without_a_key_is_refused(key: str) -> None:
     assert key.split('_')[0] in refused(without(key))
 
 
@@ -95,13 +95,13 @@ def test_a_missing_key_is_refused(key: str) -> None:
     ('stamp', {'sec': -1, 'nanosec': 0}), ('stamp', {'sec': 2**31, 'nanosec': 0}),
     ('memory', 2**63), ('memory', -1),
 ], ids=lambda value: str(value)[:30])  # fmt: skip
-def test_a_value_that_does_not_fit_is_refused(key: str, value: Any) -> None:
+def test_template_with_invalid_value_is_refused(key: str, value: Any) -> None:
     assert key.split('_')[0] in refused(template_text(5, 3, **{key: value}))
 
 
 @pytest.mark.parametrize('key', ['error', 'relative_rad'])
 @pytest.mark.parametrize('value', ['NaN', 'Infinity', '-Infinity', '1e999'])
-def test_numbers_that_are_not_finite_are_refused(key: str, value: str) -> None:
+def test_template_with_non_finite_number_is_refused(key: str, value: str) -> None:
     payload = template_text(5, 3, **{key: 123.25}).replace('123.25', value)
     assert value in payload
     refused(payload)
@@ -111,11 +111,11 @@ def test_numbers_that_are_not_finite_are_refused(key: str, value: str) -> None:
     '', ' ', '{', 'nonsense', '[]', '3', 'null', '"text"', 'true', template_text(5, 3)[:-1],
     template_text(5, 3) + '}', '{}', '\x00', '[' * 100_000, '{"a":' * 100_000, '1' * 5000,
 ], ids=lambda payload: repr(payload[:12]))  # fmt: skip
-def test_what_is_no_json_object_is_refused(payload: str) -> None:
+def test_payload_that_is_no_json_object_is_refused(payload: str) -> None:
     assert len(refused(payload)) < 1000
 
 
-def test_a_whole_number_does_for_a_float() -> None:
+def test_integer_is_accepted_and_converted_for_float() -> None:
     _, match, _ = decode_template(template_text(5, 3, error=0, relative_rad=1))
     assert (match.error, match.relative_rad) == (0.0, 1.0)
     assert type(match.error) is type(match.relative_rad) is float
@@ -126,12 +126,12 @@ def test_a_whole_number_does_for_a_float() -> None:
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(),
     lambda inner: st.lists(inner) | st.dictionaries(st.sampled_from(KEYS) | st.text(), inner),
 ))  # fmt: skip
-def test_any_other_json_is_refused_and_never_crashes(value: Any) -> None:
+def test_arbitrary_json_is_refused_without_crash(value: Any) -> None:
     refused(json.dumps(value))
 
 
 @given(st.sampled_from(KEYS), st.none() | st.integers() | st.floats() | st.text() | st.booleans())
-def test_any_value_of_any_key_is_taken_or_refused(key: str, value: Any) -> None:
+def test_any_value_of_any_key_is_valid_or_refused(key: str, value: Any) -> None:
     try:
         stamp_ns, match, memory = decode_template(template_text(5, 3, **{key: value}))
     except MalformedMessage:
@@ -155,7 +155,7 @@ def small_map() -> ExperienceMap:
 
 
 def plain_json(stamp_ns: int, graph: ExperienceMap) -> str:
-    """The map's text in the plainest way: what ``encode_map`` gives is to be the same."""
+    """Return the map's text by one plain call of json: the reference for ``encode_map``."""
     content = {
         'schema_version': 1,
         'frame_id': graph.frame_id,
@@ -191,9 +191,9 @@ def plain_json(stamp_ns: int, graph: ExperienceMap) -> str:
     return json.dumps(content, allow_nan=False, separators=(',', ':'))
 
 
-def check_text(graph: ExperienceMap, kept: MapText) -> None:
+def check_text(graph: ExperienceMap, cached: MapText) -> None:
     text = plain_json(START_NS, graph)
-    assert encode_map(START_NS, graph, kept) == text
+    assert encode_map(START_NS, graph, cached) == text
     assert encode_map(START_NS, graph) == text
 
 
@@ -217,7 +217,7 @@ def action_text(**changed: Any) -> str:
     st.tuples(st.floats(0.0, 999.0), st.floats(0.0, 999.0), st.floats(0.0, 35.9)),
     st.integers(0, 2**62),
 )  # fmt: skip
-def test_an_action_is_decoded_to_the_last_bit(
+def test_action_round_trips_bit_identically(
     stamp_ns: int, sequence: int, kind: Any, source: int, target: int, template: int,
     relative: float, place: tuple[float, float, float], memory: int,
 ) -> None:  # fmt: skip
@@ -226,11 +226,11 @@ def test_an_action_is_decoded_to_the_last_bit(
     assert decode_action(payload) == (stamp_ns, sequence, action, memory)
 
 
-def test_an_action_has_its_keys_in_order_and_nothing_else() -> None:
+def test_action_payload_has_exactly_the_documented_keys() -> None:
     assert list(json.loads(encode_action(START_NS, 8, ACTION, 7))) == ACTION_KEYS
 
 
-def test_before_the_first_experience_there_are_actions_too() -> None:
+def test_action_none_before_first_experience_round_trips() -> None:
     none = MapAction('none', -1, -1, -1, 0.0, Place(0.0, 0.0, 0.0))
     assert decode_action(encode_action(5, 0, none, 0)) == (5, 0, none, 0)
 
@@ -243,27 +243,27 @@ def test_before_the_first_experience_there_are_actions_too() -> None:
     ('pc_theta', 1e9), ('relative_rad', 4.0), ('source_id', 1.5), ('sequence', True),
     ('pc_y', None), ('stamp', {'sec': 1}), ('schema_version', 2),
 ])  # fmt: skip
-def test_an_action_that_does_not_fit_is_refused(key: str, value: Any) -> None:
+def test_action_with_invalid_value_is_refused(key: str, value: Any) -> None:
     with pytest.raises(MalformedMessage, match=key.split('_')[0]):
         decode_action(action_text(**{key: value}))
 
 
 @pytest.mark.parametrize('key', ACTION_KEYS)
-def test_an_action_without_a_key_is_refused(key: str) -> None:
+def test_action_without_a_key_is_refused(key: str) -> None:
     fields = json.loads(action_text())
     del fields[key]
     with pytest.raises(MalformedMessage):
         decode_action(json.dumps(fields))
 
 
-# Experiences that are active
+# Active experiences
 
 
 @given(
     st.integers(0, 2**31 * 10**9 - 1), st.integers(-1, 10**6),
     st.lists(st.tuples(st.integers(0, 10**6), st.floats(0.0, 2.0)), max_size=5),
 )  # fmt: skip
-def test_active_experiences_are_decoded_to_the_last_bit(
+def test_active_experiences_round_trip_bit_identically(
     stamp_ns: int, template_id: int, active: list[tuple[int, float]]
 ) -> None:
     payload = encode_active(stamp_ns, template_id, active)
@@ -276,13 +276,13 @@ def test_active_experiences_are_decoded_to_the_last_bit(
     [{'id': True, 'activity': 1.0}], [{'id': 1, 'activity': 'much'}],
     [{'id': 1, 'activity': 1.0}, {'id': 2, 'activity': -0.1}],
 ])  # fmt: skip
-def test_active_experiences_that_do_not_fit_are_refused(experiences: Any) -> None:
+def test_malformed_active_experiences_are_refused(experiences: Any) -> None:
     fields = json.loads(encode_active(5, 1, []))
     with pytest.raises(MalformedMessage, match='active_experiences'):
         decode_active(json.dumps({**fields, 'experiences': experiences}))
 
 
-def test_the_map_has_its_keys_in_the_documented_order() -> None:
+def test_map_has_exactly_the_documented_keys() -> None:
     fields = json.loads(encode_map(START_NS + 9, small_map()))
     assert list(fields) == [
         'schema_version', 'frame_id', 'stamp', 'current_experience_id', 'experiences', 'links'
@@ -307,14 +307,14 @@ def test_equal_maps_give_equal_bytes() -> None:
     assert encode_map(5, small_map()) != encode_map(6, small_map())
 
 
-def test_an_empty_map_is_a_map() -> None:
+def test_empty_map_is_encoded() -> None:
     assert encode_map(0, ExperienceMap(ExperienceMapParameters())) == (
         '{"schema_version":1,"frame_id":"map","stamp":{"sec":0,"nanosec":0},'
         '"current_experience_id":-1,"experiences":[],"links":[]}'
     )
 
 
-def test_numbers_are_written_as_python_repr_gives_them() -> None:
+def test_map_numbers_are_written_as_python_repr() -> None:
     graph = small_map()
     text = encode_map(0, graph)
     for experience in graph.experiences():
@@ -324,7 +324,7 @@ def test_numbers_are_written_as_python_repr_gives_them() -> None:
     assert text.isascii()
 
 
-def test_no_map_with_nan_is_ever_written() -> None:
+def test_map_with_nan_raises() -> None:
     graph = small_map()
     graph._poses[1, 0] = float('nan')
     with pytest.raises(ValueError, match='JSON'):
@@ -341,23 +341,23 @@ PARAMETERS = [
 
 
 @pytest.mark.parametrize('seed', range(6))
-def test_a_kept_text_follows_the_map_whatever_happens_to_it(seed: int) -> None:
+def test_cached_text_follows_random_changes_of_the_map(seed: int) -> None:
     rng = random.Random(seed)
     parameters = PARAMETERS[seed % len(PARAMETERS)]
-    graph, kept = ExperienceMap(parameters), MapText()
-    check_text(graph, kept)
+    graph, cached = ExperienceMap(parameters), MapText()
+    check_text(graph, cached)
     for step in range(150):
         graph.integrate(turning(rng.uniform(-2.0, 2.0)))
         graph.integrate(ahead(rng.choice([0.0, rng.uniform(0.0, 3.0)])))
-        known, here = len(graph), graph.current_id
+        known, current = len(graph), graph.current_id
         place = Place(rng.uniform(0.0, 30.0), rng.choice([0.0, 7.0]), rng.uniform(0.0, 36.0))
         if known < 3 or rng.random() < 0.5:
-            action = MapAction('create', here, known, step, rng.uniform(-0.1, 0.1), place)
+            action = MapAction('create', current, known, step, rng.uniform(-0.1, 0.1), place)
         elif rng.random() < 0.3:
             action = MapAction('set', -1, rng.randrange(known), step, 0.0, place)
         else:  # few targets, so that links are averaged
-            target = (here + rng.randrange(1, 3)) % known
-            action = MapAction('link', here, target, step, rng.uniform(-0.1, 0.1), place)
+            target = (current + rng.randrange(1, 3)) % known
+            action = MapAction('link', current, target, step, rng.uniform(-0.1, 0.1), place)
         graph.apply(action, rng.choice(NAMES))
         if rng.random() < 0.1:
             graph.settle()
@@ -365,9 +365,9 @@ def test_a_kept_text_follows_the_map_whatever_happens_to_it(seed: int) -> None:
             state, graph = graph.state(), ExperienceMap(parameters)
             graph.restore(state)
         if rng.random() < 0.5:  # else several changes come at once
-            check_text(graph, kept)
+            check_text(graph, cached)
     assert len({count for _, count in graph.link_notes}) > 2
-    check_text(graph, kept)
+    check_text(graph, cached)
 
 
 @given(st.lists(
@@ -375,9 +375,9 @@ def test_a_kept_text_follows_the_map_whatever_happens_to_it(seed: int) -> None:
                                                                    allow_infinity=False)),
     max_size=20,
 ))  # fmt: skip
-def test_every_number_is_written_as_json_does(changes: list[tuple[int, float]]) -> None:
-    graph, kept = small_map(), MapText()
-    check_text(graph, kept)
+def test_cached_text_writes_numbers_like_json(changes: list[tuple[int, float]]) -> None:
+    graph, cached = small_map(), MapText()
+    check_text(graph, cached)
     for at, value in changes:
         value = math.copysign(value, (-1) ** at)
         if at < 6:
@@ -388,50 +388,50 @@ def test_every_number_is_written_as_json_does(changes: list[tuple[int, float]]) 
             graph.link_durations_s[0] = value
         else:
             graph._labels[at % 2] = at, Place(value, at, -value)  # a whole number stays one
-        check_text(graph, kept)
+        check_text(graph, cached)
 
 
 @pytest.mark.parametrize('name', NAMES)
-def test_a_behaviour_is_written_as_json_does(name: str) -> None:
-    graph, kept = small_map(), MapText()
+def test_cached_text_writes_behaviours_like_json(name: str) -> None:
+    graph, cached = small_map(), MapText()
     for count in (1, 10**6):
         graph._links.notes[0] = name, count
-        check_text(graph, kept)
+        check_text(graph, cached)
 
 
-def test_zero_is_told_from_minus_zero() -> None:
-    graph, kept = small_map(), MapText()
+def test_cached_text_distinguishes_zero_from_minus_zero() -> None:
+    graph, cached = small_map(), MapText()
     for zero in (0.0, -0.0, 0.0):
         graph._poses[1, 1] = graph.link_shapes[0, 1] = zero
         graph._labels[1] = 6, Place(2.0, zero, 35.9)
-        check_text(graph, kept)
+        check_text(graph, cached)
 
 
-def test_a_kept_text_is_never_that_of_another_map() -> None:
-    kept, empty, other = MapText(), ExperienceMap(PARAMETERS[2]), small_map()
+def test_cached_text_of_another_map_is_not_reused() -> None:
+    cached, empty, other = MapText(), ExperienceMap(PARAMETERS[2]), small_map()
     other._labels[1] = 6, Place(2.0, -0.0, 35.9)
     larger = small_map()
     larger.integrate(ahead(1.0))
     larger.apply(MapAction('create', 1, 2, 7, 0.0, Place(3.0, 0.0, 0.0)), 'wander')
     for graph in (small_map(), other, empty, larger, small_map(), empty, other, larger):
-        check_text(graph, kept)
+        check_text(graph, cached)
 
 
 @pytest.mark.parametrize('value', [math.nan, math.inf])
-def test_what_could_not_be_written_is_not_kept(value: float) -> None:
-    graph, kept = small_map(), MapText()
-    check_text(graph, kept)
+def test_values_that_failed_to_encode_are_not_cached(value: float) -> None:
+    graph, cached = small_map(), MapText()
+    check_text(graph, cached)
     for numbers in (graph._poses, graph.link_shapes):
         numbers[0, 0] = value
         for _ in range(2):
             with pytest.raises(ValueError, match='JSON'):
-                encode_map(0, graph, kept)
+                encode_map(0, graph, cached)
         numbers[0, 0] = 2.5
-        check_text(graph, kept)
+        check_text(graph, cached)
 
 
-def test_only_what_has_changed_is_written_anew(monkeypatch: pytest.MonkeyPatch) -> None:
-    graph, kept = small_map(), MapText()
+def test_only_changed_items_are_encoded_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    graph, cached = small_map(), MapText()
     written = 0
     plain = mapping._numbers
 
@@ -443,7 +443,7 @@ def test_only_what_has_changed_is_written_anew(monkeypatch: pytest.MonkeyPatch) 
     def written_now() -> int:
         nonlocal written
         written = 0
-        encode_map(0, graph, kept)
+        encode_map(0, graph, cached)
         return written
 
     monkeypatch.setattr(mapping, '_numbers', numbers)

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Nodes in this process, on rclpy where it is installed and on the stand-in elsewhere."""
+"""Nodes in the test process, on rclpy if it is installed, else on the stand-in for it."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.standalone import StandaloneUnavailable, install
 
 os.environ.update(live_environment())
-WHY_NOT = ''
+UNAVAILABLE = ''
 try:
     install()
 except StandaloneUnavailable as error:
-    WHY_NOT = str(error)
+    UNAVAILABLE = str(error)
 
 TIMEOUT_S = 20.0
 
 
 class World:
-    """Nodes under test, and one that talks to them, on one executor."""
+    """The nodes under test and a tester node that communicates with them, on one executor."""
 
     def __init__(self, makers: tuple[Callable[[], Any], ...], arguments: tuple[str, ...]) -> None:
         import rclpy
@@ -52,7 +52,7 @@ class World:
         rclpy.try_shutdown()
 
     def until(self, condition: Callable[[], Any], timeout_s: float = TIMEOUT_S) -> None:
-        """Spin until something holds."""
+        """Spin until a condition holds; fail after the timeout."""
         end_s = time.monotonic() + timeout_s
         while not condition():
             assert time.monotonic() < end_s, f'not within {timeout_s} s'
@@ -64,16 +64,16 @@ class World:
             self.executor.spin_once(timeout_sec=0.02)
 
     def listen(self, kind: type, topic: str, qos: Any = None) -> list[Any]:
-        """Return a list that grows by the messages of a topic."""
+        """Subscribe to a topic; return a list to which each message is appended."""
         from ratslam_ros.nodes.qos import INPUT
 
-        heard: list[Any] = []
-        self.tester.create_subscription(kind, topic, heard.append, qos or INPUT)
+        received: list[Any] = []
+        self.tester.create_subscription(kind, topic, received.append, qos or INPUT)
         self.until(lambda: self.tester.count_publishers(topic) > 0)
-        return heard
+        return received
 
     def send(self, topic: str, message: Any, qos: Any = None) -> None:
-        """Publish a message, to somebody who listens."""
+        """Publish a message, after waiting for a subscriber."""
         from ratslam_ros.nodes.qos import PLAYED
 
         if topic not in self.publishers:
@@ -92,38 +92,38 @@ class World:
         return future.result()
 
     def diagnostics(self) -> dict[str, dict[str, str]]:
-        """Return the next state of each node under test, by its name."""
+        """Return the next diagnostics of each node under test, by its name."""
         from diagnostic_msgs.msg import DiagnosticArray
 
-        heard = self.listen(DiagnosticArray, '/diagnostics')
+        received = self.listen(DiagnosticArray, '/diagnostics')
         names = {node.get_name() for node in self.nodes}
         found: dict[str, dict[str, str]] = {}
-        told = 0
+        count = 0
         while set(found) != names:
-            self.until(lambda told=told: len(heard) > told)
-            for status in heard[told].status:
+            self.until(lambda count=count: len(received) > count)
+            for status in received[count].status:
                 values = {item.key: item.value for item in status.values}
                 level = status.level
                 number = level[0] if isinstance(level, bytes) else int(level)
                 found[status.name.rpartition(' ')[2].rpartition('/')[2]] = {
                     **values, 'level': str(number), 'message': status.message
                 }  # fmt: skip
-            told += 1
+            count += 1
         return found
 
 
 @pytest.fixture(scope='session', autouse=True)
 def warm() -> None:
-    """Compile before the clock of any test runs, as nodes do before they are ready."""
+    """Compile before the time limit of any test runs, as nodes do before they are ready."""
     warm_up()
     warm_up('goal_recall', 'goal_follower')
 
 
 @pytest.fixture
 def world() -> Iterator[Callable[..., World]]:
-    """Give what makes a world of nodes; ``arguments`` are what follows --ros-args."""
-    if WHY_NOT:
-        pytest.skip(WHY_NOT)
+    """Return a factory of Worlds; its ``arguments`` are those after --ros-args."""
+    if UNAVAILABLE:
+        pytest.skip(UNAVAILABLE)
     made: list[World] = []
 
     def make(*makers: Callable[[], Any], arguments: tuple[str, ...] = ()) -> World:

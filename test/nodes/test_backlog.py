@@ -5,12 +5,12 @@ import threading
 from ratslam_ros.nodes.backlog import Backlog
 
 
-def test_all_is_processed_in_order_by_another_thread() -> None:
-    seen: list[int] = []
+def test_items_are_processed_in_order_in_another_thread() -> None:
+    processed: list[int] = []
     done = threading.Event()
 
     def process(item: int) -> None:
-        seen.append(item)
+        processed.append(item)
         if item == 99:
             done.set()
 
@@ -18,11 +18,11 @@ def test_all_is_processed_in_order_by_another_thread() -> None:
     for n in range(100):
         assert backlog.put(n, 1)
     assert done.wait(10.0)
-    assert seen == list(range(100))
+    assert processed == list(range(100))
     assert backlog.close() == 0
 
 
-def test_what_does_not_fit_is_not_taken_and_one_item_always_is() -> None:
+def test_items_beyond_the_limit_are_refused_except_one() -> None:
     entered, leave = threading.Event(), threading.Event()
 
     def process(item: int) -> None:
@@ -31,7 +31,7 @@ def test_what_does_not_fit_is_not_taken_and_one_item_always_is() -> None:
 
     backlog = Backlog(process, lambda error: None, max_bytes=10)
     assert backlog.put(0, 1000)
-    assert entered.wait(10.0)  # in hand: it does not wait any more
+    assert entered.wait(10.0)  # being processed: it is no longer queued
     assert backlog.put(1, 1000)
     assert not backlog.put(2, 1)
     assert len(backlog) == 2
@@ -43,18 +43,18 @@ def test_what_does_not_fit_is_not_taken_and_one_item_always_is() -> None:
     assert backlog.close() == 2
 
 
-def test_an_error_ends_the_thread_and_is_handed_over() -> None:
+def test_error_ends_the_thread_and_is_reported() -> None:
     errors: list[BaseException] = []
     failed = threading.Event()
 
     def process(item: int) -> None:
         raise ZeroDivisionError(item)
 
-    def note(error: BaseException) -> None:
+    def on_failure(error: BaseException) -> None:
         errors.append(error)
         failed.set()
 
-    backlog = Backlog(process, note)
+    backlog = Backlog(process, on_failure)
     backlog.put(7, 1)
     assert failed.wait(10.0)
     assert [type(error) for error in errors] == [ZeroDivisionError]

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The node that moves the robot: where to, and when it must not."""
+"""The node that drives the robot: tasks, commands and safety stops."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ STEP_NS = 100_000_000
 
 
 class Robot:
-    """Sends what the node wants, and hears what it says."""
+    """Sends the inputs of the node, and receives its commands."""
 
     def __init__(self, world: MakeWorld, *arguments: str) -> None:
         from geometry_msgs.msg import Twist
@@ -33,7 +33,7 @@ class Robot:
 
         self.world = world(GoalFollowerNode, arguments=arguments)
         self.velocities = self.world.listen(Twist, 'cmd_vel')
-        self.notes = self.world.listen(String, 'goal_follower/behaviour')
+        self.reports = self.world.listen(String, 'goal_follower/behaviour')
         self.stamp_ns = START_NS
 
     def scan(self, ranges_m: Any = 5.0, **changed: Any) -> None:
@@ -89,67 +89,67 @@ class Robot:
         self.world.send('experience_map/status', String(data=payload), LATCHED)
 
     def settle(self) -> None:
-        """Let all that was sent arrive, in less time than anything needs to be over."""
+        """Wait until sent messages have arrived, for less time than any timeout."""
         self.world.spin(0.15)
 
     def sense(self, ranges_m: Any = 5.0, **pose: float) -> Any:
-        """Send place and scan; return the command that follows."""
+        """Send pose and scan; return the resulting command."""
         self.pose(**pose)
         self.settle()
-        noted = len(self.notes)
+        count = len(self.reports)
         self.scan(ranges_m)
-        self.world.until(lambda: len(self.notes) > noted)
-        self.world.spin(0.05)  # what was sent before the note may come after it
+        self.world.until(lambda: len(self.reports) > count)
+        self.world.spin(0.05)  # the command may arrive after the report
         return self.velocities[-1]
 
     def clear(self) -> None:
         self.settle()
         self.velocities.clear()
-        self.notes.clear()
+        self.reports.clear()
 
     @property
-    def stands(self) -> bool:
+    def is_stopped(self) -> bool:
         last = self.velocities[-1]
         return bool(last.linear.x == 0.0 and last.angular.z == 0.0)
 
 
 @pytest.mark.parametrize(('wall', 'side'), [('left_wall', 1.0), ('right_wall', -1.0)])
-def test_the_wall_that_a_route_was_learned_along_is_followed_again(
+def test_wall_of_the_learned_route_is_followed_again(
     world: MakeWorld, wall: str, side: float
 ) -> None:
     robot = Robot(world)
     robot.route((0.0, 0.0), (4.0, 0.0))
     robot.status('following', behaviour=wall)
     robot.settle()
-    assert side * robot.sense().angular.z > 0.3  # it goes to look for it
-    assert decode_behaviour(robot.notes[-1].data).behaviour == wall
+    assert side * robot.sense().angular.z > 0.3  # the robot turns towards the wall
+    assert decode_behaviour(robot.reports[-1].data).behaviour == wall
 
 
-def test_the_robot_follows_its_route_and_says_what_it_does(world: MakeWorld) -> None:
+def test_route_is_followed_and_behaviour_reported(world: MakeWorld) -> None:
     robot = Robot(world)
     robot.route((0.0, 0.0), (4.0, 0.0))
     assert robot.sense().linear.x > 0.3
     assert robot.sense(x=1.0, heading=2.0).angular.z < -0.5  # the route leads to the right
     assert robot.sense(x=1.0, heading=2.0).linear.x == 0.0
     assert robot.sense(x=1.0, y=-0.3).angular.z > 0.0
-    first, *_, last = [decode_behaviour(note.data) for note in robot.notes]
+    first, *_, last = [decode_behaviour(report.data) for report in robot.reports]
     assert first.stamp_ns == START_NS + STEP_NS
     assert last.stamp_ns == robot.stamp_ns
-    assert {decode_behaviour(note.data).behaviour for note in robot.notes} >= {'turn'}
-    assert not any(decode_behaviour(note.data).failed for note in robot.notes)
+    assert {decode_behaviour(report.data).behaviour for report in robot.reports} >= {'turn'}
+    assert not any(decode_behaviour(report.data).failed for report in robot.reports)
 
 
-def test_what_is_passed_of_the_route_is_passed(world: MakeWorld) -> None:
+def test_passed_part_of_the_route_is_dropped(world: MakeWorld) -> None:
     robot = Robot(world)
     robot.route((0.0, 0.0), (1.5, 0.0), (1.5, 4.0))
     assert abs(robot.sense().angular.z) < 0.3
     for x in (0.5, 1.0, 1.5):
         robot.sense(x=x)
-    # Seen from the corner on, the beginning of the route would lead back.
+    # After the corner, the beginning of the route would lead back.
     assert robot.sense(x=1.5, y=0.5, heading=math.pi / 2).linear.x > 0.3
 
 
-def test_without_anything_to_do_it_is_silent_and_lets_others_drive(world: MakeWorld) -> None:
+def test_without_task_no_velocities_are_published(world: MakeWorld) -> None:
     robot = Robot(world)
     for _ in range(3):
         robot.pose()
@@ -166,19 +166,19 @@ def test_without_anything_to_do_it_is_silent_and_lets_others_drive(world: MakeWo
     assert robot.velocities == []
 
 
-def test_the_end_of_the_route_is_the_end_of_driving(world: MakeWorld) -> None:
+def test_empty_route_stops_the_robot(world: MakeWorld) -> None:
     robot = Robot(world)
     robot.route((0.0, 0.0), (4.0, 0.0))
     assert robot.sense().linear.x > 0.0
     robot.route()
-    robot.world.until(lambda: robot.stands)
+    robot.world.until(lambda: robot.is_stopped)
 
 
-def test_it_stops_at_once_when_no_scan_comes(world: MakeWorld) -> None:
+def test_missing_scans_stop_the_robot(world: MakeWorld) -> None:
     robot = Robot(world, '-p', 'scan_timeout_s:=0.3')
     robot.route((0.0, 0.0), (4.0, 0.0))
     assert robot.sense().linear.x > 0.0
-    robot.world.until(lambda: robot.stands, 2.0)
+    robot.world.until(lambda: robot.is_stopped, 2.0)
     state = robot.world.diagnostics()['goal_follower']
     assert state['level'] == '1'
     assert 'no scan' in state['message']
@@ -189,24 +189,24 @@ def test_it_stops_at_once_when_no_scan_comes(world: MakeWorld) -> None:
     assert 'steering' not in robot.world.nodes[0]._diagnostics.missing
 
 
-def test_it_stops_when_nobody_tells_where_it_is(world: MakeWorld) -> None:
+def test_missing_pose_stops_the_robot(world: MakeWorld) -> None:
     robot = Robot(world)
     robot.route((0.0, 0.0), (4.0, 0.0))
     assert robot.sense().linear.x > 0.0
 
-    def scan_until_it_stands() -> bool:
+    def scan_until_stopped() -> bool:
         robot.scan()
         robot.world.spin(0.05)
-        return robot.stands
+        return robot.is_stopped
 
-    robot.world.until(scan_until_it_stands, 5.0)
+    robot.world.until(scan_until_stopped, 5.0)
     state = robot.world.diagnostics()['goal_follower']
     assert 'experience_map/pose' in state['message'] or 'no scan' in state['message']
     assert state['task'] == 'following'
 
 
 @pytest.mark.parametrize('gap_m', [0.3, 0.36])
-def test_it_never_drives_towards_what_is_within_its_stop_distance(
+def test_obstacle_within_stop_distance_stops_forward_motion(
     world: MakeWorld, gap_m: float
 ) -> None:
     """Robot radius and stop distance are 0.37 m in all."""
@@ -219,7 +219,7 @@ def test_it_never_drives_towards_what_is_within_its_stop_distance(
     assert robot.sense().linear.x > 0.0
 
 
-def test_what_is_too_close_to_measure_is_an_obstacle_and_what_is_far_is_none(
+def test_minus_infinity_is_obstacle_but_out_of_range_not(
     world: MakeWorld,
 ) -> None:
     robot = Robot(world)
@@ -229,66 +229,66 @@ def test_what_is_too_close_to_measure_is_an_obstacle_and_what_is_far_is_none(
     assert robot.sense(-math.inf).linear.x == 0.0
 
 
-def test_a_way_that_stays_blocked_is_a_failed_try_told_on_the_map(world: MakeWorld) -> None:
+def test_blocked_route_is_reported_as_failed_attempt(world: MakeWorld) -> None:
     robot = Robot(world, '-p', 'try_timeout_s:=0.5')
     robot.route((0.0, 0.0), (0.0, 4.0))
     for _ in range(7):
         robot.sense(0.45, heading=math.pi / 2)
-    failed = [n for n in map(decode_behaviour, (m.data for m in robot.notes)) if n.failed]
+    failed = [n for n in map(decode_behaviour, (m.data for m in robot.reports)) if n.failed]
     assert len(failed) == 1
     assert failed[0].ahead_rad == pytest.approx(math.pi / 2, abs=0.1)
     assert failed[0].stamp_ns >= START_NS + 6 * STEP_NS
     assert robot.world.diagnostics()['goal_follower']['tries_failed'] == '1'
 
 
-def test_it_explores_if_it_shall_but_not_without_odometry(world: MakeWorld) -> None:
+def test_exploration_needs_odometry_and_is_settable(world: MakeWorld) -> None:
     robot = Robot(world, '-p', 'explore:=true')
     robot.scan()
     robot.world.until(lambda: robot.velocities)
-    assert robot.stands
-    assert robot.notes == []
+    assert robot.is_stopped
+    assert robot.reports == []
     robot.odometry()
     robot.settle()
     robot.scan()
-    robot.world.until(lambda: robot.notes)
+    robot.world.until(lambda: robot.reports)
     robot.world.until(lambda: any(v.angular.z > 0.0 for v in robot.velocities))  # to the wall
-    # Which may be switched while it runs.
+    # The parameter may be changed at run time.
     from rclpy.parameter import Parameter
 
     [node] = robot.world.nodes
     [answer] = node.set_parameters([Parameter('explore', value=False)])
     assert answer.successful
-    robot.world.until(lambda: robot.stands)
+    robot.world.until(lambda: robot.is_stopped)
 
 
-def test_a_robot_that_has_lost_its_way_explores_while_the_map_says_so(world: MakeWorld) -> None:
+def test_lost_route_explores_while_status_requests_it(world: MakeWorld) -> None:
     robot = Robot(world)
     robot.status('lost', explore=True)
     robot.odometry()
     assert robot.sense().angular.z > 0.0  # to the wall on the left
     robot.status('idle')
-    robot.world.until(lambda: robot.stands)
+    robot.world.until(lambda: robot.is_stopped)
 
 
-def test_a_route_that_the_map_knows_nothing_of_is_dropped(world: MakeWorld) -> None:
+def test_newer_status_without_route_drops_the_route(world: MakeWorld) -> None:
     robot = Robot(world)
     robot.route((0.0, 0.0), (4.0, 0.0))
-    robot.status('idle')  # of before: it may arrive after the route
+    robot.status('idle')  # sent before the route; it may arrive after it
     assert robot.sense().linear.x > 0.0
     robot.status('following')
     assert robot.sense().linear.x > 0.0
     robot.status('idle')
-    robot.world.until(lambda: robot.stands)
+    robot.world.until(lambda: robot.is_stopped)
 
 
-def test_it_stops_for_a_pause_and_in_the_end(world: MakeWorld) -> None:
+def test_pause_and_close_stop_the_robot(world: MakeWorld) -> None:
     from std_srvs.srv import SetBool
 
     robot = Robot(world)
     robot.route((0.0, 0.0), (4.0, 0.0))
     assert robot.sense().linear.x > 0.0
     robot.world.call(SetBool, 'goal_follower/pause', data=True)
-    robot.world.until(lambda: robot.stands)
+    robot.world.until(lambda: robot.is_stopped)
     robot.clear()
     robot.pose()
     robot.scan()
@@ -299,20 +299,20 @@ def test_it_stops_for_a_pause_and_in_the_end(world: MakeWorld) -> None:
     robot.clear()
     robot.world.nodes[0].close()
     robot.world.until(lambda: robot.velocities)
-    assert robot.stands
+    assert robot.is_stopped
 
 
-def test_reset_forgets_the_route(world: MakeWorld) -> None:
+def test_reset_drops_the_route(world: MakeWorld) -> None:
     from std_srvs.srv import Trigger
 
     robot = Robot(world)
     robot.route((0.0, 0.0), (4.0, 0.0))
     assert robot.sense().linear.x > 0.0
     assert robot.world.call(Trigger, 'goal_follower/reset').success
-    robot.world.until(lambda: robot.stands)
+    robot.world.until(lambda: robot.is_stopped)
 
 
-def test_scans_and_places_that_are_wrong_are_refused_and_counted(world: MakeWorld) -> None:
+def test_invalid_scans_and_poses_are_refused_and_counted(world: MakeWorld) -> None:
     from nav_msgs.msg import Odometry
     from std_msgs.msg import String
 
@@ -338,4 +338,4 @@ def test_scans_and_places_that_are_wrong_are_refused_and_counted(world: MakeWorl
     state = robot.world.diagnostics()['goal_follower']
     assert int(state['refused']) >= len(wrong) + 3
     assert json.loads(state['scan_received']) == len(wrong) + 1
-    assert all(v.linear.x == 0.0 for v in robot.velocities)  # as none of the scans counts
+    assert all(v.linear.x == 0.0 for v in robot.velocities)  # no scan was used

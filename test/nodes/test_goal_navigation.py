@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Goals on topics and services: names, a queue, the waypoint, status, times, behaviours."""
+"""Goals on topics and services: names, queue, waypoint, status, arrival times, behaviours."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ratslam_ros.core.pose_cells.pose_cells import MapAction
+from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
-from ratslam_ros.messages.goals import BehaviourNote, decode_status, encode_behaviour
+from ratslam_ros.messages.goals import BehaviourReport, decode_status, encode_behaviour
 from ratslam_ros.messages.mapping import encode_action
 
 S = 10**9
@@ -25,9 +25,9 @@ MakeWorld = Callable[..., Any]
 
 
 class Robot:
-    """A node of the experience map, and the odometry and actions that come to it.
+    """A node of the experience map, and the odometry and actions sent to it.
 
-    It drives along y of the map, and learns an experience at each m, from 0 to 5.
+    The robot drives along y of the map and creates an experience at each metre, from 0 to 5.
     """
 
     def __init__(self, world: MakeWorld, *arguments: str) -> None:
@@ -63,7 +63,7 @@ class Robot:
         self.odometry(way_m / seconds)
 
     def arrive(self, target: int) -> None:
-        """Come to an experience, and wait until the map has it."""
+        """Send the action of an experience, and wait until it is the current one."""
         kind = 'create' if target == self.known else 'link'
         self.known = max(self.known, target + 1)
         place = Place(0.5 * target, 0.0, 0.0)
@@ -83,19 +83,19 @@ class Robot:
         return self.made.call(Trigger, f'experience_map/{service}')
 
     def until_status(self, **expected: Any) -> dict[str, Any]:
-        """Return the next status that is as expected."""
+        """Return the next status with the expected values."""
 
-        def told() -> bool:
+        def has_arrived() -> bool:
             if not self.statuses:
                 return False
             status = decode_status(self.statuses[-1].data)
             return all(status[key] == value for key, value in expected.items())
 
-        self.made.until(told)
+        self.made.until(has_arrived)
         return decode_status(self.statuses[-1].data)
 
 
-def test_named_places_are_gone_to_one_after_the_other(world: MakeWorld) -> None:
+def test_queued_goals_are_followed_in_order(world: MakeWorld) -> None:
     from geometry_msgs.msg import PoseStamped
     from nav_msgs.msg import Path
 
@@ -134,13 +134,15 @@ def test_named_places_are_gone_to_one_after_the_other(world: MakeWorld) -> None:
     robot.made.until(lambda: not routes[-1].poses)
 
 
-def test_goals_are_refused_with_a_reason_and_cancelled(world: MakeWorld) -> None:
+def test_unreachable_goal_has_reason_and_goals_are_cancelled(world: MakeWorld) -> None:
     robot = Robot(world)
     robot.text('experience_map/goal', '{"experience_id":1}')
     robot.until_status(status='following')
     robot.text('experience_map/goal', '{"name":"nowhere","append":true}')
-    why = "no place is called 'nowhere'; those that have a name: none yet. Name the place while "
-    status = robot.until_status(reason=f'{why}the robot is there')
+    status = robot.until_status(
+        reason="no place is called 'nowhere'; those that have a name: none yet. Name the place "
+        'while the robot is there'
+    )
     assert [e['goal'] for e in status['queue']] == ['experience 1']
     assert robot.call('cancel_goal').message == '1 goals cancelled'
     status = robot.until_status(status='idle')
@@ -148,11 +150,11 @@ def test_goals_are_refused_with_a_reason_and_cancelled(world: MakeWorld) -> None
     robot.text('experience_map/goal', '{"name":1}')
     robot.text('experience_map/name_place', '{"name":" "}')
     robot.text('experience_map/name_place', '{"name":"a","remove":true}')
-    told = robot.made.diagnostics()['experience_map']
-    assert (told['refused'], told['goal']) == ('3', 'none')
+    values = robot.made.diagnostics()['experience_map']
+    assert (values['refused'], values['goal']) == ('3', 'none')
 
 
-def test_a_goal_has_its_time_and_the_route_ends(world: MakeWorld) -> None:
+def test_goal_times_out_and_its_route_ends(world: MakeWorld) -> None:
     from nav_msgs.msg import Path
 
     from ratslam_ros.nodes.qos import LATCHED
@@ -168,7 +170,7 @@ def test_a_goal_has_its_time_and_the_route_ends(world: MakeWorld) -> None:
     robot.made.until(lambda: not routes[-1].poses)
 
 
-def test_names_are_listed_saved_and_loaded(world: MakeWorld, tmp_path: FilePath) -> None:
+def test_named_places_are_listed_saved_and_loaded(world: MakeWorld, tmp_path: FilePath) -> None:
     robot = Robot(world, '-p', f'memory_folder:={tmp_path}')
     robot.drive(0.25)
     robot.made.until(lambda: robot.node._goals._stamp_ns == robot.stamp_ns)
@@ -189,13 +191,13 @@ def test_names_are_listed_saved_and_loaded(world: MakeWorld, tmp_path: FilePath)
     robot.until_status(status='idle')
 
 
-def test_the_temporal_map_is_told_and_shown(world: MakeWorld) -> None:
+def test_temporal_map_is_answered_and_published(world: MakeWorld) -> None:
     from sensor_msgs.msg import PointCloud2
 
     robot = Robot(world)
     clouds = robot.made.listen(PointCloud2, 'experience_map/times')
-    told = json.loads(robot.call('temporal_map').message)
-    assert told['arrival_s'] == pytest.approx([5.0, 4.0, 3.0, 2.0, 1.0, 0.0])
+    values = json.loads(robot.call('temporal_map').message)
+    assert values['arrival_s'] == pytest.approx([5.0, 4.0, 3.0, 2.0, 1.0, 0.0])
     robot.made.until(lambda: clouds)
     cloud = clouds[-1]
     assert [field.name for field in cloud.fields] == ['x', 'y', 'z', 'time']
@@ -204,29 +206,29 @@ def test_the_temporal_map_is_told_and_shown(world: MakeWorld) -> None:
     assert points[:, 3] == pytest.approx(np.arange(6.0)[::-1])
 
 
-def test_behaviours_are_those_of_the_links_made_then(world: MakeWorld) -> None:
+def test_reported_behaviour_labels_links_created_meanwhile(world: MakeWorld) -> None:
     robot = Robot(world)
     for n, behaviour in ((6, 'left_wall'), (7, 'centreline'), (8, ''), (9, '')):
         if behaviour:
-            note = BehaviourNote(robot.stamp_ns + S // 2, behaviour)
-            robot.text('goal_follower/behaviour', encode_behaviour(note))
+            report = BehaviourReport(robot.stamp_ns + S // 2, behaviour)
+            robot.text('goal_follower/behaviour', encode_behaviour(report))
             robot.made.until(lambda: robot.node._behaviours._waiting)
         robot.drive(1.0)
         robot.arrive(n)
     behaviours = {link.target_id: link.behaviour for link in robot.node._core.links()}
     assert [behaviours[n] for n in (5, 6, 7)] == ['', 'left_wall', 'centreline']
-    assert [behaviours[n] for n in (8, 9)] == ['centreline', '']  # 1.5 s and 2.5 s after it
+    assert [behaviours[n] for n in (8, 9)] == ['centreline', '']  # after 1.5 s and 2.5 s
 
 
-def test_tries_that_fail_unlearn_links_and_the_route(world: MakeWorld) -> None:
+def test_blocked_attempts_unlearn_links_and_the_route(world: MakeWorld) -> None:
     robot = Robot(world)
     robot.text('experience_map/goal', '{"experience_id":0}')
     robot.until_status(status='following')
     before = robot.node._core.link_count
     for _ in range(50):
         robot.drive(0.0, 0.1)
-        note = BehaviourNote(robot.stamp_ns, 'centreline', failed=True, ahead_rad=-math.pi / 2)
-        robot.text('goal_follower/behaviour', encode_behaviour(note))
+        report = BehaviourReport(robot.stamp_ns, 'centreline', failed=True, ahead_rad=-math.pi / 2)
+        robot.text('goal_follower/behaviour', encode_behaviour(report))
     robot.drive(0.0)
     status = robot.until_status(status='lost')
     assert status['explore']

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Goals on the pose cells, as topics and services; and that the page says so."""
+"""Goals on the pose cells by topics and services, and their description in docs/topics.md."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def pose_cells(world: MakeWorld, *arguments: str) -> Any:
 
 
 def drive(made: Any, seconds: range, speed: float, turn_rate: float = 0.0) -> None:
-    """Send odometry, once a second, and wait until it is used."""
+    """Send odometry, one message per second, and wait until it is processed."""
     from nav_msgs.msg import Odometry as OdometryMessage
 
     for second in seconds:
@@ -47,8 +47,8 @@ def drive(made: Any, seconds: range, speed: float, turn_rate: float = 0.0) -> No
     made.until(lambda: not node._order.held)
 
 
-def way_back(made: Any) -> tuple[list[Any], str]:
-    """Mark a goal, drive on, and ask for the way; return what is heard and the goal's name."""
+def mark_and_seek_goal(made: Any) -> tuple[list[Any], str]:
+    """Mark a goal, drive on and seek it; return the received messages and the goal's name."""
     from std_msgs.msg import String
     from std_srvs.srv import Trigger
 
@@ -56,23 +56,23 @@ def way_back(made: Any) -> tuple[list[Any], str]:
     answer = made.call(Trigger, 'pose_cells/mark_goal')
     assert answer.success
     drive(made, range(3, 12), 1.0)
-    heard = made.listen(String, 'pose_cells/goal_memory')
+    received = made.listen(String, 'pose_cells/goal_memory')
     made.send('pose_cells/goal', String(data=answer.message))
     made.spin(0.1)
-    return heard, answer.message
+    return received, answer.message
 
 
-def told(heard: list[Any]) -> list[dict[str, Any]]:
-    return [json.loads(message.data) for message in heard]
+def payloads(received: list[Any]) -> list[dict[str, Any]]:
+    return [json.loads(message.data) for message in received]
 
 
-def test_the_way_to_a_goal_is_told_until_it_is_reached(world: MakeWorld) -> None:
+def test_direction_to_goal_is_published_until_reached(world: MakeWorld) -> None:
     made = pose_cells(world)
-    heard, name = way_back(made)
+    received, name = mark_and_seek_goal(made)
     assert name == 'goal_1'
     drive(made, range(12, 14), 0.0, math.pi / 4)
-    made.until(lambda: len(heard) == 2)
-    first, second = told(heard)
+    made.until(lambda: len(received) == 2)
+    first, second = payloads(received)
     assert list(first) == [
         'schema_version', 'stamp', 'goal', 'bearing_rad', 'remaining_s', 'reached'
     ]
@@ -85,16 +85,16 @@ def test_the_way_to_a_goal_is_told_until_it_is_reached(world: MakeWorld) -> None
     drive(made, range(14, 16), 0.0, math.pi / 4)
     drive(made, range(16, 28), 1.0)
     made.spin(0.3)
-    *before, last = told(heard)
+    *before, last = payloads(received)
     assert last['reached']
     assert last['bearing_rad'] is None
     assert not any(message['reached'] for message in before)
-    assert len(heard) < 16  # none is told any more
+    assert len(received) < 16  # none are published after it
 
 
-def test_the_node_learns_what_core_learns(world: MakeWorld) -> None:
+def test_node_learns_the_same_goal_memory_as_core(world: MakeWorld) -> None:
     made = pose_cells(world)
-    way_back(made)
+    mark_and_seek_goal(made)
     [node] = made.nodes
     cells = PoseCells(node.config.pose_cells)
     memory = GoalMemory(node.config.goal_memory, node.config.pose_cells)
@@ -106,23 +106,23 @@ def test_the_node_learns_what_core_learns(world: MakeWorld) -> None:
         if motion is not None:
             cells.integrate(motion)
             memory.integrate(motion, cells)
-    assert memory.state()['mu_s'].tolist() == node._goals.learned()['mu_s'].tolist()
+    assert memory.state()['mu_s'].tolist() == node._goals.memory_state()['mu_s'].tolist()
 
 
-def test_a_goal_that_nobody_marked_is_told_and_an_empty_name_cancels(world: MakeWorld) -> None:
+def test_unknown_goal_is_reported_and_empty_name_cancels(world: MakeWorld) -> None:
     from std_msgs.msg import String
 
     made = pose_cells(world)
-    heard, name = way_back(made)
+    received, name = mark_and_seek_goal(made)
     made.send('pose_cells/goal', String(data='kitchen'))
     made.spin(0.1)
     state = made.diagnostics()['pose_cells']
     assert 'kitchen' in state['message'] and name in state['message']
-    assert state['goal'] == name  # as before
+    assert state['goal'] == name  # unchanged
     made.send('pose_cells/goal', String(data=''))
     made.spin(0.1)
     drive(made, range(12, 14), 1.0)
-    assert told(heard) == []
+    assert payloads(received) == []
 
 
 def test_goals_and_links_are_saved_and_loaded(world: MakeWorld, tmp_path: Path) -> None:
@@ -130,7 +130,7 @@ def test_goals_and_links_are_saved_and_loaded(world: MakeWorld, tmp_path: Path) 
     from std_srvs.srv import Trigger
 
     made = pose_cells(world, '-p', f'memory_folder:={tmp_path}')
-    heard, name = way_back(made)
+    received, name = mark_and_seek_goal(made)
     assert made.call(Trigger, 'pose_cells/save').success
     assert made.call(Trigger, 'pose_cells/reset').success
     assert made.diagnostics()['pose_cells']['goals'] == 'none'
@@ -139,20 +139,20 @@ def test_goals_and_links_are_saved_and_loaded(world: MakeWorld, tmp_path: Path) 
     made.send('pose_cells/goal', String(data=name))
     made.spin(0.1)
     drive(made, range(20, 22), 0.0, 0.1)
-    made.until(lambda: heard)
-    assert told(heard)[0]['remaining_s'] > 4.0
+    made.until(lambda: received)
+    assert payloads(received)[0]['remaining_s'] > 4.0
 
 
-def test_switched_off_there_is_none_of_it(world: MakeWorld) -> None:
+def test_goal_memory_switched_off_has_no_topics(world: MakeWorld) -> None:
     from ratslam_ros.nodes.pose_cells_node import PoseCellsNode
 
     made = world(PoseCellsNode)
     [node] = made.nodes
     assert not [topic for topic in node.publishers if 'goal' in topic.topic_name]
-    assert 'goal_memory' not in node._learned()
+    assert 'goal_memory' not in node._memory_state()
 
 
-def test_topics_service_and_payload_are_described(world: MakeWorld) -> None:
+def test_topics_service_and_payload_are_documented(world: MakeWorld) -> None:
     made = pose_cells(world)
     [node] = made.nodes
     names = [found.topic_name for found in (*node.publishers, *node.subscriptions)]

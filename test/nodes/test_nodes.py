@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Each node alone: what it takes, what it gives, and what it does with what is wrong."""
+"""Each node alone: its inputs, its outputs and its handling of invalid messages."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def string(text: str) -> Any:
 
 
 def action_text(stamp_ns: int, sequence: int, kind: str, source: int, target: int) -> str:
-    from ratslam_ros.core.pose_cells.pose_cells import MapAction
+    from ratslam_ros.core.pose_cells.map_action import MapAction
     from ratslam_ros.core.pose_cells.torus import Place
     from ratslam_ros.messages.mapping import encode_action
 
@@ -78,8 +78,8 @@ def local_view(world: MakeWorld, *arguments: str) -> tuple[Any, list[Any]]:
     return made, made.listen(String, 'local_view/template')
 
 
-def test_every_image_gives_a_template_message_and_the_same_as_core(world: MakeWorld) -> None:
-    made, heard = local_view(world)
+def test_each_image_gives_the_template_of_core(world: MakeWorld) -> None:
+    made, received = local_view(world)
     core = LocalView(Config().with_values({
         'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
         'local_view.vt_shift_match': 2,
@@ -87,15 +87,15 @@ def test_every_image_gives_a_template_message_and_the_same_as_core(world: MakeWo
     seeds = [0, 1, 2, 1, 0, 3]
     for n, seed in enumerate(seeds):
         made.send('image', image(START_NS + n * PERIOD_NS, seed))
-    made.until(lambda: len(heard) == len(seeds))
-    for n, (seed, message) in enumerate(zip(seeds, heard, strict=True)):
+    made.until(lambda: len(received) == len(seeds))
+    for n, (seed, message) in enumerate(zip(seeds, received, strict=True)):
         stamp_ns, match, memory_ns = decode_template(message.data)
         assert (stamp_ns, memory_ns) == (START_NS + n * PERIOD_NS, START_NS)
-        assert match == core.estimate(picture(seed, 24, 32))
+        assert match == core.match(picture(seed, 24, 32))
 
 
-def test_images_that_are_wrong_are_counted_and_change_nothing(world: MakeWorld) -> None:
-    made, heard = local_view(world)
+def test_invalid_images_are_counted_and_change_nothing(world: MakeWorld) -> None:
+    made, received = local_view(world)
     wrong = [
         image(START_NS + 1, width=0, height=0, step=0, data=b''),
         image(START_NS + 2, width=2**32 - 1, height=2**32 - 1, step=2**32 - 1),
@@ -107,9 +107,9 @@ def test_images_that_are_wrong_are_counted_and_change_nothing(world: MakeWorld) 
     for message in wrong:
         made.send('image', message)
     made.send('image', image(START_NS + PERIOD_NS, 1))
-    made.until(lambda: len(heard) >= 6)
+    made.until(lambda: len(received) >= 6)
     made.spin(0.2)
-    found = [decode_template(message.data) for message in heard]
+    found = [decode_template(message.data) for message in received]
     assert [match.template_id for _, match, _ in found] == [0, -1, -1, -1, -1, 1]
     state = made.diagnostics()['local_view']
     assert state['undecodable'] == '4'
@@ -118,32 +118,32 @@ def test_images_that_are_wrong_are_counted_and_change_nothing(world: MakeWorld) 
     assert state['level'] == '1'
 
 
-def test_compressed_images_do_as_well(world: MakeWorld) -> None:
+def test_compressed_images_are_used_for_the_whole_run(world: MakeWorld) -> None:
     import cv2
     from sensor_msgs.msg import CompressedImage, Image
 
     from ratslam_ros.nodes.convert import header_of
     from ratslam_ros.nodes.qos import PLAYED
 
-    made, heard = local_view(world)
+    made, received = local_view(world)
     data = cv2.imencode('.png', picture(0, 24, 32))[1].tobytes()
     for n in range(3):
         header = header_of(START_NS + n * PERIOD_NS, '')
         message = CompressedImage(header=header, format='png', data=data)
         made.send('image/compressed', message)
-    made.until(lambda: len(heard) == 3)
-    # A raw camera that starts later is left alone: a stream stays the one that it is.
+    made.until(lambda: len(received) == 3)
+    # A raw camera that starts later is ignored: the stream keeps its topic.
     camera = made.tester.create_publisher(Image, 'image', PLAYED)
     made.spin(1.5)
     camera.publish(image(START_NS + 3 * PERIOD_NS, 9))
     made.send('image/compressed',
               CompressedImage(header=header_of(START_NS + 4 * PERIOD_NS, ''), format='png',
                               data=data))  # fmt: skip
-    made.until(lambda: len(heard) == 4)
-    assert {decode_template(message.data)[1].template_id for message in heard} == {0}
+    made.until(lambda: len(received) == 4)
+    assert {decode_template(message.data)[1].template_id for message in received} == {0}
 
 
-def test_of_a_camera_with_both_the_raw_images_are_taken_whatever_it_is_called(
+def test_camera_remapped_with_both_topics_keeps_its_stream(
     world: MakeWorld,
 ) -> None:
     import cv2
@@ -151,63 +151,63 @@ def test_of_a_camera_with_both_the_raw_images_are_taken_whatever_it_is_called(
 
     from ratslam_ros.nodes.convert import header_of
 
-    made, heard = local_view(
+    made, received = local_view(
         world, '-r', 'image:=/cam/image_raw',
         '-r', 'image/compressed:=/cam/image_raw/compressed',
     )  # fmt: skip
     data = cv2.imencode('.jpg', picture(0, 24, 32))[1].tobytes()
     packed = CompressedImage(header=header_of(START_NS, ''), format='jpeg', data=data)
     made.send('/cam/image_raw/compressed', packed)
-    made.until(lambda: len(heard) == 1)
-    for n in range(1, 6):  # the stream stays the one that it is
+    made.until(lambda: len(received) == 1)
+    for n in range(1, 6):  # the stream keeps its topic
         packed.header = header_of(START_NS + n * PERIOD_NS, '')
         made.send('/cam/image_raw/compressed', packed)
         made.send('/cam/image_raw', image(START_NS + n * PERIOD_NS, n))
-    made.until(lambda: len(heard) == 6)
+    made.until(lambda: len(received) == 6)
     made.spin(0.2)
     state = made.diagnostics()['local_view']
     assert 'refused' not in state or state['refused'] == '0'
     assert state['templates'] == '1'
 
 
-def test_the_matched_template_is_shown_to_who_looks(world: MakeWorld) -> None:
+def test_matched_template_is_published_to_subscribers(world: MakeWorld) -> None:
     from sensor_msgs.msg import Image
 
-    made, heard = local_view(world)
+    made, received = local_view(world)
     shown = made.listen(Image, 'local_view/matched')
     made.until(lambda: made.nodes[0].count_subscribers('local_view/matched') > 0)
     made.spin(0.2)
     made.send('image', image(START_NS))
-    made.until(lambda: shown and heard)
+    made.until(lambda: shown and received)
     assert (shown[0].width, shown[0].height) == (240, 15 * (8 + 1 + 8))
     assert shown[0].encoding == 'mono8'
     pixels = np.frombuffer(shown[0].data, np.uint8).reshape(shown[0].height, 240)
-    assert np.array_equal(pixels[: 15 * 8], pixels[15 * 9 :])  # what was just learned
+    assert np.array_equal(pixels[: 15 * 8], pixels[15 * 9 :])  # the template just learned
 
 
-def test_a_best_effort_camera_is_heard_too(world: MakeWorld) -> None:
+def test_best_effort_camera_is_received(world: MakeWorld) -> None:
     from rclpy.qos import qos_profile_sensor_data
     from sensor_msgs.msg import Image
 
-    made, heard = local_view(world)
+    made, received = local_view(world)
     camera = made.tester.create_publisher(Image, 'image', qos_profile_sensor_data)
     made.until(lambda: camera.get_subscription_count() > 0)
     camera.publish(image(START_NS))
-    made.until(lambda: heard)
+    made.until(lambda: received)
 
 
-def test_the_memory_of_a_video_that_begins_at_0_has_a_name(world: MakeWorld) -> None:
-    made, heard = local_view(world)
+def test_memory_learned_at_stamp_0_is_numbered_1(world: MakeWorld) -> None:
+    made, received = local_view(world)
     for n in range(3):
         made.send('image', image(n * PERIOD_NS, n))
-    made.until(lambda: len(heard) == 3)
-    found = [decode_template(message.data) for message in heard]
+    made.until(lambda: len(received) == 3)
+    found = [decode_template(message.data) for message in received]
     assert [(stamp_ns, memory_ns) for stamp_ns, _, memory_ns in found] == [
         (0, 1), (PERIOD_NS, 1), (2 * PERIOD_NS, 1),
     ]  # fmt: skip
 
 
-def test_a_parameter_that_is_named_counts_more_than_one_that_sets_several(
+def test_named_parameter_overrides_an_alias_of_several(
     world: MakeWorld,
 ) -> None:
     made, _ = pose_cells(world, '-p', 'pc_dim_x:=31', '-p', 'pc_dim_xy:=11')
@@ -215,13 +215,13 @@ def test_a_parameter_that_is_named_counts_more_than_one_that_sets_several(
     assert (p.pc_dim_x, p.pc_dim_y) == (31, 11)
 
 
-def test_the_last_images_after_a_pause_are_looked_at_when_no_more_come(world: MakeWorld) -> None:
-    made, heard = local_view(world, '-p', 'flush_after_s:=0.3')
+def test_last_images_after_a_gap_are_flushed(world: MakeWorld) -> None:
+    made, received = local_view(world, '-p', 'flush_after_s:=0.3')
     for n in range(3):
         made.send('image', image(START_NS + n * PERIOD_NS, n))
     for n in range(2):
         made.send('image', image(START_NS + 5 * S + n * PERIOD_NS, n))
-    made.until(lambda: len(heard) == 5)
+    made.until(lambda: len(received) == 5)
     assert made.diagnostics()['local_view']['gaps'] == '1'
 
 
@@ -237,29 +237,29 @@ def pose_cells(world: MakeWorld, *arguments: str) -> tuple[Any, list[Any]]:
     return made, made.listen(String, 'pose_cells/action')
 
 
-def test_every_template_gives_an_action_once_odometry_has_come_as_far(world: MakeWorld) -> None:
-    made, heard = pose_cells(world)
+def test_template_gives_action_when_odometry_reaches_its_stamp(world: MakeWorld) -> None:
+    made, received = pose_cells(world)
     made.send('odom', odometry(START_NS))
     made.send('local_view/template', string(template_text(START_NS + 5, 0)))
     made.spin(0.2)
-    assert heard == []
+    assert received == []
     made.send('odom', odometry(START_NS + 10, 1.0))
-    made.until(lambda: len(heard) == 1)
-    stamp_ns, sequence, action, memory_ns = decode_action(heard[0].data)
+    made.until(lambda: len(received) == 1)
+    stamp_ns, sequence, action, memory_ns = decode_action(received[0].data)
     assert (stamp_ns, sequence, action.action, memory_ns) == (START_NS + 5, 0, 'none', 0)
     made.send('local_view/template', string(template_text(START_NS + 15, 0)))
     made.send('odom', odometry(START_NS + 20, 1.0))
-    made.until(lambda: len(heard) == 2)
-    stamp_ns, sequence, action, memory_ns = decode_action(heard[1].data)
+    made.until(lambda: len(received) == 2)
+    stamp_ns, sequence, action, memory_ns = decode_action(received[1].data)
     assert (sequence, action.action, action.target_id) == (1, 'create', 0)
     assert memory_ns == START_NS + 15
 
 
-def test_held_messages_are_released_when_all_inputs_fall_silent(world: MakeWorld) -> None:
-    made, heard = pose_cells(world, '-p', 'flush_after_s:=0.5')
+def test_held_messages_are_flushed_when_inputs_are_silent(world: MakeWorld) -> None:
+    made, received = pose_cells(world, '-p', 'flush_after_s:=0.5')
     made.send('odom', odometry(START_NS))
     made.send('local_view/template', string(template_text(START_NS + 5, 0)))
-    made.until(lambda: len(heard) == 1)
+    made.until(lambda: len(received) == 1)
 
 
 @pytest.mark.parametrize('payload', [
@@ -267,18 +267,18 @@ def test_held_messages_are_released_when_all_inputs_fall_silent(world: MakeWorld
     template_text(START_NS + 7, 1)[:-2],
     template_text(START_NS + 7, 1, error='NaN'), '[' * 5000,
 ], ids=lambda text: text[:8])  # fmt: skip
-def test_a_wrong_template_is_refused_and_counted(world: MakeWorld, payload: str) -> None:
-    made, heard = pose_cells(world)
+def test_malformed_template_is_refused_and_counted(world: MakeWorld, payload: str) -> None:
+    made, received = pose_cells(world)
     made.send('local_view/template', string(payload))
     made.send('odom', odometry(START_NS))
     made.send('local_view/template', string(template_text(START_NS + 5, 0)))
     made.send('odom', odometry(START_NS + 10))
-    made.until(lambda: len(heard) == 1)
+    made.until(lambda: len(received) == 1)
     assert made.diagnostics()['pose_cells']['refused'] == '1'
 
 
-def test_wrong_odometry_is_refused_and_counted(world: MakeWorld) -> None:
-    made, heard = pose_cells(world)
+def test_invalid_odometry_is_refused_and_counted(world: MakeWorld) -> None:
+    made, received = pose_cells(world)
     made.send('odom', odometry(START_NS))
     for n, (speed, turn_rate) in enumerate(
         [(math.nan, 0.0), (math.inf, 0.0), (0.0, -math.inf), (1e300, 0.0)], 1
@@ -289,40 +289,40 @@ def test_wrong_odometry_is_refused_and_counted(world: MakeWorld) -> None:
     made.send('odom', odometry(START_NS + 3600 * S, 1.0))
     made.send('local_view/template', string(template_text(START_NS + 5, 0)))
     made.send('odom', odometry(START_NS + 10))
-    made.until(lambda: len(heard) == 1)
+    made.until(lambda: len(received) == 1)
     assert made.diagnostics()['pose_cells']['refused'] == '7'
 
 
-def test_a_local_view_that_was_there_before_or_restarts_is_noticed(world: MakeWorld) -> None:
-    made, heard = pose_cells(world)
+def test_earlier_start_or_restart_of_local_view_is_detected(world: MakeWorld) -> None:
+    made, received = pose_cells(world)
     made.send('odom', odometry(START_NS))
     made.send('local_view/template', string(template_text(START_NS + 5, 57)))
     made.send('odom', odometry(START_NS + 10, 1.0))
-    made.until(lambda: len(heard) == 1)
+    made.until(lambda: len(received) == 1)
     assert 'came late' in made.diagnostics()['pose_cells']['message']
     made.send('local_view/template',
               string(template_text(START_NS + 15, 0, memory=START_NS + 15)))  # fmt: skip
     made.send('odom', odometry(START_NS + 20, 1.0))
-    made.until(lambda: len(heard) == 2)
-    assert decode_action(heard[1].data)[2].template_id == 58
+    made.until(lambda: len(received) == 2)
+    assert decode_action(received[1].data)[2].template_id == 58
     assert 'empty memory' in made.diagnostics()['pose_cells']['message']
 
 
-def test_a_local_view_that_loads_an_older_memory_is_noticed(world: MakeWorld) -> None:
-    made, heard = pose_cells(world)
+def test_local_view_loading_an_older_memory_is_detected(world: MakeWorld) -> None:
+    made, received = pose_cells(world)
     for n, number in enumerate((0, 1, 2, 1)):
         stamp = START_NS + n * PERIOD_NS
         made.send('odom', odometry(stamp, 10.0))
         new = n == 0 or (n, number) in ((1, 1), (2, 2), (3, 1))
         made.send('local_view/template', string(template_text(stamp, number, is_new=new)))
     made.send('odom', odometry(START_NS + S))
-    made.until(lambda: len(heard) == 4)
-    numbers = [decode_action(message.data)[2].template_id for message in heard]
+    made.until(lambda: len(received) == 4)
+    numbers = [decode_action(message.data)[2].template_id for message in received]
     assert numbers == [0, 1, 2, 4]
     assert 'earlier memory' in made.diagnostics()['pose_cells']['message']
 
 
-def test_the_activity_is_shown_to_who_looks(world: MakeWorld) -> None:
+def test_activity_is_published_to_subscribers(world: MakeWorld) -> None:
     from sensor_msgs.msg import Image
 
     made, _ = pose_cells(world)
@@ -337,20 +337,20 @@ def test_the_activity_is_shown_to_who_looks(world: MakeWorld) -> None:
     assert pixels.max() == 255
 
 
-def test_active_experiences_are_told_to_who_listens(world: MakeWorld) -> None:
+def test_active_experiences_are_published_to_subscribers(world: MakeWorld) -> None:
     from std_msgs.msg import String
 
     from ratslam_ros.messages.mapping import decode_active
 
     made, actions = pose_cells(world)
-    heard = made.listen(String, 'pose_cells/active_experiences')
+    received = made.listen(String, 'pose_cells/active_experiences')
     for n in range(3):
         made.send('odom', odometry(START_NS + n * PERIOD_NS, 20.0))
         made.send('local_view/template', string(template_text(START_NS + n * PERIOD_NS, n)))
         made.spin(0.05)
     made.send('odom', odometry(START_NS + S))
-    made.until(lambda: len(actions) == 3 and heard)
-    stamp_ns, template_id, active = decode_active(heard[-1].data)
+    made.until(lambda: len(actions) == 3 and received)
+    stamp_ns, template_id, active = decode_active(received[-1].data)
     assert stamp_ns == START_NS + template_id * PERIOD_NS
     assert active == [(template_id - 1, 2.0)]  # the first view came before any motion
 
@@ -377,23 +377,23 @@ def drive_straight(made: Any, experiences: int = 5, first: int = 0) -> None:
     made.send('odom', odometry(START_NS + (first + experiences) * S, 0.0, x=99.0))
 
 
-def last_map(made: Any, heard: list[Any], experiences: int) -> dict[str, Any]:
+def last_map(made: Any, received: list[Any], experiences: int) -> dict[str, Any]:
     def complete() -> bool:
-        return bool(heard) and len(json.loads(heard[-1].data)['experiences']) == experiences
+        return bool(received) and len(json.loads(received[-1].data)['experiences']) == experiences
 
     made.until(complete)
-    return json.loads(heard[-1].data)  # type: ignore[no-any-return]
+    return json.loads(received[-1].data)  # type: ignore[no-any-return]
 
 
-def test_the_map_is_sent_and_the_robot_is_on_it(world: MakeWorld) -> None:
+def test_map_pose_and_transform_are_published(world: MakeWorld) -> None:
     from geometry_msgs.msg import PoseStamped
     from tf2_msgs.msg import TFMessage
 
-    made, heard = experience_map(world)
+    made, received = experience_map(world)
     poses = made.listen(PoseStamped, 'experience_map/pose')
     transforms = made.listen(TFMessage, '/tf')
     drive_straight(made)
-    graph = last_map(made, heard, 5)
+    graph = last_map(made, received, 5)
     assert [e['y_m'] for e in graph['experiences']] == pytest.approx([0, 1, 2, 3, 4])
     assert len(graph['links']) == 4
     made.until(lambda: len(poses) == 6 and len(transforms) == 6)
@@ -406,7 +406,7 @@ def test_the_map_is_sent_and_the_robot_is_on_it(world: MakeWorld) -> None:
     assert frames.transform.rotation.z == pytest.approx(math.sqrt(0.5))
 
 
-def test_held_odometry_moves_the_pose_and_not_the_map(world: MakeWorld) -> None:
+def test_held_odometry_changes_the_pose_only(world: MakeWorld) -> None:
     from geometry_msgs.msg import PoseStamped
 
     made, _ = experience_map(world)
@@ -418,30 +418,30 @@ def test_held_odometry_moves_the_pose_and_not_the_map(world: MakeWorld) -> None:
     assert made.nodes[0]._core.offset.x_m == 0.0
 
 
-def test_whoever_comes_late_gets_the_last_map_at_once(world: MakeWorld) -> None:
+def test_late_subscriber_gets_the_last_map(world: MakeWorld) -> None:
     from std_msgs.msg import String
 
     from ratslam_ros.nodes.qos import LATCHED
 
-    made, heard = experience_map(world)
+    made, received = experience_map(world)
     drive_straight(made)
-    last_map(made, heard, 5)
+    last_map(made, received, 5)
     made.spin(0.3)
     late = made.listen(String, 'experience_map/map', LATCHED)
     made.until(lambda: late)
-    assert late[-1].data == heard[-1].data
+    assert late[-1].data == received[-1].data
 
 
-def test_markers_show_the_map(world: MakeWorld) -> None:
+def test_markers_contain_links_experiences_and_current_one(world: MakeWorld) -> None:
     from visualization_msgs.msg import MarkerArray
 
     from ratslam_ros.nodes.qos import LATCHED
 
-    made, heard = experience_map(world)
+    made, received = experience_map(world)
     markers = made.listen(MarkerArray, 'experience_map/markers', LATCHED)
     made.spin(0.2)
     drive_straight(made)
-    last_map(made, heard, 5)
+    last_map(made, received, 5)
     made.until(lambda: markers and len(markers[-1].markers[1].points) == 5)
     late = made.listen(MarkerArray, 'experience_map/markers', LATCHED)
     made.until(lambda: late)
@@ -459,12 +459,12 @@ def goal(x: float, y: float, frame: str = 'map') -> Any:
     return message
 
 
-def test_recall_goal_answers_with_the_way(world: MakeWorld) -> None:
+def test_recall_goal_answers_with_a_route(world: MakeWorld) -> None:
     from nav_msgs.srv import GetPlan
 
-    made, heard = experience_map(world)
+    made, received = experience_map(world)
     drive_straight(made)
-    last_map(made, heard, 5)
+    last_map(made, received, 5)
     name = 'experience_map/recall_goal'
     path = made.call(GetPlan, name, goal=goal(0.1, 1.0)).plan
     assert path.header.frame_id == 'map'
@@ -476,7 +476,7 @@ def test_recall_goal_answers_with_the_way(world: MakeWorld) -> None:
     assert headings == pytest.approx([-math.pi / 2] * 4)
     other = made.call(GetPlan, name, start=goal(0.0, 0.1), goal=goal(0.0, 2.0)).plan
     assert [p.pose.position.y for p in other.poses] == pytest.approx([0, 1, 2])
-    # The robot stands at (0, 4) and looks along y: 2 m behind it is (0, 2).
+    # The robot is at (0, 4), heading along y: 2 m behind it is (0, 2).
     behind = made.call(GetPlan, name, goal=goal(-2.0, 0.0, 'base_link')).plan
     assert behind.poses[-1].pose.position.y == pytest.approx(2.0)
 
@@ -486,24 +486,24 @@ def test_recall_goal_answers_with_the_way(world: MakeWorld) -> None:
     ((math.nan, 1.0, 'map'), 0.0, 'finite'), ((0.9, 1.0, 'map'), 0.5, 'away'),
     ((0.0, 1.0, 'map'), -1.0, 'tolerance'), ((0.0, 1.0, 'map'), math.nan, 'tolerance'),
 ])  # fmt: skip
-def test_where_there_is_no_route_the_path_is_empty_and_the_reason_told(
+def test_recall_goal_without_route_is_empty_with_reason(
     world: MakeWorld, place: tuple[float, float, str], tolerance: float, reason: str
 ) -> None:
     from nav_msgs.srv import GetPlan
 
-    made, heard = experience_map(world)
+    made, received = experience_map(world)
     drive_straight(made)
-    last_map(made, heard, 5)
-    before = heard[-1].data
+    last_map(made, received, 5)
+    before = received[-1].data
     answer = made.call(
         GetPlan, 'experience_map/recall_goal', goal=goal(*place), tolerance=tolerance
     )
     assert list(answer.plan.poses) == []
     assert reason in made.diagnostics()['experience_map']['no_route_because']
-    assert heard[-1].data == before
+    assert received[-1].data == before
 
 
-def test_an_empty_map_has_no_routes(world: MakeWorld) -> None:
+def test_empty_map_has_no_routes(world: MakeWorld) -> None:
     from nav_msgs.srv import GetPlan
 
     made, _ = experience_map(world)
@@ -512,15 +512,15 @@ def test_an_empty_map_has_no_routes(world: MakeWorld) -> None:
     assert 'empty' in made.diagnostics()['experience_map']['no_route_because']
 
 
-def test_a_goal_from_rviz_gives_a_route_that_follows_the_robot(world: MakeWorld) -> None:
+def test_goal_pose_gives_a_route_updated_with_the_robot(world: MakeWorld) -> None:
     from nav_msgs.msg import Path
 
     from ratslam_ros.nodes.qos import LATCHED
 
-    made, heard = experience_map(world)
+    made, received = experience_map(world)
     routes = made.listen(Path, 'experience_map/route', LATCHED)
     drive_straight(made)
-    last_map(made, heard, 5)
+    last_map(made, received, 5)
     made.send('goal_pose', goal(0.0, 0.0))
     made.until(lambda: routes)
     assert len(routes[-1].poses) == 5
@@ -533,33 +533,33 @@ def test_a_goal_from_rviz_gives_a_route_that_follows_the_robot(world: MakeWorld)
     made.until(lambda: len(routes[-1].poses) == 0)
 
 
-def test_an_action_that_never_came_is_counted(world: MakeWorld) -> None:
-    made, heard = experience_map(world)
+def test_lost_action_is_counted(world: MakeWorld) -> None:
+    made, received = experience_map(world)
     drive_straight(made, 3)
     made.send('pose_cells/action', string(action_text(START_NS + 3 * S, 4, 'create', 3, 4)))
     made.send('odom', odometry(START_NS + 4 * S))
-    last_map(made, heard, 4)
+    last_map(made, received, 4)
     assert made.diagnostics()['experience_map']['missed'] == '1'
 
 
-def test_a_map_that_begins_late_joins_in_and_says_so(world: MakeWorld) -> None:
-    made, heard = experience_map(world)
+def test_late_join_maps_on_and_is_reported(world: MakeWorld) -> None:
+    made, received = experience_map(world)
     for n in range(3):
         made.send('odom', odometry(START_NS + n * S, 1.0))
         text = action_text(START_NS + n * S, 40 + n, 'create', 20 + n, 21 + n)
         made.send('pose_cells/action', string(text))
     made.send('odom', odometry(START_NS + 3 * S))
-    graph = last_map(made, heard, 3)
+    graph = last_map(made, received, 3)
     assert [e['id'] for e in graph['experiences']] == [0, 1, 2]
     assert 'came late: 40 actions' in made.diagnostics()['experience_map']['message']
 
 
-def test_wrong_actions_are_refused_and_the_map_stays(world: MakeWorld) -> None:
-    made, heard = experience_map(world)
+def test_invalid_actions_are_refused_and_leave_the_map(world: MakeWorld) -> None:
+    made, received = experience_map(world)
     drive_straight(made)
-    last_map(made, heard, 5)
+    last_map(made, received, 5)
     made.spin(0.2)
-    before = heard[-1].data
+    before = received[-1].data
     stamp = START_NS + 5 * S
     good = action_text(stamp + 1, 5, 'create', 4, 5)
     wrong = [
@@ -571,66 +571,67 @@ def test_wrong_actions_are_refused_and_the_map_stays(world: MakeWorld) -> None:
     for text in wrong:
         made.send('pose_cells/action', string(text))
     made.spin(0.5)
-    assert heard[-1].data == before
-    assert made.diagnostics()['experience_map']['refused'] == '6'  # one is still doubted
+    assert received[-1].data == before
+    assert made.diagnostics()['experience_map']['refused'] == '6'  # one is still held
     made.send('pose_cells/action', string(good))
     made.send('odom', odometry(stamp + 2))
-    last_map(made, heard, 6)
+    last_map(made, received, 6)
     assert made.diagnostics()['experience_map']['refused'] == '7'
 
 
-def test_reset_forgets_and_pause_ignores(world: MakeWorld) -> None:
+def test_pause_ignores_inputs_and_reset_empties_the_map(world: MakeWorld) -> None:
     from std_srvs.srv import SetBool, Trigger
 
-    made, heard = experience_map(world)
+    made, received = experience_map(world)
     drive_straight(made)
-    last_map(made, heard, 5)
+    last_map(made, received, 5)
     assert made.call(SetBool, 'experience_map/pause', data=True).success
     drive_straight(made, 2, first=7)
     made.spin(0.3)
-    assert len(json.loads(heard[-1].data)['experiences']) == 5
+    assert len(json.loads(received[-1].data)['experiences']) == 5
     assert made.call(SetBool, 'experience_map/pause', data=False).success
     assert made.call(Trigger, 'experience_map/reset').success
-    made.until(lambda: json.loads(heard[-1].data)['experiences'] == [])
+    made.until(lambda: json.loads(received[-1].data)['experiences'] == [])
     drive_straight(made, 3)
-    assert [e['y_m'] for e in last_map(made, heard, 3)['experiences']] == pytest.approx([0, 1, 2])
+    experiences = last_map(made, received, 3)['experiences']
+    assert [e['y_m'] for e in experiences] == pytest.approx([0, 1, 2])
 
 
-def test_while_only_localising_the_map_stays_as_it_is(world: MakeWorld) -> None:
+def test_localisation_only_leaves_the_map_unchanged(world: MakeWorld) -> None:
     from std_srvs.srv import SetBool
 
-    made, heard = experience_map(world)
+    made, received = experience_map(world)
     drive_straight(made)
-    before = last_map(made, heard, 5)
+    before = last_map(made, received, 5)
     assert made.call(SetBool, 'experience_map/mapping', data=False).success
     made.send('odom', odometry(START_NS + 6 * S, 1.0))
     made.send('pose_cells/action', string(action_text(START_NS + 6 * S, 5, 'create', 4, 5)))
     made.send('odom', odometry(START_NS + 7 * S, 1.0))
     made.send('pose_cells/action', string(action_text(START_NS + 7 * S, 6, 'link', 5, 1)))
     made.send('odom', odometry(START_NS + 8 * S, 0.0))
-    made.until(lambda: json.loads(heard[-1].data)['current_experience_id'] == 1)
-    after = json.loads(heard[-1].data)
+    made.until(lambda: json.loads(received[-1].data)['current_experience_id'] == 1)
+    after = json.loads(received[-1].data)
     assert after['experiences'] == before['experiences']
     assert after['links'] == before['links']
 
 
-def test_what_was_saved_is_loaded_and_a_wrong_file_changes_nothing(
+def test_saved_map_is_loaded_and_damaged_file_refused(
     world: MakeWorld, tmp_path: Path
 ) -> None:
     from std_srvs.srv import Trigger
 
     folder = ('-p', f'memory_folder:={tmp_path}')
-    made, heard = experience_map(world, *folder)
+    made, received = experience_map(world, *folder)
     answer = made.call(Trigger, 'experience_map/load')
     assert not answer.success
     assert 'does not exist' in answer.message
     drive_straight(made)
-    last_map(made, heard, 5)
+    last_map(made, received, 5)
     assert made.call(Trigger, 'experience_map/save').success
-    before = heard[-1].data
+    before = received[-1].data
     assert made.call(Trigger, 'experience_map/reset').success
     assert made.call(Trigger, 'experience_map/load').success
-    made.until(lambda: heard[-1].data == before)
+    made.until(lambda: received[-1].data == before)
     [file] = tmp_path.iterdir()
     assert file.name == 'experience_map.npz'
     file.write_bytes(file.read_bytes()[:-100])
@@ -639,14 +640,48 @@ def test_what_was_saved_is_loaded_and_a_wrong_file_changes_nothing(
     made.send('odom', odometry(START_NS + 8 * S, 1.0))
     made.send('pose_cells/action', string(action_text(START_NS + 8 * S, 5, 'create', 4, 5)))
     made.send('odom', odometry(START_NS + 9 * S, 0.0))
-    graph = last_map(made, heard, 6)
+    graph = last_map(made, received, 6)
     assert graph['experiences'][5]['y_m'] == pytest.approx(5.0)
+
+
+@pytest.mark.parametrize('keys', [('scans',), ('core', 'poses'), ('goals',)], ids='.'.join)
+def test_memory_file_without_a_key_is_refused_unchanged(
+    world: MakeWorld, tmp_path: Path, keys: tuple[str, ...]
+) -> None:
+    from std_srvs.srv import Trigger
+
+    from ratslam_ros.files import memory
+
+    made, received = experience_map(world, '-p', f'memory_folder:={tmp_path}')
+    drive_straight(made)
+    last_map(made, received, 5)
+    assert made.call(Trigger, 'experience_map/save').success
+    [path] = tmp_path.iterdir()
+    state = memory.load(path, 'experience_map')
+    part = state
+    for key in keys[:-1]:
+        part = part[key]
+    del part[keys[-1]]
+    memory.save(path, 'experience_map', state)
+    before = received[-1].data
+    node = made.nodes[0]
+    learned = node._core, node._goals._navigator, node._late_join, node._scans
+    answer = made.call(Trigger, 'experience_map/load')
+    assert not answer.success
+    assert answer.message == (
+        f'{path} has no {keys[-1]!r}: it was written by an older version of ratslam_ros; map '
+        'again and save'
+    )
+    after = node._core, node._goals._navigator, node._late_join, node._scans
+    assert all(new is old for new, old in zip(after, learned, strict=True))
+    made.spin(0.2)
+    assert received[-1].data == before
 
 
 # Visual odometry
 
 
-def test_visual_odometry_gives_what_core_gives_and_a_whole_tree(world: MakeWorld) -> None:
+def test_visual_odometry_publishes_estimates_of_core_and_tf(world: MakeWorld) -> None:
     from nav_msgs.msg import Odometry
     from tf2_msgs.msg import TFMessage
 
@@ -655,7 +690,7 @@ def test_visual_odometry_gives_what_core_gives_and_a_whole_tree(world: MakeWorld
     from ratslam_ros.nodes.visual_odometry_node import VisualOdometryNode
 
     made = world(VisualOdometryNode, arguments=('-p', 'publish_tf:=true'))
-    heard = made.listen(Odometry, 'odom')
+    received = made.listen(Odometry, 'odom')
     transforms = made.listen(TFMessage, '/tf')
     core = VisualOdometry(Config().visual_odometry)
     expected = []
@@ -663,26 +698,26 @@ def test_visual_odometry_gives_what_core_gives_and_a_whole_tree(world: MakeWorld
         stamp_ns = START_NS + n * PERIOD_NS
         made.send('image', image(stamp_ns, n))
         expected.append(core.estimate(stamp_ns, picture(n, 24, 32)))
-    made.until(lambda: len(heard) == len(transforms) == 4)
-    assert [odometry_of(message) for message in heard] == [
+    made.until(lambda: len(received) == len(transforms) == 4)
+    assert [odometry_of(message) for message in received] == [
         odometry.as_received() for odometry in expected if odometry is not None
     ]
     frame = transforms[-1].transforms[0]
     assert (frame.header.frame_id, frame.child_frame_id) == ('odom', 'base_link')
-    assert frame.header.stamp == heard[-1].header.stamp
-    variances = [message.pose.covariance[0] for message in heard]
+    assert frame.header.stamp == received[-1].header.stamp
+    variances = [message.pose.covariance[0] for message in received]
     assert variances == sorted(variances)
     assert all(variance > 0.0 for variance in variances)
 
 
-def test_the_field_of_view_comes_from_camera_info(world: MakeWorld) -> None:
+def test_field_of_view_is_taken_from_camera_info(world: MakeWorld) -> None:
     from nav_msgs.msg import Odometry
     from sensor_msgs.msg import CameraInfo
 
     from ratslam_ros.nodes.visual_odometry_node import VisualOdometryNode
 
     made = world(VisualOdometryNode)
-    heard = made.listen(Odometry, 'odom')
+    received = made.listen(Odometry, 'odom')
     info = CameraInfo(width=32, height=24)
     info.k[0] = 16.0  # half the width: 90 degrees
     publisher = made.tester.create_publisher(CameraInfo, 'camera_info', 1)
@@ -691,16 +726,16 @@ def test_the_field_of_view_comes_from_camera_info(world: MakeWorld) -> None:
     for n in range(3):
         made.send('image', image(START_NS + n * PERIOD_NS, n))
     made.spin(0.3)
-    assert heard == []  # they wait: somebody will tell
+    assert received == []  # the images wait for camera_info
     publisher.publish(info)
     made.spin(0.2)
     made.send('image', image(START_NS + 3 * PERIOD_NS, 3))
-    made.until(lambda: len(heard) == 3)
+    made.until(lambda: len(received) == 3)
     assert made.diagnostics()['visual_odometry']['field_of_view'] == '90.00 deg (camera_info)'
 
 
 @pytest.mark.parametrize('calibrated', [False, None])
-def test_a_camera_info_that_tells_nothing_is_not_waited_for_for_ever(
+def test_wait_for_unusable_camera_info_is_limited(
     world: MakeWorld, calibrated: bool | None
 ) -> None:
     from nav_msgs.msg import Odometry
@@ -709,7 +744,7 @@ def test_a_camera_info_that_tells_nothing_is_not_waited_for_for_ever(
     from ratslam_ros.nodes.visual_odometry_node import VisualOdometryNode
 
     made = world(VisualOdometryNode)
-    heard = made.listen(Odometry, 'odom')
+    received = made.listen(Odometry, 'odom')
     publisher = made.tester.create_publisher(CameraInfo, 'camera_info', 1)
     made.until(lambda: publisher.get_subscription_count() > 0)
     if calibrated is False:
@@ -719,26 +754,26 @@ def test_a_camera_info_that_tells_nothing_is_not_waited_for_for_ever(
     made.spin(0.2 if calibrated is False else 2.2)
     for n in range(1, 4):
         made.send('image', image(START_NS + n * PERIOD_NS, n))
-        made.until(lambda n=n: len(heard) == n)
+        made.until(lambda n=n: len(received) == n)
 
 
-# All of them
+# All nodes
 
 
-def test_a_recording_that_begins_again_starts_over_or_goes_on(world: MakeWorld) -> None:
+def test_jump_back_resets_or_keeps_the_memory(world: MakeWorld) -> None:
     from std_msgs.msg import String
 
     from ratslam_ros.nodes.local_view_node import LocalViewNode
 
     for choice, templates in (('start_over', 12), ('go_on', 20)):
         made = world(LocalViewNode, arguments=(*SMALL, '-p', f'on_jump_back:={choice}'))
-        heard = made.listen(String, 'local_view/template')
+        received = made.listen(String, 'local_view/template')
         for n in range(20):
             made.send('image', image(START_NS + n * PERIOD_NS, n))
-        made.until(lambda heard=heard: len(heard) == 20)
+        made.until(lambda received=received: len(received) == 20)
         for n in range(12):
             made.send('image', image(START_NS - 60 * S + n * PERIOD_NS, n))
-        made.until(lambda heard=heard: len(heard) == 32)
+        made.until(lambda received=received: len(received) == 32)
         state = made.diagnostics()['local_view']
         assert (state['templates'], state['refused']) == (str(templates), '0')
         made.close()
@@ -750,7 +785,7 @@ def test_a_recording_that_begins_again_starts_over_or_goes_on(world: MakeWorld) 
     ('template_x_size:=many', 'template_x_size'), ('vt_panoramic:=3', 'vt_panoramic'),
     ('vt_shift_match:=40', 'vt_shift_match'),
 ])  # fmt: skip
-def test_an_impossible_parameter_stops_the_node_with_one_line(
+def test_invalid_parameter_raises_unusable_parameter(
     world: MakeWorld, argument: str, word: str
 ) -> None:
     from ratslam_ros.errors import UnusableParameter
@@ -760,7 +795,7 @@ def test_an_impossible_parameter_stops_the_node_with_one_line(
         world(LocalViewNode, arguments=('-p', argument))
 
 
-def test_parameters_are_described_and_only_some_may_change(world: MakeWorld) -> None:
+def test_parameters_have_descriptions_and_only_some_are_settable(world: MakeWorld) -> None:
     from rclpy.parameter import Parameter
 
     from ratslam_ros.nodes.experience_map_node import ExperienceMapNode
@@ -784,7 +819,7 @@ def test_parameters_are_described_and_only_some_may_change(world: MakeWorld) -> 
     assert not result.successful
 
 
-def test_silence_is_told_with_topic_type_and_publishers(world: MakeWorld) -> None:
+def test_silence_is_reported_with_topic_and_publishers(world: MakeWorld) -> None:
     made, _ = pose_cells(world, '-p', 'watchdog_after_s:=0.5')
     made.send('odom', odometry(START_NS))
     made.spin(2.5)

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The experience map with a laser: where at a known place the robot is, also after a restart."""
+"""Alignment of scans in the node of the experience map, also after loading a map."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def scan(robot: Robot, x_m: float, first_rad: float = -math.pi / 2) -> None:
     robot.made.send('scan', message)
 
 
-def scan_taken(robot: Robot, x_m: float) -> None:
+def scan_received(robot: Robot, x_m: float) -> None:
     scan(robot, x_m)
     robot.made.until(
         lambda: robot.node._scans._scans and robot.node._scans._scans[-1][0] == robot.stamp_ns
@@ -42,43 +42,43 @@ def scan_taken(robot: Robot, x_m: float) -> None:
 
 
 def learn(robot: Robot) -> None:
-    """Learn a place of which the laser knows; those before were made without."""
+    """Create an experience with a scan; the earlier ones have none."""
     scan(robot, 0.0)
     robot.drive(0.0)
-    scan_taken(robot, 0.0)
+    scan_received(robot, 0.0)
     robot.arrive(6)
 
 
-def come_back(robot: Robot, x_m: float) -> None:
-    """Drive off, and recognise the place from so far ahead of it."""
+def return_to_place(robot: Robot, x_m: float) -> None:
+    """Drive away, and recognise the place when the robot is ``x_m`` ahead of it."""
     robot.drive(1.0)
     robot.arrive(5)
     robot.drive(-1.0)
-    scan_taken(robot, x_m)
+    scan_received(robot, x_m)
     robot.arrive(6)
 
 
-def test_a_known_place_is_one_that_the_robot_is_beside(world: MakeWorld) -> None:
+def test_recognised_place_keeps_the_offset_of_the_scans(world: MakeWorld) -> None:
     robot = Robot(world, '-p', 'exp_align_scans:=true')
     learn(robot)
-    come_back(robot, 0.2)
+    return_to_place(robot, 0.2)
     x_m, y_m, heading_rad = robot.node._core.offset
     assert (x_m, y_m) == pytest.approx((0.2, 0.0), abs=0.03)
     assert heading_rad == pytest.approx(0.0, abs=0.01)
 
 
-def test_scans_are_saved_with_the_map(world: MakeWorld, tmp_path: Path) -> None:
+def test_scans_are_saved_and_loaded_with_the_map(world: MakeWorld, tmp_path: Path) -> None:
     robot = Robot(world, '-p', 'exp_align_scans:=true', '-p', f'memory_folder:={tmp_path}')
     learn(robot)
     assert robot.call('save').success
     assert robot.call('reset').success
     assert robot.call('load').success
     assert list(robot.node._scans._kept) == [6]
-    scan(robot, float('nan'), first_rad=float('nan'))  # one that tells nothing changes nothing
+    scan(robot, float('nan'), first_rad=float('nan'))  # refused
     robot.made.until(lambda: robot.node._diagnostics.counts['refused'] == 1)
     assert list(robot.node._scans._kept) == [6]
 
 
-def test_without_the_parameter_no_scan_is_listened_to(world: MakeWorld) -> None:
+def test_without_exp_align_scans_scans_are_not_subscribed(world: MakeWorld) -> None:
     robot = Robot(world)
-    assert 'scan' not in [put.name for put in robot.node._inputs]
+    assert 'scan' not in [one.name for one in robot.node._inputs]

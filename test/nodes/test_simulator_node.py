@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The node that takes a robot's place."""
+"""The node of the simulated robot."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def velocity(speed: float, turn_rate: float) -> Any:
     return message
 
 
-def test_it_senses_what_a_robot_senses(world: MakeWorld) -> None:
+def test_all_sensor_topics_have_rates_and_contents(world: MakeWorld) -> None:
     from geometry_msgs.msg import PoseStamped
     from nav_msgs.msg import Odometry
     from rosgraph_msgs.msg import Clock
@@ -56,16 +56,16 @@ def test_it_senses_what_a_robot_senses(world: MakeWorld) -> None:
         'image': Image, 'camera_info': CameraInfo, 'odom': Odometry, 'scan': LaserScan,
         'ground_truth/pose': PoseStamped,
     }  # fmt: skip
-    heard = {topic: made.listen(kind, topic) for topic, kind in kinds.items()}
+    received = {topic: made.listen(kind, topic) for topic, kind in kinds.items()}
     clock = made.listen(Clock, '/clock', CLOCK)
-    made.until(lambda: clock and all(len(messages) >= 10 for messages in heard.values()))
+    made.until(lambda: clock and all(len(messages) >= 10 for messages in received.values()))
     camera_hz = SimulatorParameters().camera_rate_hz
     rates = {'image': camera_hz, 'camera_info': camera_hz, 'odom': 20, 'scan': 10}
     for topic, rate_hz in rates.items():
-        stamps = [stamp_of(message) for message in heard[topic]]
+        stamps = [stamp_of(message) for message in received[topic]]
         assert set(np.diff(stamps)) == {10**9 // rate_hz}, topic
         assert min(stamps) >= START_STAMP_NS
-    image, info, scan = (heard[topic][0] for topic in ('image', 'camera_info', 'scan'))
+    image, info, scan = (received[topic][0] for topic in ('image', 'camera_info', 'scan'))
     assert (image.width, image.height, image.encoding) == (80, 60, 'mono8')
     assert np.frombuffer(image.data, np.uint8).std() > 5.0
     assert (info.width, info.k[2]) == (80, 40.0)
@@ -73,22 +73,22 @@ def test_it_senses_what_a_robot_senses(world: MakeWorld) -> None:
     assert len(ranges_m) == 181
     x_m, y_m = office().places['E']
     assert ranges_m[0] == pytest.approx(clearance_m(office(), x_m, y_m), abs=0.01)
-    truth = heard['ground_truth/pose'][0]
+    truth = received['ground_truth/pose'][0]
     assert truth.header.frame_id == 'world'
     assert (truth.pose.position.x, truth.pose.position.y) == pytest.approx((x_m, y_m))
 
 
-def test_it_drives_as_it_is_told_and_stops_when_nobody_tells(world: MakeWorld) -> None:
+def test_robot_follows_cmd_vel_and_stops_without_it(world: MakeWorld) -> None:
     from nav_msgs.msg import Odometry
 
     made = simulator(world, '-p', 'cmd_timeout_s:=0.5')
-    heard = made.listen(Odometry, 'odom')
+    received = made.listen(Odometry, 'odom')
     made.send('cmd_vel', velocity(0.5, 0.0))
-    made.until(lambda: heard and heard[-1].twist.twist.linear.x > 0.45)
-    made.until(lambda: abs(heard[-1].twist.twist.linear.x) < 0.01)
-    assert heard[-1].pose.pose.position.x > 0.5
+    made.until(lambda: received and received[-1].twist.twist.linear.x > 0.45)
+    made.until(lambda: abs(received[-1].twist.twist.linear.x) < 0.01)
+    assert received[-1].pose.pose.position.x > 0.5
     made.send('cmd_vel', velocity(0.0, 1.0))
-    made.until(lambda: heard[-1].twist.twist.angular.z > 0.9)
+    made.until(lambda: received[-1].twist.twist.angular.z > 0.9)
     for wrong in (velocity(math.nan, 0.0), velocity(0.0, math.inf)):
         made.send('cmd_vel', wrong)
     made.spin(0.1)
@@ -98,17 +98,17 @@ def test_it_drives_as_it_is_told_and_stops_when_nobody_tells(world: MakeWorld) -
     assert int(state['collisions']) == 0
 
 
-def test_time_goes_at_its_rate(world: MakeWorld) -> None:
+def test_simulated_time_does_not_exceed_its_rate(world: MakeWorld) -> None:
     made = simulator(world, '-p', 'rate:=2.0')
     before_s = made.nodes[0].simulator.elapsed_s
     made.spin(1.0)
     passed_s = made.nodes[0].simulator.elapsed_s - before_s
-    assert 0.5 < passed_s <= 2.5  # a loaded machine may be too slow, never too fast
+    assert 0.5 < passed_s <= 2.5  # a loaded machine may be slower
 
 
 @pytest.mark.parametrize(
     'wrong', ['plan:=mars', 'start:=Q', 'people:=-1', 'rate:=0.0', 'speed:=3', 'obstacles:=a,b']
 )
-def test_wrong_parameters_are_refused(world: MakeWorld, wrong: str) -> None:
+def test_invalid_parameters_are_refused(world: MakeWorld, wrong: str) -> None:
     with pytest.raises(RatslamError):
         simulator(world, '-p', wrong)

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""docs/topics.md says what there is, and its examples are what the nodes send."""
+"""docs/topics.md describes all topics and services, and its examples are real payloads."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from pathlib import Path
 from typing import Any
 
 PAGE = (Path(__file__).parents[2] / 'docs/topics.md').read_text(encoding='utf-8')
-OF_ROS = ('/rosout', '/parameter_events', '/clock')
-SERVICES_OF_ROS = (
+ROS_TOPICS = ('/rosout', '/parameter_events', '/clock')
+ROS_SERVICES = (
     'describe_parameters', 'get_parameter_types', 'get_parameters', 'list_parameters',
     'set_parameters', 'set_parameters_atomically', 'get_type_description',
 )  # fmt: skip
 
 
-def makers() -> list[Any]:
+def node_classes() -> list[Any]:
     from ratslam_ros.nodes.experience_map_node import ExperienceMapNode
     from ratslam_ros.nodes.goal_follower_node import GoalFollowerNode
     from ratslam_ros.nodes.local_view_node import LocalViewNode
@@ -31,12 +31,12 @@ def makers() -> list[Any]:
     ]
 
 
-def test_every_topic_and_service_is_described(world: Callable[..., Any]) -> None:
-    made = world(*makers())
+def test_every_topic_and_service_is_documented(world: Callable[..., Any]) -> None:
+    made = world(*node_classes())
     topics = {
         found.topic_name
         for node in made.nodes for found in (*node.publishers, *node.subscriptions)
-    } - set(OF_ROS)  # fmt: skip
+    } - set(ROS_TOPICS)  # fmt: skip
     for topic in topics:
         assert f'`{topic}`' in PAGE or f'`{topic.lstrip("/")}`' in PAGE, topic
     services = {
@@ -44,14 +44,14 @@ def test_every_topic_and_service_is_described(world: Callable[..., Any]) -> None
     }  # fmt: skip
     for service in services:
         name = service.rpartition('/')[2]
-        if name not in SERVICES_OF_ROS:
+        if name not in ROS_SERVICES:
             same = f'`{service.rpartition("/")[0]}/save`' if name == 'load' else f'`{service}`'
             known = same in PAGE or f'`NODE/{name}`' in PAGE
             assert known, service
 
 
-def test_every_topic_of_the_page_is_there(world: Callable[..., Any]) -> None:
-    made = world(*makers())
+def test_every_documented_topic_exists(world: Callable[..., Any]) -> None:
+    made = world(*node_classes())
     named = {
         name
         for line in PAGE.split('## Topics')[1].split('###')[0].splitlines()
@@ -59,14 +59,14 @@ def test_every_topic_of_the_page_is_there(world: Callable[..., Any]) -> None:
         for name in re.findall(r'`([a-z_/]+)`', line.split('|')[1])
     }
     assert len(named) >= 14
-    there = {
+    existing = {
         found.topic_name.lstrip('/')
         for node in made.nodes for found in (*node.publishers, *node.subscriptions)
     }  # fmt: skip
-    assert {name.lstrip('/') for name in named} <= there
+    assert {name.lstrip('/') for name in named} <= existing
 
 
-def test_the_examples_are_payloads() -> None:
+def test_examples_are_valid_payloads() -> None:
     from ratslam_ros.core.navigation.goals import Position
     from ratslam_ros.messages.goals import (
         GoalRequest,
@@ -96,7 +96,7 @@ def test_the_examples_are_payloads() -> None:
 
 
 def example_of_status() -> str:
-    """Return the status of the page's example, as it is sent."""
+    """Return the encoded status of the example in the page."""
     from ratslam_ros.core.common.pose import Pose
     from ratslam_ros.core.config import ExperienceMapParameters
     from ratslam_ros.core.mapping.experience_map import Direction, ExperienceMap
@@ -114,14 +114,14 @@ def example_of_status() -> str:
 
     around = Around(ExperienceMapParameters())
     around.current_id = 40
-    here = Goal(12)
-    active = GoalTask(3, here, 'kitchen', status='active', expected_s=24.0)
-    over = GoalTask(
-        2, here, '(1, 0)', status='timed_out', reason='not reached within 60 s', started_ns=0,
+    place = Goal(12)
+    active = GoalTask(3, place, 'kitchen', status='active', expected_s=24.0)
+    ended = GoalTask(
+        2, place, '(1, 0)', status='timed_out', reason='not reached within 60 s', started_ns=0,
         expected_s=12.5, ended_ns=60_000_000_000,
     )  # fmt: skip
     guidance = Guidance(
         'following', remaining_s=18.5, behaviour='left_wall', goal=Pose(1.5, -2.0, 0.0),
         replanned=1, switched=0,
     )  # fmt: skip
-    return encode_status(1700000012500000000, around, guidance, [active], [over])
+    return encode_status(1700000012500000000, around, guidance, [active], [ended])

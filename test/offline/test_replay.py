@@ -33,7 +33,7 @@ from ratslam_ros.core.common.odometry import Motion, moved
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
-from ratslam_ros.core.pose_cells.pose_cells import MapAction
+from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.core.ratslam import ViewStep
 from ratslam_ros.core.vision.local_view import ViewMatch

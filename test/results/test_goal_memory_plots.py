@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The picture of the goal memory: the same bytes twice, the way over edges and jumps."""
+"""Plot of the goal memory: reproducible files, and routes across edges and jumps."""
 
 from pathlib import Path
 
@@ -12,41 +12,41 @@ from ratslam_ros.core.config import Config
 from ratslam_ros.core.goal_memory.goal_memory import GoalMemory
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.results.goal_memory_plots import _broken, _way, draw_temporal_array
+from ratslam_ros.results.goal_memory_plots import _route, _split_at_edges, draw_temporal_array
 
 VERMILLION_BGR = (0x00, 0x5E, 0xD5)
 
 
 @pytest.fixture
 def memory() -> GoalMemory:
-    """A way along a row and over its edge, that jumps to another row."""
+    """Learn a route along a row, across the edge of the torus and on in another row."""
     config = Config().with_values({'pose_cells.pc_dim_x': 30, 'pose_cells.pc_dim_y': 20})
-    made = GoalMemory(config.goal_memory, config.pose_cells)
+    learned = GoalMemory(config.goal_memory, config.pose_cells)
     for x in range(20, 36):
-        made.learn(1.0, np.array([5 * 30 + x % 30]), np.ones(1))
+        learned.learn(1.0, np.array([5 * 30 + x % 30]), np.ones(1))
     for x in range(10, 20):
-        made.learn(1.0, np.array([15 * 30 + x]), np.ones(1))
-    return made
+        learned.learn(1.0, np.array([15 * 30 + x]), np.ones(1))
+    return learned
 
 
-def test_the_way_is_drawn_from_the_robot_to_the_goal(memory: GoalMemory) -> None:
+def test_route_leads_from_robot_to_goal(memory: GoalMemory) -> None:
     times = memory.recall(Place(19.0, 15.0, 0.0))
-    way = _way(times, Place(20.3, 5.2, 0.0))
-    assert way[0].tolist() == [20.0, 5.0]
-    assert way[-1].tolist() == [19.0, 15.0]
-    assert len(way) == 26
-    gaps = np.flatnonzero(np.isnan(_broken(way, 30, 20)[:, 0]))
+    route = _route(times, Place(20.3, 5.2, 0.0))
+    assert route[0].tolist() == [20.0, 5.0]
+    assert route[-1].tolist() == [19.0, 15.0]
+    assert len(route) == 26
+    gaps = np.flatnonzero(np.isnan(_split_at_edges(route, 30, 20)[:, 0]))
     assert gaps.tolist() == [10]  # between columns 29 and 0
 
 
-def test_the_same_memory_gives_the_same_picture(memory: GoalMemory, tmp_path: Path) -> None:
+def test_same_memory_gives_identical_file(memory: GoalMemory, tmp_path: Path) -> None:
     times, peak = memory.recall(Place(19.0, 15.0, 0.0)), Place(20.3, 5.2, 0.0)
     driven = np.array([[20.0, 5.0], [25.0, 5.0], [29.0, 5.0], [2.0, 5.0]])
     files = [
         draw_temporal_array(times, peak, tmp_path / name, driven) for name in ('a.png', 'b.png')
     ]
     assert files[0].read_bytes() == files[1].read_bytes()
-    shown = cv2.imread(str(files[0])).astype(int)
-    assert (np.abs(shown - VERMILLION_BGR).sum(axis=2) < 30).sum() > 300
+    image = cv2.imread(str(files[0])).astype(int)
+    assert (np.abs(image - VERMILLION_BGR).sum(axis=2) < 30).sum() > 300
     with pytest.raises(UnusableInput, match='cannot be written'):
         draw_temporal_array(times, peak, tmp_path / 'none' / 'a.png')

@@ -9,7 +9,7 @@ import pytest
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.driving.steering import Command
-from ratslam_ros.core.navigation.route_planner import UnreachableGoal
+from ratslam_ros.errors import UnreachableGoal
 from ratslam_ros.files.config import load_config
 from ratslam_ros.messages.mapping import encode_map
 from ratslam_ros.simulator.closed_loop import ClosedLoop

@@ -1,10 +1,11 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Goal memory: pose cells, goal -> direction, by the times between places learned on the cells.
+"""Goal memory: learn travel times between pose cells, and plan routes to goals over them.
 
-The older way to goals (seed 001), on the pose cells themselves and without an experience map. It
-inherits what the cells do: where two places share cells it knows a short cut that is none, and
-where one place has two sets of cells it knows the way from one of them only (seed 000, II.A).
+The method of Milford et al. (2005). It plans on the pose cells, without an experience map, and
+therefore inherits their ambiguities: if two places share cells, it plans shortcuts that do not
+exist, and if one place is represented by two sets of cells, it finds routes from one of them only
+(Milford et al. (2006), section II.A).
 """
 
 from __future__ import annotations
@@ -22,34 +23,39 @@ from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import PoseCellsParameters
 from ratslam_ros.core.config.goal_memory import GoalMemoryParameters
-from ratslam_ros.core.navigation.route_planner import UnreachableGoal
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.pose_cells.torus import Place, Torus
-from ratslam_ros.errors import UnusableInput
+from ratslam_ros.errors import UnreachableGoal, UnusableInput
 
 Cells = NDArray[np.int64]
 Activity = NDArray[np.float64]
 
-REST_CELLS_PER_S = 0.02
-"""A robot slower than this rests: the time is none of the way, and nothing is linked."""
+STATIONARY_CELLS_PER_S = 0.02
+"""Speed up to which the robot counts as stationary: no travel time is added, no link learned."""
 
 PACKET_CELLS = 6.0
-"""Two packets that are more than this and a step apart are two places, not one that moves on."""
+"""Extent of a packet. Links longer than this plus one step join two packets at different places:
+they are jumps of the packet, not motions."""
 
-BLOCKED_AHEAD_CELLS = 1.0
-BLOCKED_ASIDE_CELLS = 2.0
-"""Where the line lies that nothing passes while the robot is blocked, and how far to the sides."""
+BARRIER_AHEAD_CELLS = 1.0
+"""Distance ahead of a blocked robot of the line across which links are penalised."""
+
+BARRIER_HALF_WIDTH_CELLS = 2.0
+"""Half the length of that line."""
 
 SECTOR_COS = math.cos(math.radians(45.0))
-"""How far beside the way cells may lie that count for the direction."""
+"""Cosine of the largest angle to the route of cells that contribute to the direction."""
 
 
 @dataclass(frozen=True)
 class TemporalArray:
-    """How long it takes from every cell to one goal; seed 001, equation (6).
+    """Time to reach one goal from every cell; Milford et al. (2005), equation (6).
 
-    ``remaining_s``: (n_y, n_x) seconds, infinite where nothing leads on; ``onward``: (n_y, n_x)
-    the cell after each on its quickest way, y * n_x + x, negative at the goal and where none is.
+    Attributes:
+        goal: place of the goal.
+        remaining_s: (n_y, n_x) time to the goal in seconds, infinite if no links lead to it.
+        onward: (n_y, n_x) next cell on the fastest route, y * n_x + x; negative at the goal and
+            if no links lead to it.
     """
 
     goal: Place
@@ -58,17 +64,19 @@ class TemporalArray:
 
 
 class GoalMemory:
-    """Links between pose cells that were active one after the other, and ways over them."""
+    """Links between successively active pose cells with their travel times, and routes over them.
+
+    Places passed to its methods are peaks of the pose cells.
+    """
 
     def __init__(self, parameters: GoalMemoryParameters, cells: PoseCellsParameters) -> None:
-        self.parameters = parameters
-        """They may be replaced at any time."""
+        self._p = parameters
         self._torus = Torus(cells.pc_dim_x, cells.pc_dim_y, cells.pc_dim_th)
         self._cell_m = cells.pc_cell_x_size
         self.goals: dict[str, Place] = {}
-        """The places that were marked, by their names."""
-        # Cells are numbered as they are first linked, links as they are first made; a link's key
-        # is made of the numbers of its ends.
+        """Places of the marked goals by name."""
+        # Cells and links are numbered in the order in which they are first linked. The key of a
+        # link combines the numbers of its two cells.
         self._numbers: dict[int, int] = {}
         self._links: dict[int, int] = {}
         self._ends = array('i')
@@ -78,66 +86,69 @@ class GoalMemory:
         self.relocated()
 
     def __len__(self) -> int:
-        """Return the number of links, each for both directions."""
+        """Return the number of links; links are undirected."""
         return len(self._mu_s)
 
     def relocated(self) -> None:
-        """Link nothing to what was active before: nobody knows how the robot came here."""
-        self._before: dict[int, float] | None = None
-        self._peak_before: Place | None = None
-        self._way_s = 0.0
+        """Discard the previous activity: the motion since then was not observed."""
+        self._previous: dict[int, float] | None = None
+        self._previous_peak: Place | None = None
+        self._travel_s = 0.0
 
     def integrate(self, motion: Motion, pose_cells: PoseCells) -> None:
-        """Take what a motion made of the pose cells; links whenever the peak has moved a step."""
+        """Learn from one motion, after the pose cells integrated it.
+
+        Links are updated whenever the peak has moved by ``goal_memory_step_cells``.
+        """
         if not pose_cells.mapping:
             self.relocated()
             return
-        if abs(motion.distance_m) <= REST_CELLS_PER_S * self._cell_m * motion.dt_s:
+        if abs(motion.distance_m) <= STATIONARY_CELLS_PER_S * self._cell_m * motion.dt_s:
             return
-        self._way_s += motion.dt_s
-        peak, before = pose_cells.peak, self._peak_before
-        if before is not None and (
-            self._between(before, peak) < self.parameters.goal_memory_step_cells
+        self._travel_s += motion.dt_s
+        peak, previous = pose_cells.peak, self._previous_peak
+        if previous is not None and (
+            self._distance(previous, peak) < self._p.goal_memory_step_cells
         ):
             return
-        self._peak_before = peak
-        self.learn(self._way_s, *pose_cells.projected())
-        self._way_s = 0.0
+        self._previous_peak = peak
+        self.learn(self._travel_s, *pose_cells.projected())
+        self._travel_s = 0.0
 
-    def learn(self, way_s: float, cells: Cells, activity: Activity) -> None:
-        """Link the cells that are active now to those active at the call before.
+    def learn(self, travel_s: float, cells: Cells, activity: Activity) -> None:
+        """Link the active cells to those that were active at the previous call.
 
-        Equations (2) to (5) of seed 001, once for a pair of cells: of its two observations, i
-        before j and j before i, the stronger counts.
+        Milford et al. (2005), equations (2) to (5). Each pair of cells is observed once: of the
+        two orders, i before j and j before i, the one with the larger product of activities.
 
         Args:
-            way_s: time that the robot moved since the call before.
-            cells: (n,) y * n_x + x, none twice.
-            activity: (n,) their activity, over all headings.
+            travel_s: time for which the robot moved since the previous call.
+            cells: (n,) distinct cell numbers y * n_x + x.
+            activity: (n,) their activity, summed over all headings.
         """
-        p = self.parameters
+        p = self._p
         largest = float(activity.max())
         active = activity >= p.goal_memory_active_share * largest
         now = dict(zip(cells[active].tolist(), (activity[active] / largest).tolist(), strict=True))
-        before, self._before = self._before, now
-        if before is None:
+        previous, self._previous = self._previous, now
+        if previous is None:
             return
         self._observations += 1
         products: dict[tuple[int, int], float] = {}
-        for i, share_before in before.items():
+        for i, share_before in previous.items():
             for j, share_now in now.items():
                 pair = (i, j) if i < j else (j, i)
                 product = share_before * share_now
                 if i != j and product > products.get(pair, 0.0):
                     products[pair] = product
-        tau = p.goal_memory_eta_tau * way_s
+        tau = p.goal_memory_eta_tau * travel_s
         for (i, j), product in products.items():
             chi = p.goal_memory_eta_chi * (1.0 / product - 1.0)
-            delta = p.goal_memory_eta_delta * self._between(self._place(i), self._place(j))
+            delta = p.goal_memory_eta_delta * self._distance(self._place(i), self._place(j))
             self._observe(i, j, tau + chi + delta)
 
     def _observe(self, i: int, j: int, seconds: float) -> None:
-        """Average an observation into a link; the first one sets it."""
+        """Average a link's time with an observation; the first observation sets it."""
         numbers = self._numbers
         a, b = numbers.setdefault(i, len(numbers)), numbers.setdefault(j, len(numbers))
         key = a << 32 | b if a < b else b << 32 | a
@@ -149,37 +160,38 @@ class GoalMemory:
             self._mu_s[link] = 0.5 * (self._mu_s[link] + seconds)
 
     def blocked(self, peak: Place, bearing_rad: float, tried_s: float) -> int:
-        """Take that the robot cannot go on: links across a line just ahead of it become longer.
+        """Increase the times of the links that cross a line just ahead of a blocked robot.
 
-        What was tried in vain is an observation like any other, of a time that is not over yet:
-        the link's own and ``tried_s``. Once the way is free, driving it averages that away.
+        The failed attempt counts as an observation of the link's time plus ``tried_s``. If the
+        path becomes free, driving it averages the increase out.
 
         Args:
-            peak: where the robot is.
-            bearing_rad: where it cannot go, from ahead and to the left positive.
-            tried_s: how long it has tried, in all.
+            peak: position of the robot.
+            bearing_rad: blocked direction relative to the heading, positive to the left.
+            tried_s: total duration of the attempts.
 
         Returns:
-            How many links that were.
+            The number of links.
         """
         n_x, n_y = self._torus.n_x, self._torus.n_y
         direction = self._heading(peak) + bearing_rad
         cos, sin = math.cos(direction), math.sin(direction)
         cells = np.fromiter(self._numbers, np.int64, len(self._numbers))
         ends = cells[np.array(self._ends, np.int32).reshape(-1, 2)]
-        # Of both ends, x and y from the peak: the first the shortest way round, then the link.
+        # Position of the first end relative to the peak and of the second end relative to the
+        # first, both wrapped to the shortest vector on the torus.
         x = (ends[:, 0] % n_x - peak.x + 0.5 * n_x) % n_x - 0.5 * n_x
         y = (ends[:, 0] // n_x - peak.y + 0.5 * n_y) % n_y - 0.5 * n_y
         dx = (ends[:, 1] % n_x - ends[:, 0] % n_x + 0.5 * n_x) % n_x - 0.5 * n_x
         dy = (ends[:, 1] // n_x - ends[:, 0] // n_x + 0.5 * n_y) % n_y - 0.5 * n_y
-        ahead, aside = x * cos + y * sin - BLOCKED_AHEAD_CELLS, y * cos - x * sin
+        ahead, aside = x * cos + y * sin - BARRIER_AHEAD_CELLS, y * cos - x * sin
         ahead_on, aside_on = ahead + dx * cos + dy * sin, aside + dy * cos - dx * sin
         across = ((ahead > 0.0) != (ahead_on > 0.0)) & (
-            # |aside| where the link is on the line; multiplied out, as no link may be along it
+            # |aside| where the link crosses the line; without dividing, as it may be parallel.
             np.abs(aside * ahead_on - aside_on * ahead)
-            <= BLOCKED_ASIDE_CELLS * np.abs(ahead_on - ahead)
+            <= BARRIER_HALF_WIDTH_CELLS * np.abs(ahead_on - ahead)
         )
-        across &= dx * dx + dy * dy <= self._longest_cells**2  # a jump passes no place between
+        across &= dx * dx + dy * dy <= self._max_link_cells**2  # jumps cross no place in between
         links = np.flatnonzero(across).tolist()
         for link in links:
             self._mu_s[link] += 0.5 * tried_s
@@ -189,14 +201,14 @@ class GoalMemory:
     # Goals
 
     def mark(self, name: str, peak: Place) -> None:
-        """Remember the place of the peak as a goal; a name that is known is moved."""
+        """Store the place of the peak as a goal; a goal of the same name is replaced."""
         self.goals[name] = peak
 
     def goal(self, name: str) -> Place:
         """Return the place of a goal.
 
         Raises:
-            UnreachableGoal: there is none of this name.
+            UnreachableGoal: no goal has this name.
         """
         if name not in self.goals:
             known = ', '.join(self.goals) or 'none yet'
@@ -204,29 +216,32 @@ class GoalMemory:
         return self.goals[name]
 
     def reached(self, goal: Place, peak: Place) -> bool:
-        """Return whether the peak is at the goal, whatever the heading (seed 001, V.C)."""
-        return self._between(goal, peak) <= self.parameters.goal_memory_reached_cells
+        """Return whether the peak is at the goal, with any heading.
+
+        Milford et al. (2005), section V.C.
+        """
+        return self._distance(goal, peak) <= self._p.goal_memory_reached_cells
 
     # Recall
 
     def recall(self, goal: Place) -> TemporalArray:
-        """Return the times to a goal, from wherever links lead to it.
+        """Compute the times to a goal from all cells that are connected to it.
 
-        The goal stands for the nearest linked cell within the search radius. Asked again for the
-        same goal, what was computed is returned until something more was learned.
+        The goal is represented by the nearest linked cell within the search radius. The result is
+        cached until another goal is requested or a link changes.
 
         Raises:
-            UnreachableGoal: there is none.
+            UnreachableGoal: there is no linked cell within the search radius.
         """
         if self._recalled is None or self._recalled[:2] != (goal, self._observations):
             self._recalled = goal, self._observations, self._compute(goal)
         return self._recalled[2]
 
     def _compute(self, goal: Place) -> TemporalArray:
-        known = [cell for _, _, _, cell in self._around(goal) if cell in self._numbers]
-        if not known:
+        linked = [cell for _, _, _, cell in self._around(goal) if cell in self._numbers]
+        if not linked:
             raise UnreachableGoal(
-                f'no cell near x {goal.x:.1f}, y {goal.y:.1f} was ever linked; drive there first'
+                f'no cell near x {goal.x:.1f}, y {goal.y:.1f} has been linked; drive there first'
             )
         from scipy.sparse import csr_array
         from scipy.sparse.csgraph import dijkstra
@@ -234,117 +249,130 @@ class GoalMemory:
         count = len(self._numbers)
         ends = np.array(self._ends, np.int32).reshape(-1, 2)
         links = csr_array((np.array(self._mu_s), (ends[:, 0], ends[:, 1])), shape=(count, count))
-        times_s, before = dijkstra(
-            links, directed=False, indices=self._numbers[known[0]], return_predecessors=True
+        times_s, previous = dijkstra(
+            links, directed=False, indices=self._numbers[linked[0]], return_predecessors=True
         )
         cells = np.fromiter(self._numbers, np.int64, count)
         remaining_s = np.full(self._torus.n_y * self._torus.n_x, np.inf)
         remaining_s[cells] = times_s
         onward = np.full(len(remaining_s), -1, np.int64)
-        onward[cells] = np.where(before >= 0, cells[np.maximum(before, 0)], -1)
+        onward[cells] = np.where(previous >= 0, cells[np.maximum(previous, 0)], -1)
         shape = self._torus.n_y, self._torus.n_x
         return TemporalArray(goal, remaining_s.reshape(shape), onward.reshape(shape))
 
     def remaining_s(self, times: TemporalArray, peak: Place) -> float:
-        """Return the time from the known cell nearest to the peak, infinite if none is near."""
-        here = self._here(times, peak)
-        return math.inf if here is None else float(times.remaining_s.flat[here])
+        """Return the time to the goal from the connected cell nearest to the peak, in seconds.
+
+        It is infinite if there is no connected cell within the search radius.
+        """
+        start = self._start(times, peak)
+        return math.inf if start is None else float(times.remaining_s.flat[start])
 
     def direction(self, times: TemporalArray, peak: Place) -> float | None:
-        """Return the direction in which the time falls fastest around the peak.
+        """Return the direction of the steepest descent of the time around the peak.
 
-        The way over the links tells the side, so that no cell behind a blocked line attracts; the
-        cells on that side, weighted by how fast the time falls towards them, tell it exactly.
-        Those from half the search radius on count before nearer ones.
+        The route over the links selects a sector, so that cells behind a barrier are ignored. The
+        direction is the mean direction of the cells in this sector, weighted by the descent
+        towards them. Cells closer than half the search radius are ignored, unless the route ends
+        there.
 
         Returns:
-            rad, in the plane of the cells, counter-clockwise from x; None where no way is known or
-            where the goal is reached.
+            Direction in the plane of the cells in rad, counter-clockwise from x; None if the goal
+            is reached or no route exists.
         """
-        here = self._here(times, peak)
-        if here is None or self.reached(times.goal, peak):
+        start = self._start(times, peak)
+        if start is None or self.reached(times.goal, peak):
             return None
-        away = 0.5 * self._search_cells
-        way = self.path(times, peak, self._search_cells).tolist()
-        side_x, side_y = next((p for p in way if math.hypot(*p) >= away), way[-1])
-        side = math.hypot(side_x, side_y)
-        here_s = float(times.remaining_s.flat[here])
+        min_distance = 0.5 * self._search_cells
+        route = self.path(times, peak, self._search_cells).tolist()
+        ahead_x, ahead_y = next((p for p in route if math.hypot(*p) >= min_distance), route[-1])
+        ahead = math.hypot(ahead_x, ahead_y)
+        start_s = float(times.remaining_s.flat[start])
         x = y = 0.0
         for distance, dx, dy, cell in self._around(peak):
-            fall_s = here_s - float(times.remaining_s.flat[cell])
-            on_this_side = dx * side_x + dy * side_y >= SECTOR_COS * distance * side
-            if fall_s > 0.0 and on_this_side and distance >= min(away, side):
-                x += fall_s * dx / distance**2
-                y += fall_s * dy / distance**2
-        return math.atan2(y, x) if x or y else math.atan2(side_y, side_x)
+            descent_s = start_s - float(times.remaining_s.flat[cell])
+            in_sector = dx * ahead_x + dy * ahead_y >= SECTOR_COS * distance * ahead
+            if descent_s > 0.0 and in_sector and distance >= min(min_distance, ahead):
+                x += descent_s * dx / distance**2
+                y += descent_s * dy / distance**2
+        return math.atan2(y, x) if x or y else math.atan2(ahead_y, ahead_x)
 
     def bearing(self, times: TemporalArray, peak: Place) -> float | None:
-        """Return ``direction`` as seen by the robot: rad from ahead, to the left positive."""
+        """Return ``direction`` relative to the robot's heading: rad, positive to the left."""
         direction = self.direction(times, peak)
         return None if direction is None else wrap(direction - self._heading(peak))
 
     def path(
         self, times: TemporalArray, peak: Place, length_cells: float = math.inf
     ) -> NDArray[np.float64]:
-        """Return the way that the time falls along, from the peak on.
+        """Return the fastest route from the peak.
 
-        Where a link joins two places far apart, both are one place and the way goes on from there:
-        the packet will jump when the robot comes to it.
+        A link between places far apart is a jump of the packet while the robot stays at one place.
+        Such links add no displacement.
+
+        Args:
+            times: times to the goal.
+            peak: position of the robot.
+            length_cells: the route ends at its first point beyond this length.
 
         Returns:
-            (n, 2) x and y in cells from the peak, not wrapped; the first is (0, 0), the last is
-            the first beyond the length, or the goal; (0, 2) where no way is known.
+            (n, 2) x and y in cells relative to the peak, not wrapped, from (0, 0) to the goal or
+            the length; (0, 2) if no route exists.
         """
-        here = self._here(times, peak)
-        if here is None:
+        start = self._start(times, peak)
+        if start is None:
             return np.empty((0, 2))
         points = [(0.0, 0.0)]
         length = 0.0
-        at = self._place(here)
+        at = self._place(start)
         x, y = self._offset(peak, at)
-        onward = int(times.onward.flat[here])
+        onward = int(times.onward.flat[start])
         if onward < 0:
             points.append((x, y))
         while onward >= 0 and length < length_cells:
-            then = self._place(onward)
-            dx, dy = self._offset(at, then)
-            if math.hypot(dx, dy) <= self._longest_cells:
+            following = self._place(onward)
+            dx, dy = self._offset(at, following)
+            if math.hypot(dx, dy) <= self._max_link_cells:
                 x, y = x + dx, y + dy
                 length += math.hypot(x - points[-1][0], y - points[-1][1])
                 points.append((x, y))
-            at, onward = then, int(times.onward.flat[onward])
+            at, onward = following, int(times.onward.flat[onward])
         return np.array(points)
 
     def route_ahead(
         self, times: TemporalArray, peak: Place, length_m: float = math.inf
     ) -> NDArray[np.float64]:
         """Return ``path`` in the robot's frame: (n, 2) metres, x ahead and y to the left."""
-        way = self.path(times, peak, length_m / self._cell_m) * self._cell_m
+        path = self.path(times, peak, length_m / self._cell_m) * self._cell_m
+        x, y = path[:, 0], path[:, 1]
         cos, sin = math.cos(self._heading(peak)), math.sin(self._heading(peak))
-        return np.stack([way[:, 0] * cos + way[:, 1] * sin, way[:, 1] * cos - way[:, 0] * sin], 1)
+        return np.stack([x * cos + y * sin, y * cos - x * sin], 1)
 
     # Cells
 
     @property
-    def _longest_cells(self) -> float:
-        """The longest link between cells of one place; longer ones are jumps."""
-        return self.parameters.goal_memory_step_cells + PACKET_CELLS
+    def _max_link_cells(self) -> float:
+        """Maximum length of a link that is a motion; longer links are jumps of the packet."""
+        return self._p.goal_memory_step_cells + PACKET_CELLS
 
     @property
     def _search_cells(self) -> float:
-        return self.parameters.goal_memory_search_cells
+        return self._p.goal_memory_search_cells
 
-    def _here(self, times: TemporalArray, peak: Place) -> int | None:
-        """Return the nearest cell from which a way is known, None if there is none around."""
+    def _start(self, times: TemporalArray, peak: Place) -> int | None:
+        """Return the nearest cell connected to the goal, None if none is in the search radius."""
         for _, _, _, cell in self._around(peak):
             if math.isfinite(times.remaining_s.flat[cell]):
                 return cell
         return None
 
     def _around(self, place: Place) -> Iterator[tuple[float, float, float, int]]:
-        """Yield distance, x and y from the place, and the cell, of those near it; nearest first.
+        """Yield the cells within the search radius, nearest first.
 
-        On a small torus a cell is met once, on the shortest way.
+        On a torus smaller than the radius each cell is yielded once, at its shortest distance.
+
+        Yields:
+            Distance, x and y relative to the place, and cell number.
         """
         torus, radius = self._torus, math.ceil(self._search_cells)
         middle_x, middle_y = math.floor(place.x + 0.5), math.floor(place.y + 0.5)
@@ -352,10 +380,10 @@ class GoalMemory:
         for j in range(-min(radius, (torus.n_y - 1) // 2), min(radius, torus.n_y // 2) + 1):
             for i in range(-min(radius, (torus.n_x - 1) // 2), min(radius, torus.n_x // 2) + 1):
                 dx, dy = middle_x + i - place.x, middle_y + j - place.y
-                away = math.sqrt(dx * dx + dy * dy)
-                if away <= self._search_cells:
+                distance = math.sqrt(dx * dx + dy * dy)
+                if distance <= self._search_cells:
                     cell = (middle_y + j) % torus.n_y * torus.n_x + (middle_x + i) % torus.n_x
-                    found.append((away, dx, dy, cell))
+                    found.append((distance, dx, dy, cell))
         yield from sorted(found)
 
     def _heading(self, peak: Place) -> float:
@@ -366,22 +394,22 @@ class GoalMemory:
         return Place(x, y, 0.0)
 
     def _offset(self, start: Place, end: Place) -> tuple[float, float]:
-        """Return x and y from one place to another, the shortest way round."""
+        """Return the shortest displacement from one place to another along x and y, in cells."""
         n_x, n_y = self._torus.n_x, self._torus.n_y
         return (
             (end.x - start.x + 0.5 * n_x) % n_x - 0.5 * n_x,
             (end.y - start.y + 0.5 * n_y) % n_y - 0.5 * n_y,
         )
 
-    def _between(self, a: Place, b: Place) -> float:
-        """Return the distance of two places in the plane, in cells."""
+    def _distance(self, a: Place, b: Place) -> float:
+        """Return the shortest distance of two places along x and y, in cells."""
         dx, dy = self._offset(a, b)
         return math.sqrt(dx * dx + dy * dy)
 
     # Memory
 
     def state(self) -> State:
-        """Return all that was learned, for ``restore``."""
+        """Return all links and goals, for ``restore``."""
         return {
             'dims': [self._torus.n_x, self._torus.n_y],
             'cells': np.fromiter(self._numbers, np.int64, len(self._numbers)),
@@ -391,10 +419,10 @@ class GoalMemory:
         }
 
     def restore(self, state: State) -> None:
-        """Take what ``state`` gave for the present memory, which must be empty.
+        """Restore what ``state`` returned; the goal memory must be empty.
 
         Raises:
-            UnusableInput: it is of pose cells of other extents.
+            UnusableInput: the state was learned on pose cells of other extents.
         """
         dims = [self._torus.n_x, self._torus.n_y]
         if state['dims'] != dims:

@@ -30,7 +30,7 @@ from ratslam_ros.core.mapping.loop_closure_gate import (
 )
 from ratslam_ros.core.mapping.optimiser import PoseGraphOptimiser
 from ratslam_ros.core.mapping.scan_matching import ScanMatch
-from ratslam_ros.core.pose_cells.pose_cells import NO_EXPERIENCE, MapAction
+from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
 from ratslam_ros.errors import UnusableInput

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.mapping.links import Link, Links
-from ratslam_ros.core.pose_cells.pose_cells import NO_EXPERIENCE, MapAction
+from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.errors import RatslamError
 

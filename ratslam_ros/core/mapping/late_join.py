@@ -9,7 +9,7 @@ from dataclasses import replace
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.id_map import DenseIdMap
-from ratslam_ros.core.pose_cells.pose_cells import MapAction
+from ratslam_ros.core.pose_cells.map_action import MapAction
 
 
 class LateJoin:

@@ -188,6 +188,7 @@ def _are_connected(
     from scipy.sparse.csgraph import dijkstra
 
     count = 1 + int(max(ends.max(initial=0), source_id, target_id))
-    graph = coo_array((np.maximum(lengths_m, 1e-9), ends.T), shape=(count, count)).tocsr()
+    pairs = ends.T.astype(np.int32)  # SciPy before 1.15 searches no graph with 64-bit indices
+    graph = coo_array((np.maximum(lengths_m, 1e-9), pairs), shape=(count, count)).tocsr()
     reached_m = dijkstra(graph, directed=False, indices=source_id, limit=most_m)
     return bool(np.isfinite(reached_m[target_id]))

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from ratslam_ros.core.mapping.experience_map import ExperienceMap, MapUpdate
 from ratslam_ros.core.mapping.scan_matching import ScanMatcher
-from ratslam_ros.core.pose_cells.pose_cells import MapAction
+from ratslam_ros.core.pose_cells.map_action import MapAction
 
 
 def apply_action(

@@ -23,7 +23,7 @@ from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.scan import Scan, points_of
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.mapping.icp import PRIOR_SD_RAD, Alignment, align
-from ratslam_ros.core.pose_cells.pose_cells import MapAction
+from ratslam_ros.core.pose_cells.map_action import MapAction
 
 BUFFER_NS = 2_000_000_000
 """Time for which scans and poses are buffered until the action of their time arrives."""

@@ -1,12 +1,12 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Agreement: what recent views say of where the robot is, and how much to believe one of them.
+"""Agreement: gate recognitions by their consistency with other recent recognitions.
 
-One wrong recognition must not move the packet, and several that agree must, over a wide range of
-injection energies (algorithm.md, Robustness). Every recognised view claims a place; the claim is
-carried along with the odometry, so that claims of one visit fall together and chance ones do not.
-Views a few centimetres apart err together, so claims only count as several when the robot has
-moved between them.
+A single false recognition must not move the activity packet, and several consistent ones must,
+for a wide range of injection energies. Each recognised view adds a pose hypothesis, which follows
+the odometry like a particle in a particle filter. Hypotheses of correct recognitions therefore
+stay together, those of false ones scatter. Views recorded a few centimetres apart have correlated
+errors, so hypotheses count separately only if the robot has moved between them.
 """
 
 from __future__ import annotations
@@ -20,35 +20,35 @@ from ratslam_ros.core.common.compiled import compiled
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.pose_cells.torus import Place, Torus
 
-MOST_CLAIMS = 64
-"""However slowly the robot drives, no more are remembered; it bounds the work of a step."""
+MAX_HYPOTHESES_COUNT = 64
+"""Maximum number of hypotheses; it bounds the cost of a step if the robot drives slowly."""
 
+MIN_NEARBY_VIEWS_COUNT = 2.0
+"""Minimum number of agreeing views for a hypothesis close to the current pose estimate."""
 
-FEWEST = 2.0
-"""Views that must agree on a place close by: odometry alone says that the robot is not far off."""
-
-TURN_WEIGHT = 0.25
-"""Way, in cells, that a turn by one plane stands for: a look-alike corner is one place, however
-many views it takes to turn there, but a robot that turns on the spot sees different places."""
+TURN_WEIGHT_CELLS_PER_PLANE = 0.25
+"""Travelled distance that a turn by one heading plane counts as. The weight is low because many
+views while turning in one ambiguous corner are not independent, and not zero because a robot that
+turns on the spot does see different parts of its surroundings."""
 
 
 class Agreement:
-    """The claims of the most recently recognised views."""
+    """Pose hypotheses of the most recently recognised views, and the weights they justify."""
 
     def __init__(
         self, torus: Torus, views: float, radius_cells: float, spacing_cells: float, recent: int,
         near_cells: float = 0.0,
     ) -> None:  # fmt: skip
-        """Prepare without claims.
+        """Start without hypotheses.
 
         Args:
-            torus: where places are.
-            views: how many views must agree for a claim to count fully; 0: each always does.
-            radius_cells: claims this close agree.
-            spacing_cells: way of the robot between claims that count as two.
-            recent: how many claims, at least a spacing apart, are remembered.
-            near_cells: claims nearer than this to the believed place need fewer views, down to
-                FEWEST; 0: as many as any.
+            torus: extents of the pose cells.
+            views: number of agreeing views at which the weight is 1; 0 makes every weight 1.
+            radius_cells: maximum distance between hypotheses that agree.
+            spacing_cells: minimum travelled distance between hypotheses that count separately.
+            recent: number of hypotheses, at least a spacing apart, that are kept.
+            near_cells: hypotheses closer than this to the current pose estimate need fewer views,
+                in proportion to their distance, at least MIN_NEARBY_VIEWS_COUNT; 0 disables this.
         """
         self._torus = torus
         self._views = views
@@ -56,25 +56,23 @@ class Agreement:
         self._spacing = spacing_cells
         self._recent = recent
         self._near = near_cells
+        # Hypotheses made within one spacing share a slot.
         self._slot = 0
-        self._slot_began = 0.0
+        self._slot_start = 0.0
         self._travelled = 0.0
-        # The oldest first: where each claims to be, how far the robot had travelled, and of which
-        # view and slot it is.
-        self._places = np.empty((MOST_CLAIMS, 3))
-        self._made_at = np.empty(MOST_CLAIMS)
-        self._template_ids = np.empty(MOST_CLAIMS, np.int64)
-        self._slots = np.empty(MOST_CLAIMS, np.int64)
+        # Arrays of the hypotheses, oldest first: place now, travelled distance at the recognition,
+        # recognised template and slot.
+        self._places = np.empty((MAX_HYPOTHESES_COUNT, 3))
+        self._made_at = np.empty(MAX_HYPOTHESES_COUNT)
+        self._template_ids = np.empty(MAX_HYPOTHESES_COUNT, np.int64)
+        self._slots = np.empty(MAX_HYPOTHESES_COUNT, np.int64)
         self._count = 0
 
-    def __len__(self) -> int:
-        return self._count
-
     def state(self) -> State:
-        """Return all claims, for ``restore``."""
+        """Return all hypotheses, for ``restore``."""
         return {
             'slot': self._slot,
-            'slot_began': self._slot_began,
+            'slot_began': self._slot_start,
             'travelled': self._travelled,
             'claims': [
                 [int(self._template_ids[i]), *self._places[i].tolist(),
@@ -84,60 +82,70 @@ class Agreement:
         }
 
     def restore(self, state: State) -> None:
-        """Take what ``state`` gave."""
+        """Replace all hypotheses by those that ``state`` returned."""
         self._slot = state['slot']
-        self._slot_began = state['slot_began']
+        self._slot_start = state['slot_began']
         self._travelled = state['travelled']
         self._count = 0
         for template_id, x, y, theta, travelled, slot in state['claims']:
             self._append(template_id, Place(x, y, theta), travelled, slot)
 
     def integrate(self, chord_cells: float, turn_planes: float) -> None:
-        """Carry all claims along with one motion of the robot."""
-        self._travelled += abs(chord_cells) + TURN_WEIGHT * abs(turn_planes)
-        _carry(
+        """Move all hypotheses by one motion of the robot."""
+        self._travelled += abs(chord_cells) + TURN_WEIGHT_CELLS_PER_PLANE * abs(turn_planes)
+        _propagate(
             self._places, self._count, chord_cells, turn_planes, self._torus.planes_per_rad
         )
 
     def weigh(
-        self, template_id: int, place: Place, believed: Place, off_cells: float = math.inf
+        self, template_id: int, place: Place, estimate: Place, distance_cells: float = math.inf
     ) -> float:
-        """Take a recognised view's claim; return the factor for the energy that it injects.
+        """Add the hypothesis of a recognised view and compute its weight.
 
-        The factor is ((n - m) / views)^4, where n views agree with the claim, itself included,
-        and m agree with the believed place instead. A view seen on end claims once, from where
-        it was first recognised. The power decides over which range of energies the number of
-        views, and not the energy, is what lets a place win: 4 covers a factor of 20.
+        The weight is ((n - m) / views)^4. n is the number of hypotheses that agree with the new
+        one, including itself; m is the number that agree with the current pose estimate, if the
+        new hypothesis does not. A view that is recognised repeatedly without another one in
+        between makes one hypothesis, at its first recognition. With the power of 4 the number of
+        views decides which place wins, not the energy, over energies that differ by a factor of
+        20.
 
-        ``off_cells``: how far the claimed place is from the believed one in cells that never
-        end; what is close by needs fewer views.
+        Args:
+            template_id: recognised template.
+            place: pose that the recognition implies.
+            estimate: current pose estimate.
+            distance_cells: distance between the two, not wrapped at the edges of the torus.
+
+        Returns:
+            Factor for the energy to inject.
         """
         if self._views == 0.0:
             return 1.0
         if self._count == 0 or self._template_ids[self._count - 1] != template_id:
-            self._remember(template_id, place)
-        claimed = Place(*self._places[self._count - 1].tolist())
-        support = self._supporters(claimed)
-        if self._torus.distance(claimed, believed) > self._radius:
-            support -= self._supporters(believed)
+            self._add(template_id, place)
+        hypothesis = Place(*self._places[self._count - 1].tolist())
+        support = self._support(hypothesis)
+        if self._torus.distance(hypothesis, estimate) > self._radius:
+            support -= self._support(estimate)
         views = self._views
-        if off_cells < self._near:
-            views = max(views * off_cells / self._near, min(views, FEWEST))
+        if distance_cells < self._near:
+            views = max(
+                views * distance_cells / self._near, min(views, MIN_NEARBY_VIEWS_COUNT)
+            )
             support = min(support, int(2 * views))
         share: float = max(support, 0) / views
         return share * share * share * share
 
-    def _remember(self, template_id: int, place: Place) -> None:
-        if self._travelled - self._slot_began >= self._spacing:
+    def _add(self, template_id: int, place: Place) -> None:
+        if self._travelled - self._slot_start >= self._spacing:
             self._slot += 1
-            self._slot_began = self._travelled
+            self._slot_start = self._travelled
         self._append(template_id, place, self._travelled, self._slot)
         while self._slots[0] <= self._slot - self._recent:
-            self._forget_oldest()
+            self._remove_oldest()
 
     def _append(self, template_id: int, place: Place, travelled: float, slot: int) -> None:
-        if self._count == MOST_CLAIMS:
-            self._forget_oldest()
+        if self._count == MAX_HYPOTHESES_COUNT:
+            self._remove_oldest()
         i = self._count
         self._places[i] = place
         self._made_at[i] = travelled
@@ -145,15 +153,15 @@ class Agreement:
         self._slots[i] = slot
         self._count += 1
 
-    def _forget_oldest(self) -> None:
-        for of_claims in (self._places, self._made_at, self._template_ids, self._slots):
-            of_claims[: self._count - 1] = of_claims[1 : self._count]
+    def _remove_oldest(self) -> None:
+        for column in (self._places, self._made_at, self._template_ids, self._slots):
+            column[: self._count - 1] = column[1 : self._count]
         self._count -= 1
 
-    def _supporters(self, place: Place) -> int:
-        """Return how many claims lie near a place, made at least a spacing apart."""
+    def _support(self, place: Place) -> int:
+        """Count the hypotheses near a place that were made at least a spacing apart."""
         torus = self._torus
-        count = _supporters(
+        count = _support(
             self._places, self._made_at, self._count, place.x, place.y, place.theta,
             torus.n_x, torus.n_y, torus.n_theta, self._radius, self._spacing,
         )  # fmt: skip
@@ -161,10 +169,10 @@ class Agreement:
 
 
 @compiled
-def _carry(
+def _propagate(
     places: NDArray[np.float64], count: int, chord: float, turn: float, planes_per_rad: float
 ) -> None:
-    """Move places as ``Torus.moved`` does."""
+    """Move the first ``count`` places along the chord of an arc, in place; theta not wrapped."""
     for i in range(count):
         direction = (places[i, 2] + 0.5 * turn) / planes_per_rad
         places[i, 0] += chord * math.cos(direction)
@@ -173,12 +181,12 @@ def _carry(
 
 
 @compiled
-def _supporters(
+def _support(
     places: NDArray[np.float64], made_at: NDArray[np.float64], count: int,
     x: float, y: float, theta: float, n_x: int, n_y: int, n_theta: int,
     radius: float, spacing: float,
 ) -> int:  # fmt: skip
-    """Count claims within a radius, as ``Torus.distance`` has it, made a spacing apart."""
+    """Count places within a radius, by ``Torus.distance``, that were made a spacing apart."""
     found = 0
     last = -spacing
     for i in range(count):

@@ -1,13 +1,13 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The continuous attractor network of the pose cells, computed only where there is activity.
+"""Continuous attractor network of the pose cells, computed only where there is activity.
 
-Activity lives in packets: boxes of cells that are too far apart to act on each other, each on a
-lattice of its own that may lie anywhere between the cells (``frames``). Path integration moves
-the lattice by the packet's mean motion, and shifts the cells only by what each heading plane
-moves differently from that mean. A packet thus follows the odometry exactly at any speed, where
-shifting the cells themselves would leave it pinned to the lattice by the competition
-(algorithm.md, Tracking), and the cost follows the activity, not the size of the torus.
+The activity consists of packets: boxes of cells too far apart to interact. Each packet has its own
+lattice, offset from the lattice of the torus by its frame. Path integration moves the lattice by
+the mean motion of the packet, and shifts the cells only by the difference of each heading plane
+from that mean. A packet therefore follows the odometry exactly at any speed, whereas the
+competition pins a packet on a fixed lattice to its cells. The cost of a step depends on the amount
+of activity, not on the size of the torus.
 
 All arrays are ordered (theta, y, x).
 """
@@ -20,8 +20,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ratslam_ros.core.pose_cells.attractor_kernels import (
-    compete,
+from ratslam_ros.core.pose_cells.competition_kernels import compete
+from ratslam_ros.core.pose_cells.packet_kernels import (
+    Box,
+    Cells,
+    Dims,
+    Frame,
     decode,
     extent,
     join,
@@ -30,18 +34,14 @@ from ratslam_ros.core.pose_cells.attractor_kernels import (
     tighten,
 )
 
-Cells = NDArray[np.float64]
-Box = NDArray[np.int64]
-Frame = NDArray[np.float64]
-Dims = NDArray[np.int64]
-
 
 class Packet(NamedTuple):
-    """A box of activity that nothing outside it acts on; its arrays are never changed.
+    """A box of activity that does not interact with activity outside it; immutable.
 
-    ``cells``: (n_theta, n_y, n_x) activity. ``box``: (6,) first cell and number of cells on each
-    axis, wrapping round the torus. ``frame``: (3,) where its lattice lies from the torus' own,
-    in cells, -0.5 to 0.5.
+    Attributes:
+        cells: (n_theta, n_y, n_x) activity.
+        box: (6,) first cell and number of cells per axis, wrapping around the torus.
+        frame: (3,) offset of its lattice from the lattice of the torus, in cells, -0.5 to 0.5.
     """
 
     cells: Cells
@@ -50,7 +50,7 @@ class Packet(NamedTuple):
 
 
 class Network:
-    """The fixed part: extents of the torus, kernels, inhibition."""
+    """The extents, kernels and inhibition of a network; callers hold the activity."""
 
     def __init__(
         self, dims: tuple[int, int, int], excitation: Cells, inhibition: Cells, cutoff: float
@@ -58,31 +58,34 @@ class Network:
         """Describe a network.
 
         Args:
-            dims: cells along theta, y and x.
-            excitation: one axis of the excitatory kernel, odd length, summing to 1.
-            inhibition: the same for the inhibitory one.
-            cutoff: global inhibition, activity.
+            dims: number of cells along theta, y and x.
+            excitation: one axis of the excitatory kernel, of odd length and with a sum of 1.
+            inhibition: one axis of the inhibitory kernel, likewise.
+            cutoff: global inhibition: activity subtracted from every cell.
         """
         self.dims = np.array(dims, np.int64)
         self._w_e = excitation
         self._w_i = inhibition
         self._cutoff = cutoff
-        # Two packets act on each other when, both excited, one is in the inhibition of the other;
-        # one cell more for the difference of their lattices.
+        # Two packets interact if, after excitation of both, one lies within the inhibition of the
+        # other. The additional cell covers the offset between their lattices.
         self._reach = 2 * (len(excitation) // 2) + len(inhibition) // 2 + 1
 
     def start(self) -> list[Packet]:
-        """Return all activity in the middle cell."""
+        """Return the initial activity: 1 in the middle cell."""
         middle = [int(n) // 2 for n in self.dims]
         return [Packet(np.ones((1, 1, 1)), np.array([*middle, 1, 1, 1], np.int64), np.zeros(3))]
 
     def step(self, packets: list[Packet], chord: float, turn: float) -> list[Packet]:
-        """Compete, normalise to a sum of 1, integrate one motion.
+        """Apply the competition, normalise the activity to a sum of 1 and integrate one motion.
 
         Args:
-            packets: the activity before.
-            chord: way ahead, in cells; negative is back.
-            turn: counter-clockwise, in planes; half of it comes before the way, half behind.
+            packets: the activity.
+            chord: distance ahead in cells; negative is backwards.
+            turn: counter-clockwise turn in planes, half before and half after the translation.
+
+        Returns:
+            The new activity.
         """
         competed = []
         total = 0.0
@@ -93,7 +96,7 @@ class Network:
             if part > 0.0:
                 competed += self._trimmed(Packet(cells, box, p.frame))
                 total += part
-        if not competed:  # nothing survived: keep the activity before
+        if not competed:  # no activity survived: skip the competition
             competed = packets
             total = sum([mass(p.cells) for p in packets])
         moved = [Packet(*move(*p, self.dims, 1.0 / total, chord, turn)) for p in competed]
@@ -102,20 +105,20 @@ class Network:
     def inject(
         self, packets: list[Packet], theta: float, y: float, x: float, energy: float
     ) -> list[Packet]:
-        """Add ``energy`` at a place in cells, spread over the eight cells around it."""
+        """Add ``energy`` at a place in cells, distributed over the eight cells around it."""
         place = np.array([theta, y, x])
         whole = np.floor(place)
         point = Packet(
             np.full((1, 1, 1), energy), np.array([*whole, 1, 1, 1], np.int64), place - whole
         )
         near = [p for p in packets if self._within_reach(p, point)]
-        # What joins a packet is put onto that packet's lattice at once; else onto the torus'.
+        # Resample directly onto the lattice of the packet that it will be merged with, if any.
         frame = max(near, key=lambda p: mass(p.cells)).frame if near else np.zeros(3)
         spread = Packet(np.zeros((1, 1, 1)), point.box, frame)
         return self._merged([*packets, _joined(spread, point, self.dims)])
 
     def peak(self, packets: list[Packet]) -> tuple[float, float, float]:
-        """Return theta, y and x, in cells, of the largest cell, refined by the +-3 box around."""
+        """Return theta, y and x, in cells, of the peak of the packet with the largest cell."""
         largest = packets[0]
         if len(packets) > 1:
             largest = max(packets, key=lambda p: float(p.cells.max()))
@@ -123,7 +126,7 @@ class Network:
         return theta, y, x
 
     def dense(self, packets: list[Packet]) -> Cells:
-        """Return the activity of the whole torus, (n_theta, n_y, n_x), on the torus' lattice."""
+        """Resample all packets onto the lattice of the torus; return (n_theta, n_y, n_x)."""
         dims = self.dims
         whole = Packet(np.zeros(tuple(dims)), np.array([0, 0, 0, *dims], np.int64), np.zeros(3))
         for packet in packets:
@@ -131,16 +134,16 @@ class Network:
         return np.roll(whole.cells, tuple(whole.box[:3]), (0, 1, 2))
 
     def projected(self, packets: list[Packet]) -> tuple[NDArray[np.int64], Cells]:
-        """Return the activity summed over theta where there is any, on the torus' lattice.
+        """Sum the activity over theta, on the lattice of the torus.
 
         Returns:
-            (n,) cells of the (y, x) plane, y * n_x + x, ascending, and (n,) their activity.
+            (n,) cell numbers y * n_x + x of the active cells, ascending, and (n,) their activity.
         """
         n_y, n_x = int(self.dims[1]), int(self.dims[2])
         cells: list[NDArray[np.int64]] = []
         shares: list[Cells] = []
         for packet in packets:
-            # Onto the lattice by bilinear weights: as in ``dense``, but for the plane alone.
+            # Bilinear interpolation of the plane equals the trilinear one of ``dense``, summed.
             plane = packet.cells.sum(axis=0)
             for axis, along in enumerate(packet.frame[1:]):
                 part = float(along) % 1.0
@@ -169,7 +172,7 @@ class Network:
         return True
 
     def _merged(self, packets: list[Packet]) -> list[Packet]:
-        """Join packets until none is within reach of another; the heavier keeps its lattice."""
+        """Join packets within reach of each other; the stronger one keeps its lattice."""
         for i, a in enumerate(packets):
             for j in range(i + 1, len(packets)):
                 b = packets[j]
@@ -180,7 +183,7 @@ class Network:
         return packets
 
     def _trimmed(self, packet: Packet) -> list[Packet]:
-        """Cut a packet down to its active cells, and in two where it has fallen apart."""
+        """Crop a packet to its active cells, and split it at gaps longer than the reach."""
         is_tight, cells, box = tighten(packet.cells, packet.box, self.dims, self._reach)
         if is_tight:
             return [Packet(cells, box, packet.frame)]
@@ -190,7 +193,7 @@ class Network:
             n = cells.shape[axis]
             if n == self.dims[axis]:
                 around = first + n - 1 - last
-                if gap > around:  # the longest gap is inside: open the circle there
+                if gap > around:  # the longest gap is inside: move it to the end of the box
                     cells = np.roll(cells, -(gap_start + gap), axis)
                     box = box.copy()
                     box[axis] += gap_start + gap
@@ -208,7 +211,7 @@ class Network:
 
 
 def kernel(width: int, deviation: float) -> Cells:
-    """Return one axis of a Gaussian cube, (width,) summing to 1; the cube is its outer product."""
+    """Return one axis of a separable Gaussian kernel: (width,) with a sum of 1."""
     radius = width // 2
     steps = range(-radius, radius + 1)
     weights = [math.exp(-(k * k) / (2.0 * deviation * deviation)) for k in steps]
@@ -218,7 +221,7 @@ def kernel(width: int, deviation: float) -> Cells:
 def _slice(
     cells: Cells, box: Box, frame: Frame, axis: int, first: int, length: int
 ) -> Packet:
-    """Return the slices from ``first`` on along an axis as a packet."""
+    """Return ``length`` slices along an axis, from ``first``, as a packet."""
     index = [slice(None)] * 3
     index[axis] = slice(first, first + length)
     box = box.copy()

@@ -1,6 +1,10 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Pruning: visits to experiences -> the one to forget where a map has reached its limit."""
+"""Pruning: select the experience to remove when a map has reached its maximum size.
+
+The pose cells make this decision, not the experience map, because they create the experiences and
+assign their ids; the map applies the decision when it receives the action.
+"""
 
 from __future__ import annotations
 
@@ -9,57 +13,59 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.common.state import State
 
-RECENT_VISITS = 10
-"""What the robot came by in so many visits is not forgotten: it is still there."""
+RECENT_VISITS_COUNT = 10
+"""Experiences of this many latest visits are not pruned: the robot is still near them."""
 
-LONGEST_GAP_M = 1.5
-"""No experience is forgotten that leaves two others further apart, while others can be. The link
-past what is forgotten is straight where the way was not: a longer one leads through walls."""
+MAX_GAP_M = 1.5
+"""Maximum distance between neighbours that pruning may leave, if any candidate allows it. The link
+that replaces a pruned experience is straight, so a long one would cut through walls."""
 
-LONGER = 1.5
-"""Where none can be, those go by their visits that leave no more than so many times the shortest
-gap; on a map of places so far apart all ways would else be thinned alike, however often driven."""
+GAP_RATIO = 1.5
+"""If every candidate exceeds MAX_GAP_M: largest gap, relative to the smallest one, among which the
+number of visits decides. Without this, a map of widely spaced places would be pruned evenly, with
+no regard to how often a place was visited."""
 
 
-class Visits:
-    """How often, and when last, the robot came to each experience; time is counted in visits."""
+class VisitHistory:
+    """Number of visits and time of the last visit per experience; time is counted in visits."""
 
     def __init__(self) -> None:
         self._counts = np.zeros(64, np.int64)
         self._last = np.zeros(64, np.int64)
-        self._known = 0
+        self._size = 0
         self._now = 0
 
     def create(self, experience_id: int) -> None:
-        """Count the first visit to a new experience, which may have the number of an old one."""
+        """Count the first visit to a new experience, whose id may be that of a pruned one."""
         if experience_id == len(self._counts):
             self._counts = np.concatenate([self._counts, np.zeros_like(self._counts)])
             self._last = np.concatenate([self._last, np.zeros_like(self._last)])
-        self._known = max(self._known, experience_id + 1)
+        self._size = max(self._size, experience_id + 1)
         self._counts[experience_id] = 0
-        self.arrive(experience_id)
+        self.visit(experience_id)
 
-    def arrive(self, experience_id: int) -> None:
-        """Count a visit to an experience that is known."""
+    def visit(self, experience_id: int) -> None:
+        """Count a visit to an existing experience."""
         self._now += 1
         self._counts[experience_id] += 1
         self._last[experience_id] = self._now
 
-    def least(self, gaps: Gaps) -> int:
-        """Return the experience to forget; there must be more than ``RECENT_VISITS`` + 1.
+    def prune_candidate(self, distances: DistanceGraph) -> int:
+        """Select the experience to prune; more than ``RECENT_VISITS_COUNT`` + 1 must exist.
 
-        Seed 002, section IV: of those visited once the one visited longest ago. Where none was,
-        of those visited least often the one last visited longest ago. Experience 0 stays, as the
-        map hangs on it, and so do those of the last ``RECENT_VISITS``, with the current one; those
-        that would leave a gap longer than ``LONGEST_GAP_M`` stay while there are others, and where
-        there are none those that would leave one of more than ``LONGER`` times the shortest.
+        Milford (2008), section IV: of the experiences visited once, the one visited longest ago;
+        if there is none, of those visited least often, the one visited longest ago. Experience 0,
+        the origin of the map, is kept, as are those of the last ``RECENT_VISITS_COUNT`` visits,
+        which include the current one. Candidates that would leave a gap longer than ``MAX_GAP_M``
+        are kept if there are others; otherwise those that would leave one longer than
+        ``GAP_RATIO`` times the smallest gap.
         """
-        counts, last = self._counts[: self._known], self._last[: self._known]
-        may_go = last <= self._now - RECENT_VISITS
+        counts, last = self._counts[: self._size], self._last[: self._size]
+        may_go = last <= self._now - RECENT_VISITS_COUNT
         may_go[0] = False
-        left_m = gaps.left_by(self._known)
-        shortest_m = left_m[may_go].min()
-        may_go &= left_m <= (LONGEST_GAP_M if shortest_m <= LONGEST_GAP_M else LONGER * shortest_m)
+        gaps_m = distances.gaps_after_removal_m(self._size)
+        shortest_m = gaps_m[may_go].min()
+        may_go &= gaps_m <= (MAX_GAP_M if shortest_m <= MAX_GAP_M else GAP_RATIO * shortest_m)
         fewest = counts[may_go].min()
         candidates = np.flatnonzero(may_go & (counts == fewest))
         return int(candidates[np.argmin(last[candidates])])
@@ -67,98 +73,96 @@ class Visits:
     def state(self) -> State:
         """Return all visits, for ``restore``."""
         return {
-            'now': self._now, 'counts': self._counts[: self._known].copy(),
-            'last': self._last[: self._known].copy(),
+            'now': self._now, 'counts': self._counts[: self._size].copy(),
+            'last': self._last[: self._size].copy(),
         }  # fmt: skip
 
     def restore(self, state: State) -> None:
-        """Take what ``state`` gave."""
-        self._now, self._known = state['now'], len(state['counts'])
-        room = np.zeros(max(0, 64 - self._known), np.int64)
-        self._counts = np.concatenate([state['counts'], room])
-        self._last = np.concatenate([state['last'], room])
-
-    def assume(self, experiences: int, current_id: int) -> None:
-        """Take every experience as visited once, in the order of their numbers, and one again.
-
-        That is what is known of a memory that was saved without visits.
-        """
-        for experience_id in range(experiences):
-            self.create(experience_id)
-        if current_id >= 0:
-            self.arrive(current_id)
+        """Replace all visits by those that ``state`` returned."""
+        self._now, self._size = state['now'], len(state['counts'])
+        spare = np.zeros(max(0, 64 - self._size), np.int64)
+        self._counts = np.concatenate([state['counts'], spare])
+        self._last = np.concatenate([state['last'], spare])
 
 
-class Gaps:
-    """How far the experiences are apart on the ways driven, also past what was forgotten."""
+class DistanceGraph:
+    """Travelled distances between neighbouring experiences, also past pruned ones."""
 
     def __init__(self) -> None:
-        self._ways_m: list[dict[int, float]] = []
-        self._left_m = np.zeros(64)
+        self._neighbours_m: list[dict[int, float]] = []
+        self._gaps_m = np.zeros(64)
 
-    def knows(self, a: int, b: int) -> bool:
-        """Return whether there is a way between two experiences."""
-        return a < len(self._ways_m) and b in self._ways_m[a]
+    def are_neighbours(self, a: int, b: int) -> bool:
+        """Return whether two experiences are connected directly."""
+        return a < len(self._neighbours_m) and b in self._neighbours_m[a]
 
-    def left_by(self, experiences: int) -> NDArray[np.float64]:
-        """Return the longest gap that forgetting each experience leaves between two neighbours.
+    def gaps_after_removal_m(self, count: int) -> NDArray[np.float64]:
+        """Return the longest gap, in metres, that removing each experience would leave.
 
-        The map joins them all with the nearest one. Where that is the only one the experience ends
-        a way, and counts as if the way went on as far: else ways would be eaten from their ends.
+        Removal connects all neighbours of an experience to the nearest one of them. An experience
+        with a single neighbour is the end of a dead end, and counts as if the path continued for
+        the same distance: otherwise dead ends would be pruned from their ends.
+
+        Args:
+            count: number of experiences.
+
+        Returns:
+            (count,) gaps.
         """
-        self._make_room(experiences)
-        return self._left_m[:experiences]
+        self._grow(count)
+        return self._gaps_m[:count]
 
-    def join(self, a: int, b: int, way_m: float) -> None:
-        """Take a way between two experiences; of several the shortest counts."""
+    def connect(self, a: int, b: int, distance_m: float) -> None:
+        """Add a travelled distance between two experiences; the shortest one is kept."""
         if a == b or min(a, b) < 0:
             return
         for one, other in ((a, b), (b, a)):
-            self._make_room(one + 1)
-            ways_m = self._ways_m[one]
-            ways_m[other] = min(way_m, ways_m.get(other, way_m))
-            self._measure(one)
+            self._grow(one + 1)
+            neighbours_m = self._neighbours_m[one]
+            neighbours_m[other] = min(distance_m, neighbours_m.get(other, distance_m))
+            self._update_gap(one)
 
-    def forget(self, experience_id: int) -> None:
-        """Join the neighbours of an experience past it, all with the nearest one."""
-        self._make_room(experience_id + 1)
-        ways_m = self._ways_m[experience_id]
-        self._ways_m[experience_id] = {}
-        self._measure(experience_id)
-        for other in ways_m:
-            del self._ways_m[other][experience_id]
-            self._measure(other)
-        if ways_m:
-            nearest = min(ways_m, key=lambda other: (ways_m[other], other))
-            for other, way_m in ways_m.items():
-                self.join(nearest, other, ways_m[nearest] + way_m)
+    def remove(self, experience_id: int) -> None:
+        """Remove an experience and connect all its neighbours to the nearest one of them."""
+        self._grow(experience_id + 1)
+        neighbours_m = self._neighbours_m[experience_id]
+        self._neighbours_m[experience_id] = {}
+        self._update_gap(experience_id)
+        for other in neighbours_m:
+            del self._neighbours_m[other][experience_id]
+            self._update_gap(other)
+        if neighbours_m:
+            nearest = min(neighbours_m, key=lambda other: (neighbours_m[other], other))
+            for other, distance_m in neighbours_m.items():
+                self.connect(nearest, other, neighbours_m[nearest] + distance_m)
 
     def state(self) -> State:
-        """Return all ways, for ``restore``."""
-        ways = [
-            (one, other, way_m)
-            for one, ways_m in enumerate(self._ways_m)
-            for other, way_m in sorted(ways_m.items()) if one < other
+        """Return all distances, for ``restore``."""
+        edges = [
+            (one, other, distance_m)
+            for one, neighbours_m in enumerate(self._neighbours_m)
+            for other, distance_m in sorted(neighbours_m.items()) if one < other
         ]  # fmt: skip
         return {
-            'ends': np.array([way[:2] for way in ways], np.int64).reshape(-1, 2),
-            'ways_m': np.array([way[2] for way in ways], np.float64),
+            'ends': np.array([edge[:2] for edge in edges], np.int64).reshape(-1, 2),
+            'ways_m': np.array([edge[2] for edge in edges], np.float64),
         }
 
     def restore(self, state: State) -> None:
-        """Take what ``state`` gave."""
-        for (a, b), way_m in zip(state['ends'].tolist(), state['ways_m'].tolist(), strict=True):
-            self.join(a, b, way_m)
+        """Add the distances that ``state`` returned; the graph must be empty."""
+        ends, distances_m = state['ends'].tolist(), state['ways_m'].tolist()
+        for (a, b), distance_m in zip(ends, distances_m, strict=True):
+            self.connect(a, b, distance_m)
 
-    def _make_room(self, experiences: int) -> None:
-        while len(self._ways_m) < experiences:
-            self._ways_m.append({})
-        if experiences > len(self._left_m):
-            room = np.zeros(max(len(self._left_m), experiences - len(self._left_m)))
-            self._left_m = np.concatenate([self._left_m, room])
+    def _grow(self, count: int) -> None:
+        while len(self._neighbours_m) < count:
+            self._neighbours_m.append({})
+        if count > len(self._gaps_m):
+            added = max(len(self._gaps_m), count - len(self._gaps_m))
+            self._gaps_m = np.concatenate([self._gaps_m, np.zeros(added)])
 
-    def _measure(self, experience_id: int) -> None:
-        ways_m = self._ways_m[experience_id].values()
-        nearest_m = min(ways_m, default=0.0)
-        longest_m = max(ways_m, default=0.0)
-        self._left_m[experience_id] = nearest_m + longest_m
+    def _update_gap(self, experience_id: int) -> None:
+        distances_m = self._neighbours_m[experience_id].values()
+        nearest_m = min(distances_m, default=0.0)
+        longest_m = max(distances_m, default=0.0)
+        self._gaps_m[experience_id] = nearest_m + longest_m

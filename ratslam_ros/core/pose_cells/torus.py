@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Places in the pose cells: x, y and theta in cells, each axis closed to a circle."""
+"""Geometry of the pose cells: places on a torus with the axes x, y and theta."""
 
 from __future__ import annotations
 
@@ -8,9 +8,12 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
+Unwrapped = tuple[float, float]
+"""x and y in cells, not wrapped at the edges of the torus."""
+
 
 class Place(NamedTuple):
-    """A place in cells along x, y and theta."""
+    """A place in the pose cells: x, y and theta in cells."""
 
     x: float
     y: float
@@ -19,7 +22,7 @@ class Place(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Torus:
-    """The pose cells' extents, in cells."""
+    """Extents of the pose cells, in cells."""
 
     n_x: int
     n_y: int
@@ -27,11 +30,11 @@ class Torus:
 
     @property
     def planes_per_rad(self) -> float:
-        """Heading planes in one radian."""
+        """Number of heading planes per radian."""
         return self.n_theta / (2.0 * math.pi)
 
     def distance(self, a: Place, b: Place) -> float:
-        """Return the distance of two places in cells, the shortest way round each circle."""
+        """Return the shortest distance of two places on the torus, in cells."""
         d_x = abs(a.x - b.x) % self.n_x
         d_y = abs(a.y - b.y) % self.n_y
         d_theta = abs(a.theta - b.theta) % self.n_theta
@@ -40,16 +43,18 @@ class Torus:
         d_theta = min(d_theta, self.n_theta - d_theta)
         return math.sqrt(d_x * d_x + d_y * d_y + d_theta * d_theta)
 
-    def step(self, start: Place, end: Place) -> tuple[float, float]:
-        """Return the way from one place to another in cells, the shortest along x and along y."""
-        d_x, d_y = end.x - start.x, end.y - start.y
-        return d_x - self.n_x * round(d_x / self.n_x), d_y - self.n_y * round(d_y / self.n_y)
+    def displaced(self, origin: Unwrapped, start: Place, end: Place) -> Unwrapped:
+        """Add the shortest displacement along x and y from one place to another.
 
-    def moved(self, place: Place, chord_cells: float, turn_planes: float) -> Place:
-        """Return a place after a motion: ahead along the chord of an arc, and turned."""
-        direction = (place.theta + 0.5 * turn_planes) / self.planes_per_rad
-        return Place(
-            place.x + chord_cells * math.cos(direction),
-            place.y + chord_cells * math.sin(direction),
-            place.theta + turn_planes,
-        )
+        Args:
+            origin: unwrapped position that corresponds to ``start``.
+            start: place before the motion.
+            end: place after the motion.
+
+        Returns:
+            The unwrapped position that corresponds to ``end``.
+        """
+        d_x, d_y = end.x - start.x, end.y - start.y
+        d_x -= self.n_x * round(d_x / self.n_x)
+        d_y -= self.n_y * round(d_y / self.n_y)
+        return origin[0] + d_x, origin[1] + d_y

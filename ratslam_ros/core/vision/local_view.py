@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +48,14 @@ class ViewMatch:
 
 UNDECODABLE = ViewMatch(NO_TEMPLATE, False, -1.0, 0.0)
 """Result for an image that could not be decoded."""
+
+
+class ViewMatcher(Protocol):
+    """What RatSLAM needs of a local view; a class of your own with this method can replace it."""
+
+    def match(self, image: Image) -> ViewMatch:
+        """Return the template that an image, (H, W) uint8 grey, shows; new ids count from 0."""
+        ...
 
 
 class LocalView:

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Goal memory: against its equations on dense arrays, and driven through small worlds."""
+"""Goal memory: comparison with the dense equations, and drives through small worlds."""
 
 from __future__ import annotations
 
@@ -16,12 +16,11 @@ from ratslam_ros.core.common.odometry import Motion, Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.goal_memory.goal_memory import GoalMemory, TemporalArray
-from ratslam_ros.core.navigation.route_planner import UnreachableGoal
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.core.ratslam import RatSLAM
 from ratslam_ros.core.vision.local_view import ViewMatch
-from ratslam_ros.errors import UnusableInput
+from ratslam_ros.errors import UnreachableGoal, UnusableInput
 
 CELL_M = 0.25
 DT_S = 0.1
@@ -41,7 +40,7 @@ def memory(n_x: int, n_y: int, **changed: Any) -> GoalMemory:
 
 
 class Drive:
-    """A robot with nothing but odometry; it begins in the middle cell, towards -x."""
+    """A robot with odometry only; it starts in the middle cell, heading along -x."""
 
     def __init__(self, n_x: int = 60, n_y: int = 50, **changed: Any) -> None:
         c = config(n_x, n_y, **changed)
@@ -72,14 +71,14 @@ def cell_of(place: Place, times: TemporalArray) -> tuple[int, int]:
     return round(place.y) % n_y, round(place.x) % n_x
 
 
-# The equations
+# Equations
 
 
 def reference(n_x: int, n_y: int, seen: list[tuple[float, np.ndarray]], share: float) -> Any:
-    """Return mu (n, n), NaN where there is no link: equations (2) to (5), cell by cell."""
+    """Compute mu (n, n) by equations (2) to (5), cell by cell; NaN where there is no link."""
     n = n_x * n_y
     mu = np.full((n, n), np.nan)
-    for (_, first), (way_s, second) in itertools.pairwise(seen):
+    for (_, first), (travel_s, second) in itertools.pairwise(seen):
         i_share, j_share = first.ravel() / first.max(), second.ravel() / second.max()
         for i in range(n):
             for j in range(n):
@@ -92,13 +91,13 @@ def reference(n_x: int, n_y: int, seen: list[tuple[float, np.ndarray]], share: f
                     continue
                 dx, dy = abs(i % n_x - j % n_x), abs(i // n_x - j // n_x)
                 away = math.hypot(min(dx, n_x - dx), min(dy, n_y - dy))
-                new = 1.0 * way_s + 0.25 * (1.0 / max(products) - 1.0) + 0.1 * away
+                new = 1.0 * travel_s + 0.25 * (1.0 / max(products) - 1.0) + 0.1 * away
                 mu[i, j] = new if np.isnan(mu[i, j]) else (mu[i, j] + new) / 2.0
     return mu
 
 
 def relaxed(mu: np.ndarray, goal: int) -> np.ndarray:
-    """Return the temporal map by equation (6), until nothing decreases any more."""
+    """Iterate equation (6) for the temporal map until it converges."""
     times = np.full(len(mu), np.inf)
     times[goal] = 0.0
     lengths = np.where(np.isnan(mu), np.inf, mu)
@@ -110,71 +109,71 @@ def relaxed(mu: np.ndarray, goal: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize('seed', range(4))
-def test_links_and_times_are_those_of_the_equations(seed: int) -> None:
+def test_links_and_times_equal_dense_equations(seed: int) -> None:
     rng = np.random.default_rng(seed)
     n_x, n_y, share = 6, 5, 0.4
-    made = memory(n_x, n_y, active_share=share)
+    goal_memory = memory(n_x, n_y, active_share=share)
     seen = []
     for _ in range(12):
         activity = rng.random((n_y, n_x)) ** 6
         seen.append((float(rng.uniform(0.1, 3.0)), activity))
         cells = np.flatnonzero(activity)
-        made.learn(seen[-1][0], cells, activity.ravel()[cells])
+        goal_memory.learn(seen[-1][0], cells, activity.ravel()[cells])
     mu = reference(n_x, n_y, seen, share)
-    assert len(made) * 2 == np.count_nonzero(~np.isnan(mu))
+    assert len(goal_memory) * 2 == np.count_nonzero(~np.isnan(mu))
     assert np.array_equal(mu, mu.T, equal_nan=True)
     linked = np.flatnonzero((~np.isnan(mu)).any(axis=1))
     for goal in linked[:3].tolist():
-        times = made.recall(Place(goal % n_x, goal // n_x, 0.0))
+        times = goal_memory.recall(Place(goal % n_x, goal // n_x, 0.0))
         np.testing.assert_allclose(times.remaining_s.ravel(), relaxed(mu, goal), rtol=1e-12)
 
 
-def test_the_way_leads_on_over_links_as_long_as_the_time_that_they_take() -> None:
+def test_times_decrease_by_link_times_along_route() -> None:
     rng = np.random.default_rng(5)
     n_x, n_y = 7, 5
-    made = memory(n_x, n_y, active_share=0.4)
+    goal_memory = memory(n_x, n_y, active_share=0.4)
     seen = [(1.0, rng.random((n_y, n_x)) ** 8) for _ in range(10)]
-    for way_s, activity in seen:
-        made.learn(way_s, np.arange(n_x * n_y), activity.ravel())
+    for travel_s, activity in seen:
+        goal_memory.learn(travel_s, np.arange(n_x * n_y), activity.ravel())
     mu = reference(n_x, n_y, seen, 0.4)
     goal = int(np.flatnonzero((~np.isnan(mu)).any(axis=1))[0])
-    times = made.recall(Place(goal % n_x, goal // n_x, 0.0))
+    times = goal_memory.recall(Place(goal % n_x, goal // n_x, 0.0))
     for cell in np.flatnonzero(np.isfinite(times.remaining_s)).tolist():
-        then = int(times.onward.flat[cell])
+        following = int(times.onward.flat[cell])
         if cell == goal:
-            assert then < 0
+            assert following < 0
         else:
-            fall = times.remaining_s.flat[cell] - times.remaining_s.flat[then]
-            assert fall == pytest.approx(mu[cell, then], rel=1e-12)
+            fall = times.remaining_s.flat[cell] - times.remaining_s.flat[following]
+            assert fall == pytest.approx(mu[cell, following], rel=1e-12)
 
 
-def test_distances_are_measured_round_the_torus() -> None:
-    made = memory(20, 10)
+def test_link_distances_wrap_around_the_torus() -> None:
+    goal_memory = memory(20, 10)
     for cell in (0, 19 + 9 * 20):  # opposite corners: neighbours across both edges
-        made.learn(2.0, np.array([cell]), np.ones(1))
-    times = made.recall(Place(0.0, 0.0, 0.0))
+        goal_memory.learn(2.0, np.array([cell]), np.ones(1))
+    times = goal_memory.recall(Place(0.0, 0.0, 0.0))
     assert times.remaining_s[9, 19] == pytest.approx(2.0 + 0.1 * math.sqrt(2.0))
 
 
-def test_asking_again_gives_the_same_until_more_is_learned() -> None:
-    made = memory(20, 10)
-    made.learn(1.0, np.array([3]), np.ones(1))
-    made.learn(1.0, np.array([4]), np.ones(1))
+def test_recall_is_cached_until_links_change() -> None:
+    goal_memory = memory(20, 10)
+    goal_memory.learn(1.0, np.array([3]), np.ones(1))
+    goal_memory.learn(1.0, np.array([4]), np.ones(1))
     goal = Place(3.0, 0.0, 0.0)
-    first = made.recall(goal)
-    assert made.recall(goal) is first
-    made.learn(1.0, np.array([5]), np.ones(1))
+    first = goal_memory.recall(goal)
+    assert goal_memory.recall(goal) is first
+    goal_memory.learn(1.0, np.array([5]), np.ones(1))
     assert np.isinf(first.remaining_s[0, 5])
-    assert np.isfinite(made.recall(goal).remaining_s[0, 5])
+    assert np.isfinite(goal_memory.recall(goal).remaining_s[0, 5])
 
 
-# What it learns from
+# Learning
 
 
 @pytest.mark.parametrize(('speed', 'turn'), [(0.3, 0.0), (0.47, 0.9), (1.0, -2.0)])
-def test_the_projection_is_the_activity_summed_over_headings(speed: float, turn: float) -> None:
+def test_projection_equals_dense_activity_summed_over_headings(speed: float, turn: float) -> None:
     drive = Drive(12, 8)
-    for _ in range(60):  # over the edges
+    for _ in range(60):  # across the edges of the torus
         drive.move(DT_S, speed * DT_S, turn * DT_S)
     cells, activity = drive.cells.projected()
     plane = np.zeros(12 * 8)
@@ -185,7 +184,7 @@ def test_the_projection_is_the_activity_summed_over_headings(speed: float, turn:
     np.testing.assert_allclose(plane.reshape(8, 12), dense, atol=1e-12)
 
 
-def test_rest_and_turning_on_the_spot_link_nothing_and_take_no_time() -> None:
+def test_resting_and_turning_learn_nothing_and_take_no_time() -> None:
     drive, steady = Drive(), Drive()
     for robot in (drive, steady):
         for part in range(6):
@@ -204,7 +203,7 @@ def test_rest_and_turning_on_the_spot_link_nothing_and_take_no_time() -> None:
     assert rested == pytest.approx(driven, rel=0.1)
 
 
-def test_what_nobody_watched_is_no_link() -> None:
+def test_relocation_creates_no_link() -> None:
     drive = Drive()
     drive.ahead(1.0)
     drive.memory.relocated()
@@ -213,7 +212,7 @@ def test_what_nobody_watched_is_no_link() -> None:
     assert len(drive.memory) == links
 
 
-def test_nothing_is_learned_while_the_cells_only_locate_the_robot() -> None:
+def test_localisation_only_learns_nothing() -> None:
     drive = Drive()
     drive.ahead(1.0)
     before = drive.memory.state()
@@ -223,10 +222,10 @@ def test_nothing_is_learned_while_the_cells_only_locate_the_robot() -> None:
     drive.cells.mapping = True
     drive.ahead(2.0)
     times = drive.memory.recall(drive.peak)
-    assert math.isinf(drive.memory.remaining_s(times, Place(30.0, 25.0, 0.0)))  # two parts
+    assert math.isinf(drive.memory.remaining_s(times, Place(30.0, 25.0, 0.0)))  # not connected
 
 
-def test_memory_grows_with_the_places_and_not_with_the_time() -> None:
+def test_link_count_grows_with_area_not_with_time() -> None:
     drive = Drive()
     counts = []
     for _ in range(6):
@@ -235,7 +234,7 @@ def test_memory_grows_with_the_places_and_not_with_the_time() -> None:
             drive.turn(90.0)
         counts.append(len(drive.memory))
     assert counts[-1] < 1.25 * counts[1]
-    assert counts[-1] < 40 * 4 * 8 * 5  # links of a cell, cells of a side, sides, lanes
+    assert counts[-1] < 40 * 4 * 8 * 5  # links per cell, cells per side, sides, lanes
 
 
 # Small worlds
@@ -251,7 +250,7 @@ def l_shaped() -> tuple[Drive, Place]:
 
 
 def ring(slow_mps: float) -> tuple[Drive, Place]:
-    """Drive round a square; its second half, from the far corner on, at another speed."""
+    """Drive around a square, the second half, after the far corner, at another speed."""
     drive = Drive()
     start = drive.peak
     for side in range(4):
@@ -272,7 +271,7 @@ def crossed() -> tuple[Drive, Place]:
 @pytest.mark.parametrize(
     'world', [l_shaped, crossed, lambda: ring(0.2)], ids=['l', 'crossed', 'ring']
 )
-def test_from_everywhere_the_time_falls_down_to_the_goal(
+def test_times_decrease_to_goal_from_every_cell(
     world: Callable[[], tuple[Drive, Place]]
 ) -> None:
     drive, start = world()
@@ -281,16 +280,16 @@ def test_from_everywhere_the_time_falls_down_to_the_goal(
     assert len(reachable) > 50
     for cell in reachable:
         for _ in range(len(reachable)):
-            then = int(times.onward.flat[cell])
-            if then < 0:
+            following = int(times.onward.flat[cell])
+            if following < 0:
                 break
-            assert times.remaining_s.flat[then] < times.remaining_s.flat[cell]
-            cell = then
+            assert times.remaining_s.flat[following] < times.remaining_s.flat[cell]
+            cell = following
         y, x = divmod(cell, times.remaining_s.shape[1])
         assert drive.memory.reached(start, Place(x, y, 0.0))
 
 
-def test_the_direction_leads_along_the_way_and_round_its_corner() -> None:
+def test_direction_follows_route_around_corner() -> None:
     drive, start = l_shaped()
     times = drive.memory.recall(start)
     for x, y, expected_deg in (
@@ -303,7 +302,7 @@ def test_the_direction_leads_along_the_way_and_round_its_corner() -> None:
         assert abs(math.degrees(off)) < 30.0
 
 
-def test_the_robot_gets_to_the_goal_by_the_bearing_alone() -> None:
+def test_robot_reaches_goal_by_bearing_alone() -> None:
     drive, start = l_shaped()
     for _ in range(400):
         bearing = drive.memory.bearing(drive.memory.recall(start), drive.peak)
@@ -314,7 +313,7 @@ def test_the_robot_gets_to_the_goal_by_the_bearing_alone() -> None:
     assert drive.memory.reached(start, drive.peak)
 
 
-def test_the_route_ahead_is_in_metres_in_the_robots_frame() -> None:
+def test_route_ahead_is_in_robot_frame_in_metres() -> None:
     drive, start = l_shaped()
     times = drive.memory.recall(start)
     whole = drive.memory.route_ahead(times, drive.peak)  # back, then to its right
@@ -330,10 +329,10 @@ def test_the_route_ahead_is_in_metres_in_the_robots_frame() -> None:
     np.testing.assert_array_equal(short, whole[: len(short)])
 
 
-def test_the_route_is_unwrapped_where_the_way_goes_over_the_edge() -> None:
+def test_route_across_torus_edge_is_unwrapped() -> None:
     drive = Drive(40, 20)
     start = drive.peak
-    drive.ahead(7.0)  # 28 cells of 40, over the edge
+    drive.ahead(7.0)  # 28 cells of 40, across the edge
     assert drive.peak.x > start.x
     times = drive.memory.recall(start)
     straight = drive.memory.route_ahead(times, drive.peak)
@@ -341,20 +340,20 @@ def test_the_route_is_unwrapped_where_the_way_goes_over_the_edge() -> None:
     assert np.all(np.diff(straight[:, 0]) < 0.0)
 
 
-@pytest.mark.parametrize(('slow_mps', 'way'), [(0.1, -1), (2.0, 1)])
-def test_the_quicker_way_round_is_taken_though_the_other_is_shorter(
-    slow_mps: float, way: int
+@pytest.mark.parametrize(('slow_mps', 'sign'), [(0.1, -1), (2.0, 1)])
+def test_faster_route_is_preferred_over_shorter_one(
+    slow_mps: float, sign: int
 ) -> None:
-    """From beyond the far corner, on the second half, it is shorter to go on with that half."""
+    """Beyond the far corner, continuing on the second half is the shorter route."""
     drive, start = ring(slow_mps)
     times = drive.memory.recall(start)
     at = Place(start.x - 12.0, start.y - 16.0, 0.0)
     direction = drive.memory.direction(times, at)
     assert direction is not None
-    assert way * math.cos(direction) > 0.8
+    assert sign * math.cos(direction) > 0.8
 
 
-def test_slower_ways_take_longer() -> None:
+def test_slower_drives_give_longer_times() -> None:
     times_s = []
     for speed_mps in (1.0, 0.5, 0.25, 0.125):
         drive = Drive()
@@ -366,26 +365,26 @@ def test_slower_ways_take_longer() -> None:
     assert np.all(ratios < 2.0)
 
 
-def test_a_discontinuity_is_bridged() -> None:
-    """One place on two sets of cells: the packet jumped there, and the way leads on behind it."""
-    made = memory(60, 50)
+def test_route_bridges_packet_jump() -> None:
+    """One place has two sets of cells: the packet jumped, and the route continues beyond."""
+    goal_memory = memory(60, 50)
     for x in range(5, 16):
-        made.learn(1.0, np.array([10 * 60 + x]), np.ones(1))
-    # A second packet, as strong, and then the only one: far away, where the way goes on.
-    made.learn(0.1, np.array([10 * 60 + 15, 30 * 60 + 40]), np.ones(2))
+        goal_memory.learn(1.0, np.array([10 * 60 + x]), np.ones(1))
+    # A second packet, equally strong and then alone, far away, where the route continues.
+    goal_memory.learn(0.1, np.array([10 * 60 + 15, 30 * 60 + 40]), np.ones(2))
     for x in range(41, 50):
-        made.learn(1.0, np.array([30 * 60 + x]), np.ones(1))
-    times = made.recall(Place(49.0, 30.0, 0.0))
-    route = made.path(times, Place(5.0, 10.0, 0.0))
+        goal_memory.learn(1.0, np.array([30 * 60 + x]), np.ones(1))
+    times = goal_memory.recall(Place(49.0, 30.0, 0.0))
+    route = goal_memory.path(times, Place(5.0, 10.0, 0.0))
     assert route[0].tolist() == [0.0, 0.0]
     assert route[-1] == pytest.approx([19.0, 0.0], abs=1.01)
     assert np.hypot(*np.diff(route, axis=0).T).max() < 3.0
 
 
-def test_where_two_places_share_cells_it_knows_a_short_cut_that_is_none() -> None:
-    """The known weakness (seed 000, figure 4), and that more cells cure it."""
+def test_places_sharing_cells_give_false_shortcut() -> None:
+    """The known weakness of Milford et al. (2006), figure 4; more cells remove it."""
     remaining_s = {}
-    for n_x in (16, 60):  # the way is 40 cells long
+    for n_x in (16, 60):  # the drive is 40 cells long
         drive = Drive(n_x, 20)
         start = drive.peak
         drive.ahead(10.0)
@@ -396,9 +395,9 @@ def test_where_two_places_share_cells_it_knows_a_short_cut_that_is_none() -> Non
     assert remaining_s[16] < 0.35 * remaining_s[60]
 
 
-def test_a_blocked_way_becomes_longer_until_the_other_is_quicker() -> None:
+def test_blocked_route_loses_to_alternative_after_several_attempts() -> None:
     drive, start = ring(0.5)
-    at = Place(start.x - 12.0, start.y - 16.0, 0.0)  # heading +x: on with the second half
+    at = Place(start.x - 12.0, start.y - 16.0, 0.0)  # heading +x: along the second half
     free = drive.memory.recall(start)
     free_s = drive.memory.remaining_s(free, at)
     bearing = drive.memory.bearing(free, at)
@@ -406,65 +405,65 @@ def test_a_blocked_way_becomes_longer_until_the_other_is_quicker() -> None:
     links = drive.memory.blocked(at, 0.0, 0.0)
     assert 10 < links < 150
     np.testing.assert_array_equal(drive.memory.recall(start).remaining_s, free.remaining_s)
-    tries = 0
-    while abs(bearing) < 2.5:  # now the first half, behind it
+    attempts = 0
+    while abs(bearing) < 2.5:  # until the first half, behind the robot, is preferred
         assert drive.memory.blocked(at, 0.0, 4.0) == links
         bearing = drive.memory.bearing(drive.memory.recall(start), at)
         assert bearing is not None
-        tries += 1
-        assert tries < 10
+        attempts += 1
+        assert attempts < 10
     times = drive.memory.recall(start)
     assert drive.memory.remaining_s(times, at) > free_s + 1.0
-    far = Place(start.x, start.y - 12.0, 0.0)  # beyond the obstacle nothing has changed
+    far = Place(start.x, start.y - 12.0, 0.0)  # beyond the obstacle the times are unchanged
     assert drive.memory.remaining_s(times, far) == drive.memory.remaining_s(free, far)
     drive.ahead(4.0)
     drive.turn(90.0)
     drive.ahead(4.0)
     drive.turn(90.0)
-    drive.ahead(4.0)  # through where it was blocked, from the west
+    drive.ahead(4.0)  # through the blocked place, from the west
     assert drive.memory.remaining_s(drive.memory.recall(start), at) < free_s + 4.0
 
 
-def test_jumps_pass_no_place_between_and_are_never_blocked() -> None:
-    made = memory(60, 50)
+def test_jump_links_are_never_blocked() -> None:
+    goal_memory = memory(60, 50)
     for cell in (10 * 60 + 10, 10 * 60 + 40):
-        made.learn(1.0, np.array([cell]), np.ones(1))
-    assert made.blocked(Place(25.0, 10.0, 0.0), 0.0, 5.0) == 0
+        goal_memory.learn(1.0, np.array([cell]), np.ones(1))
+    assert goal_memory.blocked(Place(25.0, 10.0, 0.0), 0.0, 5.0) == 0
 
 
 # Goals
 
 
-def test_goals_are_marked_by_name_and_reached_within_a_cell_or_what_is_asked() -> None:
-    made = memory(60, 50)
-    made.mark('door', Place(59.6, 3.0, 7.0))
-    assert made.goal('door') == Place(59.6, 3.0, 7.0)
-    assert made.reached(made.goal('door'), Place(0.5, 3.1, 30.0))
-    assert not made.reached(made.goal('door'), Place(0.7, 3.0, 7.0))
+def test_goals_are_marked_and_reached_within_parameter_distance() -> None:
+    goal_memory = memory(60, 50)
+    goal_memory.mark('door', Place(59.6, 3.0, 7.0))
+    assert goal_memory.goal('door') == Place(59.6, 3.0, 7.0)
+    assert goal_memory.reached(goal_memory.goal('door'), Place(0.5, 3.1, 30.0))
+    assert not goal_memory.reached(goal_memory.goal('door'), Place(0.7, 3.0, 7.0))
     closer = memory(60, 50, reached_cells=0.5)
     assert closer.reached(Place(59.6, 3.0, 7.0), Place(0.0, 3.1, 7.0))
     assert not closer.reached(Place(59.6, 3.0, 7.0), Place(0.5, 3.1, 30.0))
     with pytest.raises(UnreachableGoal, match="'kitchen'; known: door"):
-        made.goal('kitchen')
+        goal_memory.goal('kitchen')
 
 
-def test_at_the_goal_there_is_no_direction_any_more() -> None:
+def test_direction_at_goal_is_none() -> None:
     drive, start = l_shaped()
     times = drive.memory.recall(start)
     assert drive.memory.direction(times, start) is None
     assert drive.memory.remaining_s(times, start) < 1.0
 
 
-def test_beside_the_goal_the_way_leads_to_it() -> None:
+def test_direction_beside_goal_leads_to_it() -> None:
     drive, start = l_shaped()
     times = drive.memory.recall(start)
-    beside = Place(start.x, start.y - 3.0, 0.0)  # where the goal is the nearest known cell
+    beside = Place(start.x, start.y - 3.0, 0.0)  # the goal is the nearest connected cell
     times.remaining_s[:] = np.where(times.onward < 0, times.remaining_s, np.inf)
     assert drive.memory.direction(times, beside) == pytest.approx(0.5 * math.pi)
     assert drive.memory.path(times, beside).tolist() == [[0.0, 0.0], [0.0, 3.0]]
 
 
-def test_a_place_that_no_link_leads_to_is_told() -> None:
+def test_unlinked_places_raise_or_have_no_route() -> None:
     drive, _ = l_shaped()
     with pytest.raises(UnreachableGoal, match='drive there first'):
         drive.memory.recall(Place(50.0, 10.0, 0.0))
@@ -479,25 +478,25 @@ def test_a_place_that_no_link_leads_to_is_told() -> None:
 # Memory
 
 
-def test_what_was_learned_is_restored() -> None:
+def test_restored_goal_memory_continues_identically() -> None:
     drive, start = l_shaped()
     drive.memory.mark('start', start)
     c = config()
-    again = GoalMemory(c.goal_memory, c.pose_cells)
-    again.restore(drive.memory.state())
-    assert again.goals == {'start': start}
+    restored = GoalMemory(c.goal_memory, c.pose_cells)
+    restored.restore(drive.memory.state())
+    assert restored.goals == {'start': start}
     np.testing.assert_array_equal(
-        again.recall(start).remaining_s, drive.memory.recall(start).remaining_s
+        restored.recall(start).remaining_s, drive.memory.recall(start).remaining_s
     )
-    for made in (again, drive.memory):  # and it goes on learning alike
-        made.relocated()
+    for goal_memory in (restored, drive.memory):  # both continue to learn identically
+        goal_memory.relocated()
         for cell in (25 * 60 + 30, 25 * 60 + 31, 25 * 60 + 32):
-            made.learn(0.5, np.array([cell]), np.ones(1))
-    for name, value in again.state().items():
+            goal_memory.learn(0.5, np.array([cell]), np.ones(1))
+    for name, value in restored.state().items():
         assert np.array_equal(value, drive.memory.state()[name]), name
 
 
-def test_the_memory_of_other_cells_is_refused() -> None:
+def test_memory_of_other_extents_is_rejected() -> None:
     drive, _ = l_shaped()
     other = memory(50, 50)
     with pytest.raises(UnusableInput, match=r'\[60, 50\].*pc_dim_x'):
@@ -505,7 +504,7 @@ def test_the_memory_of_other_cells_is_refused() -> None:
     assert len(other) == 0
 
 
-def test_ratslam_learns_where_it_is_switched_on_and_maps_the_same() -> None:
+def test_goal_memory_in_ratslam_does_not_change_the_map() -> None:
     actions = []
     for switched_on in (False, True):
         c = config().with_values({'goal_memory.goal_memory': switched_on})

@@ -15,7 +15,7 @@ from ratslam_ros.core.common.odometry import Motion, moved
 from ratslam_ros.core.common.pose import Pose, composed
 from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap, Link
-from ratslam_ros.core.pose_cells.pose_cells import MapAction
+from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 
 NONE = MapAction('none', 0, 0, 0, 0.0, Place(0.0, 0.0, 0.0))

@@ -11,7 +11,7 @@ from helpers import ahead, circles_of_actions
 from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.late_join import LateJoin
-from ratslam_ros.core.pose_cells.pose_cells import MapAction
+from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.messages.mapping import encode_map
 

@@ -25,7 +25,7 @@ from ratslam_ros.core.mapping.loop_closure_gate import (
     long_known_experience,
 )
 from ratslam_ros.core.mapping.scan_matching import ScanMatch
-from ratslam_ros.core.pose_cells.pose_cells import MapAction
+from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 
 HERE = Pose(0.0, 0.0, 0.0)

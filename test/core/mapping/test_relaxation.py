@@ -19,7 +19,7 @@ from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.mapping import relaxation
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.relaxation import Relaxation
-from ratslam_ros.core.pose_cells.pose_cells import MapAction
+from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 
 Reals = NDArray[np.float64]

@@ -19,7 +19,7 @@ from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.mapping import icp
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.scan_matching import VIEW_SD_M, ScanMatch, ScanMatcher
-from ratslam_ros.core.pose_cells.pose_cells import NO_EXPERIENCE, Action, MapAction
+from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, Action, MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 
 ROOM: list[Line] = [

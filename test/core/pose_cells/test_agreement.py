@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""How much one recognised view is believed."""
+"""Weights of recognised views: agreement of pose hypotheses that follow the odometry."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import math
 
 import pytest
 
-from ratslam_ros.core.pose_cells.agreement import MOST_CLAIMS, Agreement
+from ratslam_ros.core.pose_cells.agreement import MAX_HYPOTHESES_COUNT, Agreement
 from ratslam_ros.core.pose_cells.torus import Place, Torus
 
 TORUS = Torus(30, 30, 36)
@@ -20,88 +20,91 @@ def agreement(views: float = 3.0) -> Agreement:
 
 
 def ahead(place: Place, cells: float) -> Place:
-    return TORUS.moved(place, cells, 0.0)
+    direction = place.theta / TORUS.planes_per_rad
+    return Place(
+        place.x + cells * math.cos(direction), place.y + cells * math.sin(direction), place.theta
+    )
 
 
-def test_views_that_agree_on_the_way_are_believed_more_and_more() -> None:
-    claims = agreement()
+def test_agreeing_views_while_driving_increase_weight() -> None:
+    hypotheses = agreement()
     weights = []
     for n in range(6):
-        weights.append(claims.weigh(n, ahead(HERE, 2.0 * n), THERE))
-        claims.integrate(2.0, 0.0)
+        weights.append(hypotheses.weigh(n, ahead(HERE, 2.0 * n), THERE))
+        hypotheses.integrate(2.0, 0.0)
     assert weights == pytest.approx([((n + 1) / 3) ** 4 for n in range(6)])
 
 
 def test_many_views_from_one_place_count_once() -> None:
-    claims = agreement()
+    hypotheses = agreement()
     weights = []
     for n in range(40):
-        weights.append(claims.weigh(n, ahead(HERE, 0.02 * n), THERE))
-        claims.integrate(0.02, 0.0)
+        weights.append(hypotheses.weigh(n, ahead(HERE, 0.02 * n), THERE))
+        hypotheses.integrate(0.02, 0.0)
     assert max(weights) == pytest.approx((1 / 3) ** 4)
 
 
-def test_claims_that_do_not_move_with_the_robot_do_not_agree() -> None:
-    claims = agreement()
+def test_hypotheses_contradicting_odometry_do_not_agree() -> None:
+    hypotheses = agreement()
     for n in range(6):
-        weight = claims.weigh(n, HERE, THERE)  # always the same place, though the robot drives
-        claims.integrate(4.0, 0.0)
+        weight = hypotheses.weigh(n, HERE, THERE)  # always the same place although the robot moves
+        hypotheses.integrate(4.0, 0.0)
     assert weight == pytest.approx((1 / 3) ** 4)
 
 
-def test_views_for_the_believed_place_oppose() -> None:
-    claims = agreement()
-    believed = THERE
+def test_views_supporting_current_estimate_reduce_weight() -> None:
+    hypotheses = agreement()
+    estimate = THERE
     for n in range(4):
-        claims.weigh(n, believed, believed)
-        claims.integrate(2.0, 0.0)
-        believed = ahead(believed, 2.0)
-    assert claims.weigh(9, HERE, believed) == 0.0
+        hypotheses.weigh(n, estimate, estimate)
+        hypotheses.integrate(2.0, 0.0)
+        estimate = ahead(estimate, 2.0)
+    assert hypotheses.weigh(9, HERE, estimate) == 0.0
 
 
-def test_turning_on_the_spot_shows_different_places() -> None:
-    claims = agreement()
+def test_views_while_turning_on_the_spot_count_separately() -> None:
+    hypotheses = agreement()
     heading = 0.0
     for n in range(37):
-        weight = claims.weigh(n, Place(HERE.x, HERE.y, heading), THERE)
-        claims.integrate(0.0, 1.0)
+        weight = hypotheses.weigh(n, Place(HERE.x, HERE.y, heading), THERE)
+        hypotheses.integrate(0.0, 1.0)
         heading += 1.0
     assert weight > 1.0
 
 
-@pytest.mark.parametrize(('off_cells', 'needed'), [
+@pytest.mark.parametrize(('distance_cells', 'required'), [
     (0.0, 2.0), (2.0, 2.0), (5.0, 3.0), (9.9, 5.94), (10.0, 6.0), (math.inf, 6.0)
 ])  # fmt: skip
-def test_a_claim_close_by_needs_fewer_views(off_cells: float, needed: float) -> None:
-    claims = Agreement(TORUS, 6.0, 3.0, 2.0, recent=8, near_cells=10.0)
+def test_nearby_hypothesis_needs_fewer_views(distance_cells: float, required: float) -> None:
+    hypotheses = Agreement(TORUS, 6.0, 3.0, 2.0, recent=8, near_cells=10.0)
     weights = []
     for n in range(4):
-        weights.append(claims.weigh(n, ahead(HERE, 2.0 * n), THERE, off_cells))
-        claims.integrate(2.0, 0.0)
-    assert weights == pytest.approx([((n + 1) / needed) ** 4 for n in range(4)])
+        weights.append(hypotheses.weigh(n, ahead(HERE, 2.0 * n), THERE, distance_cells))
+        hypotheses.integrate(2.0, 0.0)
+    assert weights == pytest.approx([((n + 1) / required) ** 4 for n in range(4)])
 
 
-def test_however_many_agree_on_a_place_close_by_they_count_as_twice_as_many_as_needed() -> None:
-    claims = Agreement(TORUS, 6.0, 3.0, 2.0, recent=8, near_cells=10.0)
+def test_nearby_support_is_limited_to_twice_the_required_views() -> None:
+    hypotheses = Agreement(TORUS, 6.0, 3.0, 2.0, recent=8, near_cells=10.0)
     for n in range(8):
-        weight = claims.weigh(n, ahead(HERE, 2.0 * n), THERE, 1.0)
-        claims.integrate(2.0, 0.0)
+        weight = hypotheses.weigh(n, ahead(HERE, 2.0 * n), THERE, 1.0)
+        hypotheses.integrate(2.0, 0.0)
     assert weight == 2.0**4
 
 
-def test_without_a_nearness_all_claims_need_as_many() -> None:
-    claims = agreement()
-    assert claims.weigh(0, HERE, THERE, 0.0) == pytest.approx((1 / 3) ** 4)
+def test_disabled_near_distance_needs_all_views() -> None:
+    hypotheses = agreement()
+    assert hypotheses.weigh(0, HERE, THERE, 0.0) == pytest.approx((1 / 3) ** 4)
 
 
-def test_switched_off_each_view_counts_fully() -> None:
-    claims = agreement(views=0.0)
-    assert claims.weigh(0, HERE, THERE) == 1.0
+def test_disabled_agreement_gives_weight_one() -> None:
+    hypotheses = agreement(views=0.0)
+    assert hypotheses.weigh(0, HERE, THERE) == 1.0
 
 
-def test_what_is_remembered_is_bounded() -> None:
-    claims = agreement()
-    for n in range(10 * MOST_CLAIMS):
-        claims.weigh(n, Place(n % 7, n % 5, math.pi), THERE)
-        claims.integrate(1e-6, 0.0)
-    assert len(claims) == MOST_CLAIMS
+def test_number_of_hypotheses_is_bounded() -> None:
+    hypotheses = agreement()
+    for n in range(10 * MAX_HYPOTHESES_COUNT):
+        hypotheses.weigh(n, Place(n % 7, n % 5, math.pi), THERE)
+        hypotheses.integrate(1e-6, 0.0)
+    assert len(hypotheses.state()['claims']) == MAX_HYPOTHESES_COUNT

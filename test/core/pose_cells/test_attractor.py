@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The network keeps its energy everywhere, and competes as the dense definition does."""
+"""Attractor network: conservation of activity, and equality with a dense reference."""
 
 import math
 
@@ -44,10 +44,10 @@ motions = st.lists(
     st.sampled_from([1, 2, 3, 4, 5, 11, 36]), st.sampled_from(SIZES), st.sampled_from(SIZES),
     motions, st.sampled_from([(7, 5), (3, 3), (1, 5), (5, 9), (21, 13)]),
 )  # fmt: skip
-def test_the_sum_is_1_after_every_step_on_every_torus(
+def test_sum_stays_one_on_any_torus(
     theta: int, y: int, x: int, steps: list[tuple[float, float]], widths: tuple[int, int]
 ) -> None:
-    """In the original energy leaks at the wrap and the shift breaks above a cell a step."""
+    """OpenRatSLAM loses activity at the wrap and above one cell per step."""
     net = network(parameters(theta, y, x, pc_w_e_dim=widths[0], pc_w_i_dim=widths[1]))
     packets = net.start()
     for cells, planes in steps:
@@ -63,7 +63,7 @@ def test_the_sum_is_1_after_every_step_on_every_torus(
     st.tuples(st.floats(0, 36), st.floats(0, 11), st.floats(0, 7)),
     st.floats(-3.5, 3.5), st.integers(0, 1000),
 )  # fmt: skip
-def test_the_sum_is_1_with_several_packets_as_well(
+def test_sum_stays_one_with_several_packets(
     place: tuple[float, float, float], cells: float, seed: int
 ) -> None:
     net = network(parameters(36, 11, 7))
@@ -78,8 +78,8 @@ def test_the_sum_is_1_with_several_packets_as_well(
 
 @pytest.mark.parametrize('heading', range(0, 36, 3))
 @pytest.mark.parametrize('speed', [-1.0, 0.37, 1.0, 2.9])
-def test_nothing_leaks_at_the_corners_of_the_torus(heading: int, speed: float) -> None:
-    """In the original a packet on a corner cell loses up to 90 % of it."""
+def test_packet_on_torus_corner_keeps_its_activity(heading: int, speed: float) -> None:
+    """In OpenRatSLAM a packet on a corner cell loses up to 90 % of its activity."""
     net = network(parameters(36, 12, 14))
     packets = net.inject([], heading, 0.0, 0.0, 1.0)
     for _ in range(8):
@@ -88,10 +88,10 @@ def test_nothing_leaks_at_the_corners_of_the_torus(heading: int, speed: float) -
 
 
 @pytest.mark.parametrize('dims', [(1, 1, 1), (2, 1, 3), (3, 2, 1), (1, 5, 2)])
-def test_where_nothing_survives_the_competition_the_activity_stays(
+def test_activity_that_does_not_survive_competition_is_kept(
     dims: tuple[int, int, int],
 ) -> None:
-    """On a torus this small the inhibition takes all: sum 0 keeps the activity before."""
+    """On a torus this small the inhibition removes all activity."""
     net = network(parameters(*dims, pc_global_inhib=1.0))
     packets = net.start()
     before = net.dense(packets)
@@ -99,12 +99,12 @@ def test_where_nothing_survives_the_competition_the_activity_stays(
     assert net.dense(net.step(packets, 1.5, 0.5)).sum() == pytest.approx(1.0, abs=1e-12)
 
 
-def test_the_start_is_all_in_the_middle_cell() -> None:
+def test_initial_activity_is_in_middle_cell() -> None:
     activity = network(parameters(36, 20, 41)).dense(network(parameters(36, 20, 41)).start())
     assert activity[18, 10, 20] == activity.sum() == 1.0
 
 
-def test_kernels_are_gaussian_cubes_that_sum_to_1() -> None:
+def test_kernel_is_normalised_separable_gaussian() -> None:
     axis = kernel(7, 1.5)
     cube = axis[:, None, None] * axis[None, :, None] * axis[None, None, :]
     r2 = sum(np.meshgrid(*[(np.arange(7) - 3) ** 2] * 3))
@@ -113,11 +113,11 @@ def test_kernels_are_gaussian_cubes_that_sum_to_1() -> None:
     assert cube.sum() == pytest.approx(1.0, abs=1e-14)
 
 
-# At rest: the dense definition, cell by cell
+# Stationary robot: comparison with the dense reference, cell by cell
 
 
-def compare_at_rest(p: PoseCellsParameters, seed: int, steps: int = 60) -> None:
-    """Run network and definition side by side with injections at random places."""
+def compare_stationary(p: PoseCellsParameters, seed: int, steps: int = 60) -> None:
+    """Run network and dense reference side by side with injections at random places."""
     net, dense = network(p), DenseNetwork(p)
     rng = np.random.default_rng(seed)
     packets = net.start()
@@ -136,31 +136,35 @@ def compare_at_rest(p: PoseCellsParameters, seed: int, steps: int = 60) -> None:
 
 
 @pytest.mark.parametrize('seed', range(4))
-def test_at_rest_the_activity_is_that_of_the_dense_network(seed: int) -> None:
-    compare_at_rest(parameters(36, 21, 24), seed)
+def test_stationary_activity_equals_dense_network(seed: int) -> None:
+    compare_stationary(parameters(36, 21, 24), seed)
 
 
 @pytest.mark.parametrize(
     'dims', [(36, 11, 11), (1, 9, 9), (36, 1, 1), (5, 3, 11), (2, 2, 2), (11, 30, 3), (7, 7, 8)]
 )
-def test_at_rest_small_tori_are_as_the_dense_network_too(dims: tuple[int, int, int]) -> None:
-    compare_at_rest(parameters(*dims), 7)
+def test_stationary_activity_on_small_torus_equals_dense_network(
+    dims: tuple[int, int, int],
+) -> None:
+    compare_stationary(parameters(*dims), 7)
 
 
 @pytest.mark.parametrize('widths', [(3, 9), (9, 3), (1, 7), (15, 15)])
-def test_at_rest_other_kernels_are_as_the_dense_network_too(widths: tuple[int, int]) -> None:
+def test_stationary_activity_with_other_kernels_equals_dense_network(
+    widths: tuple[int, int],
+) -> None:
     p = parameters(24, 18, 20, pc_w_e_dim=widths[0], pc_w_i_dim=widths[1], pc_w_e_var=1.3)
-    compare_at_rest(p, 3, 24)
+    compare_stationary(p, 3, 24)
 
 
 @settings(max_examples=20)
 @given(
     st.tuples(st.integers(1, 30), st.integers(1, 18), st.integers(1, 18)), st.integers(0, 999)
 )
-def test_at_rest_any_torus_is_as_the_dense_network(
+def test_stationary_activity_on_any_torus_equals_dense_network(
     dims: tuple[int, int, int], seed: int
 ) -> None:
-    compare_at_rest(parameters(*dims), seed, 18)
+    compare_stationary(parameters(*dims), seed, 18)
 
 
 def winner_changes(wins: list[bool]) -> list[int]:
@@ -168,13 +172,16 @@ def winner_changes(wins: list[bool]) -> list[int]:
             if now != before]
 
 
-def duel(
+def competition(
     speed: float, energy: float, every: int, count: int, theta: float, steps: int = 40
 ) -> tuple[list[bool], list[bool]]:
-    """Inject far from the packet, and tell at every step whether the peak is at the new place.
+    """Inject far from the packet; return for every step whether the peak is at the new place.
 
-    The new place moves with its own heading, so that an injection always meets what is left of
-    those before it.
+    The new place moves along its own heading, so that each injection coincides with the remains of
+    earlier ones.
+
+    Returns:
+        Results of the network and of the dense reference.
     """
     p = parameters(36, 40, 40)
     net, dense = network(p), DenseNetwork(p)
@@ -184,7 +191,7 @@ def duel(
         dense.step(speed)
     place = np.array([theta, 5.3, 31.6])
     heading = theta * math.pi / 18
-    step_way = speed * np.array([0.0, math.sin(heading), math.cos(heading)])
+    displacement = speed * np.array([0.0, math.sin(heading), math.cos(heading)])
     ours, theirs = [], []
     for step in range(steps):
         if step % every == 0 and step // every < count:
@@ -192,7 +199,7 @@ def duel(
             dense.inject(*place.tolist(), energy)
         packets = net.step(packets, speed, 0.0)
         dense.step(speed)
-        place = place + step_way
+        place = place + displacement
         for peak, wins in ((net.peak(packets), ours), (dense.peak(), theirs)):
             d = around(np.array(peak) - place, np.array(dense.dims))
             wins.append(bool(np.abs(d).max() < 6.0))
@@ -202,17 +209,17 @@ def duel(
 @pytest.mark.parametrize('theta', [0.0, 9.4, 27.0])
 @pytest.mark.parametrize('energy', [0.05, 0.1, 0.15, 0.3, 0.6, 1.2])
 @pytest.mark.parametrize(('every', 'count'), [(1, 1), (1, 5), (3, 10)])
-def test_at_rest_the_same_injections_win_at_the_same_step(
+def test_stationary_competition_has_same_winner_at_every_step(
     energy: float, every: int, count: int, theta: float
 ) -> None:
-    ours, theirs = duel(0.0, energy, every, count, theta)
+    ours, theirs = competition(0.0, energy, every, count, theta)
     assert ours == theirs
 
 
-def test_these_duels_are_won_and_lost() -> None:
-    """The tests of who wins would say nothing if always the same did."""
-    assert not any(duel(0.0, 0.05, 1, 1, 0.0)[1])
-    assert duel(0.0, 1.2, 1, 5, 0.0)[1][-1]
+def test_tested_competitions_have_both_outcomes() -> None:
+    """The comparisons would prove nothing if the same packet always won."""
+    assert not any(competition(0.0, 0.05, 1, 1, 0.0)[1])
+    assert competition(0.0, 1.2, 1, 5, 0.0)[1][-1]
 
 
 @pytest.mark.parametrize('speed', [0.05, 0.3, 1.0])
@@ -220,21 +227,21 @@ def test_these_duels_are_won_and_lost() -> None:
 @pytest.mark.parametrize(
     ('energy', 'count'), [(0.15, 6), (0.3, 3), (0.6, 4), (1.2, 2), (0.02, 2)]
 )
-def test_while_moving_short_bursts_win_and_lose_within_a_step(
+def test_moving_competition_changes_winner_within_one_step(
     speed: float, theta: float, energy: float, count: int
 ) -> None:
-    ours, theirs = duel(speed, energy, 1, count, theta, 25)
+    ours, theirs = competition(speed, energy, 1, count, theta, 25)
     assert ours[-1] == theirs[-1]
     changes = winner_changes(ours), winner_changes(theirs)
     assert len(changes[0]) == len(changes[1])
     assert all(abs(a - b) <= 1 for a, b in zip(*changes, strict=True))
 
 
-# The peak
+# Peak
 
 
 @pytest.mark.parametrize('dims', [(36, 21, 21), (36, 3, 11), (5, 8, 2), (1, 1, 1)])
-def test_the_peak_is_decoded_as_population_vectors_of_the_box(
+def test_peak_equals_population_vectors_of_dense_reference(
     dims: tuple[int, int, int],
 ) -> None:
     p = parameters(*dims)
@@ -252,8 +259,8 @@ def test_the_peak_is_decoded_as_population_vectors_of_the_box(
 
 
 @pytest.mark.parametrize('energy', [0.1, 0.2, 0.3, 0.4, 0.6, 0.9])
-def test_how_far_a_packet_grows_is_not_a_matter_of_rounding(energy: float) -> None:
-    """One heading plane moves with its mean: the boxes stay apart, whatever they hold."""
+def test_rounding_errors_do_not_enlarge_packets(energy: float) -> None:
+    """A packet of one heading plane moves with its mean: the two boxes must stay separate."""
     network = Network((36, 41, 41), kernel(1, 1.0), kernel(1, 1.0), 0.0)
     packets = network.inject([], 1.0, 10.0, 10.0, energy)
     packets = network.inject(packets, 1.0, 10.0, 14.0, energy)

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Activity of experiences is that of equations (1) to (4), and may decide which one is current."""
+"""Experience activity: equations (1) to (4) of Milford et al. (2006), and selection by it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 
 from ratslam_ros.core.config import PoseCellsParameters
 from ratslam_ros.core.pose_cells.experience_activity import activity
-from ratslam_ros.core.pose_cells.pose_cells import MapAction, PoseCells
+from ratslam_ros.core.pose_cells.map_action import MapAction
+from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.pose_cells.torus import Place, Torus
 from ratslam_ros.core.vision.local_view import UNDECODABLE
 
@@ -22,16 +23,16 @@ CELL = st.floats(-50.0, 50.0)
 ZONE = st.floats(0.1, 10.0)
 
 
-def round_the_circle(a: float, b: float, extent: float) -> float:
+def circular_distance(a: float, b: float, extent: float) -> float:
     return min(abs(a - b + k * extent) for k in range(-6, 7))
 
 
 @given(st.tuples(CELL, CELL, CELL), st.tuples(CELL, CELL, CELL), ZONE, ZONE)
-def test_activity_is_that_of_the_equations(
+def test_activity_equals_equations(
     peak: tuple[float, float, float], place: tuple[float, float, float], r_a: float, theta_a: float
 ) -> None:
     d_x, d_y, d_theta = (
-        round_the_circle(a, b, n) for a, b, n in zip(peak, place, (21, 30, 36), strict=True)
+        circular_distance(a, b, n) for a, b, n in zip(peak, place, (21, 30, 36), strict=True)
     )
     r, theta = math.sqrt(d_x**2 + d_y**2) / r_a, d_theta / theta_a
     expected = 0.0 if r > 1.0 or theta > 1.0 else 2.0 - r - theta
@@ -52,7 +53,7 @@ def drive(pose_cells: PoseCells, templates: list[int], distance_m: float) -> lis
     return actions
 
 
-def test_those_of_the_view_that_are_near_the_peak_are_reported() -> None:
+def test_active_experiences_match_view_and_are_near_peak() -> None:
     pose_cells = cells(exp_delta_pc_threshold=0.8, exp_activity_xy=2.0)
     assert pose_cells.active_experiences() == []
     drive(pose_cells, [0, 0, 0, 0], 1.0)
@@ -60,7 +61,7 @@ def test_those_of_the_view_that_are_near_the_peak_are_reported() -> None:
     assert [i for i, _ in active] == [3, 2]
     assert active[0][1] == pytest.approx(2.0, abs=0.05)
     assert active[1][1] == pytest.approx(1.5, abs=0.05)
-    drive(pose_cells, [1], 0.0)  # another view switches them off
+    drive(pose_cells, [1], 0.0)  # experiences of other views are inactive
     assert pose_cells.active_experiences() == []
     pose_cells.view(seen(0))
     assert [i for i, _ in pose_cells.active_experiences()] == [3, 2]
@@ -68,7 +69,7 @@ def test_those_of_the_view_that_are_near_the_peak_are_reported() -> None:
     assert pose_cells.active_experiences() == []
 
 
-def test_the_view_s_own_heading_counts_not_that_of_the_robot() -> None:
+def test_activity_uses_heading_of_the_view() -> None:
     pose_cells = cells()
     drive(pose_cells, [0], 1.0)
     pose_cells.integrate(turning(math.pi / 2))
@@ -84,31 +85,31 @@ def by_activity(**changes: float | str) -> PoseCells:
     return cells(exp_current_by='activity', pc_vt_inject_energy=0.0, **changes)
 
 
-def test_the_most_active_becomes_current_and_a_new_one_is_made_where_none_is() -> None:
+def test_most_active_experience_becomes_current_or_one_is_created() -> None:
     pose_cells = by_activity(exp_activity_xy=1.6)
     actions = drive(pose_cells, [0] * 7, 0.5)
-    # Within 1.6 cells of experience 0 it is active; beyond, the next one is made, at 2 cells.
+    # Experience 0 is active within 1.6 cells; the next one is created at 2 cells.
     assert [(a.action, a.target_id) for a in actions] == [
         ('create', 0), *[('none', 0)] * 3, ('create', 1), *[('none', 1)] * 2,
     ]  # fmt: skip
-    back = drive(pose_cells, [0] * 5, -0.6)  # to 1.2 cells from 0, and to 0.6
+    back = drive(pose_cells, [0] * 5, -0.6)  # experience 0 is active at 1.2 and at 0.6 cells
     assert [(a.action, a.target_id) for a in back] == [
         *[('none', 1)] * 3, ('link', 0), ('none', 0),
     ]  # fmt: skip
     assert [a.action for a in drive(pose_cells, [0] * 3, 0.7)] == ['none', 'set', 'none']
 
 
-def test_a_higher_threshold_makes_a_finer_map() -> None:
-    made = [
+def test_higher_threshold_creates_more_experiences() -> None:
+    created = [
         sum(a.action == 'create' for a in drive(
             by_activity(exp_activity_threshold=threshold), [0] * 40, 0.25
         ))
         for threshold in (0.0, 1.2, 1.8)
     ]  # fmt: skip
-    assert made[0] < made[1] < made[2]
+    assert created[0] < created[1] < created[2]
 
 
-def test_at_rest_the_current_experience_stays_whatever_views_flicker() -> None:
+def test_stationary_robot_with_alternating_views_keeps_current_experience() -> None:
     pose_cells = by_activity()
     drive(pose_cells, [0, 1], 0.3)
     for n in range(20):

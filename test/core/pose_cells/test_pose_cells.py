@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What views do to the pose cells, and which action each template message gives."""
+"""Pose cells: visual evidence, and the action for each template message."""
 
 import copy
 import math
@@ -13,27 +13,25 @@ from hypothesis import strategies as st
 
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.config import PoseCellsParameters
-from ratslam_ros.core.pose_cells.pose_cells import (
-    NEWEST_TEMPLATES,
-    WITNESSES,
-    MapAction,
-    PoseCells,
-)
+from ratslam_ros.core.pose_cells.experiences import MIN_SUPPORT_COUNT
+from ratslam_ros.core.pose_cells.map_action import MapAction
+from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.pose_cells.torus import Place, Torus
+from ratslam_ros.core.pose_cells.visual_evidence import NEWEST_TEMPLATES_COUNT
 from ratslam_ros.core.vision.local_view import UNDECODABLE
 
 PLANE_RAD = 2.0 * math.pi / 36
 
 
 def cells(**changes: float) -> PoseCells:
-    """Return pose cells in which every recognised view injects its whole energy."""
+    """Return pose cells in which every recognised view injects its full energy."""
     return PoseCells(PoseCellsParameters(**{'pc_vt_agree_views': 0.0, **changes}))
 
 
 def drive(
     pose_cells: PoseCells, templates: list[int], distance_m: float = 1.5
 ) -> list[MapAction]:
-    """Move ahead before each view."""
+    """Move straight ahead before each view; return the actions."""
     actions = []
     for template_id in templates:
         pose_cells.integrate(ahead(distance_m))
@@ -44,7 +42,7 @@ def drive(
 # Actions
 
 
-def test_nothing_is_decided_before_the_first_odometry() -> None:
+def test_view_before_first_odometry_gives_none() -> None:
     pose_cells = cells()
     action = pose_cells.view(seen(0))
     assert (action.action, action.source_id, action.target_id) == ('none', -1, -1)
@@ -54,27 +52,27 @@ def test_nothing_is_decided_before_the_first_odometry() -> None:
     assert (action.action, action.source_id, action.target_id) == ('create', -1, 0)
 
 
-def test_new_views_on_the_way_create_experiences_in_a_row() -> None:
+def test_new_views_create_consecutive_experiences() -> None:
     actions = drive(cells(), [0, 1, 2, 3])
     assert [a.action for a in actions] == ['create'] * 4
     assert [(a.source_id, a.target_id) for a in actions] == [(-1, 0), (0, 1), (1, 2), (2, 3)]
     assert [a.template_id for a in actions] == [0, 1, 2, 3]
 
 
-def test_the_same_view_near_its_experience_gives_none() -> None:
+def test_same_view_near_its_experience_gives_none() -> None:
     actions = drive(cells(), [0, 0, 0, 0], 0.3)
     assert [a.action for a in actions] == ['create', 'none', 'none', 'none']
     assert all(a.target_id == 0 for a in actions)
 
 
-def test_the_same_view_further_than_the_threshold_creates_another_experience() -> None:
+def test_same_view_beyond_threshold_creates_experience() -> None:
     actions = drive(cells(exp_delta_pc_threshold=2.0), [0, 0, 0, 0, 0], 0.7)
     assert [a.action for a in actions] == ['create', 'none', 'none', 'create', 'none']
     assert actions[-1].target_id == 1
 
 
-def test_a_transition_is_a_link_the_first_time_and_a_set_on_repeats() -> None:
-    """Back and forth between two places: each direction is a transition of its own."""
+def test_transition_is_link_first_and_set_later() -> None:
+    """Alternate between two places: each direction is a separate transition."""
     pose_cells = cells(exp_delta_pc_threshold=0.8)
     actions = []
     for step in range(8):
@@ -86,7 +84,7 @@ def test_a_transition_is_a_link_the_first_time_and_a_set_on_repeats() -> None:
     ]  # fmt: skip
 
 
-def test_the_way_back_is_a_link_of_its_own() -> None:
+def test_reverse_transition_is_a_separate_link() -> None:
     pose_cells = cells()
     drive(pose_cells, [0, 1, 2])
     actions = drive(pose_cells, [1, 0], -1.5)
@@ -95,7 +93,7 @@ def test_the_way_back_is_a_link_of_its_own() -> None:
     ]  # fmt: skip
 
 
-def test_of_several_experiences_of_a_template_the_nearest_is_taken() -> None:
+def test_template_with_several_experiences_selects_nearest() -> None:
     """A corridor where one view repeats every 5 cells."""
     pose_cells = cells(pc_dim_x=60)
     drive(pose_cells, [7, 7, 7], 5.0)
@@ -104,14 +102,14 @@ def test_of_several_experiences_of_a_template_the_nearest_is_taken() -> None:
     assert (back.action, back.source_id, back.target_id) == ('link', 3, 2)
 
 
-def test_a_known_view_far_from_its_experiences_creates_one() -> None:
+def test_known_view_far_from_its_experiences_creates_one() -> None:
     pose_cells = cells(pc_dim_x=60)
     drive(pose_cells, [0, 1], 2.0)
     far = drive(pose_cells, [0], 10.0)[0]
     assert (far.action, far.target_id, far.template_id) == ('create', 2, 0)
 
 
-def test_a_decision_is_made_once_an_odometry_message() -> None:
+def test_one_decision_per_odometry_message() -> None:
     pose_cells = cells()
     drive(pose_cells, [0])
     pose_cells.integrate(ahead(1.5))
@@ -121,7 +119,7 @@ def test_a_decision_is_made_once_an_odometry_message() -> None:
     assert pose_cells.view(seen(2)).action == 'create'
 
 
-def test_a_decision_of_none_is_a_decision_too() -> None:
+def test_decision_none_uses_up_the_odometry_message() -> None:
     pose_cells = cells()
     assert [a.action for a in drive(pose_cells, [0, 0], 1.0)] == ['create', 'none']
     assert pose_cells.view(seen(5)).action == 'none'
@@ -130,7 +128,7 @@ def test_a_decision_of_none_is_a_decision_too() -> None:
 
 
 @pytest.mark.parametrize('relative_rad', [0.0, 1.0, -2.5, math.pi])
-def test_places_are_those_of_the_views_heading_not_of_the_robots(relative_rad: float) -> None:
+def test_place_has_heading_of_view_not_of_robot(relative_rad: float) -> None:
     pose_cells = cells()
     pose_cells.integrate(STILL)
     action = pose_cells.view(seen(0, relative_rad))
@@ -140,8 +138,8 @@ def test_places_are_those_of_the_views_heading_not_of_the_robots(relative_rad: f
     assert 0.0 <= action.place.theta < 36.0
 
 
-def test_turning_in_place_under_one_panoramic_view_stays_at_its_experience() -> None:
-    """The heading of the view is what is compared: the robot may look any way."""
+def test_turning_in_place_with_panoramic_view_keeps_experience() -> None:
+    """The heading of the view is compared, not that of the robot."""
     pose_cells = cells()
     pose_cells.integrate(STILL)
     pose_cells.view(seen(0))
@@ -151,11 +149,11 @@ def test_turning_in_place_under_one_panoramic_view_stays_at_its_experience() -> 
         assert (action.action, action.target_id) == ('none', 0)
 
 
-# Rest
+# Stationary robot
 
 
-def test_at_rest_views_that_flicker_between_new_templates_create_nothing() -> None:
-    """The original makes an experience of every template that a robot at rest sees."""
+def test_stationary_robot_with_new_templates_creates_nothing() -> None:
+    """OpenRatSLAM creates an experience for every template that a stationary robot sees."""
     pose_cells = cells()
     drive(pose_cells, [0, 1])
     for template_id in range(2, 40):
@@ -164,7 +162,7 @@ def test_at_rest_views_that_flicker_between_new_templates_create_nothing() -> No
         assert (action.action, action.target_id) == ('none', 1)
 
 
-def test_at_rest_no_second_experience_whatever_templates_flicker() -> None:
+def test_stationary_robot_with_alternating_templates_creates_nothing() -> None:
     pose_cells = cells()
     actions = drive(pose_cells, list(range(15)))
     for step in range(200):
@@ -173,7 +171,7 @@ def test_at_rest_no_second_experience_whatever_templates_flicker() -> None:
     assert sum(a.action == 'create' for a in actions) == 15
 
 
-def test_at_rest_trembling_odometry_creates_nothing() -> None:
+def test_stationary_robot_with_odometry_noise_creates_nothing() -> None:
     pose_cells = cells()
     drive(pose_cells, [0])
     for step in range(60):
@@ -182,7 +180,7 @@ def test_at_rest_trembling_odometry_creates_nothing() -> None:
         assert pose_cells.view(seen(step + 1)).action == 'none'
 
 
-def test_a_template_that_changed_at_rest_gets_its_experience_on_the_way() -> None:
+def test_template_changed_while_stationary_creates_experience_after_motion() -> None:
     pose_cells = cells()
     drive(pose_cells, [0])
     pose_cells.integrate(STILL)
@@ -191,26 +189,26 @@ def test_a_template_that_changed_at_rest_gets_its_experience_on_the_way() -> Non
     assert (action.action, action.source_id, action.target_id) == ('create', 0, 1)
 
 
-def test_turning_in_place_is_no_rest() -> None:
+def test_turning_in_place_is_not_stationary() -> None:
     pose_cells = cells()
     drive(pose_cells, [0])
     pose_cells.integrate(turning(0.3))
     assert pose_cells.view(seen(1)).action == 'create'
 
 
-# Lost and strange messages
+# Lost messages and undecodable images
 
 
-def test_ids_that_skip_numbers_are_associated_when_first_seen() -> None:
-    """A message was lost, or the node came late: no error, as in the original."""
+def test_skipped_template_ids_are_associated_when_first_seen() -> None:
+    """A message was lost or the node started late: no error, as in OpenRatSLAM."""
     actions = drive(cells(), [57, 60, 3, 1_000_000, 57])
     assert [a.action for a in actions] == ['create'] * 5
     assert [a.template_id for a in actions] == [57, 60, 3, 1_000_000, 57]
 
 
-def test_a_skipped_template_recalls_the_place_where_it_was_first_seen() -> None:
+def test_template_with_skipped_id_injects_at_first_place() -> None:
     pose_cells = cells(pc_dim_x=60)
-    drive(pose_cells, [100 * k for k in range(NEWEST_TEMPLATES + 1)], 1.0)
+    drive(pose_cells, [100 * k for k in range(NEWEST_TEMPLATES_COUNT + 1)], 1.0)
     before = pose_cells.activity()
     pose_cells.view(seen(0))
     added = pose_cells.activity() - before
@@ -218,7 +216,7 @@ def test_a_skipped_template_recalls_the_place_where_it_was_first_seen() -> None:
     assert centroid(added, (18, 10, 29))[2] == pytest.approx(29.0, abs=0.2)
 
 
-def test_an_image_that_could_not_be_decoded_injects_nothing_and_decides_nothing() -> None:
+def test_undecodable_image_injects_nothing_and_gives_none() -> None:
     pose_cells = cells()
     drive(pose_cells, list(range(15)))
     pose_cells.integrate(ahead(1.5))
@@ -227,7 +225,7 @@ def test_an_image_that_could_not_be_decoded_injects_nothing_and_decides_nothing(
     assert (action.action, action.template_id) == ('none', -1)
     assert action.source_id == action.target_id == 14
     assert np.array_equal(pose_cells.activity(), before)
-    # The odometry still counts for the next image.
+    # The odometry message is still available for the next image.
     assert pose_cells.view(seen(15)).action == 'create'
 
 
@@ -235,7 +233,7 @@ def test_an_image_that_could_not_be_decoded_injects_nothing_and_decides_nothing(
 @given(st.lists(
     st.tuples(st.integers(-1, 14), st.floats(-1.5, 1.5), st.booleans()), max_size=60,
 ))  # fmt: skip
-def test_every_template_message_gives_one_consistent_action(
+def test_actions_are_consistent_for_any_messages(
     steps: list[tuple[int, float, bool]],
 ) -> None:
     pose_cells = cells()
@@ -270,7 +268,7 @@ def test_every_template_message_gives_one_consistent_action(
 
 
 def known(templates: int = 12, **changes: float) -> PoseCells:
-    """Return pose cells that know templates 0, 1, ... a cell apart."""
+    """Return pose cells that have learned templates 0, 1, ... one cell apart."""
     pose_cells = cells(pc_dim_x=60, **changes)
     drive(pose_cells, list(range(templates)), 1.0)
     return pose_cells
@@ -282,7 +280,7 @@ def injected(pose_cells: PoseCells, template_id: int, relative_rad: float = 0.0)
     return float(pose_cells.activity().sum() - before)
 
 
-def test_the_ten_newest_templates_inject_nothing() -> None:
+def test_ten_newest_templates_inject_nothing() -> None:
     pose_cells = known(13)
     for template_id in range(3, 13):
         assert injected(pose_cells, template_id) == 0.0
@@ -290,7 +288,7 @@ def test_the_ten_newest_templates_inject_nothing() -> None:
         assert injected(pose_cells, template_id) > 0.01
 
 
-def test_the_newest_are_those_learned_last_not_those_of_the_highest_ids() -> None:
+def test_newest_templates_are_determined_by_order_not_id() -> None:
     pose_cells = cells(pc_dim_x=60)
     drive(pose_cells, [99, *range(10)], 1.0)
     assert injected(pose_cells, 99) > 0.01
@@ -302,7 +300,7 @@ def test_the_newest_are_those_learned_last_not_those_of_the_highest_ids() -> Non
     st.lists(st.sampled_from([0, 0, 0, 1, 2, 11, -1]), min_size=1, max_size=60),
     st.floats(0.3, 2.0), st.floats(0.0, 1.5), st.floats(0.01, 0.5),
 )  # fmt: skip
-def test_the_energy_is_that_of_the_formula_whatever_was_seen_before(
+def test_injected_energy_equals_formula_for_any_history(
     views: list[int], active: float, restore: float, energy: float
 ) -> None:
     pose_cells = known(13, vt_active_decay=active, pc_vt_restore=restore,
@@ -318,27 +316,27 @@ def test_the_energy_is_that_of_the_formula_whatever_was_seen_before(
             expected = max(raw, 0.0)
         assert injected(pose_cells, template_id) == pytest.approx(expected, abs=1e-12)
         if template_id == -1:
-            continue  # nothing was seen: nothing changes
+            continue  # an undecodable image changes nothing
         decays = {k: max(active, decay - restore) for k, decay in decays.items()}
         last = template_id
 
 
-def test_a_view_seen_on_end_tires_and_recovers() -> None:
+def test_repeated_view_decays_and_recovers() -> None:
     pose_cells = known(13, pc_vt_restore=0.05)
     energies = [injected(pose_cells, 0) for _ in range(6)]
     assert energies[0] > energies[1] > 0.0
     assert energies[-1] == 0.0
     for _ in range(200):
         pose_cells.view(UNDECODABLE)
-    assert injected(pose_cells, 0) == 0.0  # only what is seen lets it recover
+    assert injected(pose_cells, 0) == 0.0  # undecodable images do not let it recover
     for _ in range(200):
         pose_cells.view(seen(12))
     assert injected(pose_cells, 0) == pytest.approx(energies[0], abs=1e-12)
 
 
 @pytest.mark.parametrize('active', [1.0, 100.0])
-def test_a_robot_may_stand_before_a_known_view_for_ever(active: float) -> None:
-    """After a minute of messages the exponential of the decay must not overflow."""
+def test_long_repeated_view_does_not_overflow(active: float) -> None:
+    """The exponential of the decay must not overflow after a minute of messages."""
     pose_cells = known(13, vt_active_decay=active)
     for _ in range(1500):
         pose_cells.view(seen(0))
@@ -347,8 +345,8 @@ def test_a_robot_may_stand_before_a_known_view_for_ever(active: float) -> None:
 
 
 @pytest.mark.parametrize('turn', [0.0, 0.35, 1.0, -2.0])
-def test_energy_goes_to_the_remembered_place_turned_by_the_relative_heading(turn: float) -> None:
-    """The original adds the relative heading where it should subtract it."""
+def test_injection_is_turned_by_relative_heading(turn: float) -> None:
+    """OpenRatSLAM adds the relative heading where it should subtract it."""
     pose_cells = known()
     before = pose_cells.activity()
     pose_cells.view(seen(0, turn))
@@ -358,10 +356,11 @@ def test_energy_goes_to_the_remembered_place_turned_by_the_relative_heading(turn
     assert np.abs(around(np.array(found) - place, np.array([36, 21, 60]))).max() < 0.1
 
 
-def test_a_view_learned_at_a_relative_heading_is_tied_to_its_own_heading() -> None:
+def test_view_learned_at_relative_heading_keeps_own_heading() -> None:
     pose_cells = cells(pc_dim_x=60)
     pose_cells.integrate(STILL)
-    pose_cells.view(seen(0, 5 * PLANE_RAD))  # a late node: the view was learned 5 planes before
+    # The node started late: the view was learned 5 planes before.
+    pose_cells.view(seen(0, 5 * PLANE_RAD))
     drive(pose_cells, list(range(1, 12)), 1.0)
     before = pose_cells.activity()
     pose_cells.view(seen(0))
@@ -369,8 +368,8 @@ def test_a_view_learned_at_a_relative_heading_is_tied_to_its_own_heading() -> No
     assert found[0] == pytest.approx(13.0, abs=0.1)
 
 
-def test_energy_is_spread_over_the_eight_cells_around_a_place_between_them() -> None:
-    """The original truncates to one cell, which costs a quarter of its recall."""
+def test_injection_between_cells_spreads_over_eight_cells() -> None:
+    """OpenRatSLAM truncates to one cell, which costs a quarter of its recall."""
     pose_cells = cells(pc_dim_x=60)
     for _ in range(5):
         pose_cells.integrate(STILL)
@@ -387,7 +386,7 @@ def test_energy_is_spread_over_the_eight_cells_around_a_place_between_them() -> 
     assert found[0] == pytest.approx(remembered.theta, abs=0.05)
 
 
-def test_the_peak_is_that_of_the_last_odometry_and_not_of_an_injection() -> None:
+def test_injection_does_not_change_peak_before_odometry() -> None:
     pose_cells = known(pc_vt_inject_energy=10.0)
     before = pose_cells.peak
     pose_cells.view(seen(0))
@@ -403,88 +402,88 @@ def moved_by(pose_cells: PoseCells, before: Place) -> float:
     return Torus(60, 21, 36).distance(pose_cells.peak, before)
 
 
-def test_one_wrong_recognition_does_not_move_the_packet_and_several_that_agree_do() -> None:
+def test_packet_moves_only_after_several_agreeing_recognitions() -> None:
     for energy in (0.05, 0.15, 0.3):
         pose_cells = known(30, pc_vt_agree_views=3.0, pc_vt_inject_energy=energy)
         pose_cells.view(seen(0))
         for _ in range(10):
             pose_cells.integrate(STILL)
         assert moved_by(pose_cells, Place(0.0, 10.0, 18.0)) < 0.5
-        # The robot was carried back to the start, and drives the same way again.
+        # The robot is carried back to the start and drives the same route again.
         for template_id in range(20):
             pose_cells.integrate(ahead(1.0))
             pose_cells.view(seen(template_id))
         assert moved_by(pose_cells, Place(30.0 - 20.0, 10.0, 18.0)) < 3.0
 
 
-def test_a_view_that_agrees_with_those_before_it_injects_more_than_one_alone() -> None:
-    whole = injected(known(30), 0)
+def test_agreeing_views_inject_more_than_single_one() -> None:
+    full = injected(known(30), 0)
     pose_cells = known(30, pc_vt_agree_views=3.0)
     energies = []
     for template_id in range(14):
         energies.append(injected(pose_cells, template_id))
         pose_cells.integrate(ahead(1.0))
-    assert 0.0 <= energies[0] < 0.5 * whole
-    assert max(energies) >= 0.9 * whole
+    assert 0.0 <= energies[0] < 0.5 * full
+    assert max(energies) >= 0.9 * full
 
 
 # Places that share their cells
 
 
-def round_the_torus(near_cells: float) -> PoseCells:
-    """Drive 40 m on a torus of 20 cells: the robot is in the cells of its start again."""
+def around_the_torus(near_cells: float) -> PoseCells:
+    """Drive 40 m on a torus of 20 cells, so that the robot is in its initial cells again."""
     pose_cells = cells(pc_dim_x=20, pc_vt_agree_near=near_cells)
     drive(pose_cells, list(range(40)), 1.0)
     return pose_cells
 
 
-def test_a_view_alone_does_not_bring_the_robot_to_where_the_cells_are_the_same() -> None:
+def test_single_view_does_not_close_loop_across_torus() -> None:
     for near_cells, expected in ((0.0, 'link'), (8.0, 'create')):
-        [action] = drive(round_the_torus(near_cells), [0], 1.0)
+        [action] = drive(around_the_torus(near_cells), [0], 1.0)
         assert action.action == expected
         assert action.target_id == (0 if expected == 'link' else 40)
 
 
-def test_where_the_views_of_a_place_follow_each_other_the_robot_is_there() -> None:
-    """Odometry was wrong, or the robot carried."""
-    pose_cells = round_the_torus(8.0)
+def test_consecutive_recognitions_relocalise_across_torus() -> None:
+    """The odometry was wrong or the robot was carried."""
+    pose_cells = around_the_torus(8.0)
     actions = [action.action for action in drive(pose_cells, list(range(10)), 1.0)]
-    assert actions[: WITNESSES - 1] == ['create'] * (WITNESSES - 1)
-    assert actions[WITNESSES - 1] == 'link'
+    assert actions[: MIN_SUPPORT_COUNT - 1] == ['create'] * (MIN_SUPPORT_COUNT - 1)
+    assert actions[MIN_SUPPORT_COUNT - 1] == 'link'
     assert pose_cells.current_experience < 10
 
 
-def test_a_place_that_odometry_leads_back_to_is_known_at_once() -> None:
-    pose_cells = round_the_torus(8.0)
+def test_single_view_closes_loop_consistent_with_odometry() -> None:
+    pose_cells = around_the_torus(8.0)
     for _ in range(38):
         pose_cells.integrate(ahead(-1.0))
     assert [action.action for action in drive(pose_cells, [2], 1.0)] == ['link']
 
 
 @pytest.mark.parametrize('saved_after', [3, 9, 14, 25, 50])
-def test_saved_and_restored_they_go_on_as_they_would_have(saved_after: int) -> None:
+def test_restored_pose_cells_continue_identically(saved_after: int) -> None:
     parameters = PoseCellsParameters(
         pc_dim_x=20, pc_vt_agree_near=8.0, pc_vt_agree_views=3.0, pc_vt_inject_energy=0.3
     )
     rng = np.random.default_rng(1)
     views = [*range(20), *rng.integers(0, 30, 100).tolist()]
-    ways_m = [*[1.0] * 20, *rng.uniform(-0.5, 1.5, 100).tolist()]
-    went_on = PoseCells(parameters)
-    drive(went_on, list(range(40)), 1.0)
-    for template_id, way_m in zip(views[:saved_after], ways_m, strict=False):
-        drive(went_on, [template_id], way_m)
+    distances_m = [*[1.0] * 20, *rng.uniform(-0.5, 1.5, 100).tolist()]
+    original = PoseCells(parameters)
+    drive(original, list(range(40)), 1.0)
+    for view, distance_m in zip(views[:saved_after], distances_m, strict=False):
+        drive(original, [view], distance_m)
     restored = PoseCells(parameters)
-    restored.restore(copy.deepcopy(went_on.state()))
-    for template_id, way_m in zip(views[saved_after:], ways_m[saved_after:], strict=True):
-        assert drive(restored, [template_id], way_m) == drive(went_on, [template_id], way_m)
-    assert restored.state()['unrolled'] == went_on.state()['unrolled']
+    restored.restore(copy.deepcopy(original.state()))
+    for view, distance_m in zip(views[saved_after:], distances_m[saved_after:], strict=True):
+        assert drive(restored, [view], distance_m) == drive(original, [view], distance_m)
+    assert restored.state()['unrolled'] == original.state()['unrolled']
 
 
 # The torus
 
 
 @given(st.floats(-100, 100), st.floats(-100, 100), st.floats(-100, 100))
-def test_distances_are_the_shortest_way_round(x: float, y: float, theta: float) -> None:
+def test_distance_is_shortest_on_torus(x: float, y: float, theta: float) -> None:
     torus = Torus(30, 17, 36)
     a, b = Place(x, y, theta), Place(3.0, 4.0, 5.0)
     expected = math.hypot(around(x - 3.0, 30), around(y - 4.0, 17), around(theta - 5.0, 36))
@@ -492,7 +491,7 @@ def test_distances_are_the_shortest_way_round(x: float, y: float, theta: float) 
     assert torus.distance(b, a) == torus.distance(a, b)
 
 
-def test_no_two_places_are_further_apart_than_half_the_circles() -> None:
+def test_distance_is_at_most_half_the_extents() -> None:
     torus = Torus(30, 17, 36)
     assert torus.distance(Place(0, 0, 0), Place(29, 0, 0)) == 1.0
     assert torus.distance(Place(0, 0.5, 0), Place(0, 16.5, 0)) == 1.0

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""At the limit old experiences make room: the map stays connected, and goals survive."""
+"""Pruning at the maximum map size: the map stays connected and goals keep their places."""
 
 from __future__ import annotations
 
@@ -26,30 +26,37 @@ from ratslam_ros.core.config import (
 )
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.late_join import LateJoin
-from ratslam_ros.core.navigation.route_planner import GoalTree, RoutePlanner
-from ratslam_ros.core.pose_cells.pose_cells import MapAction, PoseCells
-from ratslam_ros.core.pose_cells.pruning import LONGEST_GAP_M, RECENT_VISITS, Gaps, Visits
+from ratslam_ros.core.navigation.goal_tree import GoalTree
+from ratslam_ros.core.navigation.route_planner import RoutePlanner
+from ratslam_ros.core.pose_cells.map_action import MapAction
+from ratslam_ros.core.pose_cells.pose_cells import PoseCells
+from ratslam_ros.core.pose_cells.pruning import (
+    MAX_GAP_M,
+    RECENT_VISITS_COUNT,
+    DistanceGraph,
+    VisitHistory,
+)
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.files.memory import load, save
 from ratslam_ros.messages.mapping import MapText, decode_action, encode_action, encode_map
 
-# Which one goes
+# Selection
 
 
 @settings(max_examples=30, deadline=None)
-@given(st.integers(0, 10**6), st.integers(RECENT_VISITS + 2, 90), st.floats(0.0, 1.0))
-def test_the_least_visited_goes_and_of_those_the_one_of_longest_ago(
+@given(st.integers(0, 10**6), st.integers(RECENT_VISITS_COUNT + 2, 90), st.floats(0.0, 1.0))
+def test_prune_candidate_is_least_visited_then_oldest(
     seed: int, count: int, revisits: float
 ) -> None:
     rng = random.Random(seed)
-    visits, log = Visits(), [(i, True) for i in range(count)]
+    visits, log = VisitHistory(), [(i, True) for i in range(count)]
     for i in range(count):
         visits.create(i)
     for _ in range(60):
         if rng.random() < revisits:
             i = rng.randrange(count)
-            visits.arrive(i)
+            visits.visit(i)
             log.append((i, False))
             continue
         last = {i: n for n, (i, _) in enumerate(log)}
@@ -57,114 +64,118 @@ def test_the_least_visited_goes_and_of_those_the_one_of_longest_ago(
             i: sum(j == i for j, _ in log[max(n for n, it in enumerate(log) if it == (i, True)):])
             for i in last
         }
-        may_go = [i for i in last if i != 0 and last[i] < len(log) - RECENT_VISITS]
+        may_go = [i for i in last if i != 0 and last[i] < len(log) - RECENT_VISITS_COUNT]
         expected = min(may_go, key=lambda i: (times[i], last[i]))
-        assert visits.least(Gaps()) == expected
+        assert visits.prune_candidate(DistanceGraph()) == expected
         visits.create(expected)
         log.append((expected, True))
-    other = Visits()
+    other = VisitHistory()
     other.restore(visits.state())
     for one in (visits, other):
         one.create(count)
-    assert other.least(Gaps()) == visits.least(Gaps())
+    assert other.prune_candidate(DistanceGraph()) == visits.prune_candidate(DistanceGraph())
 
 
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 10**6), st.integers(3, 40))
-def test_gaps_are_those_that_joining_past_leaves(seed: int, count: int) -> None:
+def test_gaps_equal_distances_of_reconnected_neighbours(seed: int, count: int) -> None:
     rng = random.Random(seed)
-    gaps, ways = Gaps(), dict[frozenset[int], float]()
+    distances, expected = DistanceGraph(), dict[frozenset[int], float]()
 
     def around(middle: int) -> dict[int, float]:
         return {
-            next(iter(ends - {middle})): way for ends, way in ways.items() if middle in ends
+            next(iter(ends - {middle})): distance_m
+            for ends, distance_m in expected.items()
+            if middle in ends
         }
 
     for _ in range(4 * count):
         a, b = rng.randrange(count), rng.randrange(-1, count)
         if rng.random() < 0.8:
-            way = rng.uniform(0.1, 2.0)
-            gaps.join(a, b, way)
+            distance_m = rng.uniform(0.1, 2.0)
+            distances.connect(a, b, distance_m)
             if a != b and b >= 0:
-                ways[frozenset((a, b))] = min(way, ways.get(frozenset((a, b)), way))
+                ends = frozenset((a, b))
+                expected[ends] = min(distance_m, expected.get(ends, distance_m))
         else:
-            gaps.forget(a)
+            distances.remove(a)
             others = sorted(around(a).items(), key=lambda it: it[1])
-            for ends in [ends for ends in ways if a in ends]:
-                del ways[ends]
-            for other, way in others[1:]:
+            for ends in [ends for ends in expected if a in ends]:
+                del expected[ends]
+            for other, distance_m in others[1:]:
                 ends = frozenset((others[0][0], other))
-                ways[ends] = min(others[0][1] + way, ways.get(ends, math.inf))
+                expected[ends] = min(others[0][1] + distance_m, expected.get(ends, math.inf))
     lengths = [sorted(around(i).values()) for i in range(count)]
-    left = [sum(ways[:1]) + sum(ways[-1:]) for ways in lengths]
-    restored = Gaps()
-    restored.restore(gaps.state())
-    for one in (gaps, restored):
-        assert one.left_by(count).tolist() == pytest.approx(left)
+    gaps_m = [sum(length[:1]) + sum(length[-1:]) for length in lengths]
+    restored = DistanceGraph()
+    restored.restore(distances.state())
+    for one in (distances, restored):
+        assert one.gaps_after_removal_m(count).tolist() == pytest.approx(gaps_m)
 
 
-def test_who_leaves_a_long_gap_stays_while_others_may_go() -> None:
-    visits, gaps = Visits(), Gaps()
+def test_experience_leaving_long_gap_is_pruned_last() -> None:
+    visits, distances = VisitHistory(), DistanceGraph()
     for i in range(40):
         visits.create(i)
-        gaps.join(i - 1, i, 0.4 * LONGEST_GAP_M if i < 30 else 3.0 * LONGEST_GAP_M)
+        distances.connect(i - 1, i, 0.4 * MAX_GAP_M if i < 30 else 3.0 * MAX_GAP_M)
     gone = []
     for _ in range(14):
-        gone.append(visits.least(gaps))
-        gaps.forget(gone[-1])
+        gone.append(visits.prune_candidate(distances))
+        distances.remove(gone[-1])
         visits.create(gone[-1])
-        gaps.join(gone[-1], 39, 3.0 * LONGEST_GAP_M)
+        distances.connect(gone[-1], 39, 3.0 * MAX_GAP_M)
     assert gone == list(range(1, 29, 2))
-    # All leave long gaps: 28 one of 1.2 times that, 2 one of 1.6, which is not yet much longer.
-    assert visits.least(gaps) == 2
+    # Every candidate exceeds MAX_GAP_M: 28 leaves 1.2 and 2 leaves 1.6 times MAX_GAP_M, which is
+    # within GAP_RATIO of the smallest.
+    assert visits.prune_candidate(distances) == 2
 
 
 @pytest.mark.parametrize('spacing_m', [0.4, 0.7, 0.8, 1.4])
-def test_a_dead_end_that_was_driven_to_and_fro_is_not_eaten_from_its_end(spacing_m: float) -> None:
-    visits, gaps = Visits(), Gaps()
-    way = [*range(30), *range(28, 19, -1), *range(30, 70)]  # into a room, out again, and on
-    for before, i in zip([-1, *way], way, strict=False):
+def test_dead_end_driven_both_ways_is_not_shortened(spacing_m: float) -> None:
+    visits, distances = VisitHistory(), DistanceGraph()
+    route = [*range(30), *range(28, 19, -1), *range(30, 70)]  # into a room, out, and on
+    for before, i in zip([-1, *route], route, strict=False):
         if i < len(visits.state()['counts']):
-            visits.arrive(i)
+            visits.visit(i)
         else:
             visits.create(i)
-        gaps.join(before, i, spacing_m)
+        distances.connect(before, i, spacing_m)
     gone = []
     for new in range(70, 90):
-        gone.append(visits.least(gaps))
-        gaps.forget(gone[-1])
+        gone.append(visits.prune_candidate(distances))
+        distances.remove(gone[-1])
         visits.create(gone[-1])
-        gaps.join(new - 1 if new == 70 else gone[-2], gone[-1], spacing_m)
-    # Those of the room were visited twice, but for its end.
+        distances.connect(new - 1 if new == 70 else gone[-2], gone[-1], spacing_m)
+    # Experiences in the room were visited twice, except at its end.
     assert not set(gone) & set(range(20, 29))
 
 
-def test_what_was_visited_often_stays_where_all_places_are_far_apart() -> None:
-    visits, gaps = Visits(), Gaps()
+def test_often_visited_experiences_stay_on_sparse_map() -> None:
+    visits, distances = VisitHistory(), DistanceGraph()
     for i in range(12):
         visits.create(i)
     for _ in range(50):
         for i in range(12):
-            gaps.join((i - 1) % 12, i, 4.9)
-            visits.arrive(i)
+            distances.connect((i - 1) % 12, i, 4.9)
+            visits.visit(i)
     for i in range(12, 60):
         visits.create(i)
-        gaps.join(i - 1, i, 5.0)
+        distances.connect(i - 1, i, 5.0)
     for _ in range(15):
-        gone = visits.least(gaps)
+        gone = visits.prune_candidate(distances)
         assert gone >= 12
-        gaps.forget(gone)
+        distances.remove(gone)
         visits.create(gone)
-        gaps.join(59, gone, 5.0)
+        distances.connect(59, gone, 5.0)
 
 
-def test_a_limit_that_leaves_nothing_is_refused() -> None:
+def test_too_small_limit_is_rejected() -> None:
     PoseCellsParameters(exp_max=20)
     with pytest.raises(UnusableParameter, match='exp_max is 19; expected 0'):
         PoseCellsParameters(exp_max=19)
 
 
-# In the pose cells
+# Pose cells
 
 LIMIT = 30
 Done = tuple[Motion, MapAction]
@@ -175,7 +186,7 @@ def limited(limit: int = LIMIT) -> PoseCells:
 
 
 def wander(pose_cells: PoseCells, rng: random.Random, steps: int) -> list[Done]:
-    """Drive about in a world of few views; most places are new all the same."""
+    """Drive at random in a world of few views, in which most places are new nevertheless."""
     done = []
     for _ in range(steps):
         motion = Motion(0.5, rng.uniform(0.2, 1.5), rng.uniform(-0.6, 0.6))
@@ -194,10 +205,10 @@ def new_map(**changes: Any) -> ExperienceMap:
     return ExperienceMap(ExperienceMapParameters(exp_initial_em_deg=0.0, **changes))
 
 
-def test_a_long_walk_never_has_more_experiences_than_the_limit() -> None:
+def test_long_drive_never_exceeds_limit() -> None:
     rng = random.Random(1)
     pose_cells, graph = limited(), new_map()
-    remade = 0
+    replaced = 0
     for motion, action in wander(pose_cells, rng, 600):
         known, before = len(graph), graph.labels[:]
         graph.integrate(motion)
@@ -205,29 +216,30 @@ def test_a_long_walk_never_has_more_experiences_than_the_limit() -> None:
         assert action.source_id < LIMIT
         assert 0 <= action.target_id < LIMIT
         if action.action == 'create' and known == LIMIT:
-            remade += 1
+            replaced += 1
             assert action.target_id not in (0, action.source_id)
         elif action.action == 'create':
             assert action.target_id == known
-        else:  # the map means by the number what the pose cells do
+        else:  # pose cells and map must agree on the meaning of an id
             assert before[action.target_id] == (
                 action.template_id if action.action != 'none' else before[action.target_id][0],
                 action.place,
             )
         assert graph.labels[action.target_id][1] == action.place
-    assert remade > 150
+    assert replaced > 150
     assert len(graph) == len(pose_cells) == LIMIT
     assert connected(graph)
-    # What is forgotten is forgotten everywhere.
+    # A pruned experience is removed from every index.
     state = pose_cells.state()
     known = {i for pair in state['transitions'] for i in pair}
     assert known <= {-1, *range(LIMIT)}
-    assert sorted(i for of in pose_cells._of_template.values() for i in of) == [*range(LIMIT)]
-    assert all(pose_cells._of_template.values())
+    of_template = pose_cells._experiences._of_template
+    assert sorted(i for ids in of_template.values() for i in ids) == [*range(LIMIT)]
+    assert all(of_template.values())
 
 
-def test_what_is_visited_again_and_again_is_kept() -> None:
-    """A round of known places with one new view a time: the round is never forgotten."""
+def test_repeatedly_visited_experiences_are_kept() -> None:
+    """Drive laps of known places with one new view per lap: the lap is never pruned."""
     pose_cells = PoseCells(PoseCellsParameters(exp_max=30, pc_vt_agree_views=0.0))
     new = 100
     for lap in range(40):
@@ -246,9 +258,9 @@ def test_what_is_visited_again_and_again_is_kept() -> None:
     assert new - 1 in templates
 
 
-@pytest.mark.parametrize(('limit', 'longest_m'), [(150, LONGEST_GAP_M), (75, 2.4)])
-def test_a_way_driven_once_is_thinned_and_not_cut_off(limit: int, longest_m: float) -> None:
-    """A spiral of new views, 132 m long: of its first half, too, no piece is left out."""
+@pytest.mark.parametrize(('limit', 'longest_m'), [(150, MAX_GAP_M), (75, 2.4)])
+def test_route_driven_once_is_pruned_evenly(limit: int, longest_m: float) -> None:
+    """Drive a spiral of new views, 132 m long; no part of it may be removed completely."""
     pose_cells, graph = PoseCells(PoseCellsParameters(exp_max=limit)), new_map(exp_loops=0)
     for view in range(330):
         for one in (pose_cells, graph):
@@ -264,7 +276,7 @@ def test_a_way_driven_once_is_thinned_and_not_cut_off(limit: int, longest_m: flo
         assert np.hypot(*(places - at[:2]).T).min() < longest_m / 2 + 0.2
 
 
-def test_a_memory_of_before_there_was_a_limit_is_thinned_as_well(tmp_path: Path) -> None:
+def test_memory_saved_without_limit_is_pruned_evenly(tmp_path: Path) -> None:
     free, graph = PoseCells(PoseCellsParameters()), new_map(exp_loops=0)
     pose_cells = PoseCells(PoseCellsParameters(exp_max=150))
     for view in range(330):
@@ -278,10 +290,10 @@ def test_a_memory_of_before_there_was_a_limit_is_thinned_as_well(tmp_path: Path)
             part.integrate(ahead(0.4))
         graph.apply(one.view(seen(view)))
     assert len(graph) == 150
-    assert max(link.distance_m for link in graph.links()) <= LONGEST_GAP_M + 0.1
+    assert max(link.distance_m for link in graph.links()) <= MAX_GAP_M + 0.1
 
 
-def test_nothing_is_forgotten_while_nothing_is_learned() -> None:
+def test_localisation_only_prunes_nothing() -> None:
     rng = random.Random(2)
     pose_cells = limited()
     wander(pose_cells, rng, 200)
@@ -291,15 +303,11 @@ def test_nothing_is_forgotten_while_nothing_is_learned() -> None:
     assert pose_cells.state()['experiences'] == before
 
 
-@pytest.mark.parametrize('with_visits', [True, False])
-def test_restored_pose_cells_forget_the_same(tmp_path: Path, with_visits: bool) -> None:
+def test_restored_pose_cells_prune_identically(tmp_path: Path) -> None:
     rng = random.Random(3)
     pose_cells = limited()
-    wander(pose_cells, rng, 150 if with_visits else 22)
-    state = pose_cells.state()
-    if not with_visits:  # saved before there was a limit
-        del state['visits']
-    save(tmp_path / 'pose_cells', 'pose_cells', state)
+    wander(pose_cells, rng, 150)
+    save(tmp_path / 'pose_cells', 'pose_cells', pose_cells.state())
     other = limited()
     other.restore(load(tmp_path / 'pose_cells', 'pose_cells'))
     after = rng.getstate()
@@ -309,15 +317,14 @@ def test_restored_pose_cells_forget_the_same(tmp_path: Path, with_visits: bool) 
         actions.append([action for _, action in wander(one, rng, 150)])
     assert sum(a.action == 'create' for a in actions[1]) > 50
     assert {a.target_id for a in actions[1]} <= set(range(LIMIT))
-    if with_visits:
-        assert actions[0] == actions[1]
+    assert actions[0] == actions[1]
 
 
-# On the map
+# Experience map
 
 
 def connected(graph: ExperienceMap) -> bool:
-    """Return whether all experiences are one part, over links in any direction."""
+    """Return whether all experiences are connected by links of any direction."""
     reached, todo = {0}, [0]
     around: dict[int, set[int]] = {}
     for i, j in graph.link_ends.tolist():
@@ -336,77 +343,78 @@ def forget_and_create(graph: ExperienceMap, forgotten: int, serial: int) -> None
 
 
 @pytest.mark.parametrize('seed', range(3))
-def test_thousands_forgotten_and_the_map_is_connected_and_goals_stay(seed: int) -> None:
-    """Poses are not relaxed here: a goal lies where it lay, to the last rounding."""
+def test_map_stays_connected_and_goals_stay_while_pruning(seed: int) -> None:
+    """Without relaxation, a goal keeps its position up to rounding errors."""
     rng = random.Random(seed)
     graph = new_map(exp_loops=0)
     goals: dict[str, tuple[int, Pose]] = {}
 
-    def forgotten(experience_id: int, stand_in_id: int, pose: Pose) -> None:
+    def on_forgotten(experience_id: int, stand_in_id: int, pose: Pose) -> None:
         assert stand_in_id in graph.neighbours(experience_id)
         for name, (at, offset) in goals.items():
             if at == experience_id:
                 goals[name] = stand_in_id, composed(pose, offset)
 
-    graph.on_pruned.append(forgotten)
+    graph.on_pruned.append(on_forgotten)
     count = 60
-    wished: dict[str, Pose] = {}
+    expected_poses: dict[str, Pose] = {}
     for serial in range(1200):
         graph.integrate(Motion(0.5, rng.uniform(0.3, 1.0), rng.uniform(-0.8, 0.8)))
-        here = graph.current_id
+        current_id = graph.current_id
         if len(graph) < count:
             forget_and_create(graph, len(graph), serial)
         elif rng.random() < 0.6:
-            gone = rng.choice([i for i in range(1, count) if i != here])
+            gone = rng.choice([i for i in range(1, count) if i != current_id])
             before = len({frozenset(pair) for pair in graph.link_ends.tolist()})
             around = len(graph.neighbours(gone))
             forget_and_create(graph, gone, serial)
             after = len({frozenset(pair) for pair in graph.link_ends.tolist()})
-            assert after <= before + 1 - (around > 0)  # a link for each neighbour but one
-            assert graph.neighbours(gone) == [here] or here == gone
+            assert after <= before + 1 - (around > 0)  # one link per neighbour except the nearest
+            assert graph.neighbours(gone) == [current_id] or current_id == gone
         else:
             target = rng.randrange(count)
-            if target != here:
+            if target != current_id:
                 label = graph.labels[target]
-                graph.apply(MapAction('link', here, target, label[0], 0.0, label[1]))
+                graph.apply(MapAction('link', current_id, target, label[0], 0.0, label[1]))
         if serial % 100 == 70:
             name = f'goal {serial}'
             goals[name] = graph.current_id, Pose(0.3, -0.2, 0.1)
-            wished[name] = composed(graph.pose_of(graph.current_id), goals[name][1])
+            expected_poses[name] = composed(graph.pose_of(graph.current_id), goals[name][1])
         if serial % 20 == 0:
             assert connected(graph)
     assert len(graph) == count
     for name, (at, offset) in goals.items():
         now = composed(graph.pose_of(at), offset)
-        assert math.hypot(now.x_m - wished[name].x_m, now.y_m - wished[name].y_m) < 1e-9
-        assert abs(wrap(now.heading_rad - wished[name].heading_rad)) < 1e-9
+        expected = expected_poses[name]
+        assert math.hypot(now.x_m - expected.x_m, now.y_m - expected.y_m) < 1e-9
+        assert abs(wrap(now.heading_rad - expected.heading_rad)) < 1e-9
 
 
 def driven(steps: int, limit: int, rng: random.Random, **changes: Any) -> tuple[
     ExperienceMap, list[Pose]
 ]:
-    """Drive about with right odometry, to new and to known places; return the true places too."""
+    """Drive at random with exact odometry, to new and known places; return the true poses too."""
     graph = new_map(**changes)
     truth, true = Pose(0.0, 0.0, 0.0), []
     for serial in range(steps):
         motion = Motion(0.5, rng.uniform(0.3, 1.0), rng.uniform(-1.5, 1.5))
         graph.integrate(motion)
         truth = moved(truth, motion)
-        here, known = graph.current_id, len(graph)
-        if known > 5 and rng.random() < 0.3:  # carry the robot to a known place, and say so
-            target = rng.choice([i for i in range(known) if i != here])
+        current_id, known = graph.current_id, len(graph)
+        if known > 5 and rng.random() < 0.3:  # move to a known place with exact odometry
+            target = rng.choice([i for i in range(known) if i != current_id])
             graph.offset = composed(
-                Pose(*_inverse(true[here])), true[target]
+                Pose(*_inverse(true[current_id])), true[target]
             )
             label = graph.labels[target]
-            graph.apply(MapAction('link', here, target, label[0], 0.0, label[1]))
+            graph.apply(MapAction('link', current_id, target, label[0], 0.0, label[1]))
             truth = true[target]
             continue
         if known < limit:
             gone = known
             true.append(truth)
         else:
-            gone = rng.choice([i for i in range(1, known) if i != here])
+            gone = rng.choice([i for i in range(1, known) if i != current_id])
             true[gone] = truth
         forget_and_create(graph, gone, serial)
     return graph, true
@@ -418,8 +426,8 @@ def _inverse(pose: Pose) -> tuple[float, float, float]:
 
 
 @pytest.mark.parametrize('relaxation', ['solve', 'sweep'])
-def test_composed_links_say_what_was_driven(relaxation: str) -> None:
-    """With right odometry every link, composed however often, agrees with the true places."""
+def test_composed_links_agree_with_true_poses(relaxation: str) -> None:
+    """With exact odometry every link agrees with the true poses, even if composed repeatedly."""
     graph, true = driven(500, 40, random.Random(4), exp_relaxation=relaxation)
     assert graph.link_count > 40
     for link in graph.links():
@@ -433,7 +441,7 @@ def test_composed_links_say_what_was_driven(relaxation: str) -> None:
     assert np.abs(graph.poses[:, :2] - places[:, :2]).max() < 1e-6
 
 
-def test_two_neighbours_are_joined_both_ways_as_they_were_driven() -> None:
+def test_pruning_connects_two_neighbours_in_both_directions() -> None:
     graph = new_map()
     for n, target in enumerate((0, 1, 2, 1, 0)):
         graph.integrate(ahead(2.0 if n < 3 else -2.0, 1.0))
@@ -451,10 +459,10 @@ def test_two_neighbours_are_joined_both_ways_as_they_were_driven() -> None:
         assert (links[pair].behaviour, links[pair].count) == ('wall', 1)
     assert graph.experiences()[1].template_id == 9
     assert graph.pose_of(1).x_m == pytest.approx(2.0 + 3.0 * math.cos(1.0))
-    assert RoutePlanner(GoalRecallParameters()).route_to(graph, 2).experience_ids == (1, 0, 2)
+    assert RoutePlanner(GoalRecallParameters(), graph).route_to(2).experience_ids == (1, 0, 2)
 
 
-def test_many_neighbours_are_joined_through_the_nearest_and_old_links_stay() -> None:
+def test_pruning_connects_neighbours_through_nearest_and_keeps_links() -> None:
     graph = new_map()
     place = Place(0.0, 0.0, 0.0)
     graph.apply(MapAction('create', -1, 0, 0, 0.0, place))
@@ -468,20 +476,20 @@ def test_many_neighbours_are_joined_through_the_nearest_and_old_links_stay() -> 
     graph.apply(MapAction('link', 2, 3, 3, 0.0, place))
     old = next(k for k in graph.links() if (k.source_id, k.target_id) == (2, 3))
     graph.integrate(ahead(1.0, 1.0))
-    told = []
-    graph.on_pruned.append(lambda *what: told.append(what))
+    notified = []
+    graph.on_pruned.append(lambda *arguments: notified.append(arguments))
     forgotten = graph.apply(MapAction('create', 3, 0, 8, 0.0, place)).pruned
     links = {(k.source_id, k.target_id): k for k in graph.links()}
     assert set(links) == {(2, 1), (2, 3), (2, 4), (3, 0)}
     assert links[2, 3] == old
-    assert links[2, 1].duration_s == pytest.approx(4.2)  # with 0.1 s for each turn
-    assert told == [forgotten]
+    assert links[2, 1].duration_s == pytest.approx(4.2)  # including 0.1 s per turn
+    assert notified == [forgotten]
     assert forgotten is not None
     assert (forgotten.experience_id, forgotten.stand_in_id) == (0, 2)
 
 
-def test_where_the_map_stands_on_what_is_forgotten_it_goes_on_from_the_neighbour() -> None:
-    """Only where messages were lost: the pose cells never forget the current one."""
+def test_pruning_current_experience_continues_from_neighbour() -> None:
+    """This occurs only after lost messages: the pose cells never prune the current experience."""
     graph = new_map()
     place = Place(0.0, 0.0, 0.0)
     for target in range(3):
@@ -502,16 +510,16 @@ def test_where_the_map_stands_on_what_is_forgotten_it_goes_on_from_the_neighbour
 
 
 @pytest.mark.parametrize('seed', range(2))
-def test_texts_routes_and_memories_follow(seed: int, tmp_path: Path) -> None:
+def test_encoded_maps_routes_and_memories_follow_pruning(seed: int, tmp_path: Path) -> None:
     rng = random.Random(seed)
     pose_cells, graph = limited(), new_map()
-    kept, recall = MapText(), RoutePlanner(GoalRecallParameters())
+    kept, planner = MapText(), RoutePlanner(GoalRecallParameters(), graph)
     apply(graph, wander(pose_cells, rng, 60))
-    tree = GoalTree(recall, graph, 0)
+    tree = GoalTree(planner, 0)
     for _ in range(60):
         apply(graph, wander(pose_cells, rng, 4))
         assert encode_map(1, graph, kept) == encode_map(1, graph)
-        times = recall.temporal_map(graph, 0).arrival_s
+        times = planner.temporal_map(0).arrival_s
         assert np.isfinite(times).all()
         if tree.exact():
             assert [tree.remaining_s(i) for i in range(len(graph))] == pytest.approx(
@@ -526,7 +534,7 @@ def test_texts_routes_and_memories_follow(seed: int, tmp_path: Path) -> None:
     assert encode_map(1, other) == encode_map(1, graph)
 
 
-# Over messages
+# Messages
 
 MEMORY_NS = 7
 
@@ -554,24 +562,24 @@ def through_messages(
     return joining
 
 
-def test_a_map_that_is_told_over_messages_is_the_same() -> None:
+def test_map_built_from_messages_is_identical() -> None:
     done = wander(limited(), random.Random(5), 300)
-    direct, told = new_map(), new_map()
+    direct, from_messages = new_map(), new_map()
     apply(direct, done)
-    joining = through_messages(told, done)
-    assert encode_map(1, direct) == encode_map(1, told)
+    joining = through_messages(from_messages, done)
+    assert encode_map(1, direct) == encode_map(1, from_messages)
     assert (joining.missed, joining.restarts) == (0, 0)
 
 
 @pytest.mark.parametrize('seed', range(3))
-def test_whatever_is_lost_no_number_means_two_places(seed: int) -> None:
-    """Who comes to a place that was made unnoticed notices by its view and place."""
+def test_lost_messages_never_mix_two_places_under_one_id(seed: int) -> None:
+    """The map detects an unnoticed replacement by template and place of the action."""
     rng = random.Random(seed)
     done = wander(limited(), rng, 300)
     lost = frozenset(n for n in range(300) if rng.random() < 0.2)
     graph = new_map()
     through_messages(graph, done, lost)
-    assert LIMIT - 3 <= len(graph) <= LIMIT  # a number whose making was lost may be missing
+    assert LIMIT - 3 <= len(graph) <= LIMIT  # an id may be missing if its create action was lost
     own = LateJoin(checked := new_map())
     for sequence, (motion, action) in enumerate(done):
         checked.integrate(motion)
@@ -582,7 +590,7 @@ def test_whatever_is_lost_no_number_means_two_places(seed: int) -> None:
             assert checked.labels[checked.current_id] == (action.template_id, action.place)
 
 
-def test_while_only_localising_a_place_that_was_forgotten_is_not_replaced() -> None:
+def test_localisation_only_does_not_replace_pruned_experience() -> None:
     done = wander(limited(), random.Random(6), 200)
     graph = new_map()
     joining = through_messages(graph, done)

@@ -1,0 +1,237 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Compiled competition within one packet: excitation, inhibition and global inhibition."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ratslam_ros.core.common.compiled import compiled
+from ratslam_ros.core.pose_cells.packet_kernels import Box, Cells, Dims
+
+Reals = NDArray[np.float64]
+
+
+@compiled
+def _convolve_axis(a: Cells, w: Cells, after: int, cyclic: bool) -> Cells:
+    """Convolve the middle axis of ``a`` with ``w``; the length of the result is ``after``.
+
+    A cyclic axis wraps. Any other axis stays centred, and values outside the result are dropped.
+    """
+    outer, length, inner = a.shape
+    out = np.zeros((outer, after, inner))
+    radius = w.shape[0] // 2
+    before = 0 if cyclic else (after - length) // 2
+    for k in range(w.shape[0]):
+        weight = w[k]
+        shift = k - radius + before
+        if inner == 1 and not cyclic:  # this axis is contiguous in memory
+            first = max(0, -shift)
+            count = min(length, after - shift) - first
+            for o in range(outer):
+                source = a[o, first:, 0]
+                target = out[o, first + shift :, 0]
+                for i in range(count):
+                    target[i] += weight * source[i]
+            continue
+        for i in range(length):
+            j = i + shift
+            if cyclic:
+                j %= after
+            elif j < 0 or j >= after:
+                continue
+            for o in range(outer):
+                source = a[o, i]
+                target = out[o, j]
+                for x in range(inner):
+                    target[x] += weight * source[x]
+    return out
+
+
+@compiled
+def _convolve(a: Cells, w: Cells, n_t: int, n_y: int, n_x: int, dims: Dims) -> Cells:
+    """Convolve all axes with ``w``; the result is (n_t, n_y, n_x). Axes as long as dims wrap."""
+    l_t, l_y, l_x = a.shape
+    a = _convolve_axis(a.reshape((1, l_t, l_y * l_x)), w, n_t, n_t == dims[0])
+    a = _convolve_axis(a.reshape((n_t, l_y, l_x)), w, n_y, n_y == dims[1])
+    a = _convolve_axis(a.reshape((n_t * n_y, l_x, 1)), w, n_x, n_x == dims[2])
+    return a.reshape((n_t, n_y, n_x))
+
+
+@compiled
+def _add_taps(
+    flat: Reals, at: int, step: int, w: Reals, first: int, last: int, out: Reals, to: int, n: int
+) -> None:
+    """Add w[k] * flat[at - k * step + i] to out[to + i] for i < n and for each k in order."""
+    target = out[to : to + n]
+    k = first
+    while k + 4 <= last:  # four at once reduce the reads and writes of the result
+        w_0, w_1, w_2, w_3 = w[k], w[k + 1], w[k + 2], w[k + 3]
+        a_0 = flat[at - k * step :]
+        a_1 = flat[at - (k + 1) * step :]
+        a_2 = flat[at - (k + 2) * step :]
+        a_3 = flat[at - (k + 3) * step :]
+        for i in range(n):
+            target[i] = (((target[i] + w_0 * a_0[i]) + w_1 * a_1[i]) + w_2 * a_2[i]) + w_3 * a_3[i]
+        k += 4
+    while k < last:
+        weight = w[k]
+        source = flat[at - k * step :]
+        for i in range(n):
+            target[i] += weight * source[i]
+        k += 1
+
+
+@compiled
+def _convolve_unwrapped(a: Cells, w: Reals, first: Box, size: Box) -> Cells:
+    """Convolve all axes with ``w`` where no axis wraps; return the part of size ``size``.
+
+    Each cell equals that of ``_convolve``. Zeros are inserted between planes and
+    between rows, so that the sums run over long contiguous stretches of memory.
+
+    Args:
+        a: activity.
+        w: one axis of the kernel.
+        first: (3,) first cell of the result, in cells of ``a``; may be negative.
+        size: (3,) size of the result.
+
+    Returns:
+        (n_theta, n_y, at least n_x) result; cells beyond n_x in a row are undefined.
+    """
+    around = w.shape[0] - 1
+    radius = around // 2
+    n_t, n_y, n_x = size
+    # Range of input cells that contribute to the result, and their offset in the padded arrays.
+    low = np.empty(3, np.int64)
+    high = np.empty(3, np.int64)
+    for axis in range(3):
+        low[axis] = max(0, first[axis] - radius)
+        high[axis] = min(a.shape[axis], first[axis] + size[axis] + radius)
+    l_t, l_y, l_x = high - low
+    to_t, to_y, to_x = low - first + radius
+
+    inner = np.empty(l_t * l_y * l_x)
+    at = 0
+    for t in range(low[0], high[0]):
+        for y in range(low[1], high[1]):
+            for x in range(low[2], high[2]):
+                inner[at] = a[t, y, x]
+                at += 1
+
+    plane = (n_y + around) * l_x
+    along_t = np.zeros(n_t * plane)
+    for t in range(n_t):
+        middle = t + around - to_t  # input plane of the first tap
+        _add_taps(
+            inner, middle * l_y * l_x, l_y * l_x, w, max(0, middle - l_t + 1),
+            min(w.shape[0], middle + 1), along_t, t * plane + to_y * l_x, l_y * l_x,
+        )  # fmt: skip
+
+    along_y = np.zeros(n_y * l_x)
+    # Adjacent rows share their padding.
+    width = n_x + around - min(to_x, n_x + around - to_x - l_x)
+    rows = np.zeros(n_t * n_y * width + 2 * around)
+    for t in range(n_t):
+        along_y[:] = 0.0
+        _add_taps(
+            along_t, t * plane + around * l_x, l_x, w, 0, w.shape[0], along_y, 0, n_y * l_x
+        )
+        for y in range(n_y):
+            row = (t * n_y + y) * width + to_x
+            for x in range(l_x):
+                rows[row + x] = along_y[y * l_x + x]
+
+    along_x = np.zeros(n_t * n_y * width)
+    _add_taps(rows, around, 1, w, 0, w.shape[0], along_x, 0, n_t * n_y * width)
+    return along_x.reshape((n_t, n_y, width))
+
+
+@compiled
+def compete(
+    packet: Cells, old_box: Box, dims: Dims, w_e: Cells, w_i: Cells, cutoff: float
+) -> tuple[Cells, Box, float]:
+    """Apply excitation, inhibition and global inhibition to one packet.
+
+    Args:
+        packet: (n_theta, n_y, n_x) activity.
+        old_box: (6,) first cell and number of cells per axis.
+        dims: (3,) extents of the torus.
+        w_e: one axis of the excitatory kernel.
+        w_i: one axis of the inhibitory kernel.
+        cutoff: global inhibition.
+
+    Returns:
+        Cells, box and sum of the activity.
+    """
+    box = old_box.copy()
+    r_e = w_e.shape[0] // 2
+    r_i = w_i.shape[0] // 2
+    is_unwrapped = True
+    for axis in range(3):
+        # Use the whole axis if the two ends of the packet would interact around the torus.
+        if box[3 + axis] + 2 * r_e + r_i >= dims[axis]:
+            box[3 + axis] = dims[axis]
+            is_unwrapped = False
+        else:
+            box[axis] -= r_e
+            box[3 + axis] += 2 * r_e
+    if is_unwrapped:
+        return _compete_unwrapped(packet, box, w_e, w_i, cutoff)
+    excited = _convolve(packet, w_e, box[3], box[4], box[5], dims)
+    inhibited = _convolve(excited, w_i, box[3], box[4], box[5], dims)
+    total = 0.0
+    for t in range(excited.shape[0]):
+        for y in range(excited.shape[1]):
+            for x in range(excited.shape[2]):
+                p = max(excited[t, y, x] - inhibited[t, y, x] - cutoff, 0.0)
+                excited[t, y, x] = p
+                total += p
+    return excited, box, total
+
+
+@compiled
+def _compete_unwrapped(
+    packet: Cells, box: Box, w_e: Cells, w_i: Cells, cutoff: float
+) -> tuple[Cells, Box, float]:
+    """Compete in a box that wraps on no axis; only where excitation exceeds the cutoff."""
+    r_e = w_e.shape[0] // 2
+    n_t, n_y, n_x = box[3], box[4], box[5]
+    excited = _convolve_unwrapped(packet, w_e, np.full(3, -r_e), box[3:])
+    low = np.array([n_t, n_y, n_x])
+    high = np.zeros(3, np.int64)
+    for t in range(n_t):
+        for y in range(n_y):
+            row = excited[t, y]
+            most = 0.0
+            for x in range(n_x):
+                most = max(most, row[x])
+            if most > cutoff:  # inhibition cannot raise it above the cutoff
+                low[0] = min(low[0], t)
+                high[0] = t + 1
+                low[1] = min(low[1], y)
+                high[1] = max(high[1], y + 1)
+                begin = 0
+                while row[begin] <= cutoff:
+                    begin += 1
+                end = n_x
+                while row[end - 1] <= cutoff:
+                    end -= 1
+                low[2] = min(low[2], begin)
+                high[2] = max(high[2], end)
+    if high[0] == 0:
+        return np.zeros((1, 1, 1)), box, 0.0
+    size = high - low
+    inhibited = _convolve_unwrapped(excited[:, :, :n_x], w_i, low, size)
+    left = np.empty((size[0], size[1], size[2]))
+    total = 0.0
+    for t in range(size[0]):
+        for y in range(size[1]):
+            for x in range(size[2]):
+                e = excited[t + low[0], y + low[1], x + low[2]]
+                p = max(e - inhibited[t, y, x] - cutoff, 0.0)
+                left[t, y, x] = p
+                total += p
+    box[:3] += low
+    box[3:] = size
+    return left, box, total

@@ -1,0 +1,261 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Experiences in the pose cells: data association of views, creation, transitions and pruning."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+
+from ratslam_ros.core.common.odometry import Motion, moved
+from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.common.state import State
+from ratslam_ros.core.config import PoseCellsParameters
+from ratslam_ros.core.pose_cells.experience_activity import activity
+from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, Action
+from ratslam_ros.core.pose_cells.pruning import DistanceGraph, VisitHistory
+from ratslam_ros.core.pose_cells.torus import Place, Torus, Unwrapped
+from ratslam_ros.core.pose_cells.visual_evidence import Observation
+
+MIN_SUPPORT_COUNT = 6
+"""Number of recent recognitions near an experience that make it plausible although the odometry
+contradicts it."""
+
+STATIONARY_CELLS = 0.02
+"""Net motion since the current experience, in cells and in heading planes, below which the robot
+counts as stationary."""
+
+
+class Experiences:
+    """The experiences, and the decision which one is current.
+
+    Distant parts of the environment share cells. The unwrapped position of each experience
+    distinguishes them, as precisely as the odometry since the last known place allows.
+    """
+
+    def __init__(self, parameters: PoseCellsParameters, torus: Torus) -> None:
+        self._p = parameters
+        self._torus = torus
+        self.current_id = NO_EXPERIENCE
+        """Id of the current experience, -1 before the first one."""
+        self._experiences: list[tuple[int, Place]] = []
+        self._unwrapped: list[Unwrapped] = []
+        self._of_template: dict[int, list[int]] = {}
+        self._transitions = _Transitions()
+        self._visits = VisitHistory()
+        self._distances = DistanceGraph()
+        self._since_current = Pose(0.0, 0.0, 0.0)
+
+    def __len__(self) -> int:
+        return len(self._experiences)
+
+    def place(self, experience_id: int) -> Place:
+        """Return the place of an experience."""
+        return self._experiences[experience_id][1]
+
+    def unwrapped(self, experience_id: int) -> Unwrapped:
+        """Return the unwrapped position of an experience."""
+        return self._unwrapped[experience_id]
+
+    def state(self) -> State:
+        """Return all experiences and transitions, for ``restore``."""
+        return {
+            'unrolled': {'experiences': [list(position) for position in self._unwrapped]},
+            'experiences': [[template_id, *place] for template_id, place in self._experiences],
+            'transitions': self._transitions.pairs(),
+            'visits': self._visits.state(),
+            'gaps': self._distances.state(),
+            'current': self.current_id,
+            'since_current': list(self._since_current),
+        }
+
+    def restore(self, state: State) -> None:
+        """Restore what ``state`` returned; there must be no experiences yet."""
+        for number, (template_id, x, y, theta) in enumerate(state['experiences']):
+            self._experiences.append((template_id, Place(x, y, theta)))
+            self._of_template.setdefault(template_id, []).append(number)
+        self._unwrapped = [tuple(position) for position in state['unrolled']['experiences']]
+        for source, target in state['transitions']:
+            self._transitions.add(source, target)
+        self.current_id = state['current']
+        self._visits.restore(state['visits'])
+        self._distances.restore(state['gaps'])
+        if self._p.exp_max > 0:  # without a limit distances are not recorded: estimate them
+            for source, target in state['transitions']:
+                if source != NO_EXPERIENCE and not self._distances.are_neighbours(source, target):
+                    cells = math.dist(self._unwrapped[source], self._unwrapped[target])
+                    self._distances.connect(source, target, cells * self._p.pc_cell_x_size)
+        self._since_current = Pose(*state['since_current'])
+
+    def integrate(self, motion: Motion) -> None:
+        """Add a motion to the displacement since the current experience."""
+        self._since_current = moved(self._since_current, motion)
+
+    def active(
+        self, seen: Observation, recent: Collection[Unwrapped]
+    ) -> list[tuple[int, float]]:
+        """Return the active experiences of the observed template, the most active first.
+
+        Milford et al. (2006), equations (1) to (4).
+
+        Args:
+            seen: the observation.
+            recent: unwrapped positions of the latest recognitions.
+
+        Returns:
+            Pairs of experience id and activity, above 0 and at most 2.
+        """
+        active = [
+            (i, self._activity(i, seen.place))
+            for i in self._of_template.get(seen.template_id, ())
+            if self._is_plausible(i, seen, recent)
+        ]
+        return sorted(
+            (item for item in active if item[1] > 0.0), key=lambda item: (-item[1], item[0])
+        )
+
+    def decide(
+        self, seen: Observation, recent: Collection[Unwrapped], learn: bool
+    ) -> Action:
+        """Associate an observation with an experience, and make that one current.
+
+        Args:
+            seen: the observation.
+            recent: unwrapped positions of the latest recognitions.
+            learn: whether an experience may be created.
+
+        Returns:
+            The action for the experience map.
+        """
+        if self._p.exp_current_by == 'activity':
+            return self._decide_by_activity(seen, recent, learn)
+        candidates = self._of_template.get(seen.template_id)
+        if candidates is None:
+            return self._create(seen, learn)
+        place = seen.place
+        threshold = self._p.exp_delta_pc_threshold
+        current_template, current_place = self._experiences[self.current_id]
+        is_far = self._torus.distance(place, current_place) > threshold
+        if not is_far and (seen.template_id == current_template or self._is_stationary()):
+            return 'none'
+        others = [
+            i for i in candidates if i != self.current_id and self._is_plausible(i, seen, recent)
+        ]
+        if others:
+            distance, nearest = min(
+                (self._torus.distance(place, self._experiences[i][1]), i) for i in others
+            )
+            if distance < threshold:
+                return self._visit(nearest)
+        return self._create(seen, learn)
+
+    def _decide_by_activity(
+        self, seen: Observation, recent: Collection[Unwrapped], learn: bool
+    ) -> Action:
+        active = self.active(seen, recent)
+        if not active or active[0][1] <= self._p.exp_activity_threshold:
+            return self._create(seen, learn)
+        most_active = active[0][0]
+        if most_active == self.current_id or (
+            self._is_stationary() and self._activity(self.current_id, seen.place) > 0.0
+        ):
+            return 'none'
+        return self._visit(most_active)
+
+    def _activity(self, experience_id: int, peak: Place) -> float:
+        p, (_, place) = self._p, self._experiences[experience_id]
+        return activity(self._torus, peak, place, p.exp_activity_xy, p.exp_activity_th)
+
+    def _is_plausible(
+        self, experience_id: int, seen: Observation, recent: Collection[Unwrapped]
+    ) -> bool:
+        """Return whether an experience of the observed template is the place of the observation.
+
+        The odometry since the last known place distinguishes places that share cells. Several
+        recent recognitions near the experience override the odometry; a single view does not.
+        """
+        near = self._p.pc_vt_agree_near
+        if near == 0.0 or experience_id == self.current_id:
+            return True
+        x, y = self._unwrapped[experience_id]
+        if math.hypot(seen.unwrapped[0] - x, seen.unwrapped[1] - y) < near:
+            return True
+        return sum(math.hypot(a - x, b - y) < near for a, b in recent) >= MIN_SUPPORT_COUNT
+
+    def _create(self, seen: Observation, learn: bool) -> Action:
+        if self.current_id != NO_EXPERIENCE and self._is_stationary():
+            return 'none'  # views that alternate must not create experiences at one place
+        if not learn:
+            return 'none'
+        peak = seen.peak
+        place = Place(peak.x, peak.y, (peak.theta - seen.turn_planes) % self._p.pc_dim_th)
+        new_id = len(self._experiences)
+        if 0 < self._p.exp_max <= new_id:
+            new_id = self._visits.prune_candidate(self._distances)
+            self._prune(new_id)
+            self._experiences[new_id] = seen.template_id, place
+            self._unwrapped[new_id] = seen.unwrapped
+        else:
+            self._experiences.append((seen.template_id, place))
+            self._unwrapped.append(seen.unwrapped)
+        self._of_template.setdefault(seen.template_id, []).append(new_id)
+        self._visits.create(new_id)
+        self._change_to(new_id)
+        return 'create'
+
+    def _prune(self, experience_id: int) -> None:
+        """Remove an experience so that its id can be reused; its template stays associated."""
+        template_id, _ = self._experiences[experience_id]
+        self._of_template[template_id].remove(experience_id)
+        if not self._of_template[template_id]:
+            del self._of_template[template_id]
+        self._transitions.remove(experience_id)
+        self._distances.remove(experience_id)
+
+    def _visit(self, target_id: int) -> Action:
+        self._visits.visit(target_id)
+        return 'link' if self._change_to(target_id) else 'set'
+
+    def _change_to(self, target_id: int) -> bool:
+        """Make an experience current; return whether this transition is new."""
+        is_new = self._transitions.add(self.current_id, target_id)
+        if self._p.exp_max > 0:
+            distance_m = math.hypot(*self._since_current[:2])
+            self._distances.connect(self.current_id, target_id, distance_m)
+        self.current_id = target_id
+        self._since_current = Pose(0.0, 0.0, 0.0)
+        return is_new
+
+    def _is_stationary(self) -> bool:
+        x, y, turn = self._since_current
+        planes = abs(turn) * self._torus.planes_per_rad
+        cells = math.hypot(x, y) / self._p.pc_cell_x_size
+        return cells < STATIONARY_CELLS and planes < STATIONARY_CELLS
+
+
+class _Transitions:
+    """Transitions between experiences, indexed by both of their ends."""
+
+    def __init__(self) -> None:
+        self._targets: dict[int, set[int]] = {}
+        self._sources: dict[int, set[int]] = {}
+
+    def add(self, source: int, target: int) -> bool:
+        """Add a transition; return whether it is new."""
+        targets = self._targets.setdefault(source, set())
+        if target in targets:
+            return False
+        targets.add(target)
+        self._sources.setdefault(target, set()).add(source)
+        return True
+
+    def remove(self, experience_id: int) -> None:
+        """Remove all transitions from and to an experience."""
+        for target in self._targets.pop(experience_id, ()):
+            self._sources[target].discard(experience_id)
+        for source in self._sources.pop(experience_id, ()):
+            self._targets[source].discard(experience_id)
+
+    def pairs(self) -> list[list[int]]:
+        """Return all transitions as [source, target], sorted."""
+        return sorted([i, j] for i, targets in self._targets.items() for j in targets)

@@ -1,0 +1,39 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Map actions: the output of the pose cells and the input of the experience map."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from ratslam_ros.core.pose_cells.torus import Place
+
+Action = Literal['create', 'link', 'set', 'none']
+
+NO_EXPERIENCE = -1
+"""Experience id that stands for no experience."""
+
+
+@dataclass(frozen=True, slots=True)
+class MapAction:
+    """Change of the experience map that one template message causes.
+
+    Attributes:
+        action: ``create`` adds an experience and makes it current; ``link`` makes an existing
+            experience current by a transition that occurs for the first time, ``set`` by one that
+            has occurred before; ``none`` keeps the current experience.
+        source_id: the previous current experience, -1 if none.
+        target_id: the new current experience, -1 if none. A ``create`` with the id of an existing
+            experience prunes that experience and reuses its id.
+        template_id: the template of the message.
+        relative_rad: heading of the robot minus the heading of the target's view.
+        place: the target's place in the pose cells; the peak of activity if there is no target.
+    """
+
+    action: Action
+    source_id: int
+    target_id: int
+    template_id: int
+    relative_rad: float
+    place: Place

@@ -1,0 +1,50 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A start that compiles says so; one that loads from the cache does not."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+MODULE = """
+from ratslam_ros.core.common.compiled import compiled
+
+@compiled
+def half(value):
+    return 0.5 * value
+"""
+START = """
+from ratslam_ros.compilation import announced_compilation
+from loops import half
+
+with announced_compilation(print):
+    half(1.0)
+    half(1)
+"""
+
+
+def start(folder: Path) -> list[str]:
+    environment = {
+        **os.environ, 'PYTHONPATH': os.pathsep.join([str(ROOT), str(folder)]),
+        'NUMBA_CACHE_DIR': str(folder / 'cache'),
+    }  # fmt: skip
+    done = subprocess.run(
+        [sys.executable, '-c', START], env=environment, capture_output=True, text=True,
+        check=False, timeout=120,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return done.stdout.splitlines()
+
+
+def test_only_a_cold_or_outdated_cache_is_announced(tmp_path: Path) -> None:
+    module = tmp_path / 'loops.py'
+    module.write_text(MODULE)
+    first, last = start(tmp_path)
+    assert first.startswith('compiling the inner loops')
+    assert str(tmp_path / 'cache') in first
+    assert last.startswith('compiled the inner loops in')
+    assert start(tmp_path) == []
+    module.write_text(MODULE.replace('0.5', '0.25'))
+    assert len(start(tmp_path)) == 2
