@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from ratslam_ros.core.config import LocalViewParameters
 from ratslam_ros.core.vision.local_view import crop_window
 from ratslam_ros.errors import UnusableInput, UnusableParameter
+from ratslam_ros.messages.json_schema import NS_PER_S
 from ratslam_ros.offline.revisits import (
     MAX_FRAME_COUNT,
     NO_MATCH,
@@ -29,7 +30,7 @@ from ratslam_ros.offline.revisits import (
     measure,
 )
 from ratslam_ros.results.plots import BLACK, BLUE, GREY, VERMILLION, new_figure, save_figure
-from ratslam_ros.results.trajectory import NS_PER_S, thinned
+from ratslam_ros.results.trajectory import thinned
 
 SIZES = ((12, 8), (20, 12), (32, 16), (48, 24), (60, 10), (60, 20))
 PATCHES = (0, 2, 4)

@@ -24,7 +24,8 @@ from typing import Any, Literal
 import numpy as np
 
 from ratslam_ros.errors import UnusableInput, UnusableParameter
-from ratslam_ros.results.trajectory import NS_PER_S, Floats, Index, Stamps, Trajectory
+from ratslam_ros.messages.json_schema import NS_PER_S
+from ratslam_ros.results.trajectory import Floats, Index, Stamps, Trajectory
 
 Alignment = Literal['se2', 'sim2', 'none']
 Pairs = Literal['truth', 'trajectory']

@@ -20,8 +20,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ratslam_ros.errors import UnusableInput
+from ratslam_ros.messages.json_schema import NS_PER_S
 from ratslam_ros.results.evaluation import Evaluation, Transform2D, associate, fit
-from ratslam_ros.results.trajectory import NS_PER_S, Floats, Trajectory, read_tum, thinned
+from ratslam_ros.results.trajectory import Floats, Trajectory, read_tum, thinned
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

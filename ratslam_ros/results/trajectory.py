@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.common.pose import Pose, quaternion_of
 from ratslam_ros.errors import UnusableInput
+from ratslam_ros.messages.json_schema import NS_PER_S
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -24,7 +25,6 @@ Index = NDArray[np.intp]
 Row = TypeVar('Row')
 
 COLUMNS = 't x y z qx qy qz qw'
-NS_PER_S = 1_000_000_000
 MAX_STAMP_S = 2**63 // NS_PER_S
 """Largest stamp that fits into 64-bit nanoseconds: a time in the year 2262."""
 
