@@ -7,10 +7,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Self
-
-if TYPE_CHECKING:
-    from ratslam_ros.recordings import Recording
+from typing import Any, Self
 
 REFRESH_PERIOD_S = 0.1
 
@@ -29,7 +26,7 @@ class ProgressBar:
 
     def __init__(
         self,
-        recording: Recording,
+        recording_s: float,
         start_s: float,
         duration_s: float | None,
         *,
@@ -40,14 +37,14 @@ class ProgressBar:
         """Compute the total duration; nothing is shown before the first update.
 
         Args:
-            recording: the recording that is read.
+            recording_s: duration of the whole recording.
             start_s: skipped seconds at the start of the recording.
             duration_s: limit on the duration, None for the whole rest.
             shown: False for no bar at all.
             delay_s: time before the bar appears, in seconds.
             status: text behind the bar, called at each refresh.
         """
-        total_s = (recording.end_ns - recording.start_ns) * 1e-9 - start_s
+        total_s = recording_s - start_s
         if duration_s is not None:
             total_s = min(total_s, duration_s)
         self._total_s = round(total_s, 1)

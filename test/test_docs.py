@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Documentation: what is generated is up to date, and what it names is there."""
+"""Documentation: generated files are up to date, and all names in the text exist."""
 
 import json
 import re
@@ -22,7 +22,7 @@ from ratslam_ros.results.writer import FRAMES_HEADER
 
 PAGES = [ROOT / 'README.md', ROOT / 'CONTRIBUTING.md', *sorted((ROOT / 'docs').glob('*.md'))]
 
-KEYS = ('pc_x', 'pc_y', 'pc_theta')  # of map.json, and no parameters
+KEYS = ('pc_x', 'pc_y', 'pc_theta')  # keys of map.json, not parameters
 
 page = pytest.mark.parametrize('path', PAGES, ids=lambda path: path.name)
 
@@ -40,7 +40,7 @@ def test_generated_file_is_up_to_date(path: Path):
     assert (ROOT / path).read_text('utf-8') == documents()[path], 'run "make docs"'
 
 
-def test_check_writes_nothing_and_tells_what_is_out_of_date(tmp_path, monkeypatch, capsys):
+def test_check_reports_outdated_files_without_writing(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr('ratslam_ros.cli.parameter_docs.ROOT', tmp_path)
     assert main(['--check']) == 1
     assert 'make docs' in capsys.readouterr().err
@@ -50,7 +50,7 @@ def test_check_writes_nothing_and_tells_what_is_out_of_date(tmp_path, monkeypatc
 
 
 @pytest.mark.parametrize('section', SECTIONS)
-def test_every_parameter_is_described(section: str):
+def test_every_parameter_is_documented(section: str):
     text = (ROOT / 'docs/parameters.md').read_text('utf-8')
     entry = text[text.index(f'## {section}\n') :].split('\n## ')[0]
     for name, info, _ in SECTIONS[section].parameters():
@@ -58,20 +58,20 @@ def test_every_parameter_is_described(section: str):
         assert info.raise_if and info.lower_if, f'{name}: say when to change it'
 
 
-def test_default_yaml_is_every_parameter_with_its_default():
+def test_default_yaml_equals_the_defaults():
     config, notices = load_config(str(ROOT / 'config/default.yaml'))
     assert (config, notices) == (Config(), [])
 
 
 @page
-def test_links_lead_somewhere(path: Path):
+def test_link_targets_exist(path: Path):
     for target in re.findall(r'\]\(([^)#]+)[^)]*\)', path.read_text('utf-8')):
         if '://' not in target:
             assert (path.parent / target).exists(), f'{path.name} links to {target}'
 
 
 @page
-def test_commands_are_understood(path: Path):
+def test_commands_in_pages_are_valid(path: Path):
     for command in commands(path.read_text('utf-8')):
         options = parser().parse_args(shlex.split(command)[1:])
         settings = [parse_setting(text) for text in getattr(options, 'settings', [])]
@@ -92,7 +92,7 @@ def test_parameters_and_options_exist(path: Path):
         assert option in options, option
 
 
-def test_every_column_and_key_of_the_results_is_described():
+def test_all_result_columns_and_keys_are_documented():
     text = (ROOT / 'docs/results.md').read_text('utf-8')
     graph = ExperienceMap(Config().experience_map)
     for source, target in ((-1, 0), (0, 1)):
@@ -110,7 +110,7 @@ def test_every_column_and_key_of_the_results_is_described():
         assert f'`{name}`' in text, name
 
 
-def test_glossary_names_what_is_in_the_code():
+def test_names_in_glossary_exist_in_code():
     text = (ROOT / 'docs/glossary.md').read_text('utf-8')
     code = '\n'.join(path.read_text('utf-8') for path in (ROOT / 'ratslam_ros').rglob('*.py'))
     for row in re.findall(r'^\| [^|]+\| ([^|]+)\|', text, re.MULTILINE)[2:]:

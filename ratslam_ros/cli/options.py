@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Options that several commands share, and what they stand for."""
+"""Options shared by several commands, and helpers to evaluate them."""
 
 from __future__ import annotations
 

@@ -230,13 +230,14 @@ class _Player:
         )
 
     def _pass(self) -> None:
-        options = self._options
-        events = self._recording.events(self._selection, options.start_s, options.duration_s)
+        options, recording = self._options, self._recording
+        recording_s = (recording.end_ns - recording.start_ns) * 1e-9
+        events = recording.events(self._selection, options.start_s, options.duration_s)
         with ExitStack() as stack:
             ready = stack.enter_context(Prefetch((event, message_of(event)) for event in events))
             bar = stack.enter_context(
                 ProgressBar(
-                    self._recording, options.start_s, options.duration_s, shown=options.progress
+                    recording_s, options.start_s, options.duration_s, shown=options.progress
                 )
             )
             pacing = None
