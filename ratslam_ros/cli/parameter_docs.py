@@ -45,7 +45,7 @@ node, `-p plan:=office`, or options of `ratslam simulate`.
 
 
 def parameters_markdown() -> str:
-    """Return the text of docs/parameters.md: effect, default, range and tuning of each parameter."""
+    """Return docs/parameters.md: effect, default, range and tuning of each parameter."""
     parts = [_INTRODUCTION]
     sections: dict[str, type[Section]] = {**SECTIONS, 'simulator': SimulatorParameters}
     for section, cls in sections.items():

@@ -97,8 +97,9 @@ def replay(
             decoded = stack.enter_context(prefetch_images(events, run.times))
             bar = stack.enter_context(
                 ProgressBar(
-                    (recording.end_ns - recording.start_ns) * 1e-9, options.start_s, options.duration_s,
-                    shown=options.progress, delay_s=PROGRESS_DELAY_S, status=run.status,
+                    (recording.end_ns - recording.start_ns) * 1e-9,
+                    options.start_s, options.duration_s, shown=options.progress,
+                    delay_s=PROGRESS_DELAY_S, status=run.status,
                 )
             )  # fmt: skip
             for event, image in decoded:
