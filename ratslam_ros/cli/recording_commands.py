@@ -106,7 +106,7 @@ def _replay(options: argparse.Namespace) -> int:
         print_warnings(_loss_warnings(outcome.summary))
     if options.out is None:
         link_latest(folder)
-    pictures = draw_all(folder, truth, config.local_view.vt_match_threshold)
+    plots = draw_all(folder, truth, config.local_view.vt_match_threshold)
     if outcome.interrupted:
         print_notice(f'interrupted: the results so far are in {folder}')
         return INTERRUPTED
@@ -114,7 +114,7 @@ def _replay(options: argparse.Namespace) -> int:
         print(_summary_text(outcome.summary))
         if truth is not None:
             _print_errors(folder, truth)
-        for path in pictures:
+        for path in plots:
             print(path)
     return DONE
 
@@ -129,7 +129,7 @@ def _tune(options: argparse.Namespace) -> int:
         selection = recording.select(options.image_topic, options.odom_topic)
         if selection.image_topic is None:
             raise UnusableInput(
-                f'{recording.path} holds templates and no images; expected images to tune on'
+                f'{recording.path} has templates but no images; expected images to tune on'
             )
         compile_kernels()
         proposal = propose(sample_frames(recording, selection.image_topic), config.local_view)
@@ -148,7 +148,7 @@ def _loss_warnings(summary: Mapping[str, Any]) -> list[str]:
     counts = ', '.join(f'{number} {key}' for key, number in lost.items())
     return [f'many messages were not used ({counts}): undecodable images and scans are dropped, '
             'messages whose stamps do not increase are refused, and messages more than '
-            'pose_cells.max_lateness_s behind the other streams are late'] if lost else []
+            'pose_cells.max_lateness_s behind the other topics are late'] if lost else []
 
 
 def _empty_map_warnings(summary: Mapping[str, Any]) -> list[str]:

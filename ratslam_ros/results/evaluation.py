@@ -10,8 +10,8 @@ The figures are those that evo (M. Grupp) prints for TUM files with these option
     align='sim2'       -as in place of -a
     pairs='trajectory' without --pairs_from_reference
 
-evo aligns in three dimensions, where a planar trajectory may be turned over; this module aligns
-in the plane only. The results agree unless the mirror image of the trajectory fits better.
+evo aligns in three dimensions, where a planar trajectory may be flipped; this module aligns in the
+plane only. The results agree unless the mirror image of the trajectory fits better.
 """
 
 from __future__ import annotations

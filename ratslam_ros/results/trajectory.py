@@ -124,7 +124,7 @@ def parse_stamp_ns(text: str, where: str) -> int:
     except InvalidOperation:
         seconds = Decimal('nan')
     if not seconds.is_finite():
-        raise UnusableInput(f"{where}: '{text[:40]}' is no time in seconds")
+        raise UnusableInput(f"{where}: '{text[:40]}' is not a time in seconds")
     if not -MAX_STAMP_S < seconds < MAX_STAMP_S:
         raise UnusableInput(f'{where}: the stamp {text[:40]} is too large for seconds; '
                             'if it is in nanoseconds, divide it by 1e9')

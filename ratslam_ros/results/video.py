@@ -176,11 +176,11 @@ def _draw_map(box: Image, experiences_xy: Floats,
     """Draw the experiences, joined in the order of their ids, and the robot."""
     area = _titled(box, f'experience map: {len(experiences_xy)} experiences')
     shown = np.asarray(experiences_xy, np.float64).reshape(-1, 2)
-    known = shown if robot is None else np.vstack((shown, robot[:2]))
-    known = known[np.isfinite(known).all(axis=1)]
-    if not len(known):
+    points_m = shown if robot is None else np.vstack((shown, robot[:2]))
+    points_m = points_m[np.isfinite(points_m).all(axis=1)]
+    if not len(points_m):
         return
-    low, high = known.min(axis=0), known.max(axis=0)
+    low, high = points_m.min(axis=0), points_m.max(axis=0)
     height, width = area.shape[:2]
     extent = np.maximum(high - low, 1.0)
     scale = float(min((width - 30) / extent[0], (height - 30) / extent[1]))
