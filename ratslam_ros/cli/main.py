@@ -47,7 +47,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         if error.errno not in DISK_FULL_ERRORS:
             raise
-        print_notice(f'ratslam: {error.strerror} while writing; free some space, or give another --out')
+        print_notice(
+            f'ratslam: {error.strerror} while writing; free some space, or give another --out'
+        )
         return UNUSABLE
 
 

@@ -4,7 +4,7 @@
 
 Every frame is compared with all earlier ones. Its best match among frames at least a minimum time
 ago is either a revisit or a chance match. At a revisit, the frames before and after match as well,
-in sequence (as in SeqSLAM: Milford and Wyeth, ICRA 2012). For eight neighbours of the frame, far
+in sequence, as in SeqSLAM, Milford and Wyeth (2012). For eight neighbours of the frame, far
 enough apart for the view to have changed, this module computes the share of the recording that
 matches the neighbour better than the frames expected from the sequence. For a chance match, the
 expected share is one half.

@@ -208,7 +208,7 @@ def associate(stamp_ns: Stamps, truth_ns: Stamps,
 
 
 def fit(source_m: Floats, target_m: Floats, *, scale: bool = False) -> Transform2D:
-    """Compute the least-squares transform of points onto others (Umeyama, PAMI 13(4), 1991).
+    """Compute the least-squares transform of points onto others, Umeyama (1991).
 
     In the plane, with points as complex numbers, the optimal rotation is the angle of the sum of
     the products of conjugate source and target.

@@ -3,8 +3,8 @@
 """Plots of a results folder: the map, the matches over time, and the error against the truth.
 
 matplotlib is imported on first use and draws to memory, so that no display is needed. The same
-folder gives identical files. The colours are those of Okabe and Ito (2008), which colour-blind
-readers can distinguish.
+folder gives identical files. The colours are those of Okabe and Ito, which colour-blind readers
+can distinguish.
 """
 
 from __future__ import annotations

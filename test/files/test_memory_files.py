@@ -64,9 +64,9 @@ def test_restored_state_continues_identically(
 
 def test_id_map_and_late_join_are_restored(tmp_path: Path) -> None:
     numbering = IdMap()
-    numbering.remember(3)
-    numbering.number(9)
-    numbering.remember(4)
+    numbering.set_memory(3)
+    numbering.own_id(9)
+    numbering.set_memory(4)
     graph = ExperienceMap(CONFIG.experience_map)
     joining = LateJoin(graph)
     save(tmp_path / 'x', 'x', {'a': numbering.state(), 'b': joining.state()})
@@ -74,7 +74,7 @@ def test_id_map_and_late_join_are_restored(tmp_path: Path) -> None:
     again, joined = IdMap(), LateJoin(graph)
     again.restore(found['a'])
     joined.restore(found['b'])
-    assert again.number(0) == numbering.number(0) == 10
+    assert again.own_id(0) == numbering.own_id(0) == 10
     assert joined.state() == joining.state()
 
 
