@@ -41,8 +41,8 @@ from ratslam_ros.files.config import load_config
 from ratslam_ros.messages.mapping import encode_template
 from ratslam_ros.offline.replay import ReplayOptions, replay
 from ratslam_ros.recordings import open_recording
-from ratslam_ros.results.evaluation import Trajectory, evaluate, read_tum
-from ratslam_ros.results.writer import tum_line
+from ratslam_ros.results.evaluation import evaluate
+from ratslam_ros.results.trajectory import Trajectory, read_tum, tum_line
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = 'lecture_hall'

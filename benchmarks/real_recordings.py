@@ -29,7 +29,7 @@ from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.files.config import load_config
 from ratslam_ros.offline.replay import ReplayOptions, replay
 from ratslam_ros.recordings import open_recording
-from ratslam_ros.results.evaluation import read_tum
+from ratslam_ros.results.trajectory import read_tum
 
 ROOT = Path(__file__).resolve().parents[1]
 SPREAD_TARGET = {'rc_car_loops': 0.025, 'donkeycar_track': 0.0073}

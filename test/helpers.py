@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import convolve1d
 
@@ -242,6 +243,24 @@ def panorama(place: tuple[int, int], turns: int, width: int = 60) -> NDArray[np.
 
 
 # Recordings
+
+
+def real_recordings() -> Path:
+    """Return the folder of real recordings, RATSLAM_DATA; skip the test if there is none."""
+    default = Path(__file__).parents[2] / 'shared' / 'data'
+    folder = Path(os.environ.get('RATSLAM_DATA', default)).resolve()
+    if not folder.is_dir():
+        pytest.skip(f'the real recordings are missing: {folder} does not exist; set RATSLAM_DATA')
+    return folder
+
+
+def real_recording(name: str) -> Path:
+    """Return a real recording by its path in the folder; skip the test if it is missing."""
+    path = real_recordings() / name
+    if not path.exists():
+        pytest.skip(f'no recording at {path}; set RATSLAM_DATA')
+    return path
+
 
 TYPES = {
     'image': 'sensor_msgs/msg/Image',
