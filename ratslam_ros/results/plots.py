@@ -116,7 +116,7 @@ def draw_map(folder: str | Path, truth: str | Path | Trajectory | None = None,
     equal_axes(axes)
     axes.set_title(f'{_count(len(places_m), "experience")}, {_count(len(graph.links), "link")}, '
                    f'{_count(len(closures), "closing link")}', fontsize=11)
-    _legend_below(figure, axes)
+    add_legend_below(figure, axes)
     return save_figure(figure, folder / 'map.png')
 
 
@@ -207,6 +207,23 @@ def new_figure(width_in: float, height_in: float) -> Figure:
     figure = Figure(figsize=(width_in, height_in), dpi=DOTS_PER_INCH, layout='constrained')
     FigureCanvasAgg(figure)
     return figure
+
+
+def add_legend_below(figure: Figure, axes: Axes, columns: int = 8, fontsize: float = 8) -> None:
+    """Add a legend below all axes, which are shrunk to leave room for it.
+
+    matplotlib 3.6, the version of Ubuntu 24.04, does not have the location 'outside'.
+    """
+    handles, labels = axes.get_legend_handles_labels()
+    if not handles:
+        return
+    figure.legend(handles, labels, loc='lower center', ncol=columns, fontsize=fontsize,
+                  frameon=False)  # fmt: skip
+    rows = -(-len(handles) // columns)
+    height = (rows * 1.5 + 0.8) * fontsize / 72.0 / figure.get_figheight()
+    engine = figure.get_layout_engine()
+    assert engine is not None
+    engine.set(rect=(0.0, height, 1.0, 1.0 - height))  # type: ignore[call-arg]
 
 
 def save_figure(figure: Figure, path: str | Path) -> Path:
@@ -352,13 +369,6 @@ def _threshold_of(config: Path) -> float | None:
         return None
     found = re.search(r'^\s*vt_match_threshold:\s*([0-9.eE+-]+)', config.read_text('utf-8'), re.M)
     return float(found[1]) if found else None
-
-
-def _legend_below(figure: Figure, axes: Axes) -> None:
-    handles, labels = axes.get_legend_handles_labels()
-    if handles:
-        figure.legend(handles, labels, loc='outside lower center', ncols=len(handles),
-                      fontsize=8, frameon=False)
 
 
 def _count(number: int, noun: str) -> str:

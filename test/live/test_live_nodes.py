@@ -234,7 +234,7 @@ def test_playing_twice_starts_over_with_same_map(
     live.run('play', str(bag), '--rate', '10', '--quiet')
     time.sleep(3.0)
     assert live.settled_map(expected) == expected, live.logs()
-    assert live.logs().count('starting over') == 3
+    assert live.logs().count('starting with an empty memory') == 3
 
 
 def test_restarted_pose_cells_are_detected_by_the_map(
