@@ -35,7 +35,7 @@ from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.config.parameter import Value
 from ratslam_ros.core.driving.steering import Command
-from ratslam_ros.core.navigation.route_following import STRAY_M
+from ratslam_ros.core.navigation.route_following import RECOVERY_M
 from ratslam_ros.core.navigation.route_planner import RoutePlanner
 from ratslam_ros.errors import UnreachableGoal
 from ratslam_ros.files.config import load_config
@@ -180,12 +180,12 @@ def goals_run(setting: Setting, job: tuple[int, tuple[int, int]]) -> GoalsRow:
     rng = np.random.Generator(np.random.PCG64(seed))
     names = choose_goals(places, loop.simulator.truth, GOALS_COUNT, rng)
     trials = [attempt(loop, name, places[name]) for name in names]
-    recall, graph = loop.navigator.recall, loop.experience_map
+    planner, graph = loop.navigator.planner, loop.experience_map
     durations_ms = []
     for _ in range(5):
-        recall = RoutePlanner(recall.parameters)  # a new planner, without cached results
+        planner = RoutePlanner(planner.parameters, graph)  # a new planner, without cached results
         start = time.perf_counter()
-        times = recall.temporal_map(graph)
+        times = planner.temporal_map()
         durations_ms.append(1e3 * (time.perf_counter() - start))
     folder = setting.out / f'goals_{dim_x}x{dim_y}'
     if seed == 1:
@@ -440,7 +440,7 @@ def by_goal_memory(
 
     def stray(scan: Scan) -> Command:
         nonlocal stray_until_m
-        stray_until_m = simulator.odometer_m + STRAY_M
+        stray_until_m = simulator.odometer_m + RECOVERY_M
         loop.exploration.restart()
         return loop.exploring(scan)
 

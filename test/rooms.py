@@ -15,7 +15,7 @@ from ratslam_ros.core.common.odometry import Motion, moved
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.config.goal_follower import GoalFollowerParameters
-from ratslam_ros.core.driving.goal_follower import GoalFollower, rest_of, seen_from
+from ratslam_ros.core.driving.goal_follower import GoalFollower, in_robot_frame, remaining_route
 from ratslam_ros.core.driving.steering import Command
 
 Line = Sequence[tuple[float, float]]
@@ -108,8 +108,9 @@ class Drive:
 
     def step(self) -> Command:
         scan = scan_in(self.walls, self.pose, self.stamp_ns, beams=181)
-        self.left_m = rest_of(self.left_m, self.pose.x_m, self.pose.y_m)
-        command = self.follower.command(scan, seen_from(self.pose, self.left_m), self.behaviour)
+        self.left_m = remaining_route(self.left_m, self.pose.x_m, self.pose.y_m)
+        route_m = in_robot_frame(self.pose, self.left_m)
+        command = self.follower.command(scan, route_m, self.behaviour)
         self.pose = moved(
             self.pose,
             Motion(SCAN_S, command.speed_mps * SCAN_S, command.turn_rate_radps * SCAN_S),

@@ -39,7 +39,7 @@ CORE_LAYERS = [
 ]
 LAYERS = [
     ['errors'],
-    ['images', 'timing', 'quick_start', 'signals', 'compilation', 'progress', 'standalone'],
+    ['compilation', 'images', 'timing', 'quick_start', 'signals', 'progress', 'standalone'],
     ['core', 'recordings'],
     ['messages', 'files'],
     ['results'],

@@ -19,7 +19,7 @@ from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.driving.exploration import Exploration
-from ratslam_ros.core.driving.goal_follower import GoalFollower, rest_of, seen_from
+from ratslam_ros.core.driving.goal_follower import GoalFollower, in_robot_frame, remaining_route
 from ratslam_ros.core.driving.steering import Command
 from ratslam_ros.messages.goals import BehaviourReport, decode_status, encode_behaviour
 from ratslam_ros.messages.json_schema import MalformedMessage
@@ -145,8 +145,8 @@ class GoalFollowerNode(RatslamNode[Scan]):
     def _steer(self, scan: Scan) -> Command:
         if self._task == 'exploring':
             return self._exploration.command(scan, self._odom_pose)
-        self._route = rest_of(self._route, self._pose.x_m, self._pose.y_m)
-        return self._follower.command(scan, seen_from(self._pose, self._route), self._wall)
+        self._route = remaining_route(self._route, self._pose.x_m, self._pose.y_m)
+        return self._follower.command(scan, in_robot_frame(self._pose, self._route), self._wall)
 
     def _publish_behaviour(self, stamp_ns: int, command: Command) -> None:
         self._tries_failed += command.failed

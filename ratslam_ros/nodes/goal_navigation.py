@@ -160,7 +160,7 @@ class GoalNavigation:
         if key == self._times_key or time.monotonic() < self._next_times_s:
             return
         self._times_key, self._next_times_s = key, time.monotonic() + TIMES_PERIOD_S
-        times = self._navigator.recall.temporal_map(self._map)
+        times = self._navigator.planner.temporal_map()
         places = self._map.poses[:, :2]
         self._times.publish(cloud_of(places, times.arrival_s, self._stamp_ns, self._frame))
 
@@ -270,7 +270,7 @@ class GoalNavigation:
 
     def _on_temporal_map(self, request: Any, response: Any) -> Any:
         try:
-            response.message = encode_times(self._navigator.recall.temporal_map(self._map))
+            response.message = encode_times(self._navigator.planner.temporal_map())
             response.success = True
         except UnreachableGoal as error:
             response.success, response.message = False, str(error)
@@ -279,17 +279,17 @@ class GoalNavigation:
     def _on_recall_goal(self, request: Any, response: Any) -> Any:
         navigator = self._navigator
         navigator.parameters = self._config().goal_recall
-        recall = navigator.recall
+        planner = navigator.planner
         try:
             start = None
             if request.start.header.frame_id:
                 place = self._on_map(request.start)
-                start = recall.nearest(self._map, place.x_m, place.y_m)
+                start = planner.nearest(place.x_m, place.y_m)
             goal = self._on_map(request.goal)
             tolerance_m = float(request.tolerance)
             if not 0.0 <= tolerance_m < math.inf:
                 raise UnreachableGoal(f'the tolerance is {tolerance_m}; expected 0 or more m')
-            route = recall.route_to_place(self._map, goal.x_m, goal.y_m, tolerance_m, start)
+            route = planner.route_to_place(goal.x_m, goal.y_m, tolerance_m, start)
         except UnreachableGoal as error:
             self.reason = str(error)
             self._diagnostics.warn('goal', f'no route: {error}')

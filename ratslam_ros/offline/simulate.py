@@ -203,8 +203,8 @@ class _Run:
     def _draw_times(self, name: str, folder: Path) -> None:
         graph, navigator = self.loop.experience_map, self.loop.navigator
         try:
-            goal = navigator.goals.find(name, graph, navigator.recall, 0.0)
-            times = navigator.recall.temporal_map(graph)
+            goal = navigator.goals.find(name, navigator.planner, 0.0)
+            times = navigator.planner.temporal_map()
             ids = times.route_to(goal.experience_id).experience_ids
         except UnreachableGoal:
             return

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures of temporal maps: how long it takes from one place to all others, and the route."""
+"""Plots of temporal maps and routes."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ from ratslam_ros.results.plots import (
 
 Floats = NDArray[np.float64]
 
-ARROW_EVERY = 0.12
-"""Of the larger side of the route's box: so far apart are the arrows on it."""
+ARROW_SPACING_RATIO = 0.12
+"""Distance between the arrows on a route, relative to the larger side of its bounding box."""
 
 
 def draw_temporal_map(
@@ -37,19 +37,21 @@ def draw_temporal_map(
     route_m: Floats | None = None, goals: Iterable[Goal] = (), driven_m: Floats | None = None,
     title: str = '',
 ) -> Path:  # fmt: skip
-    """Draw experiences in the colour of their time, as figures 12 and 14 of seed 000 do.
+    """Draw the experiences, coloured by travel time.
+
+    The plot follows figures 12 and 14 of Milford et al. (2006).
 
     Args:
-        experience_map: where the experiences are.
-        times: how long it takes to each; those that no link leads to are grey.
-        file: a PNG to write.
-        route_m: (n, 2) a route, drawn with arrows.
-        goals: places to mark, by their names.
-        driven_m: (n, 2) where the robot went, drawn as well.
-        title: what the picture shows.
+        experience_map: the map.
+        times: travel times to the experiences of the map. Unreachable experiences are grey.
+        file: path of the PNG to write.
+        route_m: (n, 2) route in m, drawn with arrows.
+        goals: goals to mark with their names.
+        driven_m: (n, 2) driven path in m.
+        title: title of the plot, empty for a default.
 
     Returns:
-        The file.
+        The path of the file.
     """
     from matplotlib.collections import LineCollection
 
@@ -58,15 +60,15 @@ def draw_temporal_map(
     axes = figure.add_subplot()
     ends = places[experience_map.link_ends]
     axes.add_collection(LineCollection(list(ends), colors=PALE_GREY, linewidths=0.8, zorder=1))
-    there = np.isfinite(times.arrival_s)
+    reachable = np.isfinite(times.arrival_s)
     size = 24.0 if len(places) < 1000 else 6.0
     x_m, y_m = places.T
-    axes.scatter(x_m[~there], y_m[~there], s=size, color=PALE_GREY, zorder=2)
-    shown = axes.scatter(
-        x_m[there], y_m[there], s=size, c=times.arrival_s[there], cmap='viridis', vmin=0.0,
-        zorder=3,
+    axes.scatter(x_m[~reachable], y_m[~reachable], s=size, color=PALE_GREY, zorder=2)
+    scatter = axes.scatter(
+        x_m[reachable], y_m[reachable], s=size, c=times.arrival_s[reachable], cmap='viridis',
+        vmin=0.0, zorder=3,
     )  # fmt: skip
-    figure.colorbar(shown, ax=axes, label='time from the robot in s', shrink=0.85)
+    figure.colorbar(scatter, ax=axes, label='time from the robot in s', shrink=0.85)
     if driven_m is not None:
         axes.plot(*driven_m.T, color=BLACK, linewidth=1.0, label='driven', zorder=4)
     if route_m is not None and len(route_m) > 1:
@@ -92,16 +94,19 @@ def draw_temporal_map(
 
 
 def draw_times(folder: str | Path, start_id: int | None, goal_id: int | None) -> Path:
-    """Draw `times.png` of a results folder: the temporal map, and the route to a goal.
+    """Draw `times.png` of a results folder: the temporal map and the route to a goal.
 
     Args:
-        folder: with a map.json.
-        start_id: where to start, None for where the robot was last.
-        goal_id: an experience to go to, None for none.
+        folder: a results folder with a map.json.
+        start_id: experience to start from, None for the last one of the robot.
+        goal_id: goal experience, None for no route.
+
+    Returns:
+        The path of the file.
 
     Raises:
-        UnusableInput: there is no such map, or nothing to start from.
-        UnreachableGoal: there is no such experience, or no link leads to it.
+        UnusableInput: there is no readable map, or no such experience to start from.
+        UnreachableGoal: there is no such goal experience, or no link leads to it.
     """
     folder = Path(folder)
     graph = read_map(folder / 'map.json')
@@ -110,7 +115,7 @@ def draw_times(folder: str | Path, start_id: int | None, goal_id: int | None) ->
         raise UnusableInput(
             f'there is no experience {start} to start from; expected 0 to {len(graph) - 1}'
         )
-    times = RoutePlanner(GoalRecallParameters()).temporal_map(graph, start)
+    times = RoutePlanner(GoalRecallParameters(), graph).temporal_map(start)
     route_m, goals = None, []
     if goal_id is not None:
         route_m = graph.poses[list(times.route_to(goal_id).experience_ids), :2]
@@ -119,16 +124,18 @@ def draw_times(folder: str | Path, start_id: int | None, goal_id: int | None) ->
 
 
 def read_map(path: Path) -> ExperienceMap:
-    """Return the map that a map.json holds, to look for routes on.
+    """Read a map.json for planning routes.
 
     Raises:
-        UnusableInput: it is no such file.
+        UnusableInput: the file cannot be read, or is not a map.
     """
     try:
         payload = json.loads(path.read_text(encoding='utf-8'))
         experiences, links = payload['experiences'], payload['links']
         ends = _numbers(links, 'source_id', 'target_id').astype(np.int64)
+        graph = ExperienceMap(ExperienceMapParameters())
         state: State = {
+            **graph.state(),
             'poses': _numbers(experiences, 'x_m', 'y_m', 'heading_rad'),
             'labels': [
                 [int(e['template_id']), *(float(e[axis]) for axis in ('pc_x', 'pc_y', 'pc_theta'))]
@@ -139,9 +146,9 @@ def read_map(path: Path) -> ExperienceMap:
             'notes': [
                 [float(k['duration_s']), str(k['behaviour']), int(k['count'])] for k in links
             ],
+            'failures': np.zeros((len(links), 2), np.int64),
             'current': int(payload['current_experience_id']),
-            'offset': [0.0, 0.0, 0.0],
-            'duration_s': 0.0,
+            'made_m': np.zeros(len(experiences)),
             'relaxation': [0, False, True, 0],
         }
         if not ((ends >= 0) & (ends < len(experiences))).all():
@@ -151,7 +158,6 @@ def read_map(path: Path) -> ExperienceMap:
                             'ratslam replay wrote') from None  # fmt: skip
     except (ValueError, KeyError, TypeError) as error:
         raise UnusableInput(f'{path}: not a map of ratslam_ros ({error!r})') from None
-    graph = ExperienceMap(ExperienceMapParameters())
     graph.restore(state)
     return graph
 
@@ -162,14 +168,14 @@ def _numbers(items: list[dict[str, float]], *keys: str) -> Floats:
 
 
 def _arrows(route_m: Floats) -> list[tuple[Floats, Floats]]:
-    """Return tail and tip of arrows along a route."""
-    gone_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(route_m, axis=0).T))])
-    apart_m = ARROW_EVERY * float(np.ptp(route_m, axis=0).max())
-    if apart_m == 0.0:
+    """Return the tail and tip positions of arrows along a route in m."""
+    along_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(route_m, axis=0).T))])
+    spacing_m = ARROW_SPACING_RATIO * float(np.ptp(route_m, axis=0).max())
+    if spacing_m == 0.0:
         return []
-    marks = np.arange(apart_m, gone_m[-1] + 0.5 * apart_m, apart_m)
+    marks = np.arange(spacing_m, along_m[-1] + 0.5 * spacing_m, spacing_m)
     tips, tails = (
-        np.column_stack([np.interp(at, gone_m, route_m[:, axis]) for axis in range(2)])
-        for at in (marks, marks - 0.2 * apart_m)
+        np.column_stack([np.interp(at, along_m, route_m[:, axis]) for axis in range(2)])
+        for at in (marks, marks - 0.2 * spacing_m)
     )
     return list(zip(tails, tips, strict=True))

@@ -17,7 +17,7 @@ from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.driving.exploration import Exploration
-from ratslam_ros.core.driving.goal_follower import GoalFollower, seen_from
+from ratslam_ros.core.driving.goal_follower import GoalFollower, in_robot_frame
 from ratslam_ros.core.driving.steering import Command
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation.goals import Target
@@ -165,7 +165,7 @@ class ClosedLoop:
             return self.exploring(scan)
         if len(self.guidance.positions_m) == 0:
             return Command(0.0, 0.0, 'turn')
-        route = seen_from(pose, self.guidance.positions_m)
+        route = in_robot_frame(pose, self.guidance.positions_m)
         command = self.follower.command(scan, route, self.guidance.behaviour)
         if command.failed:
             self.tries_failed += 1

@@ -103,9 +103,8 @@ again.integrate(Motion(1.0, 1.0, 0.1))
 GOAL_RECALL = (
     EXPERIENCE_MAP
     + """
-RoutePlanner(config.goal_recall).route_to(graph, 0)
-RoutePlanner(config.goal_recall).route_to_place(graph, 0.0, 0.0, 50.0)
-RoutePlanner(config.goal_recall).follow(graph, *graph.pose_of(0)[:2])
+RoutePlanner(config.goal_recall, graph).route_to(0)
+RoutePlanner(config.goal_recall, graph).route_to_place(0.0, 0.0, 50.0)
 from ratslam_ros.core.navigation.navigator import Navigator
 navigator = Navigator(config.goal_recall, graph)
 goal, count = len(graph) // 2, graph.link_count

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures of temporal maps, and routes on a map.json."""
+"""Plots of temporal maps, and routes on a map.json."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ VERMILLION_BGR = (0x00, 0x5E, 0xD5)
 
 
 def square() -> ExperienceMap:
-    """Return a drive round a square of 4 m, and an experience that no link leads to."""
+    """Return the map of a drive round a square of 4 m, with one unlinked experience."""
     graph = ExperienceMap(ExperienceMapParameters(exp_initial_em_deg=0.0))
     for n in range(16):
         graph.integrate(Motion(2.0, 1.0, 0.0))
         graph.integrate(Motion(0.5, 0.0, 0.0 if n % 4 else np.pi / 2))
-        kind = MapAction('create', n - 1, n, n, 0.0, Place(0.0, 0.0, 0.0))
-        graph.apply(kind)
+        action = MapAction('create', n - 1, n, n, 0.0, Place(0.0, 0.0, 0.0))
+        graph.apply(action)
     graph.apply(MapAction('create', -1, 16, 16, 0.0, Place(0.0, 0.0, 0.0)))
     graph.apply(MapAction('set', -1, 15, 15, 0.0, Place(0.0, 0.0, 0.0)))
     return graph
@@ -43,9 +43,9 @@ def route_pixels(path: Path) -> int:
     return int((np.abs(picture - VERMILLION_BGR).max(axis=2) < 30).sum())
 
 
-def test_times_and_the_route_are_drawn_the_same_twice(tmp_path: Path) -> None:
+def test_draw_temporal_map_is_reproducible(tmp_path: Path) -> None:
     graph = square()
-    times = RoutePlanner(GoalRecallParameters()).temporal_map(graph)
+    times = RoutePlanner(GoalRecallParameters(), graph).temporal_map()
     route = graph.poses[[15, 14, 13, 12, 11], :2]
     for name in ('a.png', 'b.png'):
         draw_temporal_map(graph, times, tmp_path / name, route, [Goal(11, name='kitchen')])
@@ -54,13 +54,13 @@ def test_times_and_the_route_are_drawn_the_same_twice(tmp_path: Path) -> None:
     assert route_pixels(tmp_path / 'a.png') > 500 > route_pixels(tmp_path / 'c.png')
 
 
-def test_a_map_that_was_written_has_the_same_routes(tmp_path: Path) -> None:
+def test_read_map_gives_same_routes(tmp_path: Path) -> None:
     graph = square()
     (tmp_path / 'map.json').write_text(encode_map(0, graph))
     again = read_map(tmp_path / 'map.json')
     assert encode_map(0, again) == encode_map(0, graph)
-    recall = RoutePlanner(GoalRecallParameters())
-    assert recall.route_to(again, 3) == recall.route_to(graph, 3)
+    planners = [RoutePlanner(GoalRecallParameters(), each) for each in (again, graph)]
+    assert planners[0].route_to(3) == planners[1].route_to(3)
     assert route_pixels(draw_times(tmp_path, None, 3)) > 500
     with pytest.raises(UnreachableGoal, match='no link leads from experience 2 to 16'):
         draw_times(tmp_path, 2, 16)
@@ -68,7 +68,7 @@ def test_a_map_that_was_written_has_the_same_routes(tmp_path: Path) -> None:
         draw_times(tmp_path, 99, None)
 
 
-def test_what_is_no_map_is_refused(tmp_path: Path) -> None:
+def test_read_map_rejects_other_files(tmp_path: Path) -> None:
     with pytest.raises(UnusableInput, match='ratslam replay'):
         read_map(tmp_path / 'map.json')
     payload = json.loads(encode_map(0, square()))

@@ -45,7 +45,7 @@ def test_shipped_plans_load_by_name():
 
 def test_shipped_plans_are_package_data():
     setup = (Path(__file__).resolve().parents[2] / 'setup.py').read_text('utf-8')
-    assert "package_data={f'{NAME}.simulator': ['plans/*.txt']}" in setup
+    assert "f'{NAME}.simulator': ['plans/*.txt']" in setup
 
 
 @pytest.mark.parametrize('name', [UNIVERSITY, OBSTACLE])

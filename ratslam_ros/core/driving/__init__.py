@@ -1,3 +1,3 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Laser scans and a route to velocity commands."""
+"""Local planning: velocity commands from laser scans, along a route or for exploration."""

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Detour: scan, route -> the way round what stands on the route."""
+"""Detour: obstacle avoidance by the shortest path on a local cost grid."""
 
 from __future__ import annotations
 
@@ -15,84 +15,103 @@ from ratslam_ros.core.common.compiled import compiled
 from ratslam_ros.core.config.goal_follower import GoalFollowerParameters
 from ratslam_ros.core.driving.free_directions import DirectionCandidate, LocalMovement
 
-CELL_M, BACK_M, FRONT_M, ASIDE_M = 0.1, 1.0, 4.0, 2.5
-"""The cells in which a detour is looked for: how wide, and how far around the robot they lie."""
+CELL_M = 0.1
+"""Side of a cell of the grid in m."""
 
-ROWS, COLUMNS = round(2 * ASIDE_M / CELL_M) + 1, round((BACK_M + FRONT_M) / CELL_M) + 1
+GRID_BACK_M, GRID_FRONT_M, GRID_SIDE_M = 1.0, 4.0, 2.5
+"""Extents of the grid behind, ahead of and to each side of the robot in m."""
 
-TIGHT, ROOM_M, UNSEEN = 4.0, 0.3, 2.0
-"""Times that a way counts where the robot only just fits, less with room beside it up to so much;
-and where its laser does not see."""
+ROW_COUNT = round(2 * GRID_SIDE_M / CELL_M) + 1
+COLUMN_COUNT = round((GRID_BACK_M + GRID_FRONT_M) / CELL_M) + 1
 
-MOST_M = 4.0
-"""What counts for so much more than the route is no detour: the way is closed."""
+TIGHT_COST_FACTOR = 4.0
+"""Cost factor of a cell where the robot just fits; decreases to 1 with the clearance."""
 
-LOOK_AHEAD_M = 0.8
-"""The robot heads for a place of the detour that is up to so far away."""
+FULL_CLEARANCE_M = 0.3
+"""Clearance beside the robot from which a cell has no extra cost, in m."""
 
-STEADY, FIRST_M = 0.5, 0.5
-"""So much more, for a radian, the beginning of a detour counts in another direction than the last:
-of two ways round as long the robot would take the one and the other in turns."""
+UNSEEN_COST_FACTOR = 2.0
+"""Cost factor of a cell that the laser does not see."""
+
+MAX_EXTRA_COST_M = 4.0
+"""Extra cost of a detour over the route from which the route counts as closed, in m."""
+
+LOOKAHEAD_M = 0.8
+"""Distance of the point of the detour that the robot heads for, in m."""
+
+TURN_COST_PER_RAD = 0.5
+"""Extra cost factor per rad between the start of a detour and the last heading. This hysteresis
+avoids switching between two detours of equal length."""
+
+TURN_COST_RADIUS_M = 0.5
+"""Distance from the robot within which TURN_COST_PER_RAD applies, in m."""
 
 
 def plan_detour(
     movement: LocalMovement, route: NDArray[np.float64], p: GoalFollowerParameters,
     last_rad: float = 0.0,
 ) -> DirectionCandidate | None:  # fmt: skip
-    """Return how the shortest way round what stands on the route begins, None for no way.
+    """Return the first direction of the cheapest detour round the obstacles on the route.
 
-    It leads to that place of the route behind it from which way and detour together are shortest.
+    The detour rejoins the route behind the first obstacle, at the point with the least total cost
+    of detour and remaining route.
 
     Args:
-        movement: what the scan leaves free.
-        route: (n, 2) m, in the robot's frame, from the robot's place on it.
-        p: how wide the robot is, and what gaps it keeps.
-        last_rad: where it was heading before.
+        movement: the free directions of the scan.
+        route: (n, 2) route in the frame of the robot in m, from the robot on.
+        p: size and margins of the robot.
+        last_rad: the last heading.
+
+    Returns:
+        None if there is no detour, or only one that costs MAX_EXTRA_COST_M more than the route.
     """
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import dijkstra
 
     scan = movement.scan
-    costs = _costs(
+    costs = _cell_costs(
         movement.points, scan.ranges_m, scan.angle_min_rad, scan.angle_increment_rad,
         p.robot_radius_m, last_rad,
     )  # fmt: skip
-    along_m, cells = _cells_of(route)
-    barred = np.flatnonzero(~np.isfinite(costs[cells]))
-    behind = slice(barred[0] if len(barred) else -1, None)
+    along_m, cells = _route_cells(route)
+    blocked = np.flatnonzero(~np.isfinite(costs[cells]))
+    behind = slice(blocked[0] if len(blocked) else -1, None)
     along_m, cells = along_m[behind], cells[behind]
-    grid = _grid()
+    grid = _grid_edges()
     weights = grid.lengths_m * 0.5 * (costs[grid.sources] + costs[grid.targets])
-    graph = csr_array((weights, grid.targets, grid.starts), shape=(ROWS * COLUMNS,) * 2)
-    ways_m, before = dijkstra(graph, indices=_cell(0.0, 0.0), return_predecessors=True)
-    more_m = ways_m[cells] - along_m
-    if len(cells) == 0 or not more_m.min() < MOST_M:
+    graph = csr_array((weights, grid.targets, grid.starts), shape=(ROW_COUNT * COLUMN_COUNT,) * 2)
+    costs_m, predecessors = dijkstra(graph, indices=_cell(0.0, 0.0), return_predecessors=True)
+    extra_m = costs_m[cells] - along_m
+    if len(cells) == 0 or not extra_m.min() < MAX_EXTRA_COST_M:
         return None
-    way = [int(cells[more_m.argmin()])]
-    while (previous := int(before[way[-1]])) >= 0:
-        way.append(previous)
-    x_m, y_m = _place(np.array(way[::-1]))
-    return _towards(x_m, y_m, movement, p)
+    path = [int(cells[extra_m.argmin()])]
+    while (previous := int(predecessors[path[-1]])) >= 0:
+        path.append(previous)
+    x_m, y_m = _centres(np.array(path[::-1]))
+    return _first_direction(x_m, y_m, movement, p)
 
 
-def _towards(
+def _first_direction(
     x_m: NDArray[np.float64], y_m: NDArray[np.float64], movement: LocalMovement,
     p: GoalFollowerParameters,
 ) -> DirectionCandidate | None:  # fmt: skip
-    """Return the way to the furthest place of a detour that can be driven to straight on."""
+    """Return the direction of the farthest point, up to LOOKAHEAD_M, that is free straight on."""
     away_m = np.hypot(x_m, y_m)
-    far = np.flatnonzero(away_m >= LOOK_AHEAD_M)
-    for place in range(int(far[0]) if len(far) else len(away_m) - 1, 0, -1):
-        heading_rad = math.atan2(y_m[place], x_m[place])
-        open_m = movement.open_m(heading_rad, p.robot_radius_m + p.margin_m / 2)
-        if open_m >= away_m[place]:
-            ahead_m = movement.open_m(heading_rad, p.robot_radius_m)
+    far = np.flatnonzero(away_m >= LOOKAHEAD_M)
+    for point in range(int(far[0]) if len(far) else len(away_m) - 1, 0, -1):
+        heading_rad = math.atan2(y_m[point], x_m[point])
+        free_m = movement.free_m(heading_rad, p.robot_radius_m + p.margin_m / 2)
+        if free_m >= away_m[point]:
+            ahead_m = movement.free_m(heading_rad, p.robot_radius_m)
             return DirectionCandidate('straight', heading_rad, ahead_m)
     return None
 
 
-class _Grid(NamedTuple):
-    """Steps from cell to cell: of each where it begins and ends, and its length, by source."""
+class _GridEdges(NamedTuple):
+    """Edges between neighbouring cells, sorted by source.
+
+    ``starts``: (cells + 1,) index of the first edge of each source.
+    """
 
     sources: NDArray[np.int32]
     targets: NDArray[np.int32]
@@ -101,60 +120,61 @@ class _Grid(NamedTuple):
 
 
 @cache
-def _grid() -> _Grid:
-    row, column = np.divmod(np.arange(ROWS * COLUMNS), COLUMNS)
+def _grid_edges() -> _GridEdges:
+    row, column = np.divmod(np.arange(ROW_COUNT * COLUMN_COUNT), COLUMN_COUNT)
     steps = []
     for d_row, d_column in ((a, b) for a in (-1, 0, 1) for b in (-1, 0, 1) if a or b):
         to_row, to_column = row + d_row, column + d_column
-        on = (to_row >= 0) & (to_row < ROWS) & (to_column >= 0) & (to_column < COLUMNS)
+        on = (to_row >= 0) & (to_row < ROW_COUNT) & (to_column >= 0) & (to_column < COLUMN_COUNT)
         source = np.flatnonzero(on)
         length_m = np.full(len(source), CELL_M * math.hypot(d_row, d_column))
-        steps.append((source, to_row[on] * COLUMNS + to_column[on], length_m))
+        steps.append((source, to_row[on] * COLUMN_COUNT + to_column[on], length_m))
     source, target, length_m = (np.concatenate(part) for part in zip(*steps, strict=True))
     order = np.lexsort((target, source))
-    starts = np.searchsorted(source[order], np.arange(ROWS * COLUMNS + 1))
-    return _Grid(
+    starts = np.searchsorted(source[order], np.arange(ROW_COUNT * COLUMN_COUNT + 1))
+    return _GridEdges(
         source[order].astype(np.int32), target[order].astype(np.int32), length_m[order],
         starts.astype(np.int32),
     )  # fmt: skip
 
 
 def _cell(x_m: float, y_m: float) -> int:
-    """Return the cell of a place on the grid."""
-    return round((y_m + ASIDE_M) / CELL_M) * COLUMNS + round((x_m + BACK_M) / CELL_M)
+    """Return the index of the cell at a position."""
+    row, column = round((y_m + GRID_SIDE_M) / CELL_M), round((x_m + GRID_BACK_M) / CELL_M)
+    return row * COLUMN_COUNT + column
 
 
-def _place(cells: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return x and y of the middles of cells."""
-    rows, columns = np.divmod(cells, COLUMNS)
-    return columns * CELL_M - BACK_M, rows * CELL_M - ASIDE_M
+def _centres(cells: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return x and y of the centres of cells in m."""
+    rows, columns = np.divmod(cells, COLUMN_COUNT)
+    return columns * CELL_M - GRID_BACK_M, rows * CELL_M - GRID_SIDE_M
 
 
-def _cells_of(route: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return the beginning of a route as far as it lies on the grid: way along it, and cells."""
+def _route_cells(route: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return the distances along a route in m, and the cells there, until it leaves the grid."""
     lengths_m = np.hypot(*np.diff(route, axis=0).T)
     corners_m = np.concatenate([[0.0], np.cumsum(lengths_m)])
-    along_m = np.arange(0.0, min(float(corners_m[-1]), 2.0 * FRONT_M), CELL_M)
+    along_m = np.arange(0.0, min(float(corners_m[-1]), 2.0 * GRID_FRONT_M), CELL_M)
     x, y = (np.interp(along_m, corners_m, route[:, axis]) for axis in (0, 1))
-    off = np.flatnonzero((x < -BACK_M) | (x > FRONT_M) | (np.abs(y) > ASIDE_M))
+    off = np.flatnonzero((x < -GRID_BACK_M) | (x > GRID_FRONT_M) | (np.abs(y) > GRID_SIDE_M))
     count = int(off[0]) if len(off) else len(along_m)
-    columns, rows = np.rint((x + BACK_M) / CELL_M), np.rint((y + ASIDE_M) / CELL_M)
-    return along_m[:count], (rows * COLUMNS + columns)[:count].astype(np.int64)
+    columns, rows = np.rint((x + GRID_BACK_M) / CELL_M), np.rint((y + GRID_SIDE_M) / CELL_M)
+    return along_m[:count], (rows * COLUMN_COUNT + columns)[:count].astype(np.int64)
 
 
 @compiled
-def _costs(
+def _cell_costs(
     points: NDArray[np.float64], ranges_m: NDArray[np.float64], angle_min_rad: float,
     angle_increment_rad: float, radius_m: float, last_rad: float,
 ) -> NDArray[np.float64]:  # fmt: skip
-    """Return what a way through each cell counts for its length; infinite: the robot does not fit.
+    """Return the (cells,) cost factors; infinite where the robot does not fit.
 
-    A cell is seen where the beam in its direction ends behind it, or does not end.
+    A cell is seen if the beam in its direction ends behind it or does not end.
     """
-    costs = np.ones(ROWS * COLUMNS)
-    for cell in range(ROWS * COLUMNS):
-        x = (cell % COLUMNS) * CELL_M - BACK_M
-        y = (cell // COLUMNS) * CELL_M - ASIDE_M
+    costs = np.ones(ROW_COUNT * COLUMN_COUNT)
+    for cell in range(ROW_COUNT * COLUMN_COUNT):
+        x = (cell % COLUMN_COUNT) * CELL_M - GRID_BACK_M
+        y = (cell // COLUMN_COUNT) * CELL_M - GRID_SIDE_M
         away = math.hypot(x, y)
         square = math.inf
         for i in range(len(points)):
@@ -164,16 +184,16 @@ def _costs(
         if gap < radius_m and away > radius_m:
             costs[cell] = math.inf
             continue
-        room = min(max((gap - radius_m) / ROOM_M, 0.0), 1.0)
-        costs[cell] = TIGHT - (TIGHT - 1.0) * room
+        room = min(max((gap - radius_m) / FULL_CLEARANCE_M, 0.0), 1.0)
+        costs[cell] = TIGHT_COST_FACTOR - (TIGHT_COST_FACTOR - 1.0) * room
         bearing = math.atan2(y, x)
         turn = (bearing - angle_min_rad) % (2.0 * math.pi) if angle_increment_rad > 0.0 else (
             (angle_min_rad - bearing) % (2.0 * math.pi)
         )
         beam = round(turn / max(abs(angle_increment_rad), 1e-9))
         if beam >= len(ranges_m) or 0.0 < ranges_m[beam] < away:
-            costs[cell] *= UNSEEN
-        if away < FIRST_M:
+            costs[cell] *= UNSEEN_COST_FACTOR
+        if away < TURN_COST_RADIUS_M:
             aside = abs((bearing - last_rad + math.pi) % (2.0 * math.pi) - math.pi)
-            costs[cell] *= 1.0 + STEADY * aside
+            costs[cell] *= 1.0 + TURN_COST_PER_RAD * aside
     return costs

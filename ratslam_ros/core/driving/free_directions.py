@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Local movement: laser scan -> the ways on that the robot has right now."""
+"""Local movement: the free directions of a robot, from a laser scan."""
 
 from __future__ import annotations
 
@@ -20,172 +20,198 @@ Behaviour = Literal['centreline', 'left_wall', 'right_wall', 'straight', 'turn']
 
 WALLS: tuple[Behaviour, ...] = ('left_wall', 'right_wall')
 
-NARROW_M = 0.3
-"""How far a narrow passage must be open."""
+MIN_NARROW_M = 0.3
+"""Free distance that a narrow passage must have, in m."""
 
-HEADINGS = 61
-"""Ways on that are looked at, from a quarter turn right to one left: every 3 degrees."""
+HEADING_COUNT = 61
+"""Number of examined directions, from 90 degrees right to 90 degrees left: every 3 degrees."""
 
-FINENESS_M = 0.05
-"""Distances to walls are tried in steps no greater than this."""
+WALL_DISTANCE_STEP_M = 0.05
+"""Maximum step between the distances to a wall that are tried, in m."""
 
-ON_M = 1.5
-"""A direction that is open for so long leads on; the furthest to the wall's side runs along it."""
+CONTINUING_M = 1.5
+"""Free distance from which a direction continues along the wall or through an opening, in m."""
 
 OPENING_RAD = math.radians(45.0)
-"""Where that direction leads further aside than this the wall ends, as at a door."""
+"""Angle to the side of the wall above which a continuing direction leads into an opening."""
 
-DOOR_HEADINGS = 10
-"""An opening of no more directions is gone into in its middle, a wider one along its edge."""
+DOOR_HEADING_COUNT = 10
+"""Maximum width of an opening that is entered through its middle, in directions. Wider openings
+are entered along their edge."""
 
-AWAY_RAD = math.radians(35.0)
-"""To come away from a wall the robot turns no further than this from the direction along it."""
+MAX_AWAY_RAD = math.radians(35.0)
+"""Maximum angle between the wall and a direction that increases the distance to it."""
 
-LOOK_AHEAD_M = (1.0, 1.8, 3.0)
-"""How far a way must be open for a centreline: far ones tell branches of a junction apart."""
+LOOKAHEADS_M = (1.0, 1.8, 3.0)
+"""Free distances required for a centreline, in m. The longer ones separate the branches of a
+junction."""
 
 
 @dataclass(frozen=True, slots=True)
 class DirectionCandidate:
-    """A way on: the behaviour that takes it, its direction, and how far it is open."""
+    """A direction in which the robot can drive.
+
+    Attributes:
+        behaviour: the behaviour that chooses the direction.
+        heading_rad: the direction in the frame of the robot.
+        free_m: free distance in m.
+    """
 
     behaviour: Behaviour
     heading_rad: float
-    open_m: float
+    free_m: float
 
 
 class LocalMovement:
-    """What a scan leaves free for a robot of some width."""
+    """Free directions for a robot of some width, in one scan."""
 
     def __init__(self, parameters: GoalFollowerParameters, scan: Scan) -> None:
         self._p = parameters
         self.scan = scan
         self.points = points_of(scan)
-        """(n, 2) m, where beams ended, in the robot's frame."""
-        self.headings_rad = np.linspace(-math.pi / 2, math.pi / 2, HEADINGS)
+        """(n, 2) end points of the beams in the frame of the robot in m."""
+        self.headings_rad = np.linspace(-math.pi / 2, math.pi / 2, HEADING_COUNT)
         self._at_distance_m: dict[float, NDArray[np.float64]] = {}
 
-    def _beside_wall_m(self, distance_m: float) -> NDArray[np.float64]:
-        """Return (HEADINGS,) how far a body that keeps a distance to walls can go."""
-        known = self._at_distance_m.get(distance_m)
-        if known is None:
-            known = _open_m(self.points, self.headings_rad, distance_m)
-            self._at_distance_m[distance_m] = known
-        return known
+    def _free_at_distance_m(self, distance_m: float) -> NDArray[np.float64]:
+        """Return (HEADING_COUNT,) free distances for a body that keeps a distance to walls."""
+        cached = self._at_distance_m.get(distance_m)
+        if cached is None:
+            cached = _free_distances_m(self.points, self.headings_rad, distance_m)
+            self._at_distance_m[distance_m] = cached
+        return cached
 
     @cached_property
-    def _body_m(self) -> NDArray[np.float64]:
-        """(HEADINGS,) how far the robot with its margin can go."""
-        return _open_m(self.points, self.headings_rad, self._p.robot_radius_m + self._p.margin_m)
+    def _body_free_m(self) -> NDArray[np.float64]:
+        """(HEADING_COUNT,) free distances of the robot with its margin in m."""
+        half_width_m = self._p.robot_radius_m + self._p.margin_m
+        return _free_distances_m(self.points, self.headings_rad, half_width_m)
 
-    def open_m(self, heading_rad: float, half_width_m: float | None = None) -> float:
-        """Return how far a body can go straight in a direction before it touches something.
+    def free_m(self, heading_rad: float, half_width_m: float | None = None) -> float:
+        """Return the free distance straight in a direction in m, at most 8.
 
-        ``half_width_m``: of the body; None: of the robot with its margin.
+        ``half_width_m``: radius of the body in m, None for the robot with its margin.
         """
         width = self._p.robot_radius_m + self._p.margin_m if half_width_m is None else half_width_m
-        return float(_open_m(self.points, np.array([heading_rad]), width)[0])
+        return float(_free_distances_m(self.points, np.array([heading_rad]), width)[0])
 
-    def options(self) -> list[DirectionCandidate]:
-        """Return every way on; none where all is closed, and only turning is left.
+    def candidates(self) -> list[DirectionCandidate]:
+        """Return the wall and centreline directions; empty if the robot can only turn.
 
-        A wall is followed by going as far to its side as is open: past its end that leads round
-        the corner. A centreline is the middle of what is open.
+        A wall is followed in the free direction farthest to its side, which leads round the
+        corner where the wall ends. A centreline is the middle of a free sector.
         """
-        walls = [self.wall(side, 0.0, math.pi / 2) for side in WALLS]
-        found = [option for option in walls if option is not None]
-        body = self._body_m
-        for look_ahead_m in LOOK_AHEAD_M:
-            for first, last in _runs(body >= look_ahead_m):
+        walls = [self.along_wall(side, 0.0, math.pi / 2) for side in WALLS]
+        found = [candidate for candidate in walls if candidate is not None]
+        body_m = self._body_free_m
+        for lookahead_m in LOOKAHEADS_M:
+            for first, last in _true_runs(body_m >= lookahead_m):
                 heading = float(self.headings_rad[first] + self.headings_rad[last]) / 2
-                found.append(DirectionCandidate('centreline', heading, self.open_m(heading)))
+                found.append(DirectionCandidate('centreline', heading, self.free_m(heading)))
         return found
 
-    def narrow(self) -> list[DirectionCandidate]:
-        """Return the middles of all that the bare body still fits through, however short."""
-        body = _open_m(self.points, self.headings_rad, self._p.robot_radius_m)
+    def narrow_passages(self) -> list[DirectionCandidate]:
+        """Return the middle of each sector through which the robot fits without its margin."""
+        body_m = _free_distances_m(self.points, self.headings_rad, self._p.robot_radius_m)
         return [
             DirectionCandidate(
                 'centreline',
                 float(self.headings_rad[first] + self.headings_rad[last]) / 2,
-                float(body[first : last + 1].max()),
+                float(body_m[first : last + 1].max()),
             )
-            for first, last in _runs(body >= NARROW_M)
+            for first, last in _true_runs(body_m >= MIN_NARROW_M)
         ]
 
-    def wall(
+    def along_wall(
         self, side: Behaviour, about_rad: float, within_rad: float
     ) -> DirectionCandidate | None:
-        """Return the way along a wall: of the directions close to one, the furthest to its side.
+        """Return the direction along a wall: the free one farthest to its side.
 
-        As far from the wall as there is room, up to ``wall_distance_most_m``; in a passage that is
-        its middle. Where the wall ends the way leads round its end, or through the door in it.
-        None where no direction is open for ``wall_look_ahead_m``.
+        The distance to the wall is as large as the room allows, up to ``wall_distance_most_m``;
+        in a passage that is the middle. At the end of the wall, the direction leads round it or
+        through the door.
+
+        Args:
+            side: ``left_wall`` or ``right_wall``.
+            about_rad: middle of the examined sector.
+            within_rad: half the width of that sector.
+
+        Returns:
+            None if no direction is free for ``wall_look_ahead_m``.
         """
         p = self._p
         near = np.abs(self.headings_rad - about_rad) <= within_rad
         sign = 1.0 if side == 'left_wall' else -1.0
-        close_m = self._beside_wall_m(p.wall_distance_m)
-        door_m = self._beside_wall_m((p.wall_distance_m + p.robot_radius_m + p.margin_m) / 2)
-        close = self._furthest(side, close_m, p.wall_look_ahead_m, near)
-        close = close or self._furthest(side, door_m, p.wall_look_ahead_m, near)
+        close_m = self._free_at_distance_m(p.wall_distance_m)
+        door_m = self._free_at_distance_m((p.wall_distance_m + p.robot_radius_m + p.margin_m) / 2)
+        close = self._outermost(side, close_m, p.wall_look_ahead_m, near)
+        close = close or self._outermost(side, door_m, p.wall_look_ahead_m, near)
         if close is None:
             return None
-        on = self._furthest(side, door_m, ON_M, near)
-        if on is not None and sign * on.heading_rad > OPENING_RAD:
-            return self._furthest(side, door_m, ON_M, near, DOOR_HEADINGS)
-        on = on or close
-        if sign * on.heading_rad > OPENING_RAD:
+        continuing = self._outermost(side, door_m, CONTINUING_M, near)
+        if continuing is not None and sign * continuing.heading_rad > OPENING_RAD:
+            return self._outermost(side, door_m, CONTINUING_M, near, DOOR_HEADING_COUNT)
+        continuing = continuing or close
+        if sign * continuing.heading_rad > OPENING_RAD:
             return close
-        count = max(math.ceil((p.wall_distance_most_m - p.wall_distance_m) / FINENESS_M), 0)
+        count = max(
+            math.ceil((p.wall_distance_most_m - p.wall_distance_m) / WALL_DISTANCE_STEP_M), 0
+        )
         for step in range(count, 0, -1):
-            share = step / count
-            open_m = self._beside_wall_m(
-                p.wall_distance_m + share * (p.wall_distance_most_m - p.wall_distance_m)
+            ratio = step / count
+            free_m = self._free_at_distance_m(
+                p.wall_distance_m + ratio * (p.wall_distance_most_m - p.wall_distance_m)
             )
-            option = self._furthest(side, open_m, p.wall_look_ahead_m, near)
-            if option and sign * (on.heading_rad - option.heading_rad) < AWAY_RAD:
-                return option
+            candidate = self._outermost(side, free_m, p.wall_look_ahead_m, near)
+            if (
+                candidate
+                and sign * (continuing.heading_rad - candidate.heading_rad) < MAX_AWAY_RAD
+            ):
+                return candidate
         return close
 
-    def _furthest(
-        self, side: Behaviour, open_m: NDArray[np.float64], least_m: float,
-        near: NDArray[np.bool_], narrow: int = 0,
+    def _outermost(
+        self, side: Behaviour, free_m: NDArray[np.float64], min_free_m: float,
+        near: NDArray[np.bool_], max_door_count: int = 0,
     ) -> DirectionCandidate | None:  # fmt: skip
-        """Return the direction that is the furthest to a side, of those near and open for long.
+        """Return the direction farthest to a side among those near and free for ``min_free_m``.
 
-        ``narrow``: of no more directions than so many it is the middle.
+        ``max_door_count``: from a sector of at most this many directions, return the middle.
         """
-        runs = _runs((open_m >= least_m) & near)
+        runs = _true_runs((free_m >= min_free_m) & near)
         if not runs:
             return None
         first, last = runs[-1] if side == 'left_wall' else runs[0]
-        inset = (last - first) // 2 if last - first <= narrow else 0
-        at = last - inset if side == 'left_wall' else first + inset
-        return DirectionCandidate(side, float(self.headings_rad[at]), float(open_m[at]))
+        inset = (last - first) // 2 if last - first <= max_door_count else 0
+        index = last - inset if side == 'left_wall' else first + inset
+        return DirectionCandidate(side, float(self.headings_rad[index]), float(free_m[index]))
 
-    def fan(self) -> list[DirectionCandidate]:
-        """Return all directions that the robot can go on in, as far as they are open."""
+    def straight_directions(self) -> list[DirectionCandidate]:
+        """Return all examined directions with their free distances."""
         return [
-            DirectionCandidate('straight', float(heading_rad), float(open_m))
-            for heading_rad, open_m in zip(self.headings_rad, self._body_m, strict=True)
+            DirectionCandidate('straight', float(heading_rad), float(free_m))
+            for heading_rad, free_m in zip(self.headings_rad, self._body_free_m, strict=True)
         ]
 
 
-def _runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return first and last index of every stretch of True."""
+def _true_runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Return the first and last index of each run of True."""
     edges = np.flatnonzero(np.diff(flags.astype(np.int8), prepend=0, append=0)).tolist()
     return [(a, b - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
 @compiled
-def _open_m(
+def _free_distances_m(
     points: NDArray[np.float64], headings_rad: NDArray[np.float64], half_width_m: float
 ) -> NDArray[np.float64]:
-    """Return for each heading how far a disc goes before it touches a point; at most 8 m.
+    """Return for each heading how far a disc can move before it touches a point in m, at most 8.
 
-    ``headings_rad``: evenly spaced, rising. A point that the disc touches already bars the way
-    towards it, not the way off.
+    A point inside the disc blocks the directions towards it, but not those away from it.
+
+    Args:
+        points: (n, 2) obstacle points in m.
+        headings_rad: (k,) evenly spaced ascending headings.
+        half_width_m: radius of the disc in m.
     """
     count = len(headings_rad)
     reach = np.full(count, 8.0)
@@ -194,7 +220,7 @@ def _open_m(
     for i in range(len(points)):
         x, y = points[i, 0], points[i, 1]
         away = math.hypot(x, y)
-        # Only headings that pass it closely enough are looked at.
+        # Other headings pass the point at a larger distance.
         aside = math.asin(half_width_m / away) if away > half_width_m else math.pi / 2
         bearing = math.atan2(y, x) - headings_rad[0]
         first = max(math.floor((bearing - aside) / step), 0)

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Goal follower: scan, route -> Command; of the ways on, the one closest to the route."""
+"""Goal follower: a local planner that chooses the free direction closest to the route."""
 
 from __future__ import annotations
 
@@ -23,247 +23,267 @@ from ratslam_ros.core.driving.free_directions import (
 )
 from ratslam_ros.core.driving.steering import Command, drive, turn
 
-SAMPLES = 8
-"""Points of a way on that are compared with the route."""
+SAMPLE_COUNT = 8
+"""Number of points of a candidate that are compared with the route."""
 
-NEAR = 3
-"""Of these, the one that says where the route begins to lead."""
+DIRECTION_SAMPLE = 3
+"""Index of the route sample that gives the initial direction of the route."""
 
-PASSED_M = 2.0
-"""Of a route, the beginning that the robot may have driven since it came: of two parts that lie
-beside each other the one further on is not taken for this one."""
+MAX_PASSED_M = 2.0
+"""Length of the route prefix the robot may already have driven since the message was sent, in m.
+Limits confusion with later parts of the route that lie beside it."""
 
-WALL_M = 0.3
-"""So much better a way along a wall counts than another one: it leads where the robot drove when
-it learned the route, and what it sees there it knows. By the map alone it would drive beside."""
+WALL_DISCOUNT_M = 0.3
+"""Cost discount for directions that follow a wall along the route, in m. The robot learned its
+routes along walls, so it recognises the views there better than beside."""
 
-LEARNED_M = 0.6
-"""And the way along the wall that it followed then."""
+LEARNED_WALL_DISCOUNT_M = 0.6
+"""Cost discount for directions that follow the wall the route was learned along, in m."""
 
-STEADY_M = 0.1
-"""So much worse, for a radian, a way round something counts in another direction than the last."""
+TURN_COST_M_PER_RAD = 0.1
+"""Cost per rad of change of the direction round an obstacle: hysteresis, in m/rad."""
 
-LEAST_M = 0.3
-"""Ways on are compared over this length at least."""
+MIN_COMPARED_M = 0.3
+"""Minimum length over which candidates are compared with the route, in m."""
 
-LAST_M = 0.8
-"""So far from its end a route is followed for itself."""
+DIRECT_APPROACH_M = 0.8
+"""Length of the remaining route below which the learned wall is ignored, in m."""
 
-WALL_RAD = math.radians(50.0)
-"""A wall leads along the route where it leads no further aside than this."""
+MAX_WALL_DEVIATION_RAD = math.radians(50.0)
+"""Maximum angle between a wall and the route that it leads along."""
 
-BEHIND_RAD = math.radians(95.0)
-"""What lies further behind than this is turned to on the spot."""
+TURN_START_RAD = math.radians(95.0)
+"""Bearing of the route above which the robot turns on the spot."""
 
-GAIN_M = 0.1
-"""A way on must lead so much nearer to where the route leads."""
+TURN_END_RAD = math.radians(25.0)
+"""Bearing of the route at which a turn on the spot ends."""
 
-MOVED_M = 0.1
-"""A robot on a way round that has come so far has not tried in vain."""
+MIN_GAIN_M = 0.1
+"""Minimum decrease of the distance to the route's lookahead point by a candidate, in m."""
 
-FACING_RAD = math.radians(25.0)
-"""Turning ends when the route is this close to straight ahead."""
+MIN_DETOUR_M = 0.1
+"""Distance driven on a detour from which it counts as progress, in m."""
 
 
 class GoalFollower:
-    """Behaviour arbitration (seed 000, section IV.C), and what keeps the robot from harm."""
+    """Behaviour arbitration after Milford et al. (2006), section IV.C, with obstacle avoidance."""
 
     def __init__(self, parameters: GoalFollowerParameters) -> None:
         self._p = parameters
         self._turning = False
-        self._tried_since_ns: int | None = None
-        self._tried_m = 0.0
+        self._try_start_ns: int | None = None
+        self._try_driven_m = 0.0
         self._last_rad = 0.0
         self._last: tuple[int, Command] | None = None
 
     def command(self, scan: Scan, route: NDArray[np.float64], behaviour: str = '') -> Command:
-        """Choose a way on and return how to take it.
+        """Choose a free direction and return the command for it.
 
-        ``route``: (n, 2) m, in the robot's frame, from the robot's place on it to the goal.
-        ``behaviour``: the one that the route was learned with, '' where that is not known.
+        Args:
+            scan: the current scan.
+            route: (n, 2) route in the frame of the robot in m, from the robot to the goal.
+            behaviour: wall that the route was learned along, '' for unknown.
         """
         p = self._p
-        self._account(scan.stamp_ns)
+        self._account_for_motion(scan.stamp_ns)
         movement = LocalMovement(p, scan)
         ahead = _ahead(route, p.route_ahead_m)
-        most_mps = _approach_mps(route, p)
+        max_speed_mps = _approach_speed_mps(route, p)
         command = None
-        if behaviour in WALLS and ahead[-1, 2] > LAST_M:
-            command = self._repeat(movement, ahead, behaviour, most_mps)
+        if behaviour in WALLS and ahead[-1, 2] > DIRECT_APPROACH_M:
+            command = self._follow_wall(movement, ahead, behaviour, max_speed_mps)
         if command is None:
-            command = self._choose(scan.stamp_ns, movement, route, ahead, behaviour, most_mps)
+            command = self._choose(scan.stamp_ns, movement, route, ahead, behaviour, max_speed_mps)
         else:
-            self._tried_since_ns = None
+            self._try_start_ns = None
         self._last = scan.stamp_ns, command
         return command
 
-    def _account(self, stamp_ns: int) -> None:
-        """Take that the last command was done: the robot has moved, what it had chosen has not."""
-        then_ns, last = self._last or (stamp_ns, None)
-        duration_s = (stamp_ns - then_ns) * 1e-9
+    def _account_for_motion(self, stamp_ns: int) -> None:
+        """Update last heading and driven distance, assuming that the last command was executed."""
+        last_ns, last = self._last or (stamp_ns, None)
+        duration_s = (stamp_ns - last_ns) * 1e-9
         if last is None or not 0.0 <= duration_s <= self._p.scan_timeout_s:
-            self._last_rad, self._tried_since_ns = 0.0, None  # nobody asked for a while
+            self._last_rad, self._try_start_ns = 0.0, None
             return
         self._last_rad = wrap(self._last_rad - last.turn_rate_radps * duration_s)
-        self._tried_m += last.speed_mps * duration_s
+        self._try_driven_m += last.speed_mps * duration_s
 
     def _choose(
         self, stamp_ns: int, movement: LocalMovement, route: NDArray[np.float64],
-        ahead: NDArray[np.float64], behaviour: str, most_mps: float,
+        ahead: NDArray[np.float64], behaviour: str, max_speed_mps: float,
     ) -> Command:  # fmt: skip
-        """Take the way on that is closest to the route."""
+        """Return the command for the candidate of least cost, for a detour, or for waiting."""
         p = self._p
         bearing_rad = math.atan2(float(ahead[-1, 1]), float(ahead[-1, 0]))
-        if abs(bearing_rad) > (FACING_RAD if self._turning else BEHIND_RAD):
-            self._turning, self._tried_since_ns = True, None
+        if abs(bearing_rad) > (TURN_END_RAD if self._turning else TURN_START_RAD):
+            self._turning, self._try_start_ns = True, None
             return turn(bearing_rad, p)
         self._turning = False
         stop_m = p.stop_distance_m
-        options = [o for o in [*movement.fan(), *movement.options()] if _nearer(o, ahead, stop_m)]
-        if not options:  # between the posts of a door little is open until the robot is through
-            narrow = [o for o in movement.narrow() if _is_about(o, bearing_rad)]
-            options = [o for o in narrow if _nearer(o, ahead, stop_m)]
+        candidates = [
+            c
+            for c in [*movement.straight_directions(), *movement.candidates()]
+            if _gains(c, ahead, stop_m)
+        ]
+        if not candidates:  # little is free between the posts of a door
+            narrow = [c for c in movement.narrow_passages() if _is_towards(c, bearing_rad)]
+            candidates = [c for c in narrow if _gains(c, ahead, stop_m)]
         best = min(
-            options, key=lambda option: self._rank_m(option, ahead, behaviour), default=None
+            candidates, key=lambda c: self._discounted_cost_m(c, ahead, behaviour), default=None
         )
-        wanted_m = min(p.wall_look_ahead_m, max(float(ahead[-1, 2]), LEAST_M))
-        if best is None or best.open_m < wanted_m:  # something stands there: it is gone round
-            around = plan_detour(movement, route, p, self._last_rad)
-            if around is not None:
-                return self._go_round(stamp_ns, drive(movement, around, p, most_mps))
+        wanted_m = min(p.wall_look_ahead_m, max(float(ahead[-1, 2]), MIN_COMPARED_M))
+        if best is None or best.free_m < wanted_m:  # an obstacle is on the route
+            detour = plan_detour(movement, route, p, self._last_rad)
+            if detour is not None:
+                return self._take_detour(stamp_ns, drive(movement, detour, p, max_speed_mps))
             best = min(
-                [o for o in options if o.open_m >= wanted_m] or options,
-                key=lambda o: _cost_m(o, ahead) + STEADY_M * abs(o.heading_rad - self._last_rad),
+                [c for c in candidates if c.free_m >= wanted_m] or candidates,
+                key=lambda c: (
+                    _cost_m(c, ahead) + TURN_COST_M_PER_RAD * abs(c.heading_rad - self._last_rad)
+                ),
                 default=None,
             )
         if best is None:
-            return self._blocked(stamp_ns, bearing_rad)
-        self._tried_since_ns = None
+            return self._wait(stamp_ns, bearing_rad)
+        self._try_start_ns = None
         self._last_rad = best.heading_rad
-        return drive(movement, best, p, most_mps)
+        return drive(movement, best, p, max_speed_mps)
 
-    def _go_round(self, stamp_ns: int, command: Command) -> Command:
-        """Take a way round; where the robot only turns to and fro there is none."""
+    def _take_detour(self, stamp_ns: int, command: Command) -> Command:
+        """Return the command of a detour. Turning without progress counts as a failed try."""
         self._last_rad = command.ahead_rad
         failed = self._has_failed(stamp_ns)
-        if self._tried_m > MOVED_M:
-            self._tried_since_ns = None
+        if self._try_driven_m > MIN_DETOUR_M:
+            self._try_start_ns = None
         return replace(command, failed=failed)
 
-    def _repeat(
-        self, movement: LocalMovement, ahead: NDArray[np.float64], behaviour: str, most_mps: float
-    ) -> Command | None:
-        """Follow the wall that the route was learned along; None where that leads elsewhere.
+    def _follow_wall(
+        self, movement: LocalMovement, ahead: NDArray[np.float64], behaviour: str,
+        max_speed_mps: float,
+    ) -> Command | None:  # fmt: skip
+        """Follow the wall that the route was learned along; None if the wall leads elsewhere.
 
-        What counts is how the route runs, not where it lies: the wall says that better.
+        Only the direction of the route counts: the wall gives the more accurate position.
         """
-        runs_rad = _runs_rad(ahead)
-        if abs(runs_rad) > (FACING_RAD if self._turning else BEHIND_RAD):
+        direction_rad = _direction_rad(ahead)
+        if abs(direction_rad) > (TURN_END_RAD if self._turning else TURN_START_RAD):
             self._turning = True
-            return turn(runs_rad, self._p)
+            return turn(direction_rad, self._p)
         self._turning = False
         side: Behaviour = 'left_wall' if behaviour == 'left_wall' else 'right_wall'
-        option = movement.wall(side, runs_rad, WALL_RAD)
-        if option is None:
+        candidate = movement.along_wall(side, direction_rad, MAX_WALL_DEVIATION_RAD)
+        if candidate is None:
             return None
-        return drive(movement, option, self._p, most_mps)
+        return drive(movement, candidate, self._p, max_speed_mps)
 
-    def _rank_m(
-        self, option: DirectionCandidate, ahead: NDArray[np.float64], behaviour: str
+    def _discounted_cost_m(
+        self, candidate: DirectionCandidate, ahead: NDArray[np.float64], behaviour: str
     ) -> float:
-        """Return how far from the route a way on counts to be; the least is taken."""
-        rank_m = _cost_m(option, ahead)
-        if option.behaviour not in WALLS or abs(option.heading_rad - _runs_rad(ahead)) > WALL_RAD:
-            return rank_m
-        return rank_m - (LEARNED_M if option.behaviour == behaviour else WALL_M)
+        """Return the cost of a candidate with the discount for walls, in m."""
+        cost_m = _cost_m(candidate, ahead)
+        if (
+            candidate.behaviour not in WALLS
+            or abs(candidate.heading_rad - _direction_rad(ahead)) > MAX_WALL_DEVIATION_RAD
+        ):
+            return cost_m
+        is_learned = candidate.behaviour == behaviour
+        return cost_m - (LEARNED_WALL_DISCOUNT_M if is_learned else WALL_DISCOUNT_M)
 
-    def _blocked(self, stamp_ns: int, bearing_rad: float) -> Command:
-        """Face the route and wait: people go away, closed doors do not."""
+    def _wait(self, stamp_ns: int, bearing_rad: float) -> Command:
+        """Stop and face the route. People move out of the way, but closed doors do not."""
         failed = self._has_failed(stamp_ns)
         return Command(
             0.0, 0.5 * bearing_rad * self._p.turn_rate_radps, 'centreline', failed, bearing_rad
         )
 
     def _has_failed(self, stamp_ns: int) -> bool:
-        """Return whether what is tried has led nowhere for long; then the next try begins."""
-        if self._tried_since_ns is None:
-            self._tried_since_ns, self._tried_m = stamp_ns, 0.0
-        failed = stamp_ns - self._tried_since_ns >= self._p.try_timeout_s * 1e9
+        """Return whether the current try has timed out, and begin the next try if so."""
+        if self._try_start_ns is None:
+            self._try_start_ns, self._try_driven_m = stamp_ns, 0.0
+        failed = stamp_ns - self._try_start_ns >= self._p.try_timeout_s * 1e9
         if failed:
-            self._tried_since_ns, self._tried_m = stamp_ns, 0.0
+            self._try_start_ns, self._try_driven_m = stamp_ns, 0.0
         return failed
 
 
-def _approach_mps(route: NDArray[np.float64], p: GoalFollowerParameters) -> float:
-    """Return the speed from which the robot can stop at the end of the route."""
+def _approach_speed_mps(route: NDArray[np.float64], p: GoalFollowerParameters) -> float:
+    """Return the maximum speed from which the robot can stop at the end of the route."""
     left_m = float(np.hypot(*np.diff(route, axis=0).T).sum()) + math.hypot(*route[0].tolist())
     return 0.1 + math.sqrt(2.0 * p.braking_mps2 * left_m)
 
 
 def _ahead(route: NDArray[np.float64], length_m: float) -> NDArray[np.float64]:
-    """Return (SAMPLES + 1, 3) x, y and way along the beginning of a route."""
+    """Return (SAMPLE_COUNT + 1, 3) x, y and arc length of the start of a route in m."""
     along_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(route, axis=0).T))])
-    at_m = np.linspace(0.0, min(length_m, float(along_m[-1])), SAMPLES + 1)
+    at_m = np.linspace(0.0, min(length_m, float(along_m[-1])), SAMPLE_COUNT + 1)
     x, y = (np.interp(at_m, along_m, route[:, axis]) for axis in (0, 1))
     return np.stack([x, y, at_m], axis=1)
 
 
-def _is_about(option: DirectionCandidate, bearing_rad: float) -> bool:
-    """Return whether a way on leads in about a direction; beside the door little is open too."""
-    return abs(wrap(option.heading_rad - bearing_rad)) <= WALL_RAD
+def _is_towards(candidate: DirectionCandidate, bearing_rad: float) -> bool:
+    """Return whether a candidate leads roughly in a direction."""
+    return abs(wrap(candidate.heading_rad - bearing_rad)) <= MAX_WALL_DEVIATION_RAD
 
 
-def _nearer(option: DirectionCandidate, ahead: NDArray[np.float64], stop_m: float) -> bool:
-    """Return whether a way on comes nearer to where the route leads, and the robot may go there.
+def _gains(candidate: DirectionCandidate, ahead: NDArray[np.float64], stop_m: float) -> bool:
+    """Return whether a candidate can bring the robot closer to the route's lookahead point.
 
-    ``stop_m``: the gap that must stay to what ends it.
+    ``stop_m``: gap to keep to the obstacle at the end of the candidate in m.
     """
     x, y, _ = ahead[-1].tolist()
     away_m = math.hypot(x, y)
-    aside_rad = option.heading_rad - math.atan2(y, x)
-    reach_m = min(max(option.open_m - stop_m, 0.0), away_m * max(math.cos(aside_rad), 0.0))
-    to_x, to_y = reach_m * math.cos(option.heading_rad), reach_m * math.sin(option.heading_rad)
-    return math.hypot(x - to_x, y - to_y) < away_m - min(GAIN_M, away_m / 2)
+    aside_rad = candidate.heading_rad - math.atan2(y, x)
+    reach_m = min(max(candidate.free_m - stop_m, 0.0), away_m * max(math.cos(aside_rad), 0.0))
+    to_x = reach_m * math.cos(candidate.heading_rad)
+    to_y = reach_m * math.sin(candidate.heading_rad)
+    return math.hypot(x - to_x, y - to_y) < away_m - min(MIN_GAIN_M, away_m / 2)
 
 
-def _runs_rad(ahead: NDArray[np.float64]) -> float:
-    """Return the direction in which a route begins to run."""
-    x, y, _ = (ahead[NEAR] - ahead[0]).tolist()
+def _direction_rad(ahead: NDArray[np.float64]) -> float:
+    """Return the initial direction of a route."""
+    x, y, _ = (ahead[DIRECTION_SAMPLE] - ahead[0]).tolist()
     return math.atan2(y, x)
 
 
-def _cost_m(option: DirectionCandidate, ahead: NDArray[np.float64]) -> float:
-    """Return how far a way on is from the route on average, and what it leaves of it."""
-    wanted_m = max(float(ahead[-1, 2]), LEAST_M)
-    reach_m = min(option.open_m, wanted_m)
-    s = np.linspace(0.0, reach_m, SAMPLES + 1)[1:]
-    x = s[:, None] * math.cos(option.heading_rad) - ahead[:, 0]
-    y = s[:, None] * math.sin(option.heading_rad) - ahead[:, 1]
+def _cost_m(candidate: DirectionCandidate, ahead: NDArray[np.float64]) -> float:
+    """Return the mean distance of a candidate from the route, plus half of what it falls short."""
+    wanted_m = max(float(ahead[-1, 2]), MIN_COMPARED_M)
+    reach_m = min(candidate.free_m, wanted_m)
+    s = np.linspace(0.0, reach_m, SAMPLE_COUNT + 1)[1:]
+    x = s[:, None] * math.cos(candidate.heading_rad) - ahead[:, 0]
+    y = s[:, None] * math.sin(candidate.heading_rad) - ahead[:, 1]
     away_m = np.hypot(x, y)
     return float(away_m.min(axis=1).mean() + 0.5 * away_m[:, -1].min())
 
 
-def seen_from(pose: Pose, positions_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (n, 2) positions on the map as the robot sees them: x ahead, y to the left."""
+def in_robot_frame(pose: Pose, positions_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (n, 2) positions on the map in the frame of the robot: x ahead, y to the left."""
     c, s = math.cos(pose.heading_rad), math.sin(pose.heading_rad)
     x, y = positions_m[:, 0] - pose.x_m, positions_m[:, 1] - pose.y_m
     return np.stack([c * x + s * y, c * y - s * x], axis=1)
 
 
-def rest_of(route_m: NDArray[np.float64], x_m: float, y_m: float) -> NDArray[np.float64]:
-    """Return what of a route, (n, 2) with n > 0, is left: from the place nearest to the robot on.
+def remaining_route(
+    route_m: NDArray[np.float64], x_m: float, y_m: float
+) -> NDArray[np.float64]:
+    """Return the part of a route ahead of the robot, from the nearest point on.
 
-    Given what was left before, it never goes back.
+    Repeated calls on the result never move backwards along the route.
+
+    Args:
+        route_m: (n, 2) route in m, n > 0.
+        x_m, y_m: position of the robot.
     """
     steps_m = np.diff(route_m, axis=0)
     lengths_m = np.hypot(*steps_m.T)
-    begins_m = np.cumsum(lengths_m) - lengths_m
-    count = max(int(np.count_nonzero(begins_m < PASSED_M)), 1)
+    starts_m = np.cumsum(lengths_m) - lengths_m
+    count = max(int(np.count_nonzero(starts_m < MAX_PASSED_M)), 1)
     if len(steps_m) == 0:
         return route_m
     starts, steps_m, lengths_m = route_m[:count], steps_m[:count], lengths_m[:count]
     along = ((np.array([x_m, y_m]) - starts) * steps_m).sum(axis=1)
-    share = np.clip(along / np.maximum(lengths_m, 1e-9) ** 2, 0.0, 1.0)[:, None]
-    nearest = starts + share * steps_m
-    at = int(np.hypot(nearest[:, 0] - x_m, nearest[:, 1] - y_m).argmin())
-    return np.concatenate([nearest[at : at + 1], route_m[at + 1 :]])
+    fraction = np.clip(along / np.maximum(lengths_m, 1e-9) ** 2, 0.0, 1.0)[:, None]
+    nearest = starts + fraction * steps_m
+    segment = int(np.hypot(nearest[:, 0] - x_m, nearest[:, 1] - y_m).argmin())
+    return np.concatenate([nearest[segment : segment + 1], route_m[segment + 1 :]])

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Steering: a way on, or a turn -> Command, no faster than the robot can stop."""
+"""Steering: velocity commands for a direction or a turn, limited by the braking distance."""
 
 from __future__ import annotations
 
@@ -13,10 +13,14 @@ from ratslam_ros.core.driving.free_directions import Behaviour, DirectionCandida
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """What the robot shall do, and the behaviour that says so.
+    """A velocity command and the behaviour it results from.
 
-    ``failed``: the behaviour was tried for ``try_timeout_s`` and led nowhere; ``ahead_rad``: the
-    direction in which it was tried, in the robot's frame.
+    Attributes:
+        speed_mps: forward speed in m/s.
+        turn_rate_radps: turn rate in rad/s, positive to the left.
+        behaviour: the chosen behaviour.
+        failed: whether the behaviour has made no progress for ``try_timeout_s``.
+        ahead_rad: intended direction in the frame of the robot.
     """
 
     speed_mps: float
@@ -27,21 +31,21 @@ class Command:
 
 
 def drive(
-    movement: LocalMovement, option: DirectionCandidate, p: GoalFollowerParameters,
-    most_mps: float = math.inf,
+    movement: LocalMovement, candidate: DirectionCandidate, p: GoalFollowerParameters,
+    max_speed_mps: float = math.inf,
 ) -> Command:  # fmt: skip
-    """Return how to take a way on: towards it, as fast as what is ahead allows."""
-    turn_rate = max(-p.turn_rate_radps, min(2.0 * option.heading_rad, p.turn_rate_radps))
-    # Ahead counts what the body will reach, whichever way it is about to turn.
-    gap_m = min(movement.open_m(0.0, p.robot_radius_m), option.open_m) - p.stop_distance_m
-    speed = p.speed_mps * max(math.cos(1.5 * option.heading_rad), 0.0)
-    speed = min(speed, most_mps, math.sqrt(2.0 * p.braking_mps2 * max(gap_m, 0.0)))
-    if abs(option.heading_rad) > math.pi / 3:
+    """Return the command for a direction, as fast as the free distance allows."""
+    turn_rate = max(-p.turn_rate_radps, min(2.0 * candidate.heading_rad, p.turn_rate_radps))
+    # The body reaches what is straight ahead, whatever the direction of the next turn.
+    gap_m = min(movement.free_m(0.0, p.robot_radius_m), candidate.free_m) - p.stop_distance_m
+    speed = p.speed_mps * max(math.cos(1.5 * candidate.heading_rad), 0.0)
+    speed = min(speed, max_speed_mps, math.sqrt(2.0 * p.braking_mps2 * max(gap_m, 0.0)))
+    if abs(candidate.heading_rad) > math.pi / 3:
         speed = 0.0
-    return Command(speed, turn_rate, option.behaviour, ahead_rad=option.heading_rad)
+    return Command(speed, turn_rate, candidate.behaviour, ahead_rad=candidate.heading_rad)
 
 
 def turn(bearing_rad: float, p: GoalFollowerParameters) -> Command:
-    """Return how to turn on the spot, slower towards the end."""
+    """Return the command for a turn on the spot, slower towards its end."""
     rate = max(-p.turn_rate_radps, min(1.5 * bearing_rad, p.turn_rate_radps))
     return Command(0.0, rate, 'turn', ahead_rad=bearing_rad)

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Goals: names given to places, and what is asked for -> a place on the experience map."""
+"""Goals and named places on the experience map."""
 
 from __future__ import annotations
 
@@ -15,37 +15,43 @@ from ratslam_ros.core.navigation.route_planner import RoutePlanner
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
 from ratslam_ros.errors import UnreachableGoal
 
-AT_IT = Pose(0.0, 0.0, 0.0)
+AT_EXPERIENCE = Pose(0.0, 0.0, 0.0)
+"""Offset of a goal that lies at its experience."""
 
-BESIDE_M = 1.0
-"""A place no further than this lies beside its experience. After pruning it may lie further, and
-a wall between: then it is told from the experience that is nearest, if that is this near."""
+MAX_ANCHOR_M = 1.0
+"""Distance between a goal and its experience above which the goal is given another anchor, in m.
 
-LONGEST_NAME = 100
+Pruning can leave a goal farther from its experience than this, possibly with a wall between them.
+"""
+
+MAX_NAME_CHARACTERS = 100
 
 
 @dataclass(frozen=True, slots=True)
 class Goal:
-    """A place to go to: where it lies in an experience's frame, so that it moves with the map.
+    """A goal, anchored at an experience so that it moves with the map.
 
-    ``name``: what it is called, empty for none.
+    Attributes:
+        experience_id: the anchor.
+        offset: pose of the goal in the frame of the anchor.
+        name: name of the place, empty for none.
     """
 
     experience_id: int
-    offset: Pose = AT_IT
+    offset: Pose = AT_EXPERIENCE
     name: str = ''
 
     def pose_on(self, experience_map: ExperienceMap) -> Pose:
-        """Return where the place is on the map as it is now."""
+        """Return the pose of the goal on the map."""
         return composed(experience_map.pose_of(self.experience_id), self.offset)
 
-    def without(self, experience_id: int, stand_in_id: int, pose_in_stand_in: Pose) -> Goal:
-        """Return the same place, told without an experience that is forgotten.
+    def reanchored(self, experience_id: int, stand_in_id: int, pose_in_stand_in: Pose) -> Goal:
+        """Return the goal after an experience was removed from the map.
 
         Args:
-            experience_id: the one that is no more.
-            stand_in_id: the one that is known in its place, -1 for none: then the map's start.
-            pose_in_stand_in: where the forgotten one lies in the frame of its stand-in.
+            experience_id: the removed experience.
+            stand_in_id: the experience that replaces it as anchor, -1 for the origin of the map.
+            pose_in_stand_in: pose of the removed experience in the frame of its stand-in.
         """
         if experience_id != self.experience_id:
             return self
@@ -59,7 +65,7 @@ class Goal:
 
 @dataclass(frozen=True, slots=True)
 class Position:
-    """A place on the map that is asked for by where it is."""
+    """A goal position on the map."""
 
     x_m: float
     y_m: float
@@ -69,11 +75,11 @@ class Position:
 
 
 Target = int | str | Position
-"""What may be asked for: an experience by its id, a place by its name, or by where it is."""
+"""A requested goal: an experience by id, a place by name, or a position on the map."""
 
 
 class Goals:
-    """The places that have names."""
+    """The named places of a map."""
 
     def __init__(self) -> None:
         self._named: dict[str, Goal] = {}
@@ -82,40 +88,40 @@ class Goals:
         return len(self._named)
 
     def __iter__(self) -> Iterator[Goal]:
-        """Yield the named places, those first that were named first."""
+        """Iterate over the places in the order in which they were named."""
         return iter(self._named.values())
 
     def name_place(
         self, experience_map: ExperienceMap, name: str = '', offset: Pose | None = None
     ) -> Goal:
-        """Name the place where the robot is; a name that is known means this place from now on.
+        """Name the place where the robot is. An existing name moves to this place.
 
         Args:
-            experience_map: where the robot is.
-            name: 1 to 100 characters; empty: the first of place_1, place_2, ... that is free.
-            offset: where the robot is in the frame of the current experience, None: as the map
-                has it.
+            experience_map: the map with the current experience.
+            name: 1 to 100 characters; empty: the first unused name of place_1, place_2, ...
+            offset: pose of the robot in the frame of the current experience, None for the
+                estimate of the map.
 
         Raises:
-            UnreachableGoal: there is no place yet, or the name is none.
+            UnreachableGoal: the map is empty, or the name is invalid.
         """
         if experience_map.current_id == NO_EXPERIENCE:
             raise UnreachableGoal('there is no place to name yet: the map is empty; drive first')
-        name = _checked_name(name) if name else self._free_name()
+        name = _checked_name(name) if name else self._unused_name()
         place = experience_map.offset if offset is None else offset
         goal = self._named[name] = Goal(experience_map.current_id, place, name)
         return goal
 
     def rename(self, name: str, new_name: str) -> Goal:
-        """Give a place another name; a place that had that name loses it.
+        """Rename a place. Another place with the new name loses its name.
 
         Raises:
-            UnreachableGoal: no place has the name, or the new one is none.
+            UnreachableGoal: no place has the name, or the new name is invalid.
         """
         goal = replace(self.named(name), name=_checked_name(new_name))
         if new_name != name:
             self._named.pop(new_name, None)
-            # The place keeps its rank among those that are named.
+            # Rebuilt because the place keeps its position in the order.
             self._named = {
                 (new_name if known == name else known): (goal if known == name else other)
                 for known, other in self._named.items()
@@ -123,20 +129,20 @@ class Goals:
         return goal
 
     def remove(self, name: str) -> Goal:
-        """Forget a name, and return the place that had it.
+        """Remove a name and return the place that had it.
 
         Raises:
-            UnreachableGoal: no place has it.
+            UnreachableGoal: no place has the name.
         """
         goal = self.named(name)
         del self._named[name]
         return goal
 
     def named(self, name: str) -> Goal:
-        """Return the place of a name.
+        """Return the place with a name.
 
         Raises:
-            UnreachableGoal: no place has it.
+            UnreachableGoal: no place has the name.
         """
         if name not in self._named:
             known = ', '.join(self._named) or 'none yet'
@@ -146,51 +152,50 @@ class Goals:
             )
         return self._named[name]
 
-    def find(
-        self, target: Target, experience_map: ExperienceMap, recall: RoutePlanner,
-        tolerance_m: float = 0.0,
-    ) -> Goal:  # fmt: skip
-        """Return the place that is asked for.
+    def find(self, target: Target, planner: RoutePlanner, tolerance_m: float = 0.0) -> Goal:
+        """Return the goal for a target.
 
         Args:
-            target: the id of an experience, a name, or a position: that means the nearest
-                experience within the tolerance, one that links lead to rather than another.
-            experience_map: the map.
-            recall: finds what links lead to.
-            tolerance_m: 0: ``goal_tolerance_m``.
+            target: an experience id, a name, or a position. A position stands for the nearest
+                reachable experience within the tolerance.
+            planner: the route planner of the map.
+            tolerance_m: tolerance of a position in m, 0 for ``goal_tolerance_m``.
 
         Raises:
-            UnreachableGoal: there is no such place, or no link leads to it.
+            UnreachableGoal: there is no such place, or no route leads to it.
         """
-        asked = self._anchored(target, experience_map) if isinstance(target, str) else target
-        if isinstance(asked, int):
-            asked = Goal(asked)
-        if isinstance(asked, Goal):
-            asked = self._beside(asked, experience_map, recall)
-            recall.route_to(experience_map, asked.experience_id)
-            return asked
-        if not (math.isfinite(asked.x_m) and math.isfinite(asked.y_m)):
+        experience_map = planner.experience_map
+        goal = self._anchored(target, experience_map) if isinstance(target, str) else target
+        if isinstance(goal, int):
+            goal = Goal(goal)
+        if isinstance(goal, Goal):
+            goal = self._with_near_anchor(goal, planner)
+            planner.route_to(goal.experience_id)
+            return goal
+        if not (math.isfinite(goal.x_m) and math.isfinite(goal.y_m)):
             raise UnreachableGoal('its position is not finite')
-        route = recall.route_to_place(experience_map, asked.x_m, asked.y_m, tolerance_m)
+        route = planner.route_to_place(goal.x_m, goal.y_m, tolerance_m)
         return Goal(route.experience_ids[-1])
 
-    def _beside(
-        self, goal: Goal, experience_map: ExperienceMap, recall: RoutePlanner
-    ) -> Goal:
-        """Return a goal, told from an experience beside it that links lead to, if there is one."""
-        if math.hypot(goal.offset.x_m, goal.offset.y_m) <= BESIDE_M:
+    def _with_near_anchor(self, goal: Goal, planner: RoutePlanner) -> Goal:
+        """Anchor a goal that lies far from its experience at the nearest reachable one.
+
+        The goal stays unchanged if no reachable experience lies within MAX_ANCHOR_M.
+        """
+        if math.hypot(goal.offset.x_m, goal.offset.y_m) <= MAX_ANCHOR_M:
             return goal
+        experience_map = planner.experience_map
         place = goal.pose_on(experience_map)
         try:
-            route = recall.route_to_place(experience_map, place.x_m, place.y_m, BESIDE_M)
+            route = planner.route_to_place(place.x_m, place.y_m, MAX_ANCHOR_M)
         except UnreachableGoal:
             return goal
-        beside = route.experience_ids[-1]
-        offset = composed(inverse(experience_map.pose_of(beside)), place)
-        return replace(goal, experience_id=beside, offset=offset)
+        anchor = route.experience_ids[-1]
+        offset = composed(inverse(experience_map.pose_of(anchor)), place)
+        return replace(goal, experience_id=anchor, offset=offset)
 
     def _anchored(self, name: str, experience_map: ExperienceMap) -> Goal | Position:
-        """Return the place of a name, by where it is if nothing stands in for its experience."""
+        """Return a named place, as a position if it has lost its anchor."""
         goal = self.named(name)
         if goal.experience_id != NO_EXPERIENCE:
             return goal
@@ -198,9 +203,9 @@ class Goals:
         return Position(x_m, y_m)
 
     def forgotten(self, experience_id: int, stand_in_id: int, pose_in_stand_in: Pose) -> None:
-        """Keep all names where an experience is forgotten; see ``Goal.without``."""
+        """Handle the removal of an experience from the map; see ``Goal.reanchored``."""
         self._named = {
-            name: goal.without(experience_id, stand_in_id, pose_in_stand_in)
+            name: goal.reanchored(experience_id, stand_in_id, pose_in_stand_in)
             for name, goal in self._named.items()
         }
 
@@ -209,13 +214,13 @@ class Goals:
         return {'named': [[g.name, g.experience_id, *g.offset] for g in self]}
 
     def restore(self, state: State) -> None:
-        """Take what ``state`` gave in place of all names."""
+        """Replace all names and places by those of a ``state``."""
         self._named = {
             name: Goal(experience_id, Pose(*offset), name)
             for name, experience_id, *offset in state['named']
         }
 
-    def _free_name(self) -> str:
+    def _unused_name(self) -> str:
         number = 1
         while f'place_{number}' in self._named:
             number += 1
@@ -223,10 +228,14 @@ class Goals:
 
 
 def _checked_name(name: str) -> str:
-    """Return a name that can be told and written on a picture."""
-    if not (0 < len(name) <= LONGEST_NAME and name.isprintable() and name.strip() == name):
+    """Return a valid name.
+
+    Raises:
+        UnreachableGoal: the name cannot be sent in a message or drawn on a picture.
+    """
+    if not (0 < len(name) <= MAX_NAME_CHARACTERS and name.isprintable() and name.strip() == name):
         raise UnreachableGoal(
-            f'{name!r} cannot be a name; expected 1 to {LONGEST_NAME} printable characters, '
-            'without spaces around them'
+            f'{name!r} cannot be a name; expected 1 to {MAX_NAME_CHARACTERS} printable '
+            'characters, without spaces around them'
         )
     return name

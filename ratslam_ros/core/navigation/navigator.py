@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Navigator: experience map, goals in a queue -> where to go now, and what became of each goal."""
+"""Navigator: a queue of goals, guidance to the active one, and the outcome of each."""
 
 from __future__ import annotations
 
@@ -17,20 +17,32 @@ from ratslam_ros.core.navigation.route_following import Guidance, RouteFollowing
 from ratslam_ros.core.navigation.route_planner import RoutePlanner
 from ratslam_ros.errors import UnreachableGoal
 
-MOST_TRIES, MOST_UNSURE = 12, 1
-"""More failed tries for a goal than are needed to unlearn a link; and where they do not count."""
+MAX_TRY_COUNT = 12
+"""Failed tries for a goal after which the next one starts a recovery. Unlearning a link takes
+fewer."""
 
-MOST_OUTCOMES = 100
-"""Of the goals that have ended, so many are remembered."""
+MAX_UNCERTAIN_TRY_COUNT = 1
+"""The same limit while the position is uncertain, so that the map ignores the tries."""
+
+MAX_OUTCOME_COUNT = 100
+"""Number of finished goals that are kept."""
 
 
 @dataclass(slots=True)
 class GoalTask:
-    """A goal that was asked for, and what has become of it.
+    """A requested goal and its progress.
 
-    ``number`` counts all from 0. ``timeout_s``: None as the parameters say, 0 none. ``status``:
-    ``queued``, ``active``, or how it ended, with the ``reason`` where it did not succeed.
-    ``expected_s``: what the first route said, and ``routed_ns`` when that was.
+    Attributes:
+        number: counts all requested goals from 0.
+        goal: the goal.
+        asked: the target as text.
+        timeout_s: time limit in s, 0 for none, None for the limit of the parameters.
+        status: ``queued``, ``active``, or the final status.
+        reason: why the goal ended without success.
+        started_ns: stamp of the first update for this goal.
+        routed_ns: stamp of its first route.
+        expected_s: duration of its first route in s.
+        ended_ns: stamp of the last update for this goal.
     """
 
     number: int
@@ -46,84 +58,82 @@ class GoalTask:
 
 
 class Navigator:
-    """Goes to goals one after the other; knows the places that have names."""
+    """Guides the robot to the goals of a queue, and keeps the named places."""
 
     def __init__(self, parameters: GoalRecallParameters, experience_map: ExperienceMap) -> None:
-        self.recall = RoutePlanner(parameters)
+        self.planner = RoutePlanner(parameters, experience_map)
         self.goals = Goals()
         self.guidance = Guidance('idle')
-        """What the last update gave."""
-        self.outcomes: deque[GoalTask] = deque(maxlen=MOST_OUTCOMES)
-        """The goals that have ended, the last one last."""
+        """Guidance of the last update."""
+        self.outcomes: deque[GoalTask] = deque(maxlen=MAX_OUTCOME_COUNT)
+        """The last finished goals, the newest one last."""
         self.ended = 0
-        """How many that were in all."""
+        """Number of all finished goals."""
         self.stamp_ns = 0
-        """Of the last update."""
-        self._map = experience_map
+        """Stamp of the last update."""
         self._queue: deque[GoalTask] = deque()
         self._following: RouteFollowing | None = None
         self._count = 0
         self._lost_ns: int | None = None
-        self._tries = 0
+        self._failed_tries = 0
 
     @property
     def parameters(self) -> GoalRecallParameters:
-        """How routes are found and followed; they may be replaced at any time."""
-        return self.recall.parameters
+        """Parameters of planning and following routes; may be replaced at any time."""
+        return self.planner.parameters
 
     @parameters.setter
     def parameters(self, parameters: GoalRecallParameters) -> None:
-        self.recall.parameters = parameters
+        self.planner.parameters = parameters
 
     @property
     def queue(self) -> Sequence[GoalTask]:
-        """The goals that have not ended, the active one first; not to be changed or kept."""
+        """The unfinished goals, the active one first. Live view: do not modify or keep it."""
         return self._queue
 
     def go_to(
         self, *targets: Target, append: bool = False, timeout_s: float | None = None,
         tolerance_m: float = 0.0,
     ) -> list[GoalTask]:  # fmt: skip
-        """Go to places, in this order; those asked for before are cancelled.
+        """Request goals in this order, and cancel all earlier ones unless appending.
 
         Args:
-            targets: what ``Goals.find`` knows.
-            append: go there after those asked for before.
-            timeout_s: time for each, from when the robot sets out for it; 0: none, None: as the
-                parameters say.
-            tolerance_m: of positions; 0: ``goal_tolerance_m``.
+            targets: see ``Goals.find``.
+            append: append the goals to the queue.
+            timeout_s: time limit of each goal in s, from its first update; 0 for none, None for
+                the limit of the parameters.
+            tolerance_m: tolerance of positions in m, 0 for ``goal_tolerance_m``.
 
         Raises:
-            UnreachableGoal: one is not known, or no link leads to it; then nothing has changed.
+            UnreachableGoal: a target is unknown or unreachable, or the timeout is invalid. The
+                queue is unchanged then.
         """
         if timeout_s is not None and not 0.0 <= timeout_s < math.inf:
             raise UnreachableGoal(f'the timeout is {timeout_s}; expected 0 or more s')
-        found = [
-            self.goals.find(target, self._map, self.recall, tolerance_m) for target in targets
-        ]
+        goals = [self.goals.find(target, self.planner, tolerance_m) for target in targets]
         if not append:
             self.cancel('another goal was asked for')
-        errands = [
+        tasks = [
             GoalTask(self._count + n, goal, str(goal if isinstance(target, int) else target),
                    timeout_s)
-            for n, (goal, target) in enumerate(zip(found, targets, strict=True))
+            for n, (goal, target) in enumerate(zip(goals, targets, strict=True))
         ]  # fmt: skip
-        self._count += len(errands)
-        self._queue.extend(errands)
-        return errands
+        self._count += len(tasks)
+        self._queue.extend(tasks)
+        return tasks
 
     def cancel(self, reason: str = 'cancelled', number: int | None = None) -> int:
-        """Cancel one goal, or all that have not ended; return how many that were."""
-        chosen = [e for e in self._queue if number is None or e.number == number]
-        for errand in chosen:
-            self._end(errand, 'cancelled', reason)
-        return len(chosen)
+        """Cancel the goal with a number, or all unfinished goals; return how many."""
+        tasks = [task for task in self._queue if number is None or task.number == number]
+        for task in tasks:
+            self._end(task, 'cancelled', reason)
+        return len(tasks)
 
     def update(self, stamp_ns: int, pose: Pose | None = None, located: bool = True) -> Guidance:
-        """Return where to go; see ``RouteFollowing.update`` for what is given.
+        """Return the guidance to the active goal; see ``RouteFollowing.update`` for the arguments.
 
-        The goal that is active has ended if the status says so; the next update sets out for the
-        next one.
+        A final status, such as ``succeeded``, finishes the active goal. The next update activates
+        the next goal.
         """
         self.stamp_ns = stamp_ns
         self.guidance = self._guide(stamp_ns, pose, located)
@@ -132,32 +142,32 @@ class Navigator:
     def _guide(self, stamp_ns: int, pose: Pose | None, located: bool) -> Guidance:
         if not self._queue:
             return Guidance('idle')
-        errand = self._queue[0]
+        task = self._queue[0]
         if self._following is None:
-            errand.status, errand.started_ns = 'active', stamp_ns
-            self._following = RouteFollowing(self.recall, self._map, errand.goal)
+            task.status, task.started_ns = 'active', stamp_ns
+            self._following = RouteFollowing(self.planner, task.goal)
         guidance = self._following.update(stamp_ns, pose, located)
         if guidance.status == 'succeeded':
-            return self._end(errand, 'succeeded', '', guidance)
+            return self._end(task, 'succeeded', '', guidance)
         if guidance.status != 'lost':
             self._lost_ns = None
-            if errand.routed_ns is None:
-                errand.routed_ns, errand.expected_s = stamp_ns, guidance.remaining_s
+            if task.routed_ns is None:
+                task.routed_ns, task.expected_s = stamp_ns, guidance.remaining_s
         elif self._lost_ns is None:
             self._lost_ns = stamp_ns
-        over = self._over(errand, stamp_ns)
-        return guidance if over is None else self._end(errand, *over, guidance)
+        failure = self._timed_out(task, stamp_ns)
+        return guidance if failure is None else self._end(task, *failure, guidance)
 
-    def _over(self, errand: GoalTask, stamp_ns: int) -> tuple[Status, str] | None:
-        """Return how a goal has ended that took too long, and why; None: it has not."""
+    def _timed_out(self, task: GoalTask, stamp_ns: int) -> tuple[Status, str] | None:
+        """Return status and reason if a time limit has expired, else None."""
         p = self.parameters
         limits = []
-        if errand.timeout_s is not None or p.goal_timeout_s > 0.0:
-            limit_s = p.goal_timeout_s if errand.timeout_s is None else errand.timeout_s
-            limits.append((errand.started_ns, limit_s))
-        elif errand.expected_s is not None and p.goal_timeout_factor > 0.0:
-            limit_s = max(p.goal_timeout_factor * errand.expected_s, p.goal_timeout_least_s)
-            limits.append((errand.routed_ns, limit_s))
+        if task.timeout_s is not None or p.goal_timeout_s > 0.0:
+            limit_s = p.goal_timeout_s if task.timeout_s is None else task.timeout_s
+            limits.append((task.started_ns, limit_s))
+        elif task.expected_s is not None and p.goal_timeout_factor > 0.0:
+            limit_s = max(p.goal_timeout_factor * task.expected_s, p.goal_timeout_least_s)
+            limits.append((task.routed_ns, limit_s))
         for since_ns, limit_s in limits:
             assert since_ns is not None
             if 0.0 < limit_s * 1e9 <= stamp_ns - since_ns:
@@ -168,39 +178,40 @@ class Navigator:
         return None
 
     def _end(
-        self, errand: GoalTask, status: Status, reason: str, last: Guidance | None = None
+        self, task: GoalTask, status: Status, reason: str, last: Guidance | None = None
     ) -> Guidance:
-        """End a goal, and return the guidance that says so."""
-        if errand is self._queue[0]:
+        """Finish a goal and return the guidance with its final status."""
+        if task is self._queue[0]:
             self._following = self._lost_ns = None
-            self._tries = 0
-        self._queue.remove(errand)
-        errand.status, errand.reason, errand.ended_ns = status, reason, self.stamp_ns
-        self.outcomes.append(errand)
+            self._failed_tries = 0
+        self._queue.remove(task)
+        task.status, task.reason, task.ended_ns = status, reason, self.stamp_ns
+        self.outcomes.append(task)
         self.ended += 1
         last = last or self.guidance
         return Guidance(status, goal=last.goal, replanned=last.replanned, switched=last.switched)
 
     def report_blocked(self) -> bool:
-        """Take note that a try led nowhere; return whether the map shall count it.
+        """Record that driving along the route failed; return whether the map should count it.
 
-        It shall not where the robot may be wrong about its place: the way is not closed, the
-        robot is not there. Then, and where many tries have unlearned nothing, it explores a bit.
+        The map must not count the failure while the position is uncertain (``try_unknown_m``):
+        the robot may be somewhere else, and the link open. Repeated failures start a recovery.
         """
-        self._tries += 1
+        self._failed_tries += 1
         if self._following is not None:
             self._following.report_blocked()
-        unsure = 0.0 < self.parameters.try_unknown_m < self.guidance.unknown_m
-        if self._following is not None and self._tries > (MOST_UNSURE if unsure else MOST_TRIES):
+        uncertain = 0.0 < self.parameters.try_unknown_m < self.guidance.unknown_m
+        limit = MAX_UNCERTAIN_TRY_COUNT if uncertain else MAX_TRY_COUNT
+        if self._following is not None and self._failed_tries > limit:
             self._following.start_recovery()
-            self._tries = 0
-        return not unsure
+            self._failed_tries = 0
+        return not uncertain
 
     def forgotten(self, experience_id: int, stand_in_id: int, pose_in_stand_in: Pose) -> None:
-        """Keep all goals where an experience is forgotten; see ``Goal.without``."""
-        self.recall.forgotten(self._map, experience_id)
+        """Handle the removal of an experience from the map; see ``Goal.reanchored``."""
+        self.planner.forgotten(experience_id)
         self.goals.forgotten(experience_id, stand_in_id, pose_in_stand_in)
-        for errand in self._queue:
-            errand.goal = errand.goal.without(experience_id, stand_in_id, pose_in_stand_in)
+        for task in self._queue:
+            task.goal = task.goal.reanchored(experience_id, stand_in_id, pose_in_stand_in)
         if self._following is not None:
             self._following.forgotten(experience_id, stand_in_id, pose_in_stand_in)

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What stands on the route is gone round where there is room, and else it is closed."""
+"""Detours round obstacles on the route."""
 
 from __future__ import annotations
 
@@ -14,7 +14,14 @@ from rooms import Drive, Line, clearance_m, corridor, scan_in
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config.goal_follower import GoalFollowerParameters
-from ratslam_ros.core.driving.detour import ASIDE_M, BACK_M, COLUMNS, FRONT_M, ROWS, plan_detour
+from ratslam_ros.core.driving.detour import (
+    COLUMN_COUNT,
+    GRID_BACK_M,
+    GRID_FRONT_M,
+    GRID_SIDE_M,
+    ROW_COUNT,
+    plan_detour,
+)
 from ratslam_ros.core.driving.free_directions import DirectionCandidate, LocalMovement
 
 P = GoalFollowerParameters()
@@ -38,7 +45,7 @@ def detour(
     ('half_m', 'width_m', 'aside_m'),
     [(1.12, 0.6, 0.0), (1.4, 0.8, 0.0), (1.4, 1.4, 0.4), (2.0, 0.6, 0.15), (2.0, 1.4, 0.0)],
 )
-def test_a_box_is_gone_round(
+def test_drive_with_box_on_route_avoids_it(
     half_m: float, width_m: float, aside_m: float, behaviour: str
 ) -> None:
     drive = Drive([*corridor(half_m), box(3.0, aside_m, width_m)], [(0.0, 0.0), (7.0, 0.0)])
@@ -49,7 +56,7 @@ def test_a_box_is_gone_round(
 
 
 @pytest.mark.parametrize('gap_m', [0.0, 0.2, 0.4])
-def test_where_the_robot_does_not_fit_the_way_is_closed(gap_m: float) -> None:
+def test_gap_narrower_than_robot_reports_failed_tries(gap_m: float) -> None:
     walls = [*corridor(1.1), box(3.0, -gap_m / 2, 2.2 - gap_m)]
     drive = Drive(walls, [(0.0, 0.0), (7.0, 0.0)])
     commands = drive.steps(14.0)
@@ -58,8 +65,8 @@ def test_where_the_robot_does_not_fit_the_way_is_closed(gap_m: float) -> None:
     assert detour(walls) is None
 
 
-def test_who_only_turns_to_and_fro_has_tried_in_vain() -> None:
-    """A closed room with boxes; from where it stops it sees a way round, and turned to it none."""
+def test_turning_in_place_reports_failed_tries() -> None:
+    """In a closed room with boxes, the robot sees a detour, but none after turning towards it."""
     rng = np.random.default_rng(29)
     half = rng.uniform(1.2, 3.0)
     walls = [*corridor(half), [(3.5, -half), (3.5, half)]]
@@ -73,8 +80,8 @@ def test_who_only_turns_to_and_fro_has_tried_in_vain() -> None:
 
 
 @pytest.mark.parametrize('range_m', [3.0, math.inf])
-def test_where_no_beam_ends_it_is_free(range_m: float) -> None:
-    """A wide box in a hall whose walls are further away than the laser sees."""
+def test_beams_without_return_count_as_free(range_m: float) -> None:
+    """A wide box in a hall whose walls are beyond the range of the laser."""
     scan = scan_in([*corridor(8.0), box(1.0, 0.1, 1.2)], Pose(0.0, 0.0, 0.0), 0, beams=181)
     far = np.where(scan.ranges_m > range_m, math.inf, scan.ranges_m)
     chosen = plan_detour(LocalMovement(P, replace(scan, ranges_m=far)), STRAIGHT, P)
@@ -82,15 +89,15 @@ def test_where_no_beam_ends_it_is_free(range_m: float) -> None:
     assert -1.2 < chosen.heading_rad < -0.3
 
 
-def test_a_detour_that_is_too_long_is_none() -> None:
-    """A wall across that is open somewhere at the side; the robot would fit."""
-    for aside_m, is_taken in ((0.8, True), (2.2, False)):
+def test_too_long_detour_returns_none() -> None:
+    """A wall across the route has a gap at the side, through which the robot fits."""
+    for aside_m, is_found in ((0.8, True), (2.2, False)):
         posts: list[Line] = [[(1.0, -6.0), (1.0, aside_m - 0.4)], [(1.0, aside_m + 0.4), (1.0, 6)]]
-        assert (detour(posts) is not None) == is_taken
+        assert (detour(posts) is not None) == is_found
 
 
 @pytest.mark.parametrize('side', [1.0, -1.0])
-def test_the_shorter_way_round_is_taken_and_of_two_the_last_one(side: float) -> None:
+def test_detour_is_shortest_and_equal_ones_keep_heading(side: float) -> None:
     walls = [*corridor(2.0), box(1.0, -0.3 * side, 1.0)]
     chosen = detour(walls)
     assert chosen is not None
@@ -100,14 +107,14 @@ def test_the_shorter_way_round_is_taken_and_of_two_the_last_one(side: float) -> 
     assert side * again.heading_rad > 0.2
 
 
-def test_a_way_that_is_free_is_driven_straight_on() -> None:
+def test_detour_in_free_corridor_is_straight() -> None:
     chosen = detour(corridor(1.0))
     assert chosen is not None
     assert abs(chosen.heading_rad) < 0.15
-    assert chosen.open_m > 3.0
+    assert chosen.free_m > 3.0
 
 
-def test_it_begins_with_a_way_that_is_open() -> None:
+def test_detour_starts_in_free_direction() -> None:
     found = 0
     for seed in range(40):
         rng = np.random.Generator(np.random.PCG64(seed))
@@ -127,10 +134,11 @@ def test_it_begins_with_a_way_that_is_open() -> None:
     assert 15 < found < 40
 
 
-def test_a_route_may_leave_the_grid_at_once() -> None:
+def test_route_leaving_grid_at_once_returns_none() -> None:
     for route in ([[0.0, 3.0], [0.0, 5.0]], [[0.0, 0.0]], [[-2.0, 0.0], [0.0, 0.0]]):
         assert detour(corridor(4.0), np.array(route)) is None
     behind = detour(corridor(4.0), np.array([[0.0, 0.0], [-3.0, 0.0]]))
     assert behind is not None
     assert abs(behind.heading_rad) > 2.5
-    assert (round(20 * ASIDE_M), round(10 * (BACK_M + FRONT_M))) == (ROWS - 1, COLUMNS - 1)
+    assert round(20 * GRID_SIDE_M) == ROW_COUNT - 1
+    assert round(10 * (GRID_BACK_M + GRID_FRONT_M)) == COLUMN_COUNT - 1

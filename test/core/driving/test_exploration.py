@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Exploration on small floors, by a robot whose laser, wheels and odometry have no faults."""
+"""Exploration of small floor plans with an ideal laser, drive and odometry."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from ratslam_ros.simulator.samples import ScanSample
 from ratslam_ros.simulator.simulation import SimulationOptions, Simulator
 
 LASER = LaserOptions(noise_m=0.0)
-FAULTLESS = SimulationOptions(
+IDEAL = SimulationOptions(
     camera=None, laser=LASER,
     robot=RobotOptions(wheel_radius_error=0.0, wheel_base_error=0.0, slip_m=0.0),
 )  # fmt: skip
@@ -47,13 +47,13 @@ DOOR = parse_floor_plan("""
 #....................#
 ######################
 """, 0.5)  # fmt: skip
-"""A corridor of 1.5 m along the south, and a room behind a door of 1 m from x = 3 m."""
+"""A corridor 1.5 m wide in the south, and a room behind a door 1 m wide at x = 3 m."""
 
 PILLAR = parse_floor_plan('\n'.join([
     '#' * 26, *['#' + '.' * 24 + '#'] * 10, *['#' + '.' * 11 + '##' + '.' * 11 + '#'] * 2,
     *['#' + '.' * 24 + '#'] * 10, '#' * 26,
 ]), 0.5)  # fmt: skip
-"""A hall of 12 x 11 m with a pillar of 1 m in the middle, around (6.5, 6)."""
+"""A hall of 12 x 11 m with a pillar of 1 m side at (6.5, 6)."""
 
 CORRIDOR = parse_floor_plan('\n'.join(['#' * 42, *['#' + '.' * 40 + '#'] * 3, '#' * 42]), 0.5)
 """20 x 1.5 m, from (0.5, 0.5)."""
@@ -61,7 +61,7 @@ CORRIDOR = parse_floor_plan('\n'.join(['#' * 42, *['#' + '.' * 40 + '#'] * 3, '#
 
 @dataclass
 class Run:
-    """What became of a robot that explored: at each scan."""
+    """Poses and commands of an exploration at each scan."""
 
     poses: list[Pose]
     commands: list[Command]
@@ -70,11 +70,11 @@ class Run:
     def positions(self) -> np.ndarray:
         return np.array(self.poses)[:, :2]
 
-    def comes_to(self, x_m: float, y_m: float, within_m: float) -> bool:
+    def passes_near(self, x_m: float, y_m: float, within_m: float) -> bool:
         return bool(np.hypot(*(self.positions() - (x_m, y_m)).T).min() < within_m)
 
     def behaviours(self) -> list[str]:
-        """The behaviours one after the other."""
+        """Return the sequence of behaviours without repetitions."""
         return [name for name, _ in itertools.groupby(c.behaviour for c in self.commands)]
 
 
@@ -82,7 +82,7 @@ def explore(
     plan: FloorPlan, start: Start, duration_s: float, p: GoalFollowerParameters = P, seed: int = 0
 ) -> Run:
     exploration = Exploration(p, np.random.default_rng(seed))
-    simulator = Simulator(plan, start, 0, FAULTLESS)
+    simulator = Simulator(plan, start, 0, IDEAL)
     run = Run([], [], 0)
     while simulator.elapsed_s < duration_s:
         for sample in simulator.step():
@@ -99,30 +99,30 @@ def explore(
     return run
 
 
-def test_the_wall_to_the_left_is_followed_round_a_room() -> None:
+def test_left_wall_is_followed_round_room() -> None:
     run = explore(ROOM, Start(3.5, 3.0, 0.0), 70.0)
     assert run.collisions == 0
     for corner in ((0.5, 0.5), (6.5, 0.5), (6.5, 5.5), (0.5, 5.5)):
-        assert run.comes_to(*corner, 1.9)
+        assert run.passes_near(*corner, 1.9)
     x, y = run.positions()[250:].T
     wall_m = np.minimum(np.minimum(x - 0.5, 6.5 - x), np.minimum(y - 0.5, 5.5 - y))
     assert np.median(wall_m) == pytest.approx(P.wall_distance_most_m, abs=0.15)
     assert wall_m.max() < 1.5
     headings = np.unwrap([pose.heading_rad for pose in run.poses[250:]])
-    assert headings[-1] - headings[0] < -math.tau  # with it on the left: clockwise
+    assert headings[-1] - headings[0] < -math.tau  # clockwise
 
 
-def test_a_door_to_the_left_is_entered_and_left_again() -> None:
+def test_door_on_left_is_entered_and_left() -> None:
     run = explore(DOOR, Start(*DOOR.places['S'], 0.0), 70.0)
     assert run.collisions == 0
     inside = run.positions()[:, 1] > 2.7
     assert inside.any()
-    assert run.comes_to(*DOOR.places['R'], 1.9)
+    assert run.passes_near(*DOOR.places['R'], 1.9)
     assert run.positions()[~inside & (np.arange(len(inside)) > inside.argmax()), 0].max() > 8.0
 
 
 def turns(run: Run) -> list[tuple[Pose, Pose, float]]:
-    """Return where the robot was before and after each turn on the spot, and by how much."""
+    """Return the poses before and after each turn on the spot, and its angle in rad."""
     found = []
     at = 0
     for name, group in itertools.groupby(command.behaviour for command in run.commands):
@@ -135,7 +135,7 @@ def turns(run: Run) -> list[tuple[Pose, Pose, float]]:
     return found
 
 
-def test_it_turns_back_looks_and_goes_on() -> None:
+def test_look_back_turns_returns_and_continues() -> None:
     p = GoalFollowerParameters(
         look_back_every_m=3.0, look_back_turn_deg=NEVER, look_back_m=0.6
     )
@@ -150,53 +150,52 @@ def test_it_turns_back_looks_and_goes_on() -> None:
         assert turned_rad == pytest.approx(-math.pi, abs=0.4)  # away from the wall
         assert abs(before.heading_rad) < 0.2
     for before, after, turned_rad in (first_again, second_again):
-        assert turned_rad == pytest.approx(math.pi, abs=0.4)  # and back the same way
+        assert turned_rad == pytest.approx(math.pi, abs=0.4)  # back towards the wall
         assert abs(math.remainder(before.heading_rad - math.pi, math.tau)) < 0.4
         assert abs(after.heading_rad) < 0.4
     back_m = math.dist(first_back[1][:2], first_again[0][:2])
     assert back_m == pytest.approx(p.look_back_m, abs=0.15)
-    # It looks from where it went by, and has come on by then.
-    gone_m = second_back[0].x_m - first_back[0].x_m
-    assert gone_m == pytest.approx(p.look_back_every_m, abs=0.5)
+    advance_m = second_back[0].x_m - first_back[0].x_m
+    assert advance_m == pytest.approx(p.look_back_every_m, abs=0.5)
 
 
-def test_having_turned_it_looks_back_sooner() -> None:
+def test_look_back_after_large_turn_is_earlier() -> None:
     p = GoalFollowerParameters(
         look_back_every_m=8.0, look_back_turn_deg=60.0, look_back_m=0.6
     )
-    round_the_corner = explore(ROOM, Start(4.0, 4.9, 0.0), 14.0, p)
+    corner = explore(ROOM, Start(4.0, 4.9, 0.0), 14.0, p)
     along = explore(CORRIDOR, Start(1.5, 1.25, 0.0), 14.0, p)
-    assert 'right_wall' in round_the_corner.behaviours()
+    assert 'right_wall' in corner.behaviours()
     assert along.behaviours() == ['left_wall']
 
 
-def test_after_a_time_it_goes_on_along_the_wall_across_and_then_back_along_that() -> None:
+def test_wall_change_crosses_first_and_then_reverses() -> None:
     p = GoalFollowerParameters(
         look_back_every_m=4.0, look_back_turn_deg=NEVER, look_back_m=0.6, change_wall_every_s=1.0
     )
     run = explore(CORRIDOR, Start(8.0, 1.25, 0.0), 28.0, p)
     assert run.collisions == 0
     assert run.behaviours() == ['left_wall', 'turn', 'left_wall', 'turn', 'right_wall']
-    (there, _, _), (back, _, _) = turns(run)
-    assert there.x_m == pytest.approx(12.0, abs=0.5)
-    assert back.x_m == pytest.approx(there.x_m - p.look_back_every_m, abs=0.8)
+    (first, _, _), (second, _, _) = turns(run)
+    assert first.x_m == pytest.approx(12.0, abs=0.5)
+    assert second.x_m == pytest.approx(first.x_m - p.look_back_every_m, abs=0.8)
     last = run.poses[-1]
     assert abs(last.heading_rad) < 0.3
-    for pose in (there, back, last):  # in the middle, whichever wall it follows
+    for pose in (first, second, last):  # in the middle for either wall
         assert pose.y_m == pytest.approx(1.25, abs=0.15)
 
 
-def test_an_island_is_left() -> None:
+def test_island_is_left_after_one_round() -> None:
     run = explore(PILLAR, Start(6.5, 4.9, 0.0), 110.0)
     assert run.collisions == 0
     away_m = np.hypot(*(run.positions() - (6.5, 6.0)).T)
     headings = np.unwrap([pose.heading_rad for pose in run.poses])
     left = int(np.argmax(away_m > 2.5))
     assert left > 0
-    assert headings[:left].max() - headings[0] > math.tau  # once round it, and no more than twice
+    assert headings[:left].max() - headings[0] > math.tau  # one to two rounds
     assert headings[:left].max() - headings[0] < 2 * math.tau
     x, y = run.positions()[-1]
-    assert min(x - 0.5, 12.5 - x, y - 0.5, 11.5 - y) < 1.4  # by the wall of the hall
+    assert min(x - 0.5, 12.5 - x, y - 0.5, 11.5 - y) < 1.4  # at the wall of the hall
 
 
 TABLE = parse_floor_plan("""
@@ -212,17 +211,17 @@ TABLE = parse_floor_plan("""
 #..........#.....#
 ##################
 """, 0.5)  # fmt: skip
-"""A room of 5 x 4.5 m with a table in it: between table and walls there is one lane."""
+"""A room of 5 x 4.5 m with a table, which leaves a single lane along the walls."""
 
 
-def test_a_room_with_a_table_in_it_is_left() -> None:
+def test_room_with_table_is_left() -> None:
     run = explore(TABLE, Start(2.5, 1.6, 0.0), 90.0)  # with the table on its left
     assert run.collisions == 0
     assert run.positions()[:, 0].max() > 6.5
 
 
 @pytest.mark.parametrize('width', [2, 3])
-def test_it_gets_out_of_a_dead_end(width: int) -> None:
+def test_dead_end_is_left(width: int) -> None:
     rows = ['#' + '.' * 12 + '#' * 9] * (5 - width) + ['#' + '.' * 20 + '#'] * width
     plan = parse_floor_plan('\n'.join(['#' * 22, *rows, '#' * 22]), 0.5)
     run = explore(plan, Start(9.9, 0.5 + width / 4, 0.0), 40.0)
@@ -230,7 +229,7 @@ def test_it_gets_out_of_a_dead_end(width: int) -> None:
     assert run.positions()[:, 0].min() < 5.0
 
 
-def test_where_no_wall_is_near_it_goes_on_to_one() -> None:
+def test_robot_without_near_wall_drives_to_one() -> None:
     run = explore(PILLAR, Start(3.5, 3.5, 0.3), 60.0)
     assert run.collisions == 0
     x, y = run.positions()[-1]
@@ -238,7 +237,7 @@ def test_where_no_wall_is_near_it_goes_on_to_one() -> None:
     assert min(to_hall_m, math.hypot(x - 6.5, y - 6.0) - 0.5) < 1.4
 
 
-def test_what_it_does_hangs_on_the_draws_alone() -> None:
+def test_equal_seeds_give_equal_commands() -> None:
     p = GoalFollowerParameters(look_back_every_m=0.5, look_back_m=0.1, change_wall_every_s=20.0)
     first, again, other = (
         explore(ROOM, Start(3.5, 3.0, 0.0), 60.0, p, seed) for seed in (1, 1, 2)
@@ -247,13 +246,13 @@ def test_what_it_does_hangs_on_the_draws_alone() -> None:
     assert first.commands != other.commands
 
 
-def test_after_a_restart_nothing_before_counts() -> None:
+def test_restart_resets_driven_distance() -> None:
     p = GoalFollowerParameters(look_back_every_m=3.0)
     scan = Scan(0, LASER.first_rad, LASER.step_rad, np.full(181, np.inf))
     exploration = Exploration(p, np.random.default_rng(0))
     for x_m in (0.0, 2.9):
         assert exploration.command(scan, Pose(x_m, 0.0, 0.0)).behaviour != 'turn'
     exploration.restart()
-    for x_m in (50.0, 52.9):  # it has been moved: the way there is none that it drove
+    for x_m in (50.0, 52.9):  # moved by other commands
         assert exploration.command(scan, Pose(x_m, 0.0, 0.0)).behaviour != 'turn'
     assert exploration.command(scan, Pose(53.1, 0.0, 0.0)).behaviour == 'turn'

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a scan leaves free for a robot."""
+"""Free directions of a robot in a scan."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from ratslam_ros.core.common.pose import Pose, composed
 from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.config.goal_follower import GoalFollowerParameters
 from ratslam_ros.core.driving.free_directions import (
-    LOOK_AHEAD_M,
+    LOOKAHEADS_M,
     WALLS,
     Behaviour,
     DirectionCandidate,
@@ -35,11 +35,11 @@ from ratslam_ros.core.driving.free_directions import (
 
 P = GoalFollowerParameters()
 CLOSE = replace(P, wall_distance_most_m=P.wall_distance_m)
-"""Along walls as close as may be, however wide the way is."""
+"""Parameters for following walls at the minimum distance only."""
 
 BODY_M = P.robot_radius_m + P.margin_m
 STEP_RAD = math.radians(3.0)
-"""Between two directions that are looked at."""
+"""Angle between neighbouring directions."""
 
 NO_OBSTACLE = [math.nan, math.inf, -math.inf, 0.0, -1.0]
 RANGES = st.lists(
@@ -47,75 +47,75 @@ RANGES = st.lists(
 )
 
 
-def options_in(
+def candidates_in(
     walls: list[Line], pose: Pose = HERE, p: GoalFollowerParameters = P
 ) -> list[DirectionCandidate]:
-    return LocalMovement(p, scan_in(walls, pose)).options()
+    return LocalMovement(p, scan_in(walls, pose)).candidates()
 
 
-def only(options: list[DirectionCandidate], behaviour: str) -> DirectionCandidate:
-    (found,) = [option for option in options if option.behaviour == behaviour]
+def only(candidates: list[DirectionCandidate], behaviour: str) -> DirectionCandidate:
+    (found,) = [each for each in candidates if each.behaviour == behaviour]
     return found
 
 
-def centrelines_deg(options: list[DirectionCandidate]) -> list[float]:
+def centrelines_deg(candidates: list[DirectionCandidate]) -> list[float]:
     return sorted(
-        math.degrees(option.heading_rad)
-        for option in options
-        if option.behaviour == 'centreline'
+        math.degrees(each.heading_rad)
+        for each in candidates
+        if each.behaviour == 'centreline'
     )
 
 
 # Rooms
 
 
-def test_a_corridor_goes_on_ahead_and_each_wall_is_steered_to() -> None:
-    options = options_in(corridor(1.0), p=CLOSE)
-    left, right = only(options, 'left_wall'), only(options, 'right_wall')
-    # So far to the side that the robot, 0.58 m from where it touches, is at the wall in 0.8 m.
+def test_corridor_has_centreline_and_both_walls() -> None:
+    candidates = candidates_in(corridor(1.0), p=CLOSE)
+    left, right = only(candidates, 'left_wall'), only(candidates, 'right_wall')
+    # The steepest heading that is free for the lookahead distance.
     steepest_rad = math.asin((1.0 - P.wall_distance_m) / P.wall_look_ahead_m)
     assert steepest_rad - STEP_RAD <= left.heading_rad <= steepest_rad
-    assert left.open_m == pytest.approx((1.0 - P.wall_distance_m) / math.sin(left.heading_rad),
+    assert left.free_m == pytest.approx((1.0 - P.wall_distance_m) / math.sin(left.heading_rad),
                                         abs=0.02)  # fmt: skip
-    assert (right.heading_rad, right.open_m) == pytest.approx((-left.heading_rad, left.open_m))
-    # Beyond the laser's reach nothing bars the way.
-    far = [option for option in options if option.open_m == 8.0]
+    assert (right.heading_rad, right.free_m) == pytest.approx((-left.heading_rad, left.free_m))
+    # The free distance is limited to the range of the laser.
+    far = [candidate for candidate in candidates if candidate.free_m == 8.0]
     assert far
-    assert all(option.behaviour == 'centreline' for option in far)
-    assert centrelines_deg(options) == pytest.approx([0.0] * len(LOOK_AHEAD_M), abs=1e-9)
+    assert all(candidate.behaviour == 'centreline' for candidate in far)
+    assert centrelines_deg(candidates) == pytest.approx([0.0] * len(LOOKAHEADS_M), abs=1e-9)
 
 
-def test_a_robot_that_is_as_far_from_a_wall_as_it_should_be_goes_along_it() -> None:
+def test_wall_direction_at_wall_distance_is_parallel() -> None:
     beside = 1.0 - P.wall_distance_m - 0.01
-    left = only(options_in(corridor(1.0), Pose(0.0, beside, 0.0), CLOSE), 'left_wall')
+    left = only(candidates_in(corridor(1.0), Pose(0.0, beside, 0.0), CLOSE), 'left_wall')
     assert left.heading_rad == pytest.approx(0.0, abs=1e-9)
-    right = only(options_in(corridor(1.0), Pose(0.0, -beside, 0.0), CLOSE), 'right_wall')
+    right = only(candidates_in(corridor(1.0), Pose(0.0, -beside, 0.0), CLOSE), 'right_wall')
     assert right.heading_rad == pytest.approx(0.0, abs=1e-9)
-    nearer = only(options_in(corridor(1.0), Pose(0.0, beside + 0.1, 0.0), CLOSE), 'left_wall')
-    assert nearer.heading_rad < -STEP_RAD  # away from it
+    nearer = only(candidates_in(corridor(1.0), Pose(0.0, beside + 0.1, 0.0), CLOSE), 'left_wall')
+    assert nearer.heading_rad < -STEP_RAD  # away from the wall
 
 
 def followed(half_width_m: float, side: Behaviour, y_m: float) -> float:
-    """Return the y at which a robot ends that follows a wall of a corridor for 8 m."""
+    """Return the final y of a robot that follows a wall of a corridor for 8 m."""
     pose = Pose(0.0, y_m, 0.0)
     for _ in range(160):
         movement = LocalMovement(P, scan_in(corridor(half_width_m), pose))
-        option = movement.wall(side, 0.0, math.pi / 2)
-        assert option is not None
-        turned = Pose(0.0, 0.0, max(-0.15, min(option.heading_rad, 0.15)))
+        candidate = movement.along_wall(side, 0.0, math.pi / 2)
+        assert candidate is not None
+        turned = Pose(0.0, 0.0, max(-0.15, min(candidate.heading_rad, 0.15)))
         pose = composed(composed(pose, turned), Pose(0.05, 0.0, 0.0))
     return pose.y_m
 
 
 @pytest.mark.parametrize('y_m', [0.0, 0.5, -0.5])
 @pytest.mark.parametrize('side', WALLS)
-def test_in_a_passage_both_walls_are_followed_in_its_middle(side: Behaviour, y_m: float) -> None:
+def test_wall_following_in_passage_keeps_middle(side: Behaviour, y_m: float) -> None:
     assert followed(0.98, side, y_m) == pytest.approx(0.0, abs=0.25)
 
 
 @pytest.mark.parametrize('y_m', [1.7, 2.0, 2.4])
 @pytest.mark.parametrize(('side', 'sign'), [('left_wall', 1.0), ('right_wall', -1.0)])
-def test_where_there_is_room_a_wall_is_followed_at_the_greater_distance(
+def test_wall_following_in_wide_room_keeps_larger_distance(
     side: Behaviour, sign: float, y_m: float
 ) -> None:
     y_m = followed(3.0, side, sign * y_m)
@@ -123,9 +123,9 @@ def test_where_there_is_room_a_wall_is_followed_at_the_greater_distance(
 
 
 @pytest.mark.parametrize('p', [P, CLOSE])
-@pytest.mark.parametrize(('width_m', 'is_taken'), [(1.1, True), (0.9, True), (0.7, False)])
-def test_a_door_to_the_left_is_entered_where_it_is_wide_enough(
-    p: GoalFollowerParameters, width_m: float, is_taken: bool
+@pytest.mark.parametrize(('width_m', 'is_entered'), [(1.1, True), (0.9, True), (0.7, False)])
+def test_door_on_left_is_entered_if_wide_enough(
+    p: GoalFollowerParameters, width_m: float, is_entered: bool
 ) -> None:
     half = width_m / 2
     walls: list[Line] = [
@@ -133,51 +133,51 @@ def test_a_door_to_the_left_is_entered_where_it_is_wide_enough(
         [(20.0, 1.0), (half, 1.0), (half, 1.1), (4.0, 1.1), (4.0, 6.0), (-4.0, 6.0)],
         [(-20.0, -1.0), (20.0, -1.0)],
     ]
-    options = options_in(walls, p=p)
-    in_corridor = only(options_in(corridor(1.0), p=p), 'left_wall')
-    left = only(options, 'left_wall')
-    if is_taken:
+    candidates = candidates_in(walls, p=p)
+    in_corridor = only(candidates_in(corridor(1.0), p=p), 'left_wall')
+    left = only(candidates, 'left_wall')
+    if is_entered:
         assert left.heading_rad > math.radians(75.0)
-        assert left.open_m > 3.0
+        assert left.free_m > 3.0
     else:
         assert left.heading_rad == pytest.approx(in_corridor.heading_rad, abs=2 * STEP_RAD)
-    assert only(options, 'right_wall').heading_rad == pytest.approx(-in_corridor.heading_rad)
-    # Seen from 2 m before it a door is no reason to leave the wall.
-    before = only(options_in(walls, Pose(-3.0, 0.0, 0.0), p), 'left_wall')
+    assert only(candidates, 'right_wall').heading_rad == pytest.approx(-in_corridor.heading_rad)
+    # From 2 m before the door, the direction still follows the wall.
+    before = only(candidates_in(walls, Pose(-3.0, 0.0, 0.0), p), 'left_wall')
     assert before.heading_rad == pytest.approx(in_corridor.heading_rad)
 
 
-def test_a_dead_end_leaves_no_way_on_but_to_turn() -> None:
-    assert options_in(dead_end(0.5)) == []
+def test_near_dead_end_has_no_candidates() -> None:
+    assert candidates_in(dead_end(0.5)) == []
     movement = LocalMovement(P, scan_in(dead_end(0.5)))
-    assert movement.open_m(0.0) == pytest.approx(0.5 - BODY_M, abs=0.01)
-    assert movement.open_m(0.0, P.robot_radius_m) == pytest.approx(
+    assert movement.free_m(0.0) == pytest.approx(0.5 - BODY_M, abs=0.01)
+    assert movement.free_m(0.0, P.robot_radius_m) == pytest.approx(
         0.5 - P.robot_radius_m, abs=0.01
     )
-    # Further off there is room to drive up to it.
-    assert centrelines_deg(options_in(dead_end(2.0))) == pytest.approx([0.0], abs=1.5)
+    # A distant one has a centreline.
+    assert centrelines_deg(candidates_in(dead_end(2.0))) == pytest.approx([0.0], abs=1.5)
 
 
-def test_a_t_junction_leads_to_both_sides_and_not_ahead() -> None:
-    options = options_in(t_junction(1.0))
-    left, right = only(options, 'left_wall'), only(options, 'right_wall')
+def test_t_junction_has_candidates_to_both_sides() -> None:
+    candidates = candidates_in(t_junction(1.0))
+    left, right = only(candidates, 'left_wall'), only(candidates, 'right_wall')
     assert left.heading_rad == pytest.approx(math.pi / 2, abs=0.25)
     assert right.heading_rad == pytest.approx(-left.heading_rad)
-    centres = centrelines_deg(options)
-    assert len(centres) == 2 * len(LOOK_AHEAD_M)
+    centres = centrelines_deg(candidates)
+    assert len(centres) == 2 * len(LOOKAHEADS_M)
     assert centres == pytest.approx([-deg for deg in reversed(centres)])
-    assert all(60.0 < deg < 90.0 for deg in centres[len(LOOK_AHEAD_M) :])
+    assert all(60.0 < deg < 90.0 for deg in centres[len(LOOKAHEADS_M) :])
 
 
-def test_far_off_the_branches_of_a_junction_are_one_way_on() -> None:
-    assert np.abs(centrelines_deg(options_in(t_junction(6.0)))).max() < 1.5
+def test_distant_junction_has_one_centreline() -> None:
+    assert np.abs(centrelines_deg(candidates_in(t_junction(6.0)))).max() < 1.5
 
 
 @pytest.mark.parametrize('aside_m', [0.0, 0.25, -0.4])
 @pytest.mark.parametrize(
     ('gap_m', 'fits'), [(0.3, False), (2 * BODY_M - 0.03, False), (2 * BODY_M + 0.1, True)]
 )
-def test_no_way_leads_through_a_gap_that_is_narrower_than_the_robot(
+def test_gap_is_passed_only_if_wide_enough(
     gap_m: float, fits: bool, aside_m: float
 ) -> None:
     at_m = 1.2
@@ -187,68 +187,69 @@ def test_no_way_leads_through_a_gap_that_is_narrower_than_the_robot(
     movement = LocalMovement(P, scan_in(walls, beams=1441))
     bearing_rad = math.atan2(aside_m, at_m)
     through = [
-        option
-        for option in [*movement.options(), *movement.fan()]
-        if option.open_m * math.cos(option.heading_rad) > at_m
+        candidate
+        for candidate in [*movement.candidates(), *movement.straight_directions()]
+        if candidate.free_m * math.cos(candidate.heading_rad) > at_m
     ]
     assert bool(through) == fits
-    for option in through:
-        assert abs(at_m * math.tan(option.heading_rad) - aside_m) < gap_m / 2
-    assert (movement.open_m(bearing_rad) > at_m) == fits
+    for candidate in through:
+        assert abs(at_m * math.tan(candidate.heading_rad) - aside_m) < gap_m / 2
+    assert (movement.free_m(bearing_rad) > at_m) == fits
 
 
 # Any scan
 
 
 @given(RANGES, st.floats(-math.pi, math.pi), st.floats(0.05, 0.6))
-def test_a_body_touches_nothing_on_what_is_open_and_something_at_its_end(
+def test_free_distance_ends_at_first_contact(
     ranges_m: list[float], heading_rad: float, half_width_m: float
 ) -> None:
     movement = LocalMovement(P, scan_of_ranges(ranges_m))
-    open_m = movement.open_m(heading_rad, half_width_m)
-    assert 0.0 <= open_m <= 8.0
+    free_m = movement.free_m(heading_rad, half_width_m)
+    assert 0.0 <= free_m <= 8.0
     c, s = math.cos(heading_rad), math.sin(heading_rad)
-    end, on = (open_m * c, open_m * s), ((open_m + 0.01) * c, (open_m + 0.01) * s)
+    end, on = (free_m * c, free_m * s), ((free_m + 0.01) * c, (free_m + 0.01) * s)
     touched = False
     for x, y in movement.points.tolist():
-        if c * x + s * y <= 0.0:  # behind: it is left
+        if c * x + s * y <= 0.0:  # behind the robot
             continue
         gap_m = way_to_point_m((0.0, 0.0), end, (x, y)) - half_width_m
-        assert gap_m >= -1e-6 or open_m == 0.0
-        # A point that is only brushed lets the body pass.
+        assert gap_m >= -1e-6 or free_m == 0.0
+        # The tolerance is for points that the body only grazes.
         touched |= way_to_point_m(end, on, (x, y)) < half_width_m + 1e-6
-    assert touched or open_m == 8.0
+    assert touched or free_m == 8.0
 
 
 @given(RANGES)
-def test_every_option_is_as_open_as_it_says_it_must_be(ranges_m: list[float]) -> None:
+def test_candidates_have_their_minimum_free_distance(ranges_m: list[float]) -> None:
     movement = LocalMovement(P, scan_of_ranges(ranges_m))
-    for option in movement.options():
-        if option.behaviour == 'centreline':
-            assert movement.open_m(option.heading_rad) >= LOOK_AHEAD_M[0]
+    for candidate in movement.candidates():
+        if candidate.behaviour == 'centreline':
+            assert movement.free_m(candidate.heading_rad) >= LOOKAHEADS_M[0]
         else:
-            # Through doors it need not keep all of its distance.
-            open_m = movement.open_m(option.heading_rad, (P.wall_distance_m + BODY_M) / 2)
-            assert open_m >= option.open_m >= P.wall_look_ahead_m
+            # In doors the distance to the wall may be smaller.
+            free_m = movement.free_m(candidate.heading_rad, (P.wall_distance_m + BODY_M) / 2)
+            assert free_m >= candidate.free_m >= P.wall_look_ahead_m
 
 
-@pytest.mark.parametrize('beams', [8, 60, 180])  # none is at a right angle to a direction
+@pytest.mark.parametrize('beams', [8, 60, 180])  # no beam is perpendicular to a direction
 @pytest.mark.parametrize('seed', range(20))
-def test_a_mirrored_scan_has_mirrored_options(seed: int, beams: int) -> None:
+def test_mirrored_scan_has_mirrored_candidates(seed: int, beams: int) -> None:
     ranges_m = np.random.default_rng(seed).uniform(0.1, 1.0 + seed / 4.0, beams)
-    seen, mirrored = (
-        LocalMovement(P, scan_of_ranges(ranges)).options() for ranges in (ranges_m, ranges_m[::-1])
+    original, mirrored = (
+        LocalMovement(P, scan_of_ranges(ranges)).candidates()
+        for ranges in (ranges_m, ranges_m[::-1])
     )
     other = {'left_wall': 'right_wall', 'right_wall': 'left_wall', 'centreline': 'centreline'}
-    expected = [(other[option.behaviour], -option.heading_rad, option.open_m) for option in seen]
-    found = [(option.behaviour, option.heading_rad, option.open_m) for option in mirrored]
+    expected = [(other[each.behaviour], -each.heading_rad, each.free_m) for each in original]
+    found = [(each.behaviour, each.heading_rad, each.free_m) for each in mirrored]
     for (a, a_rad, a_m), (b, b_rad, b_m) in zip(sorted(expected), sorted(found), strict=True):
         assert a == b
         assert (a_rad, a_m) == pytest.approx((b_rad, b_m), abs=1e-9)
 
 
 @given(RANGES)
-def test_beams_without_an_end_are_no_obstacles(ranges_m: list[float]) -> None:
+def test_beams_without_return_are_no_obstacles(ranges_m: list[float]) -> None:
     scan = scan_of_ranges(ranges_m)
     ends = [
         (r * math.cos(angle), r * math.sin(angle))
@@ -263,35 +264,35 @@ def test_beams_without_an_end_are_no_obstacles(ranges_m: list[float]) -> None:
 
 
 @pytest.mark.parametrize('nothing', NO_OBSTACLE)
-def test_where_nothing_is_seen_all_is_open(nothing: float) -> None:
+def test_scan_without_returns_is_free(nothing: float) -> None:
     movement = LocalMovement(P, scan_of_ranges([nothing] * 181))
-    assert {option.open_m for option in movement.options()} == {8.0}
-    left, right = only(movement.options(), 'left_wall'), only(movement.options(), 'right_wall')
+    assert {candidate.free_m for candidate in movement.candidates()} == {8.0}
+    left, right = (only(movement.candidates(), side) for side in WALLS)
     assert (left.heading_rad, right.heading_rad) == (math.pi / 2, -math.pi / 2)
 
 
-def test_the_fan_is_every_direction_as_far_as_the_body_comes() -> None:
+def test_straight_directions_have_free_distance_of_body() -> None:
     movement = LocalMovement(P, scan_in(t_junction(5.0)))
-    fan = movement.fan()
-    assert [option.heading_rad for option in fan] == movement.headings_rad.tolist()
-    for option in fan:
-        assert option.behaviour == 'straight'
-        assert option.open_m == pytest.approx(movement.open_m(option.heading_rad))
+    straight = movement.straight_directions()
+    assert [candidate.heading_rad for candidate in straight] == movement.headings_rad.tolist()
+    for candidate in straight:
+        assert candidate.behaviour == 'straight'
+        assert candidate.free_m == pytest.approx(movement.free_m(candidate.heading_rad))
 
 
 @pytest.mark.parametrize(('behaviour', 'side'), [('left_wall', 1.0), ('right_wall', -1.0)])
-def test_a_wall_is_looked_for_about_a_direction(behaviour: Behaviour, side: float) -> None:
+def test_along_wall_searches_given_sector(behaviour: Behaviour, side: float) -> None:
     movement = LocalMovement(P, scan_in(corridor(1.5)))
-    anywhere = only(movement.options(), behaviour)
-    assert movement.wall(behaviour, 0.0, math.pi) == anywhere
-    within = movement.wall(behaviour, 0.0, 0.2)
+    anywhere = only(movement.candidates(), behaviour)
+    assert movement.along_wall(behaviour, 0.0, math.pi) == anywhere
+    within = movement.along_wall(behaviour, 0.0, 0.2)
     assert within is not None
     assert within.heading_rad == pytest.approx(0.2 * side, abs=math.radians(3.0))
     across = LocalMovement(P, scan_in(corridor(0.6)))
-    assert across.wall(behaviour, side * math.pi / 2, 0.5) is None  # only a wall is there
+    assert across.along_wall(behaviour, side * math.pi / 2, 0.5) is None  # blocked by the wall
 
 
-def test_beams_count_from_where_the_scan_begins() -> None:
+def test_scan_points_start_at_minimum_angle() -> None:
     ahead_and_left = Scan(0, -0.5, 0.5, np.array([math.inf, 2.0, 1.0]))
     points = LocalMovement(P, ahead_and_left).points
     assert points == pytest.approx(np.array([(2.0, 0.0), (math.cos(0.5), math.sin(0.5))]))

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Of the ways on the one along the route, and never into what stands there."""
+"""Following a route without touching obstacles."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from rooms import (
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config.goal_follower import GoalFollowerParameters
-from ratslam_ros.core.driving.goal_follower import GoalFollower, seen_from
+from ratslam_ros.core.driving.goal_follower import GoalFollower, in_robot_frame
 from ratslam_ros.core.driving.steering import Command
 
 P = GoalFollowerParameters()
@@ -38,10 +38,10 @@ def command_for(walls: list[Line], route: NDArray[np.float64]) -> Command:
     return GoalFollower(P).command(scan_in(walls), route)
 
 
-# Along the route
+# Following
 
 
-def test_a_route_ahead_is_driven_along_to_its_end() -> None:
+def test_straight_route_is_driven_to_its_end() -> None:
     drive = Drive(corridor(1.0), [(0.0, 0.0), (6.0, 0.0)])
     commands = drive.steps(8.0)
     assert commands[0].speed_mps > 0.95 * P.speed_mps
@@ -52,7 +52,7 @@ def test_a_route_ahead_is_driven_along_to_its_end() -> None:
 
 
 @pytest.mark.parametrize('side', [1.0, -1.0])
-def test_at_a_junction_the_branch_of_the_route_is_taken(side: float) -> None:
+def test_junction_follows_branch_of_route(side: float) -> None:
     drive = Drive(t_junction(5.0), [(0.0, 0.0), (4.0, 0.0), (4.0, side * 5.0)])
     commands = drive.steps(25.0)
     assert drive.away_m(4.0, side * 5.0) < 0.3
@@ -61,7 +61,7 @@ def test_at_a_junction_the_branch_of_the_route_is_taken(side: float) -> None:
     assert 'turn' not in {command.behaviour for command in commands[:40]}
 
 
-def test_a_door_beside_is_gone_through() -> None:
+def test_route_through_side_door_is_driven() -> None:
     walls: list[Line] = [
         [(-20.0, 1.0), (2.5, 1.0), (2.5, 6.0), (5.5, 6.0), (5.5, 1.0)],
         [(2.5, 1.0), (3.5, 1.0)], [(4.5, 1.0), (20.0, 1.0)],
@@ -74,8 +74,8 @@ def test_a_door_beside_is_gone_through() -> None:
     assert not any(command.failed for command in commands)
 
 
-def test_a_route_that_is_off_by_some_is_followed_along_the_corridor() -> None:
-    """A map is bent: its route leads into the wall, the corridor does not."""
+def test_displaced_route_is_followed_along_corridor() -> None:
+    """The map is distorted, so the route leads into the wall of the corridor."""
     drive = Drive(corridor(0.8), [(0.0, 0.0), (10.0, 1.0)])
     drive.steps(12.0)
     assert drive.pose.x_m > 6.0
@@ -83,9 +83,7 @@ def test_a_route_that_is_off_by_some_is_followed_along_the_corridor() -> None:
 
 
 @pytest.mark.parametrize('bearing_deg', [180.0 - 1e-6, -180.0 + 1e-6, 120.0, -120.0, 96.0, -96.0])
-def test_a_route_that_begins_behind_is_turned_to_the_short_way(
-    bearing_deg: float,
-) -> None:
+def test_route_behind_robot_starts_shortest_turn(bearing_deg: float) -> None:
     bearing = math.radians(bearing_deg)
     drive = Drive(corridor(1.0), [(0.0, 0.0), (9.0 * math.cos(bearing), 9.0 * math.sin(bearing))])
     turned_rad = 0.0
@@ -98,20 +96,20 @@ def test_a_route_that_begins_behind_is_turned_to_the_short_way(
         assert abs(command.turn_rate_radps) <= P.turn_rate_radps
         turned_rad += math.remainder(drive.pose.heading_rad - before.heading_rad, math.tau)
     left_rad = bearing - turned_rad
-    # It turns until it faces the route, and no further.
+    # The turn does not overshoot.
     assert 0.0 <= left_rad * math.copysign(1.0, bearing) < math.radians(25.0)
 
 
 @pytest.mark.parametrize('bearing_deg', [94.0, 70.0, -70.0, -94.0])
-def test_a_route_that_begins_beside_is_taken_without_turning_first(bearing_deg: float) -> None:
+def test_route_beside_robot_starts_without_turning(bearing_deg: float) -> None:
     bearing = math.radians(bearing_deg)
     command = command_for([], np.array([[0.0, 0.0], [math.cos(bearing), math.sin(bearing)]]))
     assert command.behaviour != 'turn'
     assert command.ahead_rad == pytest.approx(bearing, abs=math.radians(4.5))
 
 
-def test_turning_does_not_end_where_it_would_not_have_begun() -> None:
-    """Or else the robot would turn to and fro."""
+def test_turning_has_hysteresis() -> None:
+    """Without hysteresis the robot would oscillate."""
     route = 5.0 * np.array([[0.0, 0.0], [math.cos(0.7), math.sin(0.7)]])
     assert command_for([], route).behaviour != 'turn'
     follower = GoalFollower(P)
@@ -119,7 +117,7 @@ def test_turning_does_not_end_where_it_would_not_have_begun() -> None:
     assert follower.command(scan_in([]), route).behaviour == 'turn'
 
 
-def test_it_slows_down_before_the_end_of_the_route() -> None:
+def test_speed_decreases_before_end_of_route() -> None:
     lengths_m = [0.02, 0.1, 0.2, 0.5, 1.0, 3.0]
     speeds = [
         command_for(corridor(), AHEAD * length_m / 5.0).speed_mps for length_m in lengths_m
@@ -127,14 +125,14 @@ def test_it_slows_down_before_the_end_of_the_route() -> None:
     assert speeds == sorted(speeds)
     assert speeds[-1] > 0.95 * P.speed_mps
     for speed, length_m in zip(speeds, lengths_m, strict=True):
-        # As far as it takes to stop, and a little to come there at all.
+        # The offset of 0.1 m/s lets the robot reach the end.
         assert 0.0 < speed <= 0.1 + math.sqrt(2.0 * P.braking_mps2 * length_m)
 
 
-# Where nothing leads along it
+# Blocked routes
 
 
-def test_a_closed_way_is_waited_at_and_has_failed_again_and_again() -> None:
+def test_blocked_route_fails_once_per_timeout() -> None:
     follower = GoalFollower(P)
     failed_s = []
     for step in range(100):
@@ -147,7 +145,7 @@ def test_a_closed_way_is_waited_at_and_has_failed_again_and_again() -> None:
     assert failed_s == pytest.approx([P.try_timeout_s * n for n in (1, 2, 3)])
 
 
-def test_a_robot_that_waits_turns_to_the_route_and_says_where_it_was() -> None:
+def test_waiting_robot_turns_to_route() -> None:
     turned = np.array([[0.0, 0.0], [5.0 * math.cos(0.8), 5.0 * math.sin(0.8)]])
     command = command_for(dead_end(0.4, 0.4), turned)
     assert (command.speed_mps, command.ahead_rad) == pytest.approx((0.0, 0.8))
@@ -155,7 +153,7 @@ def test_a_robot_that_waits_turns_to_the_route_and_says_where_it_was() -> None:
 
 
 @pytest.mark.parametrize(('at_m', 'half_width_m'), [(2.1, 0.7), (2.1, 1.5), (2.17, 1.0)])
-def test_before_a_closed_way_the_robot_comes_to_rest_wherever_that_is(
+def test_robot_stops_before_blocked_passage(
     at_m: float, half_width_m: float
 ) -> None:
     drive = Drive(dead_end(at_m, half_width_m), [(0.0, 0.0), (9.0, 0.0)])
@@ -166,26 +164,26 @@ def test_before_a_closed_way_the_robot_comes_to_rest_wherever_that_is(
     assert drive.nearest_m > P.robot_radius_m
 
 
-def test_somebody_who_goes_away_makes_no_way_fail() -> None:
+def test_temporary_obstacle_does_not_fail() -> None:
     free, closed = corridor(0.7), [*corridor(0.7), [(2.0, 0.7), (2.0, -0.7)]]
     drive = Drive(free, [(0.0, 0.0), (9.0, 0.0)])
-    stood = 0.0
+    waited_s = 0.0
     for _ in range(3):
         drive.steps(0.5)
         drive.walls = [*free, [(drive.pose.x_m + 0.8, 0.7), (drive.pose.x_m + 0.8, -0.7)]]
         waiting = drive.steps(P.try_timeout_s - 0.5)
         assert not any(command.failed for command in waiting)
-        stood += sum(command.speed_mps == 0.0 for command in waiting) * SCAN_S
+        waited_s += sum(command.speed_mps == 0.0 for command in waiting) * SCAN_S
         drive.walls = free
-    assert stood > P.try_timeout_s  # in all
+    assert waited_s > P.try_timeout_s  # in total
     assert not any(command.failed for command in drive.steps(20.0))
     assert drive.away_m(9.0, 0.0) < 0.3
-    drive = Drive(closed, [(0.0, 0.0), (9.0, 0.0)])  # and who stays does
+    drive = Drive(closed, [(0.0, 0.0), (9.0, 0.0)])  # a permanent one does
     assert any(command.failed for command in drive.steps(10.0))
     assert drive.nearest_m > P.robot_radius_m
 
 
-# Never into anything
+# Safety
 
 SCANS = st.lists(st.floats(0.05, 3.0) | st.just(math.inf), min_size=1, max_size=40)
 ROUTES = st.lists(
@@ -194,7 +192,7 @@ ROUTES = st.lists(
 
 
 @given(SCANS, ROUTES)
-def test_it_can_always_stop_before_what_is_ahead(
+def test_speed_allows_stopping_before_obstacles(
     ranges_m: list[float], route: list[tuple[float, float]]
 ) -> None:
     scan = scan_of_ranges(ranges_m)
@@ -203,7 +201,7 @@ def test_it_can_always_stop_before_what_is_ahead(
     assert abs(command.turn_rate_radps) <= P.turn_rate_radps
     if command.speed_mps == 0.0:
         return
-    # So far on, and the distance that must stay, the body is at no point that is ahead of it.
+    # No point ahead is within the braking distance plus the stop distance.
     stop_m = command.speed_mps**2 / (2.0 * P.braking_mps2) + P.stop_distance_m
     angles = scan.angle_min_rad + scan.angle_increment_rad * np.arange(len(ranges_m))
     for range_m, angle in zip(ranges_m, angles.tolist(), strict=True):
@@ -214,13 +212,13 @@ def test_it_can_always_stop_before_what_is_ahead(
 
 
 @pytest.mark.parametrize('at_m', [0.27, 0.3, 0.36])
-def test_within_the_stop_distance_it_does_not_go_on(at_m: float) -> None:
+def test_obstacle_within_stop_distance_stops_robot(at_m: float) -> None:
     post: list[Line] = [[(at_m, 0.05), (at_m, -0.05)]]
     assert command_for(post, AHEAD).speed_mps == 0.0
 
 
 @pytest.mark.parametrize('aside_m', [0.1, 0.0, -0.1])
-def test_what_stands_on_the_route_is_gone_round(aside_m: float) -> None:
+def test_obstacle_on_route_is_avoided(aside_m: float) -> None:
     box: Line = [(3.0, aside_m + 0.2), (3.0, aside_m - 0.2), (3.3, aside_m - 0.2),
                  (3.3, aside_m + 0.2), (3.0, aside_m + 0.2)]  # fmt: skip
     drive = Drive([*corridor(1.5), box], [(0.0, 0.0), (7.0, 0.0)])
@@ -229,13 +227,11 @@ def test_what_stands_on_the_route_is_gone_round(aside_m: float) -> None:
     assert drive.nearest_m > P.robot_radius_m
 
 
-# Along the wall that it learned
+# Learned walls
 
 
 @pytest.mark.parametrize(('behaviour', 'side'), [('left_wall', 1.0), ('right_wall', -1.0)])
-def test_the_wall_of_the_route_is_followed_until_its_last_piece(
-    behaviour: str, side: float
-) -> None:
+def test_learned_wall_is_followed_until_final_approach(behaviour: str, side: float) -> None:
     drive = Drive(corridor(2.0), [(0.0, 0.0), (6.0, 0.0)])
     drive.behaviour = behaviour
     commands = drive.steps(7.0)
@@ -247,43 +243,41 @@ def test_the_wall_of_the_route_is_followed_until_its_last_piece(
 
 
 @pytest.mark.parametrize('bearing_deg', [94.0, -94.0, 96.0, -96.0, 180.0])
-def test_where_the_route_runs_back_the_robot_turns_before_it_follows_a_wall(
-    bearing_deg: float,
-) -> None:
+def test_wall_following_turns_first_if_route_leads_back(bearing_deg: float) -> None:
     bearing = math.radians(bearing_deg)
     route = np.array([[0.0, 0.0], [2.0 * math.cos(bearing), 2.0 * math.sin(bearing)]])
     command = GoalFollower(P).command(scan_in([]), route, 'left_wall')
     assert (command.behaviour == 'turn') == (abs(bearing_deg) > 95.0)
 
 
-def test_a_wall_that_leads_elsewhere_is_left() -> None:
+def test_wall_leading_away_from_route_is_left() -> None:
     drive = Drive(t_junction(5.0), [(0.0, 0.0), (4.0, 0.0), (4.0, -5.0)])
-    drive.behaviour = 'left_wall'  # on beyond the branch, and the map does not know better
+    drive.behaviour = 'left_wall'  # outdated beyond the branch
     drive.steps(25.0)
     assert drive.away_m(4.0, -5.0) < 0.3
     assert drive.nearest_m > P.robot_radius_m
 
 
-# Seen from the robot
+# Robot frame
 
 
 @pytest.mark.parametrize('seed', range(5))
-def test_places_are_seen_as_a_rotation_says(seed: int) -> None:
+def test_in_robot_frame_is_rigid_transform(seed: int) -> None:
     rng = np.random.default_rng(seed)
     x_m, y_m, heading = rng.uniform(-3.0, 3.0, 3).tolist()
     positions_m = rng.normal(0.0, 5.0, (7, 2))
     turned = np.array(
         [[math.cos(heading), -math.sin(heading)], [math.sin(heading), math.cos(heading)]]
     )
-    seen = seen_from(Pose(x_m, y_m, heading), positions_m)
-    assert seen @ turned.T + [x_m, y_m] == pytest.approx(positions_m)
+    local_m = in_robot_frame(Pose(x_m, y_m, heading), positions_m)
+    assert local_m @ turned.T + [x_m, y_m] == pytest.approx(positions_m)
     for a, b in itertools.combinations(range(7), 2):
-        assert math.dist(seen[a], seen[b]) == pytest.approx(
+        assert math.dist(local_m[a], local_m[b]) == pytest.approx(
             math.dist(positions_m[a], positions_m[b])
         )
 
 
-def test_ahead_is_x_and_left_is_y() -> None:
-    seen = seen_from(Pose(1.0, 2.0, math.pi / 2), np.array([[1.0, 3.0], [0.0, 2.0]]))
-    assert seen == pytest.approx(np.array([[1.0, 0.0], [0.0, 1.0]]))
-    assert seen_from(Pose(1.0, 2.0, 0.3), np.empty((0, 2))).shape == (0, 2)
+def test_in_robot_frame_has_x_ahead_and_y_left() -> None:
+    local_m = in_robot_frame(Pose(1.0, 2.0, math.pi / 2), np.array([[1.0, 3.0], [0.0, 2.0]]))
+    assert local_m == pytest.approx(np.array([[1.0, 0.0], [0.0, 1.0]]))
+    assert in_robot_frame(Pose(1.0, 2.0, 0.3), np.empty((0, 2))).shape == (0, 2)

@@ -25,7 +25,8 @@ from ratslam_ros.core.mapping.link_learning import (
     confidences,
     leading_ahead,
 )
-from ratslam_ros.core.navigation.route_planner import GoalTree, RoutePlanner
+from ratslam_ros.core.navigation.goal_tree import GoalTree
+from ratslam_ros.core.navigation.route_planner import RoutePlanner
 from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.errors import UnreachableGoal, UnusableInput
@@ -246,11 +247,11 @@ def stand_before(graph: ExperienceMap, target: int) -> None:
 
 def test_a_blocked_way_is_unlearned_after_a_few_attempts_and_learned_again() -> None:
     graph = corridor()
-    recall = RoutePlanner(GoalRecallParameters())
+    planner = RoutePlanner(GoalRecallParameters(), graph)
     goal = 8
     stand_before(graph, 4)  # at x = 2
-    tree = GoalTree(recall, graph, goal)
-    assert recall.route_to(graph, goal).experience_ids == (4, 5, 6, 7, 8)
+    tree = GoalTree(planner, goal)
+    assert planner.route_to(goal).experience_ids == (4, 5, 6, 7, 8)
     attempts = [graph.report_blocked(WALL, 0.0) for _ in range(4)]
     assert attempts[:3] == [0, 0, 0]
     # x = 2 to 2.5, 2.5 to 3, 3 to 3.5: their near ends are at most 1 m away; both directions.
@@ -259,12 +260,12 @@ def test_a_blocked_way_is_unlearned_after_a_few_attempts_and_learned_again() -> 
     assert not gone & pairs(graph)
     assert graph.link_count == 22 - 6
     with pytest.raises(UnreachableGoal):
-        recall.route_to(graph, goal)
+        planner.route_to(goal)
     assert math.isinf(tree.remaining_s())
     go_on(graph, 8)  # the obstacle is gone
     assert {(4, 5), (5, 6), (6, 7)} <= pairs(graph)
     stand_before(graph, 4)
-    assert recall.route_to(graph, goal).experience_ids == (4, 5, 6, 7, 8)
+    assert planner.route_to(goal).experience_ids == (4, 5, 6, 7, 8)
     assert tree.route().experience_ids == (4, 5, 6, 7, 8)
 
 
@@ -404,14 +405,14 @@ def test_rows_texts_and_routes_follow_links_that_vanish(seed: int) -> None:
     rng = random.Random(seed)
     graph = new_map(exp_min_tries=2, exp_confidence_threshold=0.4, exp_try_radius_m=2.0)
     exercised(graph, rng, 60)
-    kept, recall = MapText(), RoutePlanner(GoalRecallParameters())
-    tree = GoalTree(recall, graph, 3)
+    kept, planner = MapText(), RoutePlanner(GoalRecallParameters(), graph)
+    tree = GoalTree(planner, 3)
     for _ in range(60):
         exercised(graph, rng, 5)
         assert encode_map(1, graph, kept) == encode_map(1, graph)
         for row, link in enumerate(graph.links()):
             assert graph._links.row(link.source_id, link.target_id) == row
-        fresh = recall.temporal_map(graph, 3).arrival_s
+        fresh = planner.temporal_map(3).arrival_s
         for start in range(len(graph)):
             assert math.isfinite(tree.remaining_s(start)) == math.isfinite(fresh[start])
         if tree.exact():

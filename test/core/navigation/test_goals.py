@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Named places, and what is asked for."""
+"""Named places and targets."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.errors import UnreachableGoal
 
-RECALL = RoutePlanner(GoalRecallParameters(goal_tolerance_m=0.6))
+PARAMETERS = GoalRecallParameters(goal_tolerance_m=0.6)
 NOWHERE = Place(0.0, 0.0, 0.0)
 
 
@@ -31,39 +31,44 @@ def go(graph: ExperienceMap, target: int, way_m: float = 1.0, linked: bool = Tru
 
 
 def line(count: int = 5) -> ExperienceMap:
-    """Return experiences at x = 1, 2, ... m; the robot is at the last one."""
+    """Return a map with experiences at x = 1, 2, ... m and the robot at the last one."""
     graph = ExperienceMap(ExperienceMapParameters(exp_initial_em_deg=0.0))
     for target in range(count):
         go(graph, target)
     return graph
 
 
-def test_a_named_place_is_where_the_robot_was_then() -> None:
+def planner_of(graph: ExperienceMap) -> RoutePlanner:
+    return RoutePlanner(PARAMETERS, graph)
+
+
+def test_named_place_has_pose_of_robot() -> None:
     graph, goals = line(), Goals()
     graph.integrate(Motion(1.0, 0.3, math.pi / 2))
-    here = graph.pose
+    pose = graph.pose
     kitchen = goals.name_place(graph, 'kitchen')
     go(graph, 0, linked=False)
-    assert kitchen.pose_on(graph) == pytest.approx(here)
-    assert goals.find('kitchen', graph, RECALL) == kitchen == Goal(4, kitchen.offset, 'kitchen')
+    assert kitchen.pose_on(graph) == pytest.approx(pose)
+    assert kitchen == Goal(4, kitchen.offset, 'kitchen')
+    assert goals.find('kitchen', planner_of(graph)) == kitchen
     assert (str(kitchen), str(Goal(3)), str(Position(1.0, 2.5))) == (
         'kitchen', 'experience 3', '(1, 2.5)'
     )  # fmt: skip
 
 
-def test_a_named_place_moves_with_the_map() -> None:
+def test_named_place_moves_with_map() -> None:
     graph, goals = line(), Goals()
     graph.integrate(Motion(1.0, 0.25, 0.0))
     goals.name_place(graph, 'kitchen')
     before = goals.named('kitchen').pose_on(graph)
-    go(graph, 0, way_m=-2.0)  # odometry that does not agree: the map bends
+    go(graph, 0, way_m=-2.0)  # inconsistent odometry deforms the map
     after = goals.named('kitchen').pose_on(graph)
     assert math.hypot(after.x_m - before.x_m, after.y_m - before.y_m) > 0.2
     at = graph.pose_of(4)
     assert math.hypot(after.x_m - at.x_m, after.y_m - at.y_m) == pytest.approx(0.25)
 
 
-def test_names_are_given_changed_and_taken_away() -> None:
+def test_places_are_named_renamed_and_removed() -> None:
     graph, goals = line(), Goals()
     assert [goals.name_place(graph).name for _ in range(2)] == ['place_1', 'place_2']
     goals.remove('place_1')
@@ -80,7 +85,7 @@ def test_names_are_given_changed_and_taken_away() -> None:
 
 
 @pytest.mark.parametrize('name', [' ', 'a\nb', ' a', 'x' * 101])
-def test_what_cannot_be_a_name_is_refused(name: str) -> None:
+def test_invalid_name_is_rejected(name: str) -> None:
     graph, goals = line(), Goals()
     goals.name_place(graph, 'kitchen')
     with pytest.raises(UnreachableGoal, match='cannot be a name'):
@@ -90,47 +95,49 @@ def test_what_cannot_be_a_name_is_refused(name: str) -> None:
     assert [goal.name for goal in goals] == ['kitchen']
 
 
-def test_names_that_are_not_known_are_refused() -> None:
+def test_unknown_name_is_rejected() -> None:
     graph, goals = line(), Goals()
     for act in (goals.named, goals.remove, lambda name: goals.rename(name, 'b')):
         with pytest.raises(UnreachableGoal, match=r"no place is called 'a'; .* none yet"):
             act('a')
     goals.name_place(graph, 'kitchen')
     with pytest.raises(UnreachableGoal, match='those that have a name: kitchen'):
-        goals.find('a', graph, RECALL)
+        goals.find('a', planner_of(graph))
     with pytest.raises(UnreachableGoal, match='the map is empty'):
         goals.name_place(ExperienceMap(ExperienceMapParameters()), 'a')
 
 
-def test_a_position_means_the_nearest_experience_rather_one_that_links_lead_to() -> None:
+def test_position_selects_nearest_reachable_experience() -> None:
     graph, goals = line(), Goals()
+    planner = planner_of(graph)
     graph.integrate(Motion(1.0, -2.6, 0.0))
     go(graph, 5, 0.0, linked=False)  # at x = 2.4
     go(graph, 4, 0.0, linked=False)
-    assert goals.find(Position(2.4, 0.0), graph, RECALL) == Goal(1)
-    assert goals.find(Position(2.45, 0.5), graph, RECALL, tolerance_m=1.0) == Goal(1)
+    assert goals.find(Position(2.4, 0.0), planner) == Goal(1)
+    assert goals.find(Position(2.45, 0.5), planner, tolerance_m=1.0) == Goal(1)
     with pytest.raises(UnreachableGoal, match='no link leads'):
-        goals.find(Position(2.45, 0.0), graph, RECALL, tolerance_m=0.2)
+        goals.find(Position(2.45, 0.0), planner, tolerance_m=0.2)
     with pytest.raises(UnreachableGoal, match=r'away; expected at most 0\.6 m'):
-        goals.find(Position(2.4, 0.7), graph, RECALL)
+        goals.find(Position(2.4, 0.7), planner)
     with pytest.raises(UnreachableGoal, match='not finite'):
-        goals.find(Position(2.4, math.nan), graph, RECALL)
+        goals.find(Position(2.4, math.nan), planner)
 
 
-def test_what_no_link_leads_to_is_refused() -> None:
+def test_unreachable_target_is_rejected() -> None:
     graph, goals = line(), Goals()
     go(graph, 5, linked=False)
     goals.name_place(graph, 'island')
     go(graph, 4, 0.0, linked=False)
     for target in (5, 'island'):
         with pytest.raises(UnreachableGoal, match='no link leads from experience 4 to 5'):
-            goals.find(target, graph, RECALL)
+            goals.find(target, planner_of(graph))
     with pytest.raises(UnreachableGoal, match='there is no experience 6'):
-        goals.find(6, graph, RECALL)
+        goals.find(6, planner_of(graph))
 
 
-def test_a_place_stays_where_its_experience_is_forgotten() -> None:
+def test_place_keeps_pose_if_experience_is_removed() -> None:
     graph, goals = line(), Goals()
+    planner = planner_of(graph)
     graph.on_pruned.append(goals.forgotten)
     goals.name_place(graph, 'last')
     go(graph, 2, -2.0)
@@ -142,31 +149,29 @@ def test_a_place_stays_where_its_experience_is_forgotten() -> None:
     assert not {goal.experience_id for goal in goals} & {2, 4}
     for goal in goals:
         assert goal.pose_on(graph) == pytest.approx(before[goal.name], abs=1e-6)
-        found = goals.find(goal.name, graph, RECALL)
+        found = goals.find(goal.name, planner)
         assert found.name == goal.name
         assert found.pose_on(graph) == pytest.approx(before[goal.name], abs=1e-6)
 
 
-@pytest.mark.parametrize(('x_m', 'told_from'), [(3.2, 2), (2.1, 1), (1.9, 4), (7.0, 4)])
-def test_a_place_that_pruning_left_far_off_is_told_from_where_it_is(
-    x_m: float, told_from: int
-) -> None:
-    """A goal whose experience was pruned, and so were those that stood in for it."""
+@pytest.mark.parametrize(('x_m', 'anchor_id'), [(3.2, 2), (2.1, 1), (1.9, 4), (7.0, 4)])
+def test_distant_place_is_anchored_at_nearest_experience(x_m: float, anchor_id: int) -> None:
+    """As after pruning the experience of a place and its stand-ins."""
     graph, goals = line(), Goals()
     graph.integrate(Motion(1.0, x_m - graph.pose.x_m, 0.0))
     goals.name_place(graph, 'far')
     go(graph, 4, x_m - 5.0)
-    if told_from == 4 and x_m < 5.0:  # no experience is near
+    if anchor_id == 4 and x_m < 5.0:  # no experience is near
         for forgotten in (0, 1, 2):
             graph.apply(MapAction('create', graph.current_id, forgotten, 9, 0.0, NOWHERE))
-    asked = goals.find('far', graph, RECALL)
-    assert asked.name == 'far'
-    assert asked.experience_id == told_from
-    assert asked.pose_on(graph) == pytest.approx(goals.named('far').pose_on(graph), abs=1e-9)
-    assert goals.named('far').experience_id == 4  # what is remembered is not changed
+    goal = goals.find('far', planner_of(graph))
+    assert goal.name == 'far'
+    assert goal.experience_id == anchor_id
+    assert goal.pose_on(graph) == pytest.approx(goals.named('far').pose_on(graph), abs=1e-9)
+    assert goals.named('far').experience_id == 4  # unchanged
 
 
-def test_a_place_that_nothing_stands_in_for_is_found_where_it_was() -> None:
+def test_place_without_stand_in_is_found_by_position() -> None:
     graph, goals = line(), Goals()
     graph.on_pruned.append(goals.forgotten)
     go(graph, 5, linked=False)
@@ -176,10 +181,10 @@ def test_a_place_that_nothing_stands_in_for_is_found_where_it_was() -> None:
     graph.apply(MapAction('create', 0, 5, 9, 0.0, NOWHERE))
     assert goals.named('island').experience_id == -1
     assert goals.named('island').pose_on(graph) == pytest.approx((4.7, 0.0, 0.0))
-    assert goals.find('island', graph, RECALL) == Goal(4)
+    assert goals.find('island', planner_of(graph)) == Goal(4)
 
 
-def test_names_are_saved_and_restored() -> None:
+def test_names_survive_save_and_restore() -> None:
     graph, goals, others = line(), Goals(), Goals()
     graph.integrate(Motion(1.0, 0.3, 0.1))
     goals.name_place(graph, 'kitchen')

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A queue of goals, and how each of them ends."""
+"""The queue of goals and their outcomes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.config import ExperienceMapParameters, GoalRecallParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation.goals import Position
-from ratslam_ros.core.navigation.navigator import MOST_OUTCOMES, Navigator
+from ratslam_ros.core.navigation.navigator import MAX_OUTCOME_COUNT, Navigator
 from ratslam_ros.core.navigation.route_following import STUCK_S
 from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
@@ -24,19 +24,19 @@ S = 1_000_000_000
 
 
 class Robot:
-    """A robot in a corridor along x, with an experience at each m from 0."""
+    """A robot in a corridor along x, with an experience at each metre from 0."""
 
     def __init__(self, parameters: GoalRecallParameters, length: int = 10) -> None:
         self.map = ExperienceMap(ExperienceMapParameters(exp_initial_em_deg=0.0))
         self.navigator = Navigator(parameters, self.map)
         self.stamp_ns = 0
         for x in range(length):
-            self.come(x, 1.0 if x else 0.0)
+            self.arrive(x, 1.0 if x else 0.0)
         for x in reversed(range(length - 1)):
-            self.come(x, -1.0)
+            self.arrive(x, -1.0)
 
-    def come(self, x: int, way_m: float, linked: bool = True) -> None:
-        """Come to the experience at x, at 0.5 m/s."""
+    def arrive(self, x: int, way_m: float, linked: bool = True) -> None:
+        """Drive to the experience at x, at 0.5 m/s."""
         self.map.integrate(Motion(2.0 * abs(way_m), way_m, 0.0))
         self.stamp_ns += round(2.0 * abs(way_m) * S)
         kind = 'create' if x == len(self.map) else 'link'
@@ -44,7 +44,7 @@ class Robot:
         self.map.apply(MapAction(kind, source, x, x, 0.0, NOWHERE))
 
     def run(self, seconds: float, speed_mps: float = 0.5) -> list[str]:
-        """Drive along the route; return the statuses, each once."""
+        """Drive along the route; return the sequence of statuses without repetitions."""
         seen = []
         for _ in range(round(seconds / 0.5)):
             guidance = self.navigator.update(self.stamp_ns)
@@ -57,11 +57,11 @@ class Robot:
             self.stamp_ns += S // 2
             x = round(self.map.pose.x_m)
             if way_m and abs(self.map.pose.x_m - x) < 1e-6 and x != self.map.current_id:
-                self.come(x, 0.0)
+                self.arrive(x, 0.0)
         return [status for status, _ in itertools.groupby(seen)]
 
     def outcomes(self) -> list[tuple[str, str]]:
-        return [(errand.asked, errand.status) for errand in self.navigator.outcomes]
+        return [(task.asked, task.status) for task in self.navigator.outcomes]
 
 
 def robot(length: int = 10, **parameters: float) -> Robot:
@@ -71,14 +71,14 @@ def robot(length: int = 10, **parameters: float) -> Robot:
 def test_goals_are_visited_in_order() -> None:
     made = robot()
     nav = made.navigator
-    made.come(2, 2.0)
+    made.arrive(2, 2.0)
     nav.goals.name_place(made.map, 'kitchen')
-    made.come(0, -2.0)
-    errands = nav.go_to(4, 'kitchen', Position(6.1, 0.2))
-    assert [errand.asked for errand in errands] == ['experience 4', 'kitchen', '(6.1, 0.2)']
-    assert [errand.status for errand in nav.queue] == ['queued'] * 3
+    made.arrive(0, -2.0)
+    tasks = nav.go_to(4, 'kitchen', Position(6.1, 0.2))
+    assert [task.asked for task in tasks] == ['experience 4', 'kitchen', '(6.1, 0.2)']
+    assert [task.status for task in nav.queue] == ['queued'] * 3
     assert made.run(1.0) == ['following']
-    assert [errand.status for errand in nav.queue] == ['active', 'queued', 'queued']
+    assert [task.status for task in nav.queue] == ['active', 'queued', 'queued']
     assert made.run(40.0) == [
         'following', 'succeeded', 'following', 'succeeded', 'following', 'succeeded', 'idle'
     ]  # fmt: skip
@@ -89,24 +89,24 @@ def test_goals_are_visited_in_order() -> None:
     assert first.expected_s == pytest.approx(8.0)
     assert None not in (first.started_ns, first.ended_ns, second.started_ns)
     assert made.map.pose.x_m == pytest.approx(6.0, abs=0.3)
-    assert [errand.number for errand in nav.outcomes] == [0, 1, 2]
+    assert [task.number for task in nav.outcomes] == [0, 1, 2]
 
 
-def test_what_is_asked_for_takes_the_place_of_what_was_or_comes_after_it() -> None:
+def test_new_goal_replaces_queue_or_is_appended() -> None:
     made = robot()
     nav = made.navigator
     nav.go_to(9, 8)
     made.run(2.0)
     nav.go_to(3, append=True)
-    assert [errand.asked[-1] for errand in nav.queue] == ['9', '8', '3']
+    assert [task.asked[-1] for task in nav.queue] == ['9', '8', '3']
     nav.go_to(1)
-    assert [errand.asked[-1] for errand in nav.queue] == ['1']
+    assert [task.asked[-1] for task in nav.queue] == ['1']
     assert [status for _, status in made.outcomes()] == ['cancelled'] * 3
-    assert {errand.reason for errand in nav.outcomes} == {'another goal was asked for'}
+    assert {task.reason for task in nav.outcomes} == {'another goal was asked for'}
     assert made.run(5.0)[0] in ('following', 'succeeded')
 
 
-def test_what_cannot_be_reached_is_refused_and_changes_nothing() -> None:
+def test_unreachable_goal_is_rejected_and_changes_nothing() -> None:
     made = robot()
     nav = made.navigator
     nav.go_to(5)
@@ -116,18 +116,18 @@ def test_what_cannot_be_reached_is_refused_and_changes_nothing() -> None:
             nav.go_to(*targets, timeout_s=timeout_s)
     with pytest.raises(UnreachableGoal, match='expected 0 or more s'):
         nav.go_to(3, timeout_s=float('nan'))
-    assert [errand.asked for errand in nav.queue] == ['experience 5']
+    assert [task.asked for task in nav.queue] == ['experience 5']
     assert not nav.outcomes
 
 
-def test_one_goal_or_all_are_cancelled() -> None:
+def test_cancel_ends_one_goal_or_all() -> None:
     made = robot()
     nav = made.navigator
     nav.go_to(5, 6, 7)
     made.run(1.0)
     assert nav.cancel(number=1) == 1
     assert nav.cancel(number=1) == 0
-    assert [errand.asked[-1] for errand in nav.queue] == ['5', '7']
+    assert [task.asked[-1] for task in nav.queue] == ['5', '7']
     assert nav.cancel() == 2
     assert made.run(1.0) == ['idle']
     assert nav.cancel() == 0
@@ -144,24 +144,24 @@ def test_one_goal_or_all_are_cancelled() -> None:
     ({'goal_timeout_factor': 0.0}, None, None),
     ({'goal_timeout_s': 20.0}, 0.0, None),
 ])  # fmt: skip
-def test_a_goal_has_its_time(
+def test_goal_times_out_after_its_limit(
     parameters: dict[str, float], timeout_s: float | None, after_s: float | None
 ) -> None:
     made = robot(**parameters)
     made.navigator.go_to(9, timeout_s=timeout_s)
-    began_ns = made.stamp_ns
+    start_ns = made.stamp_ns
     statuses = made.run(200.0, speed_mps=0.0)
-    stands = ['following'] if after_s is not None and after_s < STUCK_S else ['following', 'lost']
+    before = ['following'] if after_s is not None and after_s < STUCK_S else ['following', 'lost']
     if after_s is None:
-        assert statuses == stands
+        assert statuses == before
         return
-    assert statuses == [*stands, 'timed_out', 'idle']
-    [errand] = made.navigator.outcomes
-    assert errand.ended_ns == began_ns + round(after_s * S)
-    assert errand.reason == f'not reached within {after_s:g} s'
+    assert statuses == [*before, 'timed_out', 'idle']
+    [task] = made.navigator.outcomes
+    assert task.ended_ns == start_ns + round(after_s * S)
+    assert task.reason == f'not reached within {after_s:g} s'
 
 
-def test_the_next_goal_is_gone_to_when_one_has_timed_out() -> None:
+def test_next_goal_follows_after_timeout() -> None:
     made = robot()
     made.navigator.go_to(9, timeout_s=3.0)
     made.navigator.go_to(2, append=True)
@@ -169,25 +169,25 @@ def test_the_next_goal_is_gone_to_when_one_has_timed_out() -> None:
     assert [status for _, status in made.outcomes()] == ['timed_out', 'succeeded']
 
 
-def test_a_goal_that_no_route_is_found_to_fails_after_a_time_of_exploring() -> None:
+def test_goal_without_route_fails_after_exploring() -> None:
     made = robot(goal_explore_s=30.0, route_keep_s=10.0)
     made.navigator.go_to(9, 8)
     made.run(1.0)
-    made.come(10, 0.0, linked=False)  # an island: nothing leads from here
-    began_ns = made.stamp_ns
+    made.arrive(10, 0.0, linked=False)  # without any link
+    start_ns = made.stamp_ns
     assert made.run(40.0, speed_mps=0.0) == ['recovering', 'lost', 'failed']
     assert made.navigator.guidance.explore is False
-    [errand] = made.navigator.outcomes
-    assert errand.reason == 'no route was found within 30 s of exploring'
-    assert errand.ended_ns is not None
-    assert errand.ended_ns - began_ns == pytest.approx(39.5 * S, abs=S)
+    [task] = made.navigator.outcomes
+    assert task.reason == 'no route was found within 30 s of exploring'
+    assert task.ended_ns is not None
+    assert task.ended_ns - start_ns == pytest.approx(39.5 * S, abs=S)
     assert made.run(5.0, speed_mps=0.0) == ['lost']
     assert made.navigator.guidance.explore is True
-    made.come(0, 0.0)
+    made.arrive(0, 0.0)
     assert made.run(1.0, speed_mps=0.0) == ['following']
 
 
-def test_goals_in_the_queue_outlive_their_experiences() -> None:
+def test_queued_goals_survive_removal_of_their_experiences() -> None:
     made = robot(12)
     nav = made.navigator
     made.map.on_pruned.append(nav.forgotten)
@@ -195,24 +195,24 @@ def test_goals_in_the_queue_outlive_their_experiences() -> None:
     made.run(1.0)
     for forgotten in (10, 5):
         made.map.apply(MapAction('create', made.map.current_id, forgotten, 99, 0.0, NOWHERE))
-        made.come(0, 0.0, linked=False)
-    goals = [errand.goal.pose_on(made.map).x_m for errand in nav.queue]
+        made.arrive(0, 0.0, linked=False)
+    goals = [task.goal.pose_on(made.map).x_m for task in nav.queue]
     assert goals == pytest.approx([10.0, 5.0], abs=1e-6)
     assert made.run(1.0, speed_mps=0.0) == ['following']
     assert nav.guidance.goal is not None
     assert nav.guidance.goal.x_m == pytest.approx(10.0, abs=1e-6)
 
 
-def test_only_so_many_outcomes_are_remembered() -> None:
+def test_outcomes_are_limited() -> None:
     made = robot()
-    for _ in range(MOST_OUTCOMES + 5):
+    for _ in range(MAX_OUTCOME_COUNT + 5):
         made.navigator.go_to(3)
     made.navigator.cancel()
-    numbers = [errand.number for errand in made.navigator.outcomes]
-    assert numbers == list(range(5, MOST_OUTCOMES + 5))
+    numbers = [task.number for task in made.navigator.outcomes]
+    assert numbers == list(range(5, MAX_OUTCOME_COUNT + 5))
 
 
-def test_an_empty_map_has_no_goals() -> None:
+def test_empty_map_rejects_goals() -> None:
     nav = Navigator(GoalRecallParameters(), ExperienceMap(ExperienceMapParameters()))
     with pytest.raises(UnreachableGoal, match='the map is empty'):
         nav.go_to(Position(0.0, 0.0))

@@ -26,7 +26,8 @@ from ratslam_ros.core.config import (
 )
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.late_join import LateJoin
-from ratslam_ros.core.navigation.route_planner import GoalTree, RoutePlanner
+from ratslam_ros.core.navigation.goal_tree import GoalTree
+from ratslam_ros.core.navigation.route_planner import RoutePlanner
 from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.pose_cells.pruning import (
@@ -458,7 +459,7 @@ def test_pruning_connects_two_neighbours_in_both_directions() -> None:
         assert (links[pair].behaviour, links[pair].count) == ('wall', 1)
     assert graph.experiences()[1].template_id == 9
     assert graph.pose_of(1).x_m == pytest.approx(2.0 + 3.0 * math.cos(1.0))
-    assert RoutePlanner(GoalRecallParameters()).route_to(graph, 2).experience_ids == (1, 0, 2)
+    assert RoutePlanner(GoalRecallParameters(), graph).route_to(2).experience_ids == (1, 0, 2)
 
 
 def test_pruning_connects_neighbours_through_nearest_and_keeps_links() -> None:
@@ -512,13 +513,13 @@ def test_pruning_current_experience_continues_from_neighbour() -> None:
 def test_encoded_maps_routes_and_memories_follow_pruning(seed: int, tmp_path: Path) -> None:
     rng = random.Random(seed)
     pose_cells, graph = limited(), new_map()
-    kept, recall = MapText(), RoutePlanner(GoalRecallParameters())
+    kept, planner = MapText(), RoutePlanner(GoalRecallParameters(), graph)
     apply(graph, wander(pose_cells, rng, 60))
-    tree = GoalTree(recall, graph, 0)
+    tree = GoalTree(planner, 0)
     for _ in range(60):
         apply(graph, wander(pose_cells, rng, 4))
         assert encode_map(1, graph, kept) == encode_map(1, graph)
-        times = recall.temporal_map(graph, 0).arrival_s
+        times = planner.temporal_map(0).arrival_s
         assert np.isfinite(times).all()
         if tree.exact():
             assert [tree.remaining_s(i) for i in range(len(graph))] == pytest.approx(

@@ -1,0 +1,135 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The weighted graph for route planning: links, and shortcuts between close experiences."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ratslam_ros.core.mapping.experience_map import ExperienceMap
+
+if TYPE_CHECKING:  # SciPy loads slowly, so it is imported with the first route
+    from scipy.sparse import csr_array
+
+MIN_EDGE_S = 1e-9
+"""Least duration of an edge, because SciPy drops edges of weight 0, in s."""
+
+MIN_SHORTCUT_ID_GAP = 10
+"""A shortcut connects experiences whose ids differ by more than this. Closer ones are already
+linked."""
+
+TILE_M = 4.0
+"""Side of the square tiles within which links must connect the ends of a shortcut, in m. Over
+such a distance the map is accurate, even before large loops are closed."""
+
+MIN_SPEED_MPS = 0.01
+"""Lower limit of the assumed speed along a shortcut, in m/s."""
+
+SHORTCUT_TURN_RADPS = 1.0
+"""Assumed turn rate on a shortcut, in rad/s."""
+
+
+def route_graph(
+    experience_map: ExperienceMap, ahead: float = 1.0, back: float = 1.0, join_m: float = 0.0,
+    rejected_shortcuts: Collection[int] = (),
+) -> csr_array:  # fmt: skip
+    """Return the adjacency matrix of the map, weighted by durations.
+
+    Args:
+        experience_map: the map with n experiences.
+        ahead: factor on the duration of a link in its own direction.
+        back: factor on the duration of a link in the opposite direction.
+        join_m: maximum length of shortcuts in m, 0 for no shortcuts.
+        rejected_shortcuts: experiences without shortcuts.
+
+    Returns:
+        (n, n) durations in s of the fastest edge from row to column. The dtypes are float64 and
+        int32 and the rows are sorted, so that SciPy need not convert the matrix.
+    """
+    count = len(experience_map)
+    sources, targets = experience_map.link_ends.T
+    once = np.maximum(experience_map.link_durations_s, MIN_EDGE_S)
+    rows, columns = [sources, targets], [targets, sources]
+    seconds = [ahead * once, back * once]
+    if join_m > 0.0 and len(once):
+        a, b, between_s = _shortcuts(experience_map, join_m, rejected_shortcuts)
+        rows, columns = [*rows, a, b], [*columns, b, a]
+        seconds += [between_s, between_s]
+    column = np.concatenate(columns)
+    places = np.concatenate(rows) * count + column
+    order = np.argsort(places, kind='stable')  # fastest for the mostly sorted input
+    places = places[order]
+    first = np.flatnonzero(np.diff(places, prepend=-1))
+    row_ends = np.cumsum(np.bincount(places[first] // count, minlength=count))
+    from scipy.sparse import csr_array
+
+    return csr_array(
+        (
+            np.minimum.reduceat(np.concatenate(seconds)[order], first),
+            column[order[first]].astype(np.int32),
+            np.concatenate([[0], row_ends]).astype(np.int32),
+        ),
+        shape=(count, count),
+    )
+
+
+def _shortcuts(
+    experience_map: ExperienceMap, join_m: float, rejected_shortcuts: Collection[int]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+    """Return (k,) first ends, (k,) second ends and (k,) durations in s of all shortcuts.
+
+    Experiences without links get no shortcuts. The duration assumes the mean speed over the links
+    of the map and a turn on the spot.
+    """
+    from scipy.spatial import cKDTree
+
+    linked = np.unique(experience_map.link_ends)
+    if rejected_shortcuts:
+        linked = np.setdiff1d(linked, np.fromiter(rejected_shortcuts, np.int64))
+    poses = experience_map.poses[linked]
+    pairs = cKDTree(poses[:, :2]).query_pairs(join_m, output_type='ndarray')
+    id_gaps = linked[pairs[:, 1]] - linked[pairs[:, 0]]
+    pairs = pairs[id_gaps > MIN_SHORTCUT_ID_GAP]
+    unlearned = np.sort(experience_map.unlearned_ends, axis=1) @ (len(experience_map), 1)
+    numbers = np.sort(linked[pairs], axis=1) @ (len(experience_map), 1)
+    pairs = pairs[~np.isin(numbers, unlearned)]  # the connection is blocked
+    pairs = pairs[_connected_locally(experience_map, linked[pairs])]
+    step = poses[pairs[:, 1]] - poses[pairs[:, 0]]
+    shapes = experience_map.link_shapes
+    driven_m, driven_s = shapes[:, 0].sum(), experience_map.link_durations_s.sum()
+    speed_mps = max(driven_m / driven_s, MIN_SPEED_MPS) if driven_s > 0.0 else MIN_SPEED_MPS
+    turn_rad = np.abs((step[:, 2] + np.pi) % (2.0 * np.pi) - np.pi)
+    driving_s = np.hypot(step[:, 0], step[:, 1]) / speed_mps
+    seconds = driving_s + turn_rad / SHORTCUT_TURN_RADPS + MIN_EDGE_S
+    return linked[pairs[:, 0]], linked[pairs[:, 1]], seconds
+
+
+def _connected_locally(
+    experience_map: ExperienceMap, pairs: NDArray[np.int64]
+) -> NDArray[np.bool_]:
+    """Return (k,) whether links within one tile connect the experiences of each pair.
+
+    Unlearned links count: a blocked link still shows where its ends lie relative to each other.
+    Four overlapping tilings are tried, because a pair may lie across the edge of a tile.
+
+    ``pairs``: (k, 2) ids.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    count = len(experience_map)
+    ends = np.concatenate([experience_map.link_ends, experience_map.unlearned_ends])
+    places = experience_map.poses[:, :2] / TILE_M
+    found = np.zeros(len(pairs), np.bool_)
+    for shift in ((0.0, 0.0), (0.0, 0.5), (0.5, 0.0), (0.5, 0.5)):
+        tiles = np.floor(places + shift)
+        inside = ends[(tiles[ends[:, 0]] == tiles[ends[:, 1]]).all(axis=1)]
+        pairs_in_tile = inside.T.astype(np.int32)  # required by SciPy before 1.15
+        graph = coo_array((np.ones(len(inside)), pairs_in_tile), shape=(count, count))
+        _, part = connected_components(graph, directed=False)
+        found |= part[pairs[:, 0]] == part[pairs[:, 1]]
+    return found
