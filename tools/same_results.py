@@ -361,7 +361,7 @@ class Case:
     tries: int = 1
 
 
-FLOOR, DEMO = 'floor', 'demo'
+FLOOR = 'floor'
 FLOOR_TOPICS = ('--scan-topic', '/scan')
 
 
@@ -407,7 +407,7 @@ def demo(run: Run) -> None:
     folder = run.work / 'demo'
     run.ratslam('demo', '--quiet', '--out', folder)
     run.keep_results(folder)
-    keep_recording(run, folder / 'recording', DEMO)
+    keep_recording(run, folder / 'recording', '')
     truth = folder / 'recording' / 'truth.tum'
     for name in ('trajectory', 'trajectory_final', 'dead_reckoning'):
         for align in ('se2', 'sim2', 'none') if name == 'trajectory' else ('se2',):
@@ -766,8 +766,8 @@ def all_cases() -> list[Case]:
     """Return the cases; those that make recordings come first, then the longest ones."""
     cases = [
         Case('goals', simulated(FLOOR, *FLOOR_SCENE), quick=True, makes=FLOOR),
-        Case('demo', demo, makes=DEMO),
         Case('live', live, tries=LIVE_TRIES),
+        Case('demo', demo),
         Case('live_camera', live_camera, tries=LIVE_TRIES),
         Case('graph', graph, tries=LIVE_TRIES),
         Case('obstacle', simulated('', *OBSTACLE_SCENE)),
@@ -932,7 +932,11 @@ def locked(path: Path) -> Iterator[None]:
     """Hold a lock between processes."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open('w') as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            print('waiting for another run that uses the same commit or tree', flush=True)
+            fcntl.flock(file, fcntl.LOCK_EX)
         yield
 
 
