@@ -63,7 +63,7 @@ class LiveSession:
                 process.wait()
 
     def start(self, name: str, *arguments: str | Path, ready: int = 1) -> None:
-        """Start a command and wait until so many of its nodes have logged that they are ready."""
+        """Start a command and wait until a number of its nodes have logged that they are ready."""
         log = self._folder / f'{name}.log'
         with log.open('w') as file:
             process = self._processes[name] = subprocess.Popen(

@@ -156,7 +156,7 @@ class Observer:
         end_s = time.monotonic() + MATCH_TIMEOUT_S
         while missing := [n for n, r in self._readers.items() if not _matched(r)]:
             if time.monotonic() > end_s:
-                sys.exit(f'nobody publishes {", ".join(missing)}')
+                sys.exit(f'no publisher for {", ".join(missing)}')
             time.sleep(POLL_S)
         self._thread.start()
 
@@ -168,7 +168,7 @@ class Observer:
         self._output.close()
 
     def publish(self, name: str, text: str) -> None:
-        """Publish a text, once somebody subscribes."""
+        """Publish a text as soon as there is a subscriber."""
         if name not in self._writers:
             topic = Topic(self._participant, f'rt/{name}', String)
             self._writers[name] = DataWriter(self._participant, topic, qos=quality(False))

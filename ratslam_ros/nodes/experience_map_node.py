@@ -220,7 +220,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
         The pose includes the motion of the held messages, which enter the map later, in order.
         """
         if odometry.stamp_ns != self._order.newest_of('odometry'):
-            return  # refused, late, or doubted by the stamp order
+            return  # refused, late, or not confirmed by the stamp order
         self._pose_ns, self._odom_pose = odometry.stamp_ns, odometry.pose
         self._publish_pose(self._current_pose())
         self._publish_tf()

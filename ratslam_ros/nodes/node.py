@@ -181,7 +181,7 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
         )
         self._diagnostics.drop(
             'refused',
-            f'{message} or before it was refused: stamps must increase without leaps',
+            f'{message} or before it was refused: stamps must increase without jumps',
             counts.refused - before.refused,
         )
         self._diagnostics.drop(
