@@ -242,7 +242,7 @@ def test_a_loop_starts_over_and_makes_the_same_map_again(
     live.run('play', str(bag), '--rate', '10', '--quiet')
     time.sleep(3.0)
     assert live.settled_map(expected) == expected, live.logs()
-    assert live.logs().count('starting over') == 3
+    assert live.logs().count('starting with an empty memory') == 3
 
 
 def test_without_pose_cells_the_map_stands_still_and_one_that_comes_back_is_noticed(
