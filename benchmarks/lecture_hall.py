@@ -1,23 +1,23 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The back end on real odometry and real, partly wrong recognitions: TU Chemnitz's lecture hall.
+"""Trajectory errors on real odometry with partly wrong recognitions: TU Chemnitz's lecture hall.
 
     python benchmarks/lecture_hall.py [--data ../shared/data]
-    python benchmarks/lecture_hall.py --convert FOLDER      writes the recording and its truth only
+    python benchmarks/lecture_hall.py --convert FOLDER      only write the recording and its truth
 
-The data (Neubert, Schubert, Protzel 2019) have no images, but odometry and loop candidates with a
-similarity, 13 % of them more than 5 m wrong. They become a recording of `/odom` and
-`/local_view/template`, without any use of the truth:
+The data (Neubert et al. 2019) contain odometry and loop candidates with a similarity, 13 % of them
+wrong by more than 5 m, but no images. They are converted to a recording of `/odom` and
+`/local_view/template` without using the truth:
 
-- views are taken at all times that a candidate names, and one every 1.2 m or 0.6 rad between;
-- the view at t1 takes the template of its most similar t2 that is at least 10 s older, else a new
-  one; it is sent every 0.2 s until the next view;
-- odometry is averaged over 0.5 s; only its forward speed and turn rate are used.
+- Views are taken at all times of candidates, and every 1.2 m or 0.6 rad between them.
+- The view at t1 gets the template of its most similar t2 that is at least 10 s older, or a new
+  one. It is sent every 0.2 s until the next view.
+- Odometry is averaged over 0.5 s; only its forward speed and turn rate are used.
 
-Printed are the errors of trajectory_final and trajectory (RMSE after rigid alignment in the
-plane) for the preset lecture_hall, and for the nine settings around it: a factor of 8 in
-pc_vt_inject_energy, a factor of 4 in pc_cell_x_size. The preset was chosen on this same recording
-(there is no second one), so what counts is the table around it.
+The script prints the errors of trajectory_final and trajectory (RMSE after rigid alignment in the
+plane) for the preset lecture_hall and for nine settings around it, over a factor of 8 in
+pc_vt_inject_energy and a factor of 4 in pc_cell_x_size. The preset was tuned on this recording, as
+there is no second one, so the errors of the nine settings matter more.
 """
 
 from __future__ import annotations
@@ -41,14 +41,20 @@ from ratslam_ros.files.config import load_config
 from ratslam_ros.messages.mapping import encode_template
 from ratslam_ros.offline.replay import ReplayOptions, replay
 from ratslam_ros.recordings import open_recording
-from ratslam_ros.results.evaluation import Trajectory, evaluate, read_tum
-from ratslam_ros.results.writer import tum_line
+from ratslam_ros.results.evaluation import evaluate
+from ratslam_ros.results.trajectory import Trajectory, read_tum, tum_line
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = 'lecture_hall'
-ODOMETRY_SAMPLES = 5  # of 0.1 s each
+ODOMETRY_SAMPLES = 5
+"""Number of odometry samples that are averaged, of 0.1 s each."""
+
 VIEW_M, VIEW_RAD, VIEW_S = 1.2, 0.6, 0.2
+"""Distance or rotation after which a view is taken, and the interval at which it is sent."""
+
 OLDER_S = 10.0
+"""Least age of a candidate that a view is matched with."""
+
 ENERGY_FACTORS = (1 / math.sqrt(8), 1.0, math.sqrt(8))
 CELL_FACTORS = (0.5, 1.0, 2.0)
 
@@ -70,35 +76,38 @@ def read(data: Path) -> tuple[Table, Table, Table]:
         for line in file:
             point = [float(field) for field in line.split()[1:4]]
             if truth and point[0] <= truth[-1][0]:
-                break  # the file goes on with a second table, from time 0 again
+                break  # a second table follows, with times from 0
             truth.append(point)
     return np.array(odometry), np.array(loops), np.array(truth)
 
 
 def view_times(odometry: Table, loops: Table) -> list[float]:
-    """Return when views are taken, in s."""
-    named = sorted({*loops[:, 0].tolist(), *loops[:, 1].tolist()})
+    """Return the times at which views are taken, in s."""
+    candidate_times = sorted({*loops[:, 0].tolist(), *loops[:, 1].tolist()})
     times = [float(odometry[0, 0])]
-    way_m = turn_rad = 0.0
-    next_named = 0
+    distance_m = turn_rad = 0.0
+    next_candidate = 0
     for (before_s, _, _), (now_s, speed, rate) in itertools.pairwise(odometry):
-        way_m += abs(speed) * (now_s - before_s)
+        distance_m += abs(speed) * (now_s - before_s)
         turn_rad += abs(rate) * (now_s - before_s)
-        named_now = False
-        while next_named < len(named) and named[next_named] <= now_s:
-            times.append(named[next_named])
-            next_named += 1
-            named_now = True
-        if not named_now and (way_m >= VIEW_M or turn_rad >= VIEW_RAD):
+        taken = False
+        while next_candidate < len(candidate_times) and candidate_times[next_candidate] <= now_s:
+            times.append(candidate_times[next_candidate])
+            next_candidate += 1
+            taken = True
+        if not taken and (distance_m >= VIEW_M or turn_rad >= VIEW_RAD):
             times.append(float(now_s))
-            named_now = True
-        if named_now:
-            way_m = turn_rad = 0.0
+            taken = True
+        if taken:
+            distance_m = turn_rad = 0.0
     return sorted(set(times))
 
 
 def view_templates(times_s: list[float], loops: Table) -> list[tuple[int, float]]:
-    """Return each view's template id, and one minus the similarity (-1 for a new template)."""
+    """Return the template id and the match error (-1: new template) of each view.
+
+    The match error is one minus the similarity.
+    """
     best: dict[float, tuple[float, float]] = {}
     for t1, t2, similarity in loops.tolist():
         if t1 - t2 >= OLDER_S and similarity > best.get(t1, (-1.0, 0.0))[0]:
@@ -119,7 +128,7 @@ def view_templates(times_s: list[float], loops: Table) -> list[tuple[int, float]
 
 
 def convert(data: Path, folder: Path) -> tuple[Path, Path]:
-    """Write the recording and the truth below a folder; return their paths."""
+    """Write the recording and the truth to a folder; return their paths."""
     odometry, loops, truth = read(data)
     recording, truth_path = folder / FOLDER, folder / 'truth.tum'
     store = get_typestore(Stores.ROS2_JAZZY)
@@ -180,7 +189,10 @@ def convert(data: Path, folder: Path) -> tuple[Path, Path]:
 
 
 def errors(recording: Path, truth: Trajectory, config: Config, folder: Path) -> tuple[float, ...]:
-    """Replay; return the ATE RMSE of trajectory_final, trajectory and dead_reckoning, in m."""
+    """Replay the recording; return the ATE RMSE in m of its trajectories.
+
+    They are trajectory_final, trajectory and dead_reckoning.
+    """
     with open_recording(recording) as opened:
         replay(opened, opened.select(), config, folder, ReplayOptions(progress=False))
     return tuple(
@@ -190,7 +202,7 @@ def errors(recording: Path, truth: Trajectory, config: Config, folder: Path) -> 
 
 
 def run(data: Path) -> tuple[tuple[float, ...], dict[tuple[float, float], tuple[float, ...]]]:
-    """Return the errors of the preset, and those of the settings around it."""
+    """Return the errors of the preset, and those of the nine settings around it."""
     config, _ = load_config(FOLDER)
     p = config.pose_cells
     with tempfile.TemporaryDirectory() as temporary:
@@ -210,20 +222,22 @@ def run(data: Path) -> tuple[tuple[float, ...], dict[tuple[float, float], tuple[
 
 
 def report(data: Path) -> str:
-    """Return the figures as text."""
+    """Return the results as text."""
     if not (data / FOLDER).is_dir():
-        return f'lecture_hall: skipped, {data / FOLDER} is not there'
+        return f'lecture_hall: skipped, {data / FOLDER} not found'
     preset, around = run(data)
     lines = [
-        'lecture_hall, ATE RMSE in m      final   believed   dead reckoning',
+        'lecture_hall, ATE RMSE in m      final       live   dead reckoning',
         f'preset                         {preset[0]:7.2f}    {preset[1]:7.2f}          '
         f'{preset[2]:7.2f}',
     ]
-    for (energy, cell), (final, believed, _) in around.items():
+    for (energy, cell), (final, live, _) in around.items():
         setting = f'energy {energy:6.3f}, cells {cell:5.2f} m'
-        lines.append(f'{setting}   {final:7.2f}    {believed:7.2f}')
+        lines.append(f'{setting}   {final:7.2f}    {live:7.2f}')
     finals = [figures[0] for figures in around.values()]
-    lines.append(f'median of the nine {statistics.median(finals):.2f}, worst {max(finals):.2f}')
+    lines.append(
+        f'median of the nine settings {statistics.median(finals):.2f}, worst {max(finals):.2f}'
+    )
     return '\n'.join(lines)
 
 

@@ -1,12 +1,12 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the live nodes cost: latency from image to map, and the share of a core each takes.
+"""Latency from image to map, and CPU share of each live node.
 
     python benchmarks/live_nodes.py [--seconds 30] [--visual-odometry]
 
-Images of 640x480 (rgb8) at 30 Hz and odometry at 50 Hz are published from here, stamped when they
-are sent, to nodes that are processes of their own. It runs on whatever ``import rclpy`` gives:
-the real one in a shell where ROS 2 is set up, the stand-in elsewhere. Linux only.
+This script publishes images of 640x480 (rgb8) at 30 Hz and odometry at 50 Hz, stamped when they
+are sent, to nodes that run as separate processes. It uses whichever runtime ``import rclpy``
+finds: rclpy in a shell with ROS 2, its stand-in otherwise. Linux only.
 """
 
 from __future__ import annotations
@@ -28,7 +28,11 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 WIDTH, HEIGHT, IMAGE_HZ, ODOMETRY_HZ = 640, 480, 30.0, 50.0
 VIEWS = 90
+"""Number of different images; the camera rotates once in this many."""
+
 WARM_UP_S = 3.0
+"""Time before the measurement begins."""
+
 TICKS_PER_S = os.sysconf('SC_CLK_TCK')
 
 
@@ -36,7 +40,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description='Latency and CPU share of the live nodes.')
     parser.add_argument('--seconds', type=float, default=30.0)
     parser.add_argument('--visual-odometry', action='store_true',
-                        help='odometry from the camera: four nodes in place of three')
+                        help='odometry from the camera: four nodes instead of three')
     options = parser.parse_args()
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     os.environ.setdefault('ROS_DOMAIN_ID', '97')
@@ -54,7 +58,7 @@ def main() -> int:
             bench.run(WARM_UP_S)
             before = {name: cpu_s(process) for name, process in nodes.items()}
             start_s = time.monotonic()
-            bench.forget()
+            bench.clear()
             bench.run(options.seconds)
             took_s = time.monotonic() - start_s
             after = {name: cpu_s(process) for name, process in nodes.items()}
@@ -87,7 +91,7 @@ def start(names: list[str], folder: Path) -> dict[str, subprocess.Popen[bytes]]:
 
 
 class Bench:
-    """Publishes on time and notes when what came of it arrives."""
+    """Publishes inputs on schedule and records the arrival times of the results."""
 
     def __init__(self, node: Any, visual_odometry: bool) -> None:
         from geometry_msgs.msg import PoseStamped
@@ -116,14 +120,14 @@ class Bench:
             self._spin(0.05)
         self._spin(1.0)
 
-    def forget(self) -> None:
-        """Forget what was measured so far."""
-        for noted in (self._sent_s, self._acted, self._applied):
-            noted.clear()
+    def clear(self) -> None:
+        """Discard all measurements."""
+        for times_s in (self._sent_s, self._acted, self._applied):
+            times_s.clear()
         self._poses.clear()
 
     def run(self, duration_s: float) -> None:
-        """Publish for a while."""
+        """Publish images and odometry for a duration."""
         start_s = time.monotonic()
         image = odometry = 0
         while (now_s := time.monotonic() - start_s) < duration_s:
@@ -139,7 +143,7 @@ class Bench:
         self._spin(0.2)
 
     def latencies_ms(self) -> dict[str, list[float]]:
-        """Return, for each image, how long its action, the map and the next pose took."""
+        """Return the times from each image to its action, to the map and to the next pose."""
         found: dict[str, list[float]] = {'action': [], 'map': [], 'pose at odometry': []}
         for stamp_ns, sent_s in self._sent_s.items():
             if stamp_ns in self._acted:
@@ -155,7 +159,7 @@ class Bench:
 
     @property
     def images(self) -> int:
-        """Number of images that were sent."""
+        """Number of images sent."""
         return len(self._sent_s)
 
     def _send_image(self, number: int) -> None:
@@ -174,12 +178,12 @@ class Bench:
 
         message = Odometry(header=header_of(time.time_ns(), 'odom'), child_frame_id='base_link')
         message.twist.twist.linear.x = 1.0
-        message.twist.twist.angular.z = 2.0 * math.pi * IMAGE_HZ / VIEWS  # round, as the views are
+        message.twist.twist.angular.z = 2.0 * math.pi * IMAGE_HZ / VIEWS  # as the images rotate
         message.pose.pose.orientation.w = 1.0
         self._odometry.publish(message)  # type: ignore[union-attr]
 
     def _image(self, view: int) -> Any:
-        """Return what a camera sees that turns in a room of noise, once round in all views."""
+        """Return an image of a camera that rotates in a room textured with noise."""
         import array
 
         from sensor_msgs.msg import Image
@@ -193,7 +197,7 @@ class Bench:
         self._acted[stamp_of(message.data)] = time.monotonic()
 
     def _on_map(self, message: Any) -> None:
-        # Only its stamp is wanted: a large map is not read as a whole.
+        # Only the stamp is decoded, because decoding a large map takes long.
         at = message.data.index('"stamp"')
         end = message.data.index('}', at) + 1
         self._applied[stamp_of('{' + message.data[at:end] + '}')] = time.monotonic()
@@ -209,17 +213,19 @@ class Bench:
 
 
 def stamp_of(payload: str) -> int:
+    """Return the stamp of a JSON payload, in ns."""
     stamp = json.loads(payload)['stamp']
     return int(stamp['sec']) * 10**9 + int(stamp['nanosec'])
 
 
 def cpu_s(process: subprocess.Popen[bytes]) -> float:
-    """Return the processor time that a process has taken, all its threads together."""
+    """Return the CPU time of all threads of a process, in s."""
     fields = Path(f'/proc/{process.pid}/stat').read_text().rpartition(')')[2].split()
     return (int(fields[11]) + int(fields[12])) / TICKS_PER_S
 
 
 def report(bench: Bench, shares: dict[str, float], codes: dict[str, int]) -> str:
+    """Return latencies, CPU shares and exit codes as Markdown tables."""
     import rclpy
 
     real = getattr(rclpy, '__file__', None) is not None
@@ -227,7 +233,7 @@ def report(bench: Bench, shares: dict[str, float], codes: dict[str, int]) -> str
         f'runtime: {"rclpy" if real else "stand-in"}, {bench.images} images of {WIDTH}x{HEIGHT} '
         f'at {IMAGE_HZ:g} Hz, odometry at {ODOMETRY_HZ:g} Hz',
         '',
-        '| from the image sent to | images | median ms | p99 ms | worst ms |',
+        '| from sending the image to | images | median ms | p99 ms | worst ms |',
         '| --- | --- | --- | --- | --- |',
     ]
     for name, values in bench.latencies_ms().items():

@@ -1,13 +1,12 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""How long a node takes to start: from the start of its process to its log line `ready`.
+"""Start-up time of the nodes, from the start of the process to the log line `ready`.
 
     python benchmarks/node_start.py [--repeats 5] [--node local_view]
 
-Each start is a process of its own, ended by SIGINT before the next. One start of each node goes
-before those that are counted: it fills numba's cache, which every later one loads. It runs on
-whatever ``import rclpy`` gives: the real one in a shell where ROS 2 is set up, the stand-in
-elsewhere.
+Each start is a separate process, ended by SIGINT before the next one. A first start of each node
+is not counted, because it fills Numba's cache, which all later ones load. The nodes use whichever
+runtime ``import rclpy`` finds: rclpy in a shell with ROS 2, its stand-in otherwise.
 """
 
 from __future__ import annotations
@@ -25,14 +24,14 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 NODES = ('visual_odometry', 'local_view', 'pose_cells', 'experience_map', 'single_process')
 END_S = 20.0
-"""A node that was interrupted ends within this time."""
+"""Time within which an interrupted node must exit, in s."""
 
 
 def ready_s(node: str, repeats: int) -> list[float]:
-    """Return how long each start took, without the one that fills the cache.
+    """Return the start-up times in s, without the first start, which fills the cache.
 
     Raises:
-        RuntimeError: the node ended before it was ready, or with another code than 0.
+        RuntimeError: the node exited before it was ready, or with a code other than 0.
     """
     return [_start_s(node) for _ in range(repeats + 1)][1:]
 
@@ -41,7 +40,7 @@ def _start_s(node: str) -> float:
     environment = {
         **os.environ,
         'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
-        'ROS_DOMAIN_ID': '96',  # of its own: what else runs here neither hears nor slows it
+        'ROS_DOMAIN_ID': '96',  # a separate domain, against interference by other nodes
         'PYTHONPATH': os.pathsep.join(filter(None, [str(ROOT), os.environ.get('PYTHONPATH')])),
     }
     start_s = time.monotonic()
@@ -50,27 +49,27 @@ def _start_s(node: str) -> float:
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
     ) as process:  # fmt: skip
         assert process.stdout is not None
-        told = ''
+        output = ''
         for line in process.stdout:
-            told += line
+            output += line
             if line.rstrip().endswith(' ready'):
                 break
         took_s = time.monotonic() - start_s
         process.send_signal(signal.SIGINT)
         try:
-            told += process.communicate(timeout=END_S)[0]
+            output += process.communicate(timeout=END_S)[0]
         except subprocess.TimeoutExpired:
             process.kill()
             raise
     if process.returncode != 0:
-        raise RuntimeError(f'{node} ended with code {process.returncode}: {told}')
+        raise RuntimeError(f'{node} exited with code {process.returncode}: {output}')
     return took_s
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description='From the start of a process to `ready`.')
-    parser.add_argument('--repeats', type=int, default=5, help='starts counted (default: 5)')
-    parser.add_argument('--node', choices=NODES, help='only this one')
+    parser = argparse.ArgumentParser(description='Start-up time of the nodes.')
+    parser.add_argument('--repeats', type=int, default=5, help='counted starts (default: 5)')
+    parser.add_argument('--node', choices=NODES, help='measure only this node')
     options = parser.parse_args()
     print(f'runtime: {"stand-in" if find_spec("rclpy") is None else "rclpy"}\n')
     print('| node | median s | best s | worst s |', '| --- | --- | --- | --- |', sep='\n')

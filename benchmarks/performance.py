@@ -1,16 +1,18 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What every step costs, at which size, and how that grows.
+"""Time of every step over its size, compared with OpenRatSLAM.
 
     python benchmarks/performance.py [--quick] [--data ../shared/data] [--out results/benchmarks]
 
-Medians of calls in one warm process on one thread, with the 10th and 90th percentile; what is
-compiled is timed apart. The C++ figures are OpenRatSLAM's core, compiled -O3, one thread, on a
-machine of the same kind; where it was not run at a size its cost is extended along its growth and
-marked with ~. Machines are noisy, shared ones more so: beside each figure stands what it would be
-if this machine ran as fast as that one, by a yardstick taken before and after it, 20 sweeps
-over the links of 6,000 experiences in the original's order, the same arithmetic in both (2.5 ms
-there). The table goes to the screen, the curves to performance.png.
+The script prints a table of medians, with 10th and 90th percentiles, of calls in one warm process
+on one thread, and draws the curves into performance.png. Compilation is timed separately. The C++
+times are those of OpenRatSLAM's core: -O3, one thread, a comparable machine. Times that were
+extrapolated to other sizes are marked with ~.
+
+The speed of shared machines varies. The column "scaled" is the time at the speed of the machine of
+the C++ times. The ratio of speeds is measured before and after each row by a reference computation
+that is the same in both programs: 20 sweeps over the links of 6,000 experiences in the order of
+OpenRatSLAM (2.5 ms there).
 """
 
 from __future__ import annotations
@@ -59,7 +61,16 @@ MOTION = Motion(0.1, 0.05, 0.002)
 
 @dataclass(frozen=True)
 class Row:
-    """One line of the table; times in ms."""
+    """One row of the table.
+
+    Attributes:
+        step: name of the step.
+        size: size of the problem.
+        cpp: time of OpenRatSLAM in ms, as text.
+        target: target for the median, in ms.
+        times_ms: measured times in ms.
+        note: text of the last column.
+    """
 
     step: str
     size: str
@@ -68,16 +79,19 @@ class Row:
     times_ms: list[float]
     note: str = ''
 
-    def text(self, slower: float) -> str:
-        """Return the line; ``slower``: how many times slower this machine was meanwhile."""
+    def text(self, slowdown: float) -> str:
+        """Return the row as Markdown.
+
+        ``slowdown``: time of the reference computation relative to the machine of the C++ times.
+        """
         median = statistics.median(self.times_ms)
         low, high = np.percentile(self.times_ms, [10, 90])
         met = 'yes' if median <= self.target else 'no'
-        if met == 'no' and median <= self.target * slower:
+        if met == 'no' and median <= self.target * slowdown:
             met = 'scaled'
         return (
             f'| {self.step} | {self.size} | {self.cpp} | {self.target:.4g} | {median:.3f} | '
-            f'{low:.3f} to {high:.3f} | {median / slower:.3f} | {met} | {self.note} |'
+            f'{low:.3f} to {high:.3f} | {median / slowdown:.3f} | {met} | {self.note} |'
         )
 
 
@@ -87,8 +101,8 @@ HEADER = (
 )
 
 
-class Yardstick:
-    """How many times slower this machine is than the one of the C++ figures."""
+class ReferenceTimer:
+    """Slowdown of this machine relative to the one of the C++ times."""
 
     def __init__(self) -> None:
         graph = driven(6_000, ExperienceMapParameters(exp_loops=0))
@@ -96,7 +110,7 @@ class Yardstick:
         self._before = self._now()
 
     def lap(self) -> float:
-        """Return the mean of now and the last time."""
+        """Return the mean slowdown since the last call: of its value then and its value now."""
         before, self._before = self._before, self._now()
         return (before + self._before) / 2.0
 
@@ -106,19 +120,27 @@ class Yardstick:
 
 @dataclass
 class Curve:
-    """Cost over size, ours and the original's; times in ms."""
+    """Time over size for one panel of the picture.
+
+    Attributes:
+        title: title of the panel.
+        axis: label of the x axis.
+        measured: median times in ms by size, for each curve.
+        cpp: times of OpenRatSLAM in ms, by size.
+    """
 
     title: str
     axis: str
-    ours: dict[str, dict[float, float]] = field(default_factory=dict)
+    measured: dict[str, dict[float, float]] = field(default_factory=dict)
     cpp: dict[float, float] = field(default_factory=dict)
 
     def add(self, name: str, size: float, times_ms: list[float]) -> None:
-        """Note the median at a size."""
-        self.ours.setdefault(name, {})[size] = statistics.median(times_ms)
+        """Add the median of some times at a size."""
+        self.measured.setdefault(name, {})[size] = statistics.median(times_ms)
 
 
 def timed_ms(step: Callable[[], object], repeats: int) -> list[float]:
+    """Return the times of repeated calls after one call that is not timed, in ms."""
     step()
     gc.collect()
     times_ms = []
@@ -133,6 +155,7 @@ def timed_ms(step: Callable[[], object], repeats: int) -> list[float]:
 
 
 def pose_cells(curve: Curve) -> Iterator[Row]:
+    """Measure odometry steps of one and of three packets, for several extents."""
     curve.cpp = {11: 0.22, 30: 0.63, 64: 3.3, 106: 5.7}
     targets = {11: None, 30: 0.08, 64: None, 106: 0.1, 300: None, 1000: 0.15}
     cpp = {30: '0.63', 106: '5.7'}
@@ -159,6 +182,7 @@ def pose_cells(curve: Curve) -> Iterator[Row]:
 
 
 def three_packets_ms(cells: PoseCells) -> list[float]:
+    """Return the times of steps with three separate packets, in ms."""
     network, packets = cells._network, cells._packets
     theta, y, x = network.peak(packets)
     for k in (1, 2):
@@ -175,6 +199,7 @@ def three_packets_ms(cells: PoseCells) -> list[float]:
 
 
 def filled(kind: Kind, panoramic: bool = False) -> TemplateMemory:
+    """Return a memory with all templates of a kind."""
     p = kind.parameters
     memory = TemplateMemory(
         60, 10, 0 if panoramic else 5, 0, 1, panoramic=panoramic, signed=p.vt_patch_normalise > 0
@@ -187,7 +212,10 @@ def filled(kind: Kind, panoramic: bool = False) -> TemplateMemory:
 def search_ms(
     memory: TemplateMemory, views: Iterable[NDArray[np.uint8]], limit: int | None
 ) -> list[float]:
-    """Return the time of a search for each view, looked for once; another one went before."""
+    """Return the search times of all views but the first, which is not timed, in ms.
+
+    ``limit``: largest SAD of a match, None for the exact minimum.
+    """
     first, *others = views
     memory.search(first).best(limit=limit)
     gc.collect()
@@ -200,11 +228,12 @@ def search_ms(
 
 
 def local_view(curve: Curve, quick: bool, data: Path) -> Iterator[Row]:
+    """Measure searches for all kinds of views; the rows are those of the slowest kind."""
     count = 20_000
-    found = kinds(count, data)
+    all_kinds = kinds(count, data)
     worst: dict[str, tuple[float, str, list[float]]] = {}
     by_kind = []
-    for kind in found:
+    for kind in all_kinds:
         memory = filled(kind)
         limit = math.floor(kind.parameters.vt_match_threshold * memory.full_sum)
         times = {
@@ -237,15 +266,15 @@ def local_view(curve: Curve, quick: bool, data: Path) -> Iterator[Row]:
     }
     for name, (step, size, cpp, target) in lines.items():
         _, kind_name, times_ms = worst[name]
-        yield Row(step, size, cpp, target, times_ms, f'worst of the kinds: {kind_name}')
+        yield Row(step, size, cpp, target, times_ms, f'slowest kind: {kind_name}')
     if not quick:
-        yield from a_million(curve, found)
+        yield from a_million(curve, all_kinds)
 
 
-def a_million(curve: Curve, found: list[Kind]) -> Iterator[Row]:
-    """Every kind again, repeated with other brightness and shifted, up to 1,000,000."""
+def a_million(curve: Curve, all_kinds: list[Kind]) -> Iterator[Row]:
+    """Measure searches among 1,000,000 templates: shifted and brightened copies of each kind."""
     worst: tuple[float, str, list[float]] | None = None
-    for kind in found:
+    for kind in all_kinds:
         before_mb = resident_mb()
         memory = TemplateMemory(
             60, 10, 5, 0, 1, panoramic=False, signed=kind.parameters.vt_patch_normalise > 0
@@ -263,7 +292,8 @@ def a_million(curve: Curve, found: list[Kind]) -> Iterator[Row]:
         print(f'  a million, {kind.name}: {median:.1f} ms, templates 600 MB, '
               f'memory {memory.nbytes / 1e6:.0f} MB (resident {used_mb:.0f} MB)', flush=True)
         if worst is None or statistics.median(times_ms) > worst[0]:
-            note = f'worst: {kind.name}; {memory.nbytes / 6e8:.2f} times the templates'
+            ratio = memory.nbytes / 6e8
+            note = f'slowest kind: {kind.name}; memory {ratio:.2f} times the templates'
             worst = statistics.median(times_ms), note, times_ms
         del memory
     assert worst is not None
@@ -274,7 +304,7 @@ def a_million(curve: Curve, found: list[Kind]) -> Iterator[Row]:
 
 
 def driven(count: int, parameters: ExperienceMapParameters) -> ExperienceMap:
-    """Drive three laps of a circle with drifting odometry; each lap makes its own experiences."""
+    """Return the map of three laps of a circle, with odometry drift and no loop closures."""
     rng = np.random.default_rng(5)
     graph = ExperienceMap(parameters)
     source = -1
@@ -286,57 +316,60 @@ def driven(count: int, parameters: ExperienceMapParameters) -> ExperienceMap:
 
 
 def close(graph: ExperienceMap, target: int, kind: str = 'link') -> None:
+    """Drive 1 m and apply one action."""
     graph.integrate(Motion(1.0, 1.0, 0.002))
     graph.apply(MapAction(kind, graph.current_id, target, target, 0.0, NOWHERE))  # type: ignore[arg-type]
 
 
 def link_errors_m(graph: ExperienceMap) -> float:
-    """Return the root of the sum of all links' squared errors in position."""
+    """Return the root of the summed squared position errors of all links, in m."""
     ends, shapes, poses = graph.link_ends, graph.link_shapes, graph.poses
     direction = poses[ends[:, 0], 2] + shapes[:, 1]
-    way = poses[ends[:, 1], :2] - poses[ends[:, 0], :2]
-    way -= shapes[:, :1] * np.stack([np.cos(direction), np.sin(direction)], 1)
-    return float(np.sqrt((way**2).sum()))
+    error = poses[ends[:, 1], :2] - poses[ends[:, 0], :2]
+    error -= shapes[:, :1] * np.stack([np.cos(direction), np.sin(direction)], 1)
+    return float(np.sqrt((error**2).sum()))
 
 
 def loop_closure(curve: Curve, quick: bool) -> Iterator[Row]:
+    """Measure the action that closes a large loop."""
     for count in (1_000, 6_000) if quick else (1_000, 6_000, 50_000):
         times_ms = []
         for _ in range(3 if count > 6_000 else 7):
             graph = driven(count, ExperienceMapParameters())
             start_s = time.perf_counter()
-            close(graph, count // 3)  # a whole lap back
+            close(graph, count // 3)  # two laps before
             times_ms.append((time.perf_counter() - start_s) * 1e3)
-        aim = link_errors_m(graph)
+        solved_m = link_errors_m(graph)
         curve.add('closing a loop', count, times_ms)
         if count == 6_000:
-            sweeps, reached = sweeps_until(count, 1.01 * aim, 3_000 if quick else 40_000)
+            sweeps, reached = sweeps_until(count, 1.01 * solved_m, 3_000 if quick else 40_000)
             cpp_ms = sweeps * 0.125
-            about = '' if reached else 'more than '
+            prefix = '' if reached else 'more than '
             yield Row('experience map: closing a large loop, to the fixed point', '6,000',
-                      f'{about}{cpp_ms:,.0f}', cpp_ms / 20.0, times_ms,
-                      f'sweeps to within 1 %: {about}{sweeps:,}')  # fmt: skip
+                      f'{prefix}{cpp_ms:,.0f}', cpp_ms / 20.0, times_ms,
+                      f'sweeps to within 1 %: {prefix}{sweeps:,}')  # fmt: skip
 
 
-def sweeps_until(count: int, aim: float, most: int) -> tuple[int, bool]:
-    """Return how many sweeps from link to link it takes until the links' error is that small."""
+def sweeps_until(count: int, target_m: float, max_sweeps: int) -> tuple[int, bool]:
+    """Return the number of sweeps until the link errors reach a target, and whether they do."""
     graph = driven(count, ExperienceMapParameters(exp_loops=0))
     close(graph, count // 3)
-    for sweeps in range(500, most + 1, 500):
+    for sweeps in range(500, max_sweeps + 1, 500):
         sweep(graph._poses, graph.link_ends, graph.link_shapes, graph.link_count, 0.5, 500)
-        if link_errors_m(graph) <= aim:
+        if link_errors_m(graph) <= target_m:
             return sweeps, True
-    return most, False
+    return max_sweeps, False
 
 
 def settled_action(curve: Curve) -> Iterator[Row]:
+    """Measure single actions in a map that has converged."""
     curve.cpp = {6_000: 2.5, 50_000: 22.0}
     for count in (1_000, 6_000, 20_000, 50_000):
         graph = driven(count, ExperienceMapParameters())
         close(graph, count // 3)
         graph.settle()
         times_ms = []
-        for number in range(400):  # along the known lap; a new way now and then
+        for number in range(400):  # along the known lap, with a new experience now and then
             start_s = time.perf_counter()
             if number % 10 == 9:
                 close(graph, len(graph), 'create')
@@ -352,26 +385,28 @@ def settled_action(curve: Curve) -> Iterator[Row]:
 
 
 def route_rows(curve: Curve) -> Iterator[Row]:
+    """Measure route planning, and replanning during a drive."""
     curve.cpp = {6_000: 29.0, 50_000: 2_678.0}
     for count in (1_000, 6_000, 50_000):
         times_ms = routes.route_ms(count, 60)
         curve.add('route', count, times_ms)
         replan_ms = routes.replan_ms(count, 500)
-        curve.add('re-planning, an action, mean', count, [statistics.mean(replan_ms)])
+        curve.add('replanning per action, mean', count, [statistics.mean(replan_ms)])
         if count in routes.CPP_MS:
             target = {6_000: 1.0, 50_000: 10.0}[count]
             note = f'first after a change {routes.first_route_ms(count):.1f}'
             yield Row('route to a goal', f'{count:,}', f'{routes.CPP_MS[count]:,.0f}', target,
                       times_ms, note)  # fmt: skip
         if count == 50_000:
-            yield Row('re-planning while driving, an action (mean)', '50,000', '2,678', 1.0,
+            yield Row('replanning while driving, per action (mean)', '50,000', '2,678', 1.0,
                       [statistics.mean(replan_ms)], f'worst {max(replan_ms):.1f}')  # fmt: skip
 
 
-# Visual odometry, starts
+# Visual odometry, start-up, compilation
 
 
 def visual_odometry(curve: Curve) -> Iterator[Row]:
+    """Measure visual odometry for several image sizes."""
     config, _ = load_config('stlucia')
     curve.cpp = {640 * 480: 0.072}
     rng = np.random.default_rng(0)
@@ -391,7 +426,8 @@ def visual_odometry(curve: Curve) -> Iterator[Row]:
         odometry = VisualOdometry(smaller.visual_odometry)
         stamps = iter(range(10**9))
         times_ms = timed_ms(
-            lambda o=odometry, i=images, s=stamps: o((n := next(s)) * 10**8, i[n % 8]), 2000
+            lambda o=odometry, i=images, s=stamps: o.estimate((n := next(s)) * 10**8, i[n % 8]),
+            2000,
         )
         curve.add('one image', width * height, times_ms)
         if scale == 1:
@@ -400,13 +436,14 @@ def visual_odometry(curve: Curve) -> Iterator[Row]:
 
 
 def starts(repeats: int) -> Iterator[Row]:
+    """Measure the start-up of each node with compiled functions in the cache."""
     for node in NODES[:-1]:
         times_ms = [1e3 * s for s in ready_s(node, repeats)]
-        yield Row(f'start of {node}, second time', 'to ready', '', 2000.0, times_ms)
+        yield Row(f'start of {node}, compiled', 'to ready', '', 2000.0, times_ms)
 
 
 def compile_s() -> tuple[float, float]:
-    """Return how long a process takes to compile all, and to load what was compiled."""
+    """Return the times to compile all functions, and to load the compiled ones, in s."""
     code = 'import time; s = time.perf_counter(); from ratslam_ros.core.warm_up import warm_up\n'
     code += 'warm_up(); print(time.perf_counter() - s)'
     took = []
@@ -420,9 +457,10 @@ def compile_s() -> tuple[float, float]:
 
 
 def plot(curves: Iterable[Curve], path: Path) -> None:
-    figure, axes = plt.subplots(2, 3, figsize=(14, 8), constrained_layout=True)
+    """Draw one panel per step, with the legend beside it."""
+    figure, axes = plt.subplots(2, 3, figsize=(18, 8), constrained_layout=True)
     for curve, ax in zip(curves, axes.flat, strict=True):
-        for name, points in curve.ours.items():
+        for name, points in curve.measured.items():
             ax.loglog(list(points), list(points.values()), 'o-', label=name, markersize=4)
         if curve.cpp:
             sizes, cpp_ms = list(curve.cpp), list(curve.cpp.values())
@@ -430,14 +468,15 @@ def plot(curves: Iterable[Curve], path: Path) -> None:
         ax.set(title=curve.title, xlabel=curve.axis, ylabel='ms')
         ax.grid(True, which='major', alpha=0.4)
         ax.xaxis.set_minor_formatter(NullFormatter())
-        ax.legend(fontsize=7)
+        ax.legend(fontsize=8, loc='upper left', bbox_to_anchor=(1.0, 1.0))
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=90)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description='Cost of every step over its size.')
-    parser.add_argument('--quick', action='store_true', help='no million templates, fewer sweeps')
+    parser = argparse.ArgumentParser(description='Time of every step over its size.')
+    parser.add_argument('--quick', action='store_true',
+                        help='without the million templates, and with fewer sweeps')  # fmt: skip
     parser.add_argument('--data', type=Path, default=ROOT.parent / 'shared' / 'data')
     parser.add_argument('--out', type=Path, default=ROOT / 'results' / 'benchmarks')
     options = parser.parse_args()
@@ -452,18 +491,18 @@ def main() -> None:
         Curve('visual odometry', 'pixels of the image'),
     ]
     lines = [HEADER]
-    yardstick = Yardstick()
+    reference = ReferenceTimer()
     for part in (
         pose_cells(curves[0]), local_view(curves[1], options.quick, options.data),
         loop_closure(curves[3], options.quick), settled_action(curves[2]), route_rows(curves[4]),
         visual_odometry(curves[5]), starts(3 if options.quick else 5),
     ):  # fmt: skip
         for row in part:
-            lines.append(row.text(yardstick.lap()))
+            lines.append(row.text(reference.lap()))
             print(lines[-1], flush=True)
     plot(curves, options.out / 'performance.png')
-    print(f'\ncompiling everything: {compiled_s:.1f} s, loading it: {loaded_s:.1f} s, apart from '
-          f'what follows; {QUERIES} views of each kind; {options.out / "performance.png"}\n')
+    print(f'\ncompiling all functions: {compiled_s:.1f} s, loading them: {loaded_s:.1f} s, not '
+          f'included below; {QUERIES} views of each kind; {options.out / "performance.png"}\n')
     print('\n'.join(lines))
 
 

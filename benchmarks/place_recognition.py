@@ -1,33 +1,33 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""How often the local view recognises a place, and how often it is right, on real recordings.
+"""Precision and recall of the local view on real recordings.
 
     python benchmarks/place_recognition.py [--data ../shared/data]
 
-The presets of the folder `config` are used. A recording that is absent is skipped, saying so.
+The presets of the folder `config` are used. Missing recordings are reported and skipped.
 
-Laps (rc_car_loops, donkeycar_track). All images go through `LocalView` in order; images whose
-stamp does not increase are refused. `lap_phase.csv` gives each frame's lap and its place on the
-lap, `ref_frame`, cyclic. A frame of lap 2 or later counts as recognised if its template was first
-seen in an earlier lap and more than half a lap of frames before; it is right if the template's
-first frame shows the same place to the recording's tolerance. Precision = right / recognised,
-recall = right / frames of the laps in question.
-Laps are numbered as in `lap_phase.csv`: lap 0 is the stretch before the lap that the places are
-named after, lap 1. rc_car_loops has laps 0 to 10 (lap 0: 20 frames), donkeycar_track laps 0 to 2
-(lap 0: 40 frames; lap 2: 438 of 521).
-Held out: rc_car was chosen on lap 2, laps 3 to 10 are held out. donkeycar was chosen on the first
-half of lap 2 (up to frame 780), the rest of the lap is held out.
+Laps (rc_car_loops, donkeycar_track). `LocalView` processes all images in order, except those whose
+stamp does not increase. `lap_phase.csv` contains the lap of each frame and its place on the lap,
+`ref_frame`, which is cyclic. A frame of lap 2 or later counts as recognised if its template was
+first seen in an earlier lap and more than half a lap of frames before. The recognition is correct
+if the first frame of the template shows the same place, within the tolerance of the recording.
+Precision = correct / recognised; recall = correct / frames of the evaluated laps.
+Laps are numbered as in `lap_phase.csv`. Lap 1 defines the places; lap 0 is the stretch before it.
+rc_car_loops has laps 0 to 10 (lap 0: 20 frames), donkeycar_track laps 0 to 2 (lap 0: 40 frames;
+lap 2: 438 of 521).
+Held-out data: rc_car was tuned on lap 2, laps 3 to 10 are held out. donkeycar was tuned on the
+first half of lap 2 (up to frame 780), the rest of the lap is held out.
 
-Corridors. The references are learned in order, then each query is compared with all of them by
-`LocalView.match`, whatever the threshold, without learning.
-- corridor_vpr: 111 queries, 111 references; right if the reference is in the query's list in
-  `ground_truth.csv`.
+Corridors. The references are learned in order. Then the best match of each query among them is
+computed without a threshold and without learning.
+- corridor_vpr: 111 queries, 111 references; correct if the reference is in the list of the query
+  in `ground_truth.csv`.
 - corridor_circuit: images 1 to 40 (by number) are learned, images 41 to 84 are the queries. Image
-  i shows the place of image i + 40, cyclic; right within +-1. Image 46 shows a blank wall.
-The preset corridor was chosen with a view to both recordings: its figures are not held out. The
-held-out figures are those of the settings that the other recording alone would have chosen: the
-centre of the 3 x 3 x 3 x 3 neighbourhood with the best mean, in a grid over width (20 to 40),
-height (20 to 48), both shifts and four normalisations.
+  i shows the place of image i + 40, cyclic; correct within +-1. Image 46 shows a blank wall.
+The preset corridor was tuned on both recordings, so its figures are not held out. The held-out
+figures are those of settings tuned on the other recording alone: the centre of the 3 x 3 x 3 x 3
+neighbourhood with the best mean, in a grid over width (20 to 40), height (20 to 48), both shifts
+and four normalisations.
 """
 
 from __future__ import annotations
@@ -51,20 +51,32 @@ Image = NDArray[np.uint8]
 
 ROOT = Path(__file__).resolve().parents[1]
 
-CHOSEN_ON_CIRCUIT = LocalViewParameters(
+TUNED_ON_CIRCUIT = LocalViewParameters(
     template_x_size=20, template_y_size=20, vt_shift_match=6, vt_shift_match_y=3
 )
-CHOSEN_ON_VPR = LocalViewParameters(
+TUNED_ON_VPR = LocalViewParameters(
     template_x_size=32, template_y_size=48, vt_shift_match=4, vt_shift_match_y=9,
     vt_patch_normalise=15, vt_min_patch_normalisation_std=0.05,
 )  # fmt: skip
 
-CIRCUIT_IMAGES = 40  # once round
+CIRCUIT_IMAGES = 40
+"""Number of images of one round of the circuit."""
 
 
 @dataclass(frozen=True)
 class Laps:
-    """A recording of laps, and which of its frames the preset was not chosen on."""
+    """A recording of laps, and the frames that its preset was not tuned on.
+
+    Attributes:
+        folder: folder of the recording.
+        preset: name of the preset.
+        lap_length: frames of a lap.
+        tolerance: largest distance between frames of the same place, in frames.
+        held_out: description of the held-out frames.
+        held_out_lap: first held-out lap.
+        held_out_frame: first held-out frame.
+        target: target of precision and recall, for all laps from the 2nd.
+    """
 
     folder: str
     preset: str
@@ -91,15 +103,17 @@ def lap_recognition(
     from_lap: int = 2,
     from_frame: int = 0,
 ) -> tuple[float, float]:
-    """Return precision and recall of recognising an earlier lap's place; see the module.
+    """Return precision and recall of recognising places of earlier laps.
+
+    The module docstring has the definitions.
 
     Args:
-        template_ids: of all frames in order; -1: none.
-        lap_phase_csv: columns frame, lap, ref_frame; a row for each frame.
-        tolerance: frames of the reference lap.
-        lap_length: frames of the reference lap.
-        from_lap: the frames of this and later laps count,
-        from_frame: from this frame on.
+        template_ids: template ids of all frames in order; -1: none.
+        lap_phase_csv: file with columns frame, lap and ref_frame, one row per frame.
+        tolerance: largest distance between frames of the same place, in frames.
+        lap_length: frames of a lap.
+        from_lap: first lap that is evaluated.
+        from_frame: first frame that is evaluated.
     """
     ids = np.asarray(template_ids)
     with open(lap_phase_csv, newline='') as file:
@@ -115,14 +129,14 @@ def lap_recognition(
     counted = (lap >= from_lap) & (frame >= from_frame)
     recognised = counted & (ids >= 0) & (lap[first] < lap) & (frame - first > lap_length / 2)
     apart = np.abs(place - place[first]) % lap_length
-    right = recognised & (np.minimum(apart, lap_length - apart) <= tolerance)
-    return right.sum() / max(recognised.sum(), 1), right.sum() / max(counted.sum(), 1)
+    correct = recognised & (np.minimum(apart, lap_length - apart) <= tolerance)
+    return correct.sum() / max(recognised.sum(), 1), correct.sum() / max(counted.sum(), 1)
 
 
 def best_matches(
     references: Iterable[Image], queries: Iterable[Image], parameters: LocalViewParameters
 ) -> list[int]:
-    """Return the index of the reference that is most similar to each query."""
+    """Return the index of the most similar reference for each query."""
     local_view = LocalView(parameters)
     for image in references:
         local_view.learn(make_view(image, parameters))
@@ -136,15 +150,15 @@ def best_matches(
 
 
 def vpr_top_1(folder: Path, parameters: LocalViewParameters) -> float:
-    """Return the share of right best matches on corridor_vpr."""
+    """Return the ratio of correct best matches on corridor_vpr."""
     with open(folder / 'ground_truth.csv', newline='') as file:
-        right = [{int(i) for i in row['ref_list'].split()} for row in csv.DictReader(file)]
+        references = [{int(i) for i in row['ref_list'].split()} for row in csv.DictReader(file)]
     best = best_matches(images_in(folder / 'ref'), images_in(folder / 'query'), parameters)
-    return float(np.mean([b in wanted for b, wanted in zip(best, right, strict=True)]))
+    return float(np.mean([b in correct for b, correct in zip(best, references, strict=True)]))
 
 
 def circuit_top_1(folder: Path, parameters: LocalViewParameters, tolerance: int = 1) -> float:
-    """Return the share of right best matches on corridor_circuit."""
+    """Return the ratio of correct best matches on corridor_circuit."""
     images = list(images_in(folder))
     best = np.array(best_matches(images[:CIRCUIT_IMAGES], images[CIRCUIT_IMAGES:], parameters))
     apart = np.abs(best - np.arange(len(best))) % CIRCUIT_IMAGES
@@ -152,7 +166,7 @@ def circuit_top_1(folder: Path, parameters: LocalViewParameters, tolerance: int 
 
 
 def images_in(folder: Path) -> Iterator[Image]:
-    """Yield the JPEGs of a folder in order of the numbers that they are named by."""
+    """Yield the JPEG images of a folder in the numerical order of their names."""
     for path in sorted(folder.glob('*.jpg'), key=lambda path: int(path.stem)):
         image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
         if image is None:
@@ -161,7 +175,7 @@ def images_in(folder: Path) -> Iterator[Image]:
 
 
 def template_ids(recording_path: Path, parameters: LocalViewParameters) -> list[int]:
-    """Return the template of each image of a recording whose stamp is later than all before."""
+    """Return the template ids of all images of a recording whose stamps increase."""
     local_view = LocalView(parameters)
     ids = []
     with open_recording(recording_path) as recording:
@@ -175,52 +189,56 @@ def template_ids(recording_path: Path, parameters: LocalViewParameters) -> list[
 
 
 def preset(name: str) -> LocalViewParameters:
-    """Return the local view's section of a preset."""
+    """Return the local view parameters of a preset."""
     config, _ = load_config(str(ROOT / 'config' / f'{name}.yaml'))
     return config.local_view
 
 
 def report_laps(data: Path, laps: Laps) -> None:
+    """Print the results of a recording of laps."""
     folder = data / laps.folder
     ids = template_ids(folder, preset(laps.preset))
     common = (ids, folder / 'lap_phase.csv', laps.tolerance, laps.lap_length)
     whole = lap_recognition(*common)
     held_out = lap_recognition(*common, laps.held_out_lap, laps.held_out_frame)
     measure = f'precision / recall, +-{laps.tolerance}'
-    aim = f'{laps.target[0]:.2f} / {laps.target[1]:.2f}'
+    target = f'{laps.target[0]:.2f} / {laps.target[1]:.2f}'
     for part, (precision, recall) in ((laps.held_out, held_out), ('from lap 2', whole)):
-        print_row(laps.folder, measure, part, f'{precision:.3f} / {recall:.3f}', aim)
+        print_row(laps.folder, measure, part, f'{precision:.3f} / {recall:.3f}', target)
     print_row(laps.folder, 'templates', 'all', str(max(ids) + 1), '')
 
 
 def report_corridors(data: Path) -> None:
-    chosen = preset('corridor')
-    for name, top_1, aim, other, by_other in (
-        ('corridor_vpr', vpr_top_1, '0.65', 'circuit', CHOSEN_ON_CIRCUIT),
-        ('corridor_circuit', circuit_top_1, '0.80', 'vpr', CHOSEN_ON_VPR),
+    """Print the results of both corridors, with the preset and with the held-out settings."""
+    tuned_on_both = preset('corridor')
+    for name, top_1, target, other, by_other in (
+        ('corridor_vpr', vpr_top_1, '0.65', 'circuit', TUNED_ON_CIRCUIT),
+        ('corridor_circuit', circuit_top_1, '0.80', 'vpr', TUNED_ON_VPR),
     ):
         folder = data / name
         if not folder.is_dir():
-            print(f'{name}: skipped, there is no {folder}')
+            print(f'{name}: skipped, {folder} not found')
             continue
-        print_row(name, 'top-1', f'chosen on {other}', f'{top_1(folder, by_other):.3f}', aim)
-        print_row(name, 'top-1', 'preset (saw both)', f'{top_1(folder, chosen):.3f}', aim)
+        print_row(name, 'top-1', f'tuned on {other}', f'{top_1(folder, by_other):.3f}', target)
+        value = f'{top_1(folder, tuned_on_both):.3f}'
+        print_row(name, 'top-1', 'preset, tuned on both', value, target)
 
 
-def print_row(recording: str, measure: str, part: str, value: str, aim: str) -> None:
-    print(f'{recording:17} {measure:23} {part:24} {value:>15} {aim:>13}', flush=True)
+def print_row(recording: str, measure: str, part: str, value: str, target: str) -> None:
+    """Print one row of the table."""
+    print(f'{recording:17} {measure:23} {part:24} {value:>15} {target:>13}', flush=True)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description='Place recognition on real recordings.')
     parser.add_argument('--data', type=Path, default=ROOT.parent / 'shared' / 'data')
     data: Path = parser.parse_args().data
-    print_row('recording', 'measure', 'part', 'value', 'aim')
+    print_row('recording', 'measure', 'part', 'value', 'target')
     for laps in LAPS:
         if (data / laps.folder).is_dir():
             report_laps(data, laps)
         else:
-            print(f'{laps.folder}: skipped, there is no {data / laps.folder}')
+            print(f'{laps.folder}: skipped, {data / laps.folder} not found')
     report_corridors(data)
 
 

@@ -1,14 +1,14 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the presets reach on real recordings: recognition, maps, errors and speed in one table.
+"""Results of the presets on real recordings: recognition, map quality, errors and speed.
 
     python benchmarks/real_recordings.py [--data ../shared/data]
 
-The measures and what each preset was chosen on stand in `place_recognition.py` and
-`lecture_hall.py`. The map's spread is the median distance on the final map of frames of different
-laps that show the same place (equal ref_frame), over the map's diameter (the largest distance of
-two frames on it); the same for dead reckoning. Recognition and spread come from one replay of the
-whole recording by the preset of its name.
+`place_recognition.py` and `lecture_hall.py` define the measures and list the data that each preset
+was tuned on. The spread of a map is the median distance between frames of different laps that show
+the same place (equal ref_frame), relative to the diameter of the map, which is the largest
+distance between two frames; likewise for dead reckoning. Recognition and spread are computed from
+a replay of the whole recording with the preset of that recording.
 """
 
 from __future__ import annotations
@@ -29,22 +29,26 @@ from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.files.config import load_config
 from ratslam_ros.offline.replay import ReplayOptions, replay
 from ratslam_ros.recordings import open_recording
-from ratslam_ros.results.evaluation import read_tum
+from ratslam_ros.results.trajectory import read_tum
 
 ROOT = Path(__file__).resolve().parents[1]
-SPREAD_AIM = {'rc_car_loops': 0.025, 'donkeycar_track': 0.0073}
+SPREAD_TARGET = {'rc_car_loops': 0.025, 'donkeycar_track': 0.0073}
+"""Targets for the spread of the maps."""
+
 REPEATS = 5
+"""Number of replays whose speed is measured."""
 
 
 @dataclass(frozen=True)
 class Frames:
-    """frames.csv: (n,) stamps in ns and template ids."""
+    """Columns of frames.csv, (n,) each: stamps in ns and template ids."""
 
     stamp_ns: NDArray[np.int64]
     template_id: NDArray[np.int64]
 
 
 def read_frames(path: Path) -> Frames:
+    """Read stamps and template ids from frames.csv."""
     with open(path, newline='') as file:
         rows = list(csv.DictReader(file))
     return Frames(
@@ -54,7 +58,7 @@ def read_frames(path: Path) -> Frames:
 
 
 def map_spread(folder: Path, trajectory: str, lap_phase_csv: Path) -> float:
-    """Return the median distance of frames of one place, over the diameter; see the module."""
+    """Return the spread of a trajectory as defined in the module docstring."""
     frames = read_frames(folder / 'frames.csv')
     path = read_tum(folder / f'{trajectory}.tum')
     since = frames.stamp_ns[0]
@@ -75,6 +79,7 @@ def map_spread(folder: Path, trajectory: str, lap_phase_csv: Path) -> float:
 
 
 def report_lap_recording(data: Path, laps: Laps) -> list[str]:
+    """Replay a recording of laps; return its results as lines of text."""
     config, _ = load_config(laps.preset)
     lap_phase = data / laps.folder / 'lap_phase.csv'
     speeds = []
@@ -90,16 +95,17 @@ def report_lap_recording(data: Path, laps: Laps) -> list[str]:
         ids = read_frames(out / 'frames.csv').template_id
         precision, recall = lap_recognition(ids, lap_phase, laps.tolerance, laps.lap_length)
         spread = map_spread(out, 'trajectory_final', lap_phase)
-        reckoned = map_spread(out, 'dead_reckoning', lap_phase)
+        dead_reckoning = map_spread(out, 'dead_reckoning', lap_phase)
     name = laps.folder
-    aim = f'{laps.target[0]:.2f} / {laps.target[1]:.2f}'
-    median, least, most = np.median(speeds), min(speeds), max(speeds)
+    target = f'{laps.target[0]:.2f} / {laps.target[1]:.2f}'
+    median, slowest, fastest = np.median(speeds), min(speeds), max(speeds)
     return [
-        f'{name:16}  precision / recall, whole      {precision:.3f} / {recall:.3f}   aim {aim}',
+        f'{name:16}  precision / recall, whole      {precision:.3f} / {recall:.3f}   '
+        f'target {target}',
         f'{name:16}  spread on the map              {spread:.4f}          '
-        f'aim {SPREAD_AIM[name]} (dead reckoning {reckoned:.2f})',
+        f'target {SPREAD_TARGET[name]} (dead reckoning {dead_reckoning:.2f})',
         f'{name:16}  times real time, {REPEATS} replays     {median:.0f} '
-        f'({least:.0f} to {most:.0f})',
+        f'({slowest:.0f} to {fastest:.0f})',
     ]
 
 
@@ -112,7 +118,7 @@ def main() -> None:
         if (data / laps.folder).is_dir():
             print('\n'.join(report_lap_recording(data, laps)), flush=True)
         else:
-            print(f'{laps.folder}: skipped, there is no {data / laps.folder}')
+            print(f'{laps.folder}: skipped, {data / laps.folder} not found')
     report_corridors(data)
     print(lecture_hall.report(data))
 

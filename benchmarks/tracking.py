@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""How well a packet of the pose cells follows the odometry.
+"""Accuracy of path integration in the pose cells: packet motion compared with odometry.
 
     python benchmarks/tracking.py
 """
@@ -14,14 +14,21 @@ import numpy as np
 from ratslam_ros.core.pose_cells.attractor import Network, kernel
 
 DIMS = (36, 30, 30)
+"""Extents of the network: heading planes, rows and columns."""
 
 
 def network() -> Network:
+    """Return a network with the default kernels."""
     return Network(DIMS, kernel(7, 1.0), kernel(5, 2.0), 0.00002)
 
 
 def tracking_error(speed: float, headings: int = 24) -> float:
-    """Return the worst error of the way, over the way, for headings off the lattice."""
+    """Return the worst relative error of the integrated path over several headings.
+
+    Args:
+        speed: distance per step, in cells.
+        headings: number of headings, evenly spaced and not aligned with the heading planes.
+    """
     net = network()
     dims = net.dims
     settled = net.start()
@@ -32,22 +39,22 @@ def tracking_error(speed: float, headings: int = 24) -> float:
         packets = net.step(settled, 0.0, heading * DIMS[0] / headings + 0.37)
         start = last = np.array(net.peak(packets))
         steps = math.ceil(max(10.0 / speed, min(40.0 / speed, 4000)))
-        way = np.zeros(3)
+        path = np.zeros(3)
         for _ in range(steps):
             packets = net.step(packets, speed, 0.0)
             now = np.array(net.peak(packets))
-            way += (now - last + dims / 2) % dims - dims / 2
+            path += (now - last + dims / 2) % dims - dims / 2
             last = now
         angle = start[0] * 2.0 * math.pi / DIMS[0]
-        asked = speed * steps * np.array([math.sin(angle), math.cos(angle)])
-        worst = max(worst, float(np.linalg.norm(way[1:] - asked)) / (speed * steps))
+        expected = speed * steps * np.array([math.sin(angle), math.cos(angle)])
+        worst = max(worst, float(np.linalg.norm(path[1:] - expected)) / (speed * steps))
     return worst
 
 
 def main() -> None:
-    print('cells a step   worst error of the way over 24 headings')
+    print('cells per step   worst relative error of the path over 24 headings')
     for speed in (0.01, 0.1, 0.5, 1.0, 2.0, 3.0):
-        print(f'{speed:12g}   {tracking_error(speed):.2%}')
+        print(f'{speed:14g}   {tracking_error(speed):.2%}')
 
 
 if __name__ == '__main__':

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Views to fill a memory with and to look for in it: noise, simulated and real ones."""
+"""Views for benchmarks of the template memory: noise, simulated and real ones."""
 
 from __future__ import annotations
 
@@ -18,12 +18,21 @@ from ratslam_ros.recordings import ImageEvent, open_recording
 
 Views = NDArray[np.uint8]
 QUERIES = 20
+"""Number of views that are searched for."""
+
 RECORDINGS = ('rc_car_loops', 'donkeycar_track')
 
 
 @dataclass(frozen=True)
 class Kind:
-    """Templates (n, 10, 60), views that are not among them, and what they are matched with."""
+    """A kind of views.
+
+    Attributes:
+        name: name in the tables.
+        templates: (n, 10, 60) uint8, views in the memory.
+        unknown: (QUERIES, 10, 60) uint8, views of other places.
+        parameters: parameters of the local view that fit these views.
+    """
 
     name: str
     templates: Views
@@ -31,7 +40,7 @@ class Kind:
     parameters: LocalViewParameters
 
     def known(self) -> Views:
-        """Return views of templates spread over the memory, each pixel off by up to 3."""
+        """Return views of random templates, with noise of up to 3 grey levels per pixel."""
         rng = np.random.default_rng(2)
         at = rng.choice(len(self.templates), QUERIES, replace=False)
         noise = rng.integers(-3, 4, (QUERIES, *self.templates.shape[1:]))
@@ -39,7 +48,12 @@ class Kind:
 
 
 def kinds(count: int, data: Path) -> list[Kind]:
-    """Return every kind of views, plain and patch-normalised; real ones where there is data."""
+    """Return all kinds of views, plain and patch-normalised.
+
+    Args:
+        count: number of templates of each kind.
+        data: folder of recordings; real views are omitted if it lacks them.
+    """
     plain = LocalViewParameters(template_x_size=60, template_y_size=10)
     patch = LocalViewParameters(
         template_x_size=60, template_y_size=10, vt_patch_normalise=2, vt_match_threshold=0.054
@@ -51,21 +65,21 @@ def kinds(count: int, data: Path) -> list[Kind]:
     if all((data / name).is_dir() for name in RECORDINGS):
         sources['real'] = real(data)
     for name, images in sources.items():
-        for how, p in (('', plain), (', patches', patch)):
+        for suffix, p in (('', plain), (', patches', patch)):
             if name == 'real':
-                held_out = len(images) // 6  # unknown views come from images of their own
-                templates = np.stack([cut(images[held_out:], p, rng) for _ in range(count)])
-                unknown = np.stack([cut(images[:held_out], p, rng) for _ in range(QUERIES)])
+                held_out = len(images) // 6  # unknown views come from separate images
+                templates = np.stack([crop_view(images[held_out:], p, rng) for _ in range(count)])
+                unknown = np.stack([crop_view(images[:held_out], p, rng) for _ in range(QUERIES)])
             else:
                 views = np.stack([make_view(image, p) for image in images])
-                # Far along the way, in streets that the templates do not show.
+                # The last views show streets that are not among the templates.
                 templates, unknown = views[:count], views[count:]
-            found.append(Kind(name + how, templates, unknown, p))
+            found.append(Kind(name + suffix, templates, unknown, p))
     return found
 
 
 def simulated(count: int) -> list[Views]:
-    """Return what a car's camera sees on its way through a town, a view every 2.8 m."""
+    """Return images of a car driving through the simulated town, one every 2.8 m."""
     town = Town(known=0.1)
     camera = Camera(town, 1, 160, 120)
     images = []
@@ -77,7 +91,7 @@ def simulated(count: int) -> list[Views]:
 
 
 def real(data: Path) -> list[Views]:
-    """Return every other image of two recordings, in no order."""
+    """Return every other image of two recordings, in random order."""
     images = []
     for name in RECORDINGS:
         with open_recording(data / name) as recording:
@@ -88,8 +102,8 @@ def real(data: Path) -> list[Views]:
     return images
 
 
-def cut(images: list[Views], p: LocalViewParameters, rng: np.random.Generator) -> Views:
-    """Return a view of a random part of a random image: as many views as are asked for."""
+def crop_view(images: list[Views], p: LocalViewParameters, rng: np.random.Generator) -> Views:
+    """Return the view of a random crop of a random image, for any number of different views."""
     image = images[rng.integers(len(images))]
     height, width = image.shape
     h, w = int(height * rng.uniform(0.35, 0.9)), int(width * rng.uniform(0.6, 1.0))

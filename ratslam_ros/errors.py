@@ -1,18 +1,18 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The errors a user can cause; the command line answers them with one line and exit code 2."""
+"""Errors that a user can cause; the commands report them in one line and exit with code 2."""
 
 
 class RatslamError(Exception):
-    """Something the user can mend; the text says what was seen, expected and what to do."""
+    """An error that the user can fix; the text names what was found, expected, and what to do."""
 
 
 class UnusableInput(RatslamError):  # noqa: N818
-    """A recording, file or topic that cannot be used."""
+    """A recording, file or topic cannot be used."""
 
 
 class UnusableParameter(RatslamError):  # noqa: N818
-    """A parameter that is unknown, of the wrong type or out of its range."""
+    """A parameter is unknown, of the wrong type, or out of its range."""
 
 
 class UnreachableGoal(RatslamError):  # noqa: N818

@@ -8,12 +8,12 @@ from hypothesis import settings
 
 sys.path.insert(0, str(Path(__file__).parent))  # for helpers.py, in every import mode of pytest
 
-# The same examples at every run, and no limit on the first one's time, which may compile.
+# The same examples in every run, without a time limit, because the first one may compile.
 settings.register_profile('ratslam', deadline=None, derandomize=True, print_blob=True)
 settings.load_profile('ratslam')
 
-# Tests of nodes and whole processes wait for one another's messages and have time limits: with
-# --dist loadgroup one worker has them all, while the others run the rest.
+# Tests of nodes and processes wait for messages with time limits: with --dist loadgroup, one
+# worker runs all of them, and the others run the rest.
 TALKING = ('live', 'nodes', 'test_live.py')
 
 

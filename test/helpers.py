@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import convolve1d
 
@@ -160,18 +161,18 @@ def _two_cells(place: float, circle: int) -> tuple[tuple[int, float], tuple[int,
     return (whole % circle, 1.0 - part), ((whole + 1) % circle, part)
 
 
-# The local view, plain
+# Reference implementation of the local view
 
 
 def plain_view(image: NDArray[np.uint8], p: LocalViewParameters) -> NDArray[np.uint8]:
-    """Return the view of an image, step by step as algorithm.md has it."""
+    """Return the (rows, columns) uint8 view of an image, as docs/algorithm.md defines it."""
     return np.floor(plain_brightness(image, p) + 0.5).astype(np.uint8)
 
 
 def plain_brightness(
     image: NDArray[np.uint8], p: LocalViewParameters
 ) -> NDArray[np.float64]:
-    """Return the view before it is rounded, 0 to 255."""
+    """Return the (rows, columns) view of an image before it is rounded, 0 to 255."""
     x_max = image.shape[1] if p.image_crop_x_max < 0 else p.image_crop_x_max
     y_max = image.shape[0] if p.image_crop_y_max < 0 else p.image_crop_y_max
     crop = image[p.image_crop_y_min : y_max, p.image_crop_x_min : x_max].astype(np.float64)
@@ -201,7 +202,10 @@ def plain_brightness(
 def plain_match(
     templates: Iterable[NDArray[np.uint8]], view: NDArray[np.uint8], p: LocalViewParameters
 ) -> tuple[int, int, int] | None:
-    """Return (id, offset, SAD) of the least sum; ties: lowest id, then lowest offset."""
+    """Return (id, offset, sum of absolute differences) of the best match; None without templates.
+
+    Ties: lowest id, then lowest offset.
+    """
     width = view.shape[1]
     now = view.astype(np.int64)
     shift = p.vt_shift_match
@@ -224,21 +228,39 @@ def plain_match(
 
 
 def picture(seed: int, height: int = 12, width: int = 16) -> NDArray[np.uint8]:
-    """Return noise that is another for every seed."""
+    """Return a (height, width) image of noise."""
     return np.random.default_rng(seed).integers(0, 256, (height, width), dtype=np.uint8)
 
 
 def panorama(place: tuple[int, int], turns: int, width: int = 60) -> NDArray[np.uint8]:
-    """Return what a camera that sees the full circle sees at a place.
+    """Return the image of a panoramic camera; it differs between places.
 
-    ``turns``: the robot's heading in columns, counter-clockwise. Columns run clockwise: column c
-    looks towards ``turns - c``.
+    ``turns``: heading of the robot in columns, counter-clockwise. Columns run clockwise: column c
+    shows the direction ``turns - c``.
     """
     seed = (place[0] + 1000) * 10_000 + place[1] + 1000
     return np.roll(picture(seed, 8, width), turns, axis=1)
 
 
 # Recordings
+
+
+def real_recordings() -> Path:
+    """Return the folder of real recordings, RATSLAM_DATA; skip the test if there is none."""
+    default = Path(__file__).parents[2] / 'shared' / 'data'
+    folder = Path(os.environ.get('RATSLAM_DATA', default)).resolve()
+    if not folder.is_dir():
+        pytest.skip(f'the real recordings are missing: {folder} does not exist; set RATSLAM_DATA')
+    return folder
+
+
+def real_recording(name: str) -> Path:
+    """Return a real recording by its path in the folder; skip the test if it is missing."""
+    path = real_recordings() / name
+    if not path.exists():
+        pytest.skip(f'no recording at {path}; set RATSLAM_DATA')
+    return path
+
 
 TYPES = {
     'image': 'sensor_msgs/msg/Image',
@@ -249,7 +271,7 @@ TYPES = {
     'camera_info': 'sensor_msgs/msg/CameraInfo',
 }
 Recorded = tuple[int, str, str, Any]
-"""Time of the recording in ns, topic, kind and message."""
+"""Time of recording in ns, topic, key of ``TYPES``, and message."""
 
 
 def _store() -> Any:
@@ -287,7 +309,7 @@ def image_message(stamp_ns: int, pixels: NDArray[np.uint8]) -> Any:
 
 
 def undecodable_message(stamp_ns: int) -> Any:
-    """Return an image whose bytes are too few for its size."""
+    """Return an image message with too few bytes for its size."""
     store = _store()
     return store.types[TYPES['image']](
         _header(store, stamp_ns), 8, 8, 'mono8', 0, 8, np.zeros(3, np.uint8)
@@ -313,7 +335,7 @@ def odometry_message(stamp_ns: int, speed: float, turn_rate: float, pose: Pose) 
 
 
 def camera_info_message(stamp_ns: int, focal_px: float) -> Any:
-    """Return the calibration of a camera of 32x24."""
+    """Return the calibration of a camera with 32 x 24 pixels."""
     store = _store()
     k = np.zeros(9)
     k[0] = focal_px
@@ -324,7 +346,7 @@ def camera_info_message(stamp_ns: int, focal_px: float) -> Any:
 
 
 def scan_message(scan: Scan) -> Any:
-    """Return the scan of a laser that sees from 0.05 to 8 m."""
+    """Return the scan of a laser with a range of 0.05 to 8 m."""
     store, first, step = _store(), scan.angle_min_rad, scan.angle_increment_rad
     return store.types[TYPES['scan']](
         _header(store, scan.stamp_ns), first, first + step * (len(scan.ranges_m) - 1), step,
@@ -337,7 +359,7 @@ def string_message(text: str) -> Any:
 
 
 def circles(laps: int = 3, per_lap: int = 30, radius_m: float = 2.0) -> Iterator[Recorded]:
-    """Yield a robot that drives in a circle and sees the same pictures in every lap."""
+    """Yield odometry and images of a robot that drives in a circle; the images repeat each lap."""
     length_m = 2.0 * math.pi * radius_m
     for i in range(laps * per_lap):
         stamp_ns = START_NS + i * PERIOD_NS
@@ -350,7 +372,7 @@ def circles(laps: int = 3, per_lap: int = 30, radius_m: float = 2.0) -> Iterator
 
 
 def template_text(stamp_ns: int, template_id: int, **changes: Any) -> str:
-    """Return a well-formed template payload, or one with some fields changed."""
+    """Return a valid template payload, with some fields replaced or added."""
     sec, nanosec = divmod(stamp_ns, 10**9)
     fields = {
         'schema_version': 1, 'stamp': {'sec': sec, 'nanosec': nanosec}, 'id': template_id,
@@ -360,7 +382,7 @@ def template_text(stamp_ns: int, template_id: int, **changes: Any) -> str:
 
 
 def circles_of_actions(places: int, laps: int) -> Iterator[tuple[int, MapAction]]:
-    """Yield sequence and action of a robot that goes round places that it knows in the end."""
+    """Yield sequence number and action of each place on a circle that is driven several times."""
     for n in range(places * laps):
         source = (n - 1) % places if n else -1
         kind: Action = 'create' if n < places else 'link' if n == places else 'set'
@@ -370,17 +392,17 @@ def circles_of_actions(places: int, laps: int) -> Iterator[tuple[int, MapAction]
 def restored(
     graph: ExperienceMap, parameters: ExperienceMapParameters, **changes: Any
 ) -> ExperienceMap:
-    """Return a copy of a map with other parameters, and with some items of its state changed."""
+    """Return a copy of a map with other parameters, and with some items of its state replaced."""
     copy = ExperienceMap(parameters)
     copy.restore({**graph.state(), **changes})
     return copy
 
 
-# Live
+# Live nodes
 
 
 def live_environment() -> dict[str, str]:
-    """Return what keeps a test's nodes to this machine and apart from those of other tests."""
+    """Return environment variables that isolate the nodes of a test from other tests and hosts."""
     domain = 1 + os.getpid() % 100
     return {
         'ROS_DOMAIN_ID': str(domain),

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Documentation: what is generated is up to date, and what it names is there."""
+"""Documentation: generated files are up to date, and everything that the pages name exists."""
 
 import json
 import re
@@ -22,7 +22,20 @@ from ratslam_ros.results.writer import FRAMES_HEADER
 
 PAGES = [ROOT / 'README.md', ROOT / 'CONTRIBUTING.md', *sorted((ROOT / 'docs').glob('*.md'))]
 
-KEYS = ('pc_x', 'pc_y', 'pc_theta')  # of map.json, and no parameters
+SOURCES = sorted(
+    path
+    for folder in ('ratslam_ros', 'benchmarks', 'config', 'examples', 'launch', 'test', 'tools')
+    for path in (ROOT / folder).rglob('*')
+    if path.suffix in ('.py', '.yaml') and path != Path(__file__)
+)
+
+SCRIPTS = [path for folder in ('benchmarks', 'tools') for path in (ROOT / folder).glob('*.py')]
+
+CODE_FOLDERS = (ROOT, ROOT / 'ratslam_ros', ROOT / 'ratslam_ros/core')
+"""Folders that paths of modules in the pages are relative to."""
+
+KEYS = ('pc_x', 'pc_y', 'pc_theta')
+"""Keys of map.json that look like names of parameters."""
 
 page = pytest.mark.parametrize('path', PAGES, ids=lambda path: path.name)
 
@@ -35,12 +48,53 @@ def commands(text: str) -> list[str]:
     return [re.split(r'\s[#>]\s', line)[0] for line in lines if line.startswith('ratslam ')]
 
 
+def anchors(text: str) -> set[str]:
+    """Return the anchors that GitHub gives to the headings of a page."""
+    prose = re.sub(r'```.*?```', '', text, flags=re.DOTALL)
+    found: list[str] = []
+    for heading in re.findall(r'^#+ +(.+?) *$', prose, re.MULTILINE):
+        shown = re.sub(r'\[([^\]]*)\]\([^)]*\)', r'\1', heading).lower()
+        anchor = re.sub(r'[^\w\- ]', '', shown).replace(' ', '-')
+        found.append(anchor if anchor not in found else f'{anchor}-{found.count(anchor)}')
+    return set(found)
+
+
+def broken_links(path: Path) -> list[str]:
+    """Return the relative links of a page whose file or anchor does not exist."""
+    broken = []
+    for link in re.findall(r'\]\(([^)\s]+)\)', path.read_text('utf-8')):
+        target, _, anchor = link.partition('#')
+        if '://' in target:
+            continue
+        file = path.parent / target if target else path
+        if not file.exists() or (anchor and anchor not in anchors(file.read_text('utf-8'))):
+            broken.append(link)
+    return broken
+
+
+def missing_files(text: str) -> list[str]:
+    """Return the mentioned files of this project that do not exist."""
+    mentions = re.findall(
+        r'(?<![\w/.:-])((?:\.\./)?(?:[\w-]+/)*[\w-]+(?:\.\w+)?\.(?:py|md|cff))\b', text
+    )
+    names = {path.name for path in (*SOURCES, *PAGES)}
+    return [
+        mention
+        for mention in mentions
+        if not (
+            any((folder / mention.removeprefix('../')).is_file() for folder in CODE_FOLDERS)
+            or (ROOT / 'docs' / mention).is_file()
+            or ('/' not in mention and mention in names)
+        )
+    ]
+
+
 @pytest.mark.parametrize('path', documents(), ids=str)
 def test_generated_file_is_up_to_date(path: Path):
     assert (ROOT / path).read_text('utf-8') == documents()[path], 'run "make docs"'
 
 
-def test_check_writes_nothing_and_tells_what_is_out_of_date(tmp_path, monkeypatch, capsys):
+def test_check_reports_outdated_files_and_writes_nothing(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr('ratslam_ros.cli.parameter_docs.ROOT', tmp_path)
     assert main(['--check']) == 1
     assert 'make docs' in capsys.readouterr().err
@@ -58,20 +112,84 @@ def test_every_parameter_is_described(section: str):
         assert info.raise_if and info.lower_if, f'{name}: say when to change it'
 
 
-def test_default_yaml_is_every_parameter_with_its_default():
+def test_default_yaml_equals_default_config():
     config, notices = load_config(str(ROOT / 'config/default.yaml'))
     assert (config, notices) == (Config(), [])
 
 
 @page
-def test_links_lead_somewhere(path: Path):
-    for target in re.findall(r'\]\(([^)#]+)[^)]*\)', path.read_text('utf-8')):
-        if '://' not in target:
-            assert (path.parent / target).exists(), f'{path.name} links to {target}'
+def test_links_of_page_exist_with_anchors(path: Path):
+    assert broken_links(path) == []
 
 
 @page
-def test_commands_are_understood(path: Path):
+def test_files_named_in_page_exist(path: Path):
+    assert missing_files(path.read_text('utf-8')) == []
+
+
+def test_files_named_in_changelog_exist():
+    assert missing_files((ROOT / 'CHANGELOG.rst').read_text('utf-8')) == []
+
+
+def test_broken_link_and_anchor_are_found(tmp_path):
+    page = tmp_path / 'page.md'
+    page.write_text(
+        '# A `heading`, here\n\n```\n# no heading\n```\n'
+        '[a](#a-heading-here) [b](#no-heading) [c](none.md) [d](page.md#none) [e](https://none)\n'
+    )
+    assert broken_links(page) == ['#no-heading', 'none.md', 'page.md#none']
+
+
+def test_missing_files_are_found():
+    text = '`core/ratslam.py`, `core/none.py`, benchmarks/none.py, `ratslam.py`, `none.py`'
+    assert missing_files(text) == ['core/none.py', 'benchmarks/none.py', 'none.py']
+
+
+def test_pages_and_sections_named_in_sources_exist():
+    found = 0
+    for path in SOURCES:
+        for name, section in re.findall(
+            r'docs/(\w+\.md)(?:,\s+"([^"]+)")?', path.read_text('utf-8')
+        ):
+            page = ROOT / 'docs' / name
+            assert page.is_file(), f'{path.name} names docs/{name}'
+            headings = re.findall(r'^#+ (.+)$', page.read_text('utf-8'), re.MULTILINE)
+            assert not section or section in headings, f'{path.name} names section "{section}"'
+            found += 1
+    assert found > 5
+
+
+def test_cited_papers_are_in_reference_list():
+    text = (ROOT / 'docs/algorithm.md').read_text('utf-8')
+    entries = set(re.findall(r'^\d+\. (\w+).*?\((\d{4})\)', text, re.MULTILINE))
+    name = r'[A-Z][a-z]+'
+    citations = (
+        rf'(?<!, )\b({name})(?:, {name})*(?: and {name}| et al\.)\s\(?((?:19|20)\d\d)\b',
+        rf'(?<!and )(?<!, )({name})\s\(((?:19|20)\d\d)\)',
+    )
+    cited = {
+        paper
+        for path in (*PAGES, *SOURCES, ROOT / 'CHANGELOG.rst')
+        for citation in citations
+        for paper in re.findall(citation, path.read_text('utf-8'))
+    }
+    assert ('Milford', '2006') in cited
+    assert cited <= entries
+    implemented = (ROOT / 'CITATION.cff').read_text('utf-8')
+    assert set(re.findall(r'^    year: (\d{4})', implemented, re.MULTILINE)) <= {
+        year for _, year in entries
+    }
+
+
+def test_texts_cite_papers_by_author_and_year():
+    paths = [path for path in SOURCES if ROOT / 'test' not in path.parents]
+    for path in (*PAGES, *paths, ROOT / 'CHANGELOG.rst'):
+        found = re.search(r'\bseed 00\d', path.read_text('utf-8'), re.IGNORECASE)
+        assert not found, path.name
+
+
+@page
+def test_commands_of_page_are_valid(path: Path):
     for command in commands(path.read_text('utf-8')):
         options = parser().parse_args(shlex.split(command)[1:])
         settings = [parse_setting(text) for text in getattr(options, 'settings', [])]
@@ -79,7 +197,7 @@ def test_commands_are_understood(path: Path):
 
 
 @page
-def test_parameters_and_options_exist(path: Path):
+def test_parameters_and_options_of_page_exist(path: Path):
     text = path.read_text('utf-8')
     for name in re.findall(r'`((?:vt|pc|exp|vtrans|vrot|image_crop)_\w+)[^`]*`', text):
         assert section_of(name) or name in KEYS, name
@@ -88,11 +206,13 @@ def test_parameters_and_options_exist(path: Path):
             assert name in {known for known, _, _ in SECTIONS[section].parameters()}, name
     actions = parser()._subparsers._group_actions[0].choices.values()
     options = {option for parser in actions for option in parser._option_string_actions}
+    for script in SCRIPTS:
+        options |= set(re.findall(r"add_argument\(\s*'(--[a-z-]+)'", script.read_text('utf-8')))
     for option in re.findall(r'`(--[a-z-]+)', text):
         assert option in options, option
 
 
-def test_every_column_and_key_of_the_results_is_described():
+def test_all_result_columns_and_keys_are_described():
     text = (ROOT / 'docs/results.md').read_text('utf-8')
     graph = ExperienceMap(Config().experience_map)
     for source, target in ((-1, 0), (0, 1)):
@@ -110,10 +230,17 @@ def test_every_column_and_key_of_the_results_is_described():
         assert f'`{name}`' in text, name
 
 
-def test_glossary_names_what_is_in_the_code():
+def test_names_in_glossary_exist_in_code():
     text = (ROOT / 'docs/glossary.md').read_text('utf-8')
     code = '\n'.join(path.read_text('utf-8') for path in (ROOT / 'ratslam_ros').rglob('*.py'))
-    for row in re.findall(r'^\| [^|]+\| ([^|]+)\|', text, re.MULTILINE)[2:]:
-        for name in re.findall(r'`([^`]+)`', row):
-            there = (ROOT / 'ratslam_ros' / name).is_file() if '/' in name else False
-            assert there or name.split('.')[-1] in code or name in code, name
+    words = set(re.findall(r'\w+', code))
+    rows = re.findall(r'^\| [^|]+\| ([^|]+)\|', text, re.MULTILINE)[2:]
+    names = [name for row in rows for name in re.findall(r'`([^`]+)`', row)]
+    assert len(names) > 40
+    for name in names:
+        if name.endswith('.py'):
+            assert (ROOT / 'ratslam_ros' / name).is_file(), name
+        elif '/' in name:
+            assert f"'{name}'" in code, name
+        else:
+            assert set(name.split('.')) - {'tum'} <= words, name

@@ -39,9 +39,9 @@ CORE_LAYERS = [
 ]
 LAYERS = [
     ['errors'],
-    ['compilation', 'images', 'timing', 'quick_start', 'signals', 'progress', 'standalone'],
+    ['compilation', 'images', 'timing', 'quick_start', 'signals', 'console', 'standalone'],
     ['core', 'recordings'],
-    ['messages', 'files'],
+    ['messages', 'files', 'event_inputs'],
     ['results'],
     ['simulator'],
     ['offline', 'nodes'],

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Packaging: what several files say, they say alike; colcon and pip find what they need."""
+"""Packaging: metadata files agree, and colcon and pip find all that they need."""
 
 import ast
 import re
@@ -20,7 +20,7 @@ SETUP = (ROOT / 'setup.py').read_text('utf-8')
 PACKAGE = ET.parse(ROOT / 'package.xml').getroot()
 LICENCE = 'Apache-2.0'
 
-# What rosdep and the Python package index call the same thing; None: not in the distribution.
+# Name for rosdep by name on the Python package index; None: not in the distribution.
 ROSDEP = {
     'cyclonedds': None,
     'lz4': None,
@@ -38,7 +38,7 @@ ROSDEP = {
 
 
 def sources() -> list[Path]:
-    """Return every file that has to name the licence at its top."""
+    """Return all files that must start with copyright and licence."""
     folders = ('ratslam_ros', 'test', 'benchmarks', 'launch', 'examples')
     code = [path for folder in folders for path in (ROOT / folder).rglob('*.py')]
     others = ('setup.py', 'setup.cfg', 'pyproject.toml', 'Makefile', '.gitignore', 'CITATION.cff')
@@ -53,7 +53,7 @@ def test_version_is_the_same_everywhere():
     assert PACKAGE.findtext('version') == __version__
     assert citation['version'] == __version__
     assert re.findall(r'^(\d+\.\d+\.\d+)\b.*\n-+$', changes, re.MULTILINE)[0] == __version__
-    assert __version__ not in SETUP  # it is read from the package
+    assert __version__ not in SETUP  # setup.py reads it from the package.
 
 
 def test_licence_is_the_same_everywhere():
@@ -72,17 +72,17 @@ def test_source_begins_with_copyright_and_licence(path: Path):
     assert lines[1] == f'# SPDX-License-Identifier: {LICENCE}'
 
 
-def test_colcon_takes_the_package_for_ament_python():
+def test_colcon_recognises_an_ament_python_package():
     assert PACKAGE.attrib['format'] == '3'
     assert PACKAGE.findtext('name') == 'ratslam_ros'
     assert PACKAGE.findtext('export/build_type') == 'ament_python'
-    # With an address that catkin_pkg refuses, colcon takes it for a plain Python package.
+    # If catkin_pkg rejects an address, colcon builds a plain Python package.
     for maintainer in PACKAGE.findall('maintainer'):
         assert re.fullmatch(r'[\w%+.-]+@[a-zA-Z0-9.-]+\.[a-zA-Z]{2,}', maintainer.attrib['email'])
     assert (ROOT / 'resource' / 'ratslam_ros').is_file()
 
 
-def test_package_xml_and_setup_py_need_the_same():
+def test_package_xml_and_setup_py_have_same_dependencies():
     block = SETUP[SETUP.index('install_requires=[') : SETUP.index('extras_require')]
     required = set(re.findall(r"'([\w-]+)[><=]", block))
     assert required == set(ROSDEP)
@@ -106,13 +106,13 @@ def ros_imports() -> set[str]:
     return found - ours
 
 
-def test_package_xml_names_every_ros_package_that_is_imported():
+def test_package_xml_lists_all_imported_ros_packages():
     known = {element.text for element in PACKAGE.iter('exec_depend')}
     assert {name for name in known if not name.startswith('python3-')} == ros_imports()
 
 
 def test_linux_on_arm_installs_without_cyclonedds():
-    """There are no wheels of it, and all but the live commands without ROS works."""
+    """It has no wheels there; only live commands without ROS need it."""
     marker = re.search(r"'cyclonedds[^;]*; ([^']*)'", SETUP)
     assert marker is not None
     fits = compile(marker[1], 'setup.py', 'eval')
@@ -123,7 +123,7 @@ def test_linux_on_arm_installs_without_cyclonedds():
         assert eval(fits, {'platform_machine': machine, 'sys_platform': system}) == wanted
 
 
-def test_everything_that_ros_looks_for_is_installed():
+def test_all_files_for_ros_are_installed():
     for folder, ending in (
         ('config', '*.yaml'), ('launch', '*.launch.py'), ('rviz', '*.rviz'),
         ('foxglove', '*.json'),
@@ -134,7 +134,7 @@ def test_everything_that_ros_looks_for_is_installed():
         )
 
 
-def test_every_node_has_a_command():
+def test_every_node_has_an_entry_point():
     block = SETUP[SETUP.index('NODES = ') :].partition(']')[0]
     assert re.findall(r"'(\w+)'", block) == list(NODES)
     for node in NODES:

@@ -32,6 +32,7 @@ import tarfile
 import tempfile
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -346,7 +347,10 @@ def describe_memory(path: Path) -> str:
 class Case:
     """Commands that both versions run.
 
-    ``makes`` is the recording that other cases replay; ``needs`` a real recording.
+    ``makes`` is the recording that other cases replay; ``needs`` a real recording. A case that
+    differs runs again in both versions until ``tries`` are used up: on a busy machine, live nodes
+    that are not scheduled for seconds lose their order of messages. A changed result differs in
+    every try.
     """
 
     name: str
@@ -354,6 +358,7 @@ class Case:
     quick: bool = False
     makes: str = ''
     needs: str = ''
+    tries: int = 1
 
 
 FLOOR, DEMO = 'floor', 'demo'
@@ -405,7 +410,7 @@ def demo(run: Run) -> None:
     keep_recording(run, folder / 'recording', DEMO)
     truth = folder / 'recording' / 'truth.tum'
     for name in ('trajectory', 'trajectory_final', 'dead_reckoning'):
-        for align in ('se2', 'sim2', 'none'):
+        for align in ('se2', 'sim2', 'none') if name == 'trajectory' else ('se2',):
             text = run.ratslam(
                 'evaluate', folder / f'{name}.tum', truth, '--json', '--align', align,
                 '--plot', run.work / 'errors.png',
@@ -518,11 +523,7 @@ PRESETS = {
 NAVIGATION = ('--config', 'navigation')
 
 
-class IncompleteError(Exception):
-    """The observer or the nodes lost messages, as can happen on a busy machine."""
-
-
-TRIES = 3
+LIVE_TRIES = 3
 SETTLE_TIMEOUT_S = 60.0
 FLUSHED_S = 4.0
 """Nodes process messages that they held back after flush_after_s, 2 s, of silence."""
@@ -540,29 +541,6 @@ BEFORE_MARK = ('--duration', '15')
 AFTER_MARK = ('--start', '15', '--duration', '15')
 BEFORE_SAVE = ('--duration', '30')
 AFTER_SAVE = ('--start', '30', '--duration', '30')
-
-
-def tried(run_case: Callable[[Run], None]) -> Callable[[Run], None]:
-    """Return a case that runs again if messages were lost."""
-
-    def run_again(run: Run) -> None:
-        for number in range(TRIES):
-            folder = run.work / f'try_{number}'
-            folder.mkdir()
-            shutil.rmtree(run.folder)
-            run.folder.mkdir()
-            try:
-                return run_case(replace_work(run, folder))
-            except IncompleteError as error:
-                lost = str(error)
-        raise CaseError(f'{lost} ({TRIES} tries)')
-
-    return run_again
-
-
-def replace_work(run: Run, folder: Path) -> Run:
-    """Return the same run with another folder for its files."""
-    return Run(run.version, run.folder.name, folder)
 
 
 def live(run: Run) -> None:
@@ -590,7 +568,7 @@ def live(run: Run) -> None:
         found = settled(observer, lambda text: text == expected)
         run.keep('live_map_before_save.json', found)
         if found != expected:
-            raise IncompleteError('the live map is not the map of a replay')
+            raise CaseError('the live map is not the map of a replay')
         check_complete(observer.received(), images)
         for service in ('experience_map/list_goals', 'experience_map/temporal_map'):
             run.keep(f'{service}.yaml', nodes.call(service, TRIGGER))
@@ -598,8 +576,9 @@ def live(run: Run) -> None:
             'experience_map/recall_goal', 'nav_msgs/srv/GetPlan', RECALL))
         save(run, nodes, memory, 'saved')
         observer.publish('pose_cells/goal', 'goal_1')
-        observer.publish('experience_map/goal', '{"name": "place_1"}')
         nodes.play(recording, *parts[1])
+        time.sleep(FLUSHED_S)
+        observer.publish('experience_map/goal', '{"name": "place_1"}')
         keep_received(run, observer, '', 2 * images)
         run.keep('exit_code.txt', f'{nodes.stop("launch")}\n')
     with session(run) as nodes:
@@ -631,7 +610,7 @@ def live_camera(run: Run) -> None:
         found = settled(observer, lambda text: text == expected)
         run.keep('live_map.json', found)
         if found != expected:
-            raise IncompleteError('the live map is not the map of a replay')
+            raise CaseError('the live map is not the map of a replay')
         images = (run.work / 'out' / 'frames.csv').read_text().count('\n') - 1
         keep_received(run, observer, '', images)
         run.keep('exit_code.txt', f'{nodes.stop("launch")}\n')
@@ -641,28 +620,35 @@ PARAMETER_SERVICE = re.compile(r'^\d+ subscriber rq/(\S+)/list_parametersRequest
 
 
 def graph(run: Run) -> None:
-    """Start all nodes and the simulated robot: compare topics, services and parameters."""
+    """Start all nodes, then the simulated robot: compare topics, services and parameters."""
     with session(run) as nodes:
         nodes.start('launch', 'launch', '--visual-odometry', '--goal-follower', ready=5)
+        keep_graph(run, nodes, 'nodes', 5)
+    with session(run) as nodes:
         nodes.start('robot', 'simulate', '--live', '--plan', 'obstacle_loop')
-        observer = nodes.observe('--endpoints-only')
-        endpoints = stable(observer.endpoints)
-        run.keep('endpoints.txt', '\n'.join(endpoints) + '\n')
-        names = [match[1] for line in endpoints if (match := PARAMETER_SERVICE.match(line))]
-        if len(names) != 6:
-            raise CaseError(f'nodes with parameters: {names}; expected 6')
-        for name in names:
-            kind = 'rcl_interfaces/srv'
-            listed = nodes.call(f'{name}/list_parameters', f'{kind}/ListParameters')
-            run.keep(f'{name}/list_parameters.yaml', listed)
-            parameters = re.findall(r'^  - (\S+)$', listed, re.MULTILINE)
-            if len(parameters) < 5:
-                raise CaseError(f'{name} has the parameters {parameters}; expected more')
-            request = json.dumps({'names': parameters})
-            for service in ('GetParameters', 'DescribeParameters'):
-                snake = re.sub(r'(?<!^)([A-Z])', r'_\1', service).lower()
-                text = nodes.call(f'{name}/{snake}', f'{kind}/{service}', request)
-                run.keep(f'{name}/{snake}.yaml', without_descriptions(text))
+        keep_graph(run, nodes, 'robot', 1)
+
+
+def keep_graph(run: Run, nodes: LiveSession, folder: str, count: int) -> None:
+    """Keep the endpoints of running nodes, and their parameters."""
+    observer = nodes.observe('--endpoints-only')
+    endpoints = stable(observer.endpoints)
+    run.keep(f'{folder}/endpoints.txt', '\n'.join(endpoints) + '\n')
+    names = [match[1] for line in endpoints if (match := PARAMETER_SERVICE.match(line))]
+    if len(names) != count:
+        raise CaseError(f'nodes with parameters: {names}; expected {count}')
+    kind = 'rcl_interfaces/srv'
+    for name in names:
+        listed = nodes.call(f'{name}/list_parameters', f'{kind}/ListParameters')
+        run.keep(f'{name}/list_parameters.yaml', listed)
+        parameters = re.findall(r'^  - (\S+)$', listed, re.MULTILINE)
+        if len(parameters) < 5:
+            raise CaseError(f'{name} has the parameters {parameters}; expected more')
+        request = json.dumps({'names': parameters})
+        for service in ('GetParameters', 'DescribeParameters'):
+            snake = re.sub(r'(?<!^)([A-Z])', r'_\1', service).lower()
+            text = nodes.call(f'{name}/{snake}', f'{kind}/{service}', request)
+            run.keep(f'{name}/{snake}.json', without_descriptions(text))
 
 
 def without_descriptions(text: str) -> str:
@@ -707,11 +693,11 @@ def settled(observer: Observer, is_final: Callable[[str], bool]) -> str:
 
 
 def check_complete(received: Mapping[str, Sequence[str]], images: int) -> None:
-    """Raise IncompleteError unless there is a template and an action for each image."""
+    """Raise CaseError unless there is a template and an action for each image."""
     for topic in ('local_view/template', 'pose_cells/action'):
         count = len(received.get(topic, ()))
         if count != images:
-            raise IncompleteError(f'{count} messages of {topic}; expected {images}')
+            raise CaseError(f'{count} messages of {topic}; expected {images}')
 
 
 def keep_received(run: Run, observer: Observer, prefix: str, images: int) -> None:
@@ -777,10 +763,15 @@ def goal_memory_trial(run: Run) -> None:
 
 
 def all_cases() -> list[Case]:
-    """Return the cases; those that make recordings come first."""
+    """Return the cases; those that make recordings come first, then the longest ones."""
     cases = [
         Case('goals', simulated(FLOOR, *FLOOR_SCENE), quick=True, makes=FLOOR),
         Case('demo', demo, makes=DEMO),
+        Case('live', live, tries=LIVE_TRIES),
+        Case('live_camera', live_camera, tries=LIVE_TRIES),
+        Case('graph', graph, tries=LIVE_TRIES),
+        Case('obstacle', simulated('', *OBSTACLE_SCENE)),
+        Case('goal_memory_trial', goal_memory_trial),
         Case('exit_codes', exit_codes, quick=True),
         Case('options', options, quick=True),
         Case('scans', replayed(FLOOR, *NAVIGATION, *FLOOR_TOPICS), quick=True),
@@ -790,11 +781,6 @@ def all_cases() -> list[Case]:
         Case('preset_pioneer', replayed(FLOOR, '--config', 'pioneer'), quick=True),
         Case('default_values', replayed(FLOOR), quick=True),
         Case('ini', ini),
-        Case('live', tried(live)),
-        Case('live_camera', tried(live_camera)),
-        Case('graph', graph),
-        Case('obstacle', simulated('', *OBSTACLE_SCENE)),
-        Case('goal_memory_trial', goal_memory_trial),
         Case('goal_memory', replayed(
             FLOOR, *NAVIGATION, *setting('goal_memory.goal_memory=true')), quick=True),
         Case('visual_odometry', replayed(FLOOR, '--visual-odometry', *SPAN)),
@@ -868,6 +854,7 @@ class Comparison:
     tree: Version
     cases: Sequence[Case]
     different: list[str] = field(default_factory=list)
+    _took_ms: Counter[str] = field(default_factory=Counter)
     _printing: threading.Lock = field(default_factory=threading.Lock)
 
     def run(self) -> None:
@@ -889,8 +876,13 @@ class Comparison:
             wait_all([pool.submit(self._run_both, case) for case in others])
 
     def _run_both(self, case: Case) -> None:
-        self._run_side(self.base, case)
-        self._run_side(self.tree, case)
+        for number in range(case.tries):
+            if number:
+                (self.base.outputs / f'{case.name}.done').unlink(missing_ok=True)
+            for version_ in (self.base, self.tree):
+                self._run_side(version_, case)
+            if self._difference(case) is None:
+                break
         self._report(case)
 
     def _run_side(self, version: Version, case: Case) -> None:
@@ -901,6 +893,7 @@ class Comparison:
             return
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
+        start_s = time.monotonic()
         with tempfile.TemporaryDirectory(prefix='same_results-') as temporary:
             run = Run(version, case.name, Path(temporary))
             try:
@@ -908,16 +901,21 @@ class Comparison:
             except (CaseError, LiveError) as error:
                 run.keep(FAILURE, str(error))
                 return
+            finally:
+                self._took_ms[case.name] += int(1000 * (time.monotonic() - start_s))
         if version.name == 'BASE':
             done.touch()
 
+    def _difference(self, case: Case) -> str | None:
+        return first_difference(self.base.outputs / case.name, self.tree.outputs / case.name)
+
     def _report(self, case: Case) -> None:
-        folders = [version.outputs / case.name for version in (self.base, self.tree)]
-        difference = first_difference(folders[0], folders[1])
-        count = len(_outputs(folders[1]))
+        difference = self._difference(case)
+        count = len(_outputs(self.tree.outputs / case.name))
         with self._printing:
             if difference is None:
-                print(f'ok         {case.name}: {count} outputs', flush=True)
+                took_s = 1e-3 * self._took_ms[case.name]
+                print(f'ok         {case.name}: {count} outputs ({took_s:.1f} s)', flush=True)
             else:
                 self.different.append(case.name)
                 print(f'DIFFERENT  {case.name}: {difference}', flush=True)

@@ -17,8 +17,8 @@ from ratslam_ros.cli.options import (
     add_span,
     add_topics,
     config_of,
-    print_notice,
 )
+from ratslam_ros.console import print_notice
 
 
 def add_live(commands: Commands) -> None:
@@ -107,7 +107,7 @@ def _launch(options: argparse.Namespace) -> int:
     from ratslam_ros.live import ros
     from ratslam_ros.live.launch import LaunchOptions, launch
 
-    ros.look()
+    ros.check()
     return launch(
         config_of(options),
         LaunchOptions(
@@ -169,8 +169,8 @@ def _call(options: argparse.Namespace) -> int:
     try:
         print(call(options.service, options.type, options.values, options.timeout,
                    options.ros_args))
-    except ros.Silence as silence:
-        print_notice(f'ratslam: {silence}')
+    except ros.NoAnswer as reason:
+        print_notice(f'ratslam: {reason}')
         return NO_ANSWER
     return DONE
 
@@ -187,7 +187,7 @@ def _echo(options: argparse.Namespace) -> int:
             EchoOptions(options.type, options.once, options.field, options.timeout),
             options.ros_args,
         )
-    except ros.Silence as silence:
-        print_notice(f'ratslam: {silence}')
+    except ros.NoAnswer as reason:
+        print_notice(f'ratslam: {reason}')
         return NO_ANSWER
     return DONE

@@ -11,10 +11,11 @@ from collections.abc import Sequence
 
 from ratslam_ros import __version__
 from ratslam_ros.cli.live_commands import add_live
-from ratslam_ros.cli.options import DONE, INTERRUPTED, UNUSABLE, Parser, print_notice
+from ratslam_ros.cli.options import DONE, INTERRUPTED, UNUSABLE, Parser
 from ratslam_ros.cli.recording_commands import add_info, add_replay, add_tune
 from ratslam_ros.cli.result_commands import add_evaluate, add_plot
 from ratslam_ros.cli.simulation_commands import add_demo, add_simulate
+from ratslam_ros.console import print_notice
 from ratslam_ros.errors import RatslamError
 
 DISK_FULL_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
@@ -46,7 +47,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         if error.errno not in DISK_FULL_ERRORS:
             raise
-        print_notice(f'ratslam: {error.strerror} while writing; make room, or give another --out')
+        print_notice(
+            f'ratslam: {error.strerror} while writing; free some space, or give another --out'
+        )
         return UNUSABLE
 
 

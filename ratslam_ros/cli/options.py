@@ -1,27 +1,25 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Options that several commands share, and what they stand for."""
+"""Options shared by several commands, and helpers to evaluate them."""
 
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
+from ratslam_ros.console import print_notice
 from ratslam_ros.core.config import Config
 from ratslam_ros.errors import UnusableInput
-
-if TYPE_CHECKING:
-    pass
 
 DONE, INTERNAL_ERROR, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
 """Exit codes: success, a fault of the program, unusable input or wrong use, interrupted."""
 
 NO_ANSWER = 1
 """Exit code of ``call`` and ``echo`` when nothing arrived in time."""
+
 
 class Parser(argparse.ArgumentParser):
     """Argument parser that reports wrong use in one line."""
@@ -32,12 +30,11 @@ class Parser(argparse.ArgumentParser):
 
 
 if TYPE_CHECKING:
-    from ratslam_ros.results.evaluation import Trajectory
+    from ratslam_ros.results.trajectory import Trajectory
 
     Commands = argparse._SubParsersAction[Parser]
 else:
     Commands = argparse._SubParsersAction  # has no subscript at run time
-
 
 
 def add_recording(parser: argparse.ArgumentParser) -> None:
@@ -131,7 +128,7 @@ def read_truth(path: Path | None) -> Trajectory | None:
     """Read the true trajectory; callers do so first, so that a wrong file costs no time."""
     if path is None:
         return None
-    from ratslam_ros.results.evaluation import read_tum
+    from ratslam_ros.results.trajectory import read_tum
 
     return read_tum(path)
 
@@ -149,8 +146,3 @@ def print_warnings(warnings: Sequence[str]) -> None:
     """Print warnings to the standard error stream, one a line."""
     for warning in warnings:
         print_notice(f'warning: {warning}')
-
-
-def print_notice(text: str) -> None:
-    """Print a line to the standard error stream."""
-    print(text, file=sys.stderr, flush=True)

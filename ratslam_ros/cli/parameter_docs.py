@@ -3,7 +3,7 @@
 """Write docs/parameters.md and config/default.yaml from the dataclasses of core/config.
 
     python -m ratslam_ros.cli.parameter_docs            write both
-    python -m ratslam_ros.cli.parameter_docs --check    only tell whether they are up to date
+    python -m ratslam_ros.cli.parameter_docs --check    check whether they are up to date
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from ratslam_ros.simulator.config import SimulatorParameters
 ROOT = Path(__file__).resolve().parents[2]
 
 _INTRODUCTION = """\
-<!-- Made from ratslam_ros/core/config/ by `make docs`; do not edit. -->
+<!-- Generated from ratslam_ros/core/config/ by `make docs`; do not edit. -->
 
 # Parameters
 
 Each parameter belongs to the part of RatSLAM that uses it. On the command line a parameter is
-named with its section, `--set local_view.vt_match_threshold=0.05`; in a YAML file it stands
+given with its section, `--set local_view.vt_match_threshold=0.05`; in a YAML file it is listed
 below its section:
 
 ```yaml
@@ -34,17 +34,18 @@ below its section:
     vt_match_threshold: 0.05
 ```
 
-Most names are those of OpenRatSLAM (Ball et al. 2013), whose own INI files can be given to
-`--config` as they are. [config/](../config) holds `default.yaml`, with all of what follows, and
-one preset a robot or data set; [tuning.md](tuning.md) goes from what you see to what to change.
+Most names are those of OpenRatSLAM (Ball et al. 2013); `--config` also reads the INI files of
+OpenRatSLAM. [config/](../config) contains `default.yaml`, with all parameters below, and one
+preset for each robot or data set. [tuning.md](tuning.md) lists symptoms and the parameters to
+change.
 
-The last section, `simulator`, is of the simulated robot and in no such file: its parameters are
-given to the node, `-p plan:=office`, or are options of `ratslam simulate`.
+The last section, `simulator`, is not part of these files: its parameters are arguments of the
+node, `-p plan:=office`, or options of `ratslam simulate`.
 """
 
 
 def parameters_markdown() -> str:
-    """Return docs/parameters.md: what each parameter does and may be, and when to change it."""
+    """Return docs/parameters.md: effect, default, range and tuning of each parameter."""
     parts = [_INTRODUCTION]
     sections: dict[str, type[Section]] = {**SECTIONS, 'simulator': SimulatorParameters}
     for section, cls in sections.items():

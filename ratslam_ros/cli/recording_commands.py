@@ -21,18 +21,15 @@ from ratslam_ros.cli.options import (
     compile_kernels,
     config_of,
     make_folder,
-    print_notice,
     print_warnings,
     read_truth,
     results_folder,
 )
+from ratslam_ros.console import print_notice
 from ratslam_ros.errors import UnusableInput
 
 if TYPE_CHECKING:
-    pass
-
-if TYPE_CHECKING:
-    from ratslam_ros.results.evaluation import Trajectory
+    from ratslam_ros.results.trajectory import Trajectory
 
 
 def add_info(commands: Commands) -> None:
@@ -109,7 +106,7 @@ def _replay(options: argparse.Namespace) -> int:
         print_warnings(_loss_warnings(outcome.summary))
     if options.out is None:
         link_latest(folder)
-    pictures = draw_all(folder, truth, config.local_view.vt_match_threshold)
+    plots = draw_all(folder, truth, config.local_view.vt_match_threshold)
     if outcome.interrupted:
         print_notice(f'interrupted: the results so far are in {folder}')
         return INTERRUPTED
@@ -117,7 +114,7 @@ def _replay(options: argparse.Namespace) -> int:
         print(_summary_text(outcome.summary))
         if truth is not None:
             _print_errors(folder, truth)
-        for path in pictures:
+        for path in plots:
             print(path)
     return DONE
 
@@ -132,7 +129,7 @@ def _tune(options: argparse.Namespace) -> int:
         selection = recording.select(options.image_topic, options.odom_topic)
         if selection.image_topic is None:
             raise UnusableInput(
-                f'{recording.path} holds templates and no images; expected images to tune on'
+                f'{recording.path} has templates but no images; expected images to tune on'
             )
         compile_kernels()
         proposal = propose(sample_frames(recording, selection.image_topic), config.local_view)
@@ -151,7 +148,7 @@ def _loss_warnings(summary: Mapping[str, Any]) -> list[str]:
     counts = ', '.join(f'{number} {key}' for key, number in lost.items())
     return [f'many messages were not used ({counts}): undecodable images and scans are dropped, '
             'messages whose stamps do not increase are refused, and messages more than '
-            'pose_cells.max_lateness_s behind the other streams are late'] if lost else []
+            'pose_cells.max_lateness_s behind the other topics are late'] if lost else []
 
 
 def _empty_map_warnings(summary: Mapping[str, Any]) -> list[str]:
@@ -176,7 +173,8 @@ def _summary_text(summary: Mapping[str, Any]) -> str:
 
 
 def _print_errors(folder: Path, truth: Trajectory) -> None:
-    from ratslam_ros.results.evaluation import evaluate, read_tum
+    from ratslam_ros.results.evaluation import evaluate
+    from ratslam_ros.results.trajectory import read_tum
 
     for name in ('trajectory_final', 'trajectory', 'dead_reckoning'):
         ate = evaluate(read_tum(folder / f'{name}.tum'), truth).ate

@@ -43,8 +43,9 @@ def add_plot(commands: Commands) -> None:
 
 
 def _evaluate(options: argparse.Namespace) -> int:
-    from ratslam_ros.results.evaluation import evaluate, read_tum
+    from ratslam_ros.results.evaluation import evaluate
     from ratslam_ros.results.plots import plot_evaluation
+    from ratslam_ros.results.trajectory import read_tum
 
     trajectory, truth = read_tum(options.trajectory), read_tum(options.truth)
     evaluation = evaluate(trajectory, truth, options.align)

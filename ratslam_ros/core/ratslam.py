@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""RatSLAM: one step of the whole system.
+"""RatSLAM: the whole system in one process.
 
     camera image --+--> visual_odometry --> odometry <-- wheel encoders
                    |                           |
@@ -36,7 +36,11 @@ Stopwatch = Callable[[str], AbstractContextManager[object]]
 
 @dataclass(frozen=True, slots=True)
 class OdometryStep:
-    """Result of one odometry message: the pose estimate, and the parts that it is composed of."""
+    """Result of one odometry message.
+
+    ``pose``: estimate on the map, composed of the pose of experience ``experience_id`` and
+    ``offset``. ``dead_reckoning``: pose by odometry alone.
+    """
 
     stamp_ns: int
     pose: Pose
@@ -64,7 +68,7 @@ Step = OdometryStep | ViewStep
 
 
 class RatSLAM:
-    """All four parts in one process, processed in the order of the stamps."""
+    """Visual odometry, local view, pose cells and experience map; input is processed by stamp."""
 
     def __init__(
         self,
@@ -77,23 +81,24 @@ class RatSLAM:
 
         Args:
             config: all parameters.
-            visual_odometry: estimate odometry from the images.
-            stopwatch: context manager entered with a part's name around each of its steps,
-                because core has no clock.
-            local_view: recognises images; None: the one that the configuration describes.
+            visual_odometry: whether odometry is estimated from the images.
+            stopwatch: function that takes the name of a part, and returns a context manager that
+                is entered around each of its steps; the core has no clock of its own.
+            local_view: matcher of the images; None: the one that ``config`` describes.
         """
         self.visual_odometry = VisualOdometry(config.visual_odometry) if visual_odometry else None
         self.local_view = LocalView(config.local_view) if local_view is None else local_view
         self.pose_cells = PoseCells(config.pose_cells)
         self.experience_map = ExperienceMap(config.experience_map)
         self.behaviour = ''
-        """Name of what the robot is doing, stored in the links; '' if unknown."""
+        """Name of the active behaviour, stored in the links; '' if unknown."""
         self.goal_memory: GoalMemory | None = None
-        """Learned beside the map if ``goal_memory.goal_memory`` is set."""
+        """Goal memory, learned along with the map if ``goal_memory.goal_memory`` is set."""
         if config.goal_memory.goal_memory:
             self.goal_memory = GoalMemory(config.goal_memory, config.pose_cells)
         self.scan_matcher = ScanMatcher() if config.experience_map.exp_align_scans else None
         self.dead_reckoning = self.experience_map.origin
+        """Pose by odometry alone, in the map frame."""
         self.order: StampOrder[Odometry | ViewMatch] = StampOrder(
             ('odometry', 'template'), round(config.pose_cells.max_lateness_s * 1e9)
         )
@@ -106,13 +111,22 @@ class RatSLAM:
     # Inputs
 
     def image(self, stamp_ns: int, image: NDArray[np.uint8] | None) -> list[Step]:
-        """Process one image, (H, W) uint8 grey, or None if it could not be decoded."""
+        """Process one image; return the steps of all messages that it released.
+
+        Args:
+            stamp_ns: stamp of the image. An image whose stamp does not increase is refused and
+                counted.
+            image: (H, W) grey levels, 0 to 255; None if the image could not be decoded.
+
+        Raises:
+            UnusableParameter: the crop, window or template does not fit the first image.
+        """
         return self._process_images(self._images.push('image', stamp_ns, image))
 
     def odometry(self, odometry: Odometry) -> list[Step]:
         """Process one odometry message; return the steps of all messages that it released.
 
-        A message that is not finite is refused and counted.
+        A message with a value that is not finite or implausible is refused and counted.
         """
         if not self._motion.accepts(odometry):
             self._refused += 1
@@ -124,7 +138,7 @@ class RatSLAM:
         return self._process(self.order.push('template', stamp_ns, match))
 
     def scan(self, scan: Scan) -> None:
-        """Store one laser scan, before the images of its time; see ``exp_align_scans``."""
+        """Buffer one laser scan if scans are aligned; call before the images of its time."""
         if self.scan_matcher is not None:
             self.scan_matcher.scan(scan)
 
@@ -136,19 +150,19 @@ class RatSLAM:
 
     @property
     def counts(self) -> Counts:
-        """Number of late messages, and of refused ones."""
+        """Numbers of late and of refused messages."""
         order, images = self.order.counts, self._images.counts
         return Counts(order.late, order.refused + images.refused + self._refused)
 
     @property
     def offset(self) -> Pose:
-        """Motion since the current experience, held odometry included."""
+        """Pose of the robot in the frame of the current experience, including held odometry."""
         waiting = (o for o in self.order.waiting('odometry') if isinstance(o, Odometry))
         return self._motion.ahead(waiting, self.experience_map.offset)
 
     @property
     def pose(self) -> Pose:
-        """Pose of the robot on the map, held odometry included."""
+        """Pose of the robot on the map, including held odometry."""
         graph = self.experience_map
         return composed(graph.pose_of(graph.current_id), self.offset)
 

@@ -1,3 +1,3 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Configurations and saved memories on disk."""
+"""Configuration files and memory files."""

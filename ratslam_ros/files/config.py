@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Configurations in files: presets, ROS 2 parameter YAML, and OpenRatSLAM's own INI files."""
+"""Configuration files: presets, ROS 2 parameter YAML, and INI files of OpenRatSLAM."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from ratslam_ros.core.config import SECTIONS, Config, Value, section_of
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 
 PACKAGE = 'ratslam_ros'
-PART_OF = {'pose_cells': 'goal_memory', 'experience_map': 'goal_recall'}
-"""A section that another section's node reads: below that node in ROS's YAML, and after it."""
+SUBSECTION_OF = {'pose_cells': 'goal_memory', 'experience_map': 'goal_recall'}
+"""Sections that the node of another section reads; in YAML they are nested below that node."""
 
 
 def preset_folders() -> list[Path]:
-    """Return where presets may lie: beside a checkout, in an environment, in a ROS workspace."""
+    """Return the existing preset folders: of a checkout, a Python environment, ROS workspaces."""
     prefixes = [sys.prefix, *os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)]
     shares = [Path(prefix) / 'share' / PACKAGE / 'config' for prefix in prefixes if prefix]
     return [
@@ -34,7 +34,7 @@ def preset_folders() -> list[Path]:
 
 
 def presets() -> dict[str, Path]:
-    """Return the presets by name."""
+    """Return the file of each preset by name; the first preset folder has priority."""
     return {
         path.stem: path
         for folder in reversed(preset_folders())
@@ -46,26 +46,26 @@ def load_config(source: str | None) -> tuple[Config, list[str]]:
     """Read a configuration.
 
     Args:
-        source: a preset's name, a YAML file, or an INI file of OpenRatSLAM; None: the defaults.
+        source: name of a preset, a YAML file, or an INI file of OpenRatSLAM; None: the defaults.
 
     Returns:
-        The configuration, and notices about what of the file was not used.
+        The configuration, and notices about unused entries of the file.
 
     Raises:
-        UnusableInput: no such preset or file, or not in either format.
-        UnusableParameter: a parameter that is unknown or out of range.
+        UnusableInput: there is no such preset or file, or it has neither format.
+        UnusableParameter: a parameter is unknown or out of range.
     """
     if source is None:
         return Config(), []
     path = Path(source)
     if not path.is_file():
-        known = presets()
-        if source not in known:
+        available = presets()
+        if source not in available:
             raise UnusableInput(
                 f'--config {source}: no such file or preset; the presets are '
-                f'{", ".join(sorted(known)) or "not installed"}'
+                f'{", ".join(sorted(available)) or "not installed"}'
             )
-        path = known[source]
+        path = available[source]
     try:
         text = path.read_text(encoding='utf-8')
     except (OSError, UnicodeDecodeError) as error:
@@ -82,7 +82,10 @@ def load_config(source: str | None) -> tuple[Config, list[str]]:
 
 
 def parse_setting(text: str) -> tuple[str, Value]:
-    """Split ``section.name=value`` and read the value as YAML does.
+    """Parse ``section.name=value``.
+
+    Returns:
+        Key and typed value.
 
     Raises:
         UnusableParameter: there is no ``=``.
@@ -94,7 +97,7 @@ def parse_setting(text: str) -> tuple[str, Value]:
 
 
 def to_yaml(config: Config) -> str:
-    """Return a whole configuration as a ROS 2 parameter file."""
+    """Format a complete configuration as a ROS 2 parameter file."""
     lines = []
     for section, values in config.values().items():
         lines.append(_heading(section))
@@ -104,9 +107,9 @@ def to_yaml(config: Config) -> str:
 
 
 def documented_yaml() -> str:
-    """Return config/default.yaml: every parameter with its default, unit and effect."""
+    """Return the text of config/default.yaml: each parameter with default, unit and effect."""
     lines = [
-        '# Every parameter, its default, its unit and its effect. Made from '
+        '# Every parameter with its default, unit and effect. Generated from '
         'ratslam_ros/core/config/\n# by `make docs`; do not edit.\n'
     ]
     for section, cls in SECTIONS.items():
@@ -119,26 +122,26 @@ def documented_yaml() -> str:
 
 
 def _heading(section: str) -> str:
-    """Return what stands above a section's values; a node's own parts stand below the node."""
-    if section in PART_OF.values():
+    """Return the lines above the values of a section or of a nested section."""
+    if section in SUBSECTION_OF.values():
         return f'    {section}:\n'
     return f'/**/{section}:\n  ros__parameters:\n'
 
 
 def _indent(section: str) -> str:
-    return '      ' if section in PART_OF.values() else '    '
+    return '      ' if section in SUBSECTION_OF.values() else '    '
 
 
 def _written(value: Value) -> str:
     if isinstance(value, bool):
         return 'true' if value else 'false'
     if isinstance(value, float) and 'e' in repr(value) and '.' not in repr(value):
-        return repr(value).replace('e', '.0e')  # YAML takes 2e-05 for a text
+        return repr(value).replace('e', '.0e')  # YAML 1.1 reads 2e-05 as text.
     return json.dumps(value) if isinstance(value, str) and not value.isalpha() else str(value)
 
 
 def _scalar(text: str) -> Value:
-    """Read one value; numbers also in forms that YAML 1.1 takes for text, such as 2e-5."""
+    """Parse one value, including numbers that YAML 1.1 reads as text, such as 2e-5."""
     text = text.strip()
     if text.lower() in ('true', 'false'):
         return text.lower() == 'true'
@@ -150,8 +153,8 @@ def _scalar(text: str) -> Value:
     return text
 
 
-def _read(value: Any) -> Any:
-    """Return a value as YAML read it, numbers that it took for text put right."""
+def _typed(value: Any) -> Any:
+    """Convert numbers that YAML read as text."""
     return _scalar(value) if isinstance(value, str) else value
 
 
@@ -166,7 +169,7 @@ def _yaml_values(text: str) -> Iterator[tuple[str, Value]]:
         if isinstance(section, Mapping) and 'ros__parameters' in section:
             section = section['ros__parameters']
         if name == '**' and isinstance(section, Mapping):
-            # Parameters for every node: each goes where it belongs.
+            # Parameters for all nodes: assign each to the sections that have it.
             yield from _by_name(section)
             continue
         if section is None:
@@ -174,30 +177,30 @@ def _yaml_values(text: str) -> Iterator[tuple[str, Value]]:
         if not isinstance(section, Mapping):
             raise UnusableParameter(f'{name} is {section!r}; expected parameters below it')
         for item, value in section.items():
-            if isinstance(value, Mapping) and PART_OF.get(name) == item:
+            if isinstance(value, Mapping) and SUBSECTION_OF.get(name) == item:
                 for inner, inner_value in value.items():
-                    yield f'{item}.{inner}', _read(inner_value)
+                    yield f'{item}.{inner}', _typed(inner_value)
             elif item != 'use_sim_time':
-                yield f'{name}.{item}', _read(value)
+                yield f'{name}.{item}', _typed(value)
 
 
 def _by_name(values: Mapping[Any, Any]) -> Iterator[tuple[str, Value]]:
     for name, value in values.items():
         if isinstance(value, Mapping):
             for item, inner in value.items():
-                yield f'{name}.{item}', _read(inner)
+                yield f'{name}.{item}', _typed(inner)
         elif str(name) != 'use_sim_time':
             found = [
                 section
                 for section, cls in SECTIONS.items()
-                if name in [known for known, _, _ in cls.parameters()]
+                if name in [parameter for parameter, _, _ in cls.parameters()]
             ]
             for section in found or [section_of(str(name)) or str(name)]:
-                yield f'{section}.{name}', _read(value)
+                yield f'{section}.{name}', _typed(value)
 
 
 def _from_ini(text: str) -> tuple[Config, list[str]]:
-    """Read OpenRatSLAM's INI files, in which a parameter is known by its name alone."""
+    """Read an INI file of OpenRatSLAM, in which the section of a parameter is ignored."""
     parser = configparser.ConfigParser(
         interpolation=None, strict=False, inline_comment_prefixes=('#', ';'), delimiters=('=',)
     )
@@ -214,8 +217,8 @@ def _from_ini(text: str) -> tuple[Config, list[str]]:
                 values[f'{target}.{name}'] = _scalar(value)
     if not values:
         raise UnusableInput(
-            'none of its lines sets a parameter that RatSLAM knows; expected YAML, or '
-            "name=value lines as in OpenRatSLAM's configurations"
+            'no line sets a parameter of RatSLAM; expected YAML, or name=value lines as in '
+            'configurations of OpenRatSLAM'
         )
-    notices = [f'not used of the configuration: {", ".join(unused)}'] if unused else []
+    notices = [f'unused entries of the configuration: {", ".join(unused)}'] if unused else []
     return Config().with_values(values), notices

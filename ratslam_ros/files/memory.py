@@ -1,9 +1,9 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a node has learned, in a file: written whole or not at all, and read whole or not at all.
+"""Memory files: the learned state of a node, written and read completely or not at all.
 
-A file is a NumPy archive (npz): the arrays, and ``content``, JSON with the rest and with the
-arrays' names where they belong.
+A file is a NumPy archive (npz) of all arrays and of ``content``, a JSON text with the other
+values, in which the names of the arrays take their places.
 """
 
 from __future__ import annotations
@@ -24,7 +24,12 @@ CONTENT, ARRAY = 'content', 'array'
 
 
 def save(path: Path, part: str, state: State) -> None:
-    """Write a part's state; an earlier file stays until the new one is complete.
+    """Write the state of a part; an earlier file stays until the new one is complete.
+
+    Args:
+        path: the file; its folder is created.
+        part: name of the part, checked by `load`.
+        state: nested dictionaries and lists of values and arrays.
 
     Raises:
         UnusableInput: the file cannot be written.
@@ -41,7 +46,7 @@ def save(path: Path, part: str, state: State) -> None:
         with fresh.open('wb') as file:
             np.savez_compressed(file, **entries)
             file.flush()
-            os.fsync(file.fileno())  # else a power cut could leave an empty file of that name
+            os.fsync(file.fileno())  # Otherwise a power cut could leave an empty file.
         fresh.replace(path)
     except OSError as error:
         fresh.unlink(missing_ok=True)
@@ -51,10 +56,14 @@ def save(path: Path, part: str, state: State) -> None:
 
 
 def load(path: Path, part: str) -> State:
-    """Read a part's state.
+    """Read the state of a part.
+
+    Args:
+        path: the file.
+        part: expected name of the part.
 
     Raises:
-        UnusableInput: there is no such file, or it is damaged or of something else.
+        UnusableInput: the file is missing, damaged, or of another part or format.
     """
     try:
         with np.load(path, allow_pickle=False) as archive:
@@ -71,14 +80,14 @@ def load(path: Path, part: str) -> State:
         ) from None
     except UnusableInput:
         raise
-    except Exception as error:  # zip, zlib and NumPy meet arbitrary bytes
-        raise UnusableInput(f'{path} is damaged or no such file ({error})') from None
+    except Exception as error:  # Arbitrary bytes raise many types in zip, zlib and NumPy.
+        raise UnusableInput(f'{path} is damaged or not a memory file ({error})') from None
     assert isinstance(state, dict)
     return state
 
 
 def _without_arrays(value: Any, arrays: dict[str, NDArray[Any]]) -> Any:
-    """Return a value with each array replaced by its name, and note the arrays."""
+    """Return a value with each array replaced by its name; add the arrays to ``arrays``."""
     if isinstance(value, np.ndarray):
         name = f'{ARRAY}_{len(arrays)}'
         arrays[name] = value

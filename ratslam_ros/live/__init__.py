@@ -2,6 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The live commands: run and launch nodes, play recordings, call services, echo topics.
 
-They work with ROS 2 and with the stand-in for it alike. What imports rclpy does so at its top, and
-is itself imported only after ``ros.require()`` has seen to it that there is one.
+They work with ROS 2 and with its stand-in. Modules that import rclpy at the top are imported only
+after ``ros.require()``, which makes ``import rclpy`` work.
 """

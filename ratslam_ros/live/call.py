@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""ratslam call: one request to a service."""
+"""``ratslam call``: call a service."""
 
 from __future__ import annotations
 
@@ -20,11 +20,21 @@ from ratslam_ros.live import graph, ros
 def call(
     service: str, kind: str, values: str, timeout_s: float, ros_arguments: Sequence[str] = ()
 ) -> str:
-    """Call a service, and return its answer as YAML.
+    """Call a service.
+
+    Args:
+        service: name of the service.
+        kind: type of the service, such as std_srvs/srv/Trigger.
+        values: the request as YAML; '' for the default values.
+        timeout_s: time to wait for the service and its response.
+        ros_arguments: what follows ``--ros-args``.
+
+    Returns:
+        The response as YAML.
 
     Raises:
         UnusableInput: the service or its type does not exist, or the values do not fit it.
-        Silence: the service is there and gave no answer.
+        NoAnswer: the service exists but did not respond in time.
     """
     service_type = _type(kind)
     request = request_of(service_type, kind, values)
@@ -33,38 +43,42 @@ def call(
         client = node.create_client(service_type, name)
         end_s = time.monotonic() + timeout_s
         if not client.wait_for_service(timeout_sec=timeout_s):
-            node.destroy_client(client)  # which is in the graph too
+            node.destroy_client(client)  # It is in the graph itself.
             kinds = dict(node.get_service_names_and_types()).get(name)
             if kinds:
                 raise UnusableInput(f'{name} is of type {", ".join(kinds)}, not {kind}')
-            raise UnusableInput(f'nobody offers {name} ({graph.services(node)})')
+            raise UnusableInput(f'no node offers {name} ({graph.describe_services(node)})')
         future = client.call_async(request)
         while not future.done():
             rclpy.spin_once(node, timeout_sec=0.1)
             if time.monotonic() > end_s and not future.done():
-                raise ros.Silence(
-                    f'{name} gave no answer within {timeout_s:g} s; between a machine with ROS '
+                raise ros.NoAnswer(
+                    f'{name} did not respond within {timeout_s:g} s; between a machine with ROS '
                     'and one without, services need RMW_IMPLEMENTATION=rmw_cyclonedds_cpp'
                 )
         return str(message_to_yaml(future.result())).rstrip('\n')
 
 
 def request_of(service_type: Any, kind: str, values: str) -> Any:
-    """Return the request that a YAML text asks for; raises UnusableInput."""
+    """Parse a request from YAML.
+
+    Raises:
+        UnusableInput: the text is not YAML, or does not fit the type.
+    """
     try:
         fields = yaml.safe_load(values) if values.strip() else {}
     except yaml.YAMLError as error:
-        raise UnusableInput(f'{values!r} is no YAML: {" ".join(str(error).split())}') from None
+        raise UnusableInput(f'{values!r} is not YAML: {" ".join(str(error).split())}') from None
     request = service_type.Request()
-    known = ', '.join(request.get_fields_and_field_types()) or 'no fields'
+    names = ', '.join(request.get_fields_and_field_types()) or 'no fields'
     if not isinstance(fields or {}, Mapping):
-        raise UnusableInput(f'{values!r}: expected fields such as "{{data: true}}" ({known})')
+        raise UnusableInput(f'{values!r}: expected fields such as "{{data: true}}" ({names})')
     try:
         set_message_fields(request, fields or {})
     except (AttributeError, TypeError, ValueError, AssertionError) as error:
-        told = ' '.join(str(error).split())
+        reason = ' '.join(str(error).split())
         raise UnusableInput(
-            f'{values!r} does not fit {kind}: {told}; its request has {known}'
+            f'{values!r} does not fit {kind}: {reason}; its request has {names}'
         ) from None
     return request
 
@@ -74,6 +88,6 @@ def _type(kind: str) -> Any:
         return get_service(kind)
     except (ImportError, AttributeError, ValueError, KeyError, LookupError):
         raise UnusableInput(
-            f'{kind} is no service type that is known here: expected one such as '
+            f'the service type {kind} is not installed: expected one such as '
             'std_srvs/srv/Trigger'
         ) from None

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""ratslam echo: what is published on a topic."""
+"""``ratslam echo``: print the messages of a topic."""
 
 from __future__ import annotations
 
@@ -18,14 +18,23 @@ from rosidl_runtime_py.utilities import get_message
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.live import graph, ros
 
-FIND_S = 5.0
-LONGEST = 128  # characters or numbers of one field that are shown; --field shows all
-DEPTH = 100
+DISCOVERY_TIMEOUT_S = 5.0
+"""Time to wait for a publisher if the message type is not given."""
+
+MAX_FIELD_LENGTH = 128
+"""Largest number of characters or array elements printed of one field; --field prints all."""
+
+QUEUE_DEPTH = 100
 
 
 @dataclass(frozen=True)
 class EchoOptions:
-    """What is shown, and how long it is waited for."""
+    """Selection of what is printed.
+
+    kind: message type, None for that of the publishers. once: stop after one message. field:
+    dotted path of the field to print, None for the whole message. timeout_s: largest time
+    without a message.
+    """
 
     kind: str | None = None
     once: bool = False
@@ -34,11 +43,16 @@ class EchoOptions:
 
 
 def echo(topic: str, options: EchoOptions, ros_arguments: Sequence[str] = ()) -> None:
-    """Print messages, with ``---`` between them, until interrupted or once.
+    """Print messages, separated by ``---``, until interrupted or once.
+
+    Args:
+        topic: name of the topic.
+        options: see `EchoOptions`.
+        ros_arguments: what follows ``--ros-args``.
 
     Raises:
         UnusableInput: the topic, type or field does not exist.
-        Silence: no message came for the time allowed.
+        NoAnswer: no message arrived in time.
     """
     message_type = None if options.kind is None else message_of_name(options.kind)
     with ros.node('_ratslam_echo', ros_arguments) as node:
@@ -48,33 +62,42 @@ def echo(topic: str, options: EchoOptions, ros_arguments: Sequence[str] = ()) ->
             message_type = message_of_name(found)
         elif found and get_message(found) is not message_type:
             raise UnusableInput(f'{name} is of type {found}: expected {options.kind}')
-        _show(node, name, message_type, options)
+        _print_messages(node, name, message_type, options)
 
 
 def message_of_name(kind: str) -> Any:
-    """Return the message class of a name such as std_msgs/msg/String."""
+    """Return the message class of a type name such as std_msgs/msg/String.
+
+    Raises:
+        UnusableInput: the type is not installed.
+    """
     try:
         return get_message(kind)
     except (ImportError, AttributeError, ValueError, KeyError, LookupError):
         raise UnusableInput(
-            f'{kind} is no message type that is known here: expected one such as '
+            f'the message type {kind} is not installed: expected one such as '
             'std_msgs/msg/String'
         ) from None
 
 
 def text_of(message: Any, field: str | None) -> str:
-    """Return a message as YAML, or one of its fields as it is; raises UnusableInput."""
+    """Format a message as YAML, or one of its fields in full length.
+
+    Raises:
+        UnusableInput: the field does not exist.
+    """
     if field is None:
-        return str(message_to_yaml(message, truncate_length=LONGEST)).rstrip('\n') + '\n---'
+        text = str(message_to_yaml(message, truncate_length=MAX_FIELD_LENGTH))
+        return text.rstrip('\n') + '\n---'
     value = message
     for part in field.split('.'):
         try:
             value = value[int(part)] if part.isdecimal() else getattr(value, part)
         except (AttributeError, IndexError, TypeError):
-            known: list[str] = list(getattr(value, 'get_fields_and_field_types', dict)())
+            names: list[str] = list(getattr(value, 'get_fields_and_field_types', dict)())
             raise UnusableInput(
-                f'--field {field}: there is no {part!r} in {type(value).__name__}'
-                + (f': expected one of {", ".join(known)}' if known else '')
+                f'--field {field}: {type(value).__name__} has no {part!r}'
+                + (f': expected one of {", ".join(names)}' if names else '')
             ) from None
     if hasattr(value, 'get_fields_and_field_types'):
         return str(message_to_yaml(value)).rstrip('\n')
@@ -84,22 +107,22 @@ def text_of(message: Any, field: str | None) -> str:
 
 
 def _find(node: Any, name: str, options: EchoOptions) -> str:
-    """Wait for a publisher; return the topic's type, '' if only its type argument is known."""
-    limit_s = min(options.timeout_s, FIND_S if options.kind is None else math.inf)
+    """Wait for a publisher; return the type of the topic, or '' if it has no publisher."""
+    limit_s = min(options.timeout_s, DISCOVERY_TIMEOUT_S if options.kind is None else math.inf)
     graph.until(lambda: bool(node.count_publishers(name)), limit_s)
     kinds = dict(node.get_topic_names_and_types()).get(name, [])
     if len(kinds) > 1 and options.kind is None:
-        raise UnusableInput(f'{name} has the types {", ".join(kinds)}: give the one to show')
+        raise UnusableInput(f'{name} has the types {", ".join(kinds)}: give the one to print')
     if options.kind is not None:
         same = [kind for kind in kinds if get_message(kind) is get_message(options.kind)]
         return str((same or kinds or [''])[0])
     if not kinds:
-        raise UnusableInput(f'{name} does not exist ({graph.topics(node)})')
+        raise UnusableInput(f'{name} does not exist ({graph.describe_topics(node)})')
     return str(kinds[0])
 
 
-def _quality(node: Any, name: str) -> QoSProfile:
-    """Return what fits all publishers of a topic, and asks for as much as they all offer."""
+def _compatible_qos(node: Any, name: str) -> QoSProfile:
+    """Return the strictest QoS profile that is compatible with all publishers of a topic."""
     offered = [info.qos_profile for info in node.get_publishers_info_by_topic(name)]
     reliable = all(qos.reliability == ReliabilityPolicy.RELIABLE for qos in offered)
     latched = offered and all(
@@ -107,29 +130,29 @@ def _quality(node: Any, name: str) -> QoSProfile:
     )
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
-        depth=DEPTH,
+        depth=QUEUE_DEPTH,
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
     )
 
 
-def _show(node: Any, name: str, message_type: Any, options: EchoOptions) -> None:
-    shown = 0
-    heard_s = time.monotonic()
+def _print_messages(node: Any, name: str, message_type: Any, options: EchoOptions) -> None:
+    printed_count = 0
+    last_s = time.monotonic()
 
-    def take(message: Any) -> None:
-        nonlocal shown, heard_s
-        if options.once and shown:
+    def receive(message: Any) -> None:
+        nonlocal printed_count, last_s
+        if options.once and printed_count:
             return
         print(text_of(message, options.field), flush=True)
-        shown, heard_s = shown + 1, time.monotonic()
+        printed_count, last_s = printed_count + 1, time.monotonic()
 
-    node.create_subscription(message_type, name, take, _quality(node, name))
-    while not (options.once and shown):
+    node.create_subscription(message_type, name, receive, _compatible_qos(node, name))
+    while not (options.once and printed_count):
         rclpy.spin_once(node, timeout_sec=0.1)
-        if time.monotonic() - heard_s > options.timeout_s:
+        if time.monotonic() - last_s > options.timeout_s:
             publishers = node.count_publishers(name)
-            raise ros.Silence(
+            raise ros.NoAnswer(
                 f'no message on {name} for {options.timeout_s:g} s, '
-                + (f'from {publishers} publishers' if publishers else graph.topics(node))
+                + (f'from {publishers} publishers' if publishers else graph.describe_topics(node))
             )

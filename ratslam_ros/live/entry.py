@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What `ros2 run ratslam_ros NODE` starts: a node where ROS 2 is, else a word of advice."""
+"""Entry points of ``ros2 run ratslam_ros NODE``; without ROS 2 they print advice."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def _main(node: str) -> int:
     except UnusableInput as error:
         print(f'{node}: {error}', file=sys.stderr)
         return 2
-    except KeyboardInterrupt:  # while it was starting
+    except KeyboardInterrupt:  # during start-up
         return 0
 
 

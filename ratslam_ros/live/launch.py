@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""ratslam launch: the nodes as child processes, started and ended together."""
+"""``ratslam launch``: run the nodes as child processes, started and ended together."""
 
 from __future__ import annotations
 
@@ -15,13 +15,16 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from ratslam_ros.console import print_notice
 from ratslam_ros.core.config import Config
 from ratslam_ros.files.config import to_yaml
 from ratslam_ros.signals import StopSignals
 
-GRACE_S = 20.0  # to end in, which includes writing a map
+SHUTDOWN_TIMEOUT_S = 20.0
+"""Time for the nodes to end, which includes writing a map."""
+
 POLL_S = 0.05
-PARAMETERS = 'parameters.yaml'
+PARAMETERS_FILE = 'parameters.yaml'
 FORWARDED_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 _PR_SET_PDEATHSIG = 1
@@ -29,7 +32,7 @@ _PR_SET_PDEATHSIG = 1
 
 @dataclass(frozen=True)
 class LaunchOptions:
-    """Which nodes are started, and what they are told."""
+    """Nodes to start, and their arguments; '' leaves a default unchanged."""
 
     visual_odometry: bool = False
     single_process: bool = False
@@ -46,10 +49,10 @@ class LaunchOptions:
 def nodes(
     visual_odometry: bool, single_process: bool, goal_follower: bool = False
 ) -> dict[str, list[str]]:
-    """Return the nodes to start, with arguments of their own.
+    """Return the nodes to start, with the arguments that only they have.
 
-    Without visual_odometry the odometry comes from the robot. What moves the robot is a process
-    of its own in any case: nothing else shall keep it from stopping.
+    Without visual_odometry the robot publishes the odometry. goal_follower is always a process of
+    its own, so that no other node can delay a stop of the robot.
     """
     follower = ['goal_follower'] if goal_follower else []
     if single_process:
@@ -63,23 +66,23 @@ def nodes(
 def remappings(
     image_topic: str, odom_topic: str, scan_topic: str = '', cmd_vel_topic: str = ''
 ) -> list[tuple[str, str]]:
-    """Return what the nodes' topics are called on this robot; an empty name changes nothing.
+    """Return the remappings (from, to) of the nodes' topics; an empty name gives none.
 
-    A camera's raw and compressed images go together; either of the two names is understood.
+    The raw and the compressed topic of a camera are remapped together; either name is accepted.
     """
-    found = []
+    result = []
     if image_topic:
         raw = image_topic.removesuffix('/compressed')
-        found += [('image', raw), ('image/compressed', f'{raw}/compressed')]
+        result += [('image', raw), ('image/compressed', f'{raw}/compressed')]
         folder, slash, _ = raw.rpartition('/')
-        if slash:  # where a driver publishes it: beside the images
-            found.append(('camera_info', f'{folder}/camera_info'))
+        if slash:  # Drivers publish camera_info beside the images.
+            result.append(('camera_info', f'{folder}/camera_info'))
     others = (('odom', odom_topic), ('scan', scan_topic), ('cmd_vel', cmd_vel_topic))
-    return found + [(name, topic) for name, topic in others if topic]
+    return result + [(name, topic) for name, topic in others if topic]
 
 
 def ros_arguments(options: LaunchOptions, parameters: Path) -> list[str]:
-    """Return what each node is given after `--ros-args`."""
+    """Return the arguments of every node after ``--ros-args``."""
     arguments = ['--params-file', str(parameters)]
     if options.use_sim_time:
         arguments += ['-p', 'use_sim_time:=true']
@@ -95,23 +98,34 @@ def ros_arguments(options: LaunchOptions, parameters: Path) -> list[str]:
 
 
 def launch(config: Config, options: LaunchOptions) -> int:
-    """Run the nodes until they are interrupted; return 1 if one ended by itself or badly."""
+    """Run the nodes until they are interrupted.
+
+    Returns:
+        The exit code: 1 if a node ended by itself or with an error, otherwise 0.
+    """
     with tempfile.TemporaryDirectory(prefix='ratslam-') as folder:
-        parameters = Path(folder) / PARAMETERS
+        parameters = Path(folder) / PARAMETERS_FILE
         parameters.write_text(to_yaml(config), encoding='utf-8')
         command = [sys.executable, '-m', 'ratslam_ros', 'run']
-        given = ['--ros-args', *ros_arguments(options, parameters)]
+        common = ['--ros-args', *ros_arguments(options, parameters)]
         started = nodes(
             options.visual_odometry, options.single_process, options.goal_follower
         )
-        return supervise({name: [*command, name, *own, *given] for name, own in started.items()})
+        return supervise({name: [*command, name, *own, *common] for name, own in started.items()})
 
 
-def supervise(commands: Mapping[str, Sequence[str]], grace_s: float = GRACE_S) -> int:
-    """Run commands, by name, until all have ended; return 0 if that was asked for and went well.
+def supervise(commands: Mapping[str, Sequence[str]], grace_s: float = SHUTDOWN_TIMEOUT_S) -> int:
+    """Run commands until all have ended.
 
-    An interrupt is passed on, a second one kills. When one command ends by itself the others are
-    ended too.
+    A stop signal is forwarded to the commands; a second one kills them. If a command ends by
+    itself, the others are stopped too.
+
+    Args:
+        commands: command lines by name.
+        grace_s: time from the stop signal until the commands are killed.
+
+    Returns:
+        The exit code: 0 if all commands ended without error after a stop signal, otherwise 1.
     """
     processes: dict[str, subprocess.Popen[bytes]] = {}
     with StopSignals(FORWARDED_SIGNALS, raise_on_second=False) as signals:
@@ -120,64 +134,66 @@ def supervise(commands: Mapping[str, Sequence[str]], grace_s: float = GRACE_S) -
                 processes[name] = _start(command)
             return _watch(processes, signals, grace_s)
         finally:
-            for process in processes.values():  # none is left, whatever happened
+            for process in processes.values():  # After any error, none may be left.
                 if process.poll() is None:
                     process.kill()
                 process.wait()
 
 
 def _start(command: Sequence[str]) -> subprocess.Popen[bytes]:
-    # In a session of its own, so that Ctrl-C in the terminal reaches it once, through here.
+    # In a session of its own, so that Ctrl-C in the terminal reaches it only through supervise.
     return subprocess.Popen(
         command, stdin=subprocess.DEVNULL, start_new_session=True, preexec_fn=_end_with_parent()
     )
 
 
 def _end_with_parent() -> Callable[[], object] | None:
-    """Return what makes a child end when this process is killed; only Linux knows of it."""
+    """Return a function that makes a child end if this process is killed (Linux only)."""
     if sys.platform != 'linux':
         return None
-    libc = ctypes.CDLL(None)  # looked up before the fork, where little is safe
+    libc = ctypes.CDLL(None)  # Loaded before the fork, after which few functions are safe.
     return lambda: libc.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 def _watch(
     processes: Mapping[str, subprocess.Popen[bytes]], signals: StopSignals, grace_s: float
 ) -> int:
-    asked, failed, kill_at_s = 0, False, math.inf
-    while left := [name for name, process in processes.items() if process.poll() is None]:
+    forwarded, failed, kill_at_s = 0, False, math.inf
+    while running := [name for name, process in processes.items() if process.poll() is None]:
         number = None
         if signals.count > 1 or time.monotonic() > kill_at_s:
-            _say(f'killing {", ".join(left)}')
-            _end(processes, left, signal.SIGKILL)
+            print_notice(f'ratslam launch: killing {", ".join(running)}')
+            _signal(processes, running, signal.SIGKILL)
             break
-        if signals.count > asked:
-            asked, number = signals.count, signals.last
-        elif len(left) < len(processes) and not asked and not failed:
-            gone = [name for name in processes if name not in left]
-            _say(f'{_how(processes, gone)}; ending {", ".join(left)}')
+        if signals.count > forwarded:
+            forwarded, number = signals.count, signals.last
+        elif len(running) < len(processes) and not forwarded and not failed:
+            ended = [name for name in processes if name not in running]
+            print_notice(
+                f'ratslam launch: {_endings(processes, ended)}; stopping {", ".join(running)}'
+            )
             failed, number = True, signal.SIGINT
         if number is not None:
-            _end(processes, left, number)
+            _signal(processes, running, number)
             kill_at_s = time.monotonic() + grace_s
         time.sleep(POLL_S)
-    # One that was still starting may end by the signal itself.
-    fine = (0, *(-number for number in FORWARDED_SIGNALS)) if asked else ()
-    bad = [name for name, process in processes.items() if process.wait() not in fine]
+    # During start-up a process may end by the signal itself.
+    expected = (0, *(-number for number in FORWARDED_SIGNALS)) if forwarded else ()
+    bad = [name for name, process in processes.items() if process.wait() not in expected]
     if bad and not failed:
-        _say(_how(processes, bad))
+        print_notice(f'ratslam launch: {_endings(processes, bad)}')
     return 1 if bad or failed else 0
 
 
-def _end(
+def _signal(
     processes: Mapping[str, subprocess.Popen[bytes]], names: Sequence[str], number: signal.Signals
 ) -> None:
     for name in names:
         processes[name].send_signal(number)
 
 
-def _how(processes: Mapping[str, subprocess.Popen[bytes]], names: Sequence[str]) -> str:
-    """Return how processes have ended."""
+def _endings(processes: Mapping[str, subprocess.Popen[bytes]], names: Sequence[str]) -> str:
+    """Describe how processes ended."""
     codes = {name: processes[name].returncode for name in names}
     return ', '.join(
         f'{name} was ended by {signal.Signals(-code).name}'
@@ -185,7 +201,3 @@ def _how(processes: Mapping[str, subprocess.Popen[bytes]], names: Sequence[str])
         else f'{name} ended with code {code}'
         for name, code in codes.items()
     )
-
-
-def _say(text: str) -> None:
-    print(f'ratslam launch: {text}', file=sys.stderr, flush=True)

@@ -1,37 +1,47 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which actions must have come before a recording may go on."""
+"""Prediction of the actions that the nodes publish, for playback in lockstep."""
 
 from __future__ import annotations
 
-from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry, Twist
-from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.common.odometry import MotionFromOdometry
 from ratslam_ros.core.common.stamp_order import Released, StampOrder
+from ratslam_ros.event_inputs import odometry_from_event
 from ratslam_ros.recordings import Event, ImageEvent, OdometryEvent, ScanEvent
 
-NEVER_NS = 2**63  # the nodes' own bound on lateness is not known here, and waits need none
+UNLIMITED_NS = 2**63
+"""Bound on lateness. The bound of the nodes is unknown to the player; without one, only views
+that the nodes process in any case are awaited."""
 
 
 class Lockstep:
-    """Tells, by the order rule that the nodes follow, which views they can act on by now.
+    """Predicts which views the nodes can process by now, with the stamp order that they use.
 
     pose_cells holds a view until odometry has reached its stamp, and images whose stamps do not
-    increase are refused: to wait for the action of either would be to wait in vain.
+    increase are refused. The player must not wait for the actions of these.
     """
 
     def __init__(self, odometry_is_played: bool) -> None:
-        """Begin; without played odometry, visual_odometry makes it from the images."""
+        """Start without messages.
+
+        Args:
+            odometry_is_played: False if visual_odometry estimates odometry from the images.
+        """
         self._odometry_is_played = odometry_is_played
-        self._images: StampOrder[None] = StampOrder(('image',), NEVER_NS)
-        self._order: StampOrder[None] = StampOrder(('odometry', 'template'), NEVER_NS)
-        self._usable = [MotionFromOdometry(source).accepts for source in ('twist', 'pose')]
-        self._before_ns: int | None = None
+        self._images: StampOrder[None] = StampOrder(('image',), UNLIMITED_NS)
+        self._order: StampOrder[None] = StampOrder(('odometry', 'template'), UNLIMITED_NS)
+        self._accepts = [MotionFromOdometry(source).accepts for source in ('twist', 'pose')]
+        self._previous_ns: int | None = None
 
     def publish(self, event: Event) -> list[int]:
-        """Note a message that goes out; return the stamps of the actions that it makes certain."""
+        """Add a message before it is published.
+
+        Returns:
+            Stamps, in ns, of the views that pose_cells processes because of this message.
+        """
         if isinstance(event, ImageEvent):
             images = _push(self._images, 'image', event.stamp_ns)
-            return [stamp for image in images for stamp in self._image(image)]
+            return [stamp_ns for image in images for stamp_ns in self._image(image)]
         if isinstance(event, OdometryEvent):
             return self._odometry(event)
         if isinstance(event, ScanEvent):
@@ -39,22 +49,18 @@ class Lockstep:
         return self._push('template', event.stamp_ns)
 
     def _image(self, image: Released[None]) -> list[int]:
-        certain = []
+        processed = []
         if not self._odometry_is_played:
-            # The first image gives no odometry, nor does one that cannot be decoded; the view
-            # before the newest is let go by the newest all the same.
-            if self._before_ns is not None:
-                certain = self._push('odometry', self._before_ns)
-            self._before_ns = image.stamp_ns
-        return certain + self._push('template', image.stamp_ns)
+            # visual_odometry publishes nothing for the first image and for undecodable ones.
+            # The previous view is released by the newest image in any case.
+            if self._previous_ns is not None:
+                processed = self._push('odometry', self._previous_ns)
+            self._previous_ns = image.stamp_ns
+        return processed + self._push('template', image.stamp_ns)
 
     def _odometry(self, event: OdometryEvent) -> list[int]:
-        odometry = Odometry(
-            event.stamp_ns,
-            Twist(event.linear_x, event.angular_z),
-            Pose(event.x, event.y, event.heading_rad),
-        )
-        if not all(usable(odometry) for usable in self._usable):
+        odometry = odometry_from_event(event)
+        if not all(accepts(odometry) for accepts in self._accepts):
             return []
         return self._push('odometry', event.stamp_ns)
 
@@ -65,5 +71,5 @@ class Lockstep:
 
 def _push(order: StampOrder[None], stream: str, stamp_ns: int) -> list[Released[None]]:
     released = order.push(stream, stamp_ns, None)
-    # A recording played again: its stamps jump back, and the nodes follow.
+    # With --loop the stamps jump back, and the nodes start over.
     return [*released, *order.restart()] if order.jumped_back else released

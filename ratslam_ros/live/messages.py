@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Events of a recording as the ROS messages that say the same, to the last bit."""
+"""Conversion of recorded events to ROS messages without loss of precision."""
 
 from __future__ import annotations
 
@@ -15,13 +15,16 @@ from std_msgs.msg import Header, String
 
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.images import EncodedImage, Frame, RawImage
+from ratslam_ros.messages.json_schema import NS_PER_S
 from ratslam_ros.recordings import Event, ImageEvent, OdometryEvent, ScanEvent
-
-NS_PER_S = 1_000_000_000
 
 
 def time_message(stamp_ns: int) -> Time:
-    """Return a time; raises UnusableInput where a message cannot hold it."""
+    """Return a stamp in ns as a message.
+
+    Raises:
+        UnusableInput: the seconds exceed 32 bits.
+    """
     sec, nanosec = divmod(stamp_ns, NS_PER_S)
     if not -(2**31) <= sec < 2**31:
         raise UnusableInput(
@@ -31,7 +34,11 @@ def time_message(stamp_ns: int) -> Time:
 
 
 def message_of(event: Event) -> Any:
-    """Return an event's message, whose receiver finds what offline replay finds in the event."""
+    """Return the message of an event; nodes read from it the same values as a replay.
+
+    Raises:
+        UnusableInput: the stamp does not fit a message.
+    """
     if isinstance(event, ImageEvent):
         return _image(event)
     if isinstance(event, OdometryEvent):
@@ -42,10 +49,15 @@ def message_of(event: Event) -> Any:
 
 
 def camera_info(recorded: Any, header: Header) -> CameraInfo:
-    """Return what a recording says of its camera, with the header of an image."""
+    """Return the recorded calibration with the header of an image.
+
+    Args:
+        recorded: a camera_info message of ROS 1 or ROS 2.
+        header: the header of the image.
+    """
     fields = {
         name: [float(v) for v in getattr(recorded, name, getattr(recorded, name.upper(), ()))]
-        for name in ('d', 'k', 'r', 'p')  # capital letters in ROS 1
+        for name in ('d', 'k', 'r', 'p')  # capitals in ROS 1
     }
     return CameraInfo(
         header=header,
@@ -116,7 +128,7 @@ def _header(event: Event, frame_id: str = '') -> Header:
 
 
 def _bytes(data: Any) -> array[int]:
-    """Return bytes in the one form that rclpy takes without looking at each of them."""
+    """Return bytes as an array, which rclpy accepts without checking each element."""
     out = array('B')
     out.frombytes(data)
     return out

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""When each message of a recording is due, by a steady clock."""
+"""Publication times of the messages of a recording."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from collections.abc import Callable
 
 
 class Pacing:
-    """One pass through a recording at a rate; 0 is as fast as possible.
+    """Schedule of one pass through a recording at a given speed.
 
-    Every message is due at a time that is counted from the start of the pass, so that delays do
-    not add up, and what is late is caught up.
+    All due times are relative to the start of the pass, so that delays do not accumulate and late
+    messages are caught up.
     """
 
     def __init__(
@@ -21,9 +21,9 @@ class Pacing:
         """Start a pass.
 
         Args:
-            first_ns: the recording's time of the first message.
-            rate: recorded seconds a second.
-            now_ns: a steady clock.
+            first_ns: recording time of the first message.
+            rate: speed relative to real time; 0: as fast as possible.
+            now_ns: monotonic clock.
         """
         self._first_ns = self._published_ns = self._next_ns = first_ns
         self._rate = rate
@@ -31,7 +31,11 @@ class Pacing:
         self._start_ns = now_ns()
 
     def wait_s(self, log_ns: int) -> float:
-        """Announce the next message, and return how long it has to wait."""
+        """Return the time in seconds until the next message is due.
+
+        Args:
+            log_ns: recording time of the message.
+        """
         self._next_ns = max(self._next_ns, log_ns)
         if self._rate == 0.0:
             return 0.0
@@ -39,15 +43,15 @@ class Pacing:
         return max(0.0, (due_ns - self._now_ns()) * 1e-9)
 
     def published(self, log_ns: int) -> None:
-        """Note that the message announced is out."""
+        """Register that the message with this recording time was published."""
         self._published_ns = max(self._published_ns, log_ns)
 
     @property
     def played_s(self) -> float:
-        """How much of the recording is out."""
+        """Duration of the published part of the recording."""
         return (self._published_ns - self._first_ns) * 1e-9
 
     def time_ns(self) -> int:
-        """Return the recording's time now: it runs between two messages, but never past one."""
+        """Return the current recording time, which does not advance past the next message."""
         paced_ns = self._first_ns + round((self._now_ns() - self._start_ns) * self._rate)
         return min(max(paced_ns, self._published_ns), self._next_ns)

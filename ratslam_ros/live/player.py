@@ -1,34 +1,32 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""ratslam play: a recording as live topics, complete and in order."""
+"""``ratslam play``: publish a recording, complete and in order."""
 
 from __future__ import annotations
 
-import json
 import math
-import sys
-import threading
 import time
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any
 
-import rclpy
 from nav_msgs.msg import Odometry
 from rclpy.duration import Duration
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, LaserScan
 from std_msgs.msg import String
 
+from ratslam_ros.console import ProgressBar, print_notice
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.live import graph, ros
-from ratslam_ros.live.lockstep import Lockstep
-from ratslam_ros.live.messages import camera_info, message_of, time_message
+from ratslam_ros.live.action_wait import ACTION, ACTION_TIMEOUT_S, POLL_S, ActionWait
+from ratslam_ros.live.clock import ClockThread
+from ratslam_ros.live.messages import camera_info, message_of
 from ratslam_ros.live.pacing import Pacing
-from ratslam_ros.nodes.qos import CLOCK, INPUT, PLAYED
-from ratslam_ros.recordings import Event, ImageEvent, OdometryEvent, Recording, Selection
+from ratslam_ros.nodes.qos import CLOCK, PLAYED
+from ratslam_ros.recordings import Event, ImageEvent, Recording, Selection
 from ratslam_ros.recordings.prefetch import Prefetch
 from ratslam_ros.recordings.topics import (
     COMPRESSED_IMAGE,
@@ -41,7 +39,7 @@ from ratslam_ros.recordings.topics import (
     VIDEO,
 )
 
-ODOM, SCAN, ACTION, TEMPLATE = 'odom', 'scan', 'pose_cells/action', 'local_view/template'
+ODOM, SCAN, TEMPLATE = 'odom', 'scan', 'local_view/template'
 CAMERA_INFO = 'camera_info'
 TOPICS = {
     Image: 'image',
@@ -50,7 +48,8 @@ TOPICS = {
     LaserScan: SCAN,
     String: TEMPLATE,
 }
-"""Where messages of each type are published."""
+"""Topic on which messages of each type are published."""
+
 PLAYED_AS = {
     RAW_IMAGE: Image,
     VIDEO: Image,
@@ -61,26 +60,31 @@ PLAYED_AS = {
     LASER_SCAN: LaserScan,
     STRING: String,
 }
-"""Which message a recorded topic is published as, by its type."""
-OWN_TOPICS = (TEMPLATE, ACTION)
-OWN_NODES = frozenset({'local_view', 'pose_cells', 'experience_map'})
-"""The nodes between which nothing may be lost either, and the topics that join them."""
+"""Type of the published message by the type of the recorded topic."""
 
-SETTLE_S = 0.3  # the other side may learn of a connection a little later than this one
-TELL_S = 1.0
-CLOCK_PERIOD_S = 0.02
-ACTION_S = 10.0
-SPREAD_S = 0.05
-AHEAD_NS = 1_000_000_000  # the half of max_lateness_s, as it is by default
-POLL_S = 0.002
-PATIENCE_S = 30.0
-ACKNOWLEDGED_S = 10.0
-PROGRESS_S = 0.1
+MAPPING_TOPICS = (TEMPLATE, ACTION)
+MAPPING_NODES = frozenset({'local_view', 'pose_cells', 'experience_map'})
+"""The mapping nodes, and the topics between them, whose connections are awaited too."""
+
+SETTLE_S = 0.3
+"""Delay after all connections are visible, because the other side may see them later."""
+
+SILENT_WAIT_S = 1.0
+"""Time of waiting for subscribers without a notice."""
+
+SEND_TIMEOUT_S = 30.0
+ACKNOWLEDGE_TIMEOUT_S = 10.0
 
 
 @dataclass(frozen=True)
 class PlayOptions:
-    """What of a recording is played, and how."""
+    """Part of the recording to play, and how.
+
+    rate: playback speed relative to real time; 0: as fast as possible. clock: publish /clock.
+    loop: repeat until interrupted. lockstep: wait for the action of each image. start_s: skipped
+    seconds at the start. duration_s: limit on the duration, None for the rest. wait_s: time to
+    wait for subscribers. progress: show a progress bar.
+    """
 
     rate: float = 1.0
     clock: bool = False
@@ -106,14 +110,24 @@ def play(
     options: PlayOptions,
     ros_arguments: Sequence[str] = (),
 ) -> str:
-    """Play a recording, and return how that went in a line.
+    """Publish a recording.
+
+    Args:
+        recording: the recording.
+        selection: its topics to publish.
+        options: see `PlayOptions`.
+        ros_arguments: what follows ``--ros-args``.
+
+    Returns:
+        A summary in one line.
 
     Raises:
-        UnusableInput: nothing to play, nobody to play it to, or no node to keep step with.
+        UnusableInput: the recording has nothing to play, no node subscribes, or pose_cells is
+            missing in lockstep.
     """
     with ros.node('player', ros_arguments) as node:
         player = _Player(node, recording, selection, options)
-        player.wait_for_listeners()
+        player.wait_for_subscribers()
         try:
             player.run()
         finally:
@@ -122,7 +136,7 @@ def play(
 
 
 class _Player:
-    """One node that plays one recording, once or in a loop."""
+    """Node that publishes one recording, once or in a loop."""
 
     def __init__(
         self, node: Any, recording: Recording, selection: Selection, options: PlayOptions
@@ -146,36 +160,40 @@ class _Player:
         )
         self._clock = node.create_publisher(Clock, '/clock', CLOCK) if options.clock else None
         self._actions = (
-            _Actions(node, selection.odom_topic is not None) if options.lockstep else None
+            ActionWait(node, selection.odom_topic is not None) if options.lockstep else None
         )
 
-    def wait_for_listeners(self) -> None:
-        """Wait until nothing can be lost at the start, as far as that can be told from here."""
+    def wait_for_subscribers(self) -> None:
+        """Wait until all expected subscribers and publishers are visible.
+
+        Raises:
+            UnusableInput: no node subscribes, or pose_cells is missing in lockstep.
+        """
         if self._options.wait_s == 0.0:
             return
         end_s = time.monotonic() + self._options.wait_s
-        if not graph.until(lambda: not self._missing(), min(TELL_S, self._options.wait_s)):
-            _say(f'waiting for {", ".join(self._missing())}')
+        if not graph.until(lambda: not self._missing(), min(SILENT_WAIT_S, self._options.wait_s)):
+            print_notice(f'waiting for {", ".join(self._missing())}')
             graph.until(lambda: not self._missing(), end_s - time.monotonic())
         missing = self._missing()
-        if missing and not any(map(_listeners, self._publishers.values())):
+        if missing and not any(map(_subscriber_count, self._publishers.values())):
             raise UnusableInput(
-                f'nobody listens to {" or ".join(self._full_names())}: start the nodes first '
+                f'no node subscribes to {" or ".join(self._full_names())}: start the nodes first '
                 '(ratslam launch), in the same namespace and with the same ROS_DOMAIN_ID, or wait '
                 'longer with --wait'
             )
         action = self._node.resolve_topic_name(ACTION)
         if self._actions is not None and not self._node.count_publishers(action):
             raise UnusableInput(
-                f'--lockstep waits for {action}, which nobody publishes: start pose_cells, or '
+                f'--lockstep waits for {action}, which no node publishes: start pose_cells, or '
                 'leave out --lockstep'
             )
         if missing:
-            _say(f'warning: going on without {", ".join(missing)}')
+            print_notice(f'warning: going on without {", ".join(missing)}')
         time.sleep(SETTLE_S)
 
     def run(self) -> None:
-        """Publish everything, again and again if that is asked for."""
+        """Publish the recording, repeatedly with the option loop."""
         self._start_s = time.monotonic()
         try:
             while True:
@@ -183,46 +201,51 @@ class _Player:
                 if not self._options.loop:
                     break
             for publisher in self._publishers.values():
-                self._acknowledged(publisher)
+                self._await_acknowledgement(publisher)
         finally:
             self._elapsed_s = time.monotonic() - self._start_s
 
     def close(self) -> None:
-        """Tell what went wrong on the way."""
+        """Print warnings about missed actions and about the recording."""
         if self._actions is not None and self._actions.missed:
-            _say(
-                f'warning: {self._actions.missed} actions did not come within {ACTION_S:g} s; '
-                'look at the diagnostics of local_view and pose_cells'
+            print_notice(
+                f'warning: {self._actions.missed} actions did not arrive within '
+                f'{ACTION_TIMEOUT_S:g} s; check the diagnostics of local_view and pose_cells'
             )
         for warning in self._recording.warnings:
-            _say(f'warning: {warning}')
+            print_notice(f'warning: {warning}')
 
     def summary(self) -> str:
-        """Return what was published."""
+        """Return number of messages, duration and speed in one line."""
         odometry, templates, scans = (self._counts[topic] for topic in (ODOM, TEMPLATE, SCAN))
         views = self._counts.total() - odometry - templates - scans
-        told = [f'{views} images' if views or not templates else f'{templates} templates']
+        counts = [f'{views} images' if views or not templates else f'{templates} templates']
         if scans:
-            told.append(f'{scans} scans')
+            counts.append(f'{scans} scans')
         skipped = self._recording.skipped
         return (
-            f'{", ".join(told)} and {odometry} odometry messages over {self._played_s:.1f} s, in '
-            f'{self._elapsed_s:.1f} s ({self._played_s / max(self._elapsed_s, 1e-6):.2f}x real '
+            f'{", ".join(counts)} and {odometry} odometry messages over {self._played_s:.1f} s, '
+            f'in {self._elapsed_s:.1f} s ({self._played_s / max(self._elapsed_s, 1e-6):.2f}x real '
             f'time){f", {skipped} skipped" if skipped else ""}'
         )
 
     def _pass(self) -> None:
-        options = self._options
-        events = self._recording.events(self._selection, options.start_s, options.duration_s)
+        options, recording = self._options, self._recording
+        recording_s = (recording.end_ns - recording.start_ns) * 1e-9
+        events = recording.events(self._selection, options.start_s, options.duration_s)
         with ExitStack() as stack:
             ready = stack.enter_context(Prefetch((event, message_of(event)) for event in events))
-            bar = stack.enter_context(_Progress(self._recording, options))
+            bar = stack.enter_context(
+                ProgressBar(
+                    recording_s, options.start_s, options.duration_s, shown=options.progress
+                )
+            )
             pacing = None
             for event, message in ready:
                 if pacing is None:
                     pacing = Pacing(event.log_ns, options.rate)
                     if self._clock is not None:
-                        stack.enter_context(_ClockThread(self._clock, pacing))
+                        stack.enter_context(ClockThread(self._clock, pacing))
                 time.sleep(pacing.wait_s(event.log_ns))
                 if self._actions is not None:
                     self._actions.wait_before(event)
@@ -237,7 +260,7 @@ class _Player:
     def _publish(self, event: Event, message: Any) -> None:
         topic = TOPICS[type(message)]
         if self._actions is not None:
-            self._actions.published(event)
+            self._actions.add(event)
         if self._camera_info is not None and isinstance(event, ImageEvent):
             assert self._calibration is not None
             send(self._camera_info, camera_info(self._calibration.message, message.header))
@@ -245,19 +268,21 @@ class _Player:
         self._counts[topic] += 1
 
     def _missing(self) -> list[str]:
-        """Return whom the first message would be lost on."""
+        """Return the missing publishers and subscribers, in words."""
         names = zip(self._publishers.values(), self._full_names(), strict=True)
         missing = [
-            f'a subscriber of {name}' for publisher, name in names if not _listeners(publisher)
+            f'a subscriber of {name}'
+            for publisher, name in names
+            if not _subscriber_count(publisher)
         ]
         node = self._node
-        seen = {
+        names_here = {
             name
             for name, namespace in node.get_node_names_and_namespaces()
             if namespace == node.get_namespace()
         }
-        if seen & OWN_NODES or self._actions is not None:
-            for topic in OWN_TOPICS:
+        if names_here & MAPPING_NODES or self._actions is not None:
+            for topic in MAPPING_TOPICS:
                 full = node.resolve_topic_name(topic)
                 if not node.count_publishers(full):
                     missing.append(f'a publisher of {full}')
@@ -270,165 +295,36 @@ class _Player:
     def _full_names(self) -> list[str]:
         return [self._node.resolve_topic_name(topic) for topic in self._publishers]
 
-    def _acknowledged(self, publisher: Any) -> None:
-        if not publisher.wait_for_all_acked(Duration(seconds=ACKNOWLEDGED_S)):
-            _say(
+    def _await_acknowledgement(self, publisher: Any) -> None:
+        if not publisher.wait_for_all_acked(Duration(seconds=ACKNOWLEDGE_TIMEOUT_S)):
+            print_notice(
                 f'warning: {publisher.topic_name}: not all messages were received within '
-                f'{ACKNOWLEDGED_S:g} s of the last one'
+                f'{ACKNOWLEDGE_TIMEOUT_S:g} s of the last one'
             )
 
 
-class _Actions:
-    """The actions that come back, for playing in lockstep.
+def send(publisher: Any, message: Any, timeout_s: float = SEND_TIMEOUT_S) -> None:
+    """Publish a message; repeat it while the middleware refuses it.
 
-    An action has to be known to experience_map too before stamps go on by as much as counts as
-    late there. It gets it from pose_cells at the same moment as this node, give or take how
-    busy the machine is: SPREAD_S is allowed for that.
+    Fast DDS waits 0.1 s for slow subscribers, and then refuses the message.
+
+    Raises:
+        UnusableInput: the message is still refused after `timeout_s`.
     """
-
-    def __init__(self, node: Any, odometry_is_played: bool) -> None:
-        self.missed = 0
-        self._node = node
-        self._lockstep = Lockstep(odometry_is_played)
-        self._awaited: set[int] = set()
-        self._came: deque[tuple[int, float]] = deque()
-        node.create_subscription(String, ACTION, self._take, INPUT)
-
-    def published(self, event: Event) -> None:
-        """Note what goes out; to be called before it does."""
-        self._awaited.update(self._lockstep.publish(event))
-
-    def wait_before(self, event: Event) -> None:
-        """Wait for all that a message may not overtake."""
-        far_ns = event.stamp_ns - AHEAD_NS
-        self.wait(far_ns if isinstance(event, OdometryEvent) else None)
-        while any(stamp_ns < far_ns for stamp_ns, _ in self._fresh()):
-            time.sleep(POLL_S)
-
-    def wait(self, before_ns: int | None = None) -> None:
-        """Wait until the views that the nodes can act on have been acted on.
-
-        Args:
-            before_ns: wait only for views with smaller stamps.
-        """
-        end_s = time.monotonic() + ACTION_S
-        while awaited := [s for s in self._awaited if before_ns is None or s < before_ns]:
-            rclpy.spin_once(self._node, timeout_sec=0.1)
-            if time.monotonic() < end_s:
-                continue
-            if not self._node.count_publishers(self._node.resolve_topic_name(ACTION)):
-                raise UnusableInput('--lockstep: pose_cells is gone; start the nodes again')
-            if not self.missed:
-                _say(
-                    f'warning: no {self._node.resolve_topic_name(ACTION)} came for the image with '
-                    f'stamp {min(awaited) * 1e-9:.3f} s within {ACTION_S:g} s; going on'
-                )
-            self.missed += len(awaited)
-            self._awaited.difference_update(awaited)
-
-    def _fresh(self) -> deque[tuple[int, float]]:
-        """Return the stamps of actions that others may not have received yet."""
-        while self._came and time.monotonic() - self._came[0][1] > SPREAD_S:
-            self._came.popleft()
-        return self._came
-
-    def _take(self, message: String) -> None:
-        try:
-            stamp = json.loads(message.data)['stamp']
-            stamp_ns = stamp['sec'] * 1_000_000_000 + stamp['nanosec']
-        except (ValueError, KeyError, TypeError, RecursionError):
-            return  # not an action; experience_map says what is wrong with it
-        self._awaited.discard(stamp_ns)
-        self._came.append((stamp_ns, time.monotonic()))
-
-
-class _ClockThread:
-    """Publishes the recording's time, between messages too."""
-
-    def __init__(self, publisher: Any, pacing: Pacing) -> None:
-        self._publisher = publisher
-        self._pacing = pacing
-        self._stopped = threading.Event()
-        self._thread = threading.Thread(target=self._run, name='clock', daemon=True)
-
-    def __enter__(self) -> Self:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._stopped.set()
-        self._thread.join()
-        self._publish()  # where the recording ended
-
-    def _run(self) -> None:
-        self._publish()
-        while not self._stopped.wait(CLOCK_PERIOD_S):
-            self._publish()
-
-    def _publish(self) -> None:
-        self._publisher.publish(Clock(clock=time_message(self._pacing.time_ns())))
-
-
-class _Progress:
-    """A progress bar, from the first message on."""
-
-    def __init__(self, recording: Recording, options: PlayOptions) -> None:
-        total_s = (recording.end_ns - recording.start_ns) * 1e-9 - options.start_s
-        if options.duration_s is not None:
-            total_s = min(total_s, options.duration_s)
-        self._total_s = round(total_s, 1)
-        self._shown = options.progress
-        self._next_s = 0.0
-        self._bar: Any = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._bar is not None:
-            self._bar.close()
-
-    def update(self, done_s: float) -> None:
-        """Show how far it is, a few times a second."""
-        now_s = time.monotonic()
-        if not self._shown or now_s < self._next_s:
-            return
-        self._next_s = now_s + PROGRESS_S
-        if self._bar is None:
-            from tqdm import tqdm
-
-            self._bar = tqdm(
-                total=self._total_s,
-                file=sys.stderr,
-                bar_format='{percentage:3.0f}% |{bar}| {n:.0f}/{total:.0f} s',
-            )
-        self._bar.n = min(done_s, self._total_s)
-        self._bar.refresh()
-
-
-def send(publisher: Any, message: Any, patience_s: float = PATIENCE_S) -> None:
-    """Publish, however slow the subscribers are.
-
-    Fast DDS waits for them for a tenth of a second only, and then refuses the message.
-    """
-    end_s = time.monotonic() + patience_s
+    end_s = time.monotonic() + timeout_s
     while True:
         try:
             publisher.publish(message)
         except RuntimeError as error:
             if time.monotonic() > end_s:
                 raise UnusableInput(
-                    f'{publisher.topic_name}: nothing can be published for {patience_s:g} s '
-                    f'({error}); look for a subscriber that hangs'
+                    f'{publisher.topic_name}: publishing failed for {timeout_s:g} s ({error}); '
+                    'look for a subscriber that hangs'
                 ) from None
             time.sleep(POLL_S)
         else:
             return
 
 
-def _listeners(publisher: Any) -> int:
+def _subscriber_count(publisher: Any) -> int:
     return int(publisher.get_subscription_count())
-
-
-def _say(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)

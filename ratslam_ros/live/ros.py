@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A ROS 2 client library for the commands: rclpy where it is installed, else the stand-in."""
+"""ROS 2 client library of the commands: rclpy if it is installed, otherwise its stand-in."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from typing import Any
 from ratslam_ros.errors import UnusableInput
 
 
-class Silence(Exception):  # noqa: N818 - no error of anybody's: nothing came in time
-    """No message or answer came in time; the text says from whom."""
+class NoAnswer(Exception):  # noqa: N818 - not an error: nothing arrived in time
+    """No message or response arrived in time; the text names the topic or service."""
 
 
 def require() -> None:
     """Make ``import rclpy`` work.
 
     Raises:
-        UnusableInput: there is neither rclpy nor what the stand-in needs.
+        UnusableInput: neither rclpy nor the package that its stand-in needs is installed.
     """
     from ratslam_ros.standalone import StandaloneUnavailable, install
 
@@ -30,18 +30,26 @@ def require() -> None:
         raise UnusableInput(str(error)) from None
 
 
-def look() -> None:
-    """Say early, and quickly, what ``require`` would say; raises as it does."""
+def check() -> None:
+    """Check quickly, without importing rclpy, that ``require`` will succeed.
+
+    Raises:
+        UnusableInput: as ``require`` does.
+    """
     if find_spec('rclpy') is None and find_spec('cyclonedds') is None:
         require()
 
 
 @contextmanager
 def node(name: str, ros_arguments: Sequence[str]) -> Iterator[Any]:
-    """Give a node for as long as it is needed; an interrupt is Python's own KeyboardInterrupt.
+    """Create a node for the duration of the context; SIGINT raises KeyboardInterrupt.
+
+    Args:
+        name: name of the node.
+        ros_arguments: what follows ``--ros-args``.
 
     Raises:
-        UnusableInput: arguments that ROS does not understand.
+        UnusableInput: ROS rejects the arguments.
     """
     import rclpy
     from rclpy.signals import SignalHandlerOptions
@@ -50,8 +58,8 @@ def node(name: str, ros_arguments: Sequence[str]) -> Iterator[Any]:
     try:
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     except (RuntimeError, ValueError) as error:
-        told = ' '.join(str(error).split())[:300]
-        raise UnusableInput(f'--ros-args {" ".join(ros_arguments)}: {told}') from None
+        reason = ' '.join(str(error).split())[:300]
+        raise UnusableInput(f'--ros-args {" ".join(ros_arguments)}: {reason}') from None
     try:
         made = rclpy.create_node(name, start_parameter_services=False, enable_rosout=False)
         try:

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""ratslam run: one node, in this process."""
+"""``ratslam run``: run one node in this process."""
 
 from __future__ import annotations
 
@@ -23,24 +23,29 @@ NODES = {
     'simulator': 'simulator_node',
     'single_process': 'single_process',
 }
-"""The nodes, and the modules of ratslam_ros.nodes with their ``main``."""
+"""Module of ratslam_ros.nodes that has ``main``, by node."""
 
 PACKAGES = {'numpy': 'numpy', 'numba': 'numba', 'llvmlite': 'llvmlite'}
-"""Packages that every node imports when it starts: name for pip by module."""
+"""Packages that every node imports: name for pip by module."""
 
 IMAGE_PACKAGES = {'cv2': 'opencv-python-headless'}
-"""Packages that the nodes with images import besides."""
+"""Further packages that the nodes with images import."""
+
 IMAGE_NODES = frozenset({'visual_odometry', 'local_view', 'simulator', 'single_process'})
 
 
 def run(node: str, arguments: Sequence[str] = ()) -> int:
-    """Run a node until it ends or is interrupted; return its exit code.
+    """Run a node until SIGINT or SIGTERM.
 
-    SIGTERM raises KeyboardInterrupt as SIGINT does (see cli.main). rclpy puts its own handlers
-    before these and calls them too, so that a node sees one end, whichever of the two came.
+    Args:
+        node: one of `NODES`.
+        arguments: arguments of the node, such as ``--ros-args ...``.
+
+    Returns:
+        The exit code of the node.
 
     Raises:
-        UnusableInput: no such node, or nothing to run it on.
+        UnusableInput: there is no such node, or a required package is not installed.
     """
     if node not in NODES:
         raise UnusableInput(f'there is no node {node!r}: expected one of {", ".join(NODES)}')
@@ -49,7 +54,7 @@ def run(node: str, arguments: Sequence[str] = ()) -> int:
             require_packages(node)
             ros.require()
             return int(load(node).main(list(arguments)))
-    except KeyboardInterrupt:  # also while it was starting
+    except KeyboardInterrupt:  # during start-up
         return 0
 
 
@@ -59,10 +64,10 @@ def load(node: str) -> ModuleType:
 
 
 def require_packages(node: str) -> None:
-    """Check that the packages that a node needs are installed; this imports none of them.
+    """Check, without importing them, that the packages of a node are installed.
 
     Raises:
-        UnusableInput: one of them is not.
+        UnusableInput: a package is missing.
     """
     packages = PACKAGES | IMAGE_PACKAGES if node in IMAGE_NODES else PACKAGES
     for module, package in packages.items():

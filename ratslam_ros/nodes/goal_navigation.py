@@ -93,7 +93,7 @@ class GoalNavigation:
         navigator = Navigator(self._config().goal_recall, experience_map)
         if state is not None:
             navigator.goals.restore(state)
-        experience_map.on_pruned.append(navigator.forgotten)
+        experience_map.on_pruned.append(navigator.remove_pruned)
         self._map, self._navigator = experience_map, navigator
         self._reset_state()
         self._end_route()

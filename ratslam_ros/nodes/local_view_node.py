@@ -12,7 +12,7 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
 from ratslam_ros.core.common.state import State
-from ratslam_ros.core.mapping.id_map import FIRST_MEMORY, NOTHING_LEARNED
+from ratslam_ros.core.mapping.id_map import MIN_MEMORY_NS, NO_MEMORY_NS
 from ratslam_ros.core.vision.local_view import UNDECODABLE, LocalView, ViewMatch, make_view
 from ratslam_ros.messages.mapping import encode_template
 from ratslam_ros.nodes.convert import grey_image
@@ -40,7 +40,7 @@ class LocalViewNode(ImageNode):
     def _reset_state(self) -> None:
         self._core = LocalView(self._section)
         self._core.mapping = self._mapping
-        self._memory_ns = NOTHING_LEARNED
+        self._memory_ns = NO_MEMORY_NS
         self._last = UNDECODABLE
 
     def _set_mapping(self, mapping: bool) -> None:
@@ -59,8 +59,8 @@ class LocalViewNode(ImageNode):
     def _process_image(self, stamp_ns: int, image: NDArray[np.uint8], frame_id: str) -> None:
         with self._diagnostics.times('local_view'):
             match = self._core.match(image)
-        if match.is_new and self._memory_ns == NOTHING_LEARNED:
-            self._memory_ns = max(stamp_ns, FIRST_MEMORY)
+        if match.is_new and self._memory_ns == NO_MEMORY_NS:
+            self._memory_ns = max(stamp_ns, MIN_MEMORY_NS)
         self._publish(stamp_ns, match)
         if self._matched.get_subscription_count() > 0:
             self._publish_matched(stamp_ns, image, frame_id, match)

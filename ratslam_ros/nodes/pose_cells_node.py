@@ -15,7 +15,7 @@ from std_msgs.msg import String
 
 from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry
 from ratslam_ros.core.common.state import State
-from ratslam_ros.core.mapping.id_map import FIRST_MEMORY, NOTHING_LEARNED, IdMap
+from ratslam_ros.core.mapping.id_map import MIN_MEMORY_NS, NO_MEMORY_NS, IdMap
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE, ViewMatch
 from ratslam_ros.messages.json_schema import MalformedMessage
@@ -71,7 +71,7 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
             self._goals.use_pose_cells(self._core)
         self._motion = MotionFromOdometry(self._section.odom_source)
         self._numbering = IdMap()
-        self._memory_ns = NOTHING_LEARNED
+        self._memory_ns = NO_MEMORY_NS
         self._sequence = 0
 
     def _on_relocated(self) -> None:
@@ -134,11 +134,11 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
 
     def _process_template(self, stamp_ns: int, template: Template) -> None:
         self._check_memory(stamp_ns, template)
-        number = self._numbering.number(template.match.template_id)
+        number = self._numbering.own_id(template.match.template_id)
         with self._diagnostics.times('pose_cells_view'):
             action = self._core.view(replace(template.match, template_id=number))
-        if action.action == 'create' and self._memory_ns == NOTHING_LEARNED:
-            self._memory_ns = max(stamp_ns, FIRST_MEMORY)
+        if action.action == 'create' and self._memory_ns == NO_MEMORY_NS:
+            self._memory_ns = max(stamp_ns, MIN_MEMORY_NS)
         payload = encode_action(stamp_ns, self._sequence, action, self._memory_ns)
         self._sequence += 1
         self._publisher.publish(String(data=payload))
@@ -148,17 +148,17 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
 
     def _check_memory(self, stamp_ns: int, template: Template) -> None:
         """Detect that local_view has another memory than before, and renumber its templates."""
-        first = self._numbering.memory_ns == NOTHING_LEARNED
+        first = self._numbering.memory_ns == NO_MEMORY_NS
         match = template.match
         if match.is_new and not first and template.memory_ns == self._numbering.memory_ns and (
             self._numbering.was_used(match.template_id)
         ):
-            self._numbering.forget()
+            self._numbering.restart()
             self._report_missing(
                 'local_view has gone back to an earlier memory: its ids mean other views now, so '
                 'places seen before will not be recognised; load or reset all nodes together'
             )
-        if self._numbering.remember(template.memory_ns):
+        if self._numbering.set_memory(template.memory_ns):
             self._report_missing(
                 'local_view has started with an empty memory: places seen before will not be '
                 'recognised; to start over, call pose_cells/reset and experience_map/reset too'

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The demo: a simulated office, a recording of it, and the map that comes of it."""
+"""``ratslam demo``: record a simulated robot in an office, and map the recording."""
 
 from __future__ import annotations
 
@@ -20,36 +20,56 @@ from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.config import load_config
 from ratslam_ros.offline.replay import ReplayOptions, ReplayOutcome, replay
 from ratslam_ros.recordings import ImageEvent, Recording, Selection, open_recording
-from ratslam_ros.results.evaluation import evaluate, read_tum
+from ratslam_ros.results.evaluation import evaluate
 from ratslam_ros.results.plots import draw_all
+from ratslam_ros.results.trajectory import read_tum
 from ratslam_ros.simulator.aliasing import measure_aliasing
 from ratslam_ros.simulator.picture import draw_run
 from ratslam_ros.simulator.recording import SimulatedRun, write_recording
 
 PRESET = 'pioneer'
-LOOK_ALIKE_M = 5.0
+LOOK_ALIKE_DISTANCE_M = 5.0
+"""Distance beyond which a view that matches another is an alias, not a revisit."""
 
 
 @dataclass(frozen=True)
 class DemoFigures:
-    """How one simulated run came out; errors are ATE RMSE after rigid alignment."""
+    """Errors of one simulated run: ATE RMSE in m after rigid alignment.
+
+    map_m: of the final trajectory. estimate_m: of the pose estimates at the time.
+    dead_reckoning_m: of the odometry alone. look_alike_share: share of the views that match one
+    from more than `LOOK_ALIKE_DISTANCE_M` away.
+    """
 
     seed: int
     map_m: float
-    believed_m: float
+    estimate_m: float
     dead_reckoning_m: float
     look_alike_share: float
 
     @property
     def ratio(self) -> float:
-        """The map's error over that of dead reckoning."""
+        """Error of the map relative to dead reckoning."""
         return self.map_m / self.dead_reckoning_m
 
 
 def run_demo(seed: int, folder: Path, progress: bool = True) -> str:
-    """Simulate, replay, evaluate and draw; return the figures and the pictures' paths as text."""
+    """Simulate, replay, evaluate and draw one run.
+
+    Args:
+        seed: random seed of world and noise.
+        folder: folder for the results and the recording.
+        progress: show a progress bar.
+
+    Returns:
+        The errors and the paths of the plots, as text.
+
+    Raises:
+        UnusableInput: the folder has a recording already, or cannot be written.
+        KeyboardInterrupt: the replay was interrupted; its results are written.
+    """
     run, outcome, figures = _run(seed, folder, progress)
-    pictures = [
+    plots = [
         *draw_all(folder, run.truth),
         draw_run(run, folder / 'world.png'),
     ]
@@ -63,24 +83,24 @@ def run_demo(seed: int, folder: Path, progress: bool = True) -> str:
             f'{s["templates"]} templates, {s["experiences"]} experiences, {s["links"]} links, '
             f'{s["loop_closures"]} loop closures',
             f'{figures.look_alike_share:.0%} of the views have a look-alike more than '
-            f'{LOOK_ALIKE_M:.0f} m away',
+            f'{LOOK_ALIKE_DISTANCE_M:.0f} m away',
             '',
             'error against the truth (ATE, m RMSE)',
-            f'  dead reckoning          {figures.dead_reckoning_m:.2f}',
-            f'  believed on the way     {figures.believed_m:.2f}',
-            f'  the map                 {figures.map_m:.2f}   '
+            f'  dead reckoning            {figures.dead_reckoning_m:.2f}',
+            f'  pose estimate at the time {figures.estimate_m:.2f}',
+            f'  final map                 {figures.map_m:.2f}   '
             f'({figures.ratio:.2f} of dead reckoning)',
             '',
             f'recording: {run.recording}',
-            *[f'picture:   {path}' for path in pictures],
-            f'once more, as with a recording of your own:\n  ratslam replay {run.recording} '
+            *[f'plot:      {path}' for path in plots],
+            f'to replay this recording like one of your own:\n  ratslam replay {run.recording} '
             f'--config {PRESET} --truth {run.truth}',
         ]
     )
 
 
 def run_seeds(seeds: Iterable[int]) -> str:
-    """Run several seeds without pictures; return a table with mean and worst."""
+    """Run several seeds without plots; return a table of the errors, with mean and worst."""
     rows = ['seed  map [m]  dead reckoning [m]  ratio  look-alikes']
     all_figures = []
     for seed in seeds:
@@ -92,9 +112,9 @@ def run_seeds(seeds: Iterable[int]) -> str:
             f'{f.look_alike_share:11.0%}'
         )
     maps = statistics.fmean(f.map_m for f in all_figures)
-    reckoned = statistics.fmean(f.dead_reckoning_m for f in all_figures)
+    dead_reckonings = statistics.fmean(f.dead_reckoning_m for f in all_figures)
     worst = max(all_figures, key=lambda f: f.ratio)
-    rows.append(f'mean  {maps:7.2f}  {reckoned:18.2f}  {maps / reckoned:5.2f}')
+    rows.append(f'mean  {maps:7.2f}  {dead_reckonings:18.2f}  {maps / dead_reckonings:5.2f}')
     rows.append(
         f'worst {worst.map_m:7.2f}  {worst.dead_reckoning_m:18.2f}  {worst.ratio:5.2f}  '
         f'(seed {worst.seed})'
@@ -106,12 +126,13 @@ def _run(
     seed: int, folder: Path, progress: bool
 ) -> tuple[SimulatedRun, ReplayOutcome, DemoFigures]:
     if (folder / 'recording').exists():
-        raise UnusableInput(f'{folder} holds a recording already; give another --out')
+        raise UnusableInput(f'{folder} already has a recording; give another --out')
     config, _ = load_config(PRESET)
     try:
         run = write_recording(folder / 'recording', seed)
     except BaseException:
-        shutil.rmtree(folder / 'recording', ignore_errors=True)  # half a recording is none
+        # Do not leave an incomplete recording.
+        shutil.rmtree(folder / 'recording', ignore_errors=True)
         raise
     with open_recording(run.recording) as recording:
         selection = recording.select()
@@ -120,17 +141,17 @@ def _run(
         )
         aliasing = _look_alike_share(recording, selection, run, config)
     truth = read_tum(run.truth)
-    final, believed, dead_reckoning = (
+    final, estimate, dead_reckoning = (
         evaluate(read_tum(folder / f'{name}.tum'), truth).ate.rmse
         for name in ('trajectory_final', 'trajectory', 'dead_reckoning')
     )
-    return run, outcome, DemoFigures(seed, final, believed, dead_reckoning, aliasing)
+    return run, outcome, DemoFigures(seed, final, estimate, dead_reckoning, aliasing)
 
 
 def _look_alike_share(
     recording: Recording, selection: Selection, run: SimulatedRun, config: Config
 ) -> float:
-    """Return the share of views that match one from more than 5 m away."""
+    """Return the share of views that match one from more than `LOOK_ALIKE_DISTANCE_M` away."""
     views: list[NDArray[np.uint8]] = []
     stamps_ns: list[int] = []
     for event in recording.events(selection):
@@ -141,5 +162,5 @@ def _look_alike_share(
     p = config.local_view
     return measure_aliasing(
         np.array(views), run.truth_pose[nearest], p.vt_match_threshold, p.vt_shift_match,
-        LOOK_ALIKE_M,
+        LOOK_ALIKE_DISTANCE_M,
     ).look_alike_share  # fmt: skip

@@ -1,29 +1,28 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Replay: recording -> map, in lock-step, as fast as the machine can, nothing dropped."""
+"""Replay: build a map from a recording, as fast as possible and without dropping messages."""
 
 from __future__ import annotations
 
-import sys
 import time
 from collections import Counter
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ratslam_ros.core.common.odometry import Odometry, Twist
-from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.common.scan import Scan, UnusableScan, checked_scan
+from ratslam_ros.console import ProgressBar
+from ratslam_ros.core.common.scan import UnusableScan
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.ratslam import RatSLAM, Step, ViewStep
-from ratslam_ros.core.vision.local_view import LocalView
+from ratslam_ros.core.ratslam import RatSLAM, Step
 from ratslam_ros.core.vision.visual_odometry import field_of_view_deg
+from ratslam_ros.event_inputs import odometry_from_event, scan_from_event
 from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.messages.mapping import decode_template
+from ratslam_ros.offline.replay_video import ReplayVideo
 from ratslam_ros.recordings import (
     Event,
     ImageEvent,
@@ -31,18 +30,23 @@ from ratslam_ros.recordings import (
     Recording,
     ScanEvent,
     Selection,
-    UndecodableImage,
 )
 from ratslam_ros.recordings.prefetch import prefetch_images
-from ratslam_ros.results.video import MapVideo
 from ratslam_ros.results.writer import Results
 from ratslam_ros.signals import StopSignals
 from ratslam_ros.timing import StepTimes
 
+PROGRESS_DELAY_S = 0.5
+"""Delay of the progress bar: errors in the options, found before, are one line only."""
+
 
 @dataclass(frozen=True)
 class ReplayOptions:
-    """What of a recording is replayed, and what is shown meanwhile."""
+    """Part of the recording to replay, and output while it runs.
+
+    start_s: skipped seconds at the start. duration_s: limit on the duration, None for the rest.
+    video: file for a video of the growing map, None for none. progress: show a progress bar.
+    """
 
     start_s: float = 0.0
     duration_s: float | None = None
@@ -52,7 +56,7 @@ class ReplayOptions:
 
 @dataclass(frozen=True)
 class ReplayOutcome:
-    """How a replay ended."""
+    """Content of summary.json, and whether the replay was interrupted."""
 
     summary: dict[str, Any]
     interrupted: bool
@@ -65,11 +69,22 @@ def replay(
     folder: Path,
     options: ReplayOptions = ReplayOptions(),
 ) -> ReplayOutcome:
-    """Replay a recording and write the results; an interrupt writes those so far.
+    """Replay a recording and write the results.
+
+    An interrupt (SIGINT, SIGTERM) ends the replay after the current event; the results up to
+    then are written.
+
+    Args:
+        recording: the recording.
+        selection: its topics to use.
+        config: all parameters.
+        folder: the folder for the results; it is created.
+        options: see `ReplayOptions`.
 
     Raises:
-        UnusableInput: the recording has nothing to replay, or the folder cannot be written.
+        UnusableInput: nothing of the recording can be replayed, or the folder cannot be written.
         UnusableParameter: a crop or window does not fit the images.
+        KeyboardInterrupt: interrupted before the first result.
     """
     run = _Run(recording, selection, config, folder, options)
     interrupted = False
@@ -77,18 +92,24 @@ def replay(
         with ExitStack() as stack:
             stop = stack.enter_context(StopSignals())
             if options.video is not None:
-                run.film = stack.enter_context(_Film(options.video, run.slam))
+                run.video = stack.enter_context(ReplayVideo(options.video, run.slam))
             events = recording.events(selection, options.start_s, options.duration_s)
             decoded = stack.enter_context(prefetch_images(events, run.times))
-            bar = stack.enter_context(_Progress(recording, options, run))
+            bar = stack.enter_context(
+                ProgressBar(
+                    (recording.end_ns - recording.start_ns) * 1e-9,
+                    options.start_s, options.duration_s, shown=options.progress,
+                    delay_s=PROGRESS_DELAY_S, status=run.status,
+                )
+            )  # fmt: skip
             for event, image in decoded:
                 run.feed(event, image)
-                bar.update()
+                bar.update(run.span.duration_s)
                 if stop.received:
                     raise KeyboardInterrupt
     except KeyboardInterrupt:
         if run.results is None:
-            raise  # nothing to write; earlier results in the folder stay
+            raise  # No results yet: those of an earlier run in the folder stay.
         interrupted = True
     except BaseException:
         run.abandon()
@@ -97,7 +118,7 @@ def replay(
 
 
 class _Run:
-    """One replay: RatSLAM, its results, and what was counted on the way."""
+    """State of one replay: RatSLAM, its results, and the counts for the summary."""
 
     def __init__(
         self,
@@ -116,51 +137,59 @@ class _Run:
             visual_odometry=visual_odometry,
             stopwatch=self.times,
         )
-        # Opened at the first result: what is refused before leaves no files behind.
         self.results: Results | None = None
-        self.film: _Film | None = None
-        self.span = _Span()
+        """Opened at the first result, so that errors before it leave no files behind."""
+        self.video: ReplayVideo | None = None
+        self.span = _TimeSpan()
         self._recording = recording
         self._config = config
         self._folder = folder
-        self._without_scans = self.slam.scan_matcher is not None and selection.scan_topic is None
-        self._unused: Counter[str] = Counter()
-        self._why_unused: dict[str, str] = {}
+        self._lacks_scans = self.slam.scan_matcher is not None and selection.scan_topic is None
+        self._unusable: Counter[str] = Counter()
+        self._first_errors: dict[str, str] = {}
         self._start_s = time.perf_counter()
 
     def feed(self, event: Event, image: NDArray[np.uint8] | None) -> None:
-        """Process one event; ``image`` is its decoded image, None if it has none."""
+        """Process one event.
+
+        Args:
+            event: the event.
+            image: its decoded (H, W) uint8 grey image, None if there is none.
+        """
         self.span.add(event.log_ns)
         if isinstance(event, OdometryEvent):
-            self._keep(self.slam.odometry(_odometry(event)))
+            self._write(self.slam.odometry(odometry_from_event(event)))
         elif isinstance(event, ImageEvent):
-            if self.film is not None:
-                self.film.keep(event)
-            self._keep(self.slam.image(event.stamp_ns, image))
+            if self.video is not None:
+                self.video.add_image(event)
+            self._write(self.slam.image(event.stamp_ns, image))
         elif isinstance(event, ScanEvent):
             try:
-                self.slam.scan(_scan(event))
+                self.slam.scan(scan_from_event(event))
             except UnusableScan as error:
-                self._pass_over('scan', error)
+                self._count_unusable('scan', error)
         else:
             try:
                 stamp_ns, match, _ = decode_template(event.payload)
             except MalformedMessage as error:
-                self._pass_over('template', error)
+                self._count_unusable('template', error)
                 return
-            self._keep(self.slam.template(stamp_ns, match))
+            self._write(self.slam.template(stamp_ns, match))
 
     def finish(self) -> dict[str, Any]:
-        """Process what still waits, write all files, return the summary."""
-        self._keep(self.slam.finish())
+        """Process all held messages, write all files, and return the summary."""
+        self._write(self.slam.finish())
         wall_s = self.elapsed_s
         results = self.results or Results(self._folder)
         warnings = self._recording.warnings
-        if self._without_scans:
-            warnings.append('no scans are there for exp_align_scans: the map is made without')
-        for kind, number in self._unused.items():
+        if self._lacks_scans:
             warnings.append(
-                f'{number} {kind} messages were not used, the first: {self._why_unused[kind]}'
+                'exp_align_scans is set, but the recording has no scans: the map is built '
+                'without them'
+            )
+        for kind, count in self._unusable.items():
+            warnings.append(
+                f'{count} {kind} messages were not used, the first: {self._first_errors[kind]}'
             )
         counts = self.slam.counts
         summary = {
@@ -170,7 +199,7 @@ class _Run:
             'experiences': len(self.slam.experience_map),
             'links': self.slam.experience_map.link_count,
             'loop_closures': results.loop_closures,
-            'dropped': results.without_view + self._unused.total() + self._recording.skipped,
+            'dropped': results.without_view + self._unusable.total() + self._recording.skipped,
             'late': counts.late,
             'refused': counts.refused,
             'duration_s': round(self.span.duration_s, 3),
@@ -183,7 +212,7 @@ class _Run:
         return summary
 
     def abandon(self) -> None:
-        """End after an error: neither what was mapped is lost nor an earlier run's map."""
+        """End after an error: write the results, or keep those of an earlier run."""
         if self.results is None:
             return
         if (self._folder / 'map.json').exists():
@@ -193,45 +222,40 @@ class _Run:
 
     @property
     def elapsed_s(self) -> float:
-        """Time since the start of the replay, reading and decoding included."""
+        """Time since the start of the replay in seconds, including reading and decoding."""
         return time.perf_counter() - self._start_s
 
-    def _pass_over(self, kind: str, error: Exception) -> None:
-        self._unused[kind] += 1
-        self._why_unused.setdefault(kind, str(error))
+    def status(self) -> str:
+        """Return the speed of the replay and the size of the map, for the progress bar."""
+        text = f'{self.span.duration_s / max(self.elapsed_s, 1e-6):.0f}x real time'
+        results = self.results
+        if results is not None:
+            text += (
+                f', {results.templates} templates, {results.experiences} experiences, '
+                f'{results.loop_closures} loop closures'
+            )
+        return text
 
-    def _keep(self, steps: list[Step]) -> None:
+    def _count_unusable(self, kind: str, error: Exception) -> None:
+        self._unusable[kind] += 1
+        self._first_errors.setdefault(kind, str(error))
+
+    def _write(self, steps: list[Step]) -> None:
         if not steps:
             return
         if self.results is None:
             self.results = Results(self._folder)
         for step in steps:
             self.results.add(step)
-            if self.film is not None:
-                self.film.add(step)
-
-
-def _odometry(event: OdometryEvent) -> Odometry:
-    return Odometry(
-        event.stamp_ns,
-        Twist(event.linear_x, event.angular_z),
-        Pose(event.x, event.y, event.heading_rad),
-    )
-
-
-def _scan(event: ScanEvent) -> Scan:
-    return checked_scan(
-        event.stamp_ns,
-        event.angle_min_rad,
-        event.angle_increment_rad,
-        event.range_min_m,
-        event.range_max_m,
-        event.ranges_m,
-    )
+            if self.video is not None:
+                self.video.add_step(step)
 
 
 def _calibrated(config: Config, recording: Recording, selection: Selection) -> Config:
-    """Take the field of view from the recording, as visual_odometry takes it from camera_info."""
+    """Return the configuration with the field of view of the recorded calibration.
+
+    The node visual_odometry computes it from camera_info in the same way.
+    """
     camera = recording.calibration(selection)
     if camera is None or not config.visual_odometry.fov_from_camera_info:
         return config
@@ -239,8 +263,8 @@ def _calibrated(config: Config, recording: Recording, selection: Selection) -> C
     return config.with_values({'visual_odometry.camera_fov_deg': fov_deg})
 
 
-class _Span:
-    """From the first to the last time of the recording that was replayed."""
+class _TimeSpan:
+    """Time from the first to the last replayed message."""
 
     def __init__(self) -> None:
         self._first_ns: int | None = None
@@ -254,98 +278,3 @@ class _Span:
     @property
     def duration_s(self) -> float:
         return 0.0 if self._first_ns is None else (self._last_ns - self._first_ns) * 1e-9
-
-
-class _Progress:
-    """A progress bar with the figures that tell whether a map is coming about.
-
-    It appears when there is some progress: what is refused at once is told in one line.
-    """
-
-    def __init__(self, recording: Recording, options: ReplayOptions, run: _Run) -> None:
-        total_s = (recording.end_ns - recording.start_ns) * 1e-9 - options.start_s
-        if options.duration_s is not None:
-            total_s = min(total_s, options.duration_s)
-        self._total_s = round(total_s, 1)
-        self._run = run
-        self._shown = options.progress
-        self._next_s = 0.5
-        self._bar: Any = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: object, *_: object) -> None:
-        if kind is None:
-            self._next_s = 0.0
-            self.update()
-        if self._bar is not None:
-            self._bar.close()
-
-    def update(self) -> None:
-        """Show how far the replay is, a few times a second."""
-        elapsed_s = self._run.elapsed_s
-        if elapsed_s < self._next_s or not self._shown:
-            return
-        self._next_s = elapsed_s + 0.1
-        if self._bar is None:
-            from tqdm import tqdm
-
-            self._bar = tqdm(
-                total=self._total_s,
-                file=sys.stderr,
-                bar_format='{percentage:3.0f}% |{bar}| {n:.0f}/{total:.0f} s{postfix}',
-            )
-        done_s = self._run.span.duration_s
-        self._bar.n = min(done_s, self._total_s)
-        text = f'{done_s / max(elapsed_s, 1e-6):.0f}x real time'
-        r = self._run.results
-        if r is not None:
-            text += (
-                f', {r.templates} templates, {r.experiences} experiences, '
-                f'{r.loop_closures} loop closures'
-            )
-        self._bar.set_postfix_str(text)
-
-
-class _Film:
-    """The video of a replay; keeps the images that wait for their turn."""
-
-    def __init__(self, path: Path, slam: RatSLAM) -> None:
-        self._slam = slam
-        self._video = MapVideo(path)
-        self._images: dict[int, ImageEvent] = {}
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._video.close()
-
-    def keep(self, event: ImageEvent) -> None:
-        """Remember an image until its template message is processed."""
-        self._images[event.stamp_ns] = event
-
-    def add(self, step: Step) -> None:
-        """Write a frame if this step is a view's."""
-        if not isinstance(step, ViewStep):
-            return
-        for stamp_ns in [s for s in self._images if s < step.stamp_ns]:
-            del self._images[stamp_ns]
-        event = self._images.pop(step.stamp_ns, None)
-        if event is None:
-            return
-        try:
-            image = event.bgr()
-        except UndecodableImage:
-            return
-        known, local_view = step.match.template_id, self._slam.local_view
-        assert isinstance(local_view, LocalView)
-        self._video.write(
-            image,
-            local_view.template(known) if known >= 0 else None,
-            self._slam.pose_cells.activity(),
-            self._slam.experience_map.poses[:, :2],
-            self._slam.experience_map.pose,
-            f'template {known}  experience {step.action.target_id}  {step.action.action}',
-        )

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""ratslam simulate: a robot explores a floor plan by itself, and goes to goals on its map."""
+"""``ratslam simulate``: a robot explores a floor plan and then drives to goals on its map."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ from ratslam_ros.core.ratslam import Step
 from ratslam_ros.errors import UnreachableGoal, UnusableInput
 from ratslam_ros.results.goal_plots import draw_temporal_map
 from ratslam_ros.results.plots import draw_all
-from ratslam_ros.results.writer import Results, tum_line
+from ratslam_ros.results.trajectory import tum_line
+from ratslam_ros.results.writer import Results
 from ratslam_ros.simulator.closed_loop import ClosedLoop
 from ratslam_ros.simulator.config import SimulatorParameters, make_simulator
 from ratslam_ros.simulator.floor_plan import FloorPlan
@@ -28,19 +29,19 @@ from ratslam_ros.simulator.recording import TRUTH_FILE, RecordingWriter
 from ratslam_ros.simulator.simulation import Simulator
 from ratslam_ros.simulator.trials import Trial, attempt, choose_goals
 
-BY_M = 1.0
-"""A place of the plan is named where the robot passes it no further away than this."""
+NAMING_DISTANCE_M = 1.0
+"""Distance within which a place of the plan is named on the map."""
 
-MOVING_MPS = 0.3
-"""And only while it drives on: not on the spot, where it turns to look."""
+NAMING_SPEED_MPS = 0.3
+"""Minimum commanded speed for naming: not while the robot turns on the spot."""
 
-CANDIDATES_S = 20.0
-"""Places for random goals are named so often."""
+RANDOM_PLACE_PERIOD_S = 20.0
+"""Time between the places that are candidates for random goals."""
 
-SIGHT_M = 0.1
+LINE_OF_SIGHT_STEP_M = 0.1
 
-SHOWN = 5
-"""The picture of the floor shows the ways to so many goals; more cannot be told apart."""
+DRAWN_GOAL_COUNT = 5
+"""Number of goals whose paths are drawn on the floor; more cannot be distinguished."""
 
 COLUMNS = (
     'goal', 'outcome', 'succeeded', 'error_m', 'driven_m', 'shortest_m', 'ratio', 'floor_ratio',
@@ -50,11 +51,12 @@ COLUMNS = (
 
 @dataclass(frozen=True)
 class SimulateOptions:
-    """What the robot does: explore, and then go to goals.
+    """Duration of the exploration, goals after it, and outputs.
 
-    ``goals``: names of places of the plan, in order; None: all that it has passed.
-    ``random_goals``: so many others instead, drawn by lot from where it has been.
-    ``record``: a folder for a recording of all that it senses.
+    explore_s: duration of the exploration. goals: names of places of the plan, in order; None
+    for all that were named. random_goals: number of random goals among the visited places, in
+    place of `goals`; 0 for none. record: folder for a recording of all sensor data, None for
+    none. progress: show a progress bar.
     """
 
     explore_s: float = 1800.0
@@ -67,19 +69,28 @@ class SimulateOptions:
 def simulate(
     parameters: SimulatorParameters, config: Config, folder: Path, options: SimulateOptions
 ) -> str:
-    """Run it, write results, pictures and `trials.csv`; return what to tell.
+    """Simulate exploration and goals; write results, plots and `trials.csv`.
+
+    Args:
+        parameters: the simulated robot and its world.
+        config: parameters of RatSLAM and of the navigation.
+        folder: folder for the results.
+        options: see `SimulateOptions`.
+
+    Returns:
+        A report of the exploration, a table of the goals, and the paths of the plots.
 
     Raises:
-        UnusableInput: there is no such plan, start, obstacle or goal, or no place to write to.
+        UnusableInput: plan, start, obstacles or goals are invalid, or a file cannot be written.
         UnusableParameter: a value is out of range.
     """
     simulator = make_simulator(parameters)
     places = simulator.plan.places
     unknown = [name for name in options.goals or () if name not in places]
     if unknown:
-        known = ', '.join(places) or 'none: give --random-goals'
+        names = ', '.join(places) or 'none: give --random-goals'
         raise UnusableInput(
-            f'there is no place {", ".join(unknown)} in the plan; its places are {known}'
+            f'the plan has no place {", ".join(unknown)}; its places are {names}'
         )
     with ExitStack() as stack:
         if options.record is not None:
@@ -87,7 +98,7 @@ def simulate(
             simulator.watchers.append(writer.write)
         results = Results(folder)
         try:
-            loop = _WrittenLoop(simulator, config, parameters.seed, results)
+            loop = _RecordingLoop(simulator, config, parameters.seed, results)
             run = _Run(loop, options)
             explored = run.explore()
             trials = [run.attempt(name, folder) for name in run.goals(parameters.seed)]
@@ -107,15 +118,15 @@ def simulate(
     truth = folder / TRUTH_FILE
     truth.write_text(''.join(map(tum_line, loop.log.stamp_ns, loop.log.truth)), encoding='ascii')
     _write_table(trials, folder / 'trials.csv')
-    pictures = [
-        *run.pictures, _draw_floor(loop, run.explored_rows, trials, folder),
+    plots = [
+        *run.plots, _draw_floor(loop, run.explored_rows, trials, folder),
         *draw_all(folder, truth),
     ]  # fmt: skip
-    return '\n'.join([explored, *_table(trials), *map(str, pictures)])
+    return '\n'.join([explored, *_table(trials), *map(str, plots)])
 
 
-class _WrittenLoop(ClosedLoop):
-    """A closed loop whose every step is written."""
+class _RecordingLoop(ClosedLoop):
+    """Closed loop that writes the result of every step."""
 
     def __init__(self, simulator: Simulator, config: Config, seed: int, results: Results) -> None:
         super().__init__(simulator, config, seed)
@@ -128,64 +139,66 @@ class _WrittenLoop(ClosedLoop):
         super()._note(steps)
 
     def finish(self) -> None:
-        """Process what still waits for the other stream."""
+        """Process all held messages."""
         self._note(self.ratslam.finish())
 
 
 class _Run:
-    """Explores, names places, and goes to them."""
+    """Exploration, during which places are named, and the trials afterwards."""
 
     def __init__(self, loop: ClosedLoop, options: SimulateOptions) -> None:
         self.loop = loop
         self._options = options
         self._plan = loop.simulator.plan
         self._named: dict[str, tuple[float, float]] = {}
-        self._by_m: dict[str, float] = {}
+        self._distance_m: dict[str, float] = {}
         self.explored_rows = 0
-        self.pictures: list[Path] = []
+        """Number of rows of the log that belong to the exploration."""
+        self.plots: list[Path] = []
 
     def explore(self) -> str:
-        """Explore, and name what is passed; return what to tell."""
+        """Explore and name places; return a report."""
         loop, end_s = self.loop, self._options.explore_s
-        name = self._name_now_and_then if self._options.random_goals else self._name_passed
-        with self._bar(end_s, 'exploring') as bar:
+        name_place = self._name_periodically if self._options.random_goals else self._name_passed
+        with self._progress_bar(end_s, 'exploring') as bar:
 
-            def over() -> bool:
+            def is_over() -> bool:
                 bar.update(loop.now_s - bar.n)
-                if loop.command.speed_mps >= MOVING_MPS and loop.experience_map.current_id >= 0:
-                    name()
+                is_moving = loop.command.speed_mps >= NAMING_SPEED_MPS
+                if is_moving and loop.experience_map.current_id >= 0:
+                    name_place()
                 return loop.now_s >= end_s
 
-            loop.run(loop.exploring, over)
+            loop.run(loop.exploring, is_over)
         self.explored_rows = len(loop.log.truth)
         return (
             f'explored for {end_s / 60.0:g} minutes: {loop.simulator.odometer_m:.0f} m, '
             f'{len(loop.experience_map)} experiences, {loop.experience_map.link_count} links, '
             f'{loop.simulator.collisions} collisions; '
-            f'{len(self._named)} places have names'
+            f'{len(self._named)} places are named'
         )
 
     def _name_passed(self) -> None:
-        """Give a place of the plan its name where the robot has come nearer to it than before."""
-        at = self.loop.simulator.truth
+        """Name the places of the plan that are nearer than ever before and in sight."""
+        robot = self.loop.simulator.truth
         for name, (x_m, y_m) in self._plan.places.items():
-            away_m = math.hypot(x_m - at.x_m, y_m - at.y_m)
-            nearer = away_m < self._by_m.get(name, BY_M)
-            if nearer and _in_sight(self._plan, (at.x_m, at.y_m), (x_m, y_m)):
-                self._by_m[name] = away_m
+            distance_m = math.hypot(x_m - robot.x_m, y_m - robot.y_m)
+            is_nearer = distance_m < self._distance_m.get(name, NAMING_DISTANCE_M)
+            if is_nearer and _in_sight(self._plan, (robot.x_m, robot.y_m), (x_m, y_m)):
+                self._distance_m[name] = distance_m
                 self._name(name)
 
-    def _name_now_and_then(self) -> None:
-        if self.loop.now_s >= CANDIDATES_S * (len(self._named) + 1):
+    def _name_periodically(self) -> None:
+        if self.loop.now_s >= RANDOM_PLACE_PERIOD_S * (len(self._named) + 1):
             self._name(f'place_{len(self._named) + 1}')
 
     def _name(self, name: str) -> None:
-        at = self.loop.simulator.truth
+        robot = self.loop.simulator.truth
         self.loop.name_place(name)
-        self._named[name] = at.x_m, at.y_m
+        self._named[name] = robot.x_m, robot.y_m
 
     def goals(self, seed: int) -> list[str]:
-        """Return where to go, in order."""
+        """Return the names of the goals, in order."""
         options = self._options
         if options.random_goals:
             rng = np.random.Generator(np.random.PCG64(seed))
@@ -194,11 +207,11 @@ class _Run:
         return list(self._named if options.goals is None else options.goals)
 
     def attempt(self, name: str, folder: Path) -> Trial:
-        """Go to a place, and draw what the map said before; it is refused if it has no name."""
+        """Drive to a goal, after drawing the travel times; an unnamed place is refused."""
         self._draw_times(name, folder)
-        at_m = self._named.get(name) or self._plan.places[name]
-        with self._bar(None, f'to {name}'):
-            return attempt(self.loop, name, at_m)
+        goal_m = self._named.get(name) or self._plan.places[name]
+        with self._progress_bar(None, f'to {name}'):
+            return attempt(self.loop, name, goal_m)
 
     def _draw_times(self, name: str, folder: Path) -> None:
         graph, navigator = self.loop.experience_map, self.loop.navigator
@@ -208,20 +221,22 @@ class _Run:
             ids = times.route_to(goal.experience_id).experience_ids
         except UnreachableGoal:
             return
-        file = folder / f'times_{len(self.pictures) + 1}_{name}.png'
-        self.pictures.append(
+        file = folder / f'times_{len(self.plots) + 1}_{name}.png'
+        self.plots.append(
             draw_temporal_map(graph, times, file, graph.poses[list(ids), :2], [goal])
         )
 
-    def _bar(self, total_s: float | None, what: str) -> tqdm:  # type: ignore[type-arg]
-        shown = None if self._options.progress else True
+    def _progress_bar(
+        self, total_s: float | None, label: str
+    ) -> tqdm:  # type: ignore[type-arg]
+        disable = None if self._options.progress else True  # None: only without a terminal
         layout = '{desc}: {percentage:3.0f}% |{bar}| {elapsed}' if total_s else '{desc} {elapsed}'
-        return tqdm(total=total_s, desc=what, bar_format=layout, disable=shown, leave=False)
+        return tqdm(total=total_s, desc=label, bar_format=layout, disable=disable, leave=False)
 
 
-def _in_sight(plan: FloorPlan, here_m: tuple[float, float], there_m: tuple[float, float]) -> bool:
-    count = max(math.ceil(math.dist(here_m, there_m) / SIGHT_M), 1)
-    points = np.linspace(here_m, there_m, count + 1).tolist()
+def _in_sight(plan: FloorPlan, from_m: tuple[float, float], to_m: tuple[float, float]) -> bool:
+    count = max(math.ceil(math.dist(from_m, to_m) / LINE_OF_SIGHT_STEP_M), 1)
+    points = np.linspace(from_m, to_m, count + 1).tolist()
     return not any(plan.is_solid(x_m, y_m) for x_m, y_m in points)
 
 
@@ -243,7 +258,7 @@ def _write_table(trials: Sequence[Trial], path: Path) -> None:
 
 def _table(trials: Sequence[Trial]) -> list[str]:
     if not trials:
-        return ['no goals: none of the places that have names was passed']
+        return ['no goals: no place was named during the exploration']
     lines = [
         f'{"goal":12} {"outcome":10} {"":3} {"error":>7} {"driven":>8} {"shortest":>9} '
         f'{"ratio":>6} {"floor":>6} {"time":>6} {"limit":>6}'
@@ -264,8 +279,8 @@ def _table(trials: Sequence[Trial]) -> list[str]:
 
 
 def _draw_floor(loop: ClosedLoop, explored: int, trials: Sequence[Trial], folder: Path) -> Path:
-    ways = {'exploring': loop.log.truths()[:explored]}
-    ways |= {f'to {trial.goal}': trial.path for trial in trials[:SHOWN]}
+    paths = {'exploring': loop.log.truths()[:explored]}
+    paths |= {f'to {trial.goal}': trial.path for trial in trials[:DRAWN_GOAL_COUNT]}
     plan = loop.simulator.plan
-    title = f'{plan.name}: where the robot truly was'
-    return draw_plan(plan, folder / 'floor.png', ways, title=title)
+    title = f'{plan.name}: true paths of the robot'
+    return draw_plan(plan, folder / 'floor.png', paths, title=title)

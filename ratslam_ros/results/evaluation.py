@@ -1,77 +1,39 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""How far a trajectory is from the truth, in the plane: absolute and relative errors.
+"""Errors of a planar trajectory against the truth: absolute (ATE) and relative (RPE).
 
-The figures are those that evo (M. Grupp) gives for files in the TUM format with these options:
+The figures are those that evo (M. Grupp) prints for TUM files with these options:
 
     ate                evo_ape tum TRUTH TRAJECTORY -a --t_max_diff 0.05 --project_to_plane xy
     rpe                evo_rpe tum TRUTH TRAJECTORY -d 1 -u m --pairs_from_reference ...
-    rpe_heading_rad    the same with -r angle_rad; truth without headings: -r point_distance
+    rpe_heading_rad    the same with -r angle_rad; for a truth without headings -r point_distance
     align='sim2'       -as in place of -a
     pairs='trajectory' without --pairs_from_reference
 
-evo aligns in space, where a flat trajectory may also be turned over; here it only ever turns in
-the plane. The two agree unless the mirror image of the trajectory fits better than itself.
+evo aligns in three dimensions, where a planar trajectory may be flipped; this module aligns in the
+plane only. The results agree unless the mirror image of the trajectory fits better.
 """
 
 from __future__ import annotations
 
 import json
 import math
-from array import array
-from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
-from decimal import Decimal, InvalidOperation
-from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ratslam_ros.errors import UnusableInput, UnusableParameter
+from ratslam_ros.messages.json_schema import NS_PER_S
+from ratslam_ros.results.trajectory import Floats, Index, Stamps, Trajectory
 
-Floats = NDArray[np.float64]
-Stamps = NDArray[np.int64]
-Index = NDArray[np.intp]
 Alignment = Literal['se2', 'sim2', 'none']
 Pairs = Literal['truth', 'trajectory']
-Row = TypeVar('Row')
-
-COLUMNS = 't x y z qx qy qz qw'
-NS_PER_S = 1_000_000_000
-LATEST_S = 2**63 // NS_PER_S  # in the year 2262
-
-
-@dataclass(frozen=True)
-class Trajectory:
-    """Poses in the plane over time.
-
-    stamp_ns: (n,) int64, strictly increasing; position_m: (n, 2); heading_rad: (n,) in
-    (-pi, pi]; has_heading: False where every orientation is 0 0 0 1, which is how truth that
-    measures positions only is written.
-    """
-
-    stamp_ns: Stamps
-    position_m: Floats
-    heading_rad: Floats
-    has_heading: bool
-
-    def __post_init__(self) -> None:
-        if np.any(np.diff(self.stamp_ns) <= 0):
-            raise ValueError('the stamps of a trajectory have to increase')
-
-    def __len__(self) -> int:
-        return len(self.stamp_ns)
-
-    def at(self, index: Index) -> Trajectory:
-        """Return the poses at these indices."""
-        return Trajectory(self.stamp_ns[index], self.position_m[index],
-                          self.heading_rad[index], self.has_heading)
 
 
 @dataclass(frozen=True)
 class Transform2D:
-    """A turn, a scale and a shift of the plane: p -> scale R(heading) p + (x, y)."""
+    """A similarity transform of the plane: p -> scale R(heading) p + (x, y)."""
 
     x_m: float = 0.0
     y_m: float = 0.0
@@ -79,23 +41,16 @@ class Transform2D:
     scale: float = 1.0
 
     def apply(self, position_m: Floats) -> Floats:
-        """Move points, (n, 2) -> (n, 2)."""
+        """Transform points, (n, 2) -> (n, 2)."""
         c, s = math.cos(self.heading_rad), math.sin(self.heading_rad)
         x, y = position_m[:, 0], position_m[:, 1]
         return np.column_stack((self.scale * (c * x - s * y) + self.x_m,
                                 self.scale * (s * x + c * y) + self.y_m))
 
-    def inverse(self) -> Transform2D:
-        """Return the transform that undoes this one."""
-        shift = np.array([[self.x_m, self.y_m]])
-        back = Transform2D(heading_rad=-self.heading_rad, scale=1.0 / self.scale)
-        x_m, y_m = back.apply(shift)[0]
-        return Transform2D(-float(x_m), -float(y_m), back.heading_rad, back.scale)
-
 
 @dataclass(frozen=True)
 class ErrorFigures:
-    """What is usually said about a list of errors, in the unit of the errors."""
+    """Statistics of a list of errors, in the unit of the errors."""
 
     rmse: float
     mean: float
@@ -108,12 +63,16 @@ class ErrorFigures:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """A trajectory held against the truth.
+    """Result of comparing a trajectory with the truth.
 
-    ate: m, distance of the aligned trajectory from the truth, over all matched poses.
-    rpe: m, error over `delta_m` of path: of the relative pose (`rpe_of` 'pose'), or, where the
-    truth knows no headings, of the length of the chord only ('chord'). None: path too short.
-    rpe_heading_rad: error of the turn over the same pairs; None without headings.
+    transform: applied to the trajectory before the comparison.
+    matched, unmatched: number of poses of the sparser trajectory with and without a counterpart.
+    path_m: length of the matched part of the truth.
+    ate: in m, distances between the aligned trajectory and the truth at all matched poses.
+    rpe: in m, errors over `delta_m` of path: of the translation of the relative pose (`rpe_of`
+    is 'pose'), or, for a truth without headings, of the distance only ('chord'). None if the
+    path is too short.
+    rpe_heading_rad: errors of the rotation over the same pairs; None without headings.
     stamp_ns, aligned_m, truth_m, error_m: the matched poses, (n,), (n, 2), (n, 2), (n,).
     """
 
@@ -133,14 +92,14 @@ class Evaluation:
     error_m: Floats
 
     def to_json(self) -> str:
-        """Return the figures, without the poses, as a JSON object with a trailing newline."""
+        """Format the figures, without the poses, as a JSON object with a trailing newline."""
         arrays = ('stamp_ns', 'aligned_m', 'truth_m', 'error_m')
         payload: dict[str, Any] = {'schema_version': 1}
         payload |= {key: value for key, value in asdict(self).items() if key not in arrays}
         return json.dumps(payload, indent=2, allow_nan=False) + '\n'
 
     def format(self) -> str:
-        """Return the figures as a few lines for a terminal."""
+        """Format the figures as a table for a terminal, at most 80 columns wide."""
         scale = f', scale {self.transform.scale:.4f}' if self.align == 'sim2' else ''
         rows = [(f'ATE ({self.align}{scale})', 'm', self.ate, 1.0)]
         if self.rpe is not None:
@@ -156,7 +115,7 @@ class Evaluation:
         if self.rpe is None:
             lines.append(f'no RPE: the path is shorter than {self.delta_m:g} m')
         elif self.rpe_of == 'chord':
-            lines.append('the truth has no headings: RPE compares how far apart each pair is')
+            lines.append('the truth has no headings: RPE compares the distances of the pairs')
         return '\n'.join(lines)
 
 
@@ -165,11 +124,19 @@ def evaluate(trajectory: Trajectory, truth: Trajectory, align: Alignment = 'se2'
              pairs: Pairs = 'truth') -> Evaluation:
     """Compare a trajectory with the truth.
 
-    Every pose of the sparser of the two is matched to the nearest stamp of the denser one, at
-    most `max_difference_s` away. `align` moves the trajectory onto the truth by least squares:
-    turn and shift ('se2'), scale too ('sim2'), or not at all ('none'). RPE closes a pair
-    whenever `delta_m` of the path of `pairs` have been covered; pairs do not overlap.
-    Raises UnusableInput where too little matches.
+    Args:
+        trajectory: the estimate.
+        truth: the reference.
+        align: how the trajectory is fitted to the truth by least squares: rotation and
+            translation ('se2'), also scale ('sim2'), or not at all ('none').
+        max_difference_s: largest difference of matched stamps. Each pose of the sparser
+            trajectory is matched to the nearest one of the denser trajectory.
+        delta_m: path length over which relative errors are computed. The pairs do not overlap.
+        pairs: whose path is measured to form the pairs.
+
+    Raises:
+        UnusableInput: fewer than two poses match, or the alignment is undetermined.
+        UnusableParameter: an argument is out of range.
     """
     if align not in ('se2', 'sim2', 'none'):
         raise UnusableParameter(f"align is '{align}', expected se2, sim2 or none")
@@ -182,7 +149,7 @@ def evaluate(trajectory: Trajectory, truth: Trajectory, align: Alignment = 'se2'
                  for t in (trajectory, truth)]
         raise UnusableInput(
             f'{len(of_truth)} poses match within {max_difference_s:g} s, expected 2: trajectory '
-            f'from {spans[0]}, truth from {spans[1]}; bring both to the same clock')
+            f'from {spans[0]}, truth from {spans[1]}; convert both to the same clock')
     estimate, reference = trajectory.at(of_trajectory), truth.at(of_truth)
     transform = Transform2D() if align == 'none' else fit(
         estimate.position_m, reference.position_m, scale=align == 'sim2')
@@ -211,7 +178,7 @@ def evaluate(trajectory: Trajectory, truth: Trajectory, align: Alignment = 'se2'
 
 
 def figures(errors: Floats) -> ErrorFigures:
-    """Sum up a list of errors, (n,) with n > 0."""
+    """Compute the statistics of errors, (n,) with n > 0."""
     return ErrorFigures(
         math.sqrt(float(np.mean(errors**2))), float(np.mean(errors)), float(np.median(errors)),
         float(np.std(errors)), float(np.min(errors)), float(np.max(errors)), len(errors))
@@ -219,7 +186,18 @@ def figures(errors: Floats) -> ErrorFigures:
 
 def associate(stamp_ns: Stamps, truth_ns: Stamps,
               max_difference_s: float) -> tuple[Index, Index]:
-    """Pair each stamp of the shorter list with the nearest of the longer, ties: the earlier."""
+    """Match each stamp of the shorter list to the nearest one of the longer list.
+
+    Of two equally near stamps, the earlier one is chosen.
+
+    Args:
+        stamp_ns: (n,) increasing.
+        truth_ns: (m,) increasing.
+        max_difference_s: largest difference of matched stamps.
+
+    Returns:
+        Indices into `stamp_ns` and into `truth_ns` of the matched pairs, (k,) each.
+    """
     if len(stamp_ns) > len(truth_ns):
         of_truth, of_trajectory = associate(truth_ns, stamp_ns, max_difference_s)
         return of_trajectory, of_truth
@@ -230,102 +208,29 @@ def associate(stamp_ns: Stamps, truth_ns: Stamps,
 
 
 def fit(source_m: Floats, target_m: Floats, *, scale: bool = False) -> Transform2D:
-    """Return the transform that moves points onto others with the least square error.
+    """Compute the least-squares transform of points onto others, Umeyama (1991).
 
-    Both are (n, 2). S. Umeyama, PAMI 13(4), 1991; in the plane the best turn is the angle of the
-    summed products of the points as complex numbers. Raises UnusableInput where nothing moves.
+    In the plane, with points as complex numbers, the optimal rotation is the angle of the sum of
+    the products of conjugate source and target.
+
+    Args:
+        source_m: (n, 2) points to transform.
+        target_m: (n, 2) corresponding points.
+        scale: estimate the scale too, otherwise it is 1.
+
+    Raises:
+        UnusableInput: all points of one side are equal, so that the rotation is undetermined.
     """
     source, target = ((p - p.mean(axis=0)) @ np.array([1.0, 1.0j]) for p in (source_m, target_m))
     product = complex(np.sum(np.conj(source) * target))
     spread = float(np.sum(np.abs(source) ** 2))
     if spread == 0.0 or product == 0.0:
-        raise UnusableInput('the matched poses do not move, so nothing says how to turn one '
-                            'onto the other: align with none')
+        raise UnusableInput('the matched poses do not move, so that the rotation between '
+                            'trajectory and truth is undetermined: align with none')
     factor = abs(product) / spread if scale else 1.0
     turn = Transform2D(0.0, 0.0, math.atan2(product.imag, product.real), factor)
     x_m, y_m = target_m.mean(axis=0) - turn.apply(source_m.mean(axis=0)[np.newaxis])[0]
     return Transform2D(float(x_m), float(y_m), turn.heading_rad, factor)
-
-
-def read_tum(path: str | Path, at_most: int | None = None) -> Trajectory:
-    """Read a trajectory, a line a pose: `t x y z qx qy qz qw`, t in seconds, # for comments.
-
-    z, roll and pitch are left out; `at_most` thins a long file evenly to that many poses.
-    Raises UnusableInput naming the line that does not fit.
-    """
-    stamps, values, has_heading = array('q'), array('d'), False
-    lines = _lines(Path(path))
-    for number, line in lines if at_most is None else thinned(lines, at_most):
-        where = f'{path}, line {number}'
-        fields = line.split()
-        if len(fields) != 8:
-            hint = '; replace the commas by spaces' if ',' in line else ''
-            raise UnusableInput(f'{where}: {len(fields)} columns, expected 8: {COLUMNS}{hint}')
-        stamp_ns = parse_stamp_ns(fields[0], where)
-        if stamps and stamp_ns <= stamps[-1]:
-            raise UnusableInput(f'{where}: the stamp {fields[0]} is not after the one before it; '
-                                "sort the file and drop duplicates ('sort -n -u -k1,1')")
-        try:
-            x, y, _, qx, qy, qz, qw = pose = [float(field) for field in fields[1:]]
-        except ValueError:
-            raise UnusableInput(f"{where}: '{line.strip()[:60]}' is not eight numbers, "
-                                f'expected {COLUMNS}') from None
-        if not all(map(math.isfinite, pose)):
-            raise UnusableInput(f'{where}: NaN or infinity; remove the line')
-        norm = qx * qx + qy * qy + qz * qz + qw * qw
-        if not 0.5 < norm < 2.0:
-            raise UnusableInput(f'{where}: the quaternion {qx:g} {qy:g} {qz:g} {qw:g} is not of '
-                                'length 1; write 0 0 0 1 where the orientation is not known')
-        stamps.append(stamp_ns)
-        values.extend((x, y, math.atan2(2.0 * (qw * qz + qx * qy),
-                                        norm - 2.0 * (qy * qy + qz * qz))))
-        has_heading = has_heading or bool(qx or qy or qz)
-    if not stamps:
-        raise UnusableInput(f'{path}: no poses in it, expected lines of {COLUMNS}')
-    poses = np.frombuffer(values, np.float64).reshape(-1, 3)
-    return Trajectory(np.frombuffer(stamps, np.int64), poses[:, :2].copy(), poses[:, 2].copy(),
-                      has_heading)
-
-
-def parse_stamp_ns(text: str, where: str) -> int:
-    """Return decimal seconds as integer nanoseconds, exactly; `where` names it in errors."""
-    try:
-        seconds = Decimal(text)
-    except InvalidOperation:
-        seconds = Decimal('nan')
-    if not seconds.is_finite():
-        raise UnusableInput(f"{where}: '{text[:40]}' is no time in seconds")
-    if not -LATEST_S < seconds < LATEST_S:
-        raise UnusableInput(f'{where}: the stamp {text[:40]} is too large for seconds; '
-                            'if it is in nanoseconds, divide it by 1e9')
-    return int((seconds * NS_PER_S).to_integral_value())
-
-
-def thinned(rows: Iterable[Row], at_most: int) -> list[Row]:
-    """Return every 2^k-th row, k the smallest that keeps no more than `at_most`.
-
-    The rows are read once and no more than `at_most` + 1 of them are held.
-    """
-    kept: list[Row] = []
-    stride = 1
-    for index, row in enumerate(rows):
-        if index % stride == 0:
-            kept.append(row)
-            if len(kept) > at_most:
-                kept, stride = kept[::2], 2 * stride
-    return kept
-
-
-def _lines(path: Path) -> Iterator[tuple[int, str]]:
-    """Yield the lines that are neither empty nor a comment, with their numbers from 1."""
-    try:
-        with path.open(encoding='utf-8') as file:
-            for number, line in enumerate(file, start=1):
-                if line.strip() and not line.lstrip().startswith('#'):
-                    yield number, line
-    except (OSError, UnicodeDecodeError) as error:
-        seen = error.strerror if isinstance(error, OSError) else 'not a text file'
-        raise UnusableInput(f'{path}: {seen}, expected lines of {COLUMNS}') from None
 
 
 def _steps(position_m: Floats) -> Floats:
@@ -339,7 +244,11 @@ def _rotate(vector_m: Floats, angle_rad: Floats) -> Floats:
 
 
 def _pairs_along(position_m: Floats, delta_m: float) -> tuple[Index, Index]:
-    """Return the first and last index of stretches of at least `delta_m` of path."""
+    """Divide a path into consecutive parts of at least `delta_m`.
+
+    Returns:
+        First and last index of each part, (k,) each; k = 0 if the path is too short.
+    """
     ends, covered_m = [0], 0.0
     for index, step_m in enumerate(_steps(position_m), start=1):
         covered_m += float(step_m)

@@ -1,9 +1,10 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures of a results folder: the map, what was recognised when, and the error to the truth.
+"""Plots of a results folder: the map, the matches over time, and the error against the truth.
 
-matplotlib is imported when something is drawn, and drawn to memory: no display is needed. The
-same folder gives the same bytes. Colours are Okabe and Ito's, told apart by the colour-blind too.
+matplotlib is imported on first use and draws to memory, so that no display is needed. The same
+folder gives identical files. The colours are those of Okabe and Ito, which colour-blind readers
+can distinguish.
 """
 
 from __future__ import annotations
@@ -19,17 +20,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.results.evaluation import (
-    NS_PER_S,
-    Evaluation,
-    Floats,
-    Trajectory,
-    Transform2D,
-    associate,
-    fit,
-    read_tum,
-    thinned,
-)
+from ratslam_ros.messages.json_schema import NS_PER_S
+from ratslam_ros.results.evaluation import Evaluation, Transform2D, associate, fit
+from ratslam_ros.results.trajectory import Floats, Trajectory, read_tum, thinned
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -39,17 +32,29 @@ BLUE, VERMILLION, GREEN = '#0072B2', '#D55E00', '#009E73'
 BLACK, GREY, PALE_GREY = '#000000', '#777777', '#CFCFCF'
 
 DOTS_PER_INCH = 120
-MOST_POINTS = 100_000  # more than a picture can show; longer recordings are thinned to this
-RECENT_EXPERIENCES = 10  # a link further back than this closes a loop
+MAX_POINT_COUNT = 100_000
+"""Number of points to which longer recordings are thinned."""
+
+NEWEST_EXPERIENCES_COUNT = 10
+"""Links to one of the newest experiences are not drawn as loop closures."""
 
 Links = Iterable[tuple[int, int]]
 
 
 def draw_all(folder: str | Path, truth: str | Path | Trajectory | None = None,
              threshold: float | None = None) -> list[Path]:
-    """Draw every picture of a results folder; return their paths.
+    """Draw map.png and matches.png of a results folder.
 
-    Without a threshold, that of the folder's config.yaml is used.
+    Args:
+        folder: the results folder.
+        truth: the true trajectory, or its TUM file; None for none.
+        threshold: match threshold to draw; None for that of the folder's config.yaml.
+
+    Returns:
+        The paths of the plots.
+
+    Raises:
+        UnusableInput: the folder or the truth cannot be used.
     """
     if threshold is None:
         threshold = _threshold_of(Path(folder) / 'config.yaml')
@@ -58,26 +63,34 @@ def draw_all(folder: str | Path, truth: str | Path | Trajectory | None = None,
 
 def draw_map(folder: str | Path, truth: str | Path | Trajectory | None = None,
              loop_closures: Links | None = None) -> Path:
-    """Draw `map.png`: experiences and links over dead reckoning, in the map's own metres.
+    """Draw map.png: experiences and links over dead reckoning, in the frame of the map.
 
-    Truth is turned and shifted onto the map by least squares (trajectory_final.tum says when the
-    robot was where). Loop closures are those given, as (source, target) ids, else those that
-    frames.csv tells of, else the links over more than ten ids. Raises UnusableInput where the
-    folder or the truth cannot be used.
+    Args:
+        folder: the results folder.
+        truth: the true trajectory, or its TUM file; None for none. It is aligned with
+            trajectory_final.tum by rotation and translation, by least squares.
+        loop_closures: (source, target) ids of the links to draw as loop closures. None: the
+            loop closures in frames.csv; without that file, the links over more than ten ids.
+
+    Returns:
+        The path of the plot.
+
+    Raises:
+        UnusableInput: the folder or the truth cannot be used.
     """
     from matplotlib.collections import LineCollection
 
     folder = Path(folder)
     graph = _read_map(folder / 'map.json')
-    believed = _read_if_there(folder / 'trajectory.tum')
-    dead_reckoning = _read_if_there(folder / 'dead_reckoning.tum')
+    estimated = _read_if_present(folder / 'trajectory.tum')
+    dead_reckoning = _read_if_present(folder / 'dead_reckoning.tum')
     closures = set(loop_closures) if loop_closures is not None else _closures(folder, graph)
 
     figure = new_figure(8.0, 7.6)
     axes = figure.add_subplot()
     if dead_reckoning is not None:
-        start = _frame_change(dead_reckoning, believed)
-        axes.plot(*start.apply(dead_reckoning.position_m).T, color=PALE_GREY, linewidth=1.0,
+        to_map = _alignment_of_starts(dead_reckoning, estimated)
+        axes.plot(*to_map.apply(dead_reckoning.position_m).T, color=PALE_GREY, linewidth=1.0,
                   label='dead reckoning', zorder=1)
     if truth is not None:
         axes.plot(*_truth_on_map(folder, truth).T, color=GREEN, alpha=0.45, linewidth=5.0,
@@ -103,23 +116,31 @@ def draw_map(folder: str | Path, truth: str | Path | Trajectory | None = None,
     equal_axes(axes)
     axes.set_title(f'{_count(len(places_m), "experience")}, {_count(len(graph.links), "link")}, '
                    f'{_count(len(closures), "closing link")}', fontsize=11)
-    _legend_below(figure, axes)
+    add_legend_below(figure, axes)
     return save_figure(figure, folder / 'map.png')
 
 
 def draw_matches(folder: str | Path, threshold: float | None = None) -> Path:
-    """Draw `matches.png`: template ids and match errors over time, from frames.csv.
+    """Draw matches.png: template ids and match errors over time, from frames.csv.
 
-    Raises UnusableInput where frames.csv cannot be used.
+    Args:
+        folder: the results folder.
+        threshold: match threshold to draw; None for none.
+
+    Returns:
+        The path of the plot.
+
+    Raises:
+        UnusableInput: frames.csv cannot be used.
     """
     folder = Path(folder)
     counts = [0, 0]
-    rows = thinned(_frames(folder / 'frames.csv', counts), MOST_POINTS)
+    rows = thinned(_frames(folder / 'frames.csv', counts), MAX_POINT_COUNT)
     table = np.array(rows, dtype=np.float64).reshape(-1, 4)
     time_s, template_id, is_new, error = table.T
     new = (template_id >= 0) & (is_new == 1)
     recognised = (template_id >= 0) & (is_new == 0)
-    compared = error >= 0.0  # the first view has nothing to be compared with
+    compared = error >= 0.0  # The first view has no template to compare with.
 
     figure = new_figure(10.0, 6.4)
     ids, errors = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
@@ -145,7 +166,11 @@ def draw_matches(folder: str | Path, threshold: float | None = None) -> Path:
 
 
 def plot_evaluation(evaluation: Evaluation, path: str | Path) -> Path:
-    """Draw the aligned trajectory over the truth, coloured by error, and the error over time."""
+    """Draw the aligned trajectory over the truth, coloured by error, and the error over time.
+
+    Raises:
+        UnusableInput: the file cannot be written.
+    """
     from matplotlib.collections import LineCollection
 
     stride = -(-len(evaluation.error_m) // 50_000)
@@ -175,7 +200,7 @@ def plot_evaluation(evaluation: Evaluation, path: str | Path) -> Path:
 
 
 def new_figure(width_in: float, height_in: float) -> Figure:
-    """Return an empty figure that is drawn to memory."""
+    """Return an empty figure, in inches, that is drawn to memory."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -184,8 +209,29 @@ def new_figure(width_in: float, height_in: float) -> Figure:
     return figure
 
 
+def add_legend_below(figure: Figure, axes: Axes, columns: int = 8, fontsize: float = 8) -> None:
+    """Add a legend below all axes, which are shrunk to leave room for it.
+
+    matplotlib 3.6, the version of Ubuntu 24.04, does not have the location 'outside'.
+    """
+    handles, labels = axes.get_legend_handles_labels()
+    if not handles:
+        return
+    figure.legend(handles, labels, loc='lower center', ncol=columns, fontsize=fontsize,
+                  frameon=False)  # fmt: skip
+    rows = -(-len(handles) // columns)
+    height = (rows * 1.5 + 0.8) * fontsize / 72.0 / figure.get_figheight()
+    engine = figure.get_layout_engine()
+    assert engine is not None
+    engine.set(rect=(0.0, height, 1.0, 1.0 - height))  # type: ignore[call-arg]
+
+
 def save_figure(figure: Figure, path: str | Path) -> Path:
-    """Write a PNG that holds nothing but the picture: no date, no program's version."""
+    """Write a PNG without date and program version, so that equal plots give equal files.
+
+    Raises:
+        UnusableInput: the file cannot be written.
+    """
     path = Path(path)
     try:
         figure.savefig(path, format='png', metadata={'Software': None})
@@ -195,7 +241,7 @@ def save_figure(figure: Figure, path: str | Path) -> Path:
 
 
 def equal_axes(axes: Axes) -> None:
-    """Make a metre as long on x as on y, and say that it is metres."""
+    """Give both axes the same scale, labels in metres, and a grid."""
     axes.autoscale_view()
     axes.set_aspect('equal', adjustable='datalim')
     axes.set(xlabel='x [m]', ylabel='y [m]')
@@ -205,7 +251,10 @@ def equal_axes(axes: Axes) -> None:
 
 @dataclass(frozen=True)
 class _Graph:
-    """places: id -> (x, y) in m; links: (source, target); current: id or -1."""
+    """Map of a results folder.
+
+    places: (x, y) in m by experience id. links: (source, target) ids. current: id, or -1.
+    """
 
     places: dict[int, tuple[float, float]]
     links: list[tuple[int, int]]
@@ -230,22 +279,22 @@ def _read_map(path: Path) -> _Graph:
 
 
 def _closures(folder: Path, graph: _Graph) -> set[tuple[int, int]]:
-    """Return the links to an experience that was not among the ten newest when it was reached.
+    """Return the links that led to an experience that was not among the newest at that time.
 
-    Whenever the experience changes from one row of frames.csv to the next, and not to a new one,
-    a link was made or used.
+    If the experience changes between two rows of frames.csv, and not to a new one, a link was
+    created or traversed.
     """
     path = folder / 'frames.csv'
     if not path.exists():
-        return {link for link in graph.links if abs(link[0] - link[1]) > RECENT_EXPERIENCES}
+        return {link for link in graph.links if abs(link[0] - link[1]) > NEWEST_EXPERIENCES_COUNT}
     closures = set()
-    last, known = -1, 0
+    last, count = -1, 0
     for *_, experience in _rows(path):
         if experience < 0:
-            continue  # before the first
-        if experience >= known:
-            known = experience + 1
-        elif experience != last and experience < known - RECENT_EXPERIENCES:
+            continue  # No experience exists yet.
+        if experience >= count:
+            count = experience + 1
+        elif experience != last and experience < count - NEWEST_EXPERIENCES_COUNT:
             closures.add((last, experience))
         last = experience
     return closures
@@ -276,7 +325,8 @@ def _rows(path: Path) -> Iterator[tuple[int, int, int, float, int]]:
 def _frames(path: Path, counts: list[int]) -> Iterator[tuple[float, float, float, float]]:
     """Yield seconds since the first frame, template id, is_new and match error of each row.
 
-    `counts` receives how many rows were recognised and new, thinned out later or not.
+    The numbers of rows with recognised and with new templates are added to `counts[0]` and
+    `counts[1]`.
     """
     first_ns = None
     for stamp_ns, template, new, error, _ in _rows(path):
@@ -286,13 +336,13 @@ def _frames(path: Path, counts: list[int]) -> Iterator[tuple[float, float, float
         yield (stamp_ns - first_ns) / NS_PER_S, template, new, error
 
 
-def _read_if_there(path: Path) -> Trajectory | None:
-    there = path.exists() and path.stat().st_size > 0  # a run without odometry has no poses
-    return read_tum(path, MOST_POINTS) if there else None
+def _read_if_present(path: Path) -> Trajectory | None:
+    has_poses = path.exists() and path.stat().st_size > 0  # Without odometry there are no poses.
+    return read_tum(path, MAX_POINT_COUNT) if has_poses else None
 
 
-def _frame_change(source: Trajectory, target: Trajectory | None) -> Transform2D:
-    """Return the transform that lays the first pose of one trajectory onto another's."""
+def _alignment_of_starts(source: Trajectory, target: Trajectory | None) -> Transform2D:
+    """Return the transform from the first pose of one trajectory to that of another."""
     if target is None:
         return Transform2D()
     turn_rad = float(target.heading_rad[0] - source.heading_rad[0])
@@ -302,14 +352,14 @@ def _frame_change(source: Trajectory, target: Trajectory | None) -> Transform2D:
 
 
 def _truth_on_map(folder: Path, truth: str | Path | Trajectory) -> Floats:
-    """Return the positions of the truth, (n, 2), moved onto the final trajectory."""
+    """Return the positions of the truth, (n, 2) in m, aligned with the final trajectory."""
     if not isinstance(truth, Trajectory):
-        truth = read_tum(truth, MOST_POINTS)
-    final = read_tum(folder / 'trajectory_final.tum', MOST_POINTS)
+        truth = read_tum(truth, MAX_POINT_COUNT)
+    final = read_tum(folder / 'trajectory_final.tum', MAX_POINT_COUNT)
     of_final, of_truth = associate(final.stamp_ns, truth.stamp_ns, max_difference_s=0.5)
     if len(of_final) < 2:
-        raise UnusableInput('the truth and the trajectory have no times in common; '
-                            'bring both to the same clock')
+        raise UnusableInput('the truth and the trajectory have no stamps in common; '
+                            'convert both to the same clock')
     onto_map = fit(truth.position_m[of_truth], final.position_m[of_final])
     return onto_map.apply(truth.position_m)
 
@@ -319,13 +369,6 @@ def _threshold_of(config: Path) -> float | None:
         return None
     found = re.search(r'^\s*vt_match_threshold:\s*([0-9.eE+-]+)', config.read_text('utf-8'), re.M)
     return float(found[1]) if found else None
-
-
-def _legend_below(figure: Figure, axes: Axes) -> None:
-    handles, labels = axes.get_legend_handles_labels()
-    if handles:
-        figure.legend(handles, labels, loc='outside lower center', ncols=len(handles),
-                      fontsize=8, frameon=False)
 
 
 def _count(number: int, noun: str) -> str:

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A video of RatSLAM at work: the camera, the view, the pose cells and the growing map.
+"""Video of a run: the camera image, the template, the pose cells and the growing map.
 
     ┌────────┬──────┬───────────┐
     │ camera │ view │           │
@@ -10,7 +10,7 @@
     │ caption                   │
     └───────────────────────────┘
 
-Drawn with OpenCV alone, to keep up with a replay.
+It is drawn with OpenCV, which is fast enough for a replay.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ Image = NDArray[np.uint8]
 Floats = NDArray[np.float64]
 
 SUFFIXES = ('.mp4', '.m4v', '.mov')
-LEAST_SIZE = (320, 180)
-MARGIN, CAPTION_HEIGHT = 6, 28
-BACKGROUND, INK, FAINT = (255, 255, 255), (40, 40, 40), (200, 200, 200)  # all blue, green, red
+MIN_SIZE_PX = (320, 180)
+MARGIN_PX, CAPTION_HEIGHT_PX = 6, 28
+BACKGROUND, INK, FAINT = (255, 255, 255), (40, 40, 40), (200, 200, 200)  # BGR
 BLUE, VERMILLION = (0xB2, 0x72, 0x00), (0x00, 0x5E, 0xD5)
 FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 
 class Box(NamedTuple):
-    """A part of the frame, px."""
+    """Rectangle in the frame, in pixels."""
 
     x: int
     y: int
@@ -45,27 +45,37 @@ class Box(NamedTuple):
     height: int
 
     def inside(self, frame: Image) -> Image:
-        """Return this part of a frame, as a view on it."""
+        """Return a view of this part of a frame."""
         return frame[self.y:self.y + self.height, self.x:self.x + self.width]
 
 
 class MapVideo:
-    """Writes one frame of video for each call of `write`; close it, or use it in a `with`."""
+    """Video file to which `write` adds one frame; a context manager that closes the file."""
 
     def __init__(self, path: str | Path, fps: float = 10.0,
                  size: tuple[int, int] = (1280, 720)) -> None:
-        """Open a file for (width, height) px frames; raises UnusableInput where it cannot be."""
+        """Open the file.
+
+        Args:
+            path: the file, with one of the suffixes in `SUFFIXES`.
+            fps: frame rate in Hz.
+            size: width and height of the frames in pixels; odd values are reduced by 1.
+
+        Raises:
+            UnusableInput: the file cannot be written.
+            UnusableParameter: the frame rate or the size is out of range.
+        """
         self._path = Path(path)
-        self._size = (size[0] // 2 * 2, size[1] // 2 * 2)  # encoders want even sizes
+        self._size = (size[0] // 2 * 2, size[1] // 2 * 2)  # Encoders require even sizes.
         if not (math.isfinite(fps) and fps > 0.0):
             raise UnusableParameter(f'the frame rate is {fps}, expected more than 0 Hz')
-        if self._size[0] < LEAST_SIZE[0] or self._size[1] < LEAST_SIZE[1]:
+        if self._size[0] < MIN_SIZE_PX[0] or self._size[1] < MIN_SIZE_PX[1]:
             raise UnusableParameter(f'the video is {size[0]} x {size[1]} px, '
-                                    f'expected at least {LEAST_SIZE[0]} x {LEAST_SIZE[1]}')
+                                    f'expected at least {MIN_SIZE_PX[0]} x {MIN_SIZE_PX[1]}')
         if self._path.suffix.lower() not in SUFFIXES:
-            raise UnusableInput(f'{path}: a video is written to {", ".join(SUFFIXES)}')
+            raise UnusableInput(f'{path}: expected a name that ends in {", ".join(SUFFIXES)}')
         if not self._path.parent.is_dir():
-            raise UnusableInput(f'{path}: there is no folder {self._path.parent}')
+            raise UnusableInput(f'{path}: the folder {self._path.parent} does not exist')
         if self._path.is_dir():
             raise UnusableInput(f'{path}: is a folder, expected the name of a file')
         self._writer = cv2.VideoWriter(str(self._path), cv2.VideoWriter.fourcc(*'mp4v'), fps,
@@ -80,7 +90,7 @@ class MapVideo:
         self.close()
 
     def close(self) -> None:
-        """Finish the file."""
+        """Complete the file."""
         self._writer.release()
 
     def write(self, image_bgr: Image, template: Image | None, activity: Floats,
@@ -94,21 +104,24 @@ class MapVideo:
 def compose(size: tuple[int, int], image_bgr: Image, template: Image | None, activity: Floats,
             experiences_xy: Floats, current_xy_heading: tuple[float, float, float] | None,
             caption: str = '') -> Image:
-    """Return one frame of video, (height, width, 3) uint8, blue first.
+    """Draw one frame of the video.
 
     Args:
-        size: (width, height) px.
-        image_bgr: (H, W, 3) or grey (H, W) uint8, what the camera sees.
-        template: (h, w) uint8, the view that was recognised or learned; None: nothing.
-        activity: (n_theta, n_y, n_x) of the pose cells.
-        experiences_xy: (n, 2), m, in the order of their ids.
-        current_xy_heading: the robot on the map, m and rad; None: not known.
+        size: (width, height) in pixels.
+        image_bgr: camera image, (H, W, 3) uint8 BGR or (H, W) uint8 grey.
+        template: template that was recognised or learned, (h, w) uint8; None for none.
+        activity: activity of the pose cells, (n_theta, n_y, n_x).
+        experiences_xy: positions of the experiences in m, (n, 2), by id.
+        current_xy_heading: pose of the robot on the map, in m and rad; None if unknown.
         caption: one line of text.
+
+    Returns:
+        The frame, (height, width, 3) uint8 BGR.
     """
     width, height = size
     frame = np.full((height, width, 3), BACKGROUND, np.uint8)
     half = width // 2
-    body = height - CAPTION_HEIGHT
+    body = height - CAPTION_HEIGHT_PX
     split = body * 55 // 100
     view_x = half * 62 // 100
     _draw_image(Box(0, 0, view_x, split).inside(frame), image_bgr, 'camera', cv2.INTER_AREA)
@@ -116,12 +129,13 @@ def compose(size: tuple[int, int], image_bgr: Image, template: Image | None, act
                 cv2.INTER_NEAREST)
     _draw_activity(Box(0, split, half, body - split).inside(frame), activity)
     _draw_map(Box(half, 0, width - half, body).inside(frame), experiences_xy, current_xy_heading)
-    cv2.putText(frame, _ascii(caption), (2 * MARGIN, height - 9), FONT, 0.5, INK, 1, cv2.LINE_AA)
+    at = (2 * MARGIN_PX, height - 9)
+    cv2.putText(frame, _ascii(caption), at, FONT, 0.5, INK, 1, cv2.LINE_AA)
     return frame
 
 
 def _draw_image(box: Image, image: Image | None, title: str, shrinking: int) -> None:
-    """Fit an image into a box below its title, enlarged without smoothing."""
+    """Fit an image into a box below its title; enlarge it without smoothing."""
     area = _titled(box, title)
     if image is None or not image.size:
         return
@@ -136,13 +150,13 @@ def _draw_image(box: Image, image: Image | None, title: str, shrinking: int) -> 
 
 
 def _draw_activity(box: Image, activity: Floats) -> None:
-    """Draw the sums over heading, as a picture, and over the plane, as bars."""
+    """Draw the activity summed over heading as an image, and summed over x and y as bars."""
     n_theta = activity.shape[0]
-    plane = activity.sum(axis=0)[::-1]  # y up, as on the map
+    plane = activity.sum(axis=0)[::-1]  # Upwards is positive y, as on the map.
     turn = activity.sum(axis=(1, 2))
     bars_width = box.shape[1] * 38 // 100
     most = float(plane.max())
-    # The square root shows the weaker packets too.
+    # The square root makes weak packets visible.
     level = np.sqrt(np.clip(plane / most, 0.0, 1.0)) if most > 0.0 else np.zeros_like(plane)
     heat = cv2.applyColorMap((255.0 * level).astype(np.uint8), cv2.COLORMAP_VIRIDIS)
     _draw_image(box[:, :-bars_width], heat, f'pose cells {plane.shape[1]} x {plane.shape[0]}',
@@ -159,14 +173,14 @@ def _draw_activity(box: Image, activity: Floats) -> None:
 
 def _draw_map(box: Image, experiences_xy: Floats,
               robot: tuple[float, float, float] | None) -> None:
-    """Draw the experiences, those that follow each other joined, and the robot."""
+    """Draw the experiences, joined in the order of their ids, and the robot."""
     area = _titled(box, f'experience map: {len(experiences_xy)} experiences')
     shown = np.asarray(experiences_xy, np.float64).reshape(-1, 2)
-    known = shown if robot is None else np.vstack((shown, robot[:2]))
-    known = known[np.isfinite(known).all(axis=1)]
-    if not len(known):
+    points_m = shown if robot is None else np.vstack((shown, robot[:2]))
+    points_m = points_m[np.isfinite(points_m).all(axis=1)]
+    if not len(points_m):
         return
-    low, high = known.min(axis=0), known.max(axis=0)
+    low, high = points_m.min(axis=0), points_m.max(axis=0)
     height, width = area.shape[:2]
     extent = np.maximum(high - low, 1.0)
     scale = float(min((width - 30) / extent[0], (height - 30) / extent[1]))
@@ -192,7 +206,7 @@ def _draw_map(box: Image, experiences_xy: Floats,
 
 
 def _draw_scale(area: Image, pixels_per_m: float) -> None:
-    """Draw a bar of a round length, at most a third of the width, at the lower left."""
+    """Draw a scale bar at the lower left: 1, 2 or 5 times a power of ten, in m."""
     longest_m = area.shape[1] / 3.0 / pixels_per_m
     power = 10.0 ** math.floor(math.log10(longest_m))
     length_m = max(factor * power for factor in (1, 2, 5) if factor * power <= longest_m)
@@ -202,11 +216,11 @@ def _draw_scale(area: Image, pixels_per_m: float) -> None:
 
 
 def _titled(box: Image, title: str) -> Image:
-    """Write a title into a box and return what is left of it."""
-    cv2.putText(box, _ascii(title), (MARGIN, 16), FONT, 0.45, INK, 1, cv2.LINE_AA)
-    return box[22:-MARGIN, MARGIN:-MARGIN]
+    """Write a title into a box and return the area below it."""
+    cv2.putText(box, _ascii(title), (MARGIN_PX, 16), FONT, 0.45, INK, 1, cv2.LINE_AA)
+    return box[22:-MARGIN_PX, MARGIN_PX:-MARGIN_PX]
 
 
 def _ascii(text: str) -> str:
-    """Return text that OpenCV's font can show."""
+    """Replace the characters that OpenCV's font lacks."""
     return text.encode('ascii', 'replace').decode()

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The files that a run writes, as they come, in constant memory."""
+"""Result files of a run, written step by step in constant memory."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import IO, Any
 
-from ratslam_ros.core.common.pose import Pose, composed, quaternion_of
+from ratslam_ros.core.common.pose import Pose, composed
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.experience_map import ExperienceMap, PrunedExperience
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
@@ -21,41 +21,43 @@ from ratslam_ros.core.ratslam import OdometryStep, Step, ViewStep
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.config import to_yaml
-from ratslam_ros.messages.json_schema import NS_PER_S
 from ratslam_ros.messages.mapping import encode_map
+from ratslam_ros.results.trajectory import tum_line
 
 FRAMES_HEADER = 'stamp_ns,template_id,is_new,match_error,relative_rad,experience_id\n'
 
-NEWEST_EXPERIENCES = 10
-"""A link or set to one of the experiences made this recently is no loop closure."""
+NEWEST_EXPERIENCES_COUNT = 10
+"""An action that leads to one of the newest experiences is not counted as a loop closure."""
 
 _OFFSET = struct.Struct('<qqddd')
+"""Stamp in ns, place id, and the pose relative to the place: x, y in m, heading in rad."""
 
 
 class Results:
-    """Writes one run's files into a folder; they take their names when the run is finished.
+    """Writer of the result files of one run.
 
-    Until then they are called ``.part``, and whatever an earlier run left stays as it is.
+    The files have the suffix ``.part`` until the run is finished; results of an earlier run in
+    the same folder stay until then.
     """
 
     def __init__(self, folder: Path) -> None:
-        """Open the files.
+        """Create the folder and open the files.
 
         Raises:
-            UnusableInput: the folder cannot be made or written to.
+            UnusableInput: the folder cannot be created or written to.
         """
         self.folder = folder
         self.frames = 0
         self.odometry = 0
         self.templates = 0
         self.experiences = 0
-        self._newest: deque[int] = deque(maxlen=NEWEST_EXPERIENCES)
-        self._at = NO_EXPERIENCE
+        self._newest: deque[int] = deque(maxlen=NEWEST_EXPERIENCES_COUNT)
+        self._current_id = NO_EXPERIENCE
         self._places = _Places()
         self.loop_closures = 0
         self.without_view = 0
-        """Frames of template -1: images that could not be decoded or used."""
-        self._action_ns = 0
+        """Number of frames with template -1: images that could not be decoded or used."""
+        self._last_view_ns = 0
         try:
             folder.mkdir(parents=True, exist_ok=True)
             self._frames = _writer(folder / 'frames.csv.part')
@@ -66,11 +68,11 @@ class Results:
                 f'{folder} cannot be written to ({error.strerror}); give another --out'
             ) from None
         self._frames.write(FRAMES_HEADER)
-        # Where each pose lies from its experience: the final trajectory needs the final map.
+        # Poses relative to their experience: the final trajectory needs the final map.
         self._offsets: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - closed by finish
 
     def add(self, step: Step) -> None:
-        """Write what one message led to."""
+        """Write the result of one message."""
         if isinstance(step, OdometryStep):
             self._add_odometry(step)
         else:
@@ -89,36 +91,42 @@ class Results:
         self.templates += match.is_new
         self.without_view += match.template_id == NO_TEMPLATE
         if match.template_id != NO_TEMPLATE:
-            self._action_ns = step.stamp_ns
+            self._last_view_ns = step.stamp_ns
         if step.pruned is not None:
-            self._places.forget(step.pruned)
+            self._places.prune(step.pruned)
         if action.action == 'create':
             self.experiences += step.pruned is None
             self._newest.append(action.target_id)
         if action.action != 'none' and not step.rejected:
             is_closure = action.action != 'create' and action.target_id not in self._newest
             self.loop_closures += is_closure
-            self._at = action.target_id
+            self._current_id = action.target_id
         self._frames.write(
             f'{step.stamp_ns},{match.template_id},{int(match.is_new)},{match.error!r},'
-            f'{match.relative_rad!r},{self._at}\n'
+            f'{match.relative_rad!r},{self._current_id}\n'
         )
 
     def finish(
         self, experience_map: ExperienceMap, config: Config, summary: dict[str, Any]
     ) -> None:
-        """Write the map, the final trajectory and the summary, and close all files."""
+        """Write the final trajectory, map, configuration and summary, and close all files.
+
+        Args:
+            experience_map: the final map.
+            config: the configuration of the run, for config.yaml.
+            summary: content of summary.json.
+        """
         self._write_final(experience_map)
         for file in self._files:
             file.close()
             os.replace(file.name, file.name.removesuffix('.part'))
-        map_json = encode_map(self._action_ns, experience_map)
-        _replace(self.folder / 'map.json', map_json)  # the bytes of experience_map/map
+        map_json = encode_map(self._last_view_ns, experience_map)
+        _replace(self.folder / 'map.json', map_json)  # Same bytes as the topic experience_map/map.
         _replace(self.folder / 'config.yaml', to_yaml(config))
         _replace(self.folder / 'summary.json', json.dumps(summary, indent=2) + '\n')
 
     def discard(self) -> None:
-        """Remove what was written of this run."""
+        """Remove the files of this run."""
         self._offsets.close()
         for file in self._files:
             file.close()
@@ -141,45 +149,48 @@ class Results:
 
 
 class _Places:
-    """Places that stay, for experiences whose numbers come to mean others."""
+    """Permanent ids of experiences, whose own ids are reused after pruning.
+
+    The place id of an experience is its own id; when the id is reused, the new experience gets
+    a place id below -1.
+    """
 
     def __init__(self) -> None:
-        self._of: dict[int, int] = {}
-        self._forgotten: list[tuple[int, int, Pose]] = []
+        self._place_ids: dict[int, int] = {}
+        self._pruned: list[tuple[int, int, Pose]] = []
+        """Place id, place id of the stand-in, and pose relative to the stand-in."""
 
     def of(self, experience_id: int) -> int:
-        """Return the place that an experience's number means now: itself, or one below -1."""
-        return self._of.get(experience_id, experience_id)
+        """Return the place id of an experience."""
+        return self._place_ids.get(experience_id, experience_id)
 
-    def forget(self, pruned: PrunedExperience) -> None:
-        """Let the number mean another place from now on."""
+    def prune(self, pruned: PrunedExperience) -> None:
+        """Assign a new place id to the id of a pruned experience."""
         experience_id, stand_in_id, pose = pruned
-        self._forgotten.append((self.of(experience_id), self.of(stand_in_id), pose))
-        self._of[experience_id] = -1 - len(self._forgotten)
+        self._pruned.append((self.of(experience_id), self.of(stand_in_id), pose))
+        self._place_ids[experience_id] = -1 - len(self._pruned)
 
     def poses(self, experience_map: ExperienceMap) -> Callable[[int], Pose]:
-        """Return what tells where on the final map a place is, forgotten or not."""
-        now = {place: experience_id for experience_id, place in self._of.items()}
-        gone: dict[int, Pose] = {}
+        """Return a function from a place id to its pose on the final map.
+
+        The pose of a pruned experience is that of its stand-in composed with their relative pose.
+        """
+        experience_ids = {place: experience_id for experience_id, place in self._place_ids.items()}
+        pruned_poses: dict[int, Pose] = {}
 
         def pose_of(place: int) -> Pose:
-            known = gone.get(place)
-            return experience_map.pose_of(now.get(place, place)) if known is None else known
+            if place in pruned_poses:
+                return pruned_poses[place]
+            return experience_map.pose_of(experience_ids.get(place, place))
 
-        for place, stand_in, pose in reversed(self._forgotten):  # those it hangs on went later
-            gone[place] = composed(pose_of(stand_in), pose)
+        # In reverse, because a stand-in may have been pruned later.
+        for place, stand_in, pose in reversed(self._pruned):
+            pruned_poses[place] = composed(pose_of(stand_in), pose)
         return pose_of
 
 
-def tum_line(stamp_ns: int, pose: Pose) -> str:
-    """Return ``t x y z qx qy qz qw`` with t from integer ns, nine decimals."""
-    sec, nanosec = divmod(stamp_ns, NS_PER_S)
-    z, w = quaternion_of(pose.heading_rad)
-    return f'{sec}.{nanosec:09d} {pose.x_m:.9f} {pose.y_m:.9f} 0 0 0 {z:.9f} {w:.9f}\n'
-
-
 def link_latest(folder: Path) -> None:
-    """Let ``latest``, beside a results folder, point to it; where links exist."""
+    """Point the link ``latest``, beside a results folder, to it, if the file system has links."""
     link = folder.parent / 'latest'
     if link.exists() and not link.is_symlink():
         return
@@ -196,7 +207,7 @@ def _writer(path: Path) -> IO[str]:
 
 
 def _replace(path: Path, text: str) -> None:
-    """Write a file whole or not at all."""
+    """Replace a file atomically."""
     part = path.with_name(path.name + '.part')
     part.write_text(text, encoding='ascii', newline='\n')
     part.replace(path)

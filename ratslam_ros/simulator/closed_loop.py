@@ -86,7 +86,7 @@ class ClosedLoop:
         )
         self.follower = GoalFollower(config.goal_follower)
         self.navigator = Navigator(config.goal_recall, self.experience_map)
-        self.experience_map.on_pruned.append(self.navigator.forgotten)
+        self.experience_map.on_pruned.append(self.navigator.remove_pruned)
         self.guidance = Guidance('idle')
         self.tries_failed = self.links_unlearned = 0
         self.log = Log()

@@ -11,7 +11,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from ratslam_ros.results.plots import BLUE, GREEN, VERMILLION, new_figure, save_figure
+from ratslam_ros.results.plots import (
+    BLUE,
+    GREEN,
+    VERMILLION,
+    add_legend_below,
+    new_figure,
+    save_figure,
+)
 from ratslam_ros.simulator.camera import Camera, CameraOptions
 from ratslam_ros.simulator.floor_plan import FloorPlan
 from ratslam_ros.simulator.recording import SimulatedRun
@@ -59,7 +66,7 @@ def draw_plan(
         axes.plot(*positions[0, :2], 'o', color=colour, markersize=5)
     axes.set_title(plan.name if title is None else title)
     if trajectories:
-        figure.legend(loc='outside lower center', ncols=4, frameon=False)
+        add_legend_below(figure, axes, columns=4, fontsize=10)
     return save_figure(figure, path)
 
 

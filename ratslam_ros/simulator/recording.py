@@ -19,6 +19,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.errors import UnusableInput
+from ratslam_ros.results.trajectory import tum_line
 from ratslam_ros.simulator.office_tour import OfficeTour
 from ratslam_ros.simulator.robot import OdometryReading
 from ratslam_ros.simulator.samples import ImageSample, Sample, ScanSample
@@ -167,13 +168,6 @@ class RecordingWriter:
 
 def _rows(poses: Iterable[Pose]) -> NDArray[np.float64]:
     return np.array(list(poses))
-
-
-def tum_line(stamp_ns: int, pose: Pose) -> str:
-    """Return a pose as a line of a TUM file: t x y z qx qy qz qw."""
-    sec, nanosec = divmod(stamp_ns, 10**9)
-    qz, qw = math.sin(pose.heading_rad / 2), math.cos(pose.heading_rad / 2)
-    return f'{sec}.{nanosec:09d} {pose.x_m:.9f} {pose.y_m:.9f} 0 0 0 {qz:.9f} {qw:.9f}\n'
 
 
 class _Messages:

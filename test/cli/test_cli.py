@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The command: what it writes, what it says and how it ends."""
+"""The ``ratslam`` command: files, output and exit codes."""
 
 import errno
 import json
@@ -36,7 +36,7 @@ WRITTEN = [
 
 @pytest.fixture(autouse=True)
 def signals() -> Iterator[None]:
-    """Leave the signals of the test run as they were."""
+    """Restore the signal handlers of the test run."""
     before = signal.getsignal(signal.SIGTERM)
     yield
     signal.signal(signal.SIGTERM, before)
@@ -49,7 +49,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Work in an empty folder."""
+    """Change to an empty folder."""
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -75,7 +75,7 @@ def test_replay_writes_all_files(results: Path) -> None:
         assert (results / picture).read_bytes().startswith(b'\x89PNG')
 
 
-def test_replay_as_a_module_end_to_end_gives_the_same_map(
+def test_replay_as_module_gives_same_results(
     bag: Path, results: Path, here: Path
 ) -> None:
     run = subprocess.run(
@@ -91,14 +91,14 @@ def test_replay_as_a_module_end_to_end_gives_the_same_map(
         assert (here / 'out' / name).read_bytes() == (results / name).read_bytes()
 
 
-def test_quiet_says_nothing(
+def test_quiet_replay_prints_nothing(
     bag: Path, here: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     assert main(['replay', str(bag), *SMALL, '--out', 'out', '--quiet']) == 0
     assert capfd.readouterr() == ('', '')
 
 
-def test_without_out_results_go_below_results_and_latest_points_to_them(
+def test_default_output_folder_is_linked_as_latest(
     bag: Path, here: Path
 ) -> None:
     assert main(['replay', str(bag), *SMALL, '--quiet']) == 0
@@ -108,21 +108,21 @@ def test_without_out_results_go_below_results_and_latest_points_to_them(
     assert sorted(path.name for path in folder.iterdir()) == WRITTEN
 
 
-def test_the_error_against_the_truth_is_told(
+def test_replay_with_truth_prints_errors(
     bag: Path, results: Path, here: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    truth = results / 'dead_reckoning.tum'  # the fabricated odometry is perfect
+    truth = results / 'dead_reckoning.tum'  # The simulated odometry is exact.
     assert main(['replay', str(bag), *SMALL, '--out', 'out', '--truth', str(truth)]) == 0
     out = capfd.readouterr().out
     assert 'dead reckoning    ATE   0.000 m' in out
     assert 'trajectory final' in out
 
 
-# Wrong use: exit code 2 and one line that tells what to do
+# Wrong use: exit code 2 and one line with advice
 
 
-def told(arguments: list[str], capfd: pytest.CaptureFixture[str]) -> str:
-    """Return the one line on stderr of a command that is refused."""
+def refusal(arguments: list[str], capfd: pytest.CaptureFixture[str]) -> str:
+    """Return the only line on stderr of a command that exits with code 2."""
     assert main(arguments) == 2
     out, err = capfd.readouterr()
     assert out == ''
@@ -149,10 +149,10 @@ def told(arguments: list[str], capfd: pytest.CaptureFixture[str]) -> str:
     (['--start', 'soon'], 'soon'),
     (['--nonsense'], '--nonsense'),
 ], ids=' '.join)  # fmt: skip
-def test_wrong_options_are_told_in_one_line(
+def test_invalid_option_is_reported_in_one_line(
     bag: Path, here: Path, capfd: pytest.CaptureFixture[str], extra: list[str], hint: str
 ) -> None:
-    assert hint in told(['replay', str(bag), *SMALL, *extra, '--out', 'out'], capfd)
+    assert hint in refusal(['replay', str(bag), *SMALL, *extra, '--out', 'out'], capfd)
     assert not (here / 'out').exists()
 
 
@@ -161,28 +161,28 @@ def test_wrong_options_are_told_in_one_line(
     'local_view.image_crop_x_max=1000', 'local_view.image_crop_y_min=30',
     'local_view.image_crop_x_min=30',
 ])  # fmt: skip
-def test_a_crop_outside_the_image_is_told_in_one_line(
+def test_crop_outside_image_is_reported_in_one_line(
     bag: Path, here: Path, capfd: pytest.CaptureFixture[str], setting: str, quiet: list[str]
 ) -> None:
-    line = told(['replay', str(bag), *SMALL, '--set', setting, '--out', 'out', *quiet], capfd)
+    line = refusal(['replay', str(bag), *SMALL, '--set', setting, '--out', 'out', *quiet], capfd)
     assert 'local_view.image_crop' in line
     assert '32 x 24 px' in line
 
 
-def test_a_missing_recording_is_told_in_one_line(
+def test_missing_recording_is_reported_in_one_line(
     here: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     for command in ('replay', 'info', 'tune'):
-        assert 'no_such_bag' in told([command, 'no_such_bag'], capfd)
+        assert 'no_such_bag' in refusal([command, 'no_such_bag'], capfd)
 
 
 @pytest.mark.parametrize('text', ['', 'x y\n', '1 2 3\n', '\x00\x01\x02'])
-def test_a_bad_truth_is_told_before_anything_is_done(
+def test_invalid_truth_is_reported_before_replay(
     bag: Path, here: Path, capfd: pytest.CaptureFixture[str], text: str
 ) -> None:
     (here / 'truth.tum').write_text(text)
     arguments = ['replay', str(bag), *SMALL, '--truth', 'truth.tum', '--out', 'out']
-    assert 'truth.tum' in told(arguments, capfd)
+    assert 'truth.tum' in refusal(arguments, capfd)
     assert not (here / 'out').exists()
 
 
@@ -190,53 +190,53 @@ def test_a_bad_truth_is_told_before_anything_is_done(
     [], ['nonsense'], ['replay'], ['evaluate', 'one.tum'], ['demo', '--seed', '-1'],
     ['demo', '--seeds', '0'], ['info'],
 ], ids=' '.join)  # fmt: skip
-def test_no_command_or_half_of_one_is_told_in_one_line(
+def test_incomplete_command_is_reported_in_one_line(
     arguments: list[str], capfd: pytest.CaptureFixture[str]
 ) -> None:
-    assert '--help' in told(arguments, capfd)
+    assert '--help' in refusal(arguments, capfd)
 
 
-def test_a_file_that_is_no_recording_is_told_in_one_line(
+def test_file_that_is_no_recording_is_reported(
     here: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     (here / 'notes.txt').write_text('hello')
     (here / 'empty').mkdir()
-    assert 'notes.txt' in told(['replay', 'notes.txt'], capfd)
-    assert 'empty' in told(['replay', 'empty'], capfd)
+    assert 'notes.txt' in refusal(['replay', 'notes.txt'], capfd)
+    assert 'empty' in refusal(['replay', 'empty'], capfd)
 
 
-def test_an_output_that_cannot_be_written_is_told_in_one_line(
+def test_unwritable_output_is_reported_in_one_line(
     bag: Path, here: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     (here / 'file').write_text('')
     arguments = ['replay', str(bag), *SMALL, '--out', 'file', '--quiet']
-    assert '--out' in told(arguments, capfd)
+    assert '--out' in refusal(arguments, capfd)
 
 
-def test_tune_and_demo_tell_of_an_output_that_cannot_be_written(
+def test_tune_and_demo_report_unwritable_output(
     here: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     (here / 'file').write_text('')
-    bag = write_bag(here / 'circles', circles(5, 20))  # long enough to tune on
-    assert '--out' in told(['tune', str(bag), *SMALL, '--out', 'file'], capfd)
-    assert '--out' in told(['demo', '--out', 'file/below'], capfd)
+    bag = write_bag(here / 'circles', circles(5, 20))  # long enough for tune
+    assert '--out' in refusal(['tune', str(bag), *SMALL, '--out', 'file'], capfd)
+    assert '--out' in refusal(['demo', '--out', 'file/below'], capfd)
 
 
-def test_a_full_disk_is_told_in_one_line(
+def test_full_disk_is_reported_in_one_line(
     bag: Path, here: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(*arguments: Any) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(Results, 'add', full)
-    line = told(['replay', str(bag), *SMALL, '--out', 'out', '--quiet'], capfd)
+    line = refusal(['replay', str(bag), *SMALL, '--out', 'out', '--quiet'], capfd)
     assert 'No space left' in line
 
 
-def test_a_replay_without_motion_says_so(
+def test_replay_without_odometry_prints_warning(
     bag: Path, here: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """One image, and thus no visual odometry: no poses, and no error for that."""
+    """A single image gives no visual odometry; the map is empty."""
     arguments = ['replay', str(bag), *SMALL, '--visual-odometry', '--duration', '0.05']
     assert main([*arguments, '--out', 'out', '--quiet']) == 0
     assert 'warning: no odometry could be used' in capfd.readouterr().err
@@ -244,8 +244,8 @@ def test_a_replay_without_motion_says_so(
     assert (here / 'out' / 'map.png').exists()
 
 
-def test_a_broken_video_is_told_in_one_line(here: Path) -> None:
-    """FFmpeg writes past Python, and reads how much once a process."""
+def test_broken_video_is_reported_in_one_line(here: Path) -> None:
+    """In a process of its own: FFmpeg writes to stderr, and reads its log level only once."""
     (here / 'broken.mp4').write_bytes(b'nothing of a video' * 100)
     done = subprocess.run(
         [sys.executable, '-m', 'ratslam_ros', 'info', 'broken.mp4'],
@@ -255,16 +255,16 @@ def test_a_broken_video_is_told_in_one_line(here: Path) -> None:
     assert len(done.stderr.splitlines()) == 1, done.stderr
 
 
-def test_plotting_a_folder_without_results_is_told_in_one_line(
+def test_plot_without_results_is_reported_in_one_line(
     here: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    assert 'nowhere' in told(['plot', 'nowhere'], capfd)
+    assert 'nowhere' in refusal(['plot', 'nowhere'], capfd)
 
 
 # Interrupts
 
 
-def test_an_interrupted_replay_keeps_its_results_and_returns_130(
+def test_interrupted_replay_writes_results_and_returns_130(
     bag: Path, here: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = BagRecording.events
@@ -284,7 +284,7 @@ def test_an_interrupted_replay_keeps_its_results_and_returns_130(
     assert 0 < frames < 40
 
 
-def test_an_interrupt_before_the_first_message_returns_130(
+def test_interrupt_before_first_message_returns_130(
     bag: Path, here: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def interrupted(*arguments: Any) -> Iterator[Event]:
@@ -296,7 +296,7 @@ def test_an_interrupt_before_the_first_message_returns_130(
     assert 'Traceback' not in capfd.readouterr().err
 
 
-def test_an_interrupt_before_the_first_result_keeps_those_of_an_earlier_run(
+def test_interrupt_before_first_result_keeps_earlier_results(
     results: Path, bag: Path, here: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shutil.copytree(results, here / 'out')
@@ -312,10 +312,10 @@ def test_an_interrupt_before_the_first_result_keeps_those_of_an_earlier_run(
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_within_a_step_waits_for_its_end(
+def test_signal_during_a_step_ends_replay_after_it(
     bag: Path, here: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals
 ) -> None:
-    """A half-made step would be in the map and not in the files."""
+    """An incomplete step would be in the map but not in the files."""
     calls = []
 
     class Signalled(RatSLAM):
@@ -332,10 +332,10 @@ def test_a_signal_within_a_step_waits_for_its_end(
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
-def test_an_interrupt_that_falls_in_compiled_code_is_one(
+def test_interrupt_in_compiled_code_returns_130(
     here: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Python makes a SystemError of it, as Numba returns a result all the same."""
+    """Python raises SystemError, because Numba returns a result with an exception set."""
     def interrupted(*arguments: Any, **options: Any) -> str:
         raise SystemError('returned a result with an exception set') from KeyboardInterrupt()
 
@@ -344,7 +344,7 @@ def test_an_interrupt_that_falls_in_compiled_code_is_one(
     assert capfd.readouterr().err == 'ratslam: interrupted\n'
 
 
-def test_sigterm_is_an_interrupt(
+def test_sigterm_ends_replay_like_an_interrupt(
     bag: Path, here: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = BagRecording.events
@@ -359,10 +359,10 @@ def test_sigterm_is_an_interrupt(
     assert main(['replay', str(bag), *SMALL, '--out', 'out', '--quiet']) == 130
 
 
-# The other commands that need no more than a recording
+# Other commands
 
 
-def test_info_tells_topics_and_the_next_command(
+def test_info_prints_topics_and_next_command(
     bag: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     assert main(['info', str(bag)]) == 0
@@ -383,7 +383,7 @@ def test_evaluate_prints_text_or_json(
 
 
 @pytest.mark.parametrize('name', ['matches.png', 'map.png'])
-def test_plot_draws_the_pictures_of_the_replay_again(
+def test_plot_draws_identical_plots(
     results: Path, here: Path, capfd: pytest.CaptureFixture[str], name: str
 ) -> None:
     shutil.copytree(results, here / 'copy')
@@ -401,7 +401,7 @@ def test_version_and_help(capfd: pytest.CaptureFixture[str]) -> None:
     assert __version__ in capfd.readouterr().out
 
 
-def test_a_part_of_a_recording_may_be_replayed(bag: Path, here: Path) -> None:
+def test_start_and_duration_select_part_of_recording(bag: Path, here: Path) -> None:
     arguments = ['--start', '1', '--duration', '2', '--out', 'out', '--quiet']
     assert main(['replay', str(bag), *SMALL, *arguments]) == 0
     lines = (here / 'out' / 'frames.csv').read_text().splitlines()[1:]

@@ -1,6 +1,8 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""All four parts together, on small worlds whose true map is known."""
+"""The whole system in one process, in small worlds with a known true map."""
+
+from __future__ import annotations
 
 import itertools
 import math
@@ -19,7 +21,7 @@ from ratslam_ros.messages.mapping import encode_map
 
 COLUMNS = 60
 COLUMN_RAD = 2.0 * math.pi / COLUMNS
-SIDE, CELL_M = 20, 0.25  # a square of 5 m, seen every 0.25 m
+SIDE_CELLS, CELL_M = 20, 0.25  # a square of 5 m, with an image every 0.25 m
 PERIOD_NS = 500_000_000
 
 PANORAMIC = Config().with_values({
@@ -29,39 +31,44 @@ PANORAMIC = Config().with_values({
     'pose_cells.exp_delta_pc_threshold': 1.0, 'experience_map.exp_initial_em_deg': 0.0,
 })  # fmt: skip
 
-Square = Iterator[tuple[int, int, tuple[int, int]]]
+Route = Iterator[tuple[int, int, tuple[int, int]]]
+"""Cells driven ahead, columns turned counter-clockwise, and position in cells, of each step."""
 
 
-def square(laps: int, sense: int, first: int) -> Square:
-    """Yield (cells ahead, columns turned, place) of each step round the square.
+def square(laps: int, sense: int, first: int) -> Route:
+    """Yield the steps along a square; the robot turns in place at corners, 3 columns per step.
 
-    ``sense`` 1: to the left. ``first``: quarter turns of the first side. Corners are turned in
-    place, three columns a step.
+    Args:
+        laps: number of laps.
+        sense: 1 counter-clockwise, -1 clockwise.
+        first: heading of the first side in quarter turns.
     """
     x = y = 0
     for side in range(4 * laps):
         heading = first + side * sense
         d_x, d_y = [(1, 0), (0, 1), (-1, 0), (0, -1)][heading % 4]
-        for _ in range(SIDE):
+        for _ in range(SIDE_CELLS):
             x, y = x + d_x, y + d_y
             yield 1, 0, (x, y)
         for _ in range(5):
             yield 0, 3 * sense, (x, y)
 
 
-def turn_about(place: tuple[int, int], columns: int) -> Square:
+def turn_in_place(place: tuple[int, int], columns: int) -> Route:
+    """Yield the steps of a turn, 3 columns each."""
     for _ in range(abs(columns) // 3):
-        yield 0, math.copysign(3, columns), place
+        yield 0, 3 if columns > 0 else -3, place
 
 
 def drive_square(mirrored: bool = False) -> tuple[RatSLAM, list[tuple[Step, Pose]]]:
-    """Drive to the left twice, turn about, drive the other way; return each step and the truth.
+    """Drive two laps counter-clockwise and one clockwise; return each step with the true pose.
 
-    ``mirrored``: let the camera's columns run the wrong way, as the original took them.
+    ``mirrored``: reverse the order of the camera's columns, as OpenRatSLAM interprets them.
     """
     route = itertools.chain(
-        square(2, 1, 0), turn_about((0, 0), 15), square(1, -1, 1), turn_about((0, 0), -30)
-    )
+        square(2, 1, 0), turn_in_place((0, 0), 15), square(1, -1, 1),
+        turn_in_place((0, 0), -30),
+    )  # fmt: skip
     slam = RatSLAM(PANORAMIC)
     column = 0
     stamp = START_NS
@@ -69,7 +76,7 @@ def drive_square(mirrored: bool = False) -> tuple[RatSLAM, list[tuple[Step, Pose
     steps = slam.odometry(twist(stamp)) + slam.image(stamp, panorama((0, 0), 0))
     for cells, columns, place in route:
         stamp += PERIOD_NS
-        column += int(columns)
+        column += columns
         dt = PERIOD_NS * 1e-9
         steps += slam.odometry(twist(stamp, cells * CELL_M / dt, columns * COLUMN_RAD / dt))
         steps += slam.image(stamp, panorama(place, -column if mirrored else column))
@@ -79,23 +86,22 @@ def drive_square(mirrored: bool = False) -> tuple[RatSLAM, list[tuple[Step, Pose
     return slam, [(step, truths[step.stamp_ns]) for step in steps]
 
 
-@pytest.fixture(scope='module')
-def driven() -> tuple[RatSLAM, list[tuple[Step, Pose]]]:
-    return drive_square()
-
-
 Driven = tuple[RatSLAM, list[tuple[Step, Pose]]]
 
 
-def distance(a: Pose, b: Pose) -> float:
+@pytest.fixture(scope='module')
+def driven() -> Driven:
+    return drive_square()
+
+
+def distance_m(a: Pose, b: Pose) -> float:
     return math.hypot(a.x_m - b.x_m, a.y_m - b.y_m)
 
 
-def test_a_perfect_square_closes_with_views_recognised_at_other_headings(
-    driven: Driven,
-) -> None:
-    """In the original it is displaced by up to 8.8 m, for the sign of its relative heading is
-    opposite to its odometry's, and it is added where it should be subtracted.
+def test_square_closes_with_views_at_other_headings(driven: Driven) -> None:
+    """OpenRatSLAM displaces the map by up to 8.8 m.
+
+    Its relative heading has the opposite sign of its odometry, and is added instead of subtracted.
     """
     slam, steps = driven
     views = [step for step, _ in steps if isinstance(step, ViewStep)]
@@ -106,13 +112,12 @@ def test_a_perfect_square_closes_with_views_recognised_at_other_headings(
     assert any(abs(v.action.relative_rad) > 1.0 for v in closures)
     for step, truth in steps:
         if isinstance(step, OdometryStep):
-            assert distance(step.pose, truth) < 0.01
+            assert distance_m(step.pose, truth) < 0.01
             assert abs(wrap(step.pose.heading_rad - truth.heading_rad)) < 0.01
-    final = slam.experience_map
-    assert distance(final.pose, Pose(0.0, 0.0, 0.0)) < 0.01
+    assert distance_m(slam.experience_map.pose, Pose(0.0, 0.0, 0.0)) < 0.01
 
 
-def test_on_that_square_every_experience_lies_where_its_view_was_learned(driven: Driven) -> None:
+def test_experiences_lie_where_their_views_were_learned(driven: Driven) -> None:
     slam, steps = driven
     created = {
         step.action.target_id: (truth, step.action.relative_rad)
@@ -122,12 +127,12 @@ def test_on_that_square_every_experience_lies_where_its_view_was_learned(driven:
     assert len(created) == len(slam.experience_map) > 30
     for experience in slam.experience_map.experiences():
         truth, relative = created[experience.id]
-        assert distance(experience.pose, truth) < 0.01
+        assert distance_m(experience.pose, truth) < 0.01
         assert abs(wrap(experience.pose.heading_rad + relative - truth.heading_rad)) < 0.01
 
 
-def test_the_relative_heading_is_the_heading_now_less_that_at_learning(driven: Driven) -> None:
-    """Counter-clockwise positive: wrap(-2 pi o / W), for columns that run clockwise."""
+def test_relative_heading_is_heading_minus_learned_heading(driven: Driven) -> None:
+    """Counter-clockwise is positive: wrap(-2 pi o / W), because columns run clockwise."""
     learned: dict[int, float] = {}
     checked = 0
     for step, truth in driven[1]:
@@ -141,29 +146,33 @@ def test_the_relative_heading_is_the_heading_now_less_that_at_learning(driven: D
     assert checked > 100
 
 
-def test_columns_that_run_the_wrong_way_would_be_noticed() -> None:
-    """The square would not close if signs did not matter to these tests."""
+def test_mirrored_columns_displace_the_map() -> None:
+    """The tests above are sensitive to the sign of the relative heading."""
     _, steps = drive_square(mirrored=True)
-    worst = max(distance(s.pose, truth) for s, truth in steps if isinstance(s, OdometryStep))
-    assert worst > 0.1
+    max_error_m = max(
+        distance_m(step.pose, truth) for step, truth in steps if isinstance(step, OdometryStep)
+    )
+    assert max_error_m > 0.1
 
 
-def test_dead_reckoning_is_the_odometry_alone(driven: Driven) -> None:
+def test_dead_reckoning_integrates_odometry_alone(driven: Driven) -> None:
     for step, truth in driven[1]:
         if isinstance(step, OdometryStep):
-            assert distance(step.dead_reckoning, truth) < 1e-6
+            assert distance_m(step.dead_reckoning, truth) < 1e-6
 
 
-# One step
+# Inputs
 
 
-def small(**changes: float | str | bool) -> Config:
+def small_config(**changes: float | str | bool) -> Config:
+    """Return a configuration with small templates."""
     values = {'local_view.template_x_size': 8, 'local_view.template_y_size': 4,
               'local_view.vt_shift_match': 1}  # fmt: skip
     return Config().with_values({**values, **changes})
 
 
 def feed(slam: RatSLAM, frames: int, first: int = 0) -> list[Step]:
+    """Send odometry and an image every 0.1 s; the images repeat after 7."""
     steps: list[Step] = []
     for n in range(first, first + frames):
         steps += slam.odometry(twist(n * 100_000_000, 1.0, 0.2))
@@ -171,8 +180,8 @@ def feed(slam: RatSLAM, frames: int, first: int = 0) -> list[Step]:
     return steps
 
 
-def test_every_image_gives_one_view_step_and_every_odometry_one_step() -> None:
-    slam = RatSLAM(small())
+def test_each_message_gives_one_step_in_stamp_order() -> None:
+    slam = RatSLAM(small_config())
     steps = feed(slam, 30) + slam.finish()
     assert sum(isinstance(step, ViewStep) for step in steps) == 30
     assert sum(isinstance(step, OdometryStep) for step in steps) == 30
@@ -180,8 +189,8 @@ def test_every_image_gives_one_view_step_and_every_odometry_one_step() -> None:
     assert keys == sorted(keys)
 
 
-def test_an_undecodable_image_gives_a_step_with_id_minus_1_and_action_none() -> None:
-    slam = RatSLAM(small())
+def test_undecodable_image_gives_action_none() -> None:
+    slam = RatSLAM(small_config())
     feed(slam, 3)
     slam.odometry(twist(10**9))
     (step,) = [s for s in slam.image(10**9, None) if isinstance(s, ViewStep)]
@@ -190,10 +199,10 @@ def test_an_undecodable_image_gives_a_step_with_id_minus_1_and_action_none() -> 
     assert not step.match.is_new
 
 
-def test_undecodable_images_in_between_give_the_same_graph() -> None:
+def test_undecodable_images_do_not_change_the_graph() -> None:
     graphs = []
     for broken in (False, True):
-        slam = RatSLAM(small())
+        slam = RatSLAM(small_config())
         for n in range(40):
             slam.odometry(twist(2 * n * 100_000_000, 4.0, 0.1))
             slam.image(2 * n * 100_000_000, picture(n % 15))
@@ -209,8 +218,8 @@ def test_undecodable_images_in_between_give_the_same_graph() -> None:
     assert graphs[0] == graphs[1]
 
 
-def test_images_whose_stamps_do_not_increase_are_refused_and_counted() -> None:
-    slam = RatSLAM(small())
+def test_images_with_non_increasing_stamps_are_refused() -> None:
+    slam = RatSLAM(small_config())
     slam.image(5, picture(0))
     assert slam.image(5, picture(1)) == []
     assert slam.image(4, picture(2)) == []
@@ -220,7 +229,7 @@ def test_images_whose_stamps_do_not_increase_are_refused_and_counted() -> None:
 
 
 def test_refused_odometry_does_not_move_the_robot() -> None:
-    slam = RatSLAM(small())
+    slam = RatSLAM(small_config())
     slam.odometry(twist(0))
     slam.odometry(twist(10**9, 1.0))
     slam.odometry(twist(10**9, 5.0))
@@ -232,19 +241,19 @@ def test_refused_odometry_does_not_move_the_robot() -> None:
 
 
 @pytest.mark.parametrize('seed', range(6))
-def test_the_map_does_not_depend_on_when_messages_arrive(seed: int) -> None:
-    """In the original it does: St Lucia came out wrong at normal playing speed."""
+def test_map_is_independent_of_arrival_times(seed: int) -> None:
+    """In OpenRatSLAM it is not: the St Lucia map is wrong at normal playback speed."""
     period = 100_000_000
     messages = [(n * period, 'odometry') for n in range(60)]
     messages += [(n * period, 'image') for n in range(60)]
     expected = None
     for shuffled in (False, True):
         rng = random.Random(seed)
-        slam = RatSLAM(small())
+        slam = RatSLAM(small_config())
         delays = {stream: 0 for _, stream in messages}
         arrivals = []
         for stamp, stream in messages:
-            # Each stream keeps its order; delays stay below the bound of 2 s.
+            # Each stream keeps its order, and delays are below max_lateness_s.
             delay = rng.randrange(1_900_000_000) if shuffled else 0
             delays[stream] = max(delays[stream], stamp + delay)
             arrivals.append((delays[stream], stream, stamp))
@@ -262,8 +271,8 @@ def test_the_map_does_not_depend_on_when_messages_arrive(seed: int) -> None:
         assert result == expected
 
 
-def test_a_camera_that_falls_silent_does_not_stop_the_pose() -> None:
-    slam = RatSLAM(small())
+def test_odometry_is_released_when_the_camera_stops() -> None:
+    slam = RatSLAM(small_config())
     feed(slam, 5)
     released = 0
     for n in range(5, 100):
@@ -272,8 +281,8 @@ def test_a_camera_that_falls_silent_does_not_stop_the_pose() -> None:
     assert slam.order.held <= 21
 
 
-def test_visual_odometry_takes_motion_from_the_images() -> None:
-    slam = RatSLAM(small(), visual_odometry=True)
+def test_visual_odometry_estimates_motion_from_images() -> None:
+    slam = RatSLAM(small_config(), visual_odometry=True)
     columns = np.tile(np.random.default_rng(0).integers(0, 256, 200, dtype=np.uint8), (12, 1))
     steps: list[Step] = []
     for n in range(10):
@@ -281,25 +290,25 @@ def test_visual_odometry_takes_motion_from_the_images() -> None:
         steps += slam.image(n * 100_000_000, frame)
     steps += slam.finish()
     odometry = [step for step in steps if isinstance(step, OdometryStep)]
-    assert len(odometry) == 9  # the first frame gives none
+    assert len(odometry) == 9  # the first image gives none
     turned = odometry[-1].dead_reckoning.heading_rad - odometry[0].dead_reckoning.heading_rad
     assert turned == pytest.approx(math.radians(8 * 2 * 50.0 / 40))
     assert sum(isinstance(step, ViewStep) for step in steps) == 10
 
 
-def test_odometry_from_poses_gives_the_same_map_as_from_twists() -> None:
+def test_odometry_poses_and_twists_give_the_same_map() -> None:
     from ratslam_ros.core.common.odometry import Motion, Odometry, Twist, moved
 
     maps = []
     for source in ('twist', 'pose'):
         sections = 'pose_cells', 'experience_map'
-        slam = RatSLAM(small(**{f'{section}.odom_source': source for section in sections}))
-        wheel = Pose(3.0, 1.0, -3.0)
+        slam = RatSLAM(small_config(**{f'{section}.odom_source': source for section in sections}))
+        odometry_pose = Pose(3.0, 1.0, -3.0)
         for n in range(80):
             if n:
-                wheel = moved(wheel, Motion(0.1, 0.08, 0.05))
+                odometry_pose = moved(odometry_pose, Motion(0.1, 0.08, 0.05))
             speeds = Twist(0.8, 0.5) if source == 'twist' else Twist(0.0, 0.0)
-            slam.odometry(Odometry(n * 100_000_000, speeds, wheel))
+            slam.odometry(Odometry(n * 100_000_000, speeds, odometry_pose))
             slam.image(n * 100_000_000, picture(n % 40))
         slam.finish()
         maps.append(slam.experience_map)
@@ -307,7 +316,7 @@ def test_odometry_from_poses_gives_the_same_map_as_from_twists() -> None:
     assert np.abs(maps[0].poses - maps[1].poses).max() < 1e-6
 
 
-def test_the_stopwatch_is_entered_once_a_step() -> None:
+def test_stopwatch_is_entered_once_per_step() -> None:
     from collections import Counter
     from contextlib import nullcontext
 
@@ -317,7 +326,7 @@ def test_the_stopwatch_is_entered_once_a_step() -> None:
         entered[name] += 1
         return nullcontext()
 
-    slam = RatSLAM(small(), stopwatch=watch)
+    slam = RatSLAM(small_config(), stopwatch=watch)
     feed(slam, 10)
     slam.finish()
     assert entered == {
@@ -325,20 +334,20 @@ def test_the_stopwatch_is_entered_once_a_step() -> None:
     }  # fmt: skip
 
 
-def test_warm_up_compiles_without_leaving_anything_behind() -> None:
+def test_warm_up_does_not_change_results() -> None:
     from ratslam_ros.core.warm_up import warm_up
 
-    first = RatSLAM(small())
+    first = RatSLAM(small_config())
     before = [repr(step) for step in feed(first, 10)]
     warm_up()
-    assert [repr(step) for step in feed(RatSLAM(small()), 10)] == before
+    assert [repr(step) for step in feed(RatSLAM(small_config()), 10)] == before
 
 
-def test_the_pose_of_now_holds_the_motion_that_waits_for_a_view() -> None:
+def test_pose_includes_odometry_that_is_held() -> None:
     slam = RatSLAM(PANORAMIC)
     slam.odometry(twist(START_NS))
     slam.image(START_NS, panorama((0, 0), 0))
-    for n in range(1, 11):  # 1 m in a second, and no view since
+    for n in range(1, 11):  # 1 m in 1 s, without another image
         stamp = START_NS + n * 100_000_000
         slam.odometry(twist(stamp, 1.0, 0.0))
         assert slam.pose.x_m == pytest.approx(0.1 * n)

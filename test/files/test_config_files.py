@@ -57,7 +57,7 @@ PARAMETERS = {
     for section, cls in SECTIONS.items()
     for name, info, default in cls.parameters()
 }
-# Any number, or enough of them: what is between is refused.
+# 0 for no limit; smaller limits than LEAST_EXP_MAX are rejected.
 PARAMETERS['pose_cells.exp_max'] = PARAMETERS['pose_cells.exp_max'].filter(
     lambda count: not 0 < count < LEAST_EXP_MAX
 )
@@ -65,7 +65,7 @@ PARAMETERS['pose_cells.exp_max'] = PARAMETERS['pose_cells.exp_max'].filter(
 
 @settings(max_examples=60)
 @given(st.fixed_dictionaries(PARAMETERS))
-def test_every_value_survives_the_way_through_yaml(values: dict[str, Any]) -> None:
+def test_values_survive_a_round_trip_through_yaml(values: dict[str, Any]) -> None:
     values['local_view.vt_shift_match'] = 0
     values['local_view.vt_shift_match_y'] = 0
     values['experience_map.odom_source'] = values['pose_cells.odom_source']
@@ -74,19 +74,19 @@ def test_every_value_survives_the_way_through_yaml(values: dict[str, Any]) -> No
     read = {}
     for key, section in document.items():
         for name, value in section['ros__parameters'].items():
-            if isinstance(value, dict):  # a part of its own: its node reads it as name.inner
+            if isinstance(value, dict):  # A nested section: its node reads it as name.inner.
                 read |= {f'{name}.{inner}': v for inner, v in value.items()}
             else:
                 read[f'{key.rsplit("/", 1)[-1]}.{name}'] = value
     assert Config().with_values(read) == config
-    # ROS reads types strictly: a float must not look like a text or a whole number.
+    # ROS is strict about types: a float must not be read as text or as an integer.
     assert {k: type(v) for k, v in read.items()} == {
         f'{section}.{name}': type(v) for section, p in config.values().items()
         for name, v in p.items()
     }  # fmt: skip
 
 
-def test_what_a_run_wrote_can_be_given_to_the_next(file: Any) -> None:
+def test_written_configuration_is_read_back(file: Any) -> None:
     config = Config().with_values({
         'pose_cells.pc_global_inhib': 2e-05, 'local_view.vt_panoramic': True,
         'pose_cells.pc_dim_xy': 11, 'visual_odometry.vtrans_scaling': 1e-7,
@@ -95,7 +95,7 @@ def test_what_a_run_wrote_can_be_given_to_the_next(file: Any) -> None:
     assert load(file(to_yaml(config))) == config
 
 
-def test_the_documented_defaults_are_the_defaults(file: Any) -> None:
+def test_documented_defaults_are_the_defaults(file: Any) -> None:
     text = documented_yaml()
     assert load(file(text)) == Config()
     for section, cls in SECTIONS.items():
@@ -117,20 +117,20 @@ def test_the_documented_defaults_are_the_defaults(file: Any) -> None:
     'pose_cells:\n\n  pc_global_inhib: "{}"\n',
 ])  # fmt: skip
 @pytest.mark.parametrize('number', ['2e-05', '2.0e-05', '0.00002', '2E-5'])
-def test_yaml_in_every_form_that_ros_knows(file: Any, text: str, number: str) -> None:
-    """YAML 1.1 takes 2e-05 for a text; people write it all the same."""
+def test_all_yaml_forms_of_ros_are_read(file: Any, text: str, number: str) -> None:
+    """YAML 1.1 reads 2e-05 as text, but users write it as a number."""
     config = load(file(text.format(number)))
     assert config == Config().with_values({'pose_cells.pc_global_inhib': 0.00002})
 
 
-def test_parameters_for_all_nodes_go_to_each_section_that_has_them(file: Any) -> None:
+def test_parameter_for_all_nodes_is_set_in_all_sections(file: Any) -> None:
     config = load(file('/**:\n  ros__parameters:\n    odom_source: pose\n    pc_dim_xy: 30\n'))
     assert config.pose_cells.odom_source == config.experience_map.odom_source == 'pose'
     assert (config.pose_cells.pc_dim_x, config.pose_cells.pc_dim_y) == (30, 30)
 
 
 @pytest.mark.parametrize('text', ['', '# nothing\n', 'pose_cells:\n', '/**:\n'])
-def test_an_empty_file_is_the_defaults(file: Any, text: str) -> None:
+def test_empty_file_gives_the_defaults(file: Any, text: str) -> None:
     assert load(file(text)) == Config()
 
 
@@ -148,37 +148,37 @@ def test_an_empty_file_is_the_defaults(file: Any, text: str) -> None:
     ('a: [1,\n', 'cannot be read'),
     ('a: b: c\n', 'cannot be read'),
 ])  # fmt: skip
-def test_what_is_wrong_with_a_file_is_told_in_one_line(file: Any, text: str, hint: str) -> None:
+def test_invalid_file_is_reported_in_one_line(file: Any, text: str, hint: str) -> None:
     with pytest.raises((UnusableInput, UnusableParameter)) as error:
         load_config(file(text))
     assert hint in str(error.value)
     assert '\n' not in str(error.value)
 
 
-def test_a_file_is_named_in_what_is_wrong_with_it(file: Any) -> None:
+def test_invalid_file_is_named_in_the_error(file: Any) -> None:
     for text in ('local_view:\n  vt_panoramic: maybe\n', '- 1\n', 'a: [1,\n'):
         with pytest.raises((UnusableInput, UnusableParameter), match=r'a\.yaml'):
             load_config(file(text))
 
 
-def test_a_file_with_one_bad_value_sets_nothing_of_it(file: Any) -> None:
+def test_file_with_one_invalid_value_is_rejected(file: Any) -> None:
     with pytest.raises(UnusableParameter):
         load_config(file('local_view:\n  vt_panoramic: true\n  vt_step_match: 0\n'))
 
 
-def test_bytes_that_are_no_text_are_refused(tmp_path: Path) -> None:
+def test_binary_file_is_rejected(tmp_path: Path) -> None:
     path = tmp_path / 'a.yaml'
     path.write_bytes(b'\xff\xfe\x00\x80')
     with pytest.raises(UnusableInput, match='text file'):
         load_config(str(path))
 
 
-def test_no_file_and_no_preset_of_that_name() -> None:
+def test_unknown_preset_is_rejected() -> None:
     with pytest.raises(UnusableInput, match='no such file or preset'):
         load_config('no_such_robot')
 
 
-def test_nothing_given_is_the_defaults() -> None:
+def test_no_source_gives_the_defaults() -> None:
     assert load_config(None) == (Config(), [])
 
 
@@ -188,7 +188,7 @@ def test_every_preset_can_be_loaded() -> None:
         load_config(name)
 
 
-# INI files as OpenRatSLAM's users have them
+# INI files of OpenRatSLAM
 
 INI = """\
 topic_root=robot
@@ -219,7 +219,7 @@ exp_map_size=110
 """
 
 
-def test_an_ini_file_of_openratslam_is_read(file: Any) -> None:
+def test_openratslam_ini_file_is_read(file: Any) -> None:
     config, notices = load_config(file(INI, 'config_robot.txt'))
     assert config == Config().with_values({
         'visual_odometry.vtrans_image_x_min': 195, 'visual_odometry.vtrans_image_x_max': 475,
@@ -235,8 +235,8 @@ def test_an_ini_file_of_openratslam_is_read(file: Any) -> None:
         assert unused in notice
 
 
-def test_ini_parameters_are_known_by_their_names_in_whatever_section(file: Any) -> None:
-    """OpenRatSLAM reads some of them from other sections than ours."""
+def test_ini_section_of_parameter_is_ignored(file: Any) -> None:
+    """OpenRatSLAM has some parameters in other sections."""
     config, _ = load_config(file('vt_panoramic=1\n[pose_cells]\nexp_loops=3\n', 'a.ini'))
     assert config.local_view.vt_panoramic is True
     assert config.experience_map.exp_loops == 3
@@ -246,7 +246,7 @@ def test_ini_parameters_are_known_by_their_names_in_whatever_section(file: Any) 
     'vt_match_threshold=9\n', 'vt_match_threshold=wide\n', '[local_view]\nvt_step_match=0\n',
     'exp_loops=2.5\n',
 ])  # fmt: skip
-def test_bad_values_in_ini_files_are_told(file: Any, text: str) -> None:
+def test_invalid_ini_value_is_reported(file: Any, text: str) -> None:
     with pytest.raises(UnusableParameter, match=r'robot\.ini'):
         load_config(file(text, 'robot.ini'))
 
@@ -254,7 +254,7 @@ def test_bad_values_in_ini_files_are_told(file: Any, text: str) -> None:
 @pytest.mark.parametrize(
     'text', ['', 'hello\n', '[draw]\nenable=1\n', '\x00\x01', '[local_view\n']
 )
-def test_files_that_are_no_configuration_are_told(file: Any, text: str) -> None:
+def test_file_without_parameters_is_rejected(file: Any, text: str) -> None:
     with pytest.raises(UnusableInput) as error:
         load_config(file(text, 'a.txt'))
     assert '\n' not in str(error.value)
@@ -269,18 +269,18 @@ def test_files_that_are_no_configuration_are_told(file: Any, text: str) -> None:
     ('experience_map.odom_source=pose', 'pose'), ('a.b = -1.5 ', -1.5), ('a.b=', ''),
     ('a.b=c=d', 'c=d'),
 ])  # fmt: skip
-def test_a_setting_is_split_and_read(text: str, expected: Any) -> None:
+def test_setting_is_parsed_with_its_type(text: str, expected: Any) -> None:
     key, value = parse_setting(text)
     assert key == text.partition('=')[0].strip()
     assert value == expected
     assert type(value) is type(expected)
 
 
-def test_a_setting_without_a_value_is_refused() -> None:
+def test_setting_without_equals_sign_is_rejected() -> None:
     with pytest.raises(UnusableParameter, match=r'section\.name=value'):
         parse_setting('local_view.vt_panoramic')
 
 
-def test_the_map_and_the_pose_cells_read_the_same_odometry() -> None:
+def test_different_odometry_sources_are_rejected() -> None:
     with pytest.raises(UnusableParameter, match='set both'):
         Config().with_values({'pose_cells.odom_source': 'pose'})

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What was learned survives a file, to the last bit, and a damaged file changes nothing."""
+"""Memory files: an exact round trip, and rejection of damaged files."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ PER_LAP = 30
 
 
 def drive(slam: RatSLAM, first: int, last: int) -> None:
-    """Drive round in circles that look the same in every lap."""
+    """Drive laps on a circle with the same images in each lap."""
     for n in range(first, last):
         stamp_ns = START_NS + n * PERIOD_NS
         slam.odometry(twist(stamp_ns, 4.0, 2.0 * np.pi * 10 / PER_LAP))
@@ -38,7 +38,7 @@ def drive(slam: RatSLAM, first: int, last: int) -> None:
 
 
 @pytest.mark.parametrize('steps', [0, 1, 20, 45, 80])
-def test_who_is_saved_and_restored_goes_on_as_if_nothing_had_been(
+def test_restored_state_continues_identically(
     steps: int, tmp_path: Path
 ) -> None:
     slam = RatSLAM(CONFIG)
@@ -54,19 +54,19 @@ def test_who_is_saved_and_restored_goes_on_as_if_nothing_had_been(
     for part, core in restored.items():
         core.restore(load(tmp_path / part, part))
         setattr(other, part, core)
-    for one in (slam, other):
-        drive(one, steps, 100)
-        one.finish()
+    for instance in (slam, other):
+        drive(instance, steps, 100)
+        instance.finish()
     assert encode_map(1, other.experience_map) == encode_map(1, slam.experience_map)
     assert len(slam.experience_map) > 10
     assert np.array_equal(other.pose_cells.activity(), slam.pose_cells.activity())
 
 
-def test_numbers_survive(tmp_path: Path) -> None:
+def test_id_map_and_late_join_are_restored(tmp_path: Path) -> None:
     numbering = IdMap()
-    numbering.remember(3)
-    numbering.number(9)
-    numbering.remember(4)
+    numbering.set_memory(3)
+    numbering.own_id(9)
+    numbering.set_memory(4)
     graph = ExperienceMap(CONFIG.experience_map)
     joining = LateJoin(graph)
     save(tmp_path / 'x', 'x', {'a': numbering.state(), 'b': joining.state()})
@@ -74,11 +74,11 @@ def test_numbers_survive(tmp_path: Path) -> None:
     again, joined = IdMap(), LateJoin(graph)
     again.restore(found['a'])
     joined.restore(found['b'])
-    assert again.number(0) == numbering.number(0) == 10
+    assert again.own_id(0) == numbering.own_id(0) == 10
     assert joined.state() == joining.state()
 
 
-def test_another_size_is_refused(tmp_path: Path) -> None:
+def test_state_of_another_size_is_rejected(tmp_path: Path) -> None:
     core = LocalView(CONFIG.local_view)
     core.match(picture(0, 24, 32))
     with pytest.raises(UnusableInput, match='template_y_size'):
@@ -90,7 +90,7 @@ def test_another_size_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize('damage', ['missing', 'empty', 'cut', 'other', 'text', 'folder'])
-def test_a_file_that_is_no_memory_is_refused_with_a_line(damage: str, tmp_path: Path) -> None:
+def test_unusable_file_is_rejected_in_one_line(damage: str, tmp_path: Path) -> None:
     path = tmp_path / 'memory.npz'
     save(path, 'other' if damage == 'other' else 'part', {'a': np.arange(1000)})
     content = path.read_bytes()
@@ -110,7 +110,7 @@ def test_a_file_that_is_no_memory_is_refused_with_a_line(damage: str, tmp_path: 
     assert '\n' not in str(error.value)
 
 
-def test_what_cannot_be_written_leaves_the_earlier_file(
+def test_failed_write_keeps_the_earlier_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / 'memory.npz'

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""ROS or the stand-in for it, in this process and in others."""
+"""ROS or its stand-in, in this process and in others."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ratslam_ros.cli import main
 
 @pytest.fixture(scope='session')
 def ros() -> None:
-    """Have rclpy or the stand-in in this process; skip where there is neither."""
+    """Make rclpy or its stand-in importable; skip the test if neither is installed."""
     from ratslam_ros.errors import UnusableInput
     from ratslam_ros.live.ros import require
 
@@ -38,7 +38,10 @@ def commands(ros: None, tmp_path: Path) -> Iterator[Commands]:
 def here(
     ros: None, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> Iterator[Callable[..., tuple[int, str, str]]]:
-    """Run a command in this process; return its exit code, output and errors."""
+    """Return a function that runs a command in this process.
+
+    It returns the exit code, the output and the errors.
+    """
     for name, value in live_environment().items():
         monkeypatch.setenv(name, value)
     before = signal.getsignal(signal.SIGTERM)

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Commands in processes of their own, on a domain of their own, none of which is left running."""
+"""Commands in child processes, on a ROS domain of their own, all of which are ended."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ TIMEOUT_S = 30.0
 
 
 class Commands:
-    """Runs ratslam commands that can hear each other."""
+    """Runs ratslam commands on the same ROS domain."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -26,11 +26,11 @@ class Commands:
         self.environment = {**os.environ, **live_environment(), 'PYTHONPATH': path}
 
     def start(self, *words: str) -> subprocess.Popen[str]:
-        """Start a command; its output is read with ``communicate``."""
+        """Start a command; read its output with ``communicate``."""
         return self._start([sys.executable, '-m', 'ratslam_ros', *words])
 
     def start_python(self, code: str, *words: str) -> subprocess.Popen[str]:
-        """Start code that may import rclpy, and wait until it has printed a line."""
+        """Start code that may import rclpy; wait until it has printed a line."""
         top = 'from ratslam_ros.live import ros\nros.require()\n'
         process = self._start([sys.executable, '-c', top + code, *words])
         assert process.stdout is not None
@@ -39,7 +39,7 @@ class Commands:
         return process
 
     def run(self, *words: str) -> tuple[int, str, str]:
-        """Run a command to its end; return its exit code, output and errors."""
+        """Run a command until it ends; return its exit code, output and errors."""
         process = self.start(*words)
         out, err = process.communicate(timeout=TIMEOUT_S)
         return process.returncode, out, err
@@ -60,7 +60,7 @@ class Commands:
 
 
 def wait_for(condition, timeout_s: float = TIMEOUT_S):  # type: ignore[no-untyped-def]
-    """Return what a condition gives as soon as that is true."""
+    """Return the first true value of a condition."""
     end_s = time.monotonic() + timeout_s
     while not (found := condition()):
         assert time.monotonic() < end_s

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A simulated robot and all nodes, each a process: it explores, and goes where it is told."""
+"""A simulated robot and all nodes, each in a process: exploration and driving to a goal."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from std_srvs.srv import SetBool
 from ratslam_ros.nodes.qos import LATCHED, PLAYED, STATE
 
 name_after_s, goal_after_s, away_m, over_s = map(float, sys.argv[1:])
-truths, heard = [], []
+truths, statuses = [], []
 
 def on_truth(message):
     stamp, at = message.header.stamp, message.pose.position
@@ -48,7 +48,7 @@ def on_truth(message):
 with ros.node('operator', ()) as node:
     node.create_subscription(PoseStamped, 'ground_truth/pose', on_truth, STATE)
     node.create_subscription(
-        String, 'experience_map/status', lambda m: heard.append(json.loads(m.data)), LATCHED
+        String, 'experience_map/status', lambda m: statuses.append(json.loads(m.data)), LATCHED
     )
     name = node.create_publisher(String, 'experience_map/name_place', PLAYED)
     goal = node.create_publisher(String, 'experience_map/goal', PLAYED)
@@ -60,7 +60,7 @@ with ros.node('operator', ()) as node:
 
     def until(condition):
         while not condition():
-            assert time.monotonic() < end_s, (truths[-1:], heard[-1:])
+            assert time.monotonic() < end_s, (truths[-1:], statuses[-1:])
             executor.spin_once(timeout_sec=0.1)
 
     def paused(yes):
@@ -79,7 +79,7 @@ with ros.node('operator', ()) as node:
     since_s = elapsed_s()
     until(lambda: elapsed_s() > since_s + 5.0)
     place = truths[-1][1:]
-    assert math.dist(truths[-40][1:], place) < 0.01  # it stands
+    assert math.dist(truths[-40][1:], place) < 0.01  # It is stationary.
     name.publish(String(data='{"name": "there"}'))
     since_s = elapsed_s()
     until(lambda: elapsed_s() > since_s + 5.0)
@@ -87,8 +87,8 @@ with ros.node('operator', ()) as node:
     until(lambda: elapsed_s() > goal_after_s and away() > away_m)
     asked_s, asked_m = elapsed_s(), away()
     goal.publish(String(data='{"name": "there"}'))
-    until(lambda: heard and heard[-1]['outcomes'])
-    last = heard[-1]
+    until(lambda: statuses and statuses[-1]['outcomes'])
+    last = statuses[-1]
     at_s = last['stamp']['sec'] + last['stamp']['nanosec'] * 1e-9
     until(lambda: truths[-1][0] >= at_s)
     there = min(truths, key=lambda truth: abs(truth[0] - at_s))
@@ -97,16 +97,16 @@ with ros.node('operator', ()) as node:
 """
 
 
-def test_a_robot_that_explores_by_itself_goes_where_it_is_told(
+def test_exploring_robot_drives_to_named_goal(
     commands: Commands, tmp_path: Path
 ) -> None:
     plan = tmp_path / 'ring.txt'
     plan.write_text(RING)
     settings = [
         'goal_follower.explore=true',
-        # A loaded machine may deliver late; what is four times as fast may be four times as late.
+        # At four times real time, delays of a loaded machine count four times.
         'pose_cells.max_lateness_s=4.0', 'experience_map.max_lateness_s=4.0',
-        # It is the processes that are tried here: leave room for what differs by their timing.
+        # This test is about the processes: tolerate differences caused by their timing.
         'local_view.vt_match_threshold=0.05', 'goal_recall.goal_radius_m=0.1',
     ]  # fmt: skip
     nodes = commands.start(
@@ -126,10 +126,10 @@ def test_a_robot_that_explores_by_itself_goes_where_it_is_told(
     operator = commands.start_python(OPERATOR, '120', '230', '4', '180')
     out, err = operator.communicate(timeout=200.0)
     assert operator.returncode == 0, err
-    told = json.loads(out)
-    assert told['goal'] == 'there'
-    assert told['status'] == 'succeeded', told
-    assert told['away_m'] <= 0.5, told
+    result = json.loads(out)
+    assert result['goal'] == 'there'
+    assert result['status'] == 'succeeded', result
+    assert result['away_m'] <= 0.5, result
     robot.send_signal(signal.SIGINT)
     assert robot.wait(20.0) == 0
     nodes.send_signal(signal.SIGINT)

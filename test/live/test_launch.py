@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""ratslam launch: the command lines of the nodes, and their end."""
+"""``ratslam launch``: command lines of the nodes, and how they end."""
 
 import os
 import signal
@@ -29,15 +29,15 @@ from ratslam_ros.live.launch import (
 
 ROOT = Path(__file__).parents[2]
 FILE = Path('/somewhere/parameters.yaml')
-ENDS = 'signal.signal(signal.SIGINT, lambda *_: sys.exit(0))'
-REFUSES = 'signal.signal(signal.SIGINT, signal.SIG_IGN)'
+STOPS = 'signal.signal(signal.SIGINT, lambda *_: sys.exit(0))'
+IGNORES = 'signal.signal(signal.SIGINT, signal.SIG_IGN)'
 
 
 def python(code: str) -> list[str]:
     return [sys.executable, '-c', code]
 
 
-def test_odometry_comes_from_the_robot_unless_asked_for() -> None:
+def test_visual_odometry_is_started_only_on_request() -> None:
     others = ['local_view', 'pose_cells', 'experience_map']
     assert list(nodes(False, False)) == others
     assert list(nodes(True, False)) == ['visual_odometry', *others]
@@ -45,11 +45,11 @@ def test_odometry_comes_from_the_robot_unless_asked_for() -> None:
     assert nodes(True, True) == {'single_process': ['--visual-odometry']}
 
 
-def test_by_default_nothing_is_said_but_the_parameters() -> None:
+def test_default_arguments_are_parameters_only() -> None:
     assert ros_arguments(LaunchOptions(), FILE) == ['--params-file', str(FILE)]
 
 
-def test_all_options_reach_the_nodes() -> None:
+def test_all_options_are_passed_to_nodes() -> None:
     options = LaunchOptions(
         use_sim_time=True, namespace='robot', image_topic='/cam/image_raw', odom_topic='/wheels',
         log_level='debug',
@@ -62,35 +62,35 @@ def test_all_options_reach_the_nodes() -> None:
 
 
 @pytest.mark.parametrize('given', ['/cam/image', '/cam/image/compressed'])
-def test_either_name_of_a_camera_will_do(given: str) -> None:
+def test_raw_or_compressed_camera_topic_is_accepted(given: str) -> None:
     assert remappings(given, '') == [
         ('image', '/cam/image'), ('image/compressed', '/cam/image/compressed'),
         ('camera_info', '/cam/camera_info'),
     ]  # fmt: skip
 
 
-def test_the_nodes_get_all_parameters_in_one_file(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nodes_share_one_parameter_file(monkeypatch: pytest.MonkeyPatch) -> None:
     seen: dict[str, list[str]] = {}
 
-    def look(commands: dict[str, list[str]]) -> int:
+    def inspect(commands: dict[str, list[str]]) -> int:
         seen.update(commands)
         values = yaml.safe_load(Path(commands['pose_cells'][-1]).read_text('utf-8'))
         assert values['/**/pose_cells']['ros__parameters']['pc_dim_x'] == 31
         return 0
 
-    monkeypatch.setattr(module, 'supervise', look)
+    monkeypatch.setattr(module, 'supervise', inspect)
     config = Config().with_values({'pose_cells.pc_dim_x': 31})
     assert launch(config, LaunchOptions(visual_odometry=True)) == 0
     assert list(seen) == ['visual_odometry', 'local_view', 'pose_cells', 'experience_map']
     command = seen['local_view']
     assert command[:6] == [sys.executable, '-m', 'ratslam_ros', 'run', 'local_view', '--ros-args']
-    assert not Path(command[-1]).exists()  # nothing is left behind
+    assert not Path(command[-1]).exists()  # It is removed at the end.
 
 
 def child(ready: Path, answer: str) -> list[str]:
-    """Return a command that writes its number when it can be interrupted."""
-    told = f'open({str(ready)!r}, "w").write(str(os.getpid()))'
-    return python(f'import os, signal, sys, time\n{answer}\n{told}\ntime.sleep(60)')
+    """Return a command that writes its process id when it can be interrupted."""
+    report = f'open({str(ready)!r}, "w").write(str(os.getpid()))'
+    return python(f'import os, signal, sys, time\n{answer}\n{report}\ntime.sleep(60)')
 
 
 @contextmanager
@@ -109,59 +109,59 @@ def interrupts(*ready: Path, times: int = 1) -> Iterator[None]:
     thread.join()
 
 
-def test_an_interrupt_ends_all_and_is_no_failure(tmp_path: Path, capfd) -> None:
+def test_interrupt_stops_all_without_failure(tmp_path: Path, capfd) -> None:
     a, b = tmp_path / 'a', tmp_path / 'b'
     with interrupts(a, b):
-        assert supervise({'a': child(a, ENDS), 'b': child(b, ENDS)}) == 0
+        assert supervise({'a': child(a, STOPS), 'b': child(b, STOPS)}) == 0
     assert capfd.readouterr() == ('', '')
 
 
-def test_one_that_was_interrupted_while_starting_is_no_failure(tmp_path: Path) -> None:
+def test_interrupt_during_start_up_is_no_failure(tmp_path: Path) -> None:
     a = tmp_path / 'a'
     with interrupts(a):
         assert supervise({'a': child(a, 'signal.signal(signal.SIGINT, signal.SIG_DFL)')}) == 0
 
 
-def test_a_second_interrupt_kills(tmp_path: Path, capfd) -> None:
+def test_second_interrupt_kills(tmp_path: Path, capfd) -> None:
     a, b = tmp_path / 'a', tmp_path / 'b'
     with interrupts(a, b, times=2):
-        assert supervise({'a': child(a, ENDS), 'b': child(b, REFUSES)}) == 1
+        assert supervise({'a': child(a, STOPS), 'b': child(b, IGNORES)}) == 1
     assert 'killing b' in capfd.readouterr().err
 
 
-def test_one_that_does_not_end_in_time_is_killed(tmp_path: Path, capfd) -> None:
+def test_process_that_does_not_end_is_killed(tmp_path: Path, capfd) -> None:
     a = tmp_path / 'a'
     with interrupts(a):
-        assert supervise({'a': child(a, REFUSES)}, grace_s=0.3) == 1
+        assert supervise({'a': child(a, IGNORES)}, grace_s=0.3) == 1
     assert 'killing a' in capfd.readouterr().err
 
 
-def test_one_that_dies_is_named_and_ends_the_others(tmp_path: Path, capfd) -> None:
-    a = child(tmp_path / 'a', ENDS)
+def test_process_that_ends_is_named_and_stops_others(tmp_path: Path, capfd) -> None:
+    a = child(tmp_path / 'a', STOPS)
     assert supervise({'a': a, 'b': python('raise SystemExit(3)')}) == 1
-    assert 'b ended with code 3; ending a' in capfd.readouterr().err
+    assert 'b ended with code 3; stopping a' in capfd.readouterr().err
 
 
-def test_one_that_is_killed_is_named_with_its_signal(tmp_path: Path, capfd) -> None:
+def test_killed_process_is_named_with_its_signal(tmp_path: Path, capfd) -> None:
     code = 'import os, signal; os.kill(os.getpid(), signal.SIGKILL)'
-    assert supervise({'a': python(code), 'b': child(tmp_path / 'b', ENDS)}) == 1
-    assert 'a was ended by SIGKILL; ending b' in capfd.readouterr().err
+    assert supervise({'a': python(code), 'b': child(tmp_path / 'b', STOPS)}) == 1
+    assert 'a was ended by SIGKILL; stopping b' in capfd.readouterr().err
 
 
-def test_one_alone_that_ends_is_told_too(capfd) -> None:
+def test_single_process_that_ends_is_reported(capfd) -> None:
     assert supervise({'a': python('pass')}) == 1
     assert capfd.readouterr().err == 'ratslam launch: a ended with code 0\n'
 
 
-def test_a_command_that_is_not_there_leaves_none_running(tmp_path: Path) -> None:
+def test_missing_command_leaves_no_process_running(tmp_path: Path) -> None:
     before = signal.getsignal(signal.SIGINT)
     with pytest.raises(FileNotFoundError):
-        supervise({'a': child(tmp_path / 'a', ENDS), 'b': ['/no/such/command']})
+        supervise({'a': child(tmp_path / 'a', STOPS), 'b': ['/no/such/command']})
     assert signal.getsignal(signal.SIGINT) is before
 
 
-@pytest.mark.skipif(sys.platform != 'linux', reason='only Linux tells children')
-def test_children_end_with_a_parent_that_is_killed(tmp_path: Path) -> None:
+@pytest.mark.skipif(sys.platform != 'linux', reason='only Linux signals children')
+def test_children_end_if_parent_is_killed(tmp_path: Path) -> None:
     pid = tmp_path / 'pid'
     code = (
         'from ratslam_ros.live.launch import supervise\n'

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The layouts for RViz and Foxglove: well-formed, and of topics that are there."""
+"""The layouts for RViz and Foxglove: well-formed, and of documented topics."""
 
 import json
 import re
@@ -19,17 +19,17 @@ ROWS = re.findall(r'^\| (`[^|]+) \| ([^|]+) \|', TABLE, re.MULTILINE)
 
 
 def named(rows: list[tuple[str, str]]) -> set[str]:
-    """Return topics as they are called in the root namespace."""
+    """Return the names of topics in the root namespace."""
     names = [name for topics, _ in rows for name in re.findall(r'`([^`]+)`', topics)]
     return {'/' + name.lstrip('/') for name in names}
 
 
 TOPICS = named(ROWS)
 LATCHED = named([row for row in ROWS if 'latched' in row[1]])
-OF_FOXGLOVE = {'/clicked_point', '/initialpose'}  # its own tools, which come with every layout
+OF_FOXGLOVE = {'/clicked_point', '/initialpose'}  # Tools of Foxglove itself.
 
 
-def test_the_page_of_topics_is_understood() -> None:
+def test_documentation_of_topics_is_parsed() -> None:
     assert {'/image', '/image/compressed', '/tf', '/goal_pose', '/experience_map/map'} <= TOPICS
     assert '/experience_map/markers' in LATCHED and '/odom' not in LATCHED
 
@@ -39,7 +39,7 @@ def displays() -> list[dict[str, Any]]:
     return [*manager['Displays'], *manager['Tools']]
 
 
-def test_rviz_shows_topics_that_are_there_in_the_frame_of_the_map() -> None:
+def test_rviz_shows_documented_topics_in_map_frame() -> None:
     shown = {display['Topic']['Value'] for display in displays() if 'Topic' in display}
     assert shown <= TOPICS
     assert shown >= {
@@ -50,7 +50,7 @@ def test_rviz_shows_topics_that_are_there_in_the_frame_of_the_map() -> None:
     assert 'rviz_default_plugins/TF' in {display['Class'] for display in displays()}
 
 
-def test_rviz_asks_for_the_last_message_where_that_is_kept() -> None:
+def test_rviz_durability_matches_the_publishers() -> None:
     for display in displays():
         if 'Topic' in display:
             topic = display['Topic']
@@ -58,7 +58,7 @@ def test_rviz_asks_for_the_last_message_where_that_is_kept() -> None:
             assert topic['Durability Policy'] == wanted, topic['Value']
 
 
-def test_foxglove_shows_topics_that_are_there() -> None:
+def test_foxglove_shows_documented_topics() -> None:
     found = set(re.findall(r'"(/[a-z_/]+)[".]', json.dumps(FOXGLOVE)))
     assert found <= TOPICS | OF_FOXGLOVE
     assert found >= {
@@ -67,7 +67,7 @@ def test_foxglove_shows_topics_that_are_there() -> None:
     }  # fmt: skip
 
 
-def test_foxglove_lays_out_every_panel_once() -> None:
+def test_foxglove_layout_has_each_panel_once() -> None:
     def panels(layout: Any) -> list[str]:
         if isinstance(layout, str):
             return [layout]

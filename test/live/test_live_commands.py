@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The live commands: their arguments, and what they say to wrong ones."""
+"""The live commands: arguments and error messages."""
 
 import os
 import signal
@@ -26,13 +26,13 @@ def signals() -> Iterator[None]:
     signal.signal(signal.SIGTERM, before)
 
 
-def test_all_after_the_node_is_the_nodes() -> None:
+def test_arguments_after_node_belong_to_it() -> None:
     rest = ['--ros-args', '-p', 'use_sim_time:=true', '-r', '__ns:=/a', '--log-level', 'debug']
     options = parser().parse_args(['run', 'pose_cells', *rest])
     assert (options.node, options.arguments) == ('pose_cells', rest)
 
 
-def test_all_after_ros_args_is_for_ros() -> None:
+def test_arguments_after_ros_args_are_for_ros() -> None:
     rest = ['-r', 'image:=/camera/image', '-r', '__ns:=/a', '--log-level', 'debug']
     for words in (['play', 'bag'], ['call', 'a', 'b', '{}', '--timeout', '3'], ['echo', 'x']):
         options = parser().parse_args([*words, '--ros-args', *rest])
@@ -41,7 +41,7 @@ def test_all_after_ros_args_is_for_ros() -> None:
     assert parser().parse_args(['play', 'bag']).ros_args == []
 
 
-def test_launch_understands_its_options() -> None:
+def test_launch_options_are_parsed() -> None:
     options = parser().parse_args(
         [
             'launch', '--config', 'irat', '--set', 'local_view.vt_shift_match=3',
@@ -54,7 +54,7 @@ def test_launch_understands_its_options() -> None:
 
 
 @pytest.mark.parametrize(
-    ('words', 'told'),
+    ('words', 'parts'),
     [
         (['run', 'pose_cell'], ['pose_cell', *NODES]),
         (['run'], ['NODE']),
@@ -68,11 +68,11 @@ def test_launch_understands_its_options() -> None:
     ],
     ids=lambda value: ' '.join(value) if isinstance(value, list) else None,
 )
-def test_wrong_input_is_answered_with_one_line(words, told, capfd) -> None:
+def test_invalid_input_is_reported_in_one_line(words, parts, capfd) -> None:
     assert main(words) == 2
     out, err = capfd.readouterr()
     assert out == '' and err.startswith('ratslam: ') and err.count('\n') == 1
-    assert all(word in err for word in told)
+    assert all(part in err for part in parts)
 
 
 def python(code: str) -> subprocess.CompletedProcess[str]:
@@ -83,7 +83,7 @@ def python(code: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.parametrize('node', NODES)
-def test_a_node_without_ros_says_what_to_use(node: str, monkeypatch, capfd) -> None:
+def test_node_without_ros_names_alternative(node: str, monkeypatch, capfd) -> None:
     monkeypatch.setattr(entry, 'find_spec', lambda name: None)
     assert getattr(entry, node)() == 2
     err = capfd.readouterr().err
@@ -95,7 +95,7 @@ def test_a_node_without_ros_says_what_to_use(node: str, monkeypatch, capfd) -> N
     [['run', 'pose_cells'], ['launch'], ['echo', 'x'], ['call', 'x', 'std_srvs/srv/Trigger']],
     ids=lambda words: words[0],
 )
-def test_without_rclpy_and_cyclonedds_one_line_says_so(words: list[str]) -> None:
+def test_missing_rclpy_and_cyclonedds_is_one_line(words: list[str]) -> None:
     run = python(
         'import importlib.util, sys\n'
         'sys.modules["rclpy"] = sys.modules["cyclonedds"] = None\n'
@@ -128,8 +128,8 @@ def test_missing_package_is_reported_in_one_line(package: str, start: str) -> No
     assert f'({sys.executable})' in run.stderr and 'colcon build' in run.stderr
 
 
-def test_the_commands_start_quickly() -> None:
-    """A node and the launch load neither the reader of recordings nor what draws."""
+def test_commands_do_not_import_slow_packages() -> None:
+    """Neither readers of recordings nor plotting are imported by nodes and launch."""
     run = python(
         'import sys\n'
         'import ratslam_ros.cli.main, ratslam_ros.live.run, ratslam_ros.live.launch\n'

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Processes that really talk: started as a user starts them, they make the map of a replay."""
+"""Nodes in separate processes, started as a user does: they build the map of a replay."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ from helpers import (
     circles,
     live_environment,
     picture,
+    real_recording,
     write_bag,
 )
 
@@ -34,7 +35,6 @@ except StandaloneUnavailable as error:
     pytest.skip(str(error), allow_module_level=True)
 
 ROOT = Path(__file__).parents[2]
-RC_CAR = ROOT.parent / 'shared/data/rc_car_loops'
 SMALL = {
     'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
     'local_view.vt_shift_match': 2, 'pose_cells.pc_cell_x_size': 0.5,
@@ -48,7 +48,7 @@ def ratslam(*arguments: str) -> list[str]:
 
 
 class Live:
-    """Nodes, each a process of its own, and the commands of a user beside them."""
+    """Nodes, each in its own process, and commands of a user."""
 
     def __init__(self, folder: Path, settings: dict[str, Any], offset: int = 0) -> None:
         from ratslam_ros.core.config import Config
@@ -91,14 +91,14 @@ class Live:
         return self.folder / f'{node}.log'
 
     def stop(self, *nodes: str, number: signal.Signals = signal.SIGINT) -> dict[str, int]:
-        """Interrupt nodes, all if none is named; return their exit codes."""
+        """Interrupt the given nodes, by default all; return their exit codes."""
         names = nodes or tuple(self.processes)
         for name in names:
             self.processes[name].send_signal(number)
         return {name: self.processes.pop(name).wait(20.0) for name in names}
 
     def run(self, *arguments: str, timeout_s: float = 120.0) -> str:
-        """Run one command to its end; return what it prints."""
+        """Run one command until it ends; return its output."""
         done = subprocess.run(
             ratslam(*arguments), env=self.environment, cwd=self.folder, capture_output=True,
             text=True, timeout=timeout_s, check=False,
@@ -111,19 +111,11 @@ class Live:
                         '--timeout', '10').rstrip('\n')  # fmt: skip
 
     def settled_map(self, expected: str, timeout_s: float = 30.0) -> str:
-        """Return the map once it is the expected one, or the last one before time is up."""
+        """Wait for the expected map; return the last one received."""
         end_s = time.monotonic() + timeout_s
         while (found := self.map()) != expected and time.monotonic() < end_s:
             time.sleep(0.5)
         return found
-
-    def counts(self) -> dict[str, str]:
-        """Return what the nodes' diagnostics say was not used; nothing if all was."""
-        text = self.run('echo', '/diagnostics', '--once', '--timeout', '10')
-        return {
-            key: text for key in ('late', 'lost', 'missed', 'refused', 'dropped')
-            if f'key: {key}' in text
-        }  # fmt: skip
 
     def logs(self) -> str:
         return '\n'.join(path.read_text() for path in sorted(self.folder.glob('*.log')))
@@ -158,7 +150,7 @@ def live(tmp_path: Path) -> Iterator[Live]:
         yield nodes
 
 
-def test_live_nodes_make_the_map_of_a_replay_and_a_user_can_use_them(
+def test_live_nodes_build_replay_map_and_plan_routes(
     live: Live, bag: Path, expected: str
 ) -> None:
     live.start(*THREE)
@@ -175,7 +167,7 @@ def test_live_nodes_make_the_map_of_a_replay_and_a_user_can_use_them(
     assert 'Traceback' not in live.logs()
 
 
-def test_messages_shuffled_between_streams_make_the_same_map(
+def test_messages_shuffled_across_topics_give_same_map(
     live: Live, expected: str, tmp_path: Path
 ) -> None:
     rng = random.Random(3)
@@ -190,7 +182,7 @@ def test_messages_shuffled_between_streams_make_the_same_map(
     assert live.settled_map(expected) == expected, live.logs()
 
 
-def test_one_process_under_load_in_lockstep_makes_the_same_map(
+def test_single_process_in_lockstep_under_load_gives_same_map(
     live: Live, bag: Path, expected: str
 ) -> None:
     live.start('single_process')
@@ -205,10 +197,10 @@ def test_one_process_under_load_in_lockstep_makes_the_same_map(
     assert live.stop() == {'single_process': 0}
 
 
-def test_the_camera_alone_makes_the_same_map_live_and_offline(
+def test_camera_alone_gives_same_map_live_and_offline(
     live: Live, bag: Path, tmp_path: Path
 ) -> None:
-    """The field of view comes from the recorded camera_info in both."""
+    """Both take the field of view from the recorded camera_info."""
     info = START_NS, '/camera/camera_info', 'camera_info', camera_info_message(START_NS, 16.0)
     calibrated = write_bag(tmp_path / 'calibrated', [info, *circles(4, 30)])
     expected = offline(calibrated, tmp_path / 'visual', SMALL, '--visual-odometry')
@@ -219,7 +211,7 @@ def test_the_camera_alone_makes_the_same_map_live_and_offline(
     assert set(live.stop().values()) == {0}
 
 
-def test_a_folder_of_images_whose_stamps_begin_at_0_makes_the_same_map(
+def test_image_folder_with_stamps_from_zero_gives_same_map(
     live: Live, tmp_path: Path
 ) -> None:
     folder = tmp_path / 'images'
@@ -233,7 +225,7 @@ def test_a_folder_of_images_whose_stamps_begin_at_0_makes_the_same_map(
     assert live.settled_map(expected) == expected, live.logs()
 
 
-def test_a_loop_starts_over_and_makes_the_same_map_again(
+def test_playing_twice_starts_over_with_same_map(
     live: Live, bag: Path, expected: str
 ) -> None:
     live.start(*THREE)
@@ -245,7 +237,7 @@ def test_a_loop_starts_over_and_makes_the_same_map_again(
     assert live.logs().count('starting with an empty memory') == 3
 
 
-def test_without_pose_cells_the_map_stands_still_and_one_that_comes_back_is_noticed(
+def test_restarted_pose_cells_are_detected_by_the_map(
     live: Live, bag: Path, expected: str
 ) -> None:
     live.start(*THREE)
@@ -268,7 +260,7 @@ def test_without_pose_cells_the_map_stands_still_and_one_that_comes_back_is_noti
     assert set(live.stop().values()) == {0}
 
 
-def test_an_impossible_parameter_ends_a_node_with_one_line(live: Live) -> None:
+def test_invalid_parameter_ends_node_with_one_line(live: Live) -> None:
     done = subprocess.run(
         ratslam('run', 'pose_cells', '--ros-args', '-p', 'pc_dim_th:=-3'),
         env=live.environment, capture_output=True, text=True, timeout=60, check=False,
@@ -278,7 +270,7 @@ def test_an_impossible_parameter_ends_a_node_with_one_line(live: Live) -> None:
     assert 'Traceback' not in done.stderr
 
 
-def test_launch_starts_all_and_ends_all(live: Live, bag: Path, expected: str) -> None:
+def test_launch_starts_and_stops_all_nodes(live: Live, bag: Path, expected: str) -> None:
     settings = [item for key, value in SMALL.items() for item in ('--set', f'{key}={value}')]
     with live.log('launch').open('wb') as log:
         live.processes['launch'] = subprocess.Popen(
@@ -294,7 +286,7 @@ def test_launch_starts_all_and_ends_all(live: Live, bag: Path, expected: str) ->
     assert live.stop() == {'launch': 0}
 
 
-VANDAL = """
+INVALID_INPUT_SOURCE = """
 import math, random, sys, time
 from ratslam_ros.live import ros
 ros.require()
@@ -307,7 +299,7 @@ from ratslam_ros.nodes.qos import PLAYED
 
 rng = random.Random(1)
 first = int(sys.argv[1])
-with ros.node('vandal', ()) as node:
+with ros.node('invalid_input', ()) as node:
     odometry = node.create_publisher(Odometry, 'odom', PLAYED)
     image = node.create_publisher(Image, 'image', PLAYED)
     texts = [node.create_publisher(String, name, PLAYED)
@@ -341,7 +333,7 @@ with ros.node('vandal', ()) as node:
 """
 
 
-def test_wrong_input_on_every_topic_changes_nothing(
+def test_invalid_input_on_every_topic_changes_nothing(
     live: Live, bag: Path, expected: str
 ) -> None:
     live.start(*THREE)
@@ -349,22 +341,22 @@ def test_wrong_input_on_every_topic_changes_nothing(
     play = live.processes['play'] = subprocess.Popen(command, env=live.environment)
     while not json.loads(live.map())['experiences']:
         assert play.poll() is None
-    with live.log('vandal').open('wb') as log:
-        live.processes['vandal'] = subprocess.Popen(
-            [sys.executable, '-c', VANDAL, str(START_NS)], env=live.environment, stdout=log,
-            stderr=subprocess.STDOUT,
+    with live.log('invalid_input').open('wb') as log:
+        live.processes['invalid_input'] = subprocess.Popen(
+            [sys.executable, '-c', INVALID_INPUT_SOURCE, str(START_NS)], env=live.environment,
+            stdout=log, stderr=subprocess.STDOUT,
         )  # fmt: skip
     assert play.wait(60.0) == 0
     del live.processes['play']
-    assert live.log('vandal').read_text() == 'ready\n'
-    live.stop('vandal', number=signal.SIGKILL)
+    assert live.log('invalid_input').read_text() == 'ready\n'
+    live.stop('invalid_input', number=signal.SIGKILL)
     assert live.settled_map(expected) == expected, live.logs()
     refused = [line for line in live.logs().splitlines() if 'refused' in line]
-    assert 3 <= len(refused) < 60  # told, and at a bounded rate
+    assert 3 <= len(refused) < 60  # Logged at a bounded rate.
     assert set(live.stop().values()) == {0}
 
 
-def test_a_simulated_robot_is_mapped_live_as_offline(tmp_path: Path) -> None:
+def test_simulated_recording_gives_same_map_live_and_offline(tmp_path: Path) -> None:
     from ratslam_ros.simulator.recording import write_recording
 
     settings = preset('pioneer')
@@ -380,7 +372,7 @@ def test_a_simulated_robot_is_mapped_live_as_offline(tmp_path: Path) -> None:
 
 
 def preset(name: str) -> dict[str, Any]:
-    """Return a preset's values, for playing at ten times the speed."""
+    """Return the values of a preset, with lateness bounds for playback at ten times real time."""
     from ratslam_ros.files.config import load_config
 
     config, _ = load_config(name)
@@ -390,12 +382,12 @@ def preset(name: str) -> dict[str, Any]:
     } | {'pose_cells.max_lateness_s': 5.0, 'experience_map.max_lateness_s': 5.0}  # fmt: skip
 
 
-@pytest.mark.skipif(not RC_CAR.exists(), reason='the recording rc_car_loops is not here')
-def test_a_real_recording_at_ten_times_speed_makes_the_map_of_a_replay(tmp_path: Path) -> None:
+def test_real_recording_at_tenfold_speed_gives_replay_map(tmp_path: Path) -> None:
+    recording = real_recording('rc_car_loops')
     settings = preset('rc_car')
-    expected = offline(RC_CAR, tmp_path / 'offline', settings)
+    expected = offline(recording, tmp_path / 'offline', settings)
     with Live(tmp_path / 'live', settings) as live:
         live.start(*THREE)
-        live.run('play', str(RC_CAR), '--rate', '10', '--quiet')
+        live.run('play', str(recording), '--rate', '10', '--quiet')
         assert live.settled_map(expected, 60.0) == expected, live.logs()
         assert set(live.stop().values()) == {0}

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Lockstep: it waits for exactly the actions that the nodes can give by then."""
+"""Lockstep: predicts exactly the actions that the nodes can publish by then."""
 
 import math
 import random
@@ -37,7 +37,7 @@ def odometry(stamp_ns: int, speed: float = 1.0) -> OdometryEvent:
     )
 
 
-def test_the_action_of_an_image_is_certain_once_odometry_has_reached_it() -> None:
+def test_image_is_processed_once_odometry_reaches_its_stamp() -> None:
     lockstep = Lockstep(odometry_is_played=True)
     assert lockstep.publish(odometry(START_NS)) == []
     assert lockstep.publish(image(START_NS + 10 * MS)) == []
@@ -46,7 +46,7 @@ def test_the_action_of_an_image_is_certain_once_odometry_has_reached_it() -> Non
     assert lockstep.publish(image(START_NS + 40 * MS)) == [START_NS + 40 * MS]
 
 
-def test_images_faster_than_odometry_do_not_wait_for_what_cannot_come() -> None:
+def test_images_faster_than_odometry_wait_for_odometry() -> None:
     lockstep = Lockstep(odometry_is_played=True)
     lockstep.publish(odometry(START_NS))
     stamps = [START_NS + i * 30 * MS for i in range(1, 8)]
@@ -54,7 +54,7 @@ def test_images_faster_than_odometry_do_not_wait_for_what_cannot_come() -> None:
     assert lockstep.publish(odometry(START_NS + 200 * MS)) == stamps[:6]
 
 
-def test_a_refused_image_gives_no_action() -> None:
+def test_refused_image_gives_no_action() -> None:
     lockstep = Lockstep(odometry_is_played=True)
     lockstep.publish(odometry(START_NS))
     assert lockstep.publish(image(START_NS)) == [START_NS]
@@ -63,7 +63,7 @@ def test_a_refused_image_gives_no_action() -> None:
     assert lockstep.publish(odometry(START_NS + 100 * MS)) == []
 
 
-def test_odometry_that_the_nodes_refuse_lets_nothing_go() -> None:
+def test_refused_odometry_releases_nothing() -> None:
     lockstep = Lockstep(odometry_is_played=True)
     lockstep.publish(odometry(START_NS))
     lockstep.publish(image(START_NS + 10 * MS))
@@ -71,21 +71,21 @@ def test_odometry_that_the_nodes_refuse_lets_nothing_go() -> None:
     assert lockstep.publish(odometry(START_NS + 30 * MS)) == [START_NS + 10 * MS]
 
 
-def test_an_image_that_leaps_ahead_is_waited_for_when_others_have_followed() -> None:
+def test_stamps_that_jump_ahead_are_released_after_confirmation() -> None:
     lockstep = Lockstep(odometry_is_played=True)
     lockstep.publish(odometry(START_NS))
     lockstep.publish(image(START_NS))
-    leapt = START_NS + 3600 * 10**9
-    certain = []
+    jumped_ns = START_NS + 3600 * 10**9
+    predicted = []
     for i in range(12):
-        certain += lockstep.publish(odometry(leapt + i * PERIOD_NS))
-        got = lockstep.publish(image(leapt + i * PERIOD_NS))
+        predicted += lockstep.publish(odometry(jumped_ns + i * PERIOD_NS))
+        got = lockstep.publish(image(jumped_ns + i * PERIOD_NS))
         assert not got or i >= 9
-        certain += got
-    assert certain == [leapt + i * PERIOD_NS for i in range(12)]
+        predicted += got
+    assert predicted == [jumped_ns + i * PERIOD_NS for i in range(12)]
 
 
-def test_with_visual_odometry_the_image_before_is_certain() -> None:
+def test_visual_odometry_releases_the_previous_image() -> None:
     lockstep = Lockstep(odometry_is_played=False)
     stamps = [START_NS + i * PERIOD_NS for i in range(4)]
     assert [lockstep.publish(image(stamp)) for stamp in stamps] == [
@@ -93,13 +93,13 @@ def test_with_visual_odometry_the_image_before_is_certain() -> None:
     ]  # fmt: skip
 
 
-def test_recorded_templates_are_waited_for_too() -> None:
+def test_recorded_templates_are_awaited() -> None:
     lockstep = Lockstep(odometry_is_played=True)
     lockstep.publish(TemplateEvent(START_NS, START_NS, '{}'))
     assert lockstep.publish(odometry(START_NS)) == [START_NS]
 
 
-def test_scans_are_waited_for_by_nobody() -> None:
+def test_scans_release_nothing() -> None:
     lockstep = Lockstep(odometry_is_played=True)
     lockstep.publish(image(START_NS))
     ranges_m = np.ones(3, np.float32)
@@ -108,24 +108,24 @@ def test_scans_are_waited_for_by_nobody() -> None:
     assert lockstep.publish(odometry(START_NS)) == [START_NS]
 
 
-def test_a_second_pass_is_followed() -> None:
+def test_second_pass_starts_over() -> None:
     lockstep = Lockstep(odometry_is_played=True)
     stamps = [START_NS + i * PERIOD_NS for i in range(60)]
     for _ in range(2):
-        certain = []
+        predicted = []
         for stamp in stamps:
-            certain += lockstep.publish(odometry(stamp))
-            certain += lockstep.publish(image(stamp))
-    assert certain[-20:] == stamps[-20:]
-    assert len(certain) >= 50
+            predicted += lockstep.publish(odometry(stamp))
+            predicted += lockstep.publish(image(stamp))
+    assert predicted[-20:] == stamps[-20:]
+    assert len(predicted) >= 50
 
 
 @pytest.mark.parametrize('seed', range(20))
-def test_never_more_than_ratslam_itself_has_acted_on(seed: int) -> None:
-    """Whatever the order of stamps and of arrival; RatSLAM here knows its bound on lateness."""
+def test_predictions_are_subset_of_processed_views(seed: int) -> None:
+    """For random orders of stamps and arrival; RatSLAM has its default bound on lateness."""
     chance = random.Random(seed)
     slam, lockstep = RatSLAM(Config()), Lockstep(odometry_is_played=True)
-    acted, certain = set(), []
+    acted, predicted = set(), []
     events: list[Event] = []
     for i in range(300):
         events.append(image(START_NS + i * PERIOD_NS + chance.choice([0, 0, 5, -300 * MS])))
@@ -134,7 +134,7 @@ def test_never_more_than_ratslam_itself_has_acted_on(seed: int) -> None:
             events.append(odometry(START_NS + i * PERIOD_NS + k * 30 * MS - late_ns))
     grey = np.random.default_rng(seed).integers(0, 256, (12, 64), dtype=np.uint8)
     for event in events:
-        certain += lockstep.publish(event)
+        predicted += lockstep.publish(event)
         if isinstance(event, ImageEvent):
             steps = slam.image(event.stamp_ns, grey)
         else:
@@ -143,5 +143,5 @@ def test_never_more_than_ratslam_itself_has_acted_on(seed: int) -> None:
                 Odometry(event.stamp_ns, Twist(event.linear_x, 0.0), Pose(0.0, 0.0, 0.0))
             )
         acted |= {step.stamp_ns for step in steps if isinstance(step, ViewStep)}
-        assert set(certain) <= acted
-    assert len(certain) > 200
+        assert set(predicted) <= acted
+    assert len(predicted) > 200

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""play, echo and call as processes that talk over DDS."""
+"""``play``, ``echo`` and ``call`` in processes that communicate over DDS."""
 
 import signal
 from pathlib import Path
@@ -61,39 +61,39 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_bag(tmp_path_factory.mktemp('recordings') / 'circles', circles(1, 20))
 
 
-def test_what_is_played_is_heard_complete_and_in_order(
+def test_played_messages_arrive_complete_and_in_order(
     commands: Commands, templates: Path
 ) -> None:
-    heard = commands.start(
+    listener = commands.start(
         'echo', 'local_view/template', 'std_msgs/msg/String', '--field', 'data', '--timeout', '8'
     )
     moved = commands.start('echo', 'odom', 'nav_msgs/msg/Odometry', '--once')
     code, out, err = commands.run('play', str(templates), '--rate', '10')
     assert code == 0, err
     assert f'{TEMPLATES} templates and {TEMPLATES} odometry messages over 3.9 s' in out
-    heard.send_signal(signal.SIGINT)
-    lines = heard.communicate(timeout=20)[0].splitlines()
+    listener.send_signal(signal.SIGINT)
+    lines = listener.communicate(timeout=20)[0].splitlines()
     assert lines == [template_text(START_NS + i * PERIOD_NS, i) for i in range(TEMPLATES)]
-    assert heard.returncode == 130
+    assert listener.returncode == 130
     shown = moved.communicate(timeout=20)[0]
     assert 'frame_id: odom' in shown and 'child_frame_id: base_link' in shown
     assert shown.endswith('---\n') and moved.returncode == 0
 
 
-def test_the_clock_runs_between_messages(commands: Commands, tmp_path: Path) -> None:
+def test_clock_advances_between_messages(commands: Commands, tmp_path: Path) -> None:
     stamps = [START_NS, START_NS + 2 * 10**9]
     sparse = write_bag(
         tmp_path / 'sparse',
         [(s, '/image', 'image', image_message(s, np.zeros((4, 4), np.uint8))) for s in stamps],
     )
-    heard = commands.start('echo', '/clock', 'rosgraph_msgs/msg/Clock', '--field', 'clock')
+    clock = commands.start('echo', '/clock', 'rosgraph_msgs/msg/Clock', '--field', 'clock')
     images = commands.start('echo', 'image', 'sensor_msgs/msg/Image', '--field', 'header.stamp')
     code, _, err = commands.run('play', str(sparse), '--clock', '--rate', '1')
     assert code == 0, err
-    for process in (heard, images):
+    for process in (clock, images):
         process.send_signal(signal.SIGINT)
-    told = heard.communicate(timeout=20)[0].split()
-    numbers = [int(word) for word in told if word.isdecimal()]
+    words = clock.communicate(timeout=20)[0].split()
+    numbers = [int(word) for word in words if word.isdecimal()]
     times_ns = [sec * 10**9 + ns for sec, ns in zip(numbers[::2], numbers[1::2], strict=True)]
     assert times_ns == sorted(times_ns)
     assert times_ns[0] >= START_NS and times_ns[-1] == stamps[-1]
@@ -101,13 +101,15 @@ def test_the_clock_runs_between_messages(commands: Commands, tmp_path: Path) -> 
     assert images.communicate(timeout=20)[0].count('sec: 17000000') == 2
 
 
-def test_nobody_to_play_to_is_said(here, bag: Path) -> None:
+def test_play_without_subscribers_is_reported(here, bag: Path) -> None:
     code, out, err = here('play', str(bag), '--wait', '0.5')
     assert (code, out) == (2, '')
-    assert 'nobody listens to /image or /odom' in err or 'nobody listens to /odom or /image' in err
+    assert any(f'no node subscribes to {names}:' in err for names in (
+        '/image or /odom', '/odom or /image'
+    ))  # fmt: skip
 
 
-def test_lockstep_needs_somebody_to_keep_step_with(commands: Commands, here, bag: Path) -> None:
+def test_lockstep_without_pose_cells_is_reported(commands: Commands, here, bag: Path) -> None:
     commands.start_python(
         'import rclpy\n'
         'from nav_msgs.msg import Odometry\n'
@@ -121,10 +123,10 @@ def test_lockstep_needs_somebody_to_keep_step_with(commands: Commands, here, bag
     assert code == 2 and '/pose_cells/action' in err.splitlines()[-1]
 
 
-def test_an_interrupt_ends_playing_at_once(commands: Commands, bag: Path) -> None:
+def test_interrupt_ends_playback_at_once(commands: Commands, bag: Path) -> None:
     player = commands.start('play', str(bag), '--wait', '0', '--rate', '0.01', '--clock')
     assert player.stderr is not None
-    player.stderr.read(1)  # the progress bar: it plays
+    player.stderr.read(1)  # the progress bar: playback has started
     player.send_signal(signal.SIGINT)
     _, err = player.communicate(timeout=20)
     assert player.returncode == 130
@@ -132,7 +134,7 @@ def test_an_interrupt_ends_playing_at_once(commands: Commands, bag: Path) -> Non
 
 
 @pytest.mark.parametrize(
-    ('words', 'told'),
+    ('words', 'part'),
     [
         (['--rate', '-1'], '--rate -1'),
         (['--rate', 'nan'], '--rate nan'),
@@ -141,19 +143,19 @@ def test_an_interrupt_ends_playing_at_once(commands: Commands, bag: Path) -> Non
         (['--image-topic', '/odom'], '--image-topic /odom'),
     ],
 )
-def test_wrong_options_of_play_end_in_one_line(here, bag: Path, words, told) -> None:
+def test_invalid_play_option_is_reported_in_one_line(here, bag: Path, words, part) -> None:
     code, out, err = here('play', str(bag), '--quiet', *words)
     assert (code, out) == (2, '')
-    assert err.startswith('ratslam: ') and err.count('\n') == 1 and told in err
+    assert err.startswith('ratslam: ') and err.count('\n') == 1 and part in err
 
 
-def test_arguments_that_ros_does_not_understand_end_in_a_line_too(here, bag: Path) -> None:
+def test_invalid_ros_arguments_are_reported_in_one_line(here, bag: Path) -> None:
     code, _, err = here('play', str(bag), '--quiet', '--ros-args', '-r', 'nonsense')
-    assert code == 2 and 'Traceback' not in err  # rclpy logs a line of its own
+    assert code == 2 and 'Traceback' not in err  # rclpy logs another line.
     assert err.splitlines()[-1].startswith('ratslam: --ros-args -r nonsense: ')
 
 
-def test_services_and_latched_topics(commands: Commands, here) -> None:
+def test_services_are_called_and_latched_topics_echoed(commands: Commands, here) -> None:
     commands.start_python(SERVER)
     kind = 'std_srvs/srv/SetBool'
     assert here('call', 'robot/switch', kind, '{data: true}') == (
@@ -162,12 +164,12 @@ def test_services_and_latched_topics(commands: Commands, here) -> None:
     assert here('call', 'switch', kind, '--ros-args', '-r', '__ns:=/robot')[:2] == (
         0, 'success: false\nmessage: heard\n',
     )  # fmt: skip
-    # A process of its own writes bytes, which are to be those that were sent.
+    # In a process of its own, to compare the bytes of the output.
     assert commands.run('echo', 'kept', '--once', '--field', 'data') == (
         0, '{"kept": "ö"}\n', '',
     )  # fmt: skip
     code, _, err = here('call', 'robot/swich', kind, '--timeout', '0.5')
-    assert code == 2 and 'nobody offers /robot/swich' in err and '/robot/switch' in err
+    assert code == 2 and 'no node offers /robot/swich' in err and '/robot/switch' in err
     code, _, err = here('call', 'robot/switch', 'std_srvs/srv/Trigger', '--timeout', '0.5')
     assert code == 2 and kind in err
     code, _, err = here('echo', 'kept', '--field', 'dat', '--once')
@@ -176,7 +178,7 @@ def test_services_and_latched_topics(commands: Commands, here) -> None:
     assert code == 2 and 'std_msgs/msg/String' in err
 
 
-def test_silence_is_an_answer_too(here) -> None:
+def test_echo_without_messages_returns_no_answer(here) -> None:
     code, _, err = here('echo', 'nothing', 'std_msgs/msg/String', '--timeout', '0.3')
     assert code == 1 and '/nothing' in err
     code, _, err = here('echo', 'nothing', '--timeout', '0.3')
@@ -184,7 +186,7 @@ def test_silence_is_an_answer_too(here) -> None:
 
 
 @pytest.mark.parametrize(
-    ('words', 'told'),
+    ('words', 'part'),
     [
         (['call', 'x', 'std_srvs/srv/Nothing'], 'std_srvs/srv/Nothing'),
         (['call', 'x', 'nonsense'], 'nonsense'),
@@ -196,14 +198,14 @@ def test_silence_is_an_answer_too(here) -> None:
         (['echo', 'x', 'nonsense'], 'nonsense'),
     ],
 )
-def test_wrong_words_to_call_and_echo_end_in_one_line(here, words, told) -> None:
+def test_invalid_call_or_echo_is_reported_in_one_line(here, words, part) -> None:
     code, out, err = here(*words)
     assert (code, out) == (2, '')
-    assert err.startswith('ratslam: ') and err.count('\n') == 1 and told in err
+    assert err.startswith('ratslam: ') and err.count('\n') == 1 and part in err
 
 
 class Slow:
-    """A publisher whose middleware refuses a few messages before it takes one."""
+    """Publisher whose middleware refuses some messages before it accepts one."""
 
     topic_name = '/image'
 
@@ -219,11 +221,11 @@ class Slow:
 
 
 @pytest.mark.usefixtures('ros')
-def test_what_a_middleware_refuses_for_a_while_is_sent_again() -> None:
+def test_message_refused_by_middleware_is_repeated() -> None:
     from ratslam_ros.live.player import send
 
     slow = Slow(5)
     send(slow, 'a')
     assert slow.sent == ['a']
-    with pytest.raises(UnusableInput, match='/image: nothing can be published'):
-        send(Slow(10**9), 'a', patience_s=0.05)
+    with pytest.raises(UnusableInput, match='/image: publishing failed'):
+        send(Slow(10**9), 'a', timeout_s=0.05)

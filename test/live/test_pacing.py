@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Pacing: every message at its time, whatever happened before, and a clock that fits."""
+"""Pacing: due times of messages without drift, and the published clock."""
 
 import itertools
 import random
@@ -13,7 +13,7 @@ START_NS = 1_700_000_000_000_000_000
 
 
 class Clock:
-    """A steady clock that goes on only when it is told to."""
+    """Monotonic clock that the test advances."""
 
     def __init__(self) -> None:
         self.ns = 5_000_000_000
@@ -26,7 +26,7 @@ class Clock:
 
 
 @pytest.mark.parametrize('rate', [0.5, 1.0, 3.0, 100.0])
-def test_messages_are_due_when_the_recording_says_at_its_rate(rate: float) -> None:
+def test_due_times_follow_recording_at_given_rate(rate: float) -> None:
     clock = Clock()
     pacing = Pacing(START_NS, rate, clock)
     assert pacing.wait_s(START_NS) == 0.0
@@ -37,31 +37,31 @@ def test_messages_are_due_when_the_recording_says_at_its_rate(rate: float) -> No
         assert clock.ns - 5_000_000_000 == pytest.approx(i * 33_333_333 / rate, abs=20)
 
 
-def test_sleeping_too_long_every_time_adds_no_drift() -> None:
+def test_long_sleeps_cause_no_drift() -> None:
     clock = Clock()
     pacing = Pacing(START_NS, 1.0, clock)
     for i in range(10_000):
         log_ns = START_NS + i * 10_000_000
-        clock.pass_s(pacing.wait_s(log_ns) + 0.001)  # a sleep that ends late
+        clock.pass_s(pacing.wait_s(log_ns) + 0.001)  # The sleep ends late.
         pacing.published(log_ns)
     assert clock.ns - 5_000_000_000 == pytest.approx(9_999 * 10_000_000 + 1_000_000, abs=100)
 
 
-def test_what_is_late_is_caught_up() -> None:
+def test_late_messages_are_caught_up() -> None:
     clock = Clock()
     pacing = Pacing(START_NS, 1.0, clock)
-    clock.pass_s(1.0)  # a slow reader
+    clock.pass_s(1.0)  # Reading was slow.
     waits = [pacing.wait_s(START_NS + i * 100_000_000) for i in range(13)]
     assert waits[:11] == [0.0] * 11
     assert waits[11:] == pytest.approx([0.1, 0.2], abs=1e-6)
 
 
-def test_rate_0_never_waits() -> None:
+def test_rate_zero_never_waits() -> None:
     pacing = Pacing(START_NS, 0.0, Clock())
     assert [pacing.wait_s(START_NS + i * 10**9) for i in range(5)] == [0.0] * 5
 
 
-def test_the_clock_runs_between_messages_and_never_past_the_next() -> None:
+def test_clock_advances_up_to_next_message() -> None:
     clock = Clock()
     pacing = Pacing(START_NS, 2.0, clock)
     assert pacing.time_ns() == START_NS
@@ -69,14 +69,14 @@ def test_the_clock_runs_between_messages_and_never_past_the_next() -> None:
     pacing.wait_s(START_NS + 1_000_000_000)
     clock.pass_s(0.25)
     assert pacing.time_ns() == START_NS + 500_000_000
-    clock.pass_s(10.0)  # the message is late: so is its time
+    clock.pass_s(10.0)  # The message is late, and so is the clock.
     assert pacing.time_ns() == START_NS + 1_000_000_000
     assert pacing.played_s == 0.0
     pacing.published(START_NS + 1_000_000_000)
     assert pacing.played_s == 1.0
 
 
-def test_the_clock_at_rate_0_is_that_of_the_last_message() -> None:
+def test_clock_at_rate_zero_is_last_message() -> None:
     clock = Clock()
     pacing = Pacing(START_NS, 0.0, clock)
     pacing.wait_s(START_NS + 10**9)
@@ -87,7 +87,7 @@ def test_the_clock_at_rate_0_is_that_of_the_last_message() -> None:
 
 
 @pytest.mark.parametrize('seed', range(20))
-def test_the_clock_never_goes_back(seed: int) -> None:
+def test_clock_is_monotonic(seed: int) -> None:
     chance, clock = random.Random(seed), Clock()
     pacing = Pacing(START_NS, chance.choice([0.0, 0.3, 1.0, 7.0]), clock)
     log_ns, times = START_NS, []

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Events as messages: whoever receives one finds what offline replay finds in the event."""
+"""Messages of events: a node reads the same values as an offline replay."""
 
 import struct
 from pathlib import Path
@@ -14,6 +14,7 @@ from helpers import PERIOD_NS, START_NS, image_message, odometry_message, write_
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.errors import UnusableInput
+from ratslam_ros.event_inputs import odometry_from_event, scan_from_event
 from ratslam_ros.images import EncodedImage, Frame, RawImage, image_of
 from ratslam_ros.recordings import (
     Event,
@@ -54,7 +55,7 @@ def raw(encoding: str, channels: int, bytes_each: int, padding: int, big: int) -
     [('mono8', 1, 1), ('bgr8', 3, 1), ('rgb8', 3, 1), ('rgba8', 4, 1), ('mono16', 1, 2),
      ('bayer_rggb8', 1, 1), ('yuv422', 1, 2)],
 )  # fmt: skip
-def test_a_raw_image_keeps_every_field(encoding, channels, bytes_each, big, padding) -> None:
+def test_raw_image_keeps_every_field(encoding, channels, bytes_each, big, padding) -> None:
     image = raw(encoding, channels, bytes_each, padding, big)
     message = message_of(event(image))
     for name in ('height', 'width', 'encoding', 'is_bigendian', 'step'):
@@ -67,7 +68,7 @@ def test_a_raw_image_keeps_every_field(encoding, channels, bytes_each, big, padd
 
 
 @pytest.mark.parametrize('ending', ['jpg', 'png', 'pgm'])
-def test_a_compressed_image_keeps_its_bytes_and_format(ending: str) -> None:
+def test_compressed_image_keeps_bytes_and_format(ending: str) -> None:
     pixels = np.random.default_rng(2).integers(0, 256, (20, 30, 3), dtype=np.uint8)
     shown = pixels[:, :, 0] if ending == 'pgm' else pixels
     image = EncodedImage(cv2.imencode(f'.{ending}', shown)[1].tobytes(), ending)
@@ -76,13 +77,13 @@ def test_a_compressed_image_keeps_its_bytes_and_format(ending: str) -> None:
     assert np.array_equal(image_of(message).grey(), image.grey())
 
 
-def test_an_image_that_cannot_be_decoded_is_published_as_it_is() -> None:
+def test_undecodable_image_is_published_unchanged() -> None:
     assert len(message_of(event(EncodedImage(b'', 'jpg'))).data) == 0
     assert bytes(message_of(event(EncodedImage(b'no image', ''))).data) == b'no image'
 
 
 @pytest.mark.parametrize('shape', [(6, 8, 3), (6, 8)])
-def test_a_frame_of_a_video_becomes_a_raw_image(shape: tuple[int, ...]) -> None:
+def test_video_frame_is_published_as_raw_image(shape: tuple[int, ...]) -> None:
     pixels = np.random.default_rng(3).integers(0, 256, shape, dtype=np.uint8)[:, ::-1]
     frame = Frame(pixels)
     message = message_of(event(frame))
@@ -95,7 +96,7 @@ def bits(*values: float) -> bytes:
 
 
 @pytest.mark.parametrize('seed', range(5))
-def test_odometry_is_received_to_the_last_bit(seed: int) -> None:
+def test_odometry_is_received_without_loss(seed: int) -> None:
     from ratslam_ros.nodes.convert import odometry_of
 
     chance = Random(seed)
@@ -108,9 +109,8 @@ def test_odometry_is_received_to_the_last_bit(seed: int) -> None:
         assert bits(*got.twist, *got.pose) == bits(*motion, sent.heading_rad)
 
 
-def test_recorded_odometry_and_that_of_tables_is_the_same_live(tmp_path: Path) -> None:
+def test_odometry_of_bag_and_table_is_same_live(tmp_path: Path) -> None:
     from ratslam_ros.nodes.convert import odometry_of
-    from ratslam_ros.offline.replay import _odometry
 
     chance = Random(7)
     table = ['image,stamp_ns,linear_x_mps,angular_z_radps']
@@ -135,14 +135,13 @@ def test_recorded_odometry_and_that_of_tables_is_the_same_live(tmp_path: Path) -
             ]
         assert len(events) == 100
         for sent in events:
-            assert odometry_of(message_of(sent)) == _odometry(sent)
+            assert odometry_of(message_of(sent)) == odometry_from_event(sent)
 
 
 @pytest.mark.parametrize('beams', [0, 1, 181])
-def test_a_scan_is_received_to_the_last_bit(beams: int) -> None:
+def test_scan_is_received_without_loss(beams: int) -> None:
     from ratslam_ros.core.common.scan import UnusableScan
     from ratslam_ros.nodes.scans import scan_from_message
-    from ratslam_ros.offline.replay import _scan
 
     first, step = (float(np.float32(number)) for number in (-1.57, 0.017))
     ranges_m = np.random.default_rng(4).uniform(-1.0, 40.0, beams).astype(np.float32)
@@ -153,18 +152,18 @@ def test_a_scan_is_received_to_the_last_bit(beams: int) -> None:
         with pytest.raises(UnusableScan):
             scan_from_message(message)
         return
-    got, expected = scan_from_message(message), _scan(sent)
+    got, expected = scan_from_message(message), scan_from_event(sent)
     assert got.ranges_m.tobytes() == expected.ranges_m.tobytes()
     assert got.stamp_ns == expected.stamp_ns == START_NS + 5
     assert bits(got.angle_min_rad, got.angle_increment_rad) == bits(first, step)
 
 
-def test_a_template_is_published_as_it_was_recorded() -> None:
+def test_template_is_published_unchanged() -> None:
     assert message_of(TemplateEvent(1, 1, '{"id":  3}')).data == '{"id":  3}'
 
 
 @pytest.mark.parametrize('stamp_s', [2**31, 2**32 - 1, -(2**31) - 1])
-def test_a_stamp_that_no_message_can_hold_is_refused(stamp_s: int) -> None:
+def test_stamp_beyond_message_range_is_rejected(stamp_s: int) -> None:
     with pytest.raises(UnusableInput, match='does not fit'):
         message_of(TemplateEvent(1, 1, '')) and message_of(
             event(Frame(np.zeros((1, 1), np.uint8)), stamp_s * 10**9)
@@ -172,6 +171,6 @@ def test_a_stamp_that_no_message_can_hold_is_refused(stamp_s: int) -> None:
 
 
 @pytest.mark.parametrize('stamp_ns', [0, -1, 2**31 * 10**9 - 1])
-def test_a_stamp_is_kept_to_the_nanosecond(stamp_ns: int) -> None:
+def test_stamp_is_kept_to_the_nanosecond(stamp_ns: int) -> None:
     stamp = message_of(event(Frame(np.zeros((1, 1), np.uint8)), stamp_ns)).header.stamp
     assert stamp.sec * 10**9 + stamp.nanosec == stamp_ns

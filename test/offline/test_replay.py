@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A recording gives the same map at every run, whatever the order its messages were written in."""
+"""Replay: the map of a recording is reproducible and independent of the message order."""
 
 import csv
 import json
@@ -75,7 +75,7 @@ def rows(folder: Path) -> list[dict[str, str]]:
 
 
 def delayed(messages: list[Recorded], seed: int, most_ns: int = 1_800_000_000) -> list[Recorded]:
-    """Return the messages as recorded late, each stream's in its own order."""
+    """Return the messages with random recording delays, each topic in its own order."""
     rng = random.Random(seed)
     last: dict[str, int] = {}
     out = []
@@ -92,14 +92,14 @@ def drive() -> list[Recorded]:
 
 @pytest.fixture(scope='module')
 def base(drive: list[Recorded], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the results of replaying the drive as it was."""
+    """Return the results of replaying the drive without delays."""
     folder = tmp_path_factory.mktemp('base')
     outcome = run(write_bag(folder / 'bag', drive), folder / 'results')
     assert not outcome.interrupted
     return folder / 'results'
 
 
-def test_a_drive_in_circles_is_mapped_as_circles(base: Path) -> None:
+def test_laps_are_mapped_with_loop_closures(base: Path) -> None:
     graph = json.loads((base / 'map.json').read_text())
     summary = json.loads((base / 'summary.json').read_text())
     assert summary['frames'] == summary['odometry'] == FRAMES
@@ -110,7 +110,7 @@ def test_a_drive_in_circles_is_mapped_as_circles(base: Path) -> None:
     assert summary['dropped'] == summary['late'] == summary['refused'] == 0
 
 
-def test_two_runs_give_the_same_bytes(
+def test_two_runs_give_identical_files(
     drive: list[Recorded], base: Path, tmp_path: Path
 ) -> None:
     run(write_bag(tmp_path / 'bag', drive), tmp_path / 'again')
@@ -118,17 +118,17 @@ def test_two_runs_give_the_same_bytes(
 
 
 @pytest.mark.parametrize('seed', range(3))
-def test_the_order_across_streams_does_not_matter_within_the_bound(
+def test_order_across_topics_does_not_change_results(
     drive: list[Recorded], base: Path, tmp_path: Path, seed: int
 ) -> None:
-    """In the original the map depends on when messages happen to arrive."""
+    """In OpenRatSLAM the map depends on the times at which messages arrive."""
     messages = delayed(drive, seed)
     assert [m[3].header.stamp for m in messages] != [m[3].header.stamp for m in drive]
     run(write_bag(tmp_path / 'bag', messages), tmp_path / 'results')
     assert bytes_of(tmp_path / 'results') == bytes_of(base)
 
 
-def test_images_written_before_all_odometry_of_their_time_change_nothing(
+def test_images_recorded_before_odometry_do_not_change_results(
     drive: list[Recorded], base: Path, tmp_path: Path
 ) -> None:
     early = [
@@ -139,10 +139,10 @@ def test_images_written_before_all_odometry_of_their_time_change_nothing(
     assert bytes_of(tmp_path / 'results') == bytes_of(base)
 
 
-def test_messages_beyond_the_bound_are_counted_as_late(
+def test_messages_beyond_max_lateness_are_counted_as_late(
     drive: list[Recorded], tmp_path: Path
 ) -> None:
-    """Never a different map with all counts zero."""
+    """A map that differs because of lost messages must show in the counts."""
     late = [
         (log_ns + (5_000_000_000 if topic == IMAGE_TOPIC else 0), topic, kind, message)
         for log_ns, topic, kind, message in drive
@@ -167,7 +167,7 @@ def test_repeated_stamps_are_refused_and_counted(drive: list[Recorded], tmp_path
 # Files
 
 
-def test_the_trajectories_have_a_line_for_every_odometry_message(base: Path) -> None:
+def test_trajectories_have_one_line_per_odometry_message(base: Path) -> None:
     stamps = [f'{(START_NS + i * PERIOD_NS) // 10**9}.{i * PERIOD_NS % 10**9:09d}'
               for i in range(FRAMES)]  # fmt: skip
     for name in SAME[2:]:
@@ -180,8 +180,8 @@ def test_the_trajectories_have_a_line_for_every_odometry_message(base: Path) -> 
             assert qz**2 + qw**2 == pytest.approx(1.0, abs=1e-8)
 
 
-def test_the_final_trajectory_hangs_on_the_final_map(base: Path) -> None:
-    """After an arrival the pose is one step from where that experience lies in the end."""
+def test_final_trajectory_follows_final_map(base: Path) -> None:
+    """One message after an arrival, the pose is one step from the final pose of the experience."""
     graph = json.loads((base / 'map.json').read_text())
     nodes = [Pose(e['x_m'], e['y_m'], e['heading_rad']) for e in graph['experiences']]
     final = [[float(part) for part in line.split()[1:3]]
@@ -195,7 +195,7 @@ def test_the_final_trajectory_hangs_on_the_final_map(base: Path) -> None:
         assert final[i + 1] == pytest.approx([expected.x_m, expected.y_m], abs=1e-8)
 
 
-def test_frames_csv_has_a_row_for_every_image(base: Path) -> None:
+def test_frames_csv_has_one_row_per_image(base: Path) -> None:
     text = (base / 'frames.csv').read_text()
     assert text.startswith(
         'stamp_ns,template_id,is_new,match_error,relative_rad,experience_id\n'
@@ -209,12 +209,12 @@ def test_frames_csv_has_a_row_for_every_image(base: Path) -> None:
     assert table[0]['match_error'] == '-1.0'
     assert all(float(row['match_error']) > 0.03 for row in table[1:PER_LAP])
     assert all(float(row['match_error']) == 0.0 for row in table[PER_LAP:])
-    # Nothing is decided before the second odometry message, which moves the robot.
+    # The first experience is created after the second odometry message, which moves the robot.
     assert table[0]['experience_id'] == '-1'
     assert table[1]['experience_id'] == '0'
 
 
-def test_the_summary_has_its_keys_in_order(base: Path) -> None:
+def test_summary_has_its_keys_in_order(base: Path) -> None:
     summary = json.loads((base / 'summary.json').read_text())
     assert list(summary) == [
         'frames', 'odometry', 'templates', 'experiences', 'links', 'loop_closures', 'dropped',
@@ -230,7 +230,7 @@ def test_the_summary_has_its_keys_in_order(base: Path) -> None:
     assert summary['step_ms']['local_view']['count'] == FRAMES
 
 
-def test_the_map_holds_the_stamp_of_the_last_action_and_no_trace_of_the_machine(
+def test_map_has_last_stamp_and_no_paths(
     base: Path,
 ) -> None:
     text = (base / 'map.json').read_text()
@@ -240,13 +240,13 @@ def test_the_map_holds_the_stamp_of_the_last_action_and_no_trace_of_the_machine(
     assert '/' not in text
 
 
-def test_no_half_written_files_are_left(base: Path) -> None:
+def test_no_partial_files_remain(base: Path) -> None:
     assert sorted(path.name for path in base.iterdir()) == sorted(
         [*SAME, 'summary.json', 'config.yaml']
     )
 
 
-def test_the_configuration_written_gives_the_same_map(
+def test_written_configuration_gives_same_results(
     drive: list[Recorded], base: Path, tmp_path: Path
 ) -> None:
     from ratslam_ros.files.config import load_config
@@ -257,15 +257,15 @@ def test_the_configuration_written_gives_the_same_map(
     assert bytes_of(tmp_path / 'results') == bytes_of(base)
 
 
-def test_where_the_map_refused_a_jump_it_has_not_moved(tmp_path: Path) -> None:
+def test_rejected_loop_closure_keeps_current_experience(tmp_path: Path) -> None:
     results = Results(tmp_path)
     place = Place(0.0, 0.0, 0.0)
-    for kind, target, refused in (
+    for kind, target, rejected in (
         ('create', 20, False), ('link', 3, True), ('none', 3, False), ('link', 4, False),
     ):  # fmt: skip
         action = MapAction(kind, 20, target, 0, 0.0, place)  # type: ignore[arg-type]
         match = ViewMatch(target, False, 0.0, 0.0)
-        results.add(ViewStep(START_NS, match, action, rejected=refused))
+        results.add(ViewStep(START_NS, match, action, rejected=rejected))
     results.finish(ExperienceMap(Config().experience_map), Config(), {})
     rows = (tmp_path / 'frames.csv').read_text().splitlines()[1:]
     assert [row.split(',')[-1] for row in rows] == ['20', '20', '20', '4']
@@ -273,7 +273,7 @@ def test_where_the_map_refused_a_jump_it_has_not_moved(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize('action', ['link', 'set'])
-def test_a_loop_closure_leads_to_none_of_the_ten_newest_experiences(
+def test_link_to_one_of_ten_newest_is_no_closure(
     tmp_path: Path, action: Literal['link', 'set']
 ) -> None:
     results = Results(tmp_path)
@@ -296,7 +296,7 @@ def test_a_loop_closure_leads_to_none_of_the_ten_newest_experiences(
 # Undecodable images, recorded templates
 
 
-def test_an_undecodable_image_gives_a_row_with_id_minus_1_and_counts_as_dropped(
+def test_undecodable_image_has_id_minus_one_and_is_dropped(
     drive: list[Recorded], tmp_path: Path
 ) -> None:
     broken = {5, 6, 40}
@@ -317,7 +317,7 @@ def test_an_undecodable_image_gives_a_row_with_id_minus_1_and_counts_as_dropped(
 
 
 def recorded_templates(drive: list[Recorded], results: Path) -> Iterator[Recorded]:
-    """Yield the drive with what the local view made of the images in place of them."""
+    """Yield the drive with the templates of the results in place of the images."""
     views = iter(rows(results))
     for log_ns, topic, kind, message in drive:
         if topic != IMAGE_TOPIC:
@@ -332,7 +332,7 @@ def recorded_templates(drive: list[Recorded], results: Path) -> Iterator[Recorde
         yield log_ns, TEMPLATE_TOPIC, 'string', string_message(text)
 
 
-def test_recorded_templates_give_the_map_of_the_images_they_were_made_from(
+def test_recorded_templates_give_same_results_as_images(
     drive: list[Recorded], base: Path, tmp_path: Path
 ) -> None:
     bag = write_bag(tmp_path / 'bag', recorded_templates(drive, base))
@@ -340,7 +340,7 @@ def test_recorded_templates_give_the_map_of_the_images_they_were_made_from(
     assert bytes_of(tmp_path / 'results') == bytes_of(base)
 
 
-def test_malformed_templates_are_dropped_counted_and_told(
+def test_malformed_templates_are_dropped_with_warning(
     drive: list[Recorded], base: Path, tmp_path: Path
 ) -> None:
     messages = list(recorded_templates(drive, base))
@@ -358,7 +358,9 @@ def test_malformed_templates_are_dropped_counted_and_told(
     assert bytes_of(tmp_path / 'results') == bytes_of(base)
 
 
-def test_without_odometry_the_images_give_it(drive: list[Recorded], tmp_path: Path) -> None:
+def test_recording_without_odometry_uses_visual_odometry(
+    drive: list[Recorded], tmp_path: Path
+) -> None:
     images = [message for message in drive if message[1] == IMAGE_TOPIC]
     summary = run(write_bag(tmp_path / 'bag', images), tmp_path / 'results').summary
     assert summary['odometry'] == FRAMES - 1
@@ -366,7 +368,7 @@ def test_without_odometry_the_images_give_it(drive: list[Recorded], tmp_path: Pa
     assert 'visual_odometry' in summary['step_ms']
 
 
-def test_odometry_from_poses_maps_a_recording_whose_twists_are_empty(tmp_path: Path) -> None:
+def test_odometry_from_poses_maps_recording_without_twists(tmp_path: Path) -> None:
     messages: list[Recorded] = []
     for i in range(40):
         stamp = START_NS + i * PERIOD_NS
@@ -384,7 +386,9 @@ def test_odometry_from_poses_maps_a_recording_whose_twists_are_empty(tmp_path: P
 # Parts of a recording, and runs that end early
 
 
-def test_a_part_of_a_recording_is_that_part(drive: list[Recorded], tmp_path: Path) -> None:
+def test_start_and_duration_select_part_of_recording(
+    drive: list[Recorded], tmp_path: Path
+) -> None:
     bag = write_bag(tmp_path / 'bag', drive)
     options = ReplayOptions(start_s=2.0, duration_s=3.0, progress=False)
     summary = run(bag, tmp_path / 'results', options).summary
@@ -392,8 +396,8 @@ def test_a_part_of_a_recording_is_that_part(drive: list[Recorded], tmp_path: Pat
     assert rows(tmp_path / 'results')[0]['stamp_ns'] == str(START_NS + 20 * PERIOD_NS)
 
 
-class Interrupted:
-    """A recording in whose event stream Ctrl-C is pressed."""
+class FailingRecording:
+    """Recording whose event stream raises an error after some events."""
 
     def __init__(self, recording: Recording, after: int, error: BaseException) -> None:
         self._recording = recording
@@ -410,11 +414,11 @@ class Interrupted:
             yield event
 
 
-def test_an_interrupted_replay_writes_the_results_so_far(
+def test_interrupted_replay_writes_results(
     drive: list[Recorded], base: Path, tmp_path: Path
 ) -> None:
     bag = write_bag(tmp_path / 'bag', drive)
-    broken = partial(Interrupted, after=96, error=KeyboardInterrupt())
+    broken = partial(FailingRecording, after=96, error=KeyboardInterrupt())
     outcome = run(bag, tmp_path / 'results', recording_of=broken)
     assert outcome.interrupted
     folder = tmp_path / 'results'
@@ -429,17 +433,17 @@ def test_an_interrupted_replay_writes_the_results_so_far(
         assert (base / name).read_bytes().startswith((folder / name).read_bytes())
 
 
-def test_an_error_while_reading_is_not_taken_for_the_end(
+def test_error_while_reading_is_raised(
     drive: list[Recorded], tmp_path: Path
 ) -> None:
     bag = write_bag(tmp_path / 'bag', drive)
     for after in (0, 50):
-        broken = partial(Interrupted, after=after, error=ZeroDivisionError())
+        broken = partial(FailingRecording, after=after, error=ZeroDivisionError())
         with pytest.raises(ZeroDivisionError):
             run(bag, tmp_path / 'results', recording_of=broken)
 
 
-def test_a_folder_that_cannot_be_written_to_is_told(
+def test_unwritable_folder_is_reported(
     drive: list[Recorded], tmp_path: Path
 ) -> None:
     bag = write_bag(tmp_path / 'bag', drive[:4])
@@ -448,13 +452,13 @@ def test_a_folder_that_cannot_be_written_to_is_told(
         run(bag, tmp_path / 'file')
 
 
-def test_a_crop_outside_the_images_is_told(drive: list[Recorded], tmp_path: Path) -> None:
+def test_crop_outside_images_is_reported(drive: list[Recorded], tmp_path: Path) -> None:
     config = CONFIG.with_values({'local_view.image_crop_x_max': 1000})
     with pytest.raises(UnusableParameter, match='32 x 24 px'):
         run(write_bag(tmp_path / 'bag', drive[:10]), tmp_path / 'results', config=config)
 
 
-def test_an_image_smaller_than_the_template_later_on_is_one_that_cannot_be_used(
+def test_later_image_smaller_than_template_is_dropped(
     drive: list[Recorded], tmp_path: Path
 ) -> None:
     messages = list(drive)
@@ -468,7 +472,7 @@ def test_an_image_smaller_than_the_template_later_on_is_one_that_cannot_be_used(
     assert outcome.summary['dropped'] == 1
 
 
-def test_odometry_that_is_not_a_number_is_refused_and_counted(
+def test_odometry_with_nan_is_refused_and_counted(
     drive: list[Recorded], tmp_path: Path
 ) -> None:
     stamp_ns = drive[20][0] - 1
@@ -478,42 +482,27 @@ def test_odometry_that_is_not_a_number_is_refused_and_counted(
     assert (summary['refused'], summary['dropped'], summary['late']) == (1, 0, 0)
 
 
-class _Failing:
-    """A recording whose events end in an error that is nobody's fault."""
-
-    def __init__(self, recording: Recording) -> None:
-        self._recording = recording
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._recording, name)
-
-    def events(self, *arguments: Any) -> Iterator[Event]:
-        for number, event in enumerate(self._recording.events(*arguments)):
-            if number == 60:
-                raise RuntimeError('the disk is gone')
-            yield event
-
-
-def test_an_error_loses_neither_what_was_mapped_nor_an_earlier_map(
+def test_error_keeps_new_results_or_earlier_ones(
     drive: list[Recorded], tmp_path: Path
 ) -> None:
+    failing = partial(FailingRecording, after=60, error=RuntimeError('the disk is gone'))
     bag = write_bag(tmp_path / 'bag', drive)
     with pytest.raises(RuntimeError):
-        run(bag, tmp_path / 'new', recording_of=_Failing)
+        run(bag, tmp_path / 'new', recording_of=failing)
     assert len(rows(tmp_path / 'new')) > 10
     assert json.loads((tmp_path / 'new' / 'map.json').read_text())['experiences']
     run(bag, tmp_path / 'old')
     before = bytes_of(tmp_path / 'old')
     with pytest.raises(RuntimeError):
-        run(bag, tmp_path / 'old', recording_of=_Failing)
+        run(bag, tmp_path / 'old', recording_of=failing)
     assert bytes_of(tmp_path / 'old') == before
     assert not list((tmp_path / 'old').glob('*.part'))
 
 
-def test_an_image_too_small_for_the_template_still_gives_its_motion(
+def test_images_smaller_than_template_still_give_odometry(
     drive: list[Recorded], tmp_path: Path
 ) -> None:
-    """All images from one on are small: their visual odometry goes on."""
+    """Visual odometry continues with the smaller images."""
     messages = []
     for number, (log_ns, topic, kind, message) in enumerate(
         m for m in drive if m[1] == IMAGE_TOPIC
@@ -523,4 +512,4 @@ def test_an_image_too_small_for_the_template_still_gives_its_motion(
         messages.append((log_ns, topic, kind, small if number >= 40 else message))
     summary = run(write_bag(tmp_path / 'bag', messages), tmp_path / 'results').summary
     assert summary['dropped'] == FRAMES - 40
-    assert summary['odometry'] == FRAMES - 2  # none for the first image of each size
+    assert summary['odometry'] == FRAMES - 2  # The first image of each size gives none.

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A replay with laser scans: the map that RatSLAM makes of them, and what is no use to it."""
+"""Replay with laser scans: the map made with them, and scans that cannot be used."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ from ratslam_ros.errors import UnusableInput
 from ratslam_ros.messages.mapping import encode_map
 from ratslam_ros.offline.replay import ReplayOptions, replay
 from ratslam_ros.recordings import open_recording
-from ratslam_ros.results.evaluation import evaluate, read_tum
-from ratslam_ros.results.writer import tum_line
+from ratslam_ros.results.evaluation import evaluate
+from ratslam_ros.results.trajectory import read_tum, tum_line
 
 SETTINGS = {
     'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
@@ -58,7 +58,7 @@ ROOM: list[Line] = [
 ]  # fmt: skip
 LAPS, PER_LAP, RADIUS_M = 3, 24, 2.0
 SHIFTS = (0.0, 0.4, -0.35)
-"""By how many steps the robot is ahead, a lap: what it sees is known from there all the same."""
+"""Lead of the robot in each lap, in steps; the images are the same as without it."""
 
 FRAMES = LAPS * PER_LAP
 STAMPS = [START_NS + i * PERIOD_NS for i in range(FRAMES)]
@@ -79,7 +79,7 @@ def motion(i: int) -> Twist:
 
 
 def scan(i: int) -> Scan:
-    """Return what a laser sees, in the numbers that a message has room for."""
+    """Return a scan of the room with the float32 values of a message."""
     seen = scan_in(ROOM, truth(i), STAMPS[i], beams=91)
     return dataclasses.replace(
         seen,
@@ -94,7 +94,7 @@ def pixels(i: int) -> np.ndarray:
 
 
 def drive(scan_topics: tuple[str, ...] = (SCAN_TOPIC,)) -> Iterator[Recorded]:
-    """Yield rounds in a room in which views are known from some way before and behind."""
+    """Yield laps in a room whose views are recognised some way before and behind their place."""
     still = Pose(0.0, 0.0, 0.0)
     for i, stamp_ns in enumerate(STAMPS):
         message = odometry_message(stamp_ns, *motion(i), still)
@@ -105,7 +105,7 @@ def drive(scan_topics: tuple[str, ...] = (SCAN_TOPIC,)) -> Iterator[Recorded]:
 
 
 def spoiled(messages: list[Recorded], which: dict[int, Any]) -> list[Recorded]:
-    """Return the messages with some scans, by number, in place of what they were."""
+    """Return the messages with some scans, given by number, replaced."""
     scans = [i for i, message in enumerate(messages) if message[1] == SCAN_TOPIC]
     out = list(messages)
     for number, message in which.items():
@@ -114,7 +114,7 @@ def spoiled(messages: list[Recorded], which: dict[int, Any]) -> list[Recorded]:
 
 
 def delayed(messages: list[Recorded], by_ns: int) -> list[Recorded]:
-    """Return the messages with scans that were recorded later than they were taken."""
+    """Return the messages with scans recorded later than their stamps."""
     late = [(m[0] + by_ns * (m[1] == SCAN_TOPIC), *m[1:]) for m in messages]
     return sorted(late, key=lambda m: m[0])
 
@@ -155,7 +155,7 @@ def aligned(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope='module')
 def blind(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the results of a replay without scans of a recording that has some."""
+    """Return the results of a replay that ignores the recorded scans."""
     folder = tmp_path_factory.mktemp('blind')
     _, warnings = run(bag, folder, WITHOUT)
     assert warnings == []
@@ -163,18 +163,18 @@ def blind(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def error_m(folder: Path, tmp_path: Path) -> float:
-    """Return how far off the map is."""
+    """Return the ATE of the final trajectory."""
     (tmp_path / 'truth.tum').write_text(''.join(map(tum_line, STAMPS, map(truth, range(FRAMES)))))
     final, true = (read_tum(f / n) for f, n in ((folder, MAPS[3]), (tmp_path, 'truth.tum')))
     return float(evaluate(final, true).ate.rmse)
 
 
-def test_scans_make_the_map_better(aligned: Path, blind: Path, tmp_path: Path) -> None:
+def test_scans_reduce_the_map_error(aligned: Path, blind: Path, tmp_path: Path) -> None:
     assert error_m(aligned, tmp_path) < 0.02
     assert error_m(blind, tmp_path) > 0.08
 
 
-def test_the_map_is_that_of_ratslam_fed_with_the_same_numbers(aligned: Path) -> None:
+def test_map_equals_that_of_ratslam_called_directly(aligned: Path) -> None:
     slam = RatSLAM(CONFIG)
     for i, stamp_ns in enumerate(STAMPS):
         slam.odometry(Odometry(stamp_ns, motion(i), Pose(0.0, 0.0, 0.0)))
@@ -184,27 +184,27 @@ def test_the_map_is_that_of_ratslam_fed_with_the_same_numbers(aligned: Path) -> 
     assert (aligned / 'map.json').read_text() == encode_map(STAMPS[-1], slam.experience_map)
 
 
-def test_the_map_is_the_same_at_every_run(bag: Path, aligned: Path, tmp_path: Path) -> None:
+def test_two_runs_give_identical_files(bag: Path, aligned: Path, tmp_path: Path) -> None:
     run(bag, tmp_path)
     assert bytes_of(tmp_path) == bytes_of(aligned)
 
 
-def test_scans_that_come_a_little_late_still_make_it_better(
+def test_slightly_late_scans_still_reduce_the_error(
     messages: list[Recorded], blind: Path, tmp_path: Path
 ) -> None:
-    """Those before are used, brought up to date by odometry."""
+    """Earlier scans are used, moved by odometry."""
     run(write_bag(tmp_path / 'bag', delayed(messages, PERIOD_NS // 2)), tmp_path / 'out')
     assert error_m(tmp_path / 'out', tmp_path) < 0.6 * error_m(blind, tmp_path)
 
 
-def test_scans_that_come_far_too_late_make_no_difference(
+def test_very_late_scans_change_nothing(
     messages: list[Recorded], blind: Path, tmp_path: Path
 ) -> None:
     run(write_bag(tmp_path / 'bag', delayed(messages, 10**9)), tmp_path / 'out')
     assert bytes_of(tmp_path / 'out') == bytes_of(blind)
 
 
-def test_scans_that_nothing_uses_change_nothing(
+def test_unused_scans_change_nothing(
     messages: list[Recorded], blind: Path, tmp_path: Path
 ) -> None:
     bare = [message for message in messages if message[1] != SCAN_TOPIC]
@@ -212,16 +212,18 @@ def test_scans_that_nothing_uses_change_nothing(
     assert bytes_of(tmp_path / 'out') == bytes_of(blind)
 
 
-def test_without_scans_the_map_is_made_without_and_a_warning_says_so(
+def test_recording_without_scans_is_mapped_with_warning(
     messages: list[Recorded], blind: Path, tmp_path: Path
 ) -> None:
     bare = [message for message in messages if message[1] != SCAN_TOPIC]
     _, warnings = run(write_bag(tmp_path / 'bag', bare), tmp_path / 'out')
     assert bytes_of(tmp_path / 'out') == bytes_of(blind)
-    assert warnings == ['no scans are there for exp_align_scans: the map is made without']
+    assert warnings == [
+        'exp_align_scans is set, but the recording has no scans: the map is built without them'
+    ]
 
 
-def test_unchecked_scans_are_skipped_counted_and_told(
+def test_invalid_scans_are_dropped_with_warning(
     messages: list[Recorded], aligned: Path, tmp_path: Path
 ) -> None:
     no_angles, no_beams = (scan_message(scan(i)) for i in (30, 40))
@@ -232,20 +234,20 @@ def test_unchecked_scans_are_skipped_counted_and_told(
     assert warning.startswith('2 scan messages were not used, the first: angle_min is nan')
     assert summary['dropped'] == 2
     assert summary['frames'] == FRAMES
-    # Without them the map is that of a recording in which they are missing.
+    # The map equals that of a recording without these scans.
     left = [m for m in messages if m[1] != SCAN_TOPIC or m[0] - 1 not in (STAMPS[30], STAMPS[40])]
     run(write_bag(tmp_path / 'missing', left), tmp_path / 'other')
     assert bytes_of(tmp_path / 'out') == bytes_of(tmp_path / 'other')
     assert bytes_of(tmp_path / 'out') != bytes_of(aligned)
 
 
-def test_of_several_topics_one_has_to_be_chosen(
+def test_several_scan_topics_require_a_choice(
     messages: list[Recorded], aligned: Path, tmp_path: Path
 ) -> None:
     both = []
     for message in messages:
         both.append(message)
-        if message[1] == SCAN_TOPIC:  # another laser, that looks at a wall
+        if message[1] == SCAN_TOPIC:  # Another laser, which faces a wall.
             wall = dataclasses.replace(scan(0), stamp_ns=message[0] - 1)
             both.append((message[0], '/rear/scan', 'scan', scan_message(wall)))
     bag = write_bag(tmp_path / 'bag', both)
@@ -257,7 +259,7 @@ def test_of_several_topics_one_has_to_be_chosen(
     assert bytes_of(tmp_path / 'rear') != bytes_of(aligned)
 
 
-def test_the_command_reads_scans_where_they_are_aligned(
+def test_command_reads_scans_if_aligned(
     bag: Path, aligned: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     arguments = ['replay', str(bag), *WORDS, *ALIGN, '--scan-topic', 'scan']
@@ -268,22 +270,22 @@ def test_the_command_reads_scans_where_they_are_aligned(
     assert 'warning' not in err
 
 
-@pytest.mark.parametrize(('extra', 'told'), [
+@pytest.mark.parametrize(('extra', 'message'), [
     (['--scan-topic', '/scan'], 'leave out --scan-topic'),
     ([*ALIGN, '--scan-topic', '/nowhere'], '--scan-topic /scan'),
     ([*ALIGN, '--scan-topic', ODOM_TOPIC], 'is of type nav_msgs/msg/Odometry'),
 ], ids=['unused', 'nowhere', 'odometry'])  # fmt: skip
-def test_a_wrong_scan_topic_is_told_in_one_line(
-    bag: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], extra: list[str], told: str
+def test_wrong_scan_topic_is_reported_in_one_line(
+    bag: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], extra: list[str], message: str
 ) -> None:
     out = tmp_path / 'out'
     assert main(['replay', str(bag), *WORDS, *extra, '--out', str(out)]) == 2
     line, = capfd.readouterr().err.splitlines()
-    assert told in line
+    assert message in line
     assert not out.exists()
 
 
-def test_most_scans_unusable_is_told_as_much_lost(
+def test_mostly_unusable_scans_are_reported(
     messages: list[Recorded], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     broken = scan_message(scan(0))
@@ -298,10 +300,10 @@ def test_most_scans_unusable_is_told_as_much_lost(
     assert json.loads((out / 'summary.json').read_text())['dropped'] == FRAMES
 
 
-# What is usable
+# Validation of scans
 
 
-def test_ranges_outside_of_what_the_laser_sees_are_nothing() -> None:
+def test_ranges_outside_limits_are_infinite_or_minimum() -> None:
     given = [0.1, 1.0, 9.0, math.inf, math.nan, -math.inf]
     found = checked_scan(5, -1.0, 0.4, 0.5, 8.0, given)
     assert (found.stamp_ns, found.angle_min_rad, found.angle_increment_rad) == (5, -1.0, 0.4)
@@ -309,7 +311,7 @@ def test_ranges_outside_of_what_the_laser_sees_are_nothing() -> None:
     assert checked_scan(0, 0.0, 0.0, 0.0, 8.0, [-math.inf]).ranges_m.tolist() == [0.01]
 
 
-@pytest.mark.parametrize(('numbers', 'ranges', 'told'), [
+@pytest.mark.parametrize(('numbers', 'ranges', 'message'), [
     ((0.0, 0.1, 0.0, 8.0), [], '0 beams'),
     ((0.0, 0.0, 0.0, 8.0), np.ones(100_001), '100001 beams'),
     ((math.nan, 0.1, 0.0, 8.0), [1.0, 1.0], 'angle_min is nan'),
@@ -320,8 +322,8 @@ def test_ranges_outside_of_what_the_laser_sees_are_nothing() -> None:
     ((0.0, 0.1, -1.0, 8.0), [1.0, 1.0], 'range_max above'),
     ((0.0, 0.1, math.nan, 8.0), [1.0, 1.0], 'range_max above'),
 ])  # fmt: skip
-def test_a_scan_in_which_nothing_can_be_seen_is_refused(
-    numbers: tuple[float, float, float, float], ranges: Any, told: str
+def test_invalid_scan_is_rejected(
+    numbers: tuple[float, float, float, float], ranges: Any, message: str
 ) -> None:
-    with pytest.raises(UnusableScan, match=told):
+    with pytest.raises(UnusableScan, match=message):
         checked_scan(0, *numbers, ranges)

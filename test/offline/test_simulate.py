@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""ratslam simulate, and the parameters of a simulated robot."""
+"""``ratslam simulate``, and the parameters of a simulated robot."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ratslam_ros.cli import main
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.recordings import open_recording
-from ratslam_ros.results.evaluation import read_tum
+from ratslam_ros.results.trajectory import read_tum
 from ratslam_ros.simulator.config import (
     SimulatorParameters,
     make_simulator,
@@ -30,20 +30,20 @@ from ratslam_ros.simulator.simulation import ObstacleEvent
 RUN = ('simulate', '--plan', 'office', '--explore', '0.5', '--quiet')
 
 
-def test_a_short_run_writes_everything(
+def test_short_run_writes_all_files(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out, record = tmp_path / 'out', tmp_path / 'recording'
     assert main([*RUN, '--goals', 'E,C', '--out', str(out), '--record', str(record)]) == 0
-    told = capsys.readouterr().out
-    assert told.startswith('explored for 0.5 minutes')
-    assert 'of 2 goals reached' in told
-    pictures = [line for line in told.splitlines() if line.endswith('.png')]
-    assert all(Path(name).stat().st_size > 1000 for name in pictures)
-    assert {Path(name).name for name in pictures} >= {'floor.png', 'map.png', 'matches.png'}
+    report = capsys.readouterr().out
+    assert report.startswith('explored for 0.5 minutes')
+    assert 'of 2 goals reached' in report
+    plots = [line for line in report.splitlines() if line.endswith('.png')]
+    assert all(Path(name).stat().st_size > 1000 for name in plots)
+    assert {Path(name).name for name in plots} >= {'floor.png', 'map.png', 'matches.png'}
     first, second = csv.DictReader((out / 'trials.csv').open())
     assert (first['goal'], second['goal']) == ('E', 'C')
-    assert second['outcome'] == 'refused'  # it has not been there
+    assert second['outcome'] == 'refused'  # The robot has not passed it.
     assert second['succeeded'] == 'False'
     truth = read_tum(out / 'truth.tum')
     summary = json.loads((out / 'summary.json').read_text())
@@ -57,7 +57,7 @@ def test_a_short_run_writes_everything(
     assert (record / 'truth.tum').read_text() == (out / 'truth.tum').read_text()
 
 
-def test_the_same_seed_makes_the_same_map_and_goals_by_lot(tmp_path: Path) -> None:
+def test_same_seed_gives_same_map_and_random_goals(tmp_path: Path) -> None:
     words = [*RUN, '--random-goals', '1', '--noise', '2', '--people', '2', '--seed', '3']
     found = []
     for name in ('first', 'second'):
@@ -69,7 +69,7 @@ def test_the_same_seed_makes_the_same_map_and_goals_by_lot(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize(
-    ('words', 'told'),
+    ('words', 'message'),
     [
         (['--goals', 'E,Nowhere'], 'Nowhere'), (['--plan', 'mars'], 'mars'),
         (['--start', 'Q'], "'Q'"), (['--explore', '-1'], '--explore'),
@@ -78,15 +78,15 @@ def test_the_same_seed_makes_the_same_map_and_goals_by_lot(tmp_path: Path) -> No
         (['--goals', 'A', '--random-goals', '2'], 'not allowed'),
     ],
 )  # fmt: skip
-def test_wrong_words_are_told_in_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], told: str
+def test_invalid_option_is_reported_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], message: str
 ) -> None:
     assert main([*RUN, *words, '--out', str(tmp_path / 'out')]) == 2
     error = capsys.readouterr().err.strip().splitlines()[-1]
-    assert told in error
+    assert message in error
 
 
-def test_a_start_is_a_place_or_a_pose() -> None:
+def test_start_is_place_or_pose() -> None:
     plan = office()
     assert parse_start('A', plan) == Pose(*plan.places['A'], 0.0)
     assert parse_start('any', load_floor_plan('obstacle_loop')).x_m == pytest.approx(1.26)
@@ -98,7 +98,7 @@ def test_a_start_is_a_place_or_a_pose() -> None:
             parse_start(wrong, plan)
 
 
-def test_obstacles_come_and_go() -> None:
+def test_obstacles_are_added_and_removed() -> None:
     assert parse_obstacles('none') == []
     assert parse_obstacles('a,1,2,3,4,5,6;b,1,2,3,4,5') == [
         ObstacleEvent(5.0, 'add', 'a', 1.0, 2.0, 3.0, 4.0), ObstacleEvent(6.0, 'remove', 'a'),
@@ -110,7 +110,7 @@ def test_obstacles_come_and_go() -> None:
 
 
 @given(st.text(max_size=20))
-def test_whatever_is_typed_is_understood_or_refused(text: str) -> None:
+def test_any_text_is_parsed_or_rejected_in_one_line(text: str) -> None:
     for read in (parse_obstacles, lambda typed: parse_start(typed, office())):
         try:
             read(text)
@@ -118,7 +118,7 @@ def test_whatever_is_typed_is_understood_or_refused(text: str) -> None:
             assert '\n' not in str(error)
 
 
-def test_noise_is_that_of_all_sensors() -> None:
+def test_noise_factor_scales_all_sensors() -> None:
     twice, once = SimulatorParameters(noise=2.0).options(), SimulatorParameters().options()
     assert twice.laser is not None and once.laser is not None
     assert twice.camera is not None and once.camera is not None

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures: drawn without a display, the same bytes twice, clear refusals, bounded cost."""
+"""Plots: no display needed, identical files, error messages, bounded cost."""
 
 import json
 import math
@@ -12,15 +12,16 @@ import numpy as np
 import pytest
 
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.results.evaluation import evaluate, read_tum
+from ratslam_ros.results.evaluation import evaluate
 from ratslam_ros.results.plots import (
-    MOST_POINTS,
+    MAX_POINT_COUNT,
     _frames,
     draw_all,
     draw_map,
     draw_matches,
     plot_evaluation,
 )
+from ratslam_ros.results.trajectory import read_tum
 from ratslam_ros.results.writer import FRAMES_HEADER
 
 START_NS = 1_700_000_000_000_000_000
@@ -30,7 +31,7 @@ ELLIPSE_M = (10.0, 6.0)
 
 
 def write_results(folder, frames=400, per_lap=60, laps=3):
-    """Write what a run leaves behind after some laps of an ellipse."""
+    """Write the results of a run of some laps on an ellipse."""
     folder.mkdir(exist_ok=True)
 
     def pose(lap):
@@ -83,7 +84,7 @@ def folder(tmp_path_factory):
     return write_results(tmp_path_factory.mktemp('results'))
 
 
-def test_all_pictures_are_drawn_and_drawn_alike(folder):
+def test_draw_all_twice_writes_identical_files(folder):
     paths = draw_all(folder, folder / 'truth.tum')
     assert [path.name for path in paths] == ['map.png', 'matches.png']
     before = [path.read_bytes() for path in paths]
@@ -91,19 +92,19 @@ def test_all_pictures_are_drawn_and_drawn_alike(folder):
     assert all(b'atplotlib' not in png and b'tIME' not in png for png in before)
 
 
-def test_importing_is_cheap_and_needs_no_display():
+def test_importing_plots_does_not_import_matplotlib():
     code = ("import sys, ratslam_ros.results.plots; "
             "assert not [m for m in sys.modules if m.startswith('matplotlib')]")
     subprocess.run([sys.executable, '-c', code], check=True)
 
 
-def test_drawing_leaves_pyplot_alone(folder):
+def test_drawing_does_not_import_pyplot(folder):
     code = (f'import sys, ratslam_ros.results.plots as p; p.draw_all({str(folder)!r}); '
             "assert 'matplotlib.pyplot' not in sys.modules")
     subprocess.run([sys.executable, '-c', code], check=True)
 
 
-def test_loop_closures_are_marked_and_may_be_named(folder):
+def test_loop_closures_are_found_or_given(folder):
     found = pixels(draw_map(folder), VERMILLION_BGR)
     none = pixels(draw_map(folder, loop_closures=[]), VERMILLION_BGR)
     many = pixels(draw_map(folder, loop_closures=[(k, k + 1) for k in range(59)]), VERMILLION_BGR)
@@ -111,7 +112,7 @@ def test_loop_closures_are_marked_and_may_be_named(folder):
     assert 0 < found < many
 
 
-def test_matches_show_what_is_new_and_the_threshold(folder):
+def test_matches_show_new_templates_and_threshold(folder):
     plain = draw_matches(folder, None).read_bytes()
     assert pixels(draw_matches(folder, 0.045), VERMILLION_BGR) > 100
     assert draw_matches(folder, 0.045).read_bytes() != plain
@@ -119,7 +120,7 @@ def test_matches_show_what_is_new_and_the_threshold(folder):
     assert (folder / 'matches.png').read_bytes() == draw_matches(folder, 0.045).read_bytes()
 
 
-def test_counts_hold_however_much_is_thinned(folder):
+def test_frames_counts_recognised_and_new_templates(folder):
     counts = [0, 0]
     rows = list(_frames(folder / 'frames.csv', counts))
     assert counts == [340, 60]
@@ -127,7 +128,7 @@ def test_counts_hold_however_much_is_thinned(folder):
     assert rows[-1] == (40.0, -1, 0, -1.0)
 
 
-def test_an_empty_run_still_gives_pictures(tmp_path):
+def test_empty_run_is_drawn(tmp_path):
     (tmp_path / 'map.json').write_text(
         '{"current_experience_id": -1, "experiences": [], "links": []}')
     (tmp_path / 'frames.csv').write_text(FRAMES_HEADER)
@@ -144,7 +145,7 @@ def test_an_empty_run_still_gives_pictures(tmp_path):
     ('frames.csv', f'{FRAMES_HEADER}1,2,0,x,0.0,3\n', 'line 2'),
     ('frames.csv', f'{FRAMES_HEADER}1,2,7,0.1,0.0,3\n', 'line 2'),
 ])
-def test_unusable_results_are_named_in_one_line(folder, tmp_path, name, text, complaint):
+def test_unusable_results_are_rejected_in_one_line(folder, tmp_path, name, text, complaint):
     for file in ('map.json', 'frames.csv'):
         (tmp_path / file).write_bytes((folder / file).read_bytes())
     (tmp_path / name).write_text(text)
@@ -153,14 +154,14 @@ def test_unusable_results_are_named_in_one_line(folder, tmp_path, name, text, co
     assert '\n' not in str(caught.value)
 
 
-def test_a_folder_without_results_says_what_to_give(tmp_path):
+def test_folder_without_results_is_rejected_with_advice(tmp_path):
     with pytest.raises(UnusableInput, match='the folder that ratslam replay wrote'):
         draw_map(tmp_path)
     with pytest.raises(UnusableInput, match='the folder that ratslam replay wrote'):
         draw_matches(tmp_path)
 
 
-def test_truth_from_another_time_is_refused(folder):
+def test_truth_without_common_stamps_is_rejected(folder):
     truth = read_tum(folder / 'truth.tum')
     late = type(truth)(truth.stamp_ns + 10**13, truth.position_m, truth.heading_rad, True)
     with pytest.raises(UnusableInput, match='same clock'):
@@ -170,10 +171,10 @@ def test_truth_from_another_time_is_refused(folder):
 def test_two_thousand_frames_are_drawn(tmp_path):
     folder = write_results(tmp_path / 'r', frames=2000)
     assert all(path.stat().st_size > 0 for path in draw_all(folder, folder / 'truth.tum'))
-    assert MOST_POINTS <= 100_000
+    assert MAX_POINT_COUNT <= 100_000
 
 
-def test_the_evaluation_is_drawn(folder, tmp_path):
+def test_evaluation_is_drawn_reproducibly(folder, tmp_path):
     result = evaluate(read_tum(folder / 'trajectory.tum'), read_tum(folder / 'truth.tum'))
     first = plot_evaluation(result, tmp_path / 'a.png').read_bytes()
     assert plot_evaluation(result, tmp_path / 'b.png').read_bytes() == first

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The video: what is composed, what is written, what is refused."""
+"""The video: content of a frame, the written file, and rejected arguments."""
 
 import math
 
@@ -34,7 +34,7 @@ def middle_of(frame, colour):
     return float(x.mean()), float(y.mean())
 
 
-def test_camera_view_cells_and_map_have_their_places():
+def test_camera_is_top_left_and_map_right():
     frame = compose(SIZE, CAMERA, VIEW, one_cell(), places(), (0.0, 0.0, 0.0), 'a caption')
     assert frame.shape == (360, 640, 3)
     x, y = middle_of(frame, CAMERA[0, 0])
@@ -43,14 +43,14 @@ def test_camera_view_cells_and_map_have_their_places():
     assert middle_of(frame, VERMILLION)[0] > 320
 
 
-def test_the_view_is_enlarged_without_smoothing():
+def test_template_is_enlarged_without_smoothing():
     view = np.array([[0, 77], [77, 0]], np.uint8)
     frame = compose(SIZE, CAMERA, view, one_cell(), NOWHERE, None)
     greys = np.unique(frame[60:150, 210:310].reshape(-1, 3), axis=0)
     assert {tuple(grey) for grey in greys.tolist()} <= {(0, 0, 0), (77, 77, 77), (255, 255, 255)}
 
 
-def test_a_packet_further_left_and_up_is_drawn_so():
+def test_packet_is_drawn_at_its_position():
     def brightest(at):
         frame = compose(SIZE, CAMERA * 0, None, one_cell(at=at), NOWHERE, None)
         return middle_of(frame, cv2.applyColorMap(np.uint8([[255]]), cv2.COLORMAP_VIRIDIS)[0, 0])
@@ -61,55 +61,55 @@ def test_a_packet_further_left_and_up_is_drawn_so():
     assert up < y - 20
 
 
-def test_north_is_up_and_east_is_right():
+def test_map_has_positive_y_up_and_x_right():
     corners = np.array([[-5.0, -5.0], [5.0, 5.0]])
-    here = compose(SIZE, CAMERA, None, one_cell(), corners, (0.0, 0.0, 0.0))
-    there = compose(SIZE, CAMERA, None, one_cell(), corners, (4.0, 3.0, math.pi / 2))
-    x, y = middle_of(here, VERMILLION)
-    right, up = middle_of(there, VERMILLION)
+    first = compose(SIZE, CAMERA, None, one_cell(), corners, (0.0, 0.0, 0.0))
+    second = compose(SIZE, CAMERA, None, one_cell(), corners, (4.0, 3.0, math.pi / 2))
+    x, y = middle_of(first, VERMILLION)
+    right, up = middle_of(second, VERMILLION)
     assert right > x + 20
     assert up < y - 20
 
 
 @pytest.mark.parametrize('robot', [None, (0.0, 0.0, 0.0), (math.nan, 0.0, 0.0)])
-@pytest.mark.parametrize('known', [NOWHERE, np.zeros((1, 2)), places(), 1e9 * places()])
+@pytest.mark.parametrize('positions', [NOWHERE, np.zeros((1, 2)), places(), 1e9 * places()])
 @pytest.mark.parametrize('size', [(320, 180), (1280, 720)])
-def test_every_map_can_be_drawn(robot, known, size):
-    frame = compose(size, CAMERA[:, :, 0], None, np.zeros((4, 3, 5)), known, robot, 'π × 2')
+def test_any_map_and_pose_can_be_drawn(robot, positions, size):
+    frame = compose(size, CAMERA[:, :, 0], None, np.zeros((4, 3, 5)), positions, robot, 'π × 2')
     assert frame.shape == (size[1], size[0], 3)
 
 
-def test_what_is_written_can_be_played(tmp_path):
+def test_written_video_can_be_read(tmp_path):
     path = tmp_path / 'run.mp4'
     with MapVideo(path, 10.0, (641, 361)) as video:
         for k in range(5):
             video.write(CAMERA, VIEW, one_cell(), places(10 * k), (1.0, 2.0, 0.1 * k), f'{k}')
-    played = cv2.VideoCapture(str(path))
+    reader = cv2.VideoCapture(str(path))
     frames = 0
     while True:
-        ok, frame = played.read()
+        ok, frame = reader.read()
         if not ok:
             break
         frames += 1
         assert frame.shape == (360, 640, 3)
     assert frames == 5
-    assert played.get(cv2.CAP_PROP_FPS) == pytest.approx(10.0)
+    assert reader.get(cv2.CAP_PROP_FPS) == pytest.approx(10.0)
 
 
 @pytest.mark.parametrize(('name', 'complaint'), [
-    ('run.txt', 'is written to .mp4'),
-    ('run', 'is written to .mp4'),
-    ('no/run.mp4', 'there is no folder'),
+    ('run.txt', 'expected a name that ends in .mp4'),
+    ('run', 'expected a name that ends in .mp4'),
+    ('no/run.mp4', 'no does not exist'),
     ('folder.mp4', 'is a folder'),
 ])
-def test_files_that_cannot_be_are_refused_in_one_line(tmp_path, name, complaint):
+def test_unusable_file_is_rejected_in_one_line(tmp_path, name, complaint):
     (tmp_path / 'folder.mp4').mkdir()
     with pytest.raises(UnusableInput, match=complaint) as caught:
         MapVideo(tmp_path / name)
     assert '\n' not in str(caught.value)
 
 
-def test_a_writer_that_does_not_open_is_refused(tmp_path, monkeypatch):
+def test_encoder_that_does_not_open_is_rejected(tmp_path, monkeypatch):
     class Closed:
         fourcc = staticmethod(lambda *_: 0)
 
@@ -124,7 +124,7 @@ def test_a_writer_that_does_not_open_is_refused(tmp_path, monkeypatch):
         MapVideo(tmp_path / 'run.mp4')
 
 
-def test_sizes_and_rates_out_of_range_are_refused(tmp_path):
+def test_size_or_rate_out_of_range_is_rejected(tmp_path):
     with pytest.raises(UnusableParameter, match='at least 320 x 180'):
         MapVideo(tmp_path / 'run.mp4', 10.0, (100, 100))
     for fps in (0.0, -1.0, math.nan, math.inf):

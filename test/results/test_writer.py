@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Files of a run: where every pose was on the map, also where experiences were forgotten since."""
+"""Trajectories of a run, with and without pruned experiences."""
 
 from __future__ import annotations
 
@@ -24,30 +24,30 @@ def poses_of(path: Path) -> list[list[float]]:
 
 
 @pytest.mark.parametrize('limit', [0, 25])
-def test_where_nothing_is_relaxed_the_final_trajectory_is_the_first(
+def test_final_trajectory_without_relaxation_equals_first(
     limit: int, tmp_path: Path
 ) -> None:
-    """Each pose hangs on an experience; most of those have been forgotten by the end."""
+    """With the limit, most experiences that the poses refer to are pruned at the end."""
     config = Config().with_values({
         'pose_cells.exp_max': limit, 'pose_cells.exp_delta_pc_threshold': 1.0,
         'experience_map.exp_loops': 0,
     })  # fmt: skip
     pose_cells, graph = PoseCells(config.pose_cells), ExperienceMap(config.experience_map)
     results, rng = Results(tmp_path), random.Random(1)
-    forgotten = 0
+    pruned_count = 0
     for n in range(300):
         motion = Motion(0.5, rng.uniform(0.2, 1.5), rng.uniform(-0.6, 0.6))
         pose_cells.integrate(motion)
         graph.integrate(motion)
-        here = Pose(0.0, 0.0, 0.0)
-        results.add(OdometryStep(n, graph.pose, here, graph.current_id, graph.offset))
+        origin = Pose(0.0, 0.0, 0.0)
+        results.add(OdometryStep(n, graph.pose, origin, graph.current_id, graph.offset))
         match = seen(rng.randrange(15))
         action = pose_cells.view(match)
-        what = graph.apply(action).pruned
-        forgotten += what is not None
-        results.add(ViewStep(n, match, action, what))
+        pruned = graph.apply(action).pruned
+        pruned_count += pruned is not None
+        results.add(ViewStep(n, match, action, pruned))
     results.finish(graph, config, {})
-    assert (forgotten > 100) == (limit > 0)
+    assert (pruned_count > 100) == (limit > 0)
     assert results.experiences == len(graph)
     first, final = (poses_of(tmp_path / name) for name in (
         'trajectory.tum', 'trajectory_final.tum'

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Experience map: the pose graph that map actions and odometry build (MapAction, Motion)."""
+"""Experience map: the pose graph, built from map actions (MapAction) and odometry (Motion)."""
 
 from __future__ import annotations
 
@@ -47,10 +47,10 @@ class Direction(NamedTuple):
 
 
 class PrunedExperience(NamedTuple):
-    """An experience whose id is free, and the neighbour that represents it from now on.
+    """An experience that was removed, and the neighbour that represents it from now on.
 
-    ``stand_in_id``: -1 if it had no neighbour. ``pose``: pose of the pruned experience in the
-    frame of that neighbour, or of the start if there is none.
+    ``stand_in_id``: id of that neighbour, -1 if there is none. ``pose``: pose of the pruned
+    experience in the frame of that neighbour, or of the start if there is none.
     """
 
     experience_id: int
@@ -63,7 +63,7 @@ class MapUpdate:
     """What one map action changed.
 
     ``pruned``: the experience that made room for a new one. ``rejected``: the loop-closure gate
-    rejected the transition, and the robot stays where the map has it.
+    rejected the transition, and neither the links nor the current experience have changed.
     """
 
     pruned: PrunedExperience | None = None
@@ -78,16 +78,17 @@ class ExperienceMap(ExperienceGraph):
         super().__init__(Pose(0.0, 0.0, heading_rad), parameters.map_frame)
         self._p = parameters
         self.mapping = True
-        """Whether the graph is extended and relaxed; False: the robot is only localised on it."""
+        """Whether the graph is extended and relaxed; if not, the robot is only localised on it."""
         self.on_pruned: list[Callable[[int, int, Pose], None]] = []
-        """Called with the fields of ``PrunedExperience`` before an id is used again."""
+        """Called with the fields of ``PrunedExperience`` before its links are deleted."""
         self.current_id = NO_EXPERIENCE
+        """Id of the current experience, -1 before the first one."""
         self.offset = Pose(0.0, 0.0, 0.0)
-        """Pose in the frame of the current experience; before the first one, of the start."""
+        """Pose of the robot in the frame of the current experience, or of the start before it."""
         self.gate = LoopClosureGate()
-        """Evidence for and against transitions that exceed the drift (``exp_jump_drift``)."""
+        """Loop-closure gate; used if ``exp_jump_drift`` is above 0."""
         self.scan_confirmed_m = 0.0
-        """Odometer reading, in m, when a scan last matched a long-known experience nearby."""
+        """Odometer reading in m at which a scan last fitted a long-known experience nearby."""
         self._duration_s = 0.0
         self._travelled_m = 0.0
         self._odometer_m = self._scan_checked_m = 0.0
@@ -95,37 +96,37 @@ class ExperienceMap(ExperienceGraph):
 
     @property
     def pose(self) -> Pose:
-        """Pose of the robot on the map, the motion since the current experience included."""
+        """Pose of the robot on the map, including the motion since the current experience."""
         return composed(self.pose_of(self.current_id), self.offset)
 
     def seen_from(self, experience_id: int) -> Pose | None:
-        """Return the robot's pose in the frame of an experience; None if there is none."""
+        """Return the robot's pose in the frame of an experience; None if the id does not exist."""
         if not 0 <= experience_id < len(self):
             return None
         return composed(inverse(self.pose_of(experience_id)), self.pose)
 
     @property
     def odometer_m(self) -> float:
-        """Distance travelled since the start."""
+        """Distance travelled since the start, in m, forwards and backwards."""
         return self._odometer_m
 
     def distance_and_direction(self, target_id: int) -> Direction:
-        """Return where a neighbour of the current experience lies as seen from the robot.
+        """Return distance and bearing of a neighbour of the current experience from the robot.
 
-        Computed along the shortest of the links that join the two.
+        Computed from the shortest of the links between the two.
 
         Raises:
             NotLinked: the target is not a neighbour of the current experience.
         """
-        here = self.current_id
-        outgoing = [] if here == NO_EXPERIENCE else [
-            link for link in map(outgoing_from(here), self._links.of(here))
+        source = self.current_id
+        outgoing = [] if source == NO_EXPERIENCE else [
+            link for link in map(outgoing_from(source), self._links.of(source))
             if link.target_id == target_id
         ]
         if not outgoing:
-            known = [] if here == NO_EXPERIENCE else self.neighbours(here)
+            known = [] if source == NO_EXPERIENCE else self.neighbours(source)
             raise NotLinked(
-                f'no link joins experience {target_id} and the current one, {here}; its '
+                f'no link joins experience {target_id} and the current one, {source}; its '
                 f'neighbours are {", ".join(map(str, known)) or "none"}: choose one of them, or '
                 'ask for a route'
             )
@@ -134,7 +135,7 @@ class ExperienceMap(ExperienceGraph):
         return Direction(math.hypot(x, y), math.atan2(y, x))
 
     def state(self) -> State:
-        """Return the whole map and the robot's place on it, for ``restore``."""
+        """Return the whole map and the robot's pose on it, for ``restore``."""
         return {
             'poses': self.poses,
             'labels': [[template, *place] for template, place in self._labels],
@@ -152,7 +153,7 @@ class ExperienceMap(ExperienceGraph):
         }
 
     def restore(self, state: State) -> None:
-        """Restore what ``state`` returned; the present map must be empty."""
+        """Restore what ``state`` returned; the map must be new."""
         self._poses = with_capacity(state['poses'])
         self._made_m = np.zeros(len(self._poses))
         self._made_m[: len(state['poses'])] = state['made_m']
@@ -179,13 +180,17 @@ class ExperienceMap(ExperienceGraph):
     ) -> MapUpdate:
         """Execute one action of the pose cells, then relax the graph within its budget.
 
+        An action without a template has no effect. While ``mapping`` is False, the same applies
+        to an action that creates an experience or refers to an unknown one.
+
         Args:
             action: create, link, set or none. Creating an experience whose id is in use prunes
                 the experience that has it.
-            behaviour: name of what the robot was doing, stored in the link; '' if unknown. A
+            behaviour: name of the behaviour that was active, stored in the link; '' if unknown. A
                 transition by a named behaviour counts as a failed attempt of the other links
                 from the same experience by the same behaviour.
-            scan_match: the robot's pose by scan matching; overrides odometry and view where set.
+            scan_match: the robot's pose by scan matching. Its poses replace the estimates by
+                odometry and by the view, unless they are None.
         """
         if action.template_id == NO_TEMPLATE:
             return MapUpdate()  # an undecodable image leaves the map as it is
@@ -194,8 +199,8 @@ class ExperienceMap(ExperienceGraph):
         if action.action == 'none':
             self._relax()
             return MapUpdate()
-        # After a rejected closure the pose cells are elsewhere than the map: their source is not
-        # where the robot comes from.
+        # After a rejected closure the current experience of the pose cells differs from that of
+        # the map, so the robot did not come from the action's source.
         was_rejecting = self.gate.rejecting
         source = self.current_id if was_rejecting else action.source_id
         target_offset = Pose(0.0, 0.0, action.relative_rad)
@@ -208,7 +213,7 @@ class ExperienceMap(ExperienceGraph):
             self.gate.record_new_place(pose)
             if action.target_id < len(self):
                 pruned = self._prune(action.target_id)
-                if source == action.target_id:  # possible if the map has missed actions
+                if source == action.target_id:  # possible if actions were lost
                     source = self.current_id
             self._place(action, composed(pose, inverse(target_offset)), self._odometer_m)
         elif self._exceeds_drift(action.target_id, target_offset):
@@ -247,7 +252,7 @@ class ExperienceMap(ExperienceGraph):
         optimiser = self._optimiser
         if optimiser.is_settled or not optimiser.is_enabled or p.exp_relaxation != 'solve':
             return True
-        # Before relaxation the poses may be as far off as the loop that was closed last.
+        # The poses may still contain the error of a loop closure that has not been relaxed.
         self.settle()
         optimiser.discard_budget()
         return self._displacement_exceeds_drift(target, target_offset)
@@ -260,7 +265,7 @@ class ExperienceMap(ExperienceGraph):
         )  # fmt: skip
 
     def _record_scan_confirmation(self, scan_match: ScanMatch | None) -> None:
-        """Check at intervals whether the scan fits a long-known experience, even in new views."""
+        """Check the scan against long-known experiences, once per ``SCAN_CHECK_SPACING_M``."""
         if scan_match is None or scan_match.fits is None:
             return
         if self._odometer_m - self._scan_checked_m >= SCAN_CHECK_SPACING_M:
@@ -283,20 +288,21 @@ class ExperienceMap(ExperienceGraph):
     def report_blocked(self, behaviour: str, ahead_rad: float, here: Pose | None = None) -> int:
         """Count a behaviour that timed out at the robot's pose, and unlearn blocked links.
 
-        It is a failed attempt of every link that passes within ``exp_try_radius_m`` of the robot
-        and leads ahead, in either direction and by any behaviour, because routes use links so;
-        see ``link_learning.leading_ahead``.
+        The time-out is a failed attempt of every link that passes within ``exp_try_radius_m`` of
+        the robot and leads ahead, see ``link_learning.leading_ahead``. The direction and the
+        behaviour of a link do not matter, because routes use links in both directions and by any
+        behaviour. Nothing is counted before the first experience or while ``mapping`` is False.
 
         Args:
-            behaviour: its name; with '' nothing is counted.
-            ahead_rad: the direction that it should have led in, in the map frame.
+            behaviour: name of the behaviour; if it is '', nothing is counted.
+            ahead_rad: direction in which the behaviour should have driven, in the map frame.
             here: pose of the robot on the map; None: the map's own estimate.
 
         Returns:
-            The number of links that were unlearned.
+            Number of links that were unlearned.
 
         Raises:
-            UnusableInput: the direction is not finite.
+            UnusableInput: ``ahead_rad`` is not finite.
         """
         if not math.isfinite(ahead_rad):
             raise UnusableInput(f'ahead_rad is {ahead_rad}; expected a finite angle')
@@ -312,8 +318,14 @@ class ExperienceMap(ExperienceGraph):
     ) -> None:
         """Add the link of a transition, or average it with the link that exists.
 
-        Milford, Wyeth and Prasser (2006), equation (6), in polar form. ``is_leaf``: the target is
-        new, so this link alone determines its pose, and nothing has to be relaxed.
+        Then unlearn links from the same source that the behaviour does not drive any more.
+
+        Args:
+            source, target: ids of the experiences.
+            target_offset: pose of the robot in the frame of the target.
+            behaviour: name of the behaviour that made the transition, '' if unknown.
+            is_leaf: whether the target is new. Then this link alone determines its pose, and
+                nothing has to be relaxed.
         """
         x_m, y_m, facing_rad = composed(self.offset, inverse(target_offset))
         link = Link(
@@ -337,7 +349,7 @@ class ExperienceMap(ExperienceGraph):
                 self._unlearn([unlikely])
 
     def _unlearn(self, rows: list[int]) -> None:
-        """Delete links that can no longer be driven; they still constrain how places lie."""
+        """Delete links that can no longer be driven, and record their ends."""
         self._unlearned.update((i, j) for i, j in self.link_ends[rows].tolist())
         self._delete(rows)
 
@@ -348,7 +360,8 @@ class ExperienceMap(ExperienceGraph):
     def _prune(self, pruned_id: int) -> PrunedExperience:
         """Remove an experience from the graph, and link its neighbours past it.
 
-        The neighbour at the shortest link stands in for it: all others are linked to that one.
+        The neighbour at the shortest link becomes its stand-in: the other neighbours are linked
+        to the stand-in. If the pruned experience is the current one, the stand-in becomes current.
         """
         links = self._links.of(pruned_id)
         stand_in, pose = NO_EXPERIENCE, composed(inverse(self.origin), self.pose_of(pruned_id))
@@ -378,5 +391,5 @@ class ExperienceMap(ExperienceGraph):
             self._optimiser.step(self._poses, len(self), self._links)
 
     def settle(self) -> None:
-        """Move all experiences to the fixed point of relaxation, whatever it costs."""
+        """Move all experiences to the fixed point of relaxation, whatever the budget."""
         self._optimiser.settle(self._poses, len(self), self._links)

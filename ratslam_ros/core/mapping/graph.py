@@ -21,12 +21,12 @@ MIRRORED = {'left_wall': 'right_wall', 'right_wall': 'left_wall'}
 
 
 class NotLinked(RatslamError):  # noqa: N818 - the errors' names say what they are
-    """Two experiences that no link joins, or that are not on the map."""
+    """Error: no link joins two experiences, or an experience is not on the map."""
 
 
 @dataclass(frozen=True, slots=True)
 class Experience:
-    """A node of the graph: its template, its peak in the pose cells and its pose on the map."""
+    """A node of the graph: its template, pose on the map, and place in the pose cells."""
 
     id: int
     template_id: int
@@ -35,13 +35,13 @@ class Experience:
 
 
 class ExperienceGraph:
-    """The nodes and edges of the map, without the robot and without any learning rule."""
+    """Nodes and edges of the map, without the robot's pose and without rules that change them."""
 
     def __init__(self, origin: Pose, frame_id: str) -> None:
         self.origin = origin
-        """Pose of the robot at the start."""
+        """Pose of the robot on the map at the start."""
         self.frame_id = frame_id
-        """Name of the frame that the poses are in."""
+        """Name of the frame of all poses."""
         self._poses = np.empty((64, 3), np.float64)
         self._made_m = np.zeros(len(self._poses))
         self._labels: list[tuple[int, Place]] = []
@@ -64,7 +64,10 @@ class ExperienceGraph:
         return self._poses[: len(self)].copy()
 
     def pose_of(self, experience_id: int) -> Pose:
-        """Return an experience's pose on the map; for -1 the robot's pose at the start."""
+        """Return an experience's pose on the map; for -1 the robot's pose at the start.
+
+        The id is not checked.
+        """
         if experience_id == NO_EXPERIENCE:
             return self.origin
         x, y, heading = self._poses[experience_id].tolist()
@@ -75,7 +78,7 @@ class ExperienceGraph:
         return float(self._made_m[experience_id])
 
     def experiences(self) -> list[Experience]:
-        """Return all experiences, by id."""
+        """Return all experiences, in the order of their ids."""
         return [
             Experience(i, template, self.pose_of(i), place)
             for i, (template, place) in enumerate(self._labels)
@@ -108,12 +111,15 @@ class ExperienceGraph:
 
     @property
     def link_durations_s(self) -> NDArray[np.float64]:
-        """(links,) duration of every link; a view, not to be changed or kept."""
+        """(links,) duration of every link in s; a view, not to be changed or kept."""
         return self._links.durations_s
 
     @property
     def link_shapes(self) -> NDArray[np.float64]:
-        """(links, 3) distance, heading and facing of every link; a view, not to be changed."""
+        """(links, 3) distance in m, heading and facing in rad, see ``Link``.
+
+        A view, not to be changed or kept.
+        """
         return self._links.shapes
 
     @property
@@ -135,8 +141,8 @@ class ExperienceGraph:
     def unlearned_ends(self) -> NDArray[np.int64]:
         """(n, 2) source and target of unlearned links, sorted.
 
-        They cannot be driven, but still constrain how their ends lie. Links that were learned
-        again are included.
+        Routes and relaxation do not use them. They are evidence that two experiences are close
+        together, for shortcuts of the route planner. Links that were learned again are included.
         """
         return np.array(sorted(self._unlearned), np.int64).reshape(-1, 2)
 
@@ -145,9 +151,9 @@ class ExperienceGraph:
         return [self._links[row] for row in range(len(self._links))]
 
     def behaviour_between(self, source_id: int, target_id: int) -> str:
-        """Return the behaviour that drives from one experience to the next, '' if unknown.
+        """Return the behaviour that drives from one experience to a neighbour, '' if unknown.
 
-        Against a link's direction the wall that was followed is on the other side.
+        If only the opposite link exists, the wall to follow is on the other side.
         """
         row = self._links.row(source_id, target_id)
         if row is not None:

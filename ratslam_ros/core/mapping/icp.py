@@ -30,8 +30,8 @@ CORRELATED_COUNT = 30.0
 """Number of points that count as one, because errors of neighbouring beams are correlated."""
 
 INLIER_M, MIN_INLIER_RATIO, MIN_POINT_COUNT = 0.1, 0.7, 40
-"""Distance to the line below which a point is an inlier; least share of inliers, and least number
-of points of a scan, for an alignment to be accepted."""
+"""Distance to the line below which a point is an inlier. An alignment is rejected if the ratio of
+inliers or the number of points of a scan is smaller than the other two."""
 
 MAX_GAP_M = 0.5
 """Largest gap between neighbouring points that are joined to a line."""
@@ -49,59 +49,63 @@ def align(
 ) -> Alignment | None:
     """Return the pose of a scan in the frame of a reference scan; None if they do not match.
 
-    Directions that the lines do not constrain, such as the axis of a bare corridor, keep the
-    prior.
+    They do not match if too few points are inliers, or if a scan has too few points. Directions
+    that the lines do not constrain, such as the axis of a bare corridor, keep the prior.
 
     Args:
         reference: (n, 2) m, points of the reference scan in the order of its beams.
         points: (m, 2) m, points of the scan in the robot's frame.
-        prior: expected pose.
-        sd_m: standard deviation of the prior's position.
+        prior: expected pose of the scan in the frame of the reference scan.
+        sd_m: standard deviation of the prior's position, in m.
     """
     known = np.asarray(reference, np.float64)
-    x, y, heading, inliers, variance_m2 = _point_to_line_icp(known, points, *prior, sd_m)
-    if inliers < MIN_INLIER_RATIO:
+    x, y, heading, inlier_ratio, variance_m2 = _point_to_line_icp(known, points, *prior, sd_m)
+    if inlier_ratio < MIN_INLIER_RATIO:
         return None
     return Alignment(Pose(x, y, wrap(heading)), variance_m2)
 
 
 @compiled
 def _point_to_line_icp(
-    place: NDArray[np.float64], points: NDArray[np.float64], x0: float, y0: float, t0: float,
+    reference: NDArray[np.float64], points: NDArray[np.float64], x0: float, y0: float, t0: float,
     sd_m: float,
 ) -> tuple[float, float, float, float, float]:
-    n, m = len(place), len(points)
+    """Return x, y in m, heading in rad, ratio of inliers, and largest position variance in m^2.
+
+    Arguments as for ``align``; (x0, y0, t0) is the prior.
+    """
+    n, m = len(reference), len(points)
     if n < MIN_POINT_COUNT or m < MIN_POINT_COUNT:
         return x0, y0, t0, 0.0, sd_m**2
     # Unit normal of the line through the neighbours of each point, and its offset from the origin.
     normals = np.zeros((n, 3))
     for k in range(n):
         a, b = max(k - 1, 0), min(k + 1, n - 1)
-        d_x, d_y = place[b, 0] - place[a, 0], place[b, 1] - place[a, 1]
+        d_x, d_y = reference[b, 0] - reference[a, 0], reference[b, 1] - reference[a, 1]
         length = math.hypot(d_x, d_y)
         if 0.0 < length < 2 * MAX_GAP_M:
             normals[k, 0], normals[k, 1] = -d_y / length, d_x / length
-            normals[k, 2] = normals[k, 0] * place[k, 0] + normals[k, 1] * place[k, 1]
+            normals[k, 2] = normals[k, 0] * reference[k, 0] + normals[k, 1] * reference[k, 1]
     x, y, t = x0, y0, t0
-    share = 0.0
+    inlier_ratio = 0.0
     h = np.zeros((3, 3))
     for iteration in range(ITERATIONS):
         part = iteration / (ITERATIONS - 1)
         reach = CORRESPONDENCE_M[0] * (CORRESPONDENCE_M[1] / CORRESPONDENCE_M[0]) ** part
         c, s = math.cos(t), math.sin(t)
-        # Normal equations of x, y and t, with the prior as a measurement.
+        # Normal equations h * step = g of x, y and t, with the prior as a measurement.
         h = np.zeros((3, 3))
         g = np.zeros(3)
         h[0, 0] = h[1, 1] = CORRELATED_COUNT * (POINT_SD_M / sd_m) ** 2
         h[2, 2] = CORRELATED_COUNT * (POINT_SD_M / PRIOR_SD_RAD) ** 2
         g[0], g[1], g[2] = h[0, 0] * (x - x0), h[1, 1] * (y - y0), h[2, 2] * (t - t0)
-        fitting = 0
+        inliers = 0
         for i in range(m):
             r_x, r_y = c * points[i, 0] - s * points[i, 1], s * points[i, 0] + c * points[i, 1]
             p_x, p_y = r_x + x, r_y + y
             nearest, least = -1, reach * reach
             for k in range(n):
-                e_x, e_y = place[k, 0] - p_x, place[k, 1] - p_y
+                e_x, e_y = reference[k, 0] - p_x, reference[k, 1] - p_y
                 away = e_x * e_x + e_y * e_y
                 if away < least:
                     nearest, least = k, away
@@ -110,18 +114,18 @@ def _point_to_line_icp(
             n_x, n_y = normals[nearest, 0], normals[nearest, 1]
             e = n_x * p_x + n_y * p_y - normals[nearest, 2]
             if abs(e) < INLIER_M:
-                fitting += 1
+                inliers += 1
             weight = 1.0 / (1.0 + (e / POINT_SD_M) ** 2 * 0.25)
-            turning = n_x * -r_y + n_y * r_x
-            row = (n_x, n_y, turning)
+            lever = n_x * -r_y + n_y * r_x
+            row = (n_x, n_y, lever)
             for a in range(3):
                 g[a] += weight * row[a] * e
                 for b in range(3):
                     h[a, b] += weight * row[a] * row[b]
         step = np.linalg.solve(h, g)
         x, y, t = x - step[0], y - step[1], t - step[2]
-        share = fitting / m
-    spread = CORRELATED_COUNT * POINT_SD_M**2 * np.linalg.inv(h)
-    middle = 0.5 * (spread[0, 0] + spread[1, 1])
-    off = math.hypot(0.5 * (spread[0, 0] - spread[1, 1]), spread[0, 1])
-    return x, y, t, share, middle + off
+        inlier_ratio = inliers / m
+    covariance = CORRELATED_COUNT * POINT_SD_M**2 * np.linalg.inv(h)
+    mean = 0.5 * (covariance[0, 0] + covariance[1, 1])
+    off = math.hypot(0.5 * (covariance[0, 0] - covariance[1, 1]), covariance[0, 1])
+    return x, y, t, inlier_ratio, mean + off

@@ -1,109 +1,120 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Numbering: ids of a neighbour, which may be restarted -> ids that stay."""
+"""Id maps: ids of a peer node, which may be restarted, mapped to ids that stay unique."""
 
 from __future__ import annotations
 
 from ratslam_ros.core.common.state import State
 
-NOTHING_LEARNED = 0
-"""The memory stamp of who has learned nothing yet."""
-FIRST_MEMORY = 1
-"""The least that is one: the stamps of a video begin at 0."""
+NO_MEMORY_NS = 0
+"""Memory stamp of a node that has not learned anything yet."""
+
+MIN_MEMORY_NS = 1
+"""Smallest memory stamp of a node that has learned something; the stamps of a video begin at 0."""
 
 
 class IdMap:
-    """Ids that stay, for those of a neighbour that counts what it has learned from 0.
+    """Maps ids that a peer node counts from 0 to own ids that stay unique across its restarts.
 
-    The neighbour names its memory by the stamp of the first thing learned. After a restart it
-    counts from 0 again, and means other things by it: those get numbers above all known ones.
-    Whoever never lost a neighbour has that neighbour's own numbers.
+    The stamp of the first item that the peer learned identifies its memory. After a restart the
+    peer counts from 0 again, and its ids denote other items: they are mapped to own ids above all
+    used ones. Until the peer's first restart, own ids equal the peer's ids.
     """
 
     def __init__(self) -> None:
-        self.memory_ns = NOTHING_LEARNED
-        """The memory that the ids are of now."""
-        self.forgotten = 0
-        """How often the neighbour came back with another memory."""
+        self.memory_ns = NO_MEMORY_NS
+        """Stamp of the peer's memory that the ids belong to at present."""
+        self.restarts = 0
+        """Number of times the peer's ids started to denote other items."""
         self._base = 0
         self._end = 0
 
-    def remember(self, memory_ns: int) -> bool:
-        """Take the memory that a message names; return whether that is another one than before."""
-        if memory_ns in (NOTHING_LEARNED, self.memory_ns):
+    def set_memory(self, memory_ns: int) -> bool:
+        """Set the peer's memory, and return whether it replaces another one.
+
+        Args:
+            memory_ns: memory stamp of a received message; ``NO_MEMORY_NS`` is ignored.
+        """
+        if memory_ns in (NO_MEMORY_NS, self.memory_ns):
             return False
-        another = self.memory_ns != NOTHING_LEARNED
+        replaced = self.memory_ns != NO_MEMORY_NS
         self.memory_ns = memory_ns
-        self.forgotten += another
+        self.restarts += replaced
         self._base = self._end
-        return another
+        return replaced
 
-    def forget(self) -> None:
-        """Take all ids for those of other things from now on."""
+    def restart(self) -> None:
+        """Map all ids to new own ids from now on, also if the memory stamp stays the same."""
         self._base = self._end
-        self.forgotten += 1
+        self.restarts += 1
 
-    def was_used(self, theirs: int) -> bool:
-        """Tell whether an id of the present memory, or one above it, has been numbered."""
-        return self._base + theirs < self._end
+    def was_used(self, peer_id: int) -> bool:
+        """Return whether an id of the present memory, or a higher one, has been mapped."""
+        return self._base + peer_id < self._end
 
     def state(self) -> State:
-        """Return all numbers, for ``restore``."""
+        """Return the mapping, for ``restore``."""
         return {
-            'memory_ns': self.memory_ns, 'forgotten': self.forgotten, 'base': self._base,
+            'memory_ns': self.memory_ns, 'forgotten': self.restarts, 'base': self._base,
             'end': self._end,
         }  # fmt: skip
 
     def restore(self, state: State) -> None:
-        """Take what ``state`` gave."""
-        self.memory_ns, self.forgotten = state['memory_ns'], state['forgotten']
+        """Restore what ``state`` returned."""
+        self.memory_ns, self.restarts = state['memory_ns'], state['forgotten']
         self._base, self._end = state['base'], state['end']
 
-    def number(self, theirs: int) -> int:
-        """Return the number of an id of the present memory; negative ids stay as they are."""
-        if theirs < 0:
-            return theirs
-        own = self._base + theirs
+    def own_id(self, peer_id: int) -> int:
+        """Return the own id for an id of the present memory; negative ids are returned as is."""
+        if peer_id < 0:
+            return peer_id
+        own = self._base + peer_id
         self._end = max(self._end, own + 1)
         return own
 
 
 class DenseIdMap(IdMap):
-    """Numbers without gaps, in order of first use: for whoever came late or missed some ids."""
+    """Id map without gaps: own ids are assigned in the order in which peer ids are first mapped.
+
+    For a receiver that may have missed ids, because it was started late or messages were lost.
+    """
 
     def __init__(self) -> None:
         super().__init__()
-        self._own: dict[int, int] = {}
+        self._own_ids: dict[int, int] = {}
 
-    def remember(self, memory_ns: int) -> bool:
-        """Take the memory that a message names; return whether that is another one than before."""
-        another = super().remember(memory_ns)
-        if another:
-            self._own.clear()
-        return another
+    def set_memory(self, memory_ns: int) -> bool:
+        """Set the peer's memory, and return whether it replaces another one."""
+        replaced = super().set_memory(memory_ns)
+        if replaced:
+            self._own_ids.clear()
+        return replaced
 
-    def forget(self) -> None:
-        """Take all ids for those of other things from now on."""
-        super().forget()
-        self._own.clear()
+    def restart(self) -> None:
+        """Map all ids to new own ids from now on, also if the memory stamp stays the same."""
+        super().restart()
+        self._own_ids.clear()
 
     def state(self) -> State:
-        """Return all numbers, for ``restore``."""
-        return {**super().state(), 'own': [list(pair) for pair in self._own.items()]}
+        """Return the mapping, for ``restore``."""
+        return {**super().state(), 'own': [list(pair) for pair in self._own_ids.items()]}
 
     def restore(self, state: State) -> None:
-        """Take what ``state`` gave."""
+        """Restore what ``state`` returned."""
         super().restore(state)
-        self._own = {theirs: own for theirs, own in state['own']}
+        self._own_ids = {peer_id: own for peer_id, own in state['own']}
 
-    def knows(self, theirs: int) -> bool:
-        """Tell whether an id of the present memory has a number."""
-        return theirs in self._own
+    def has(self, peer_id: int) -> bool:
+        """Return whether an id of the present memory has an own id."""
+        return peer_id in self._own_ids
 
-    def number(self, theirs: int) -> int:
-        """Return the number of an id of the present memory, the next one where it has none."""
-        own = self._own.get(theirs)
+    def own_id(self, peer_id: int) -> int:
+        """Return the own id for an id of the present memory; assign the next one if it has none.
+
+        Unlike in ``IdMap``, negative ids are mapped too: the caller has to exclude them.
+        """
+        own = self._own_ids.get(peer_id)
         if own is None:
-            own = self._own[theirs] = self._end
+            own = self._own_ids[peer_id] = self._end
             self._end += 1
         return own

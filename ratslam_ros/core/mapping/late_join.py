@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Late join: map actions with the pose cells' ids, translated to what the map has seen of them."""
+"""Late join: map actions for an experience map that may have missed earlier ones."""
 
 from __future__ import annotations
 
@@ -13,18 +13,19 @@ from ratslam_ros.core.pose_cells.map_action import MapAction
 
 
 class LateJoin:
-    """Translates actions for an experience map, whichever node was started first.
+    """Translates actions of the pose cells for an experience map, in any order of starting them.
 
-    If both were started together and no action was lost, every action is returned unchanged.
+    If both were started together, no action was lost and no closure was rejected, every action is
+    returned unchanged.
     """
 
     def __init__(self, experience_map: ExperienceMap) -> None:
         self._map = experience_map
         self._ids = DenseIdMap()
         self.missed = 0
-        """Number of actions that never arrived, those before the map started included."""
+        """Number of actions that never arrived, including those before the map started."""
         self.restarts = 0
-        """Number of times the pose cells were restarted with an empty memory."""
+        """Number of times the pose cells restarted, or loaded an older memory."""
         self._next = 0
         self.first_sequence: int | None = None
         """Sequence number of the first action received; above 0 the map started late."""
@@ -43,32 +44,33 @@ class LateJoin:
         self._ids.restore(state['numbering'])
 
     def translate(self, action: MapAction, sequence: int, memory_ns: int) -> MapAction | None:
-        """Return the action with the ids of the map; None if the map cannot execute it.
+        """Return the action with the ids of the map; None if the map must not execute it.
 
-        A link or set to an experience that the map has not seen becomes the creation of one at
-        the robot's pose. If the map has an experience with that id but another template or place,
-        it missed that the pose cells pruned it, and creation prunes it first. The source is the
-        map's current experience, because odometry was integrated from there.
+        A link or set to an experience that the map does not have becomes a create, unless the map
+        only localises. If the map has an experience with that id but with another template or
+        place, it missed that the pose cells pruned it: the action becomes a create, which prunes
+        it. A create of an experience that the map has becomes a link. The source is the map's
+        current experience, because odometry was integrated from there.
 
         Args:
             action: with the ids of the pose cells.
-            sequence: number of the action; a gap counts as missed actions.
-            memory_ns: identifies the memory of the pose cells that the ids belong to.
+            sequence: sequence number of the action; a gap counts as missed actions.
+            memory_ns: stamp of the memory of the pose cells that the ids belong to.
         """
         if self.first_sequence is None:
             self.first_sequence = self.missed = sequence
         elif sequence < self._next:  # pose cells were restarted, or loaded an older memory
             self.restarts += 1
-            self._ids.forget()
+            self._ids.restart()
         else:
             self.missed += sequence - self._next
         self._next = sequence + 1
-        self._ids.remember(memory_ns)
+        self._ids.set_memory(memory_ns)
         kind = action.action
         if kind == 'none':
             return action
-        known = self._ids.knows(action.target_id) and (
-            self._map.labels[self._ids.number(action.target_id)]
+        known = self._ids.has(action.target_id) and (
+            self._map.labels[self._ids.own_id(action.target_id)]
             == (action.template_id, action.place)
         )
         if not known:
@@ -77,7 +79,7 @@ class LateJoin:
             kind = 'create'
         elif kind == 'create':
             kind = 'link'
-        target = self._ids.number(action.target_id)
+        target = self._ids.own_id(action.target_id)
         return replace(
             action, action=kind, source_id=self._map.current_id, target_id=target
         )

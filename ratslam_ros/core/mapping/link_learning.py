@@ -1,16 +1,16 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Link learning: which links are unlearned, from how often they were driven and failed.
+"""Link learning: which links are unlearned, by the numbers of their successes and failures.
 
-Milford, Wyeth and Prasser (2006), section III.D. Two events are a failed attempt of a link:
+Milford, Wyeth and Prasser (2006), section III.D. Two events count as a failed attempt of a link:
 
-- Its behaviour led from its source to another experience. At places that are recognised
-  alternately this is frequent, so it counts little: a link is unlearned only after its behaviour
-  led elsewhere ``exp_min_tries`` times in a row, and only if other links form a short detour.
-- A behaviour timed out in front of it, because something blocks the way. Old successes say little
-  about that, so a link driven many times counts as driven ``exp_recent_tries`` times.
+- Its behaviour led from its source to another experience. This is frequent if several experiences
+  represent one place, so it is weak evidence: a link is unlearned only after its behaviour led
+  elsewhere ``exp_min_tries`` times in a row, and only if other links form a short detour.
+- A behaviour timed out in front of it, because an obstacle blocks it. Old successes are weak
+  evidence against that, so at most ``exp_recent_tries`` of them count.
 
-Both counts start when the link was last driven: a transition that succeeded is possible.
+Both counts are reset when the link is driven.
 """
 
 from __future__ import annotations
@@ -27,17 +27,23 @@ from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.mapping.links import Links
 
 ELSEWHERE, TIMED_OUT = 0, 1
-"""Columns of a link's failure counts."""
+"""Columns of the failure counts: the behaviour led elsewhere, or it timed out."""
 
 LEAST_AHEAD_M = 0.2
-"""Least distance ahead of the robot at which the far end of a blocked link lies."""
+"""Least distance ahead of the robot of the far end of a link that a time-out counts against."""
 
 DETOUR_RATIO = 8.0
-"""Duration of the longest detour that replaces an unlearned link, relative to that link's."""
+"""Longest duration of a detour that replaces an unlearned link, relative to that link's."""
 
 
 def count_other_transitions(links: Links, source: int, target: int, behaviour: str) -> None:
-    """Count a failed attempt of every other link from a source by the same behaviour."""
+    """Count a failed attempt of every other link from a source by the same behaviour.
+
+    Args:
+        links: all links; their failure counts are changed.
+        source, target: ids of the experiences of the transition that was made.
+        behaviour: name of the behaviour that made it.
+    """
     rows = links.rows_by(source, behaviour)
     links.failures[[row for row in rows if links.ends[row, 1] != target], ELSEWHERE] += 1
 
@@ -46,13 +52,13 @@ def count_time_out(
     links: Links, poses: NDArray[np.float64], here: Pose, ahead_rad: float,
     p: ExperienceMapParameters,
 ) -> list[int]:  # fmt: skip
-    """Count a time-out of every link that leads ahead; return the rows that are blocked now.
+    """Count a time-out of every link that leads ahead; return the rows to be unlearned.
 
     Args:
-        links: the links; their failure counts are changed.
-        poses: (n, 3) m, m, rad of the experiences.
+        links: all links; their failure counts are changed.
+        poses: (n, 3) x, y in m and heading in rad of the experiences.
         here: pose of the robot on the map.
-        ahead_rad: direction in which it could not drive on, in the map frame.
+        ahead_rad: direction in which the robot could not drive on, in the map frame.
         p: ``exp_try_radius_m``, ``exp_recent_tries`` and ``exp_confidence_threshold`` are used.
     """
     rows = leading_ahead(
@@ -80,21 +86,22 @@ def least_confident(
     rows = links.rows_by(source, behaviour)
     counts = [links.notes[row][1] for row in rows]
     for link in unlearning_candidates(counts, links.failures[rows], p):
-        # Without a detour the link is the only way, even if another one is driven more often.
+        # Without a detour the link is the only connection, however seldom it is driven.
         if has_detour(links.ends, links.durations_s, rows[link], count):
             return rows[link]
     return None
 
 
 def confidences(counts: Sequence[int], failures: NDArray[np.int64]) -> list[float]:
-    """Return c_ij = n_ij / n_i,beta, equation (9), of all links of one source and behaviour.
+    """Return the confidence of each link of one source and behaviour.
 
-    n_i,beta is the number of attempts of the behaviour: the transitions by it to any experience,
-    and its time-outs in front of the link.
+    c_ij = n_ij / n_i,beta (Milford, Wyeth and Prasser 2006, equation 9). n_i,beta is the number of
+    attempts of the behaviour: its transitions to any experience, and its time-outs in front of
+    the link.
 
     Args:
         counts: (links,) number of times each transition was made.
-        failures: (links, 2) ``ELSEWHERE``, ``TIMED_OUT``.
+        failures: (links, 2) failure counts, columns ``ELSEWHERE`` and ``TIMED_OUT``.
     """
     total = sum(counts)
     return [
@@ -108,7 +115,12 @@ def unlearning_candidates(
 ) -> list[int]:
     """Return which links of one source and behaviour may be unlearned, least confident first.
 
-    Arguments as for ``confidences``.
+    Args:
+        counts, failures: as for ``confidences``.
+        p: ``exp_confidence_threshold`` and ``exp_min_tries`` are used.
+
+    Returns:
+        Indices into ``counts``.
     """
     c = confidences(counts, failures)
     elsewhere = failures[:, ELSEWHERE].tolist()
@@ -122,7 +134,7 @@ def unlearning_candidates(
 
 
 def is_blocked(count: int, time_outs: int, p: ExperienceMapParameters) -> bool:
-    """Return whether a link driven ``count`` times is unlearned after a number of time-outs."""
+    """Return whether a link that was driven ``count`` times is unlearned for its time-outs."""
     made = min(count, p.exp_recent_tries)
     return made / (made + time_outs) < p.exp_confidence_threshold
 
@@ -134,8 +146,16 @@ def leading_ahead(
 ) -> NDArray[np.int64]:  # fmt: skip
     """Return the rows of the links that lead ahead of the robot, in either direction.
 
-    Such a link passes within ``radius_m`` of (x_m, y_m), points within 60 degrees of the unit
-    vector (ahead_x, ahead_y), and ends within 60 degrees of it, more than ``LEAST_AHEAD_M`` away.
+    Such a link passes within ``radius_m`` of the robot. From its nearer to its farther end it
+    points within 60 degrees of the direction ahead. Seen from the robot, its farther end is within
+    60 degrees of that direction, and more than ``LEAST_AHEAD_M`` ahead.
+
+    Args:
+        poses: (n, 3) x, y in m and heading in rad of the experiences.
+        ends: (links, 2) source and target.
+        x_m, y_m: position of the robot.
+        ahead_x, ahead_y: unit vector of the direction ahead.
+        radius_m: largest distance of a link from the robot.
     """
     rows = np.empty(ends.shape[0], np.int64)
     count = 0
@@ -173,8 +193,8 @@ def has_detour(
     """Return whether other links connect a link's ends in at most ``DETOUR_RATIO`` its duration.
 
     Args:
-        ends: (links, 2) source and target; links are driven in both directions.
-        durations_s: (links,).
+        ends: (links, 2) source and target; a detour may use links in both directions.
+        durations_s: (links,) duration of each link in s.
         link: row of the link.
         count: number of experiences.
     """

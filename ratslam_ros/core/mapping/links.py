@@ -20,7 +20,11 @@ from ratslam_ros.core.common.state import State
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """A transition: pose of the target in the source's frame, duration, behaviour and count."""
+    """A transition between two experiences: relative pose, duration, behaviour and count.
+
+    The target is at ``distance_m`` in the direction ``heading_rad`` of the source's frame, and
+    its own heading there is ``facing_rad``. ``count``: number of times the transition was made.
+    """
 
     source_id: int
     target_id: int
@@ -53,7 +57,7 @@ class Link:
 
 
 class Links:
-    """Arrays with a row for each ordered pair of experiences, in the order of creation."""
+    """Arrays with a row for each link, in the order of creation; at most one per ordered pair."""
 
     def __init__(self) -> None:
         self._ends = np.empty((64, 2), np.int64)
@@ -61,7 +65,7 @@ class Links:
         self._durations_s = np.empty(64, np.float64)
         self._failures = np.empty((64, 2), np.int64)
         self.notes: list[tuple[str, int]] = []
-        """Behaviour and count of every link."""
+        """Behaviour and count of each link, by row."""
         # Deleting links changes rows but not serial numbers, which ascend with the rows.
         self._serial: dict[tuple[int, int], int] = {}
         self._serials = np.empty(64, np.int64)
@@ -89,17 +93,17 @@ class Links:
 
     @property
     def shapes(self) -> NDArray[np.float64]:
-        """(links, 3) distance, heading and facing."""
+        """(links, 3) distance in m, heading and facing in rad."""
         return self._shapes[: len(self)]
 
     @property
     def durations_s(self) -> NDArray[np.float64]:
-        """(links,) duration."""
+        """(links,) duration in s."""
         return self._durations_s[: len(self)]
 
     @property
     def failures(self) -> NDArray[np.int64]:
-        """(links, 2) numbers of failed attempts, see ``link_learning``."""
+        """(links, 2) numbers of failed attempts; columns: see ``link_learning``."""
         return self._failures[: len(self)]
 
     def row(self, source: int, target: int) -> int | None:
@@ -115,7 +119,7 @@ class Links:
         return rows
 
     def rows_by(self, source: int, behaviour: str) -> list[int]:
-        """Return the rows of the links from an experience that a behaviour made."""
+        """Return the rows of the links that start at an experience and have a behaviour."""
         return [
             row for row in self.rows_at(source)
             if self.notes[row][0] == behaviour and self._ends[row, 0] == source
@@ -127,7 +131,7 @@ class Links:
         return [link for link in links if link.source_id != link.target_id]
 
     def append(self, link: Link) -> None:
-        """Add a link between a pair of experiences that has none."""
+        """Append a link; its ordered pair of experiences must not have one."""
         row = len(self)
         if row == len(self._ends):
             self._ends = with_capacity(self._ends, 2 * row)
@@ -146,7 +150,10 @@ class Links:
         self.version += 1
 
     def average(self, row: int, again: Link) -> None:
-        """Average a link with a repetition of its transition, each weighted one half."""
+        """Average a link with a repetition of its transition, each weighted one half.
+
+        Milford, Wyeth and Prasser (2006), equation (6), in polar form.
+        """
         distance, heading, facing = self._shapes[row].tolist()
         self._shapes[row] = (
             0.5 * (distance + again.distance_m),
@@ -174,14 +181,14 @@ class Links:
         self.rebuilt += 1
 
     def bridge(self, links: list[Link], middle: int, a: int, b: int) -> None:
-        """Add links between a and b that replace the ways through an experience to be removed.
+        """Add links between a and b that replace the paths through an experience to be removed.
 
-        One for each direction that was driven throughout, else one from a to b; none if a and b
-        are already linked.
+        One link for each direction in which both links of the path were driven; if there is no
+        such direction, one from a to b. Nothing is added if a and b are already linked.
 
         Args:
-            links: those of the experience to be removed, from ``of``.
-            middle: its id.
+            links: links of the experience to be removed, from ``of``.
+            middle: id of the experience to be removed.
             a, b: ids of two of its neighbours.
         """
         if self.row(a, b) is not None or self.row(b, a) is not None:
@@ -200,7 +207,7 @@ class Links:
             self.append(concatenated(first, second))
 
     def state(self) -> State:
-        """Return all links, for ``restore``."""
+        """Return all links and their failure counts, for ``restore``."""
         return {
             'ends': self.ends.copy(),
             'shapes': self.shapes.copy(),
@@ -226,12 +233,15 @@ class Links:
 
 
 def outgoing_from(experience_id: int) -> Callable[[Link], Link]:
-    """Return a function that reverses an experience's links where they do not start at it."""
+    """Return a function that reverses a link of the experience unless it starts there."""
     return lambda link: link if link.source_id == experience_id else link.reversed()
 
 
 def concatenated(first: Link, second: Link) -> Link:
-    """Return the link from the source of the first to the target of the second."""
+    """Return the link from the source of the first to the target of the second.
+
+    The first link must end where the second starts.
+    """
     x, y, turn = composed(first.relative_pose, second.relative_pose)
     return Link(
         first.source_id,

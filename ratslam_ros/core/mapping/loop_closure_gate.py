@@ -2,11 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Loop-closure gate: which transitions may displace the robot further than the map can drift.
 
-One false match must not fold the map. The error of the relative pose of two places grows with
-the length of the way between them. A transition that displaces the robot further is rejected
-until closures along two metres of driving agree; then the robot has been relocated. It is also
-rejected if the scan fits experiences that were created long before at the present pose. Not in the
-papers; off by default.
+One false match must not deform the map. The error of the relative pose of two places grows with
+the length of the path between them. A transition that displaces the robot by more than this error
+is rejected until closures along about two metres of driving agree; then the robot has been
+relocated. It is also rejected if the laser scan fits an experience that was created long before
+near the present pose. Not in the papers; off by default.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ FREE_DISPLACEMENT_M, FREE_ROTATION_RAD = 1.0, 0.6
 """Displacement and rotation up to which a transition is accepted without a test."""
 
 SPOT_COUNT, REQUIRED_COUNT = 8, 6
-"""Number of most recent spots considered, and how many of them must support a relocation."""
+"""Number of most recent spots considered, and number of them that must support a relocation."""
 
 SPOT_SPACING_M = 0.3
 """Distance between spots; a robot that turns in place gives one spot, not many."""
 
 AGREEMENT_M = 1.0
-"""Largest distance between the poses that two agreeing closures imply."""
+"""Largest distance between the robot positions that two agreeing closures imply, in m."""
 
 LONG_KNOWN_M = 60.0
 """Least distance travelled since an experience was created for it to confirm the robot's pose.
@@ -45,7 +45,10 @@ NEARBY_M, NEARBY_RAD = 0.7, math.radians(45.0)
 
 
 class Spot(NamedTuple):
-    """Position where a spot begins; pose and claimed pose of the last closure there, if any."""
+    """Position where a spot begins, and the last closure there that exceeded the drift, if any.
+
+    ``here``, ``claimed``: pose of the robot on the map, before the closure and according to it.
+    """
 
     x_m: float
     y_m: float
@@ -79,7 +82,7 @@ class LoopClosureGate:
         }  # fmt: skip
 
     def restore(self, state: State) -> None:
-        """Restore what ``state`` returned."""
+        """Restore what ``state`` returned; the gate must be new."""
         self.accepts_next, self.rejecting = state['lost'], state['doubting']
         self.rejected_count, self.relocation_count = state['refused'], state['believed']
         self._spots.extend(
@@ -88,12 +91,12 @@ class LoopClosureGate:
         )
 
     def restart(self) -> None:
-        """Accept the next relocation: the robot may have been moved while nothing was sensed."""
+        """Accept the next relocation at once: the robot may have been carried unobserved."""
         self._spots.clear()
         self.accepts_next = True
 
     def record_new_place(self, here: Pose) -> None:
-        """Record that no place was recognised; an earlier closure at this spot still counts."""
+        """Record that a new place was learned; an earlier closure at this spot still counts."""
         self.rejecting = False
         if not self._is_last(here.x_m, here.y_m):
             self._spots.append(Spot(here.x_m, here.y_m))
@@ -104,7 +107,12 @@ class LoopClosureGate:
         self._record(Spot(here.x_m, here.y_m))
 
     def accepts(self, here: Pose, claimed: Pose) -> bool:
-        """Record a closure from one pose on the map to another; return whether it is accepted."""
+        """Record a closure that exceeds the drift, and return whether it is accepted.
+
+        Args:
+            here: pose of the robot on the map before the closure.
+            claimed: pose of the robot on the map according to the closure.
+        """
         self._record(Spot(here.x_m, here.y_m, here, claimed))
         agreeing = sum(
             math.dist(composed(claim, composed(inverse(there), here))[:2], claimed[:2])
@@ -140,12 +148,12 @@ class LoopClosureGate:
 def long_known_experience(
     poses: NDArray[np.float64], made_m: NDArray[np.float64], odometer_m: float, here: Pose
 ) -> int | None:
-    """Return the nearest long-known experience close to a pose, None if there is none.
+    """Return the id of the nearest long-known experience close to a pose, None if there is none.
 
     Args:
-        poses: (n, 3) m, m, rad.
-        made_m: (n,) odometer reading at which each experience was created.
-        odometer_m: present odometer reading.
+        poses: (n, 3) x, y in m and heading in rad of the experiences.
+        made_m: (n,) odometer reading in m at which each experience was created.
+        odometer_m: present odometer reading in m.
         here: pose of the robot on the map.
     """
     away_m = np.hypot(poses[:, 0] - here.x_m, poses[:, 1] - here.y_m)
@@ -163,15 +171,15 @@ def exceeds_drift(
 
     Args:
         here, claimed: poses on the map before and after the transition.
-        drift: largest error of a relative pose, in metres per metre of way between the places.
+        drift: largest error of a relative pose, in m per m of path between the places; above 0.
         ends: (links, 2) source and target.
-        lengths_m: (links,) length of each link.
-        source_id, target_id: the experiences; False if no links connect them, because then the
-            map contains no estimate of their relative pose.
-        driven_m: distance driven since the first of them.
+        lengths_m: (links,) length of each link in m.
+        source_id, target_id: experiences of the transition. If no links connect them, the result
+            is False, because the map contains no estimate of their relative pose.
+        driven_m: distance driven since the source, in m.
     """
     away_m = math.dist(here[:2], claimed[:2])
-    # A constant heading error of e rad displaces the end of a way by up to e metres per metre.
+    # A constant heading error of e rad displaces the end of a path by up to e m per m.
     turned_rad = abs(wrap(claimed.heading_rad - here.heading_rad))
     if turned_rad > FREE_ROTATION_RAD + 2.0 * drift:
         return _are_connected(ends, lengths_m, source_id, target_id, math.inf)
@@ -183,12 +191,12 @@ def _are_connected(
     ends: NDArray[np.int64], lengths_m: NDArray[np.float64], source_id: int, target_id: int,
     most_m: float,
 ) -> bool:  # fmt: skip
-    """Return whether a path over links of at most ``most_m`` connects two experiences."""
+    """Return whether links connect two experiences by a path of at most ``most_m``."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import dijkstra
 
     count = 1 + int(max(ends.max(initial=0), source_id, target_id))
-    pairs = ends.T.astype(np.int32)  # SciPy before 1.15 searches no graph with 64-bit indices
+    pairs = ends.T.astype(np.int32)  # SciPy before 1.15 requires 32-bit indices
     graph = coo_array((np.maximum(lengths_m, 1e-9), pairs), shape=(count, count)).tocsr()
     reached_m = dijkstra(graph, directed=False, indices=source_id, limit=most_m)
     return bool(np.isfinite(reached_m[target_id]))

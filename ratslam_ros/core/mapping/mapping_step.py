@@ -15,14 +15,18 @@ def apply_action(
 ) -> MapUpdate:  # fmt: skip
     """Locate the robot by its scan if there is a laser, then apply one action to the map.
 
-    Replays and nodes share this step, so that they build the same map.
+    Offline runs and nodes share this step, so that they build the same map.
 
     Args:
-        experience_map: the map.
-        scan_matcher: the scans of its experiences; None without a laser.
+        experience_map: the map; changed.
+        scan_matcher: scans of the map's experiences, changed; None without a laser.
         stamp_ns: stamp of the action.
-        action: with the ids of the map.
-        behaviour: name of what the robot was doing, '' if unknown.
+        action: the action, with the ids of the map.
+        behaviour: name of the behaviour that was active, '' if unknown.
+
+    Returns:
+        The changes of the map. If the action was rejected, the position variance of the scan
+        matcher is that from before it.
     """
     scan_match = None
     if scan_matcher is not None:

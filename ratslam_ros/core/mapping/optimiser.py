@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Pose graph optimiser: when the experience graph is relaxed, within a budget per action."""
+"""Pose graph optimiser: schedules relaxation of the experience graph by a budget per action."""
 
 from __future__ import annotations
 
@@ -20,11 +20,14 @@ actions, so that the mean cost of an action is independent of the size of the ma
 """
 
 PLANNING_STEPS_PER_LINK = 12
-"""Estimated steps of planning per link, used until the first plan has been made."""
+"""Estimated planning steps per link, used until the first plan has been made."""
 
 
 class PoseGraphOptimiser:
-    """Relaxes the poses when the links have changed and the saved budget suffices."""
+    """Relaxes the poses when the links have changed and the saved budget suffices.
+
+    If ``exp_relaxation`` is sweep, each action sweeps over all links instead.
+    """
 
     def __init__(self, parameters: ExperienceMapParameters) -> None:
         self._p = parameters
@@ -41,18 +44,18 @@ class PoseGraphOptimiser:
         return self._p.exp_loops > 0 and self._p.exp_correction > 0.0
 
     def structure_changed(self) -> None:
-        """Mark that links were added or deleted: the elimination plan has to be made anew."""
+        """Mark that links were added or deleted, so that a new elimination plan is needed."""
         self.is_settled = self._plan_holds = False
 
     def measurement_changed(self) -> None:
-        """Mark that a link has another length, heading or facing."""
+        """Mark that the distance, heading or facing of a link changed."""
         self.is_settled = False
 
     def step(self, poses: NDArray[np.float64], count: int, links: Links) -> None:
-        """Spend one action's budget; relax if that and what was saved suffices.
+        """Add one action's budget to the saved one, and relax if the sum suffices.
 
         Args:
-            poses: (capacity, 3) m, m, rad; changed in place.
+            poses: (capacity, 3) x, y in m and heading in rad; changed in place.
             count: number of experiences.
             links: the constraints.
         """
@@ -88,7 +91,7 @@ class PoseGraphOptimiser:
         self._saved_steps = 0
 
     def relaxation_state(self) -> list[int | bool]:
-        """Return the number of planned links, and the flags and budget, for ``restore``."""
+        """Return number of planned links, plan validity, ``is_settled`` and saved budget."""
         return [
             0 if self._plan is None else self._plan.links,
             self._plan_holds, self.is_settled, self._saved_steps,
@@ -96,11 +99,16 @@ class PoseGraphOptimiser:
 
     @property
     def planning_work(self) -> int:
-        """Steps that the last plan took to make."""
+        """Number of planning steps of the last plan, 0 before the first one."""
         return self._planning_work
 
     def restore(self, state: State, count: int) -> None:
-        """Restore from an experience map's state; ``count``: its number of experiences."""
+        """Restore from the state of an experience map.
+
+        Args:
+            state: ``relaxation_state`` as 'relaxation', 'planning_work', and the links' 'ends'.
+            count: number of experiences.
+        """
         planned, self._plan_holds, self.is_settled, self._saved_steps = state['relaxation']
         if planned > 0 and self._plan_holds:
             self._plan = Relaxation(state['ends'][:planned], count)

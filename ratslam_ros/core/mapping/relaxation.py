@@ -3,13 +3,13 @@
 """Relaxation: direct solution for the fixed point of the experience map's correction rule.
 
 The fixed point of equation (7) of Milford, Wyeth and Prasser (2006) is a linear least-squares
-problem: headings first, then positions given the headings. Both have the same matrix, the
+problem: first the headings, then the positions given the headings. Both have the same matrix, the
 Laplacian of the graph. It is solved by eliminating experiences in the order of their degree. This
 is the star-mesh transform of resistor networks: a node is removed, and its neighbours are linked
 by weights that represent the paths through it. All terms are positive, so there is no
 cancellation, and the order is fixed, so the result is the same on every run. Routes are chains
-with few crossings, so elimination adds few links and its cost is linear in the number of links;
-sweeps over the links need a number of sweeps that is quadratic in the length of a loop.
+with few crossings, so elimination adds few links and its cost is linear in the number of links.
+Iterative sweeps, in contrast, need a number of sweeps that is quadratic in the length of a loop.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ Indices = NDArray[np.int64]
 
 
 MAX_DEGREE = 8
-"""Degree above which elimination stops; SciPy's sparse factorisation solves the rest.
+"""Degree above which elimination stops; SciPy's sparse factorisation solves the remaining mesh.
 
-It takes longer to order a mesh, but eliminates it faster.
+The factorisation takes longer to order the mesh, but eliminates it faster.
 """
 
 MESH_STEPS_PER_LINK = 50
-"""Planning steps that a link of the mesh counts for; measured on square grids."""
+"""Number of planning steps that each link of the mesh counts as; measured on square grids."""
 
 
 class Elimination(NamedTuple):
@@ -54,7 +54,7 @@ class Elimination(NamedTuple):
 
 
 class Relaxation:
-    """Elimination of a graph; valid until links are added other than to new experiences.
+    """Elimination plan of a graph; stays valid while links are added only to new experiences.
 
     The experience with the lowest id of each connected component is held fixed.
     """
@@ -71,6 +71,7 @@ class Relaxation:
         self._plan = Elimination(*plan)
         self._held = held
         self.links = len(ends)
+        """Number of planned links."""
         self.work = int(work) + MESH_STEPS_PER_LINK * len(sources)
         """Number of planning steps; each takes about a third of the time to relax one link."""
         self._mesh: Indices = mesh
@@ -84,10 +85,10 @@ class Relaxation:
         The heading residuals of the present poses are wrapped to half a turn.
 
         Args:
-            poses: (n, 3) x, y, heading; changed in place.
-            ends: (links, 2) source and target: the planned links, then any that led to an
-                experience that was new at the time.
-            shapes: (links, 3) distance, heading, facing.
+            poses: (n, 3) x, y in m and heading in rad; changed in place.
+            ends: (links, 2) source and target. The planned links, followed by the links that were
+                added since; each of those has a target that was new.
+            shapes: (links, 3) distance in m, heading and facing in rad.
         """
         correction = np.zeros((len(poses), 1))
         _heading_residuals(poses, ends, shapes, correction)
@@ -99,7 +100,12 @@ class Relaxation:
         poses[:, :2] += correction
 
     def _solve(self, ends: Indices, correction: Reals) -> None:
-        """Solve for the displacements; ``correction``: (n, k) right-hand side, changed to them."""
+        """Solve for the displacements.
+
+        Args:
+            ends: (links, 2) as for ``relax``.
+            correction: (n, k) sums of the residuals; replaced by the displacements.
+        """
         tail = ends[self.links :]
         held = np.ones(len(correction), np.bool_)
         held[: len(self._held)] = self._held
@@ -114,7 +120,14 @@ class Relaxation:
 def _factorised(
     mesh: Indices, held: NDArray[np.bool_], sources: Indices, targets: Indices, weights: Reals
 ) -> Callable[[Reals], Reals]:
-    """Return a solver for the experiences of the mesh."""
+    """Return a solver for the experiences of the mesh.
+
+    Args:
+        mesh: (m,) experiences.
+        held: (n,) whether an experience is held fixed.
+        sources, targets: (links,) ends of the links of the mesh, one entry per direction.
+        weights: (links,) weights of these links.
+    """
     from scipy.sparse import csc_array  # loaded only if there is a mesh: the import is slow
     from scipy.sparse.linalg import splu
 
@@ -156,7 +169,12 @@ def _eliminate(
 ) -> tuple[
     tuple[Indices, Indices, Indices, Reals, Reals], Indices, tuple[Indices, Indices, Reals], int
 ]:
-    """Return an ``Elimination``, the remaining experiences, their links, and the steps taken."""
+    """Eliminate experiences by degree, up to a degree of ``mesh_degree``.
+
+    Returns:
+        The fields of an ``Elimination``; the remaining experiences, (m,); sources, targets and
+        weights of their links, (links,) each; and the number of steps taken.
+    """
     # Neighbours and weights of every experience, as linked lists in a growing pool.
     head = np.full(count, -1)
     degree = np.zeros(count, np.int64)
@@ -329,6 +347,7 @@ def _heading_residuals(poses: Reals, ends: Indices, shapes: Reals, correction: R
 
 @compiled
 def _rotate(poses: Reals, correction: Reals) -> None:
+    """Add (n, 1) corrections to the headings."""
     for i in range(poses.shape[0]):
         poses[i, 2] = wrap(poses[i, 2] + correction[i, 0])
 
@@ -388,6 +407,14 @@ def sweep(
 
     Milford, Wyeth and Prasser (2006), equation (7), with p_k - p_i + dp_ki in its second sum;
     experience 0 is held fixed.
+
+    Args:
+        poses: (n, 3) x, y in m and heading in rad; changed in place.
+        ends: (links, 2) source and target.
+        shapes: (links, 3) distance in m, heading and facing in rad.
+        links: number of links.
+        correction: fraction of the residual that each end is corrected by, 0 to 0.5.
+        sweeps: number of sweeps over all links.
     """
     for _ in range(sweeps):
         for row in range(links):

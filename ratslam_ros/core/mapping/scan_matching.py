@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scan matching: laser scans that locate the robot relative to experiences.
 
-A view is recognised up to a metre from where it was learned, and the match says nothing about
-that offset. Aligning the scans of both visits measures it. Not in the papers; off by default.
+A view is recognised up to a metre from where it was learned, and the view does not measure that
+offset. Aligning the scans of both visits does. Not in the papers; off by default.
 """
 
 from __future__ import annotations
@@ -26,37 +26,38 @@ from ratslam_ros.core.mapping.icp import PRIOR_SD_RAD, Alignment, align
 from ratslam_ros.core.pose_cells.map_action import MapAction
 
 BUFFER_NS = 2_000_000_000
-"""Time for which scans and poses are buffered until the action of their time arrives."""
+"""Time for which scans and odometry poses are buffered for an action with an earlier stamp."""
 
 MAX_SCAN_AGE_NS = 300_000_000
-"""Largest age of a scan that is used for an action."""
+"""Largest age of a scan, at the stamp of an action, that is used for the action."""
 
 MAX_RANGE_M = 8.0
 """Range beyond which points are ignored, because neighbouring beams are too far apart there."""
 
 VIEW_SD_M, MOTION_SD_M = 0.4, 0.05
-"""Standard deviations of the position where a view is recognised, relative to where it was
-learned, and of odometry between two experiences."""
+"""Standard deviations of the offset between the positions where a view was learned and where it is
+recognised, and of the distance that odometry measures between two experiences."""
 
 MAP_SD_M, DRIFT_M2_PER_M = 0.1, 0.003
 """Standard deviation of the relative position of two nearby experiences on the map, and variance
-that each metre of driving adds."""
+of the robot's position that each metre of driving adds."""
 
 GATE_SD = 3.0
-"""Largest difference between view and map, in standard deviations, at which they are fused."""
+"""Largest difference between two estimates, in standard deviations, at which they agree."""
 
 MAX_SD_M, MAX_OFFSET_M = 0.1, 0.5
 """Largest standard deviation and offset of an alignment that confirms the robot's pose. Along a
-bare corridor the standard deviation is larger."""
+bare corridor the standard deviation exceeds it."""
 
 
 class ScanMatch(NamedTuple):
-    """Pose of the robot in the frames of two experiences; None: no estimate by scans."""
+    """Pose of the robot relative to the current and the target experience; None: no estimate."""
 
     from_current: Pose | None = None
     from_target: Pose | None = None
     fits: Callable[[int, Pose], bool] | None = None
-    """Tests whether the scan fits an experience at a relative pose; None without a scan."""
+    """Function of an experience id and the robot's pose in its frame that returns whether the scan
+    fits there. None without a scan."""
 
 
 class ScanMatcher:
@@ -65,8 +66,8 @@ class ScanMatcher:
     def __init__(self) -> None:
         self._scans: deque[tuple[int, NDArray[np.float64]]] = deque()
         self._track: deque[tuple[int, Pose]] = deque()
-        self._here = Pose(0.0, 0.0, 0.0)
-        self._kept: dict[int, NDArray[np.float32]] = {}
+        self._odometry_pose = Pose(0.0, 0.0, 0.0)
+        self._references: dict[int, NDArray[np.float32]] = {}
         self._variance_m2 = self._variance_before_m2 = math.inf
         """Largest position variance of the robot on the map, now and before the last action."""
 
@@ -79,15 +80,15 @@ class ScanMatcher:
             self._scans.popleft()
 
     def integrate(self, stamp_ns: int, motion: Motion) -> None:
-        """Add one motion that ends at a stamp."""
-        self._here = moved(self._here, motion)
+        """Add one motion of the odometry that ends at ``stamp_ns``."""
+        self._odometry_pose = moved(self._odometry_pose, motion)
         self._variance_m2 += DRIFT_M2_PER_M * abs(motion.distance_m)
-        self._track.append((stamp_ns, self._here))
+        self._track.append((stamp_ns, self._odometry_pose))
         while self._track[-1][0] - self._track[0][0] > BUFFER_NS:
             self._track.popleft()
 
     def restart(self) -> None:
-        """Clear the buffers after the robot was moved; the scans of experiences are kept."""
+        """Clear the buffers after the robot was carried; the scans of experiences are kept."""
         self._scans.clear()
         self._track.clear()
         self._variance_m2 = self._variance_before_m2 = math.inf
@@ -102,24 +103,25 @@ class ScanMatcher:
     ) -> ScanMatch:  # fmt: skip
         """Estimate the robot's pose relative to its current experience and to the action's target.
 
-        The scan at a new experience is stored.
+        The scan at a new experience is stored. The estimate of the position variance is updated,
+        see ``undo_last``.
 
         Args:
             stamp_ns: stamp of the action.
             action: the action that the map is about to execute.
-            current_id, offset: current experience, and the robot's pose in its frame.
+            current_id, offset: current experience, and the robot's pose in its frame by odometry.
             expected: the robot's pose in the frame of the action's target; None if unknown.
         """
         if action.action == 'none':
             return ScanMatch()
-        points = self._seen_at(stamp_ns)
-        before, there = self._kept.get(current_id), self._kept.get(action.target_id)
+        points = self._points_at(stamp_ns)
+        before, there = self._references.get(current_id), self._references.get(action.target_id)
         view = Pose(0.0, 0.0, action.relative_rad)
         if action.action == 'create':
             there = None
-            self._kept.pop(action.target_id, None)
+            self._references.pop(action.target_id, None)
             if points is not None:
-                self._kept[action.target_id] = _transformed(points, view).astype(np.float32)
+                self._references[action.target_id] = _transformed(points, view).astype(np.float32)
         self._variance_before_m2 = self._variance_m2
         if points is None:
             if action.action != 'create':
@@ -133,8 +135,15 @@ class ScanMatcher:
         )  # fmt: skip
 
     def _fits(self, points: NDArray[np.float64], experience_id: int, pose: Pose) -> bool:
-        """Return whether points fit an experience's scan at a pose, in every direction."""
-        reference = self._kept.get(experience_id)
+        """Return whether a scan confirms the pose of the robot in the frame of an experience.
+
+        Args:
+            points: (n, 2) m, points in the robot's frame.
+            experience_id: the experience.
+            pose: expected pose. The alignment must be close to it, and constrained in every
+                direction.
+        """
+        reference = self._references.get(experience_id)
         found = None if reference is None else align(reference, points, pose, VIEW_SD_M)
         if found is None:
             return False
@@ -151,8 +160,15 @@ class ScanMatcher:
         """Return the robot's pose in the frame of a recognised experience; None: use the view.
 
         The prior of the alignment fuses the view, which is recognised from up to a metre away,
-        with the map, which is accurate shortly after another recognition. Directions that scans
-        do not constrain keep it.
+        with the map, which is accurate shortly after another recognition. Directions that the
+        scans do not constrain keep the prior. Without an alignment the result is the fused pose,
+        if view and map agree. The position variance is set to that of the result.
+
+        Args:
+            reference: (n, 2) m, scan of the experience; None if there is none.
+            points: (m, 2) m, scan in the robot's frame.
+            view: pose in the frame of the experience according to the view.
+            expected: pose in the frame of the experience according to the map; None if unknown.
         """
         prior, variance = view, VIEW_SD_M**2
         known: Pose | None = None
@@ -177,10 +193,10 @@ class ScanMatcher:
         return known
 
     def state(self) -> State:
-        """Return the scans of all experiences, for ``restore``."""
-        scans = list(self._kept.values())
+        """Return the scans of all experiences, for ``restore``; the buffers are not included."""
+        scans = list(self._references.values())
         return {
-            'ids': np.array(list(self._kept), np.int64),
+            'ids': np.array(list(self._references), np.int64),
             'sizes': np.array([len(points) for points in scans], np.int64),
             'points': np.concatenate(scans) if scans else np.empty((0, 2), np.float32),
         }
@@ -189,11 +205,14 @@ class ScanMatcher:
         """Replace all stored scans by what ``state`` returned."""
         ends = np.cumsum(state['sizes'])
         scans = np.split(state['points'], ends[:-1]) if len(ends) else []
-        self._kept = dict(zip(state['ids'].tolist(), scans, strict=True))
+        self._references = dict(zip(state['ids'].tolist(), scans, strict=True))
         self.restart()
 
-    def _seen_at(self, stamp_ns: int) -> NDArray[np.float64] | None:
-        """Return the last scan before an action as points in the robot's frame at that stamp."""
+    def _points_at(self, stamp_ns: int) -> NDArray[np.float64] | None:
+        """Return the last scan at or before a stamp, (n, 2) m in the robot's frame at that stamp.
+
+        None if that scan is too old, or if no odometry covers it.
+        """
         scan = next((s for s in reversed(self._scans) if s[0] <= stamp_ns), None)
         if scan is None or stamp_ns - scan[0] > MAX_SCAN_AGE_NS:
             return None
@@ -205,7 +224,7 @@ class ScanMatcher:
         return _transformed(near, composed(inverse(now), then))
 
     def _pose_at(self, stamp_ns: int) -> Pose | None:
-        """Return the robot's odometry pose at a stamp, interpolated between two messages."""
+        """Return the odometry pose at a stamp, interpolated between messages; None if unknown."""
         after = None
         for at_ns, pose in reversed(self._track):
             if at_ns <= stamp_ns:
@@ -219,7 +238,7 @@ class ScanMatcher:
 
 
 def _transformed(points: NDArray[np.float64], pose: Pose) -> NDArray[np.float64]:
-    """Transform points from the frame of a pose into the frame that the pose is given in."""
+    """Transform (n, 2) points from the frame of a pose into the parent frame of that pose."""
     c, s = math.cos(pose.heading_rad), math.sin(pose.heading_rad)
     x, y = points.T
     return np.stack([c * x - s * y + pose.x_m, s * x + c * y + pose.y_m], axis=1)

@@ -202,7 +202,7 @@ class Goals:
         x_m, y_m, _ = goal.pose_on(experience_map)
         return Position(x_m, y_m)
 
-    def forgotten(self, experience_id: int, stand_in_id: int, pose_in_stand_in: Pose) -> None:
+    def remove_pruned(self, experience_id: int, stand_in_id: int, pose_in_stand_in: Pose) -> None:
         """Handle the removal of an experience from the map; see ``Goal.reanchored``."""
         self._named = {
             name: goal.reanchored(experience_id, stand_in_id, pose_in_stand_in)

@@ -207,11 +207,11 @@ class Navigator:
             self._failed_tries = 0
         return not uncertain
 
-    def forgotten(self, experience_id: int, stand_in_id: int, pose_in_stand_in: Pose) -> None:
+    def remove_pruned(self, experience_id: int, stand_in_id: int, pose_in_stand_in: Pose) -> None:
         """Handle the removal of an experience from the map; see ``Goal.reanchored``."""
-        self.planner.forgotten(experience_id)
-        self.goals.forgotten(experience_id, stand_in_id, pose_in_stand_in)
+        self.planner.remove_pruned(experience_id)
+        self.goals.remove_pruned(experience_id, stand_in_id, pose_in_stand_in)
         for task in self._queue:
             task.goal = task.goal.reanchored(experience_id, stand_in_id, pose_in_stand_in)
         if self._following is not None:
-            self._following.forgotten(experience_id, stand_in_id, pose_in_stand_in)
+            self._following.remove_pruned(experience_id, stand_in_id, pose_in_stand_in)

@@ -239,7 +239,7 @@ class RouteFollowing:
         trail.clear()
         return True
 
-    def forgotten(self, experience_id: int, stand_in_id: int, pose_in_stand_in: Pose) -> None:
+    def remove_pruned(self, experience_id: int, stand_in_id: int, pose_in_stand_in: Pose) -> None:
         """Handle the removal of an experience from the map; see ``Goal.reanchored``."""
         self.goal = self.goal.reanchored(experience_id, stand_in_id, pose_in_stand_in)
         self._planned_version = None

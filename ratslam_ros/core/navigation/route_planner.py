@@ -79,7 +79,7 @@ class RoutePlanner:
         """Exclude experiences from shortcuts (``route_join_m``)."""
         self._rejected_shortcuts.update(experience_ids)
 
-    def forgotten(self, experience_id: int) -> None:
+    def remove_pruned(self, experience_id: int) -> None:
         """Handle the removal of an experience from the map: its id may get shortcuts again."""
         self._rejected_shortcuts.discard(experience_id)
 

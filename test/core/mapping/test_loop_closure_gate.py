@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Jumps: one view that looks like another does not fold the map; many that agree are believed."""
+"""Loop-closure gate: single false matches are rejected, consistent relocations are accepted."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import math
 
 import numpy as np
 import pytest
+from graphs import new_map, place_of
 from helpers import ahead, turning
 from hypothesis import given
 from hypothesis import strategies as st
 
 from ratslam_ros.core.common.pose import Pose, composed
-from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.loop_closure_gate import (
     LONG_KNOWN_M,
@@ -25,50 +25,58 @@ from ratslam_ros.core.mapping.loop_closure_gate import (
     long_known_experience,
 )
 from ratslam_ros.core.mapping.scan_matching import ScanMatch
-from ratslam_ros.core.pose_cells.map_action import MapAction
-from ratslam_ros.core.pose_cells.torus import Place
+from ratslam_ros.core.pose_cells.map_action import Action, MapAction
 
-HERE = Pose(0.0, 0.0, 0.0)
-CHAIN = np.array([[n, n + 1] for n in range(100)])
-METRE = np.ones(100)
-
-
-def jumps_to(claimed: Pose, target: int, drift: float = 0.05, links: int = 100) -> bool:
-    """Whether a robot at 0 jumps that is told to be at a place so many metres of way off."""
-    return exceeds_drift(HERE, claimed, drift, CHAIN[:links], METRE[:links], 0, target)
+ORIGIN = Pose(0.0, 0.0, 0.0)
+CHAIN_ENDS = np.array([[n, n + 1] for n in range(100)])
+CHAIN_LENGTHS_M = np.ones(100)
 
 
-def test_how_far_the_map_may_be_wrong_grows_with_the_way() -> None:
-    assert not jumps_to(Pose(0.9, 0.0, 0.0), 1)
-    assert jumps_to(Pose(3.0, 0.0, 0.0), 20)
-    assert not jumps_to(Pose(3.0, 0.0, 0.0), 60)
-    assert not jumps_to(Pose(3.0, 0.0, 0.0), 20, drift=0.2)
+def exceeds(claimed: Pose, target: int, drift: float = 0.05, links: int = 100) -> bool:
+    """Return whether a closure from experience 0 to ``target``, as many m away, exceeds drift."""
+    return exceeds_drift(
+        ORIGIN, claimed, drift, CHAIN_ENDS[:links], CHAIN_LENGTHS_M[:links], 0, target
+    )
 
 
-def test_a_corner_that_looks_alike_the_other_way_round_is_a_jump() -> None:
-    assert jumps_to(Pose(0.1, 0.1, math.pi / 2), 90)
-    assert not jumps_to(Pose(0.1, 0.1, 0.3), 90)
-    assert not jumps_to(Pose(0.1, 0.1, 1.0), 90, drift=0.3)
+# Expected drift
 
 
-def test_between_parts_that_no_link_joins_the_map_cannot_tell() -> None:
-    assert not jumps_to(Pose(50.0, 0.0, 2.0), 60, links=40)
+def test_allowed_displacement_grows_with_path_length() -> None:
+    assert not exceeds(Pose(0.9, 0.0, 0.0), 1)
+    assert exceeds(Pose(3.0, 0.0, 0.0), 20)
+    assert not exceeds(Pose(3.0, 0.0, 0.0), 60)
+    assert not exceeds(Pose(3.0, 0.0, 0.0), 20, drift=0.2)
+
+
+def test_rotation_beyond_drift_exceeds_it() -> None:
+    assert exceeds(Pose(0.1, 0.1, math.pi / 2), 90)
+    assert not exceeds(Pose(0.1, 0.1, 0.3), 90)
+    assert not exceeds(Pose(0.1, 0.1, 1.0), 90, drift=0.3)
+
+
+def test_closure_between_unlinked_components_never_exceeds_drift() -> None:
+    assert not exceeds(Pose(50.0, 0.0, 2.0), 60, links=40)
+
+
+# Evidence for a relocation
 
 
 @given(st.floats(-20.0, 20.0), st.floats(-20.0, 20.0), st.floats(-3.0, 3.0))
-def test_claims_that_agree_over_some_metres_are_believed(
+def test_agreeing_closures_are_accepted_as_relocation(
     x_m: float, y_m: float, heading_rad: float
 ) -> None:
-    gate, relocated = LoopClosureGate(), Pose(x_m, y_m, heading_rad)
-    said = [
-        gate.accepts(here := Pose(0.4 * n, 0.0, 0.0), composed(relocated, here)) for n in range(10)
+    gate, relocation = LoopClosureGate(), Pose(x_m, y_m, heading_rad)
+    accepted = [
+        gate.accepts(here := Pose(0.4 * n, 0.0, 0.0), composed(relocation, here))
+        for n in range(10)
     ]
-    assert said.index(True) == REQUIRED_COUNT - 1
+    assert accepted.index(True) == REQUIRED_COUNT - 1
     assert gate.relocation_count == 1
-    assert not any(said[REQUIRED_COUNT:])  # what comes then is a new matter
+    assert not any(accepted[REQUIRED_COUNT:])  # the evidence is cleared
 
 
-def test_a_robot_that_turns_in_one_place_sees_one_corner() -> None:
+def test_closures_while_turning_in_place_count_once() -> None:
     gate = LoopClosureGate()
     for n in range(30):
         here = Pose(0.0, 0.0, 0.1 * n)
@@ -76,13 +84,13 @@ def test_a_robot_that_turns_in_one_place_sees_one_corner() -> None:
     assert gate.rejected_count == 30
 
 
-def test_claims_that_disagree_are_never_believed() -> None:
+def test_disagreeing_closures_are_never_accepted() -> None:
     gate = LoopClosureGate()
     for n in range(50):
         assert not gate.accepts(Pose(0.4 * n, 0.0, 0.0), Pose(0.0, 3.0 * n, 0.0))
 
 
-def test_what_is_seen_where_the_robot_believes_to_be_speaks_against_a_jump() -> None:
+def test_agreeing_recognitions_prevent_a_relocation() -> None:
     gate = LoopClosureGate()
     for n in range(60):
         here = Pose(0.4 * n, 0.0, 0.0)
@@ -94,39 +102,39 @@ def test_what_is_seen_where_the_robot_believes_to_be_speaks_against_a_jump() -> 
             assert gate.rejecting
 
 
-def test_a_robot_that_was_carried_may_turn_where_it_recognises_something() -> None:
-    gate, relocated = LoopClosureGate(), Pose(7.0, -3.0, 1.0)
+def test_relocated_robot_may_turn_at_each_spot() -> None:
+    gate, relocation = LoopClosureGate(), Pose(7.0, -3.0, 1.0)
     for n in range(REQUIRED_COUNT):
         for turn_rad in (0.0, math.pi / 2):
             here = Pose(0.4 * n, 0.0, turn_rad)
-            relocation_count = gate.accepts(here, composed(relocated, here))
-            if relocation_count:
+            accepted = gate.accepts(here, composed(relocation, here))
+            if accepted:
                 break
-    assert relocation_count
+    assert accepted
 
 
-def test_what_is_new_where_something_was_recognised_does_not_matter() -> None:
+def test_new_place_at_a_spot_keeps_its_closure() -> None:
     gate = LoopClosureGate()
-    said = []
+    accepted = []
     for n in range(REQUIRED_COUNT):
         here = Pose(0.4 * n, 0.0, 0.0)
-        said.append(gate.accepts(here, composed(Pose(9.0, 0.0, 0.0), here)))
+        accepted.append(gate.accepts(here, composed(Pose(9.0, 0.0, 0.0), here)))
         gate.record_new_place(Pose(0.4 * n + 0.1, 0.0, 0.0))
-    assert said == [False] * (REQUIRED_COUNT - 1) + [True]
+    assert accepted == [False] * (REQUIRED_COUNT - 1) + [True]
 
 
-def test_where_nobody_knows_where_the_robot_is_the_first_jump_is_believed() -> None:
+def test_first_closure_after_restart_is_accepted() -> None:
     gate = LoopClosureGate()
     gate.restart()
-    gate.record_new_place(HERE)
-    assert gate.accepts(HERE, Pose(9.0, 0.0, 0.0))
-    assert not gate.accepts(HERE, Pose(0.0, 9.0, 0.0))
+    gate.record_new_place(ORIGIN)
+    assert gate.accepts(ORIGIN, Pose(9.0, 0.0, 0.0))
+    assert not gate.accepts(ORIGIN, Pose(0.0, 9.0, 0.0))
     gate.restart()
-    gate.record_agreement(HERE)  # it has not been carried
-    assert not gate.accepts(HERE, Pose(9.0, 0.0, 0.0))
+    gate.record_agreement(ORIGIN)  # the robot was not carried
+    assert not gate.accepts(ORIGIN, Pose(9.0, 0.0, 0.0))
 
 
-def test_what_was_claimed_survives() -> None:
+def test_restored_gate_keeps_the_evidence() -> None:
     gate = LoopClosureGate()
     for n in range(REQUIRED_COUNT - 1):
         gate.accepts(here := Pose(0.4 * n, 0.0, 0.0), composed(Pose(9.0, 0.0, 0.0), here))
@@ -138,45 +146,52 @@ def test_what_was_claimed_survives() -> None:
         assert (one.rejected_count, one.relocation_count) == (REQUIRED_COUNT - 1, 1)
 
 
-# On the map
+def test_dense_closures_are_accepted_after_the_same_distance() -> None:
+    gate = LoopClosureGate()
+    for n in range(200):  # 10 m in steps of 5 cm
+        here = Pose(0.05 * n, 0.0, 0.0)
+        if gate.accepts(here, composed(Pose(9.0, 0.0, 0.0), here)):
+            break
+    assert gate.relocation_count == 1
+    assert here.x_m == pytest.approx((REQUIRED_COUNT - 1) * SPOT_SPACING_M, abs=0.35)
+
+
+# Closures on the map
 
 
 def arrive(
     graph: ExperienceMap, target: int, source: int | None = None,
     scan_match: ScanMatch | None = None,
 ) -> None:
-    """Apply what the pose cells say; they are at ``source``."""
-    action = 'create' if target == len(graph) else 'link'
+    """Apply an action; ``source``: current experience of the pose cells, None: that of the map."""
+    kind: Action = 'create' if target == len(graph) else 'link'
     source = graph.current_id if source is None else source
     graph.apply(
-        MapAction(action, source, target, target, 0.0, Place(float(target), 0.0, 0.0)),
-        scan_match=scan_match,
+        MapAction(kind, source, target, target, 0.0, place_of(target)), scan_match=scan_match
     )
 
 
 def corridor(drift: float, metres: int = 12, loops: int = 10) -> ExperienceMap:
-    """Return the map of a robot that has driven straight on, an experience a metre."""
-    graph = ExperienceMap(ExperienceMapParameters(
-        exp_jump_drift=drift, exp_initial_em_deg=0.0, exp_loops=loops,
-    ))  # fmt: skip
+    """Drive straight ahead, with an experience every metre, and 1 m beyond the last one."""
+    graph = new_map(exp_jump_drift=drift, exp_loops=loops)
     for n in range(metres + 1):
         arrive(graph, n)
         graph.integrate(ahead(1.0))
     return graph
 
 
-def test_a_jump_that_is_refused_leaves_the_map_and_the_robot_where_they_are() -> None:
+def test_rejected_closure_changes_neither_map_nor_pose() -> None:
     graph = corridor(0.05)
-    before, here = graph.poses, graph.pose
+    poses, pose = graph.poses, graph.pose
     arrive(graph, 2)
     assert graph.gate.rejected_count == 1
     assert graph.current_id == 12
-    assert graph.pose == here
+    assert graph.pose == pose
     assert graph.link_count == 12
-    assert np.array_equal(graph.poses, before)
+    assert np.array_equal(graph.poses, poses)
 
 
-def test_what_comes_after_is_linked_to_where_the_map_has_the_robot() -> None:
+def test_create_after_rejection_links_from_map_experience() -> None:
     graph = corridor(0.05)
     arrive(graph, 2)
     graph.integrate(ahead(0.5))
@@ -190,24 +205,24 @@ def test_what_comes_after_is_linked_to_where_the_map_has_the_robot() -> None:
     assert graph.links()[-1].source_id == 13
 
 
-def test_a_robot_that_never_left_an_experience_makes_no_link_to_it() -> None:
-    """The pose cells were elsewhere meanwhile, the map was not."""
+def test_return_after_rejection_adds_no_link() -> None:
+    """Only the pose cells left the experience; on the map the robot was there all the time."""
     graph = corridor(0.05)
     arrive(graph, 2)
     arrive(graph, 12, source=2)
     assert graph.current_id == 12
     assert graph.link_count == 12
-    assert graph.offset == HERE
+    assert graph.offset == ORIGIN
 
 
-def test_by_default_every_recognition_is_believed() -> None:
+def test_disabled_gate_accepts_every_closure() -> None:
     graph = corridor(0.0)
     arrive(graph, 2)
     assert graph.current_id == 2
     assert graph.links()[-1].target_id == 2
 
 
-def test_a_robot_that_was_carried_makes_no_link() -> None:
+def test_accepted_relocation_adds_no_link() -> None:
     graph = corridor(0.05)
     for target in range(2, 2 + REQUIRED_COUNT):
         assert graph.current_id == 12
@@ -221,8 +236,8 @@ def test_a_robot_that_was_carried_makes_no_link() -> None:
     assert graph.gate.rejected_count == REQUIRED_COUNT - 1
 
 
-def claimed_all_along(graph: ExperienceMap, scan_match: ScanMatch | None) -> None:
-    """Drive back along a corridor that was driven long ago; all that is seen is six metres off."""
+def drive_back_with_false_closures(graph: ExperienceMap, scan_match: ScanMatch | None) -> None:
+    """Drive back along a corridor that was learned long ago, with closures that are 6 m off."""
     graph.integrate(ahead(LONG_KNOWN_M / 2))
     graph.integrate(ahead(-LONG_KNOWN_M / 2 - 1.0))
     for target in range(REQUIRED_COUNT, 0, -1):
@@ -230,76 +245,78 @@ def claimed_all_along(graph: ExperienceMap, scan_match: ScanMatch | None) -> Non
         graph.integrate(ahead(-1.0))
 
 
-def test_where_scans_fit_the_places_that_are_there_no_jump_is_believed() -> None:
-    asked = []
+def test_closures_are_rejected_while_scans_confirm_the_pose() -> None:
+    checks = []
 
     def fits(experience_id: int, pose: Pose) -> bool:
-        asked.append((experience_id, *pose))
+        checks.append((experience_id, *pose))
         return True
 
     graph = corridor(0.05)
-    claimed_all_along(graph, ScanMatch(fits=fits))
+    drive_back_with_false_closures(graph, ScanMatch(fits=fits))
     assert graph.gate.relocation_count == 0
     assert graph.gate.rejected_count == REQUIRED_COUNT
     assert graph.pose.x_m == pytest.approx(12.0 - REQUIRED_COUNT)
-    assert [asked_id for asked_id, *_ in asked] == list(range(12, 12 - REQUIRED_COUNT, -1))
-    assert np.array([pose for _, *pose in asked]) == pytest.approx(0.0, abs=1e-9)
+    assert [checked_id for checked_id, *_ in checks] == list(range(12, 12 - REQUIRED_COUNT, -1))
+    assert np.array([pose for _, *pose in checks]) == pytest.approx(0.0, abs=1e-9)
 
 
 @pytest.mark.parametrize('scan_match', [None, ScanMatch(), ScanMatch(fits=lambda *_: False)])
-def test_where_they_do_not_or_nothing_tells_it_is(scan_match: ScanMatch | None) -> None:
+def test_relocation_is_accepted_without_scan_confirmation(
+    scan_match: ScanMatch | None
+) -> None:
     graph = corridor(0.05)
-    claimed_all_along(graph, scan_match)
+    drive_back_with_false_closures(graph, scan_match)
     assert graph.gate.relocation_count == 1
 
 
-def test_a_robot_that_was_put_there_asks_no_scan() -> None:
+def test_closure_after_restart_ignores_scan_confirmation() -> None:
     graph = corridor(0.05)
     graph.gate.restart()
-    claimed_all_along(graph, ScanMatch(fits=lambda *_: True))
+    drive_back_with_false_closures(graph, ScanMatch(fits=lambda *_: True))
     assert graph.gate.relocation_count == 1
 
 
-def test_a_map_that_is_loaded_knows_how_old_its_places_are() -> None:
+def test_restored_map_keeps_the_age_of_experiences() -> None:
     graph = corridor(0.05)
-    again = ExperienceMap(ExperienceMapParameters(exp_jump_drift=0.05))
+    again = new_map(exp_jump_drift=0.05)
     again.restore(graph.state())
     for one in (graph, again):
-        claimed_all_along(one, ScanMatch(fits=lambda *_: True))
+        drive_back_with_false_closures(one, ScanMatch(fits=lambda *_: True))
         assert one.gate.relocation_count == 0
 
 
-def test_only_places_that_are_near_and_old_are_asked() -> None:
+def test_long_known_experience_is_near_and_old() -> None:
     poses = np.array([[0.0, 0.0, 0.0], [0.2, 0.0, 2.0], [0.1, 0.0, 0.0], [5.0, 0.0, 3.1]])
     made_m = np.array([0.0, 1.0, 50.0, 2.0])
-    assert long_known_experience(poses, made_m, 100.0, HERE) == 0
+    assert long_known_experience(poses, made_m, 100.0, ORIGIN) == 0
     assert long_known_experience(poses, made_m, 110.1, Pose(0.1, 0.0, 0.0)) == 2
-    assert long_known_experience(poses, made_m, 59.9, HERE) is None
+    assert long_known_experience(poses, made_m, 59.9, ORIGIN) is None
     assert long_known_experience(poses, made_m, 100.0, Pose(1.0, 0.0, 0.0)) is None
     assert long_known_experience(poses, made_m, 100.0, Pose(0.2, 0.0, 2.1)) == 1
     assert long_known_experience(poses, made_m, 100.0, Pose(5.0, 0.1, -3.1)) == 3
-    assert long_known_experience(poses[:0], made_m[:0], 100.0, HERE) is None
+    assert long_known_experience(poses[:0], made_m[:0], 100.0, ORIGIN) is None
 
 
 @pytest.mark.parametrize(('fits', 'at_m'), [(True, 12.0), (False, 12.0), (True, 14.0)])
-def test_scans_know_a_place_again_of_which_all_views_are_new(fits: bool, at_m: float) -> None:
-    """Where nothing was, 14 m from the start, they do not say so, whatever they fit."""
+def test_scan_confirms_old_place_with_new_views(fits: bool, at_m: float) -> None:
+    """At 14 m there is no old experience nearby, so a fitting scan confirms nothing."""
     graph = corridor(0.05)
     assert graph.scan_confirmed_m == 0.0
     graph.integrate(ahead(LONG_KNOWN_M / 2))
     graph.integrate(ahead(at_m - 13.0 - LONG_KNOWN_M / 2))
-    came_m = 13.0 + LONG_KNOWN_M / 2 + abs(at_m - 13.0 - LONG_KNOWN_M / 2)
+    expected_m = 13.0 + LONG_KNOWN_M / 2 + abs(at_m - 13.0 - LONG_KNOWN_M / 2)
     for _ in range(3):
         arrive(graph, len(graph), scan_match=ScanMatch(fits=lambda *_: fits))
         graph.integrate(ahead(0.4))
-    # Asked at once, and not again before a metre.
-    assert graph.scan_confirmed_m == pytest.approx(came_m if fits and at_m == 12.0 else 0.0)
+    # The scan is checked at the first action, and not again within 1 m.
+    assert graph.scan_confirmed_m == pytest.approx(expected_m if fits and at_m == 12.0 else 0.0)
 
 
-def test_a_link_that_is_known_is_no_jump() -> None:
+def test_transition_along_existing_link_is_accepted() -> None:
     graph = corridor(0.0)
-    arrive(graph, 2)  # believed once
-    again = ExperienceMap(ExperienceMapParameters(exp_jump_drift=0.05, exp_initial_em_deg=0.0))
+    arrive(graph, 2)  # accepted, as the gate is off
+    again = new_map(exp_jump_drift=0.05)
     again.restore(graph.state())
     for target in (*range(3, 13), 2):
         again.integrate(ahead(1.0))
@@ -308,20 +325,20 @@ def test_a_link_that_is_known_is_no_jump() -> None:
     assert again.gate.rejected_count == 0
 
 
-def test_but_it_is_where_the_robot_is_elsewhere_than_its_source() -> None:
+def test_far_return_to_neighbour_is_rejected() -> None:
     graph = corridor(0.05, metres=13)
-    for target, way_m in ((2, 10.0), (14, 0.0)):
+    for target, driven_m in ((2, 10.0), (14, 0.0)):
         arrive(graph, target, source=13)
-        graph.integrate(ahead(way_m))
+        graph.integrate(ahead(driven_m))
     assert graph.pose.x_m == pytest.approx(24.0)
-    arrive(graph, 2, source=13)  # 14 is at 14 m; a view of 2 has the pose cells elsewhere
+    arrive(graph, 2, source=13)  # rejected, so map and pose cells disagree
     graph.integrate(ahead(10.0))
     arrive(graph, 13, source=2)
     assert graph.gate.rejected_count == 3
     assert graph.pose.x_m == pytest.approx(34.0)
 
 
-def test_so_is_the_experience_that_the_robot_left_long_ago() -> None:
+def test_far_return_to_current_experience_is_rejected() -> None:
     graph = corridor(0.05)
     arrive(graph, 2)
     graph.integrate(ahead(29.0))
@@ -330,20 +347,20 @@ def test_so_is_the_experience_that_the_robot_left_long_ago() -> None:
     assert graph.pose.x_m == pytest.approx(42.0)
 
 
-def test_the_way_since_the_last_experience_counts() -> None:
+def test_distance_since_current_experience_allows_displacement() -> None:
     graph = corridor(0.1)
     graph.integrate(ahead(20.0))
-    for _ in range(2):  # to and fro, 200 m in all
+    for _ in range(2):  # 200 m without net displacement
         graph.integrate(ahead(50.0))
         graph.integrate(ahead(-50.0))
     arrive(graph, 12)
     assert graph.gate.rejected_count == 0
 
 
-def test_a_loop_that_has_just_been_closed_is_relaxed_before_it_is_judged() -> None:
-    """On a large map relaxing waits; until then the map is as far off as the robot drifted."""
-    graph = ExperienceMap(ExperienceMapParameters(exp_jump_drift=0.05, exp_initial_em_deg=0.0))
-    for n in range(2000):  # round a square, the second half with wheels that go too little
+def test_pending_relaxation_is_done_before_gating() -> None:
+    """On a large map relaxation waits, and the poses still contain the drift until then."""
+    graph = new_map(exp_jump_drift=0.05)
+    for n in range(2000):  # a square; odometry is 5 % short in the second half
         arrive(graph, n)
         graph.integrate(ahead(0.1 if n < 1000 else 0.095))
         if n % 500 == 499:
@@ -351,26 +368,26 @@ def test_a_loop_that_has_just_been_closed_is_relaxed_before_it_is_judged() -> No
     graph.integrate(turning(-math.pi / 2))
     for step_m, target in ((-0.095 * 3, 1997), (0.095 * 2, 1999)):
         graph.integrate(ahead(step_m))
-        arrive(graph, target)  # relaxing after the first uses up the work that was saved
+        arrive(graph, target)  # the first closure uses up the saved relaxation budget
     graph.integrate(ahead(0.095))
     graph.integrate(turning(math.pi / 2))
     arrive(graph, 0)
     assert graph.current_id == 0
     assert math.dist(graph.pose_of(0)[:2], graph.pose_of(1999)[:2]) > 3.0
-    graph.integrate(turning(math.pi / 2))  # back to where it came from
+    graph.integrate(turning(math.pi / 2))  # turns back
     for target in (1999, 1998, 1997):
         graph.integrate(ahead(0.095))
-        graph.apply(MapAction(
-            'link', graph.current_id, target, target, math.pi, Place(0.0, 0.0, 0.0)
-        ))  # fmt: skip
+        graph.apply(
+            MapAction('link', graph.current_id, target, target, math.pi, place_of(0))
+        )
         assert graph.current_id == target
     assert graph.gate.rejected_count == 0
 
 
-def test_a_map_that_is_not_relaxed_is_not_for_this_either() -> None:
+def test_gating_does_not_relax_if_relaxation_is_off() -> None:
     graph = corridor(0.05, loops=0)
-    arrive(graph, 11)  # 2 m back, over 1 m of way: a jump
-    graph.apply(MapAction('link', 12, 12, 12, 0.0, Place(12.0, 0.0, 0.0)))
+    arrive(graph, 11)  # 2 m back over a path of 1 m exceeds the drift
+    graph.apply(MapAction('link', 12, 12, 12, 0.0, place_of(12)))
     before = graph.poses
     graph.integrate(ahead(0.5))
     arrive(graph, 3)
@@ -378,12 +395,10 @@ def test_a_map_that_is_not_relaxed_is_not_for_this_either() -> None:
     assert np.array_equal(graph.poses, before)
 
 
-def test_a_map_in_doubt_goes_on_as_it_would_have() -> None:
+def test_map_restored_while_rejecting_continues_identically() -> None:
     maps = [corridor(0.05)]
     arrive(maps[0], 2)
-    maps.append(ExperienceMap(ExperienceMapParameters(
-        exp_jump_drift=0.05, exp_initial_em_deg=0.0,
-    )))  # fmt: skip
+    maps.append(new_map(exp_jump_drift=0.05))
     maps[1].restore(maps[0].state())
     for graph in maps:
         for target in range(3, 2 + REQUIRED_COUNT):
@@ -394,18 +409,8 @@ def test_a_map_in_doubt_goes_on_as_it_would_have() -> None:
     assert np.array_equal(maps[0].poses, maps[1].poses)
 
 
-def test_a_robot_that_is_only_located_is_believed() -> None:
+def test_localising_map_accepts_every_closure() -> None:
     graph = corridor(0.05)
     graph.mapping = False
     arrive(graph, 2)
     assert graph.current_id == 2
-
-
-def test_spacing_is_less_than_what_claims_are_apart() -> None:
-    gate = LoopClosureGate()
-    for n in range(200):  # 10 m in steps of 5 cm
-        here = Pose(0.05 * n, 0.0, 0.0)
-        if gate.accepts(here, composed(Pose(9.0, 0.0, 0.0), here)):
-            break
-    assert gate.relocation_count == 1
-    assert here.x_m == pytest.approx((REQUIRED_COUNT - 1) * SPOT_SPACING_M, abs=0.35)

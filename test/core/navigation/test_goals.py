@@ -138,14 +138,14 @@ def test_unreachable_target_is_rejected() -> None:
 def test_place_keeps_pose_if_experience_is_removed() -> None:
     graph, goals = line(), Goals()
     planner = planner_of(graph)
-    graph.on_pruned.append(goals.forgotten)
+    graph.on_pruned.append(goals.remove_pruned)
     goals.name_place(graph, 'last')
     go(graph, 2, -2.0)
     graph.integrate(Motion(1.0, 0.2, 0.0))
     goals.name_place(graph, 'middle')
     before = {goal.name: goal.pose_on(graph) for goal in goals}
-    for forgotten in (2, 4):
-        graph.apply(MapAction('create', graph.current_id, forgotten, 9, 0.0, NOWHERE))
+    for pruned in (2, 4):
+        graph.apply(MapAction('create', graph.current_id, pruned, 9, 0.0, NOWHERE))
     assert not {goal.experience_id for goal in goals} & {2, 4}
     for goal in goals:
         assert goal.pose_on(graph) == pytest.approx(before[goal.name], abs=1e-6)
@@ -162,8 +162,8 @@ def test_distant_place_is_anchored_at_nearest_experience(x_m: float, anchor_id: 
     goals.name_place(graph, 'far')
     go(graph, 4, x_m - 5.0)
     if anchor_id == 4 and x_m < 5.0:  # no experience is near
-        for forgotten in (0, 1, 2):
-            graph.apply(MapAction('create', graph.current_id, forgotten, 9, 0.0, NOWHERE))
+        for pruned in (0, 1, 2):
+            graph.apply(MapAction('create', graph.current_id, pruned, 9, 0.0, NOWHERE))
     goal = goals.find('far', planner_of(graph))
     assert goal.name == 'far'
     assert goal.experience_id == anchor_id
@@ -173,7 +173,7 @@ def test_distant_place_is_anchored_at_nearest_experience(x_m: float, anchor_id: 
 
 def test_place_without_stand_in_is_found_by_position() -> None:
     graph, goals = line(), Goals()
-    graph.on_pruned.append(goals.forgotten)
+    graph.on_pruned.append(goals.remove_pruned)
     go(graph, 5, linked=False)
     graph.integrate(Motion(1.0, -1.3, 0.0))
     goals.name_place(graph, 'island')

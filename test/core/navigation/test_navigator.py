@@ -190,11 +190,11 @@ def test_goal_without_route_fails_after_exploring() -> None:
 def test_queued_goals_survive_removal_of_their_experiences() -> None:
     made = robot(12)
     nav = made.navigator
-    made.map.on_pruned.append(nav.forgotten)
+    made.map.on_pruned.append(nav.remove_pruned)
     nav.go_to(10, 5)
     made.run(1.0)
-    for forgotten in (10, 5):
-        made.map.apply(MapAction('create', made.map.current_id, forgotten, 99, 0.0, NOWHERE))
+    for pruned in (10, 5):
+        made.map.apply(MapAction('create', made.map.current_id, pruned, 99, 0.0, NOWHERE))
         made.arrive(0, 0.0, linked=False)
     goals = [task.goal.pose_on(made.map).x_m for task in nav.queue]
     assert goals == pytest.approx([10.0, 5.0], abs=1e-6)

@@ -432,10 +432,10 @@ def test_removed_experience_keeps_route_and_goal() -> None:
     robot.start(20)
     following = robot.following
     assert following is not None
-    robot.map.on_pruned.append(following.forgotten)
+    robot.map.on_pruned.append(following.remove_pruned)
     x_m = []
-    for forgotten in (20, 12, 13):  # new experiences reuse the ids
-        robot.map.apply(MapAction('create', 0, forgotten, 99, 0.0, NOWHERE))
+    for pruned in (20, 12, 13):  # new experiences reuse the ids
+        robot.map.apply(MapAction('create', 0, pruned, 99, 0.0, NOWHERE))
         robot.map.apply(MapAction('set', -1, 0, 0, 0.0, NOWHERE))
         robot.pose = Pose(0.0, 0.0, 0.0)
         guidance = robot.update()

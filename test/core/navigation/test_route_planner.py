@@ -169,7 +169,7 @@ def test_times_from_and_to_start_respect_direction(seed: int) -> None:
 def test_reused_id_may_get_shortcuts_again() -> None:
     planner = planner_of(ExperienceMap(ExperienceMapParameters()))
     planner.reject_shortcuts([3, 4])
-    planner.forgotten(3)
+    planner.remove_pruned(3)
     assert planner.rejected_shortcut_count == 1
-    planner.forgotten(3)
+    planner.remove_pruned(3)
     assert planner.rejected_shortcut_count == 1

@@ -337,9 +337,9 @@ def connected(graph: ExperienceMap) -> bool:
     return len(reached) == len(graph)
 
 
-def forget_and_create(graph: ExperienceMap, forgotten: int, serial: int) -> None:
+def prune_and_create(graph: ExperienceMap, pruned: int, serial: int) -> None:
     place = Place(float(serial), 0.0, 0.0)
-    graph.apply(MapAction('create', graph.current_id, forgotten, serial, 0.0, place))
+    graph.apply(MapAction('create', graph.current_id, pruned, serial, 0.0, place))
 
 
 @pytest.mark.parametrize('seed', range(3))
@@ -362,12 +362,12 @@ def test_map_stays_connected_and_goals_stay_while_pruning(seed: int) -> None:
         graph.integrate(Motion(0.5, rng.uniform(0.3, 1.0), rng.uniform(-0.8, 0.8)))
         current_id = graph.current_id
         if len(graph) < count:
-            forget_and_create(graph, len(graph), serial)
+            prune_and_create(graph, len(graph), serial)
         elif rng.random() < 0.6:
             gone = rng.choice([i for i in range(1, count) if i != current_id])
             before = len({frozenset(pair) for pair in graph.link_ends.tolist()})
             around = len(graph.neighbours(gone))
-            forget_and_create(graph, gone, serial)
+            prune_and_create(graph, gone, serial)
             after = len({frozenset(pair) for pair in graph.link_ends.tolist()})
             assert after <= before + 1 - (around > 0)  # one link per neighbour except the nearest
             assert graph.neighbours(gone) == [current_id] or current_id == gone
@@ -416,7 +416,7 @@ def driven(steps: int, limit: int, rng: random.Random, **changes: Any) -> tuple[
         else:
             gone = rng.choice([i for i in range(1, known) if i != current_id])
             true[gone] = truth
-        forget_and_create(graph, gone, serial)
+        prune_and_create(graph, gone, serial)
     return graph, true
 
 
@@ -450,7 +450,7 @@ def test_pruning_connects_two_neighbours_in_both_directions() -> None:
         graph.apply(MapAction(kind, graph.current_id, target, target, 0.0, label), 'wall')  # type: ignore[arg-type]
     graph.integrate(turning(1.0, 1.0))
     graph.integrate(ahead(3.0, 1.0))
-    forget_and_create(graph, 1, 9)
+    prune_and_create(graph, 1, 9)
     links = {(k.source_id, k.target_id): k for k in graph.links()}
     assert set(links) == {(0, 2), (2, 0), (0, 1)}
     for pair, way in (((0, 2), 4.0), ((2, 0), -4.0)):
@@ -478,14 +478,14 @@ def test_pruning_connects_neighbours_through_nearest_and_keeps_links() -> None:
     graph.integrate(ahead(1.0, 1.0))
     notified = []
     graph.on_pruned.append(lambda *arguments: notified.append(arguments))
-    forgotten = graph.apply(MapAction('create', 3, 0, 8, 0.0, place)).pruned
+    pruned = graph.apply(MapAction('create', 3, 0, 8, 0.0, place)).pruned
     links = {(k.source_id, k.target_id): k for k in graph.links()}
     assert set(links) == {(2, 1), (2, 3), (2, 4), (3, 0)}
     assert links[2, 3] == old
     assert links[2, 1].duration_s == pytest.approx(4.2)  # including 0.1 s per turn
-    assert notified == [forgotten]
-    assert forgotten is not None
-    assert (forgotten.experience_id, forgotten.stand_in_id) == (0, 2)
+    assert notified == [pruned]
+    assert pruned is not None
+    assert (pruned.experience_id, pruned.stand_in_id) == (0, 2)
 
 
 def test_pruning_current_experience_continues_from_neighbour() -> None:
@@ -504,8 +504,8 @@ def test_pruning_current_experience_continues_from_neighbour() -> None:
     alone = new_map()
     alone.apply(MapAction('create', -1, 0, 0, 0.0, place))
     alone.integrate(ahead(1.0))
-    forgotten = alone.apply(MapAction('create', 0, 0, 1, 0.0, place)).pruned
-    assert forgotten == (0, -1, Pose(0.0, 0.0, 0.0))
+    pruned = alone.apply(MapAction('create', 0, 0, 1, 0.0, place)).pruned
+    assert pruned == (0, -1, Pose(0.0, 0.0, 0.0))
     assert (alone.link_count, alone.pose_of(0).x_m) == (0, 1.0)
 
 

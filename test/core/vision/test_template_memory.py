@@ -2,14 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The search returns the same match as an exhaustive comparison."""
 
-import os
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numba
 import numpy as np
 import pytest
+from helpers import real_recording
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -21,7 +20,6 @@ from ratslam_ros.core.vision.sad import PIECE_BYTES, pieces_of, sad_by
 from ratslam_ros.core.vision.template_memory import Match, TemplateMemory
 from ratslam_ros.recordings import ImageEvent, open_recording
 
-DATA = Path(os.environ.get('RATSLAM_DATA', Path(__file__).parents[4] / 'shared' / 'data'))
 Views = NDArray[np.uint8]
 
 
@@ -200,10 +198,9 @@ def test_sad_is_equal_for_every_register_width(width: int | None) -> None:
 @pytest.mark.parametrize('patch', [0, 2])
 @pytest.mark.parametrize('panoramic', [False, True])
 def test_search_real_views_matches_exhaustive_search(patch: int, panoramic: bool) -> None:
-    if not (DATA / 'donkeycar_track').is_dir():
-        pytest.skip(f'{DATA / "donkeycar_track"} does not exist')
+    folder = real_recording('donkeycar_track')
     p = LocalViewParameters(template_x_size=60, template_y_size=10, vt_patch_normalise=patch)
-    with open_recording(DATA / 'donkeycar_track') as recording:
+    with open_recording(folder) as recording:
         events = recording.events(recording.select(), 0.0, 10.0)
         images = [event.grey() for event in events if isinstance(event, ImageEvent)]
     views = np.stack([make_view(image, p) for image in images])

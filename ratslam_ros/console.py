@@ -1,0 +1,84 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Notices and progress bar of the commands, on standard error."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from typing import Any, Self
+
+REFRESH_PERIOD_S = 0.1
+
+
+def print_notice(text: str) -> None:
+    """Print a line to standard error."""
+    print(text, file=sys.stderr, flush=True)
+
+
+class ProgressBar:
+    """Progress bar in seconds of a recording.
+
+    Used as a context manager. The bar appears at the first update after a delay, or at the end
+    of the context, and not at all if an exception occurs before.
+    """
+
+    def __init__(
+        self,
+        recording_s: float,
+        start_s: float,
+        duration_s: float | None,
+        *,
+        shown: bool = True,
+        delay_s: float = 0.0,
+        status: Callable[[], str] = lambda: '',
+    ) -> None:
+        """Compute the total duration; nothing is shown before the first update.
+
+        Args:
+            recording_s: duration of the whole recording.
+            start_s: skipped seconds at the start of the recording.
+            duration_s: limit on the duration, None for the whole rest.
+            shown: False for no bar at all.
+            delay_s: time before the bar appears, in seconds.
+            status: text behind the bar, called at each refresh.
+        """
+        total_s = recording_s - start_s
+        if duration_s is not None:
+            total_s = min(total_s, duration_s)
+        self._total_s = round(total_s, 1)
+        self._shown = shown
+        self._status = status
+        self._done_s = 0.0
+        self._due_s = time.monotonic() + delay_s
+        self._bar: Any = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, error_type: object, *_: object) -> None:
+        if error_type is None and self._shown:
+            self._refresh()
+        if self._bar is not None:
+            self._bar.close()
+
+    def update(self, done_s: float) -> None:
+        """Set the processed duration in seconds, and refresh the bar if that is due."""
+        self._done_s = done_s
+        now_s = time.monotonic()
+        if self._shown and now_s >= self._due_s:
+            self._due_s = now_s + REFRESH_PERIOD_S
+            self._refresh()
+
+    def _refresh(self) -> None:
+        if self._bar is None:
+            from tqdm import tqdm
+
+            self._bar = tqdm(
+                total=self._total_s,
+                file=sys.stderr,
+                bar_format='{percentage:3.0f}% |{bar}| {n:.0f}/{total:.0f} s{postfix}',
+            )
+        self._bar.n = min(self._done_s, self._total_s)
+        self._bar.set_postfix_str(self._status())

@@ -1,0 +1,61 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Video of a replay: one frame for each image that RatSLAM processed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Self
+
+from ratslam_ros.core.ratslam import RatSLAM, Step, ViewStep
+from ratslam_ros.core.vision.local_view import LocalView
+from ratslam_ros.recordings import ImageEvent, UndecodableImage
+from ratslam_ros.results.video import MapVideo
+
+
+class ReplayVideo:
+    """Context manager that writes the video; it holds images until their step is processed."""
+
+    def __init__(self, path: Path, slam: RatSLAM) -> None:
+        """Open the file.
+
+        Raises:
+            UnusableInput: the file cannot be written, or its name has no video suffix.
+        """
+        self._slam = slam
+        self._video = MapVideo(path)
+        self._images: dict[int, ImageEvent] = {}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._video.close()
+
+    def add_image(self, event: ImageEvent) -> None:
+        """Store an image until its template message is processed."""
+        self._images[event.stamp_ns] = event
+
+    def add_step(self, step: Step) -> None:
+        """Write a frame if the step is that of an image that can be decoded."""
+        if not isinstance(step, ViewStep):
+            return
+        for stamp_ns in [s for s in self._images if s < step.stamp_ns]:
+            del self._images[stamp_ns]
+        event = self._images.pop(step.stamp_ns, None)
+        if event is None:
+            return
+        try:
+            image = event.bgr()
+        except UndecodableImage:
+            return
+        template_id, local_view = step.match.template_id, self._slam.local_view
+        assert isinstance(local_view, LocalView)
+        self._video.write(
+            image,
+            local_view.template(template_id) if template_id >= 0 else None,
+            self._slam.pose_cells.activity(),
+            self._slam.experience_map.poses[:, :2],
+            self._slam.experience_map.pose,
+            f'template {template_id}  experience {step.action.target_id}  {step.action.action}',
+        )

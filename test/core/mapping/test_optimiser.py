@@ -1,0 +1,258 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Pose graph optimiser: relaxation of an experience map, by direct solution and by sweeps."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+from graphs import (
+    NONE,
+    Reals,
+    arrive,
+    dense_fixed_point,
+    drive,
+    max_difference,
+    new_map,
+    pose_is_near,
+    residuals_of,
+)
+from helpers import ahead, restored, turning
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ratslam_ros.core.common.angles import wrap
+from ratslam_ros.core.common.odometry import Motion
+from ratslam_ros.core.config import ExperienceMapParameters
+from ratslam_ros.core.mapping.experience_map import ExperienceMap
+
+
+def sweeping(loops: int, correction: float = 0.5) -> ExperienceMapParameters:
+    """Return the parameters of relaxation by sweeps."""
+    return ExperienceMapParameters(
+        exp_relaxation='sweep', exp_loops=loops, exp_correction=correction
+    )
+
+
+# Direct solution
+
+
+def driven_circle(count: int, turn_rad: float, **parameters: float) -> ExperienceMap:
+    """Drive ``count`` metres along a circle, with an experience every metre."""
+    graph = new_map(**{'exp_initial_em_deg': 90.0, **parameters})
+    arrive(graph, 0)
+    for target in range(1, count):
+        graph.integrate(Motion(1.0, 1.0, turn_rad))
+        arrive(graph, target)
+    return graph
+
+
+def close_loop(graph: ExperienceMap, target: int = 0, turn_rad: float = 0.0) -> None:
+    graph.integrate(Motion(1.0, 1.0, turn_rad))
+    arrive(graph, target)
+
+
+def fixed_point(graph: ExperienceMap) -> Reals:
+    return dense_fixed_point(graph.poses, graph.link_ends, graph.link_shapes)
+
+
+def test_loop_closure_is_relaxed_to_the_fixed_point() -> None:
+    graph = driven_circle(200, 2 * math.pi / 190)
+    before = graph.poses
+    close_loop(graph)
+    assert max_difference(graph.poses, before) > 0.3
+    assert max_difference(graph.poses, fixed_point(graph)) < 1e-9
+    for target in (1, 2, 3):
+        close_loop(graph, target, 0.05)
+        assert max_difference(graph.poses, fixed_point(graph)) < 1e-9
+
+
+@pytest.mark.parametrize('disabling', [{'exp_loops': 0}, {'exp_correction': 0.0}])
+def test_disabled_relaxation_moves_nothing(disabling: dict[str, float]) -> None:
+    graph = driven_circle(20, 0.3, **disabling)
+    before = graph.poses
+    close_loop(graph)
+    assert np.array_equal(graph.poses, before)
+
+
+def test_new_experiences_do_not_move_old_ones() -> None:
+    graph = driven_circle(50, 0.1)
+    close_loop(graph, 10)
+    before = graph.poses
+    for target in range(50, 80):
+        graph.integrate(Motion(1.0, 1.0, 0.2))
+        arrive(graph, target)
+    assert np.array_equal(graph.poses[:50], before)
+    close_loop(graph, 20)  # the new experiences become part of a loop
+    assert max_difference(graph.poses, fixed_point(graph)) < 1e-9
+
+
+def test_large_map_is_relaxed_after_several_actions() -> None:
+    """The cost per action is bounded; changes are relaxed when enough budget has been saved."""
+    graph = driven_circle(4000, 2 * math.pi / 3900)
+    before = graph.poses
+    close_loop(graph)  # at once, with the budget that was saved before
+    first = graph.poses
+    assert max_difference(first, before) > 1.0
+    close_loop(graph, 1, 0.1)
+    assert np.array_equal(graph.poses, first)
+    actions = 1
+    while np.array_equal(graph.poses, first):
+        graph.apply(NONE)
+        actions += 1
+        assert actions < 40
+    relaxed = graph.poses
+    graph.settle()
+    assert max_difference(graph.poses, relaxed) < 1e-9
+
+
+def test_restored_map_relaxes_bit_identically() -> None:
+    """Saved with an incomplete budget, and with experiences that the plan does not contain."""
+    graph = driven_circle(1500, 2 * math.pi / 1400)
+    close_loop(graph)
+    for target in range(1500, 1520):
+        graph.integrate(Motion(1.0, 1.0, 0.2))
+        arrive(graph, target)
+    close_loop(graph, 700)
+    close_loop(graph, 701, 0.1)
+    close_loop(graph, 1, 0.1)
+    state = graph.state()
+    state = {**state, **json.loads(json.dumps({
+        key: value for key, value in state.items() if not isinstance(value, np.ndarray)
+    }))}  # fmt: skip
+    other = ExperienceMap(ExperienceMapParameters())
+    other.restore(state)
+    for target in [*range(2, 12), 2, 3, 4, 5]:
+        for one in (graph, other):
+            close_loop(one, target, 0.01)
+        assert np.array_equal(graph.poses, other.poses)
+    assert not np.array_equal(graph.poses, state['poses'])
+
+
+# Sweeps
+
+
+def driven_polygon(
+    sides: int, turn_rad: float, loops: int, correction: float = 0.5, laps: int = 1
+) -> ExperienceMap:
+    """Drive along a polygon with a turn at each corner, and close it at experience 0."""
+    graph = new_map(exp_loops=loops, exp_correction=correction)
+    arrive(graph, 0)
+    for side in range(1, laps * sides + 1):
+        drive(graph, ahead(1.0), turning(turn_rad))
+        arrive(graph, side % sides)
+    return graph
+
+
+@pytest.mark.parametrize('sides', [3, 4, 7, 12])
+@pytest.mark.parametrize('sense', [1.0, -1.0])
+@pytest.mark.parametrize('correction', [0.1, 0.5])
+def test_consistent_loop_is_not_moved(sides: int, sense: float, correction: float) -> None:
+    turn_rad = sense * 2.0 * math.pi / sides
+    unrelaxed, relaxed = (
+        driven_polygon(sides, turn_rad, loops, correction) for loops in (0, 50)
+    )
+    assert np.abs(unrelaxed.poses - relaxed.poses).max() < 1e-9
+    assert np.hypot(*np.diff(relaxed.poses[:, :2], axis=0).T) == pytest.approx(1.0)
+
+
+def test_first_experience_is_never_moved() -> None:
+    graph = driven_polygon(6, 2.0 * math.pi / 6 + 0.1, 40, laps=3)
+    assert graph.poses[0].tolist() == [0.0, 0.0, 0.0]
+    graph = new_map(exp_loops=5, exp_initial_em_deg=90.0)
+    drive(graph, ahead(3.0))
+    arrive(graph, 0)
+    for target in (1, 2, 0, 2, 1, 0):
+        drive(graph, ahead(1.0), turning(0.7))
+        arrive(graph, target)
+    assert pose_is_near(graph.pose_of(0), 0.0, 3.0, math.pi / 2)
+
+
+def test_sweeps_distribute_loop_error_over_links() -> None:
+    graph = driven_polygon(12, 2.0 * math.pi / 12 + 0.03, 0)
+    before = residuals_of(graph)
+    assert np.abs(before[:-1]).max() < 1e-9
+    assert abs(before[-1, 2]) == pytest.approx(12 * 0.03)
+    graph = restored(graph, sweeping(100))
+    for _ in range(20):
+        graph.apply(NONE)
+    after = residuals_of(graph)
+    assert np.abs(after[:, 2]).max() < 0.2 * abs(before[-1, 2])
+    assert np.hypot(*after[:, :2].T).max() < 0.3 * np.hypot(*before[-1, :2])
+    assert (np.abs(after[:, 2]) > 1e-3).sum() >= 10
+
+
+def test_small_sweeps_converge_to_equation_7() -> None:
+    """With small corrections: the least squares of the headings, an equal residual per link."""
+    graph = driven_polygon(8, 2.0 * math.pi / 8 + 0.02, 0)
+    graph = restored(graph, sweeping(10_000, 0.002))
+    for _ in range(3):
+        graph.apply(NONE)
+    e = residuals_of(graph)
+    assert e[:, 2] == pytest.approx(np.full(8, e[:, 2].mean()), abs=2e-4)
+    assert abs(e[:, 2].sum()) == pytest.approx(8 * 0.02, abs=1e-9)
+    for axis in range(3):  # residuals balance at each experience except the fixed one
+        for k in range(1, 8):
+            assert e[k - 1, axis] == pytest.approx(e[k, axis], abs=1e-3)
+
+
+def test_small_sweeps_converge_to_the_direct_solution() -> None:
+    graph = driven_circle(12, 2 * math.pi / 12 + 0.02, exp_loops=0)
+    close_loop(graph)
+    expected = fixed_point(graph)
+    graph = restored(graph, sweeping(10_000, 0.002))
+    for _ in range(40):
+        graph.apply(NONE)
+    assert max_difference(graph.poses, expected) < 5e-3
+
+
+@settings(max_examples=25)
+@given(st.integers(0, 10_000), st.integers(3, 25))
+def test_sweeps_restore_a_disturbed_consistent_map(seed: int, count: int) -> None:
+    """Headings across half a turn, and crossing links; no pose becomes NaN."""
+    rng = np.random.default_rng(seed)
+    graph = new_map(exp_loops=0)
+    for target in range(count):
+        arrive(graph, target)
+        drive(graph, Motion(0.1, float(rng.uniform(0.2, 2.0)), float(rng.uniform(-3, 3))))
+    arrive(graph, count)
+    expected = graph.poses
+    disturbed = expected.copy()
+    disturbed[1:] += rng.normal(scale=0.3, size=(count, 3))
+    graph = restored(graph, sweeping(10_000), poses=disturbed)
+    graph.apply(NONE)
+    assert np.isfinite(graph.poses).all()
+    assert (np.abs(graph.poses[:, 2]) <= math.pi).all()
+    assert np.hypot(*(graph.poses - expected)[:, :2].T).max() < 0.02 * count
+    assert max(abs(wrap(d)) for d in (graph.poses - expected)[:, 2]) < 0.01
+
+
+def test_sweeps_correct_headings_across_half_a_turn() -> None:
+    graph = new_map(exp_loops=0)
+    arrive(graph, 0)
+    drive(graph, turning(math.pi - 0.05), ahead(1.0))
+    arrive(graph, 1)
+    drive(graph, turning(math.pi - 0.05), ahead(1.0))  # 0.1 rad short of a full turn
+    arrive(graph, 0)
+    graph = restored(graph, sweeping(200, 0.05))
+    for _ in range(5):
+        graph.apply(NONE)
+    assert abs(wrap(graph.pose_of(1).heading_rad - math.pi)) < 0.01
+    assert np.abs(residuals_of(graph)[:, 2]).max() < 0.06
+
+
+def test_zero_sweeps_move_nothing() -> None:
+    graph = driven_polygon(5, 1.0, 0)
+    before = graph.poses
+    graph.apply(NONE)
+    assert np.array_equal(graph.poses, before)
+
+
+def test_action_none_is_followed_by_sweeps() -> None:
+    graph = restored(driven_polygon(5, 1.0, 0), sweeping(1))
+    before = graph.poses
+    graph.apply(NONE)
+    assert not np.array_equal(graph.poses, before)

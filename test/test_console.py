@@ -1,0 +1,41 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Notices and the progress bar."""
+
+import pytest
+
+from ratslam_ros.console import ProgressBar
+
+RECORDING_S = 20.0
+
+
+def test_bar_shows_selected_duration_and_status(capfd: pytest.CaptureFixture[str]) -> None:
+    with ProgressBar(RECORDING_S, 5.0, 10.0, status=lambda: '3 templates') as bar:
+        bar.update(4.0)
+    err = capfd.readouterr().err
+    assert '40%' in err and '4/10 s' in err and err.rstrip().endswith('3 templates')
+
+
+def test_bar_beyond_total_shows_total(capfd: pytest.CaptureFixture[str]) -> None:
+    with ProgressBar(RECORDING_S, 5.0, None) as bar:
+        bar.update(15.3)
+    assert '100%' in capfd.readouterr().err
+
+
+def test_bar_not_shown_prints_nothing(capfd: pytest.CaptureFixture[str]) -> None:
+    with ProgressBar(RECORDING_S, 0.0, None, shown=False) as bar:
+        bar.update(1.0)
+    assert capfd.readouterr() == ('', '')
+
+
+def test_bar_prints_nothing_before_early_error(capfd: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(ValueError), ProgressBar(RECORDING_S, 0.0, None, delay_s=10.0) as bar:
+        bar.update(1.0)
+        raise ValueError
+    assert capfd.readouterr() == ('', '')
+
+
+def test_bar_after_delay_is_shown_at_end(capfd: pytest.CaptureFixture[str]) -> None:
+    with ProgressBar(RECORDING_S, 0.0, None, delay_s=10.0) as bar:
+        bar.update(20.0)
+    assert '20/20 s' in capfd.readouterr().err

@@ -1,0 +1,134 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The tool that compares two versions reports every difference, and never compares nothing."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'tools'))
+
+import same_results
+from same_results import (
+    FAILURE,
+    UsageError,
+    all_cases,
+    chosen,
+    compiled_key,
+    copy_working_tree,
+    first_difference,
+    without_comments,
+    without_timings,
+)
+
+
+def folders(tmp_path: Path, base: dict[str, str], tree: dict[str, str]) -> tuple[Path, Path]:
+    for side, files in (('base', base), ('tree', tree)):
+        (tmp_path / side).mkdir()
+        for name, text in files.items():
+            (tmp_path / side / name).write_text(text)
+    return tmp_path / 'base', tmp_path / 'tree'
+
+
+def test_equal_outputs_have_no_difference(tmp_path: Path) -> None:
+    files = {'map.json': '{"x_m": 0.1}', 'frames.csv': 'a\n1\n'}
+    assert first_difference(*folders(tmp_path, files, files)) is None
+
+
+def test_changed_number_is_reported_with_both_values(tmp_path: Path) -> None:
+    found = first_difference(
+        *folders(tmp_path, {'a.tum': '1 2.5\n3 4.5\n'}, {'a.tum': '1 2.5\n3 4.6\n'})
+    )
+    assert found is not None
+    assert all(part in found for part in ('a.tum', 'line 2', '3 4.5', '3 4.6'))
+
+
+@pytest.mark.parametrize('tree', ['a\nb', 'a\nb\nc\nd\n', ''])
+def test_shorter_or_longer_output_is_reported(tmp_path: Path, tree: str) -> None:
+    assert first_difference(*folders(tmp_path, {'x': 'a\nb\nc\n'}, {'x': tree})) is not None
+
+
+@pytest.mark.parametrize(
+    ('base', 'tree', 'told'),
+    [
+        ({'a': '1', 'b': '2'}, {'a': '1'}, 'only in BASE'),
+        ({'a': '1'}, {'a': '1', 'b': '2'}, 'only in the working tree'),
+        ({}, {}, 'nothing to compare'),
+        ({'a': '1'}, {}, 'nothing to compare'),
+        ({FAILURE: 'exit code 1'}, {FAILURE: 'exit code 1'}, 'failed in BASE: exit code 1'),
+        ({'a': '1'}, {'a': '1', FAILURE: 'no map'}, 'failed in the working tree: no map'),
+    ],
+)
+def test_missing_output_or_failure_is_reported(
+    tmp_path: Path, base: dict[str, str], tree: dict[str, str], told: str
+) -> None:
+    found = first_difference(*folders(tmp_path, base, tree))
+    assert found is not None and told in found
+
+
+def test_timings_are_ignored_at_any_depth() -> None:
+    summary = {'frames': 3, 'wall_s': 1.0, 'parts': [{'step_ms': {'a': 1}, 'links': 2}]}
+    assert without_timings(summary) == {'frames': 3, 'parts': [{'links': 2}]}
+
+
+def test_comments_are_ignored_and_order_is_kept() -> None:
+    text = '# made by\nb: 1  # px\n\na: x#y\n'
+    assert without_comments(text) == 'b: 1\na: x#y\n'
+
+
+def package(tmp_path: Path, angle: str = '1.0', note: str = 'One.', node: str = '1') -> Path:
+    folder = tmp_path / 'ratslam_ros'
+    folder.mkdir(exist_ok=True)
+    texts = {
+        'compiled': 'import numba\n',
+        'angles': f'"""{note}"""\nfrom ratslam_ros.compiled import compiled\nTURN = {angle}\n',
+        'relaxation': 'from ratslam_ros.angles import TURN\n'
+        'from ratslam_ros.compiled import compiled\n',
+        'node': f'A = {node}\n',
+    }
+    for name, text in texts.items():
+        (folder / f'{name}.py').write_text(text)
+    return tmp_path
+
+
+def test_compiled_key_covers_constants_of_other_files(tmp_path: Path) -> None:
+    key = compiled_key(package(tmp_path))
+    assert compiled_key(package(tmp_path, note='Two.')) == key
+    assert compiled_key(package(tmp_path, node='2')) == key
+    assert compiled_key(package(tmp_path, angle='2.0')) != key
+
+
+def test_working_tree_is_copied_with_uncommitted_changes(tmp_path: Path) -> None:
+    tree, copy = tmp_path / 'tree', tmp_path / 'copy'
+    for folder in (tree / 'a', copy / 'old'):
+        folder.mkdir(parents=True)
+    (copy / 'old' / 'module.py').write_text('gone')
+    for name, text in {'.gitignore': 'ignored\n', 'a/new.py': 'x = 1', 'ignored': ''}.items():
+        (tree / name).write_text(text)
+    subprocess.run(['git', 'init', '-q', str(tree)], check=True)
+    copy_working_tree(tree, copy)
+    (tree / 'a' / 'new.py').write_text('x = 22')
+    copy_working_tree(tree, copy)
+    files = {path.relative_to(copy).as_posix() for path in copy.rglob('*') if path.is_file()}
+    assert files == {'.gitignore', 'a/new.py'}
+    assert (copy / 'a' / 'new.py').read_text() == 'x = 22'
+
+
+def test_every_preset_has_a_case(tmp_path: Path) -> None:
+    names = [case.name for case in all_cases()]
+    assert len(set(names)) == len(names)
+    presets = {path.stem for path in (same_results.ROOT / 'config').glob('*.yaml')}
+    assert presets - {name.removeprefix('preset_') for name in names} == {'navigation'}
+    assert 'scans' in names  # replays the preset navigation
+
+
+def test_unknown_case_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match='no_such_case'):
+        chosen(['no_such_case'], False, tmp_path)
+
+
+def test_unknown_commit_is_wrong_use(capsys: pytest.CaptureFixture[str]) -> None:
+    assert same_results.main(['no_such_commit', '--quick']) == 2
+    assert 'no_such_commit' in capsys.readouterr().err
