@@ -73,10 +73,10 @@ def test_scans_are_saved_and_loaded_with_the_map(world: MakeWorld, tmp_path: Pat
     assert robot.call('save').success
     assert robot.call('reset').success
     assert robot.call('load').success
-    assert list(robot.node._scans._kept) == [6]
+    assert robot.node._scans.state()['ids'].tolist() == [6]
     scan(robot, float('nan'), first_rad=float('nan'))  # refused
     robot.made.until(lambda: robot.node._diagnostics.counts['refused'] == 1)
-    assert list(robot.node._scans._kept) == [6]
+    assert robot.node._scans.state()['ids'].tolist() == [6]
 
 
 def test_without_exp_align_scans_scans_are_not_subscribed(world: MakeWorld) -> None:
