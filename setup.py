@@ -62,11 +62,11 @@ setup(
         # alone, and another machine is to install all the rest.
         'cyclonedds>=11.0,<11.1; platform_machine == "x86_64" or sys_platform != "linux"',
         'lz4>=4.0',
-        'matplotlib>=3.8',
+        'matplotlib>=3.6',
         'mcap>=1.1',
         'numba>=0.60',
         'numpy>=1.26',
-        'opencv-python-headless>=4.8',
+        'opencv-python-headless>=4.6',
         'pyyaml>=6.0.1',
         'rosbags>=0.11',
         'scipy>=1.11.4',
