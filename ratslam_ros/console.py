@@ -12,6 +12,11 @@ from typing import Any, Self
 REFRESH_PERIOD_S = 0.1
 
 
+def is_terminal() -> bool:
+    """Return whether standard error is a terminal."""
+    return sys.stderr.isatty()
+
+
 def print_notice(text: str) -> None:
     """Print a line to standard error."""
     print(text, file=sys.stderr, flush=True)
@@ -21,7 +26,8 @@ class ProgressBar:
     """Progress bar in seconds of a recording.
 
     Used as a context manager. The bar appears at the first update after a delay, or at the end
-    of the context, and not at all if an exception occurs before.
+    of the context, and not at all if an exception occurs before, or if standard error is not a
+    terminal.
     """
 
     def __init__(
@@ -40,7 +46,7 @@ class ProgressBar:
             recording_s: duration of the whole recording.
             start_s: skipped seconds at the start of the recording.
             duration_s: limit on the duration, None for the whole rest.
-            shown: False for no bar at all.
+            shown: False for no bar even on a terminal.
             delay_s: time before the bar appears, in seconds.
             status: text behind the bar, called at each refresh.
         """
@@ -48,7 +54,7 @@ class ProgressBar:
         if duration_s is not None:
             total_s = min(total_s, duration_s)
         self._total_s = round(total_s, 1)
-        self._shown = shown
+        self._shown = shown and is_terminal()
         self._status = status
         self._done_s = 0.0
         self._due_s = time.monotonic() + delay_s

@@ -66,6 +66,10 @@ class ViewStep:
 
 Step = OdometryStep | ViewStep
 
+STREAMS = 'odometry', 'template'
+STREAMS_WITH_SCANS = 'odometry', 'scan', 'template'
+"""Input streams; at equal stamps the one named first is processed first."""
+
 
 class RatSLAM:
     """Visual odometry, local view, pose cells and experience map; input is processed by stamp."""
@@ -99,8 +103,9 @@ class RatSLAM:
         self.scan_matcher = ScanMatcher() if config.experience_map.exp_align_scans else None
         self.dead_reckoning = self.experience_map.origin
         """Pose by odometry alone, in the map frame."""
-        self.order: StampOrder[Odometry | ViewMatch] = StampOrder(
-            ('odometry', 'template'), round(config.pose_cells.max_lateness_s * 1e9)
+        streams = STREAMS if self.scan_matcher is None else STREAMS_WITH_SCANS
+        self.order: StampOrder[Odometry | Scan | ViewMatch] = StampOrder(
+            streams, round(config.pose_cells.max_lateness_s * 1e9)
         )
         self._motion = MotionFromOdometry(config.pose_cells.odom_source)
         self._images: StampOrder[NDArray[np.uint8] | None] = StampOrder(('image',), 0)
@@ -137,10 +142,14 @@ class RatSLAM:
         """Process one template message; return the steps of all messages that it released."""
         return self._process(self.order.push('template', stamp_ns, match))
 
-    def scan(self, scan: Scan) -> None:
-        """Buffer one laser scan if scans are aligned; call before the images of its time."""
-        if self.scan_matcher is not None:
-            self.scan_matcher.scan(scan)
+    def scan(self, scan: Scan) -> list[Step]:
+        """Process one laser scan; return the steps of all messages that it released.
+
+        Without ``exp_align_scans`` scans are ignored.
+        """
+        if self.scan_matcher is None:
+            return []
+        return self._process(self.order.push('scan', scan.stamp_ns, scan))
 
     def finish(self) -> list[Step]:
         """Process all messages that are still held."""
@@ -194,11 +203,16 @@ class RatSLAM:
             if not self._has_matched:
                 raise  # the crop, window or template does not fit this camera
 
-    def _process(self, released: Iterable[Released[Odometry | ViewMatch]]) -> list[Step]:
-        return [
-            self._move(item) if isinstance(item, Odometry) else self._act(stamp_ns, item)
-            for stamp_ns, _, item in released
-        ]
+    def _process(self, released: Iterable[Released[Odometry | Scan | ViewMatch]]) -> list[Step]:
+        steps: list[Step] = []
+        for stamp_ns, _, item in released:
+            if isinstance(item, Odometry):
+                steps.append(self._move(item))
+            elif isinstance(item, ViewMatch):
+                steps.append(self._act(stamp_ns, item))
+            elif self.scan_matcher is not None:
+                self.scan_matcher.scan(item)
+        return steps
 
     def _move(self, odometry: Odometry) -> OdometryStep:
         motion = self._motion.update(odometry)

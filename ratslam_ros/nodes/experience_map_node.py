@@ -18,6 +18,7 @@ from visualization_msgs.msg import MarkerArray
 
 from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry
 from ratslam_ros.core.common.pose import Pose, composed, inverse
+from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.late_join import LateJoin
@@ -50,7 +51,7 @@ class Action:
     memory_ns: int
 
 
-class ExperienceMapNode(RatslamNode[Odometry | Action]):
+class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
     """Builds the map; publishes it, the robot's pose on it, and routes to goals."""
 
     SECTION = 'experience_map'
@@ -59,6 +60,9 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
 
     def __init__(self) -> None:
         super().__init__(('odometry', 'action'))
+        if self._section.exp_align_scans:
+            self._streams = 'odometry', 'scan', 'action'
+            self._order = self._new_order()
         self._map_publisher = self.create_publisher(String, 'experience_map/map', LATCHED)
         self._markers = self.create_publisher(MarkerArray, 'experience_map/markers', LATCHED)
         self._pose_publisher = self.create_publisher(PoseStamped, 'experience_map/pose', STATE)
@@ -148,8 +152,9 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
 
     def _on_scan(self, message: LaserScan) -> None:
         scan = accepted_scan(message, self._refuse)
-        if scan is not None and not self._paused:
-            self._scans.scan(scan)
+        if scan is not None:
+            self._push('scan', scan.stamp_ns, scan)
+            self._republish_pose()
 
     def _on_action(self, message: String) -> None:
         try:
@@ -162,7 +167,10 @@ class ExperienceMapNode(RatslamNode[Odometry | Action]):
         if self._changed and time.monotonic() >= self._next_map_s:
             self._send_map()
 
-    def _process_item(self, stamp_ns: int, stream: str, item: Odometry | Action) -> None:
+    def _process_item(self, stamp_ns: int, stream: str, item: Odometry | Scan | Action) -> None:
+        if isinstance(item, Scan):
+            self._scans.scan(item)
+            return
         if isinstance(item, Odometry):
             self._unlearn_blocked(stamp_ns - 1)
             motion = self._motion.update(item)

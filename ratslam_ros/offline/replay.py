@@ -165,9 +165,11 @@ class _Run:
             self._write(self.slam.image(event.stamp_ns, image))
         elif isinstance(event, ScanEvent):
             try:
-                self.slam.scan(scan_from_event(event))
+                scan = scan_from_event(event)
             except UnusableScan as error:
                 self._count_unusable('scan', error)
+            else:
+                self._write(self.slam.scan(scan))
         else:
             try:
                 stamp_ns, match, _ = decode_template(event.payload)

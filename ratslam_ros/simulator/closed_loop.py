@@ -117,7 +117,7 @@ class ClosedLoop:
                     self._note(self.ratslam.image(sample.stamp_ns, sample.image))
                 else:
                     scan = scan_from_sample(sample, simulator)
-                    self.ratslam.scan(scan)
+                    self._note(self.ratslam.scan(scan))
                     self.command = steer(scan)
                     self.ratslam.behaviour = self.command.behaviour
                     simulator.command(self.command.speed_mps, self.command.turn_rate_radps)

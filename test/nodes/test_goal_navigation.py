@@ -64,13 +64,17 @@ class Robot:
 
     def arrive(self, target: int) -> None:
         """Send the action of an experience, and wait until it is the current one."""
+        self.send_action(target)
+        self.made.until(lambda: self.node._core.current_id == target)
+
+    def send_action(self, target: int) -> None:
+        """Send the action of an experience."""
         kind = 'create' if target == self.known else 'link'
         self.known = max(self.known, target + 1)
         place = Place(0.5 * target, 0.0, 0.0)
         action = MapAction(kind, self.node._core.current_id, target, target, 0.0, place)
         self.text('pose_cells/action', encode_action(self.stamp_ns, self.sequence, action, 1))
         self.sequence += 1
-        self.made.until(lambda: self.node._core.current_id == target)
 
     def text(self, topic: str, text: str) -> None:
         from std_msgs.msg import String

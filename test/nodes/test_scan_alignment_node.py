@@ -36,9 +36,7 @@ def scan(robot: Robot, x_m: float, first_rad: float = -math.pi / 2) -> None:
 
 def scan_received(robot: Robot, x_m: float) -> None:
     scan(robot, x_m)
-    robot.made.until(
-        lambda: robot.node._scans._scans and robot.node._scans._scans[-1][0] == robot.stamp_ns
-    )
+    robot.made.until(lambda: robot.node._order.newest_of('scan') == robot.stamp_ns)
 
 
 def learn(robot: Robot) -> None:
@@ -65,6 +63,24 @@ def test_recognised_place_keeps_the_offset_of_the_scans(world: MakeWorld) -> Non
     x_m, y_m, heading_rad = robot.node._core.offset
     assert (x_m, y_m) == pytest.approx((0.2, 0.0), abs=0.03)
     assert heading_rad == pytest.approx(0.0, abs=0.01)
+
+
+def test_scan_that_arrives_after_the_action_is_still_used(world: MakeWorld) -> None:
+    """The action waits for the scans; ``flush_after_s`` is longer than the test."""
+    from rclpy.parameter import Parameter
+
+    robot = Robot(world, '-p', 'exp_align_scans:=true')
+    learn(robot)
+    robot.drive(1.0)
+    robot.arrive(5)
+    robot.node.set_parameters([Parameter('flush_after_s', value=60.0)])
+    robot.drive(-1.0)
+    robot.send_action(6)
+    robot.made.until(lambda: robot.node._order.newest_of('action') == robot.stamp_ns)
+    assert robot.node._core.current_id == 5
+    scan(robot, 0.2)
+    robot.made.until(lambda: robot.node._core.current_id == 6)
+    assert robot.node._core.offset.x_m == pytest.approx(0.2, abs=0.03)
 
 
 def test_scans_are_saved_and_loaded_with_the_map(world: MakeWorld, tmp_path: Path) -> None:
