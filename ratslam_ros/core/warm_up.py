@@ -26,7 +26,10 @@ _SMALL_CONFIG = {
     'local_view.template_x_size': 4, 'local_view.template_y_size': 2,
     'local_view.vt_shift_match': 1, 'local_view.vt_patch_normalise': 1,
 }  # fmt: skip
+"""Parameters that make warming up fast; the compiled code does not depend on them."""
+
 _MOTION = Motion(1.0, 1.0, 0.1)
+"""Any motion that translates and rotates."""
 
 
 def warm_up(*parts: str) -> None:
@@ -133,7 +136,10 @@ _MAPPING: dict[str, Callable[[Config], object]] = {
     'pose_cells': _pose_cells,
     'experience_map': _experience_map,
 }
+"""Functions that warm up the parts of the mapping pipeline."""
+
 _PARTS = {
     **_MAPPING, 'goal_recall': _goal_recall, 'goal_memory': _goal_memory,
     'goal_follower': _goal_follower, 'scan_alignment': _scan_alignment,
 }  # fmt: skip
+"""Functions that warm up each part by name."""

@@ -9,6 +9,7 @@ import math
 from ratslam_ros.core.common.compiled import compiled
 
 TWO_PI = 2.0 * math.pi
+"""One turn, in rad."""
 
 
 @compiled

@@ -88,6 +88,7 @@ SECTIONS: dict[str, type[Section]] = {
     'goal_recall': GoalRecallParameters,
     'goal_follower': GoalFollowerParameters,
 }
+"""Class of each section, in the order of config.yaml."""
 
 SETTABLE = frozenset(
     {

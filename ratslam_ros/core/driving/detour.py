@@ -23,6 +23,7 @@ GRID_BACK_M, GRID_FRONT_M, GRID_SIDE_M = 1.0, 4.0, 2.5
 
 ROW_COUNT = round(2 * GRID_SIDE_M / CELL_M) + 1
 COLUMN_COUNT = round((GRID_BACK_M + GRID_FRONT_M) / CELL_M) + 1
+"""Numbers of rows and columns of the grid."""
 
 TIGHT_COST_FACTOR = 4.0
 """Cost factor of a cell where the robot just fits; decreases to 1 with the clearance."""

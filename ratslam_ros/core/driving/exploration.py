@@ -33,6 +33,7 @@ Phase = Literal[
 _AFTER_TURN: dict[Phase, Phase] = {
     'turn_back': 'look_back', 'turn_again': 'return', 'turn_off': 'leave', 'turn_along': 'follow'
 }  # fmt: skip
+"""Phase that follows each turn."""
 
 TURN_TOLERANCE_RAD = math.radians(10.0)
 """Remaining angle at which a turn is complete."""

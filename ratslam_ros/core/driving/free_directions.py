@@ -19,6 +19,7 @@ from ratslam_ros.core.config.goal_follower import GoalFollowerParameters
 Behaviour = Literal['centreline', 'left_wall', 'right_wall', 'straight', 'turn']
 
 WALLS: tuple[Behaviour, ...] = ('left_wall', 'right_wall')
+"""Behaviours that follow a wall."""
 
 MIN_NARROW_M = 0.3
 """Free distance that a narrow passage must have, in m."""

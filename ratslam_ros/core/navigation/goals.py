@@ -25,6 +25,7 @@ Pruning can leave a goal farther from its experience than this, possibly with a 
 """
 
 MAX_NAME_CHARACTERS = 100
+"""Longest name of a goal, in characters."""
 
 
 @dataclass(frozen=True, slots=True)
