@@ -13,7 +13,7 @@ import networkx as nx
 
 
 def load(path: str) -> nx.Graph:
-    """Return a graph with the position of each experience and the duration of each link."""
+    """Return the experiences with their positions, and an edge for each linked pair."""
     with open(path, encoding='utf-8') as file:
         content = json.load(file)
     graph = nx.Graph()

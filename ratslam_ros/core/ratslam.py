@@ -72,7 +72,7 @@ STREAMS_WITH_SCANS = 'odometry', 'scan', 'template'
 
 
 class RatSLAM:
-    """Visual odometry, local view, pose cells and experience map; input is processed by stamp."""
+    """Visual odometry, local view, pose cells and experience map, fed in the order of stamps."""
 
     def __init__(
         self,
@@ -131,7 +131,7 @@ class RatSLAM:
     def odometry(self, odometry: Odometry) -> list[Step]:
         """Process one odometry message; return the steps of all messages that it released.
 
-        A message with a value that is not finite or implausible is refused and counted.
+        A message with a value that is not finite, or is implausible, is refused and counted.
         """
         if not self._motion.accepts(odometry):
             self._refused += 1

@@ -81,7 +81,7 @@ def _experience_map(config: Config) -> ExperienceMap:
             kind: Action = 'create' if n == len(experience_map) else 'link'
             source = experience_map.current_id
             experience_map.apply(MapAction(kind, source, n, n, 0.0, Place(0.0, 0.0, 0.0)))
-    experience_map.report_blocked('wait', 0.0)
+    experience_map.unlearn_blocked('wait', 0.0)
     experience_map.apply(MapAction('create', 0, 2, 3, 0.0, Place(0.0, 0.0, 0.0)))
     links = experience_map.link_ends, experience_map.link_durations_s
     has_detour(*links, 0, len(experience_map))

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Encoding and strict decoding that all JSON payloads share.
 
-Stamps are integers ``sec`` and ``nanosec``. Numbers are written as Python's repr gives them, keys
-in a fixed order and never NaN, so that equal content gives equal bytes.
+Stamps are integers ``sec`` and ``nanosec``. Numbers are written like Python's repr and are never
+NaN, and keys have a fixed order, so that equal content gives equal bytes.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def decode_fields(payload: str, name: str, types: Mapping[str, type]) -> dict[st
 
     Args:
         payload: JSON text.
-        name: of the topic, for error messages.
+        name: name of the topic, for error messages.
         types: expected type by key; further keys are ignored.
 
     Raises:
@@ -86,7 +86,7 @@ def encode_stamp(stamp_ns: int) -> dict[str, int]:
 
 
 def decode_stamp(stamp: Mapping[str, Any]) -> int:
-    """Return a stamp in ns; raises MalformedMessage if it is not one of non-negative integers."""
+    """Return a stamp in ns; raises MalformedMessage if a part is no valid non-negative integer."""
     sec, nanosec = stamp.get('sec'), stamp.get('nanosec')
     if (
         type(sec) is not int

@@ -199,8 +199,8 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
             )
         elif item.sequence > 0 and item.sequence == late_join.first_sequence and not missed:
             self._report_missing(
-                f'this node came late: {item.sequence} actions of pose_cells were sent before it '
-                'started, and are missing in the map. To start over, call reset on all nodes'
+                f'this node started late: {item.sequence} actions of pose_cells were sent before '
+                'and are missing from the map. To start over, call reset on all nodes'
             )
 
     def _unlearn_blocked(self, stamp_ns: int) -> None:
@@ -208,11 +208,11 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         for report in self._behaviours.take(stamp_ns):
             if not self._goals.report_blocked():
                 continue
-            unlearned = self._core.report_blocked(report.behaviour, report.ahead_rad)
+            unlearned = self._core.unlearn_blocked(report.behaviour, report.ahead_rad)
             if unlearned > 0:
                 self._changed = True
                 self.get_logger().info(
-                    f'{unlearned} links are unlearned: {report.behaviour} was blocked'
+                    f'{unlearned} links were unlearned: {report.behaviour} was blocked'
                 )
 
     def _report_missing(self, text: str) -> None:

@@ -55,7 +55,7 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
         self._inputs: list[Input] = []
         self._streams = streams
         self._lock = threading.RLock()
-        """Held while the memory is used: images are processed in another thread."""
+        """Serialises the thread that processes images with services and timers."""
         self._order: StampOrder[Item] = self._new_order()
         self._counted = Counts()
         self._paused = False
@@ -82,7 +82,7 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """The sections of PARTS that are in use."""
+        """The sections of PARTS that are in use; subclasses may leave some out."""
         return self.PARTS
 
     @property
@@ -109,7 +109,7 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
         return 0
 
     def _on_relocated(self) -> None:
-        """Keep the memory after a time without odometry, in which the robot may have moved."""
+        """Continue with the memory after the robot may have been moved unobserved."""
 
     def _diagnostic_values(self) -> dict[str, Any]:
         """Return the node's own values for the diagnostics."""
@@ -181,7 +181,7 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
         )
         self._diagnostics.drop(
             'refused',
-            f'{message} or before it was refused: stamps must increase without jumps',
+            f'{message} or earlier was refused: stamps must increase without jumps',
             counts.refused - before.refused,
         )
         self._diagnostics.drop(
@@ -189,7 +189,7 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
             f'{stream} has a gap before {stamp_ns * 1e-9:.3f} s: it paused, or messages were lost',
             counts.gaps - before.gaps,
         )
-        if counts.refused < before.refused:  # messages accepted later, as the begin of a jump back
+        if counts.refused < before.refused:  # accepted later, as the beginning of a jump back
             self._diagnostics.counts['refused'] += counts.refused - before.refused
 
     # Timers and services
@@ -230,7 +230,7 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
         with self._lock:
             self._mapping = bool(request.data)
             self._set_mapping(self._mapping)
-        state = 'is mapping' if self._mapping else 'learns nothing more: localisation only'
+        state = 'is mapping' if self._mapping else 'localises only; learning is off'
         return self._answer(response, True, f'{self.SECTION} {state}')
 
     def _on_save(self, request: Any, response: Any) -> Any:

@@ -171,7 +171,7 @@ class ClosedLoop:
             self.tries_failed += 1
             if self.navigator.report_blocked():
                 ahead_rad = wrap(pose.heading_rad + command.ahead_rad)
-                self.links_unlearned += graph.report_blocked(command.behaviour, ahead_rad, pose)
+                self.links_unlearned += graph.unlearn_blocked(command.behaviour, ahead_rad, pose)
         return command
 
     def _move(self, sample: OdometrySample) -> None:

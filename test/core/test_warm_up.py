@@ -113,7 +113,7 @@ for n in range(40):
     for located in (True, False):
         navigator.update(n * 10**8, located=located)
     graph.integrate(Motion(0.1, 0.1, 0.03))
-    graph.report_blocked('turn', 0.1 * n)
+    graph.unlearn_blocked('turn', 0.1 * n)
 """
 )
 

@@ -35,7 +35,7 @@ Limits confusion with later parts of the route that lie beside it."""
 
 WALL_DISCOUNT_M = 0.3
 """Cost discount for directions that follow a wall along the route, in m. The robot learned its
-routes along walls, so it recognises the views there better than beside."""
+routes along walls, so it recognises the views there better than away from the wall."""
 
 LEARNED_WALL_DISCOUNT_M = 0.6
 """Cost discount for directions that follow the wall the route was learned along, in m."""
@@ -126,7 +126,7 @@ class GoalFollower:
             for c in [*movement.straight_directions(), *movement.candidates()]
             if _gains(c, ahead, stop_m)
         ]
-        if not candidates:  # little is free between the posts of a door
+        if not candidates:  # no direction is free with the full margin, as in a doorway
             narrow = [c for c in movement.narrow_passages() if _is_towards(c, bearing_rad)]
             candidates = [c for c in narrow if _gains(c, ahead, stop_m)]
         best = min(
@@ -214,7 +214,7 @@ def _approach_speed_mps(route: NDArray[np.float64], p: GoalFollowerParameters) -
 
 
 def _ahead(route: NDArray[np.float64], length_m: float) -> NDArray[np.float64]:
-    """Return (SAMPLE_COUNT + 1, 3) x, y and arc length of the start of a route in m."""
+    """Return samples of the start of a route, (SAMPLE_COUNT + 1, 3) x, y and arc length."""
     along_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(route, axis=0).T))])
     at_m = np.linspace(0.0, min(length_m, float(along_m[-1])), SAMPLE_COUNT + 1)
     x, y = (np.interp(at_m, along_m, route[:, axis]) for axis in (0, 1))
@@ -247,7 +247,7 @@ def _direction_rad(ahead: NDArray[np.float64]) -> float:
 
 
 def _cost_m(candidate: DirectionCandidate, ahead: NDArray[np.float64]) -> float:
-    """Return the mean distance of a candidate from the route, plus half of what it falls short."""
+    """Return the mean distance to the route, plus half of the part that it does not reach."""
     wanted_m = max(float(ahead[-1, 2]), MIN_COMPARED_M)
     reach_m = min(candidate.free_m, wanted_m)
     s = np.linspace(0.0, reach_m, SAMPLE_COUNT + 1)[1:]

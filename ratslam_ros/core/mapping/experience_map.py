@@ -145,7 +145,7 @@ class ExperienceMap(ExperienceGraph):
             'offset': list(self.offset),
             'duration_s': self._duration_s,
             'way_m': self._travelled_m,
-            'made_m': self._made_m[: len(self)].copy(),
+            'made_m': self._created_at_m[: len(self)].copy(),
             'odometer_m': self._odometer_m,
             'relaxation': self._optimiser.relaxation_state(),
             'planning_work': self._optimiser.planning_work,
@@ -155,8 +155,8 @@ class ExperienceMap(ExperienceGraph):
     def restore(self, state: State) -> None:
         """Restore what ``state`` returned; the map must be new."""
         self._poses = with_capacity(state['poses'])
-        self._made_m = np.zeros(len(self._poses))
-        self._made_m[: len(state['poses'])] = state['made_m']
+        self._created_at_m = np.zeros(len(self._poses))
+        self._created_at_m[: len(state['poses'])] = state['made_m']
         self._odometer_m = self._scan_checked_m = state['odometer_m']
         self._labels = [(t, Place(x, y, theta)) for t, x, y, theta in state['labels']]
         self._links.restore(state)
@@ -221,7 +221,7 @@ class ExperienceMap(ExperienceGraph):
                 self.gate.reject_by_scan(self.pose)
             else:
                 claimed = composed(self.pose_of(action.target_id), target_offset)
-                relocated = self.gate.accepts(self.pose, claimed)
+                relocated = self.gate.record_closure(self.pose, claimed)
             if not relocated:
                 self._relax()
                 return MapUpdate(rejected=True)
@@ -278,14 +278,16 @@ class ExperienceMap(ExperienceGraph):
         if scan_match is None or scan_match.fits is None or self.gate.accepts_next:
             return False
         n, here = len(self), self.pose
-        known = long_known_experience(self._poses[:n], self._made_m[:n], self._odometer_m, here)
+        known = long_known_experience(
+            self._poses[:n], self._created_at_m[:n], self._odometer_m, here
+        )
         return known is not None and scan_match.fits(
             known, composed(inverse(self.pose_of(known)), here)
         )
 
     # Links
 
-    def report_blocked(self, behaviour: str, ahead_rad: float, here: Pose | None = None) -> int:
+    def unlearn_blocked(self, behaviour: str, ahead_rad: float, here: Pose | None = None) -> int:
         """Count a behaviour that timed out at the robot's pose, and unlearn blocked links.
 
         The time-out is a failed attempt of every link that passes within ``exp_try_radius_m`` of

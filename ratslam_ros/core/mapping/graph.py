@@ -43,7 +43,7 @@ class ExperienceGraph:
         self.frame_id = frame_id
         """Name of the frame of all poses."""
         self._poses = np.empty((64, 3), np.float64)
-        self._made_m = np.zeros(len(self._poses))
+        self._created_at_m = np.zeros(len(self._poses))
         self._labels: list[tuple[int, Place]] = []
         self._links = Links()
         self._unlearned: set[tuple[int, int]] = set()
@@ -55,7 +55,7 @@ class ExperienceGraph:
 
     @property
     def labels(self) -> Sequence[tuple[int, Place]]:
-        """Template and place in the pose cells of every experience; not to be changed or kept."""
+        """Template and place in the pose cells of every experience; do not modify or keep."""
         return self._labels
 
     @property
@@ -73,9 +73,9 @@ class ExperienceGraph:
         x, y, heading = self._poses[experience_id].tolist()
         return Pose(x, y, heading)
 
-    def made_m(self, experience_id: int) -> float:
+    def created_at_m(self, experience_id: int) -> float:
         """Return the odometer reading, in m, at which an experience was created."""
-        return float(self._made_m[experience_id])
+        return float(self._created_at_m[experience_id])
 
     def experiences(self) -> list[Experience]:
         """Return all experiences, in the order of their ids."""
@@ -106,36 +106,36 @@ class ExperienceGraph:
 
     @property
     def link_ends(self) -> NDArray[np.int64]:
-        """(links, 2) source and target of every link; a view, not to be changed or kept."""
+        """(links, 2) source and target of every link; a view; do not modify or keep."""
         return self._links.ends
 
     @property
     def link_durations_s(self) -> NDArray[np.float64]:
-        """(links,) duration of every link in s; a view, not to be changed or kept."""
+        """(links,) duration of every link in s; a view; do not modify or keep."""
         return self._links.durations_s
 
     @property
     def link_shapes(self) -> NDArray[np.float64]:
         """(links, 3) distance in m, heading and facing in rad, see ``Link``.
 
-        A view, not to be changed or kept.
+        A view; do not modify or keep.
         """
         return self._links.shapes
 
     @property
     def link_notes(self) -> Sequence[tuple[str, int]]:
-        """Behaviour and count of every link; not to be changed or kept."""
+        """Behaviour and count of every link; do not modify or keep."""
         return self._links.notes
 
     @property
     def links_version(self) -> int:
-        """Counter that grows with every change of a link; validity key for derived data."""
+        """Counter that grows with every change of a link, to detect outdated results."""
         return self._links.version
 
     @property
-    def rebuilt(self) -> int:
+    def deletion_count(self) -> int:
         """Counter that grows when links are deleted, which moves later links to other rows."""
-        return self._links.rebuilt
+        return self._links.deletion_count
 
     @property
     def unlearned_ends(self) -> NDArray[np.int64]:
@@ -169,12 +169,13 @@ class ExperienceGraph:
         label = action.template_id, action.place
         if action.target_id < n:
             self._poses[action.target_id] = pose
-            self._made_m[action.target_id] = odometer_m
+            self._created_at_m[action.target_id] = odometer_m
             self._labels[action.target_id] = label
             return
         if n == len(self._poses):
             self._poses = np.concatenate([self._poses, np.empty_like(self._poses)])
-            self._made_m = np.concatenate([self._made_m, np.zeros_like(self._made_m)])
+            unused_m = np.zeros_like(self._created_at_m)
+            self._created_at_m = np.concatenate([self._created_at_m, unused_m])
         self._poses[n] = pose
-        self._made_m[n] = odometer_m
+        self._created_at_m[n] = odometer_m
         self._labels.append(label)

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Id maps: ids of a peer node, which may be restarted, mapped to ids that stay unique."""
+"""Id maps: translate the ids of a peer node, which may be restarted, to ids that stay unique."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ MIN_MEMORY_NS = 1
 
 
 class IdMap:
-    """Maps ids that a peer node counts from 0 to own ids that stay unique across its restarts.
+    """Translates a peer's ids, which start at 0 after each restart, to own ids that stay unique.
 
     The stamp of the first item that the peer learned identifies its memory. After a restart the
     peer counts from 0 again, and its ids denote other items: they are mapped to own ids above all

@@ -13,7 +13,7 @@ from ratslam_ros.core.pose_cells.map_action import MapAction
 
 
 class LateJoin:
-    """Translates actions of the pose cells for an experience map, in any order of starting them.
+    """Translates actions of the pose cells for an experience map, whichever was started first.
 
     If both were started together, no action was lost and no closure was rejected, every action is
     returned unchanged.
@@ -47,10 +47,10 @@ class LateJoin:
         """Return the action with the ids of the map; None if the map must not execute it.
 
         A link or set to an experience that the map does not have becomes a create, unless the map
-        only localises. If the map has an experience with that id but with another template or
-        place, it missed that the pose cells pruned it: the action becomes a create, which prunes
-        it. A create of an experience that the map has becomes a link. The source is the map's
-        current experience, because odometry was integrated from there.
+        only localises. If the map's experience with that id has another template or place, the
+        map missed its pruning: the action becomes a create, which prunes that experience now. A
+        create of an experience that the map has becomes a link. The source is the map's current
+        experience, because odometry was integrated from there.
 
         Args:
             action: with the ids of the pose cells.

@@ -30,7 +30,7 @@ ELSEWHERE, TIMED_OUT = 0, 1
 """Columns of the failure counts: the behaviour led elsewhere, or it timed out."""
 
 LEAST_AHEAD_M = 0.2
-"""Least distance ahead of the robot of the far end of a link that a time-out counts against."""
+"""Least distance ahead of the robot of a link's far end, for a time-out to count against it."""
 
 DETOUR_RATIO = 8.0
 """Longest duration of a detour that replaces an unlearned link, relative to that link's."""

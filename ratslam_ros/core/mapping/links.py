@@ -72,7 +72,7 @@ class Links:
         self._next_serial = 0
         self.version = 0
         """Counter that grows with every change of a link."""
-        self.rebuilt = 0
+        self.deletion_count = 0
         """Counter that grows when links are deleted, which moves later links to other rows."""
 
     def __len__(self) -> int:
@@ -178,7 +178,7 @@ class Links:
         for row in sorted(rows, reverse=True):
             del self.notes[row]
         self.version += 1
-        self.rebuilt += 1
+        self.deletion_count += 1
 
     def bridge(self, links: list[Link], middle: int, a: int, b: int) -> None:
         """Add links between a and b that replace the paths through an experience to be removed.

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Loop-closure gate: which transitions may displace the robot further than the map can drift.
+"""Loop-closure gate: reject transitions that exceed the possible drift of the map.
 
 One false match must not deform the map. The error of the relative pose of two places grows with
 the length of the path between them. A transition that displaces the robot by more than this error
@@ -23,7 +23,7 @@ from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.state import State
 
 FREE_DISPLACEMENT_M, FREE_ROTATION_RAD = 1.0, 0.6
-"""Displacement and rotation up to which a transition is accepted without a test."""
+"""Displacement and rotation that are always allowed; the allowance for drift is added."""
 
 SPOT_COUNT, REQUIRED_COUNT = 8, 6
 """Number of most recent spots considered, and number of them that must support a relocation."""
@@ -35,7 +35,7 @@ AGREEMENT_M = 1.0
 """Largest distance between the robot positions that two agreeing closures imply, in m."""
 
 LONG_KNOWN_M = 60.0
-"""Least distance travelled since an experience was created for it to confirm the robot's pose.
+"""Distance to be driven after an experience was created before it can confirm the robot's pose.
 
 Experiences created later may lie at the place that the robot was relocated to.
 """
@@ -106,7 +106,7 @@ class LoopClosureGate:
         self.rejecting = self.accepts_next = False
         self._record(Spot(here.x_m, here.y_m))
 
-    def accepts(self, here: Pose, claimed: Pose) -> bool:
+    def record_closure(self, here: Pose, claimed: Pose) -> bool:
         """Record a closure that exceeds the drift, and return whether it is accepted.
 
         Args:
@@ -146,7 +146,7 @@ class LoopClosureGate:
 
 
 def long_known_experience(
-    poses: NDArray[np.float64], made_m: NDArray[np.float64], odometer_m: float, here: Pose
+    poses: NDArray[np.float64], created_at_m: NDArray[np.float64], odometer_m: float, here: Pose
 ) -> int | None:
     """Return the id of the nearest long-known experience close to a pose, None if there is none.
 
@@ -158,7 +158,7 @@ def long_known_experience(
     """
     away_m = np.hypot(poses[:, 0] - here.x_m, poses[:, 1] - here.y_m)
     turned_rad = np.abs((poses[:, 2] - here.heading_rad + np.pi) % math.tau - np.pi)
-    away_m[(made_m > odometer_m - LONG_KNOWN_M) | (turned_rad > NEARBY_RAD)] = math.inf
+    away_m[(created_at_m > odometer_m - LONG_KNOWN_M) | (turned_rad > NEARBY_RAD)] = math.inf
     near = np.flatnonzero(away_m < NEARBY_M)
     return int(near[away_m[near].argmin()]) if len(near) else None
 

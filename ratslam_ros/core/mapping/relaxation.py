@@ -82,7 +82,7 @@ class Relaxation:
     def relax(self, poses: Reals, ends: Indices, shapes: Reals) -> None:
         """Move all experiences to the fixed point.
 
-        The heading residuals of the present poses are wrapped to half a turn.
+        The heading residuals of the present poses are wrapped to ±half a turn.
 
         Args:
             poses: (n, 3) x, y in m and heading in rad; changed in place.

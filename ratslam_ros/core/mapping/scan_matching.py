@@ -42,16 +42,16 @@ MAP_SD_M, DRIFT_M2_PER_M = 0.1, 0.003
 """Standard deviation of the relative position of two nearby experiences on the map, and variance
 of the robot's position that each metre of driving adds."""
 
-GATE_SD = 3.0
+FUSION_GATE_SD = 3.0
 """Largest difference between two estimates, in standard deviations, at which they agree."""
 
-MAX_SD_M, MAX_OFFSET_M = 0.1, 0.5
+CONFIRMING_SD_M, CONFIRMING_OFFSET_M = 0.1, 0.5
 """Largest standard deviation and offset of an alignment that confirms the robot's pose. Along a
 bare corridor the standard deviation exceeds it."""
 
 
 class ScanMatch(NamedTuple):
-    """Pose of the robot relative to the current and the target experience; None: no estimate."""
+    """Poses of the robot relative to the current and the target experience, None if unknown."""
 
     from_current: Pose | None = None
     from_target: Pose | None = None
@@ -149,8 +149,8 @@ class ScanMatcher:
             return False
         at, variance_m2 = found
         return (
-            variance_m2 < MAX_SD_M**2 and math.dist(at[:2], pose[:2]) < MAX_OFFSET_M
-            and abs(wrap(at.heading_rad - pose.heading_rad)) < PRIOR_SD_RAD * GATE_SD
+            variance_m2 < CONFIRMING_SD_M**2 and math.dist(at[:2], pose[:2]) < CONFIRMING_OFFSET_M
+            and abs(wrap(at.heading_rad - pose.heading_rad)) < PRIOR_SD_RAD * FUSION_GATE_SD
         )  # fmt: skip
 
     def _locate_in_target(
@@ -176,13 +176,13 @@ class ScanMatcher:
             map_variance = MAP_SD_M**2 + self._variance_m2
             away_m = math.hypot(expected.x_m, expected.y_m)
             turned_rad = wrap(expected.heading_rad - view.heading_rad)
-            near = away_m < GATE_SD * math.sqrt(map_variance + variance) < math.inf
+            near = away_m < FUSION_GATE_SD * math.sqrt(map_variance + variance) < math.inf
             if near:
                 share = variance / (map_variance + variance)
                 x_m, y_m = share * expected.x_m, share * expected.y_m
                 prior = Pose(x_m, y_m, view.heading_rad)
                 variance *= 1.0 - share
-                if abs(turned_rad) < GATE_SD * PRIOR_SD_RAD:
+                if abs(turned_rad) < FUSION_GATE_SD * PRIOR_SD_RAD:
                     known = Pose(x_m, y_m, wrap(view.heading_rad + share * turned_rad))
         if reference is not None:
             found = align(reference, points, prior, math.sqrt(variance))

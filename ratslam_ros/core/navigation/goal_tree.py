@@ -98,7 +98,7 @@ class GoalTree:
         self._successors = array('i', times.predecessors.tobytes())
         self._link_count = self._map.link_count
         self._computed_version = self._version = self._map.links_version
-        self._rebuilt = self._map.rebuilt
+        self._deletion_count = self._map.deletion_count
         self._rejected_count = self._planner.rejected_shortcut_count
         self._linked_end = int(self._map.link_ends.max(initial=-1)) + 1
         self._stale = False
@@ -113,7 +113,7 @@ class GoalTree:
         rejected = self._planner.rejected_shortcut_count != self._rejected_count
         if graph.links_version == self._version and not reweighted and not rejected:
             return
-        if graph.rebuilt != self._rebuilt or reweighted or rejected:
+        if graph.deletion_count != self._deletion_count or reweighted or rejected:
             self._compute()
             return
         links = slice(self._link_count, graph.link_count)

@@ -68,7 +68,7 @@ class Guidance:
 
     Attributes:
         status: ``following`` the route of the current map; ``recovering``: following the last
-            route, as there is no route now or only a longer one; ``lost``: there is no route;
+            route, as there is no route now or only a slower one; ``lost``: there is no route;
             ``idle``: there is no goal; otherwise the final status of the last goal.
         positions_m: (n, 2) the route on the map from the robot to the goal in m, empty for none.
         arrival_s: (n,) expected arrival times from now in s.
@@ -102,7 +102,7 @@ class RouteFollowing:
     the current experience or the links change. A faster route is adopted at once. A slower one is
     adopted only if no other was found for ``route_switch_s`` (hysteresis). If no route is found,
     the last one is followed for ``route_keep_s``. The same applies if the planned route only leads
-    back to the followed one, over experiences visited since the two were last the same: while
+    back to the followed one, over experiences visited since the two last agreed: while
     views are not recognised, a second layer of experiences grows beside the old one, and all
     routes over its links lead back to its start.
 
@@ -132,7 +132,7 @@ class RouteFollowing:
         self._adopted: TrackedRoute | None = None
         """The last followed route, even after it was dropped."""
         self._visited: set[int] = set()
-        """Experiences visited since planned and followed route were last the same."""
+        """Experiences visited since the planned route last agreed with the followed one."""
         self._confirmed_ns = self._updated_ns = 0
         self._last_pose: Pose | None = None
         self._unknown_m = self._recovery_m = 0.0
@@ -152,7 +152,7 @@ class RouteFollowing:
 
         Args:
             stamp_ns: current stamp; must not decrease.
-            pose: pose of the robot on the map, None for the estimate of the map.
+            pose: pose of the robot on the map, None: the map's estimate.
             located: whether the motion since the current experience is known. Otherwise the
                 position on the route advances with time.
         """
@@ -279,7 +279,7 @@ class RouteFollowing:
         """
         graph = self._map
         aligned = graph.scan_confirmed_m > self._scan_confirmed_m
-        created_m = graph.made_m(graph.current_id)
+        created_m = graph.created_at_m(graph.current_id)
         if self._last_pose is None or aligned or created_m <= self._known_odometer_m:
             self._unknown_m, self._known_odometer_m = 0.0, graph.odometer_m
             self._scan_confirmed_m = graph.scan_confirmed_m
@@ -290,7 +290,7 @@ class RouteFollowing:
         self._last_pose = pose
 
     def _select_route(self, stamp_ns: int) -> bool:
-        """Choose between planned and followed route; return whether the planned one is chosen.
+        """Choose between planned and followed route; return whether the plan confirms the choice.
 
         A planned route that is the end of the followed one confirms the followed route.
         """

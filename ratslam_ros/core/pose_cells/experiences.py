@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Experiences in the pose cells: data association of views, creation, transitions and pruning."""
+"""Assignment of views to experiences: data association, creation, transitions and pruning."""
 
 from __future__ import annotations
 

@@ -123,7 +123,7 @@ class PoseCells:
         self._stepped = True
 
     def view(self, match: ViewMatch) -> MapAction:
-        """Process one template message: associate or inject, then decide on the map's action.
+        """Process one template message: learn it or inject its activity, then choose the action.
 
         At most one action other than ``none`` is returned per odometry message.
         """

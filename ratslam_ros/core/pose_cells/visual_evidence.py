@@ -153,7 +153,7 @@ class VisualEvidence:
             return None
         if seen.template_id != self._last_template:
             self.recent.append(known.unwrapped)
-        # Every decay relaxes with every message; each one is updated only when it is needed.
+        # The decay recovers with each template message; it is computed when a template is seen.
         relaxed = known.decay - p.pc_vt_restore * (self._messages - known.message)
         known.decay = max(p.vt_active_decay, relaxed)
         known.message = self._messages

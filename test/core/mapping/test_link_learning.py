@@ -169,7 +169,7 @@ def test_wrong_link_is_unlearned_after_minimum_tries() -> None:
         assert confidence(graph, 0, 2) == 1 / (1 + tries)
         step(graph, 1)
     assert (0, 2) not in link_pairs(graph)
-    assert graph.rebuilt == 1
+    assert graph.deletion_count == 1
 
 
 @pytest.mark.parametrize('successors', [2, 3, 5, 7])
@@ -182,7 +182,7 @@ def test_alternating_successors_are_all_kept(successors: int) -> None:
         for target in (0, 1 + n % successors, successors + 1):
             step(graph, target)
     assert {(0, 1 + n) for n in range(successors)} <= link_pairs(graph)
-    assert graph.rebuilt == 0
+    assert graph.deletion_count == 0
 
 
 def test_branch_without_detour_is_kept_despite_low_confidence() -> None:
@@ -245,7 +245,7 @@ def test_blocked_links_are_unlearned_and_learned_again() -> None:
     set_current(graph, 4)  # at x = 2
     tree = GoalTree(planner, goal)
     assert planner.route_to(goal).experience_ids == (4, 5, 6, 7, 8)
-    attempts = [graph.report_blocked(WALL, 0.0) for _ in range(4)]
+    attempts = [graph.unlearn_blocked(WALL, 0.0) for _ in range(4)]
     assert attempts[:3] == [0, 0, 0]
     # From x = 2 to 2.5, 2.5 to 3 and 3 to 3.5 m, in both directions: they pass within 1 m.
     assert attempts[3] == 6
@@ -267,7 +267,7 @@ def test_time_outs_needed_are_limited_by_recent_tries() -> None:
     for laps in (1, 2, 3, 20):
         graph = corridor(laps)
         set_current(graph, 4)
-        needed[laps] = next(n for n in range(1, 50) if graph.report_blocked(WALL, 0.0))
+        needed[laps] = next(n for n in range(1, 50) if graph.unlearn_blocked(WALL, 0.0))
     assert needed == {1: 4, 2: 7, 3: 10, 20: 10}
 
 
@@ -275,28 +275,28 @@ def test_successful_transition_resets_its_time_outs() -> None:
     graph = corridor()
     for made in range(1, 6):  # a person blocks the corridor temporarily
         set_current(graph, 4)
-        assert sum(graph.report_blocked(WALL, 0.0) for _ in range(3)) == 0
+        assert sum(graph.unlearn_blocked(WALL, 0.0) for _ in range(3)) == 0
         assert confidence(graph, 4, 5) == made / (made + 3)
         drive_to(graph, 22)
         assert confidence(graph, 4, 5) == 1.0
-    assert graph.rebuilt == 0
+    assert graph.deletion_count == 0
 
 
 def test_threshold_of_zero_disables_unlearning() -> None:
     graph = corridor(exp_confidence_threshold=0.0)
     set_current(graph, 4)
-    assert sum(graph.report_blocked(WALL, 0.0) for _ in range(100)) == 0
+    assert sum(graph.unlearn_blocked(WALL, 0.0) for _ in range(100)) == 0
 
 
 def test_time_outs_without_behaviour_or_mapping_are_ignored() -> None:
-    assert new_map().report_blocked(WALL, 0.0) == 0
+    assert new_map().unlearn_blocked(WALL, 0.0) == 0
     graph = corridor()
     set_current(graph, 4)
-    assert sum(graph.report_blocked('', 0.0) for _ in range(20)) == 0
+    assert sum(graph.unlearn_blocked('', 0.0) for _ in range(20)) == 0
     graph.mapping = False
-    assert sum(graph.report_blocked(WALL, 0.0) for _ in range(20)) == 0
+    assert sum(graph.unlearn_blocked(WALL, 0.0) for _ in range(20)) == 0
     with pytest.raises(UnusableInput, match='finite'):
-        graph.report_blocked(WALL, math.nan)
+        graph.unlearn_blocked(WALL, math.nan)
     assert not graph.state()['failures'].any()
 
 
@@ -334,7 +334,7 @@ def test_disconnected_components_are_not_moved() -> None:
     before = graph.poses
     set_current(graph, 4)
     for _ in range(4):
-        graph.report_blocked(WALL, 0.0)
+        graph.unlearn_blocked(WALL, 0.0)
     assert len(set(components(graph))) > 1
     for _ in range(3):
         graph.settle()
@@ -352,7 +352,7 @@ def test_inconsistent_component_keeps_its_lowest_experience() -> None:
     before = graph.poses
     set_current(graph, 2)
     graph.integrate(ahead(0.2))
-    while not graph.report_blocked(WALL, 0.0):
+    while not graph.unlearn_blocked(WALL, 0.0):
         pass
     lowest = components(graph)
     assert lowest[11] == lowest[4] == 4
@@ -366,7 +366,7 @@ def drive_randomly(graph: ExperienceMap, rng: random.Random, steps: int) -> None
     for _ in range(steps):
         graph.integrate(Motion(0.3, rng.uniform(0.2, 1.0), rng.uniform(-1.0, 1.0)))
         if rng.random() < 0.1:
-            graph.report_blocked(WALL, rng.uniform(-3.0, 3.0))
+            graph.unlearn_blocked(WALL, rng.uniform(-3.0, 3.0))
             continue
         new = len(graph) < 25 or rng.random() < 0.1
         target = len(graph) if new else rng.randrange(25)
@@ -380,7 +380,7 @@ def test_restored_map_continues_bit_identically(seed: int) -> None:
     changes = {'exp_min_tries': 2, 'exp_confidence_threshold': 0.4, 'exp_try_radius_m': 2.0}
     graph = new_map(**changes)
     drive_randomly(graph, rng, 400)
-    assert graph.rebuilt > 5
+    assert graph.deletion_count > 5
     state = graph.state()
     arrays = {key: value for key, value in state.items() if isinstance(value, np.ndarray)}
     rest = {key: value for key, value in state.items() if key not in arrays}
@@ -412,4 +412,4 @@ def test_texts_and_routes_follow_unlearned_links(seed: int) -> None:
             assert math.isfinite(tree.remaining_s(start)) == math.isfinite(fresh[start])
         if tree.exact():
             assert tree.remaining_s(7) == pytest.approx(float(fresh[7]))
-    assert graph.rebuilt > 5
+    assert graph.deletion_count > 5

@@ -68,7 +68,7 @@ def test_agreeing_closures_are_accepted_as_relocation(
 ) -> None:
     gate, relocation = LoopClosureGate(), Pose(x_m, y_m, heading_rad)
     accepted = [
-        gate.accepts(here := Pose(0.4 * n, 0.0, 0.0), composed(relocation, here))
+        gate.record_closure(here := Pose(0.4 * n, 0.0, 0.0), composed(relocation, here))
         for n in range(10)
     ]
     assert accepted.index(True) == REQUIRED_COUNT - 1
@@ -80,14 +80,14 @@ def test_closures_while_turning_in_place_count_once() -> None:
     gate = LoopClosureGate()
     for n in range(30):
         here = Pose(0.0, 0.0, 0.1 * n)
-        assert not gate.accepts(here, composed(Pose(5.0, 0.0, 0.0), here))
+        assert not gate.record_closure(here, composed(Pose(5.0, 0.0, 0.0), here))
     assert gate.rejected_count == 30
 
 
 def test_disagreeing_closures_are_never_accepted() -> None:
     gate = LoopClosureGate()
     for n in range(50):
-        assert not gate.accepts(Pose(0.4 * n, 0.0, 0.0), Pose(0.0, 3.0 * n, 0.0))
+        assert not gate.record_closure(Pose(0.4 * n, 0.0, 0.0), Pose(0.0, 3.0 * n, 0.0))
 
 
 def test_agreeing_recognitions_prevent_a_relocation() -> None:
@@ -98,7 +98,7 @@ def test_agreeing_recognitions_prevent_a_relocation() -> None:
             gate.record_agreement(here)
             assert not gate.rejecting
         else:
-            assert not gate.accepts(here, composed(Pose(9.0, 0.0, 0.0), here))
+            assert not gate.record_closure(here, composed(Pose(9.0, 0.0, 0.0), here))
             assert gate.rejecting
 
 
@@ -107,7 +107,7 @@ def test_relocated_robot_may_turn_at_each_spot() -> None:
     for n in range(REQUIRED_COUNT):
         for turn_rad in (0.0, math.pi / 2):
             here = Pose(0.4 * n, 0.0, turn_rad)
-            accepted = gate.accepts(here, composed(relocation, here))
+            accepted = gate.record_closure(here, composed(relocation, here))
             if accepted:
                 break
     assert accepted
@@ -118,7 +118,7 @@ def test_new_place_at_a_spot_keeps_its_closure() -> None:
     accepted = []
     for n in range(REQUIRED_COUNT):
         here = Pose(0.4 * n, 0.0, 0.0)
-        accepted.append(gate.accepts(here, composed(Pose(9.0, 0.0, 0.0), here)))
+        accepted.append(gate.record_closure(here, composed(Pose(9.0, 0.0, 0.0), here)))
         gate.record_new_place(Pose(0.4 * n + 0.1, 0.0, 0.0))
     assert accepted == [False] * (REQUIRED_COUNT - 1) + [True]
 
@@ -127,22 +127,22 @@ def test_first_closure_after_restart_is_accepted() -> None:
     gate = LoopClosureGate()
     gate.restart()
     gate.record_new_place(ORIGIN)
-    assert gate.accepts(ORIGIN, Pose(9.0, 0.0, 0.0))
-    assert not gate.accepts(ORIGIN, Pose(0.0, 9.0, 0.0))
+    assert gate.record_closure(ORIGIN, Pose(9.0, 0.0, 0.0))
+    assert not gate.record_closure(ORIGIN, Pose(0.0, 9.0, 0.0))
     gate.restart()
     gate.record_agreement(ORIGIN)  # the robot was not carried
-    assert not gate.accepts(ORIGIN, Pose(9.0, 0.0, 0.0))
+    assert not gate.record_closure(ORIGIN, Pose(9.0, 0.0, 0.0))
 
 
 def test_restored_gate_keeps_the_evidence() -> None:
     gate = LoopClosureGate()
     for n in range(REQUIRED_COUNT - 1):
-        gate.accepts(here := Pose(0.4 * n, 0.0, 0.0), composed(Pose(9.0, 0.0, 0.0), here))
+        gate.record_closure(here := Pose(0.4 * n, 0.0, 0.0), composed(Pose(9.0, 0.0, 0.0), here))
     again = LoopClosureGate()
     again.restore(json.loads(json.dumps(gate.state())))
     last = Pose(0.4 * REQUIRED_COUNT, 0.0, 0.0)
     for one in (gate, again):
-        assert one.accepts(last, composed(Pose(9.0, 0.0, 0.0), last))
+        assert one.record_closure(last, composed(Pose(9.0, 0.0, 0.0), last))
         assert (one.rejected_count, one.relocation_count) == (REQUIRED_COUNT - 1, 1)
 
 
@@ -150,7 +150,7 @@ def test_dense_closures_are_accepted_after_the_same_distance() -> None:
     gate = LoopClosureGate()
     for n in range(200):  # 10 m in steps of 5 cm
         here = Pose(0.05 * n, 0.0, 0.0)
-        if gate.accepts(here, composed(Pose(9.0, 0.0, 0.0), here)):
+        if gate.record_closure(here, composed(Pose(9.0, 0.0, 0.0), here)):
             break
     assert gate.relocation_count == 1
     assert here.x_m == pytest.approx((REQUIRED_COUNT - 1) * SPOT_SPACING_M, abs=0.35)
@@ -288,14 +288,14 @@ def test_restored_map_keeps_the_age_of_experiences() -> None:
 
 def test_long_known_experience_is_near_and_old() -> None:
     poses = np.array([[0.0, 0.0, 0.0], [0.2, 0.0, 2.0], [0.1, 0.0, 0.0], [5.0, 0.0, 3.1]])
-    made_m = np.array([0.0, 1.0, 50.0, 2.0])
-    assert long_known_experience(poses, made_m, 100.0, ORIGIN) == 0
-    assert long_known_experience(poses, made_m, 110.1, Pose(0.1, 0.0, 0.0)) == 2
-    assert long_known_experience(poses, made_m, 59.9, ORIGIN) is None
-    assert long_known_experience(poses, made_m, 100.0, Pose(1.0, 0.0, 0.0)) is None
-    assert long_known_experience(poses, made_m, 100.0, Pose(0.2, 0.0, 2.1)) == 1
-    assert long_known_experience(poses, made_m, 100.0, Pose(5.0, 0.1, -3.1)) == 3
-    assert long_known_experience(poses[:0], made_m[:0], 100.0, ORIGIN) is None
+    created_at_m = np.array([0.0, 1.0, 50.0, 2.0])
+    assert long_known_experience(poses, created_at_m, 100.0, ORIGIN) == 0
+    assert long_known_experience(poses, created_at_m, 110.1, Pose(0.1, 0.0, 0.0)) == 2
+    assert long_known_experience(poses, created_at_m, 59.9, ORIGIN) is None
+    assert long_known_experience(poses, created_at_m, 100.0, Pose(1.0, 0.0, 0.0)) is None
+    assert long_known_experience(poses, created_at_m, 100.0, Pose(0.2, 0.0, 2.1)) == 1
+    assert long_known_experience(poses, created_at_m, 100.0, Pose(5.0, 0.1, -3.1)) == 3
+    assert long_known_experience(poses[:0], created_at_m[:0], 100.0, ORIGIN) is None
 
 
 @pytest.mark.parametrize(('fits', 'at_m'), [(True, 12.0), (False, 12.0), (True, 14.0)])

@@ -155,7 +155,7 @@ def test_routes_avoid_removed_links(
     for _ in range(60):
         if rng.uniform() < 0.5:
             wander(graph, rng)
-        unlearned += graph.report_blocked('centreline', float(rng.uniform(-math.pi, math.pi)))
+        unlearned += graph.unlearn_blocked('centreline', float(rng.uniform(-math.pi, math.pi)))
         if rng.uniform() < 0.1:  # reuse an id
             again = int(rng.integers(1, len(graph)))
             graph.integrate(Motion(1.0, 1.0, 0.0))

@@ -397,7 +397,7 @@ def unlearn(robot: Robot, x_m: float, heading: float) -> None:
     graph.offset = Pose(x_m - at.x_m, -at.y_m, 0.0)
     before = graph.link_count
     for _ in range(50):
-        if graph.report_blocked('centreline', heading):
+        if graph.unlearn_blocked('centreline', heading):
             break
     assert graph.link_count < before
     graph.current_id, graph.offset = saved

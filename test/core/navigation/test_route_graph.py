@@ -96,7 +96,7 @@ def test_shortcut_survives_unlearning_of_connecting_links(
     """A drive along a corridor and back, which is later blocked before the turning point."""
     graph = there_and_back(7)
     last = len(graph) - 1
-    while graph.report_blocked('centreline', 0.0, Pose(2.9, 0.0, 0.0)) == 0:
+    while graph.unlearn_blocked('centreline', 0.0, Pose(2.9, 0.0, 0.0)) == 0:
         pass
     with pytest.raises(UnreachableGoal, match='no link leads'):
         RoutePlanner(GoalRecallParameters(), graph).route_to(0)
