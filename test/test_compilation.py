@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A start that compiles says so; one that loads from the cache does not."""
+"""A start that compiles announces it; a start from the cache prints nothing."""
 
 import os
 import subprocess

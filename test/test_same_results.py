@@ -51,7 +51,7 @@ def test_shorter_or_longer_output_is_reported(tmp_path: Path, tree: str) -> None
 
 
 @pytest.mark.parametrize(
-    ('base', 'tree', 'told'),
+    ('base', 'tree', 'expected'),
     [
         ({'a': '1', 'b': '2'}, {'a': '1'}, 'only in BASE'),
         ({'a': '1'}, {'a': '1', 'b': '2'}, 'only in the working tree'),
@@ -62,10 +62,10 @@ def test_shorter_or_longer_output_is_reported(tmp_path: Path, tree: str) -> None
     ],
 )
 def test_missing_output_or_failure_is_reported(
-    tmp_path: Path, base: dict[str, str], tree: dict[str, str], told: str
+    tmp_path: Path, base: dict[str, str], tree: dict[str, str], expected: str
 ) -> None:
     found = first_difference(*folders(tmp_path, base, tree))
-    assert found is not None and told in found
+    assert found is not None and expected in found
 
 
 def test_timings_are_ignored_at_any_depth() -> None:
