@@ -551,7 +551,7 @@ def test_late_join_maps_on_and_is_reported(world: MakeWorld) -> None:
     made.send('odom', odometry(START_NS + 3 * S))
     graph = last_map(made, received, 3)
     assert [e['id'] for e in graph['experiences']] == [0, 1, 2]
-    assert 'came late: 40 actions' in made.diagnostics()['experience_map']['message']
+    assert 'started late: 40 actions' in made.diagnostics()['experience_map']['message']
 
 
 def test_invalid_actions_are_refused_and_leave_the_map(world: MakeWorld) -> None:
