@@ -168,7 +168,7 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
         ):
             self._diagnostics.counts['missed'] += match.template_id + 1
             self._report_missing(
-                'this node came late: local_view had learned before; views learned then are '
+                'this node started late: local_view had learned before; views learned then are '
                 'associated with pose cells when they are seen again. To start over, call reset '
                 'on all nodes'
             )

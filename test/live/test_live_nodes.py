@@ -256,7 +256,7 @@ def test_restarted_pose_cells_are_detected_by_the_map(
     after = json.loads(live.map())
     assert len(after['experiences']) > len(json.loads(before)['experiences'])
     assert 'empty memory' in live.log('experience_map').read_text()
-    assert 'came late' in live.log('pose_cells').read_text()
+    assert 'started late' in live.log('pose_cells').read_text()
     assert set(live.stop().values()) == {0}
 
 

@@ -299,7 +299,7 @@ def test_earlier_start_or_restart_of_local_view_is_detected(world: MakeWorld) ->
     made.send('local_view/template', string(template_text(START_NS + 5, 57)))
     made.send('odom', odometry(START_NS + 10, 1.0))
     made.until(lambda: len(received) == 1)
-    assert 'came late' in made.diagnostics()['pose_cells']['message']
+    assert 'started late' in made.diagnostics()['pose_cells']['message']
     made.send('local_view/template',
               string(template_text(START_NS + 15, 0, memory=START_NS + 15)))  # fmt: skip
     made.send('odom', odometry(START_NS + 20, 1.0))

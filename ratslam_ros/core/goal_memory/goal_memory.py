@@ -34,7 +34,7 @@ STATIONARY_CELLS_PER_S = 0.02
 """Speed up to which the robot counts as stationary: no travel time is added, no link learned."""
 
 PACKET_CELLS = 6.0
-"""Extent of a packet. Links longer than this plus one step join two packets at different places:
+"""Extent of a packet. Links longer than this plus one step connect packets at different places:
 they are jumps of the packet, not motions."""
 
 BARRIER_AHEAD_CELLS = 1.0

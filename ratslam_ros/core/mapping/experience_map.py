@@ -126,7 +126,7 @@ class ExperienceMap(ExperienceGraph):
         if not outgoing:
             known = [] if source == NO_EXPERIENCE else self.neighbours(source)
             raise NotLinked(
-                f'no link joins experience {target_id} and the current one, {source}; its '
+                f'no link connects experience {target_id} and the current one, {source}; its '
                 f'neighbours are {", ".join(map(str, known)) or "none"}: choose one of them, or '
                 'ask for a route'
             )

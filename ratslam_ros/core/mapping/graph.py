@@ -21,7 +21,7 @@ MIRRORED = {'left_wall': 'right_wall', 'right_wall': 'left_wall'}
 
 
 class NotLinked(RatslamError):  # noqa: N818 - the errors' names say what they are
-    """Error: no link joins two experiences, or an experience is not on the map."""
+    """Error: no link connects two experiences, or an experience is not on the map."""
 
 
 @dataclass(frozen=True, slots=True)

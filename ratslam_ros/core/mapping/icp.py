@@ -34,7 +34,7 @@ INLIER_M, MIN_INLIER_RATIO, MIN_POINT_COUNT = 0.1, 0.7, 40
 inliers or the number of points of a scan is smaller than the other two."""
 
 MAX_GAP_M = 0.5
-"""Largest gap between neighbouring points that are joined to a line."""
+"""Largest gap between neighbouring points that are connected to a line."""
 
 
 class Alignment(NamedTuple):

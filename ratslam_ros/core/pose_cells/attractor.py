@@ -28,8 +28,8 @@ from ratslam_ros.core.pose_cells.packet_kernels import (
     Frame,
     decode,
     extent,
-    join,
     mass,
+    merge,
     move,
     tighten,
 )
@@ -115,7 +115,7 @@ class Network:
         # Resample directly onto the lattice of the packet that it will be merged with, if any.
         frame = max(near, key=lambda p: mass(p.cells)).frame if near else np.zeros(3)
         spread = Packet(np.zeros((1, 1, 1)), point.box, frame)
-        return self._merged([*packets, _joined(spread, point, self.dims)])
+        return self._merged([*packets, _merge_pair(spread, point, self.dims)])
 
     def peak(self, packets: list[Packet]) -> tuple[float, float, float]:
         """Return theta, y and x, in cells, of the peak of the packet with the largest cell."""
@@ -130,7 +130,7 @@ class Network:
         dims = self.dims
         whole = Packet(np.zeros(tuple(dims)), np.array([0, 0, 0, *dims], np.int64), np.zeros(3))
         for packet in packets:
-            whole = _joined(whole, packet, dims)
+            whole = _merge_pair(whole, packet, dims)
         return np.roll(whole.cells, tuple(whole.box[:3]), (0, 1, 2))
 
     def projected(self, packets: list[Packet]) -> tuple[NDArray[np.int64], Cells]:
@@ -172,14 +172,14 @@ class Network:
         return True
 
     def _merged(self, packets: list[Packet]) -> list[Packet]:
-        """Join packets within reach of each other; the stronger one keeps its lattice."""
+        """Merge packets within reach of each other; the stronger one keeps its lattice."""
         for i, a in enumerate(packets):
             for j in range(i + 1, len(packets)):
                 b = packets[j]
                 if self._within_reach(a, b):
                     keep, give = (a, b) if mass(a.cells) >= mass(b.cells) else (b, a)
                     rest = packets[:i] + packets[i + 1 : j] + packets[j + 1 :]
-                    return self._merged([*rest, _joined(keep, give, self.dims)])
+                    return self._merged([*rest, _merge_pair(keep, give, self.dims)])
         return packets
 
     def _trimmed(self, packet: Packet) -> list[Packet]:
@@ -230,6 +230,6 @@ def _slice(
     return Packet(np.ascontiguousarray(cells[tuple(index)]), box, frame)
 
 
-def _joined(keep: Packet, give: Packet, dims: Dims) -> Packet:
-    cells, box = join(*keep, *give, dims)
+def _merge_pair(keep: Packet, give: Packet, dims: Dims) -> Packet:
+    cells, box = merge(*keep, *give, dims)
     return Packet(cells, box, keep.frame)

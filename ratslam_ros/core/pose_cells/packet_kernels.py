@@ -236,7 +236,7 @@ def move(
 
 
 @compiled
-def join(
+def merge(
     packet: Cells, old_box: Box, frame: Frame,
     other: Cells, other_box: Box, other_frame: Frame, dims: Dims,
 ) -> tuple[Cells, Box]:  # fmt: skip
