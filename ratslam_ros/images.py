@@ -46,6 +46,10 @@ _ENCODINGS: dict[str, tuple[int, int, int | None, int | None]] = {
 }
 
 
+_PAIRED_PIXELS = {cv2.COLOR_YUV2BGR_UYVY, cv2.COLOR_YUV2BGR_YUY2}
+"""Conversions in which two pixels share their colour; OpenCV 4.6 does not check for odd widths."""
+
+
 class UndecodableImage(RatslamError):  # noqa: N818 - as the others in ratslam_ros.errors
     """The bytes of an image cannot be converted to pixels."""
 
@@ -211,9 +215,14 @@ def image_of(message: Any) -> Image:
 
 
 def _convert(pixels: Pixels, code: int, encoding: str) -> Pixels:
+    if code in _PAIRED_PIXELS and pixels.shape[1] % 2:
+        raise UndecodableImage(
+            f'an image of {pixels.shape[1]} x {pixels.shape[0]} pixels has an odd width; expected '
+            f'an even one for {encoding}'
+        )
     try:
         return np.asarray(cv2.cvtColor(pixels, code), np.uint8)
-    except cv2.error as error:  # For example, an odd width with chroma shared by two pixels.
+    except cv2.error as error:
         height, width = pixels.shape[:2]
         raise UndecodableImage(
             f'OpenCV cannot convert {width} x {height} pixels of {encoding}: {error.err}'
