@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -24,7 +25,7 @@ def run(tmp_path: Path, name: str, *words: object) -> str:
     """Run an example in an empty folder; return what it prints."""
     done = subprocess.run(
         [sys.executable, str(EXAMPLES / name), *map(str, words)], cwd=tmp_path,
-        env={**live_environment(), 'MPLBACKEND': 'agg', 'PATH': ''},
+        env={**os.environ, **live_environment(), 'MPLBACKEND': 'agg'},
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
@@ -90,7 +91,7 @@ def test_goal_client_prints_a_route(tmp_path: Path) -> None:
         pytest.skip(str(error))
     bag = write_bag(tmp_path / 'bag', circles())
     sizes = ['--set', 'local_view.template_x_size=16', '--set', 'local_view.template_y_size=8']
-    environment = live_environment()
+    environment = {**os.environ, **live_environment()}
     command = [sys.executable, '-m', 'ratslam_ros']
     nodes = subprocess.Popen(
         [*command, 'launch', '--single-process', *sizes], cwd=tmp_path, env=environment,
