@@ -47,7 +47,7 @@ class Town:
     lane_m: lateral offset of the lane to the left of the middle of the street
     corner_m: radius of turns
     columns: junctions along each side of the town, 0 for an unlimited town
-    speed_mps, turning_mps, brake_mps2: speed on straights and in turns, and deceleration
+    speed_mps, turning_mps, brake_mps2: speed on straights and in curves, and deceleration
     sway_m: variation of the lateral offset
     light: relative variation of the brightness
     known: weight of a street driven before relative to a new one, in the choice at a junction
