@@ -20,7 +20,6 @@ from ratslam_ros.messages.json_schema import (
     SCHEMA_VERSION,
     MalformedMessage,
     check_range,
-    check_types,
     decode_fields,
     decode_stamp,
     encode_json,
@@ -30,8 +29,6 @@ from ratslam_ros.messages.json_schema import (
 MAX_COUNT = 2**63 - 1
 """Largest accepted sequence number and stamp of a memory: 64-bit integers."""
 MAX_PLACE_CELLS = 100_000.0
-MAX_ACTIVITY = 2.0
-"""Largest activity of an experience."""
 
 
 def encode_template(stamp_ns: int, match: ViewMatch, memory_ns: int) -> str:
@@ -180,26 +177,6 @@ def encode_active(stamp_ns: int, template_id: int, active: Sequence[tuple[int, f
             'experiences': [{'id': i, 'activity': activity} for i, activity in active],
         }
     )
-
-
-def decode_active(payload: str) -> tuple[int, int, list[tuple[int, float]]]:
-    """Return (stamp_ns, template_id, active) of a ``pose_cells/active_experiences`` payload.
-
-    Raises:
-        MalformedMessage: the payload does not match the schema.
-    """
-    name = 'pose_cells/active_experiences'
-    fields = decode_fields(payload, name, {'stamp': dict, 'template_id': int, 'experiences': list})
-    check_range(name, 'template_id', fields['template_id'], -1, MAX_ID)
-    active = []
-    for item in fields['experiences']:
-        if not isinstance(item, dict):
-            raise MalformedMessage(f'{name}: {item!r} is not an experience; expected an object')
-        check_types(item, name, {'id': int, 'activity': float})
-        check_range(name, 'id', item['id'], 0, MAX_ID)
-        check_range(name, 'activity', item['activity'], 0.0, MAX_ACTIVITY)
-        active.append((item['id'], item['activity']))
-    return decode_stamp(fields['stamp']), fields['template_id'], active
 
 
 def encode_map(

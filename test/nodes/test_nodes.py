@@ -340,8 +340,6 @@ def test_activity_is_published_to_subscribers(world: MakeWorld) -> None:
 def test_active_experiences_are_published_to_subscribers(world: MakeWorld) -> None:
     from std_msgs.msg import String
 
-    from ratslam_ros.messages.mapping import decode_active
-
     made, actions = pose_cells(world)
     received = made.listen(String, 'pose_cells/active_experiences')
     for n in range(3):
@@ -350,9 +348,12 @@ def test_active_experiences_are_published_to_subscribers(world: MakeWorld) -> No
         made.spin(0.05)
     made.send('odom', odometry(START_NS + S))
     made.until(lambda: len(actions) == 3 and received)
-    stamp_ns, template_id, active = decode_active(received[-1].data)
+    fields = json.loads(received[-1].data)
+    template_id = fields['template_id']
+    stamp_ns = fields['stamp']['sec'] * S + fields['stamp']['nanosec']
     assert stamp_ns == START_NS + template_id * PERIOD_NS
-    assert active == [(template_id - 1, 2.0)]  # the first view came before any motion
+    # The first view came before any motion.
+    assert fields['experiences'] == [{'id': template_id - 1, 'activity': 2.0}]
 
 
 # Experience map
