@@ -13,7 +13,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from ratslam_ros.core.config import SECTIONS, ParameterInfo, Section, Value
+from ratslam_ros.core.config import AUTOMATIC, SECTIONS, ParameterInfo, Section, Value
 from ratslam_ros.files.config import documented_yaml
 from ratslam_ros.simulator.config import SimulatorParameters
 
@@ -90,7 +90,8 @@ def _entry(name: str, info: ParameterInfo, default: Value) -> str:
     elif isinstance(default, str):
         facts.append('any name')
     elif not isinstance(default, bool):
-        facts.append(f'from {_shown(info.low)} to {_shown(info.high)}')
+        automatic = f', or `{AUTOMATIC}` (automatic)' if info.automatic else ''
+        facts.append(f'from {_shown(info.low)} to {_shown(info.high)}{automatic}')
     if info.unit:
         facts.append(f'unit: {info.unit}')
     lines.append('- ' + '; '.join(facts))

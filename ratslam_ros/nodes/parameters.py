@@ -151,10 +151,10 @@ def _descriptor(info: ParameterInfo, default: Value, settable: bool) -> Paramete
         descriptor.additional_constraints = f'one of {", ".join(info.choices)}'
     elif isinstance(default, float):
         descriptor.floating_point_range = [
-            FloatingPointRange(from_value=float(info.low), to_value=float(info.high), step=0.0)
+            FloatingPointRange(from_value=float(info.lowest), to_value=float(info.high), step=0.0)
         ]
     elif isinstance(default, int) and not isinstance(default, bool):
         descriptor.integer_range = [
-            IntegerRange(from_value=int(info.low), to_value=int(info.high), step=1)
+            IntegerRange(from_value=int(info.lowest), to_value=int(info.high), step=1)
         ]
     return descriptor

@@ -13,13 +13,20 @@ from ratslam_ros.core.config.goal_memory import GoalMemoryParameters
 from ratslam_ros.core.config.goal_recall import GoalRecallParameters
 from ratslam_ros.core.config.inputs import WHOLE, LiveInput
 from ratslam_ros.core.config.local_view import LocalViewParameters
-from ratslam_ros.core.config.parameter import ParameterInfo, Section, Value, parameter
+from ratslam_ros.core.config.parameter import (
+    AUTOMATIC,
+    ParameterInfo,
+    Section,
+    Value,
+    parameter,
+)
 from ratslam_ros.core.config.pose_cells import LEAST_EXP_MAX, PoseCellsParameters
 from ratslam_ros.core.config.visual_odometry import VisualOdometryParameters
 
 __all__ = [
-    'LEAST_EXP_MAX', 'SECTIONS', 'SETTABLE', 'WHOLE', 'Config', 'ExperienceMapParameters',
-    'GoalFollowerParameters', 'GoalMemoryParameters', 'GoalRecallParameters', 'LiveInput',
-    'LocalViewParameters', 'ParameterInfo', 'PoseCellsParameters', 'Section', 'Value',
-    'VisualOdometryParameters', 'parameter', 'section_of',
+    'AUTOMATIC', 'LEAST_EXP_MAX', 'SECTIONS', 'SETTABLE', 'WHOLE', 'Config',
+    'ExperienceMapParameters', 'GoalFollowerParameters', 'GoalMemoryParameters',
+    'GoalRecallParameters', 'LiveInput', 'LocalViewParameters', 'ParameterInfo',
+    'PoseCellsParameters', 'Section', 'Value', 'VisualOdometryParameters', 'parameter',
+    'section_of',
 ]

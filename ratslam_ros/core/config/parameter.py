@@ -14,6 +14,9 @@ from ratslam_ros.errors import UnusableParameter
 Value = bool | int | float | str
 """Type of a parameter value."""
 
+AUTOMATIC = -1
+"""Value of a number that is estimated from the inputs instead of being set."""
+
 
 @dataclass(frozen=True)
 class ParameterInfo:
@@ -33,6 +36,19 @@ class ParameterInfo:
     """Condition under which to lower the value or leave a switch off; for strings, full advice."""
     choices: tuple[str, ...] = ()
     """Valid strings; if empty, any string without whitespace is valid."""
+    automatic: bool = False
+    """Whether ``AUTOMATIC`` is valid as well."""
+
+    @property
+    def lowest(self) -> float:
+        """Smallest valid number, ``AUTOMATIC`` included."""
+        return AUTOMATIC if self.automatic else self.low
+
+    @property
+    def range_text(self) -> str:
+        """The valid numbers, for messages and documentation."""
+        text = f'{self.low:g} to {self.high:g}'
+        return f'{text}, or {AUTOMATIC} (automatic)' if self.automatic else text
 
 
 def parameter(
@@ -44,14 +60,15 @@ def parameter(
     raise_if: str = '',
     lower_if: str = '',
     choices: tuple[str, ...] = (),
+    automatic: bool = False,
 ) -> Any:
     """Declare one parameter as a dataclass field of a section.
 
     Args:
         default: the default value; its type is the type of the parameter.
-        unit, low, high, effect, raise_if, lower_if, choices: see ``ParameterInfo``.
+        unit, low, high, effect, raise_if, lower_if, choices, automatic: see ``ParameterInfo``.
     """
-    info = ParameterInfo(unit, low, high, effect, raise_if, lower_if, choices)
+    info = ParameterInfo(unit, low, high, effect, raise_if, lower_if, choices, automatic)
     return field(default=default, metadata={'info': info})
 
 
@@ -94,10 +111,8 @@ def _checked(name: str, value: Any, default: Value, info: ParameterInfo) -> Valu
         raise UnusableParameter(f'{name} is {value!r}; expected a number in {info.unit}')
     if isinstance(default, int) and value != int(value if math.isfinite(value) else 0):
         raise UnusableParameter(f'{name} is {value!r}; expected a whole number')
-    if not info.low <= value <= info.high:
-        raise UnusableParameter(
-            f'{name} is {value!r}; expected {info.low:g} to {info.high:g} {info.unit}'
-        )
+    if not info.low <= value <= info.high and not (info.automatic and value == AUTOMATIC):
+        raise UnusableParameter(f'{name} is {value!r}; expected {info.range_text} {info.unit}')
     return type(default)(value)
 
 

@@ -4,15 +4,19 @@
 
 import dataclasses
 import math
+from dataclasses import dataclass
 from typing import Any
 
 import pytest
 
 from ratslam_ros.core.config import (
+    AUTOMATIC,
     SECTIONS,
     Config,
     LocalViewParameters,
     PoseCellsParameters,
+    Section,
+    parameter,
     section_of,
 )
 from ratslam_ros.errors import UnusableParameter
@@ -55,7 +59,7 @@ def test_value_of_wrong_type_or_range_is_refused(
         return
     assert info.low <= default <= info.high
     whole = isinstance(default, int)
-    for wrong in (info.low - 1, info.high + 1, math.nan, math.inf, -math.inf):
+    for wrong in (info.lowest - 1, info.high + 1, math.nan, math.inf, -math.inf):
         assert name in refused(f'{section}.{name}', wrong)
     for wrong in ('text', None, True, [1], '3'):
         assert name in refused(f'{section}.{name}', wrong)
@@ -193,3 +197,18 @@ def test_values_has_all_parameters_in_declared_order() -> None:
     assert [
         (section, name) for section, values in Config().values().items() for name in values
     ] == [(section, name) for section, name, _, _ in PARAMETERS]
+
+
+@dataclass(frozen=True)
+class _Automatic(Section):
+    length_m: float = parameter(2.0, 'm', 0.5, 9.0, 'A length.', automatic=True)
+    count: int = parameter(3, 'views', 1, 9, 'A number.', automatic=True)
+
+
+def test_automatic_parameters_accept_minus_one_and_their_range() -> None:
+    assert _Automatic(AUTOMATIC, AUTOMATIC) == _Automatic(-1.0, -1)
+    for wrong in (-0.5, 0.4, 9.5):
+        with pytest.raises(UnusableParameter, match=r'expected 0.5 to 9, or -1 \(automatic\) m'):
+            _Automatic(length_m=wrong)
+    with pytest.raises(UnusableParameter, match='expected a whole number'):
+        _Automatic(count=-0.5)
