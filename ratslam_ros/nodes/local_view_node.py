@@ -13,7 +13,7 @@ from std_msgs.msg import String
 
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.mapping.id_map import MIN_MEMORY_NS, NO_MEMORY_NS
-from ratslam_ros.core.vision.local_view import UNDECODABLE, LocalView, ViewMatch
+from ratslam_ros.core.vision.local_view import FIXED_THRESHOLD, UNDECODABLE, LocalView, ViewMatch
 from ratslam_ros.messages.mapping import encode_template
 from ratslam_ros.nodes.convert import grey_image
 from ratslam_ros.nodes.image_node import ImageNode
@@ -96,6 +96,10 @@ class LocalViewNode(ImageNode):
             'templates': len(self._core),
             'template': self._last.template_id,
             'match_error': round(self._last.error, 4),
+            **(
+                {'match_threshold': round(self._last.threshold, 4)}
+                if self._last.threshold != FIXED_THRESHOLD else {}
+            ),
         }
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ratslam_ros.console import ProgressBar
 from ratslam_ros.core.common.scan import UnusableScan
-from ratslam_ros.core.config import Config
+from ratslam_ros.core.config import AUTOMATIC, Config
 from ratslam_ros.core.ratslam import RatSLAM, Step
 from ratslam_ros.core.vision.visual_odometry import field_of_view_deg
 from ratslam_ros.event_inputs import odometry_from_event, scan_from_event
@@ -182,7 +182,7 @@ class _Run:
         """Process all held messages, write all files, and return the summary."""
         self._write(self.slam.finish())
         wall_s = self.elapsed_s
-        results = self.results or Results(self._folder)
+        results = self.results or self._new_results()
         warnings = self._recording.warnings
         if self._lacks_scans:
             warnings.append(
@@ -238,6 +238,10 @@ class _Run:
             )
         return text
 
+    def _new_results(self) -> Results:
+        automatic = self._config.local_view.vt_match_threshold == AUTOMATIC
+        return Results(self._folder, with_thresholds=automatic)
+
     def _count_unusable(self, kind: str, error: Exception) -> None:
         self._unusable[kind] += 1
         self._first_errors.setdefault(kind, str(error))
@@ -246,7 +250,7 @@ class _Run:
         if not steps:
             return
         if self.results is None:
-            self.results = Results(self._folder)
+            self.results = self._new_results()
         for step in steps:
             self.results.add(step)
             if self.video is not None:

@@ -26,6 +26,9 @@ from ratslam_ros.results.trajectory import tum_line
 
 FRAMES_HEADER = 'stamp_ns,template_id,is_new,match_error,relative_rad,experience_id\n'
 
+THRESHOLD_COLUMN = 'match_threshold'
+"""Last column of frames.csv if the threshold is automatic."""
+
 NEWEST_EXPERIENCES_COUNT = 10
 """An action that leads to one of the newest experiences is not counted as a loop closure."""
 
@@ -40,8 +43,12 @@ class Results:
     the same folder stay until then.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, with_thresholds: bool = False) -> None:
         """Create the folder and open the files.
+
+        Args:
+            folder: the folder; it is created.
+            with_thresholds: write the match threshold of each frame, which is automatic.
 
         Raises:
             UnusableInput: the folder cannot be created or written to.
@@ -67,7 +74,9 @@ class Results:
             raise UnusableInput(
                 f'{folder} cannot be written to ({error.strerror}); give another --out'
             ) from None
-        self._frames.write(FRAMES_HEADER)
+        self._with_thresholds = with_thresholds
+        columns = FRAMES_HEADER.strip() + (f',{THRESHOLD_COLUMN}' if with_thresholds else '')
+        self._frames.write(columns + '\n')
         # Poses relative to their experience: the final trajectory needs the final map.
         self._offsets: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - closed by finish
 
@@ -103,7 +112,8 @@ class Results:
             self._current_id = action.target_id
         self._frames.write(
             f'{step.stamp_ns},{match.template_id},{int(match.is_new)},{match.error!r},'
-            f'{match.relative_rad!r},{self._current_id}\n'
+            f'{match.relative_rad!r},{self._current_id}'
+            f'{f",{match.threshold!r}" if self._with_thresholds else ""}\n'
         )
 
     def finish(

@@ -33,6 +33,11 @@ class Encoder(Protocol):
         """Whether values are deviations from the centre of the range; see `TemplateMemory`."""
         ...
 
+    @property
+    def typical(self) -> float:
+        """Typical mean difference between views of unrelated places, from 0 to 1."""
+        ...
+
     def encode(self, image: Image) -> View | None:
         """Return the view of an image, (H, W) uint8 grey; None if it has too little structure.
 

@@ -27,6 +27,8 @@ class Intensity:
         p = self._p = parameters
         self.rows, self.columns = p.template_y_size, p.template_x_size
         self.signed = p.vt_patch_normalise > 0
+        # Grey values differ less in scenes of low contrast; too low a value only costs templates.
+        self.typical = 0.18 if self.signed else 0.05
 
     def encode(self, image: Image) -> Image | None:
         """Return the view of an image; see ``make_view``."""

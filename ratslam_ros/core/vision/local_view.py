@@ -16,14 +16,18 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.state import State
-from ratslam_ros.core.config import LocalViewParameters
+from ratslam_ros.core.config import AUTOMATIC, LocalViewParameters
 from ratslam_ros.core.vision.encoder import Encoder, Image, View
 from ratslam_ros.core.vision.intensity import Intensity
-from ratslam_ros.core.vision.template_memory import Match, TemplateMemory
+from ratslam_ros.core.vision.match_threshold import MatchThreshold
+from ratslam_ros.core.vision.template_memory import Match, Search, TemplateMemory
 from ratslam_ros.errors import UnusableInput
 
 NO_TEMPLATE = -1
 """Template id of views that match no template and are not learned."""
+
+FIXED_THRESHOLD = -1.0
+"""Threshold of a match if it is the one of the configuration."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +45,8 @@ class ViewMatch:
     relative_rad: float
     """Present heading minus the heading at which the template was learned. 0 for forward cameras
     if ``vt_shift_fov_deg`` is 0."""
+    threshold: float = FIXED_THRESHOLD
+    """The automatic threshold that ``error`` was compared with; -1 if the threshold is fixed."""
 
 
 UNDECODABLE = ViewMatch(NO_TEMPLATE, False, -1.0, 0.0)
@@ -73,10 +79,7 @@ class LocalView:
             self._encoder.columns, self._encoder.rows, p.vt_shift_match, p.vt_shift_match_y,
             p.vt_step_match, panoramic=p.vt_panoramic, signed=self._encoder.signed,
         )  # fmt: skip
-        self._limit = math.floor(p.vt_match_threshold * self._memory.full_sum)
-        self._recent_limit = math.floor(
-            p.vt_recent_threshold * (p.vt_match_threshold * self._memory.full_sum)
-        )
+        self._threshold = MatchThreshold(p, self._memory.full_sum, self._encoder.typical)
 
     def __len__(self) -> int:
         return len(self._memory)
@@ -110,35 +113,55 @@ class LocalView:
         view = self._encoder.encode(image)
         if view is None:
             return UNDECODABLE
-        recognised, min_sad = self._search(view)
+        search = self._memory.search(view)
+        first_recent = self._first_recent(search)
+        recognised, min_sad = self._best(search, first_recent)
         error = -1.0 if min_sad is None else min_sad / self._memory.full_sum
+        threshold = self._threshold.value if self._threshold.is_automatic else FIXED_THRESHOLD
         if recognised is not None:
             relative_rad = self._relative_rad(recognised.offset)
-            return ViewMatch(recognised.template_id, False, error, relative_rad)
+            return ViewMatch(recognised.template_id, False, error, relative_rad, threshold)
         if not self.mapping:
-            return ViewMatch(NO_TEMPLATE, False, error, 0.0)
-        return ViewMatch(self.learn(view), True, error, 0.0)
+            return ViewMatch(NO_TEMPLATE, False, error, 0.0, threshold)
+        self._threshold.learn(len(self), first_recent, search.sad)
+        return ViewMatch(self.learn(view), True, error, 0.0, threshold)
 
-    def _search(self, view: View) -> tuple[Match | None, int | None]:
+    def _first_recent(self, search: Search) -> int:
+        """Return the id of the first template that shows the stretch the robot is just learning.
+
+        Automatically, these are the newest templates back to the first one that is unrelated to
+        the view: since then, the scene has been changing gradually.
+        """
+        count, newest = len(self), self._p.vt_recent_templates
+        if newest != AUTOMATIC:
+            return max(count - newest, 0)
+        limit = self._threshold.related_limit
+        while count > 0 and search.sad(count - 1) <= limit:
+            count -= 1
+        return count
+
+    def _best(self, search: Search, first_recent: int) -> tuple[Match | None, int | None]:
         """Return the match within its threshold, if any, and the minimum SAD, if computed."""
-        search = self._memory.search(view)
-        best = search.best(limit=None if self._p.vt_exact_error else self._limit)
+        limit = self._threshold.limit
+        best = search.best(limit=None if self._p.vt_exact_error else limit)
         if best is None:
             return None, None
-        older = len(self) - self._p.vt_recent_templates
-        if self._p.vt_recent_templates == 0 or best.template_id < older:
-            return best if best.sad <= self._limit else None, best.sad
-        if best.sad <= self._recent_limit:
+        if best.template_id < first_recent:
+            return best if best.sad <= limit else None, best.sad
+        if best.sad <= self._threshold.recent_limit:
             return best, best.sad
-        return search.best(max(older, 0), self._limit), best.sad
+        return search.best(first_recent, limit), best.sad
 
     def learn(self, view: View) -> int:
         """Add a view, (rows, columns) uint8, as a template; return its id."""
         return self._memory.append(view)
 
     def state(self) -> State:
-        """Return the learned templates, for ``restore``."""
-        return {'templates': self.templates}
+        """Return everything learned, for ``restore``."""
+        state: State = {'templates': self.templates}
+        if self._threshold.is_automatic:
+            state['threshold'] = self._threshold.state()
+        return state
 
     def restore(self, state: State) -> None:
         """Load a state returned by ``state`` into this memory, which must be empty.
@@ -156,6 +179,8 @@ class LocalView:
             )
         for view in templates:
             self.learn(view)
+        if 'threshold' in state:
+            self._threshold.restore(state['threshold'], len(self))
 
     def best_match(self, view: View) -> Match | None:
         """Return the best match regardless of the threshold, or None if there are no templates.
