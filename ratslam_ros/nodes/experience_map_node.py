@@ -90,7 +90,9 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         self._map_text = MapText()
         self._late_join = LateJoin(self._core)
         self._scans = ScanMatcher()
-        self._motion = MotionFromOdometry(self._section.odom_source)
+        self._motion = MotionFromOdometry(
+            self._section.odom_source, self._section.odom_rotation_gain
+        )
         self._action_ns = 0
         self._changed = self._sent  # subscribers that have the old map get the empty one
         self._goals.use_map(self._core)

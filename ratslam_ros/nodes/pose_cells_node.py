@@ -69,7 +69,9 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
         self._core.mapping = self._mapping
         if self._goals is not None:
             self._goals.use_pose_cells(self._core)
-        self._motion = MotionFromOdometry(self._section.odom_source)
+        self._motion = MotionFromOdometry(
+            self._section.odom_source, self._section.odom_rotation_gain
+        )
         self._numbering = IdMap()
         self._memory_ns = NO_MEMORY_NS
         self._sequence = 0
