@@ -55,9 +55,9 @@ def add_topics(parser: argparse.ArgumentParser) -> None:
 
 def add_config(parser: argparse.ArgumentParser, default: str | None = None) -> None:
     """Add the configuration, and single parameters that override it."""
-    suffix = f' (default: {default})' if default else ''
     parser.add_argument('--config', metavar='FILE|PRESET', default=default,
-                        help=f'YAML, an INI file of OpenRatSLAM, or the name of a preset{suffix}')
+                        help='YAML, an INI file of OpenRatSLAM, or the name of a preset '
+                             f'(default: {default or "auto"})')
     parser.add_argument('--set', action='append', default=[], dest='settings',
                         metavar='section.name=value', help='one parameter; may be repeated')
 

@@ -50,7 +50,8 @@ def ratslam(*arguments: str) -> list[str]:
 class Live:
     """Nodes, each in its own process, and commands of a user."""
 
-    def __init__(self, folder: Path, settings: dict[str, Any], offset: int = 0) -> None:
+    def __init__(self, folder: Path, settings: dict[str, Any] | None, offset: int = 0) -> None:
+        """Without settings, the nodes get no configuration."""
         from ratslam_ros.core.config import Config
         from ratslam_ros.files.config import to_yaml
 
@@ -59,8 +60,11 @@ class Live:
         self.environment = {**os.environ, **live_environment()}
         domain = (int(self.environment['ROS_DOMAIN_ID']) + offset) % 100 + 1
         self.environment['ROS_DOMAIN_ID'] = str(domain)
-        self.parameters = folder / 'parameters.yaml'
-        self.parameters.write_text(to_yaml(Config().with_values(settings)))
+        self.parameters: list[str] = []
+        if settings is not None:
+            path = folder / 'parameters.yaml'
+            path.write_text(to_yaml(Config().with_values(settings)))
+            self.parameters = ['--params-file', str(path)]
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
 
     def __enter__(self) -> Self:
@@ -73,8 +77,7 @@ class Live:
 
     def start(self, *nodes: str, arguments: tuple[str, ...] = ()) -> None:
         for node in nodes:
-            command = ratslam('run', node, *arguments, '--ros-args', '--params-file',
-                              str(self.parameters))  # fmt: skip
+            command = ratslam('run', node, *arguments, '--ros-args', *self.parameters)
             with self.log(node).open('wb') as log:
                 self.processes[node] = subprocess.Popen(
                     command, env=self.environment, cwd=self.folder, stdout=log,
@@ -123,7 +126,8 @@ class Live:
 
 def offline(recording: Path, folder: Path, settings: dict[str, Any], *arguments: str) -> str:
     """Return map.json of a replay."""
-    given = [item for key, value in settings.items() for item in ('--set', f'{key}={value}')]
+    given = ['--config', 'default']
+    given += [item for key, value in settings.items() for item in ('--set', f'{key}={value}')]
     subprocess.run(
         ratslam('replay', str(recording), '--out', str(folder), '--quiet', *given, *arguments),
         check=True, cwd=ROOT, env={**os.environ, **live_environment()},
@@ -274,7 +278,7 @@ def test_launch_starts_and_stops_all_nodes(live: Live, bag: Path, expected: str)
     settings = [item for key, value in SMALL.items() for item in ('--set', f'{key}={value}')]
     with live.log('launch').open('wb') as log:
         live.processes['launch'] = subprocess.Popen(
-            ratslam('launch', *settings), env=live.environment, stdout=log,
+            ratslam('launch', '--config', 'default', *settings), env=live.environment, stdout=log,
             stderr=subprocess.STDOUT,
         )  # fmt: skip
     end_s = time.monotonic() + READY_S
