@@ -29,6 +29,8 @@ from ratslam_ros.console import print_notice
 from ratslam_ros.errors import UnusableInput
 
 if TYPE_CHECKING:
+    from ratslam_ros.core.config import Config
+    from ratslam_ros.recordings import Recording, Selection
     from ratslam_ros.results.trajectory import Trajectory
 
 
@@ -45,6 +47,8 @@ def add_replay(commands: Commands) -> None:
     replay = commands.add_parser('replay', help='build a map from a recording')
     add_recording(replay)
     add_config(replay)
+    replay.add_argument('--no-inspect', action='store_true',
+                        help='without --config: do not inspect the recording before the replay')
     add_topics(replay)
     replay.add_argument('--scan-topic', metavar='T',
                         help='laser topic, read if experience_map.exp_align_scans is set')
@@ -96,6 +100,8 @@ def _replay(options: argparse.Namespace) -> int:
             for notice in selection.notices:
                 print_notice(notice)
         compile_kernels()
+        if options.config is None and not options.no_inspect:
+            config = _inspected(options, recording, selection, config)
         folder = results_folder(options, recording.name)
         outcome = replay(
             recording, selection, config, folder,
@@ -117,6 +123,21 @@ def _replay(options: argparse.Namespace) -> int:
         for path in plots:
             print(path)
     return DONE
+
+
+def _inspected(
+    options: argparse.Namespace, recording: Recording, selection: Selection, config: Config
+) -> Config:
+    """Return the configuration for a recording; print the reasons."""
+    from ratslam_ros.files.config import parse_setting
+    from ratslam_ros.offline.inspection import inspect
+
+    fixed = [parse_setting(text)[0] for text in options.settings]
+    inspection = inspect(recording, selection, config, fixed, options.start, options.duration)
+    if not options.quiet:
+        for line in inspection.lines:
+            print_notice(line)
+    return inspection.config
 
 
 def _tune(options: argparse.Namespace) -> int:

@@ -80,12 +80,13 @@ def _demo(options: argparse.Namespace) -> int:
     from ratslam_ros.offline.demo import run_demo, run_seeds
 
     config = config_of(options)
+    look_ahead = options.config is None
     compile_kernels()
     if options.seeds is not None:
-        print(run_seeds(config, range(options.seed, options.seed + options.seeds)))
+        print(run_seeds(config, range(options.seed, options.seed + options.seeds), look_ahead))
         return DONE
     folder = make_folder(results_folder(options, 'demo'))
-    print(run_demo(config, options.seed, folder, progress=not options.quiet))
+    print(run_demo(config, options.seed, folder, not options.quiet, look_ahead))
     if options.out is None:
         from ratslam_ros.results.writer import link_latest
 

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import random
 import signal
@@ -19,14 +20,19 @@ import cv2
 import pytest
 from helpers import (
     START_NS,
+    Recorded,
     camera_info_message,
     circles,
+    image_message,
     live_environment,
+    odometry_message,
     picture,
     real_recording,
     write_bag,
 )
 
+from ratslam_ros.cli import main
+from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.standalone import StandaloneUnavailable, install
 
 try:
@@ -373,6 +379,37 @@ def test_simulated_recording_gives_same_map_live_and_offline(tmp_path: Path) -> 
         live.run('play', str(recording), '--rate', '10', '--quiet', *part)
         assert live.settled_map(expected) == expected, live.logs()
         assert set(live.stop().values()) == {0}
+
+
+def turned_about() -> Iterator[Recorded]:
+    """Yield circles with images behind a mask, and odometry whose twist is empty."""
+    for i, (stamp_ns, topic, kind, message) in enumerate(circles(3, 30)):
+        if kind == 'odometry':
+            angle = 2.0 * math.pi * (i // 2) / 30
+            pose = Pose(2.0 * math.sin(angle), 2.0 - 2.0 * math.cos(angle), angle)
+            message = odometry_message(stamp_ns, 0.0, 0.0, pose)
+        else:
+            pixels = picture(i // 2 % 30, 60, 80)
+            pixels[:, :9] = 0
+            message = image_message(stamp_ns, pixels)
+        yield stamp_ns, topic, kind, message
+
+
+def test_nodes_without_configuration_build_replay_map(tmp_path: Path) -> None:
+    recording = str(write_bag(tmp_path / 'masked', turned_about()))
+    maps = []
+    for name, arguments in (('without', ['--no-inspect']), ('inspected', [])):
+        out = tmp_path / name
+        assert main(['replay', recording, *arguments, '--out', str(out), '--quiet']) == 0
+        maps.append((out / 'map.json').read_text())
+    assert maps[0] != maps[1]
+    config = str(tmp_path / 'inspected' / 'config.yaml')
+    for expected, parameters in zip(maps, ([], ['--params-file', config]), strict=True):
+        with Live(tmp_path / 'live', None) as live:
+            live.parameters = parameters
+            live.start('single_process')
+            live.run('play', recording, '--rate', '0', '--lockstep', '--quiet')
+            assert live.settled_map(expected) == expected, live.logs()
 
 
 def preset(name: str) -> dict[str, Any]:
