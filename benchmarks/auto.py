@@ -5,7 +5,9 @@
     python benchmarks/auto.py [--data ../shared/data] [--only ROW ...]
     python benchmarks/auto.py --recording FOLDER [--tolerance FRAMES]
 
-Nothing is set by hand: every row uses the preset `auto`, or the one given by --config.
+Nothing is set by hand: every row is what `ratslam replay RECORDING` does without a configuration,
+the inspection of the recording included. --config NAME evaluates a preset or a file instead, which
+is not followed by an inspection; --no-inspect leaves it out for the preset `auto` as well.
 
 Laps (rc_car_loops, donkeycar_track, lab_car, and any recording given by --recording). The folder
 holds a recording and `lap_phase.csv`, with the lap and the place on the lap, `ref_frame`, of each
@@ -17,32 +19,48 @@ the map. Three more measures use the complete laps, from one first frame of a la
 - laps: rotation over all complete laps in whole turns; compared with their number.
 - heading one lap later: median over all frames of the absolute heading difference on
   trajectory_final.tum between the frame and that of the same place in the next lap, in degrees.
+
+lecture_hall: errors of trajectory_final as in `lecture_hall.py`, with nothing set, and over the 12
+combinations of four injection energies and three cell sizes.
+
+corridors: top-1 as in `place_recognition.py`, with the same parameters for both.
+
+demo: errors of the final map over the simulated recordings of `ratslam demo`, and those of the
+default values of all parameters on the same recordings.
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
+import itertools
 import math
+import statistics
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
+import lecture_hall
 import numpy as np
 from numpy.typing import NDArray
-from place_recognition import lap_recognition
+from place_recognition import circuit_top_1, lap_recognition, vpr_top_1
 from real_recordings import ROOT, map_spread, read_frames
 
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.warm_up import warm_up
-from ratslam_ros.files.config import load_config, parse_setting
+from ratslam_ros.errors import RatslamError
+from ratslam_ros.files.config import AUTO, load_config, parse_setting
+from ratslam_ros.offline.inspection import inspect
 from ratslam_ros.offline.replay import ReplayOptions
 from ratslam_ros.offline.replay import replay as replay_recording
 from ratslam_ros.recordings import open_recording
+from ratslam_ros.results.evaluation import evaluate
 from ratslam_ros.results.trajectory import read_tum
+from ratslam_ros.simulator.recording import write_recording
 
-PRESET = 'auto'
 TOLERANCE_FRAMES = 8
 """Largest distance between frames of the same place, unless a recording states another."""
 
@@ -51,6 +69,9 @@ MEAN_LAP_DEG, EACH_LAP_DEG = 5.0, 30.0
 
 HEADING_DEG = 10.0
 """Largest median heading difference at the same place one lap later."""
+
+ENERGIES, CELLS_M = (0.03, 0.07, 0.15, 0.24), (0.5, 1.0, 2.0)
+"""Injection energies and cell sizes that are set on top for lecture_hall."""
 
 
 @dataclass(frozen=True)
@@ -170,18 +191,42 @@ def _mean_deg(angles_deg: NDArray[np.float64]) -> float:
     return math.degrees(math.atan2(np.sin(angles).sum(), np.cos(angles).sum()))
 
 
-def lap_rows(laps: LapRecording, config: Config) -> Iterator[Row]:
+@dataclass(frozen=True)
+class Setup:
+    """Configuration of all rows, and whether each recording is inspected first."""
+
+    config: Config
+    look_ahead: bool
+
+    def replay(self, path: Path, out: Path, **values: float) -> dict[str, Any]:
+        """Replay a recording as without a configuration; return the content of summary.json.
+
+        Args:
+            path: the recording.
+            out: folder for the results.
+            values: parameters of the pose cells that are set on top.
+        """
+        given = {f'pose_cells.{name}': value for name, value in values.items()}
+        config = self.config.with_values(given)
+        with open_recording(path) as recording:
+            selection = recording.select()
+            if self.look_ahead:
+                inspection = inspect(recording, selection, config, given)
+                config = inspection.config
+                for line in inspection.lines if not given else ():
+                    print(f'{path.name:16} {line}')
+            options = ReplayOptions(progress=False)
+            return replay_recording(recording, selection, config, out, options).summary
+
+
+def lap_rows(laps: LapRecording, setup: Setup) -> Iterator[Row]:
     """Replay a recording of laps; yield its results."""
     name = laps.folder.name
     lap_phase_csv = laps.folder / 'lap_phase.csv'
     phase = read_lap_phase(lap_phase_csv)
     with tempfile.TemporaryDirectory() as temporary:
         out = Path(temporary)
-        with open_recording(laps.folder) as recording:
-            selection = recording.select()
-            summary = replay_recording(
-                recording, selection, config, out, ReplayOptions(progress=False)
-            ).summary
+        summary = setup.replay(laps.folder, out)
         ids = read_frames(out / 'frames.csv').template_id
         precision, recall = lap_recognition(ids, lap_phase_csv, laps.tolerance, phase.lap_length)
         yield Row(name, 'precision', precision, low=laps.precision)
@@ -215,12 +260,80 @@ def rotation_rows(
     yield Row(name, 'heading one lap later [deg]', heading_deg, high=HEADING_DEG, digits=1)
 
 
+def lecture_hall_rows(data: Path, setup: Setup) -> Iterator[Row]:
+    """Yield the errors on lecture_hall."""
+    name = 'lecture_hall'
+    with tempfile.TemporaryDirectory() as temporary:
+        recording, truth_path = lecture_hall.convert(data, Path(temporary))
+        truth, out = read_tum(truth_path), Path(temporary) / 'results'
+
+        def error_m(**values: float) -> float:
+            setup.replay(recording, out, **values)
+            return evaluate(read_tum(out / 'trajectory_final.tum'), truth).ate.rmse
+
+        yield Row(name, 'ATE [m]', error_m(), high=0.70)
+        errors_m = []
+        for energy, cell_m in itertools.product(ENERGIES, CELLS_M):
+            error = error_m(pc_vt_inject_energy=energy, pc_cell_x_size=cell_m)
+            errors_m.append(error)
+            yield Row(name, f'ATE, energy {energy}, cells {cell_m} m', error)
+        yield Row(name, 'ATE, median of 12 settings [m]', statistics.median(errors_m), high=0.90)
+        yield Row(name, 'ATE, worst of 12 settings [m]', max(errors_m), high=1.5)
+
+
+def corridor_rows(data: Path, setup: Setup) -> Iterator[Row]:
+    """Yield the shares of right best matches on both corridors."""
+    for name, top_1, target in (
+        ('corridor_vpr', vpr_top_1, 0.70), ('corridor_circuit', circuit_top_1, 0.73),
+    ):  # fmt: skip
+        yield Row(name, 'top-1', top_1(data / name, setup.config.local_view), low=target)
+
+
+def demo_rows(setup: Setup, seeds: int) -> Iterator[Row]:
+    """Yield the errors of simulated runs, and those of the default values on the same ones."""
+    found: dict[str, list[float]] = {'': [], ', default values': []}
+    setups = setup, Setup(Config(), look_ahead=False)
+    for seed in range(1, seeds + 1):
+        with tempfile.TemporaryDirectory() as temporary:
+            run = write_recording(Path(temporary) / f'demo_{seed}', seed)
+            truth, out = read_tum(run.truth), Path(temporary) / 'results'
+            for errors_m, one in zip(found.values(), setups, strict=True):
+                one.replay(run.recording, out)
+                final = read_tum(out / 'trajectory_final.tum')
+                errors_m.append(evaluate(final, truth).ate.rmse)
+        yield Row('demo', f'ATE, seed {seed} [m]', found[''][-1])
+    targets = {'': (0.29, 0.50)}
+    for what, errors_m in found.items():
+        mean, worst = targets.get(what, (math.inf, math.inf))
+        yield Row('demo', f'mean ATE{what} [m]', statistics.fmean(errors_m), high=mean)
+        yield Row('demo', f'worst ATE{what} [m]', max(errors_m), high=worst)
+    mine, others = (statistics.fmean(errors_m) for errors_m in found.values())
+    yield Row('demo', 'mean ATE / default values', mine / others, high=1.0)
+
+
+def all_rows(
+    options: argparse.Namespace, setup: Setup
+) -> Iterator[tuple[str, Path | None, Callable[[], Iterator[Row]]]]:
+    """Yield name, required folder, and computation of each part of the table."""
+    data: Path = options.data
+    own = [LapRecording(folder.resolve(), options.tolerance) for folder in options.recording]
+    for laps in own or lap_recordings(data):
+        yield laps.folder.name, laps.folder, partial(lap_rows, laps, setup)
+    if not own:
+        yield 'lecture_hall', data / 'lecture_hall', partial(lecture_hall_rows, data, setup)
+        yield 'corridors', data / 'corridor_vpr', partial(corridor_rows, data, setup)
+        yield 'demo', None, partial(demo_rows, setup, options.seeds)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument('--data', type=Path, default=ROOT.parent / 'shared' / 'data')
-    parser.add_argument('--only', action='append', metavar='ROW', help='rows to compute')
-    parser.add_argument('--config', default=PRESET, help=f'preset or file (default: {PRESET})')
+    parser.add_argument('--only', action='append', metavar='ROW',
+                        help='compute only this row; may be repeated')
+    parser.add_argument('--seeds', type=int, default=20, help='runs of the demo (default: 20)')
+    parser.add_argument('--config', metavar='FILE|PRESET', help=f'(default: {AUTO}, inspected)')
     parser.add_argument('--set', action='append', default=[], metavar='section.name=value')
+    parser.add_argument('--no-inspect', action='store_true')
     parser.add_argument('--recording', type=Path, action='append', default=[], metavar='FOLDER',
                         help='evaluate this recording of laps; it has a lap_phase.csv')
     parser.add_argument('--tolerance', type=int, default=TOLERANCE_FRAMES, metavar='FRAMES',
@@ -229,20 +342,22 @@ def main() -> None:
     options = parser.parse_args()
     config, _ = load_config(options.config)
     config = config.with_values(dict(map(parse_setting, options.set)))
+    setup = Setup(config, options.config is None and not options.no_inspect)
     warm_up()
-    recordings = [
-        LapRecording(folder.resolve(), options.tolerance) for folder in options.recording
-    ] or lap_recordings(options.data)
     shown: list[Row] = []
-    for laps in recordings:
-        if options.only and laps.folder.name not in options.only:
+    for name, folder, compute in all_rows(options, setup):
+        if options.only and name not in options.only:
             continue
-        if not laps.folder.is_dir():
-            print(f'{laps.folder.name}: skipped, {laps.folder} not found')
+        if folder is not None and not folder.is_dir():
+            print(f'{name}: skipped, {folder} not found')
             continue
-        for row in lap_rows(laps, config):
-            print(row.format(), flush=True)
-            shown.append(row)
+        try:
+            for row in compute():
+                print(row.format(), flush=True)
+                shown.append(row)
+        except RatslamError as error:
+            print(f'{name}: {error}')
+            shown.append(Row(name, 'no result', math.nan, low=0.0))
     judged = [row for row in shown if row.low > -math.inf or row.high < math.inf]
     print(f'{sum(row.passed for row in judged)} of {len(judged)} targets are met')
 
