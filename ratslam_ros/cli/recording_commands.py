@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from ratslam_ros.cli.options import (
     DONE,
+    IMAGES_RATE_HZ,
     INTERRUPTED,
     Commands,
     add_config,
@@ -86,6 +87,7 @@ def _info(options: argparse.Namespace) -> int:
 def _replay(options: argparse.Namespace) -> int:
     from ratslam_ros.offline.replay import ReplayOptions, replay
     from ratslam_ros.recordings import open_recording
+    from ratslam_ros.results.advice import Source, advise
     from ratslam_ros.results.plots import draw_all
     from ratslam_ros.results.writer import link_latest
 
@@ -122,7 +124,33 @@ def _replay(options: argparse.Namespace) -> int:
             _print_errors(folder, truth)
         for path in plots:
             print(path)
+        source = Source(
+            options.recording, outcome.config, selection.odom_topic is None, _topics(options),
+            _given(options),
+        )  # fmt: skip
+        for line in advise(outcome.observations, outcome.summary, source):
+            print(f'advice: {line}')
     return DONE
+
+
+def _topics(options: argparse.Namespace) -> tuple[str, ...]:
+    """Return the given options that select what is read of a recording."""
+    words: list[str] = []
+    for name in ('image_topic', 'odom_topic'):
+        if getattr(options, name) is not None:
+            words += [f'--{name.replace("_", "-")}', getattr(options, name)]
+    if options.images_rate != IMAGES_RATE_HZ:
+        words += ['--images-rate', f'{options.images_rate:g}']
+    return tuple(words)
+
+
+def _given(options: argparse.Namespace) -> tuple[str, ...]:
+    """Return the given options of a replay that change the map."""
+    words = [] if options.config is None else ['--config', options.config]
+    words += [word for setting in options.settings for word in ('--set', setting)]
+    if options.visual_odometry:
+        words.append('--visual-odometry')
+    return tuple(words)
 
 
 def _inspected(
