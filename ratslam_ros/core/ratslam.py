@@ -107,7 +107,9 @@ class RatSLAM:
         self.order: StampOrder[Odometry | Scan | ViewMatch] = StampOrder(
             streams, round(config.pose_cells.max_lateness_s * 1e9)
         )
-        self._motion = MotionFromOdometry(config.pose_cells.odom_source)
+        self._motion = MotionFromOdometry(
+            config.pose_cells.odom_source, config.pose_cells.odom_rotation_gain
+        )
         self._images: StampOrder[NDArray[np.uint8] | None] = StampOrder(('image',), 0)
         self._refused = 0
         self._has_matched = False

@@ -20,6 +20,7 @@ from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.common.state import State
+from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.late_join import LateJoin
 from ratslam_ros.core.mapping.mapping_step import apply_action
@@ -58,8 +59,8 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
     PARTS = ('goal_recall',)
     MAPS = True
 
-    def __init__(self) -> None:
-        super().__init__(('odometry', 'action'))
+    def __init__(self, initial: Config = Config()) -> None:
+        super().__init__(('odometry', 'action'), initial)
         if self._section.exp_align_scans:
             self._streams = 'odometry', 'scan', 'action'
             self._order = self._new_order()
@@ -90,7 +91,9 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         self._map_text = MapText()
         self._late_join = LateJoin(self._core)
         self._scans = ScanMatcher()
-        self._motion = MotionFromOdometry(self._section.odom_source)
+        self._motion = MotionFromOdometry(
+            self._section.odom_source, self._section.odom_rotation_gain
+        )
         self._action_ns = 0
         self._changed = self._sent  # subscribers that have the old map get the empty one
         self._goals.use_map(self._core)

@@ -12,6 +12,7 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
 from ratslam_ros.core.common.state import State
+from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.id_map import MIN_MEMORY_NS, NO_MEMORY_NS
 from ratslam_ros.core.vision.local_view import FIXED_THRESHOLD, UNDECODABLE, LocalView, ViewMatch
 from ratslam_ros.messages.mapping import encode_template
@@ -30,8 +31,8 @@ class LocalViewNode(ImageNode):
     SECTION = 'local_view'
     MAPS = True
 
-    def __init__(self) -> None:
-        super().__init__()
+    def __init__(self, initial: Config = Config()) -> None:
+        super().__init__(initial)
         self._publisher = self.create_publisher(String, 'local_view/template', RESULT)
         self._matched = self.create_publisher(Image, 'local_view/matched', VIEW)
         self._reset_state()

@@ -15,6 +15,7 @@ from std_msgs.msg import String
 
 from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry
 from ratslam_ros.core.common.state import State
+from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.id_map import MIN_MEMORY_NS, NO_MEMORY_NS, IdMap
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE, ViewMatch
@@ -45,8 +46,8 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
     PARTS = ('goal_memory',)
     MAPS = True
 
-    def __init__(self) -> None:
-        super().__init__(('odometry', 'template'))
+    def __init__(self, initial: Config = Config()) -> None:
+        super().__init__(('odometry', 'template'), initial)
         self._publisher = self.create_publisher(String, 'pose_cells/action', RESULT)
         self._active = self.create_publisher(String, 'pose_cells/active_experiences', VIEW)
         self._activity = self.create_publisher(Image, 'pose_cells/activity', VIEW)
@@ -69,7 +70,9 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
         self._core.mapping = self._mapping
         if self._goals is not None:
             self._goals.use_pose_cells(self._core)
-        self._motion = MotionFromOdometry(self._section.odom_source)
+        self._motion = MotionFromOdometry(
+            self._section.odom_source, self._section.odom_rotation_gain
+        )
         self._numbering = IdMap()
         self._memory_ns = NO_MEMORY_NS
         self._sequence = 0

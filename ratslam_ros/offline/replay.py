@@ -32,6 +32,7 @@ from ratslam_ros.recordings import (
     Selection,
 )
 from ratslam_ros.recordings.prefetch import prefetch_images
+from ratslam_ros.results.advice import Observations
 from ratslam_ros.results.writer import Results
 from ratslam_ros.signals import StopSignals
 from ratslam_ros.timing import StepTimes
@@ -56,10 +57,17 @@ class ReplayOptions:
 
 @dataclass(frozen=True)
 class ReplayOutcome:
-    """Content of summary.json, and whether the replay was interrupted."""
+    """Result of a replay.
+
+    summary: content of summary.json. interrupted: whether the replay was interrupted.
+    config: the parameters, with the field of view of camera_info. observations: evidence for
+    advice on problems.
+    """
 
     summary: dict[str, Any]
     interrupted: bool
+    config: Config
+    observations: Observations
 
 
 def replay(
@@ -114,7 +122,7 @@ def replay(
     except BaseException:
         run.abandon()
         raise
-    return ReplayOutcome(run.finish(), interrupted)
+    return ReplayOutcome(run.finish(), interrupted, run.config, run.observations)
 
 
 class _Run:
@@ -141,8 +149,9 @@ class _Run:
         """Opened at the first result, so that errors before it leave no files behind."""
         self.video: ReplayVideo | None = None
         self.span = _TimeSpan()
+        self.observations = Observations()
         self._recording = recording
-        self._config = config
+        self.config = config
         self._folder = folder
         self._lacks_scans = self.slam.scan_matcher is not None and selection.scan_topic is None
         self._unusable: Counter[str] = Counter()
@@ -209,7 +218,7 @@ class _Run:
             'times_realtime': round(self.span.duration_s / wall_s, 1) if wall_s > 0.0 else 0.0,
             'step_ms': self.times.summary_ms(),
         }
-        results.finish(self.slam.experience_map, self._config, summary)
+        results.finish(self.slam.experience_map, self.config, summary)
         self.results = results
         return summary
 
@@ -253,6 +262,7 @@ class _Run:
             self.results = self._new_results()
         for step in steps:
             self.results.add(step)
+            self.observations.add(step)
             if self.video is not None:
                 self.video.add_step(step)
 

@@ -71,8 +71,10 @@ class MotionFromOdometry:
     ``odom_source`` is ``'twist'`` or ``'pose'``: the part of the messages that is used.
     """
 
-    def __init__(self, odom_source: str) -> None:
+    def __init__(self, odom_source: str, rotation_gain: float = 1.0) -> None:
         self._from_pose = odom_source == 'pose'
+        self.rotation_gain = rotation_gain
+        """Factor for the turns of the messages that follow."""
         self._last: Odometry | None = None
 
     def accepts(self, odometry: Odometry) -> bool:
@@ -101,13 +103,13 @@ class MotionFromOdometry:
             return None
         if not self._from_pose:
             v, w = odometry.twist
-            return Motion(dt_s, v * dt_s, w * dt_s)
+            return Motion(dt_s, v * dt_s, w * dt_s * self.rotation_gain)
         turn = wrap(odometry.pose.heading_rad - last.pose.heading_rad)
         direction = last.pose.heading_rad + 0.5 * turn
         chord = (odometry.pose.x_m - last.pose.x_m) * math.cos(direction) + (
             odometry.pose.y_m - last.pose.y_m
         ) * math.sin(direction)
-        return Motion(dt_s, chord / _sinc(0.5 * turn), turn)
+        return Motion(dt_s, chord / _sinc(0.5 * turn), turn * self.rotation_gain)
 
     def ahead(self, waiting: Iterable[Odometry], offset: Pose) -> Pose:
         """Return ``offset`` moved on by queued messages, without changing this object.

@@ -77,6 +77,12 @@ class OdometryInput(Memory):
         'set to twist if the pose jumps because another filter corrects it',
         choices=('twist', 'pose'),
     )  # fmt: skip
+    odom_rotation_gain: float = parameter(
+        1.0, '', 0.05, 20.0,
+        'Factor for the turns that odometry measures. It must be the same in pose_cells and '
+        'experience_map.',
+        'the robot turns further than the odometry measures',
+        'the robot turns less far than the odometry measures')  # fmt: skip
     max_lateness_s: float = parameter(
         2.0, 's', 0.0, 600.0,
         'Longest time that a message waits for other streams, measured by the newest stamp '
