@@ -248,7 +248,7 @@ class _Run:
         return text
 
     def _new_results(self) -> Results:
-        automatic = self._config.local_view.vt_match_threshold == AUTOMATIC
+        automatic = self.config.local_view.vt_match_threshold == AUTOMATIC
         return Results(self._folder, with_thresholds=automatic)
 
     def _count_unusable(self, kind: str, error: Exception) -> None:
