@@ -108,7 +108,7 @@ class RatSLAM:
             streams, round(config.pose_cells.max_lateness_s * 1e9)
         )
         self._motion = MotionFromOdometry(
-            config.pose_cells.odom_source, config.pose_cells.odom_rotation_gain
+            config.pose_cells.odom_source, config.pose_cells.turn_correction
         )
         self._images: StampOrder[NDArray[np.uint8] | None] = StampOrder(('image',), 0)
         self._refused = 0
@@ -236,6 +236,7 @@ class RatSLAM:
     def _act(self, stamp_ns: int, match: ViewMatch) -> ViewStep:
         with self._watch('pose_cells_view'):
             action = self.pose_cells.view(match)
+        self._motion.correction = action.correction or self._motion.correction
         with self._watch('experience_map'):
             update = apply_action(
                 self.experience_map, self.scan_matcher, stamp_ns, action, self.behaviour

@@ -7,10 +7,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from operator import is_not
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ratslam_ros.core.common.rotation_gain import TurnCorrection
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
@@ -30,6 +32,8 @@ from ratslam_ros.messages.json_schema import (
 MAX_COUNT = 2**63 - 1
 """Largest accepted sequence number and stamp of a memory: 64-bit integers."""
 MAX_PLACE_CELLS = 100_000.0
+MAX_GAIN, MAX_TURN_PER_M_RAD = 1000.0, 1000.0
+"""Largest accepted corrections of odometry."""
 
 
 def encode_template(stamp_ns: int, match: ViewMatch, memory_ns: int) -> str:
@@ -92,22 +96,23 @@ def encode_action(stamp_ns: int, sequence: int, action: MapAction, memory_ns: in
         action: the change of the map.
         memory_ns: stamp at which the first experience was created, 0 before.
     """
-    return encode_json(
-        {
-            'schema_version': SCHEMA_VERSION,
-            'stamp': encode_stamp(stamp_ns),
-            'sequence': sequence,
-            'action': action.action,
-            'source_id': action.source_id,
-            'target_id': action.target_id,
-            'template_id': action.template_id,
-            'relative_rad': action.relative_rad,
-            'pc_x': action.place.x,
-            'pc_y': action.place.y,
-            'pc_theta': action.place.theta,
-            'memory': memory_ns,
-        }
-    )
+    fields: dict[str, Any] = {
+        'schema_version': SCHEMA_VERSION,
+        'stamp': encode_stamp(stamp_ns),
+        'sequence': sequence,
+        'action': action.action,
+        'source_id': action.source_id,
+        'target_id': action.target_id,
+        'template_id': action.template_id,
+        'relative_rad': action.relative_rad,
+        'pc_x': action.place.x,
+        'pc_y': action.place.y,
+        'pc_theta': action.place.theta,
+        'memory': memory_ns,
+    }
+    if action.correction is not None:
+        fields['correction'] = action.correction._asdict()
+    return encode_json(fields)
 
 
 def decode_action(payload: str) -> tuple[int, int, MapAction, int]:
@@ -140,8 +145,21 @@ def decode_action(payload: str) -> tuple[int, int, MapAction, int]:
     action = MapAction(
         kind, fields['source_id'], fields['target_id'], fields['template_id'],
         fields['relative_rad'], Place(fields['pc_x'], fields['pc_y'], fields['pc_theta']),
+        _decode_correction(name, fields.get('correction')),
     )  # fmt: skip
     return decode_stamp(fields['stamp']), fields['sequence'], action, fields['memory']
+
+
+def _decode_correction(name: str, fields: Any) -> TurnCorrection | None:
+    """Return the correction of an action, None if the sender does not calibrate."""
+    if fields is None:
+        return None
+    if not isinstance(fields, dict):
+        raise MalformedMessage(f'{name}: correction is {fields!r}; expected an object')
+    check_types(fields, name, {'gain': float, 'per_m_rad': float})
+    check_range(name, 'gain', fields['gain'], 1.0 / MAX_GAIN, MAX_GAIN)
+    check_range(name, 'per_m_rad', fields['per_m_rad'], -MAX_TURN_PER_M_RAD, MAX_TURN_PER_M_RAD)
+    return TurnCorrection(fields['gain'], fields['per_m_rad'])
 
 
 def encode_goal_memory(

@@ -218,6 +218,9 @@ class _Run:
             'times_realtime': round(self.span.duration_s / wall_s, 1) if wall_s > 0.0 else 0.0,
             'step_ms': self.times.summary_ms(),
         }
+        calibration = self.slam.pose_cells.calibration
+        if calibration is not None:
+            summary['odom_calibration'] = calibration.summary()
         results.finish(self.slam.experience_map, self.config, summary)
         self.results = results
         return summary

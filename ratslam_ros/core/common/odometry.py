@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.pose import Pose, heading_of, quaternion_of
+from ratslam_ros.core.common.rotation_gain import UNCORRECTED, TurnCorrection
 
 MAX_PLAUSIBLE_VALUE = 1e9
 """Messages with a larger speed (m/s, rad/s), position (m) or heading (rad) are rejected."""
@@ -71,10 +72,10 @@ class MotionFromOdometry:
     ``odom_source`` is ``'twist'`` or ``'pose'``: the part of the messages that is used.
     """
 
-    def __init__(self, odom_source: str, rotation_gain: float = 1.0) -> None:
+    def __init__(self, odom_source: str, correction: TurnCorrection = UNCORRECTED) -> None:
         self._from_pose = odom_source == 'pose'
-        self.rotation_gain = rotation_gain
-        """Factor for the turns of the messages that follow."""
+        self.correction = correction
+        """Correction of the turns of the messages that follow."""
         self._last: Odometry | None = None
 
     def accepts(self, odometry: Odometry) -> bool:
@@ -103,13 +104,19 @@ class MotionFromOdometry:
             return None
         if not self._from_pose:
             v, w = odometry.twist
-            return Motion(dt_s, v * dt_s, w * dt_s * self.rotation_gain)
+            return self._corrected(Motion(dt_s, v * dt_s, w * dt_s))
         turn = wrap(odometry.pose.heading_rad - last.pose.heading_rad)
         direction = last.pose.heading_rad + 0.5 * turn
         chord = (odometry.pose.x_m - last.pose.x_m) * math.cos(direction) + (
             odometry.pose.y_m - last.pose.y_m
         ) * math.sin(direction)
-        return Motion(dt_s, chord / _sinc(0.5 * turn), turn * self.rotation_gain)
+        return self._corrected(Motion(dt_s, chord / _sinc(0.5 * turn), turn))
+
+    def _corrected(self, motion: Motion) -> Motion:
+        if self.correction == UNCORRECTED:
+            return motion
+        turn_rad = self.correction.corrected(motion.turn_rad, motion.distance_m)
+        return replace(motion, turn_rad=turn_rad)
 
     def ahead(self, waiting: Iterable[Odometry], offset: Pose) -> Pose:
         """Return ``offset`` moved on by queued messages, without changing this object.

@@ -13,6 +13,7 @@ from ratslam_ros.core.config import PoseCellsParameters
 from ratslam_ros.core.pose_cells.attractor import Network, Packet, kernel
 from ratslam_ros.core.pose_cells.experiences import Experiences
 from ratslam_ros.core.pose_cells.map_action import Action, MapAction
+from ratslam_ros.core.pose_cells.odometry_calibration import OdometryCalibration
 from ratslam_ros.core.pose_cells.torus import Place, Torus
 from ratslam_ros.core.pose_cells.visual_evidence import Observation, VisualEvidence
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE, ViewMatch
@@ -21,6 +22,7 @@ from ratslam_ros.errors import UnusableInput
 _STATE_KEYS = (
     'dims', 'packets', 'memories', 'unrolled', 'messages', 'last_template', 'experiences',
     'transitions', 'visits', 'gaps', 'current', 'since_current', 'stepped', 'agreement',
+    'calibration',
 )  # fmt: skip
 """Order of the keys in memory files."""
 
@@ -45,6 +47,10 @@ class PoseCells:
         )
         self._evidence = VisualEvidence(p, self._torus)
         self._experiences = Experiences(p, self._torus)
+        self.calibration: OdometryCalibration | None = None
+        """Calibration of the odometry, if ``odom_calibration`` is set."""
+        if p.odom_calibration:
+            self.calibration = OdometryCalibration(p.turn_correction)
         self._packets = self._network.start()
         self.peak = self._decoded()
         """Peak of activity after the last odometry message."""
@@ -90,7 +96,9 @@ class PoseCells:
             },
             'stepped': self._stepped,
         }
-        return {key: state[key] for key in _STATE_KEYS}
+        if self.calibration is not None:
+            state['calibration'] = self.calibration.state()
+        return {key: state[key] for key in _STATE_KEYS if key in state}
 
     def restore(self, state: State) -> None:
         """Restore what ``state`` returned; nothing must have been learned before.
@@ -110,6 +118,8 @@ class PoseCells:
         self._evidence.restore(state)
         self._experiences.restore(state)
         self._stepped = state['stepped']
+        if self.calibration is not None and 'calibration' in state:
+            self.calibration.restore(state['calibration'])
 
     def integrate(self, motion: Motion) -> None:
         """Advance the network by one step: competition, then path integration of the motion."""
@@ -121,6 +131,8 @@ class PoseCells:
         self._unwrapped = self._torus.displaced(self._unwrapped, before, self.peak)
         self._experiences.integrate(motion)
         self._stepped = True
+        if self.calibration is not None:
+            self.calibration.integrate(motion)
 
     def view(self, match: ViewMatch) -> MapAction:
         """Process one template message: learn it or inject its activity, then choose the action.
@@ -133,9 +145,14 @@ class PoseCells:
         if match.template_id != NO_TEMPLATE:
             action = self._observe()
         target_id = self._experiences.current_id
+        correction = None
+        if self.calibration is not None:
+            if action != 'none':
+                self.calibration.visit(target_id, match.relative_rad, action == 'create')
+            correction = self.calibration.correction
         place = self._experiences.place(target_id) if len(self._experiences) else self.peak
         return MapAction(
-            action, source_id, target_id, match.template_id, match.relative_rad, place
+            action, source_id, target_id, match.template_id, match.relative_rad, place, correction
         )
 
     def active_experiences(self) -> list[tuple[int, float]]:
