@@ -90,7 +90,9 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         self._map_text = MapText()
         self._late_join = LateJoin(self._core)
         self._scans = ScanMatcher()
-        self._motion = MotionFromOdometry(self._section.odom_source)
+        self._motion = MotionFromOdometry(
+            self._section.odom_source, self._section.max_odom_gap_s
+        )
         self._action_ns = 0
         self._changed = self._sent  # subscribers that have the old map get the empty one
         self._goals.use_map(self._core)
@@ -177,6 +179,8 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
             if motion is not None:
                 self._core.integrate(motion)
                 self._scans.integrate(stamp_ns, motion)
+                if not motion.is_known:
+                    self._report_gap(motion.dt_s)
             return
         self._unlearn_blocked(stamp_ns)
         late_join, behaviour = self._late_join, self._behaviours.at(stamp_ns)
@@ -214,6 +218,13 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
                 self.get_logger().info(
                     f'{unlearned} links were unlearned: {report.behaviour} was blocked'
                 )
+
+    def _report_gap(self, gap_s: float) -> None:
+        self._changed = True
+        self.get_logger().warning(
+            f'odometry has a gap of {gap_s:.1f} s: the map continues in a separate component '
+            'until a known place is recognised (max_odom_gap_s)'
+        )
 
     def _report_missing(self, text: str) -> None:
         if self._diagnostics.missing.get('action') != text:
@@ -291,6 +302,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         return {
             'experiences': len(self._core),
             'links': self._core.link_count,
+            'components': self._core.component_count,
             'experience': self._core.current_id,
             'jumps_refused': self._core.gate.rejected_count,
             'carried': self._core.gate.relocation_count,

@@ -69,7 +69,9 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
         self._core.mapping = self._mapping
         if self._goals is not None:
             self._goals.use_pose_cells(self._core)
-        self._motion = MotionFromOdometry(self._section.odom_source)
+        self._motion = MotionFromOdometry(
+            self._section.odom_source, self._section.max_odom_gap_s
+        )
         self._numbering = IdMap()
         self._memory_ns = NO_MEMORY_NS
         self._sequence = 0
@@ -199,6 +201,7 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
             'experience': self._core.current_experience,
             'peak': f'x {peak.x:.2f}, y {peak.y:.2f}, theta {peak.theta:.2f}',
             'actions': self._sequence,
+            'odometry_gaps': self._core.gap_count,
             **(self._goals.diagnostic_values() if self._goals is not None else {}),
         }
 

@@ -12,6 +12,7 @@ from typing import NamedTuple
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import PoseCellsParameters
 from ratslam_ros.core.pose_cells.agreement import Agreement
+from ratslam_ros.core.pose_cells.registration import Located, Registration
 from ratslam_ros.core.pose_cells.torus import Place, Torus, Unwrapped
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
 
@@ -30,12 +31,14 @@ class Observation(NamedTuple):
         turn_planes: heading of the robot minus heading of the template, in heading planes.
         peak: peak of activity.
         unwrapped: unwrapped position of the peak.
+        component: component that the robot is in.
     """
 
     template_id: int
     turn_planes: float
     peak: Place
     unwrapped: Unwrapped
+    component: int = 0
 
     @property
     def place(self) -> Place:
@@ -50,6 +53,13 @@ class Injection(NamedTuple):
     energy: float
 
 
+class Relocation(NamedTuple):
+    """A pose of the robot in another component than its own, on which recent views agree."""
+
+    located: Located
+    component: int
+
+
 @dataclass(slots=True)
 class _Association:
     """Place at which a template was first seen, and its decay.
@@ -60,6 +70,7 @@ class _Association:
         order: number of templates associated before.
         decay: decay of the template when it was last updated.
         message: number of the template message of that update.
+        component: component that the place belongs to.
     """
 
     place: Place
@@ -67,6 +78,7 @@ class _Association:
     order: int
     decay: float
     message: int
+    component: int = 0
 
 
 class VisualEvidence:
@@ -86,6 +98,8 @@ class VisualEvidence:
         self._associations: dict[int, _Association] = {}
         self._messages = 0
         self._last_template = NO_TEMPLATE
+        # Associations up to the first view after the last motion; later ones may be misplaced.
+        self._located_count = 0
         self.recent: deque[Unwrapped] = deque(maxlen=RECENT_RECOGNITIONS_COUNT)
         """Unwrapped positions at which the latest recognised templates were first seen."""
 
@@ -104,6 +118,7 @@ class VisualEvidence:
             'messages': self._messages,
             'last_template': self._last_template,
             'agreement': self._agreement.state(),
+            'components': [a.component for a in associations.values()],
         }
 
     def restore(self, state: State) -> None:
@@ -119,36 +134,70 @@ class VisualEvidence:
         self._messages = state['messages']
         self._last_template = state['last_template']
         self._agreement.restore(state['agreement'])
+        self._located_count = len(self._associations)
+        if 'components' in state:
+            numbers = state['components']['memories']
+            for association, number in zip(self._associations.values(), numbers, strict=True):
+                association.component = number
 
     def integrate(self, chord_cells: float, turn_planes: float) -> None:
         """Move the pose hypotheses by one motion of the robot."""
         self._agreement.integrate(chord_cells, turn_planes)
+        self._located_count = len(self._associations)
 
-    def observe(self, seen: Observation, learn: bool) -> Injection | None:
-        """Associate a new template with the peak, or compute the injection of a known one.
+    def separate(self) -> None:
+        """Discard what depends on the robot's pose, which is unknown from now on.
+
+        This includes the associations that were made while odometry was missing already.
+        """
+        for template_id in list(self._associations)[self._located_count :]:
+            del self._associations[template_id]
+        self._agreement.discard()
+        self.recent.clear()
+        self._last_template = NO_TEMPLATE
+
+    def merge(self, component: int, into: int, registration: Registration) -> None:
+        """Move the places of one component into another one."""
+        for a in self._associations.values():
+            if a.component == component:
+                a.place, a.unwrapped = registration.moved(Located(a.place, a.unwrapped))
+                a.component = into
+        self._agreement.discard(component)
+        self.recent.clear()
+
+    def observe(
+        self, seen: Observation, learn: bool, is_first: bool = False
+    ) -> Injection | Relocation | None:
+        """Associate a new template with the peak, or compute the effect of a known one.
 
         Args:
             seen: the observation, with a template.
             learn: whether a new template is associated; otherwise it is ignored.
+            is_first: whether this is the first view after a motion.
 
         Returns:
-            The activity to inject, None if there is none.
+            The activity to inject; a relocation, if the template belongs to another component
+            and enough views agree; None if the view has no effect.
         """
         injection = self._recall(seen, learn)
         self._messages += 1
         self._last_template = seen.template_id
+        if is_first:
+            self._located_count = len(self._associations)
         return injection
 
-    def _recall(self, seen: Observation, learn: bool) -> Injection | None:
+    def _recall(self, seen: Observation, learn: bool) -> Injection | Relocation | None:
         p = self._p
         known = self._associations.get(seen.template_id)
         if known is None:
             if learn:
                 self._associations[seen.template_id] = _Association(
                     seen.place, seen.unwrapped, len(self._associations), p.vt_active_decay,
-                    self._messages,
+                    self._messages, seen.component,
                 )  # fmt: skip
             return None
+        if known.component != seen.component:
+            return self._relocation(known, seen)
         if known.order >= len(self._associations) - NEWEST_TEMPLATES_COUNT:
             return None
         if seen.template_id != self._last_template:
@@ -163,9 +212,25 @@ class VisualEvidence:
         loss = math.exp(min(1.2 * known.decay, 10.0))  # above e^3.4 the energy is negative
         energy = p.pc_vt_inject_energy / 30.0 * (30.0 - loss)
         energy *= self._agreement.weigh(
-            seen.template_id, place, seen.peak, self._distance_cells(known, place, seen)
-        )
+            seen.template_id, place, seen.peak, self._distance_cells(known, place, seen),
+            known.component, seen.component,
+        )  # fmt: skip
         return Injection(place, energy) if energy > 0.0 else None
+
+    def _relocation(self, known: _Association, seen: Observation) -> Relocation | None:
+        """Return the place in another component that a view indicates, if enough views agree.
+
+        The number is ``pc_vt_agree_views``, at which the energy of a recognition has its full
+        value.
+        """
+        theta = (known.place.theta + seen.turn_planes) % self._torus.n_theta
+        place = known.place._replace(theta=theta)
+        weight = self._agreement.weigh(
+            seen.template_id, place, seen.peak, math.inf, known.component, seen.component
+        )
+        if weight < 1.0:
+            return None
+        return Relocation(Located(place, known.unwrapped), known.component)
 
     def _distance_cells(self, known: _Association, place: Place, seen: Observation) -> float:
         """Return the distance of a recognised place from the peak, x and y unwrapped."""
