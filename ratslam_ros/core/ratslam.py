@@ -239,7 +239,7 @@ class RatSLAM:
 
     def _act(self, stamp_ns: int, match: ViewMatch) -> ViewStep:
         with self._watch('pose_cells_view'):
-            action = self.pose_cells.view(match)
+            action = self.pose_cells.view(match, self._motion.reaches(stamp_ns))
         with self._watch('experience_map'):
             update = apply_action(
                 self.experience_map, self.scan_matcher, stamp_ns, action, self.behaviour

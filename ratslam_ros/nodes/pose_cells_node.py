@@ -138,7 +138,8 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
         self._check_memory(stamp_ns, template)
         number = self._numbering.own_id(template.match.template_id)
         with self._diagnostics.times('pose_cells_view'):
-            action = self._core.view(replace(template.match, template_id=number))
+            match = replace(template.match, template_id=number)
+            action = self._core.view(match, self._motion.reaches(stamp_ns))
         if action.action == 'create' and self._memory_ns == NO_MEMORY_NS:
             self._memory_ns = max(stamp_ns, MIN_MEMORY_NS)
         payload = encode_action(stamp_ns, self._sequence, action, self._memory_ns)

@@ -89,6 +89,15 @@ class MotionFromOdometry:
         """Treat the next message as the first one: no motion is computed for the gap before it."""
         self._last = None
 
+    def reaches(self, stamp_ns: int) -> bool:
+        """Return whether a stamp is close enough to the last message for the motion to be known.
+
+        Always True if unknown motions are switched off, and before the first message.
+        """
+        if self._last is None or self._max_gap_ns >= MAX_GAP_NS:
+            return True
+        return stamp_ns - self._last.stamp_ns <= self._max_gap_ns
+
     def update(self, odometry: Odometry) -> Motion | None:
         """Return the motion since the previous message.
 

@@ -145,15 +145,20 @@ class PoseCells:
         self._experiences.integrate(motion)
         self._stepped = True
 
-    def view(self, match: ViewMatch) -> MapAction:
+    def view(self, match: ViewMatch, is_located: bool = True) -> MapAction:
         """Process one template message: learn it or inject its activity, then choose the action.
 
         At most one action other than ``none`` is returned per odometry message.
+
+        Args:
+            match: the template.
+            is_located: False if the odometry has been missing for so long that the robot may be
+                anywhere. Such a view has no effect.
         """
         self._last_view = match.template_id, match.relative_rad * self._torus.planes_per_rad
         source_id = self._experiences.current_id
         action: Action = 'none'
-        if match.template_id != NO_TEMPLATE:
+        if match.template_id != NO_TEMPLATE and is_located:
             action = self._observe()
         target_id = self._experiences.current_id
         is_at_none = target_id == NO_EXPERIENCE
