@@ -111,8 +111,8 @@ class Agreement:
         )
 
     def weigh(
-        self, template_id: int, place: Place, estimate: Place, distance_cells: float = math.inf,
-        component: int = 0, estimate_component: int = 0,
+        self, template_id: int, place: Place, estimate: Place | None,
+        distance_cells: float = math.inf, component: int = 0,
     ) -> float:  # fmt: skip
         """Add the hypothesis of a recognised view and compute its weight.
 
@@ -126,24 +126,24 @@ class Agreement:
         Args:
             template_id: recognised template.
             place: pose that the recognition implies.
-            estimate: current pose estimate.
+            estimate: current pose estimate; None if it is in another component than the place,
+                so that the two cannot contradict each other.
             distance_cells: distance between the two, not wrapped at the edges of the torus.
-            component, estimate_component: components that the two belong to. Places in different
-                components never agree.
+            component: component of the place. Places in different components never agree.
 
         Returns:
             Factor for the energy to inject.
         """
         if self._views == 0.0:
             return 1.0
-        if self._count == 0 or self._template_ids[self._count - 1] != template_id:
+        latest = self._latest_of(template_id, component)
+        if latest is None:
             self._add(template_id, place, component)
-        hypothesis = Place(*self._places[self._count - 1].tolist())
+            latest = self._count - 1
+        hypothesis = Place(*self._places[latest].tolist())
         support = self._support(hypothesis, component)
-        if component != estimate_component or (
-            self._torus.distance(hypothesis, estimate) > self._radius
-        ):
-            support -= self._support(estimate, estimate_component)
+        if estimate is not None and self._torus.distance(hypothesis, estimate) > self._radius:
+            support -= self._support(estimate, component)
         views = self._views
         if distance_cells < self._near:
             views = max(
@@ -152,6 +152,18 @@ class Agreement:
             support = min(support, int(2 * views))
         share: float = max(support, 0) / views
         return share * share * share * share
+
+    def _latest_of(self, template_id: int, component: int) -> int | None:
+        """Return the latest hypothesis if it is of this template; one view adds several.
+
+        A view adds one hypothesis for each component in which its template has a place.
+        """
+        for i in range(self._count - 1, -1, -1):
+            if self._template_ids[i] != template_id:
+                return None
+            if self._components[i] == component:
+                return i
+        return None
 
     def _add(self, template_id: int, place: Place, component: int) -> None:
         if self._travelled - self._slot_start >= self._spacing:

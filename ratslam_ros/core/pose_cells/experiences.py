@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Set
 
 from ratslam_ros.core.common.odometry import Motion, moved
 from ratslam_ros.core.common.pose import Pose
@@ -141,40 +141,52 @@ class Experiences:
             (item for item in active if item[1] > 0.0), key=lambda item: (-item[1], item[0])
         )
 
+    def members(self, component: int) -> set[int]:
+        """Return the experiences of a component."""
+        return {i for i, number in enumerate(self._components) if number == component}
+
     def decide(
-        self, seen: Observation, recent: Collection[Unwrapped], learn: bool
-    ) -> Action:
+        self, seen: Observation, recent: Collection[Unwrapped], learn: bool,
+        joined: Set[int] = frozenset(),
+    ) -> Action:  # fmt: skip
         """Associate an observation with an experience, and make that one current.
 
         Args:
             seen: the observation.
             recent: unwrapped positions of the latest recognitions.
             learn: whether an experience may be created.
+            joined: experiences of the component in which the robot has just been recognised. A
+                transition to one of them joins the components of the map.
 
         Returns:
             The action for the experience map.
         """
+        if joined:
+            there = self._nearest(seen, joined & set(self._of_template.get(seen.template_id, ())))
+            if there is not None:
+                return self._visit(there)
         if self._p.exp_current_by == 'activity':
             return self._decide_by_activity(seen, recent, learn)
         candidates = self._of_template.get(seen.template_id)
         if candidates is None:
             return self._create(seen, learn)
-        place = seen.place
-        threshold = self._p.exp_delta_pc_threshold
         if self._is_at_current(seen) and (
             self._experiences[self.current_id][0] == seen.template_id or self._is_stationary()
         ):
             return 'none'
-        others = [
+        nearest = self._nearest(seen, [
             i for i in candidates if i != self.current_id and self._is_plausible(i, seen, recent)
-        ]
-        if others:
-            distance, nearest = min(
-                (self._torus.distance(place, self._located[i].place), i) for i in others
-            )
-            if distance < threshold:
-                return self._visit(nearest)
-        return self._create(seen, learn)
+        ])  # fmt: skip
+        return self._create(seen, learn) if nearest is None else self._visit(nearest)
+
+    def _nearest(self, seen: Observation, candidates: Collection[int]) -> int | None:
+        """Return the nearest candidate closer than ``exp_delta_pc_threshold``, if any."""
+        if not candidates:
+            return None
+        distance, nearest = min(
+            (self._torus.distance(seen.place, self._located[i].place), i) for i in candidates
+        )
+        return nearest if distance < self._p.exp_delta_pc_threshold else None
 
     def _is_at_current(self, seen: Observation) -> bool:
         """Return whether the observation was made near the current experience."""

@@ -101,7 +101,7 @@ class PoseCells:
         if self._gap_count:  # otherwise the memory equals that of earlier versions
             saved['components'] = {
                 'current': self._component, 'gaps': self._gap_count,
-                'memories': evidence['components'], 'experiences': experiences['components'],
+                **evidence['components'], 'experiences': experiences['components'],
                 'places': experiences['places'],
             }  # fmt: skip
         return saved
@@ -179,6 +179,7 @@ class PoseCells:
 
     def _observe(self) -> Action:
         seen = self._observation()
+        joined: set[int] = set()
         effect = self._evidence.observe(seen, self.mapping, is_first=self._stepped)
         if isinstance(effect, Injection):
             place, energy = effect
@@ -186,12 +187,13 @@ class PoseCells:
                 self._packets, place.theta, place.y, place.x, energy
             )
         elif effect is not None:
+            joined = self._experiences.members(effect.component)
             self._join(*effect)
             seen = self._observation()
         if not self._stepped:
             return 'none'
         self._stepped = False
-        action = self._experiences.decide(seen, self._evidence.recent, learn=self.mapping)
+        action = self._experiences.decide(seen, self._evidence.recent, self.mapping, joined)
         if action in ('link', 'set'):  # the robot is at a known place: correct its position
             place, unwrapped = self._experiences.located(self._experiences.current_id)
             self._unwrapped = self._torus.displaced(unwrapped, place, self.peak)
@@ -201,7 +203,7 @@ class PoseCells:
         """Begin a new component: the pose relative to all known places is unknown."""
         self._gap_count += 1
         self._component = self._gap_count
-        self._evidence.separate()
+        self._evidence.separate(self._component)
         self._experiences.separate()
         self._packets = self._network.start()
         self.peak = self._decoded()
