@@ -219,12 +219,14 @@ def encode_map(
         ValueError: a number of the graph is not finite.
     """
     experiences, links = (map_text or MapText()).update(experience_map)
+    components = experience_map.components
     head = encode_json(
         {
             'schema_version': SCHEMA_VERSION,
             'frame_id': experience_map.frame_id,
             'stamp': encode_stamp(stamp_ns),
             'current_experience_id': experience_map.current_id,
+            **({'components': components} if any(components) else {}),
         }
     )
     # One join: copying megabytes takes longer than finding the changed items.

@@ -71,7 +71,8 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
         if self._goals is not None:
             self._goals.use_pose_cells(self._core)
         self._motion = MotionFromOdometry(
-            self._section.odom_source, self._section.turn_correction
+            self._section.odom_source, self._section.max_odom_gap_s,
+            self._section.turn_correction,
         )
         self._numbering = IdMap()
         self._memory_ns = NO_MEMORY_NS
@@ -141,7 +142,8 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
         self._check_memory(stamp_ns, template)
         number = self._numbering.own_id(template.match.template_id)
         with self._diagnostics.times('pose_cells_view'):
-            action = self._core.view(replace(template.match, template_id=number))
+            match = replace(template.match, template_id=number)
+            action = self._core.view(match, self._motion.reaches(stamp_ns))
         self._motion.correction = action.correction or self._motion.correction
         if action.action == 'create' and self._memory_ns == NO_MEMORY_NS:
             self._memory_ns = max(stamp_ns, MIN_MEMORY_NS)
@@ -206,6 +208,7 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
             'peak': f'x {peak.x:.2f}, y {peak.y:.2f}, theta {peak.theta:.2f}',
             'actions': self._sequence,
             **(self._core.calibration.summary() if self._core.calibration is not None else {}),
+            'odometry_gaps': self._core.gap_count,
             **(self._goals.diagnostic_values() if self._goals is not None else {}),
         }
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.console import ProgressBar
+from ratslam_ros.core.common.odometry import MAX_GAP_NS
 from ratslam_ros.core.common.scan import UnusableScan
 from ratslam_ros.core.config import AUTOMATIC, Config
 from ratslam_ros.core.ratslam import RatSLAM, Step
@@ -210,6 +211,7 @@ class _Run:
             'experiences': len(self.slam.experience_map),
             'links': self.slam.experience_map.link_count,
             'loop_closures': results.loop_closures,
+            **self._gap_counts(results),
             'dropped': results.without_view + self._unusable.total() + self._recording.skipped,
             'late': counts.late,
             'refused': counts.refused,
@@ -224,6 +226,15 @@ class _Run:
         results.finish(self.slam.experience_map, self.config, summary)
         self.results = results
         return summary
+
+    def _gap_counts(self, results: Results) -> dict[str, int]:
+        """Return the numbers of odometry gaps and components, if gaps are looked for."""
+        if self._config.pose_cells.max_odom_gap_s * 1e9 >= MAX_GAP_NS:
+            return {}
+        return {
+            'odometry_gaps': results.gap_count,
+            'components': self.slam.experience_map.component_count,
+        }
 
     def abandon(self) -> None:
         """End after an error: write the results, or keep those of an earlier run."""

@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 BLUE, VERMILLION, GREEN = '#0072B2', '#D55E00', '#009E73'
+SEPARATE = '#CC79A7', '#E69F00', '#56B4E9', '#F0E442'
+"""Colours of components that are not joined with the first one, in turn."""
 BLACK, GREY, PALE_GREY = '#000000', '#777777', '#CFCFCF'
 
 DOTS_PER_INCH = 120
@@ -106,8 +108,11 @@ def draw_map(folder: str | Path, truth: str | Path | Trajectory | None = None,
             axes.add_collection(LineCollection(ends, colors=colour, linewidths=1.4, label=label,
                                                zorder=3 if colour == BLUE else 5))
     places_m = np.array(list(graph.places.values())).reshape(-1, 2)
-    axes.plot(*places_m.T, linestyle='', color=BLUE, marker='o', zorder=4,
-              markersize=3.0 if len(places_m) < 1000 else 1.5)
+    for number, part_m in graph.places_by_component().items():
+        colour = BLUE if number == 0 else SEPARATE[(number - 1) % len(SEPARATE)]
+        axes.plot(*part_m.T, linestyle='', color=colour, marker='o', zorder=4,
+                  markersize=3.0 if len(places_m) < 1000 else 1.5,
+                  label=f'component {number}, not joined' if number else None)
     if len(places_m):
         first = places_m[0]
         last = graph.places.get(graph.current, places_m[-1])
@@ -260,11 +265,19 @@ class _Graph:
     """Map of a results folder.
 
     places: (x, y) in m by experience id. links: (source, target) ids. current: id, or -1.
+    components: component of each experience, in the order of ids.
     """
 
     places: dict[int, tuple[float, float]]
     links: list[tuple[int, int]]
     current: int
+    components: list[int]
+
+    def places_by_component(self) -> dict[int, Floats]:
+        """Return (n, 2) places of the experiences of each component, by its number."""
+        places_m = np.array(list(self.places.values())).reshape(-1, 2)
+        of = np.array(self.components)
+        return {number: places_m[of == number] for number in sorted(set(self.components))}
 
 
 def _read_map(path: Path) -> _Graph:
@@ -274,6 +287,7 @@ def _read_map(path: Path) -> _Graph:
                   for e in payload['experiences']}
         links = [(int(k['source_id']), int(k['target_id'])) for k in payload['links']]
         current = int(payload['current_experience_id'])
+        components = [int(c) for c in payload.get('components', [0] * len(places))]
     except OSError as error:
         raise UnusableInput(f'{path}: {error.strerror or error}; give the folder that '
                             'ratslam replay wrote') from None
@@ -281,7 +295,9 @@ def _read_map(path: Path) -> _Graph:
         raise UnusableInput(f'{path}: not a map of ratslam_ros ({error!r})') from None
     if any(end not in places for link in links for end in link):
         raise UnusableInput(f'{path}: a link leads to an experience that is not in the map')
-    return _Graph(places, links, current)
+    if len(components) != len(places):
+        raise UnusableInput(f'{path}: {len(components)} components for {len(places)} experiences')
+    return _Graph(places, links, current, components)
 
 
 def _closures(folder: Path, graph: _Graph) -> set[tuple[int, int]]:
@@ -296,11 +312,12 @@ def _closures(folder: Path, graph: _Graph) -> set[tuple[int, int]]:
     closures = set()
     last, count = -1, 0
     for *_, experience, _ in _rows(path):
-        if experience < 0:
-            continue  # No experience exists yet.
         if experience >= count:
             count = experience + 1
-        elif experience != last and experience < count - NEWEST_EXPERIENCES_COUNT:
+        elif (
+            -1 not in (last, experience)  # no experience yet, or none since an odometry gap
+            and experience not in (last, *range(count - NEWEST_EXPERIENCES_COUNT, count))
+        ):
             closures.add((last, experience))
         last = experience
     return closures
