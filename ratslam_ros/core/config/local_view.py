@@ -35,10 +35,12 @@ class LocalViewParameters(ImageInput, Memory):
         'set to gradients if the light or the season changes, or as a first choice',
         'set to intensity to use a configuration of OpenRatSLAM')  # fmt: skip
     template_x_size: int = parameter(
-        60, 'px, or cells of gradients', 1, 1024, 'Width of a template.', 'different places look alike',
+        60, 'px, or cells of gradients', 1, 1024, 'Width of a template.',
+        'different places look alike',
         'small deviations from the path prevent recognition')  # fmt: skip
     template_y_size: int = parameter(
-        10, 'px, or cells of gradients', 1, 1024, 'Height of a template.', 'different places look alike',
+        10, 'px, or cells of gradients', 1, 1024, 'Height of a template.',
+        'different places look alike',
         'pitching of the camera prevents recognition')  # fmt: skip
     vt_match_threshold: float = parameter(
         0.03, 'mean difference', 0.0, 1.0,
@@ -93,7 +95,8 @@ class LocalViewParameters(ImageInput, Memory):
         0.0, 'of brightness 0 to 1; 0: off', 0.0, 1.0,
         'Images with less structure (root mean square of the brightness gradient per pixel, at a '
         'size of 48 x 36 px) are neither recognised nor learned. Sensor noise has up to 0.023.',
-        'blank walls or dark images are confused', 'faint scenes should be recognised')  # fmt: skip
+        'blank walls or dark images are confused',
+        'faint scenes should be recognised')  # fmt: skip
     vt_panoramic: bool = parameter(
         False, '', 0, 1, 'The camera sees 360 degrees: views are compared at every rotation.',
         'the camera is panoramic', 'the camera looks forward')  # fmt: skip
