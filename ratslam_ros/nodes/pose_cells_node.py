@@ -83,6 +83,8 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
 
     def _on_relocated(self) -> None:
         self._motion.restart()
+        if self._core.calibration is not None:
+            self._core.calibration.restart()
         if self._goals is not None:
             self._goals.relocated()
 
@@ -111,6 +113,7 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
         self._core, self._numbering = core, numbering
         if core.calibration is not None:
             self._motion.correction = core.calibration.correction
+            core.calibration.restart()
         self._core.mapping = self._mapping
         self._motion.restart()
 

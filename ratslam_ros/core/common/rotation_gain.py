@@ -69,7 +69,7 @@ two gains close the loops equally well."""
 RIVAL_RATIO = 0.3
 """Scores that exceed this fraction of the highest one belong to gains that may be right."""
 
-SMALL_ERROR_RATIO = 1.25
+SMALL_ERROR_RATIO = 1.15
 """Largest gain, or inverse of a gain, that is an error of wheels or of a gyro. A larger one means
 that the scale of the measured turns is unknown."""
 
@@ -151,29 +151,39 @@ def estimate_correction(
     ]  # fmt: skip
     if not peaks:
         return None
-    small = [i for i in peaks if expected is not None and is_small_error(gains[i] / expected)]
-    if small:
-        start = float(gains[max(small, key=lambda i: float(scores[i]))])
-    else:
-        best = max(float(scores[i]) for i in peaks)
-        rivals = [float(gains[i]) for i in peaks if scores[i] >= RIVAL_RATIO * best]
-        start = rivals[0] if open_share is None else _smallest_closed(rivals, open_share)
-    gain, loops = _scale(turns_rad, differences_rad, start)
-    per_m_rad = 0.0
-    if expected is not None and is_small_error(gain / expected):
-        gain, per_m_rad, loops = _systematic_errors(
-            turns_rad, lengths_m, differences_rad, gain, expected
-        )
-    if loops < MIN_SHARE * n:
+    best = max(float(scores[i]) for i in peaks)
+    fits = [
+        _scale(turns_rad, differences_rad, float(gains[i]))
+        for i in peaks if scores[i] >= RIVAL_RATIO * best
+    ]  # fmt: skip
+    fits = [(gain, loops) for gain, loops in fits if loops >= MIN_SHARE * n]
+    if not fits:
         return None
-    return Estimate(TurnCorrection(gain, per_m_rad), loops, loops / n)
+    if expected is not None:
+        gain, loops = min(fits, key=lambda fit: abs(math.log(fit[0] / expected)))
+        if is_small_error(gain / expected):
+            gain, per_m_rad, loops = _systematic_errors(
+                turns_rad, lengths_m, differences_rad, gain, expected
+            )
+            if loops < MIN_SHARE * n:
+                return None
+            return Estimate(TurnCorrection(gain, per_m_rad), loops, loops / n)
+    gain, loops = fits[0] if open_share is None else _smallest_closed(fits, open_share)
+    return Estimate(TurnCorrection(gain, 0.0), loops, loops / n)
 
 
-def _smallest_closed(gains: list[float], open_share: Callable[[float], float]) -> float:
-    """Return the smallest gain with which loops are about as well closed as with the best one."""
-    shares = [open_share(gain) for gain in gains]
+def _smallest_closed(
+    fits: list[tuple[float, int]], open_share: Callable[[float], float]
+) -> tuple[float, int]:
+    """Return the smallest gain with which loops are about as well closed as with the best one.
+
+    Args:
+        fits: gains, ascending, and the numbers of loops that they explain.
+        open_share: see ``estimate_correction``.
+    """
+    shares = [open_share(gain) for gain, _ in fits]
     limit = min(shares) + OPEN_SHARE_TOLERANCE
-    return next(gain for gain, share in zip(gains, shares, strict=True) if share <= limit)
+    return next(fit for fit, share in zip(fits, shares, strict=True) if share <= limit)
 
 
 def is_small_error(ratio: float) -> bool:
