@@ -186,6 +186,10 @@ class ExperienceMap(ExperienceGraph):
         if self._p.exp_align_scans:
             return
         self._links.correct_turns(before, now)
+        x, y, turn = self.offset
+        distance = math.hypot(x, y)
+        half = 0.5 * (now.corrected(before.measured(turn, distance), distance) - turn)
+        self.offset = composed(Pose(0.0, 0.0, half), Pose(x, y, turn + half))
         if not is_small_error(now.gain / before.gain):
             for row, (i, j) in enumerate(self.link_ends.tolist()):
                 if i < j and not self._links.ends[:row, 1][self._links.ends[:row, 1] == j].size:
