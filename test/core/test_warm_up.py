@@ -49,9 +49,11 @@ assert before
 """
 
 VISUAL_ODOMETRY = """
-visual_odometry = VisualOdometry(config.visual_odometry)
-for n, image in enumerate(images()):
-    visual_odometry.estimate(n * 10**8, image)
+for refined in (False, True):
+    changed = config.with_values({'visual_odometry.vrot_subpixel': refined})
+    visual_odometry = VisualOdometry(changed.visual_odometry)
+    for n, image in enumerate(images()):
+        visual_odometry.estimate(n * 10**8, image)
 """
 
 LOCAL_VIEW = """
@@ -72,7 +74,7 @@ for changed in (
 """
 
 POSE_CELLS = """
-pose_cells = PoseCells(config.pose_cells)
+pose_cells = PoseCells(config.with_values({'pose_cells.odom_calibration': True}).pose_cells)
 motion_from = MotionFromOdometry('twist')
 for n in range(300):
     motion = motion_from.update(Odometry(n * 10**8, Twist(0.5, 0.3), Pose(0.0, 0.0, 0.0)))
@@ -87,7 +89,7 @@ again.integrate(motion)
 """
 
 EXPERIENCE_MAP = """
-slam = RatSLAM(config)
+slam = RatSLAM(config.with_values({'pose_cells.odom_calibration': True}))
 warm_up('pose_cells')  # Part of RatSLAM, but not of the experience map node.
 before = loaded()
 for n in range(300):
