@@ -192,6 +192,15 @@ def test_crop_outside_image_is_reported_in_one_line(
     assert '32 x 24 px' in line
 
 
+@pytest.mark.parametrize('command', ['replay', 'tune', 'info', 'play'])
+def test_unknown_option_names_help_of_its_command(
+    here: Path, capfd: pytest.CaptureFixture[str], command: str
+) -> None:
+    line = refusal([command, 'a_bag', '--no-such-option', '5'], capfd)
+    assert '--no-such-option 5; see ratslam' in line
+    assert line.endswith(f'ratslam {command} --help')
+
+
 def test_missing_recording_is_reported_in_one_line(
     here: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
