@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import os
 import tempfile
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
@@ -23,23 +24,18 @@ class _Announcement:
     file: IO[str] | None = None
 
 
-def announce(node: str) -> None:
-    """Announce that a node is starting in this process, until `ready` or the process ends.
+@contextmanager
+def announced(node: str) -> Iterator[None]:
+    """Announce that a node is starting in this process, until `ready` or the end of the context.
 
     Without file locks, or without a writable folder, nothing is announced.
     """
-    ready()
     with suppress(ImportError, OSError):
-        import fcntl  # not on Windows
-
-        folder = _folder()
-        folder.mkdir(mode=0o700, exist_ok=True)
-        path = folder / f'{_domain()}-{node}-{os.getpid()}'
-        part = path.with_name(f'.{path.name}')
-        file = part.open('w', encoding='ascii')
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        part.rename(path)  # only now visible, because a file without a lock is removed
-        _Announcement.file = file
+        _Announcement.file = _locked(node)
+    try:
+        yield
+    finally:
+        ready()
 
 
 def ready() -> None:
@@ -66,6 +62,19 @@ def starting() -> list[str]:
                 else:
                     path.unlink(missing_ok=True)  # its process has ended
     return sorted(found)
+
+
+def _locked(node: str) -> IO[str]:
+    """Create the file that announces a node of this process."""
+    import fcntl  # not on Windows
+
+    folder = _folder()
+    folder.mkdir(mode=0o700, exist_ok=True)
+    path = folder / f'{_domain()}-{node}-{os.getpid()}'
+    file = path.with_name(f'.{path.name}').open('w', encoding='ascii')
+    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    Path(file.name).rename(path)  # only now visible, because a file without a lock is removed
+    return file
 
 
 def _folder() -> Path:

@@ -10,17 +10,17 @@ from pathlib import Path
 
 import pytest
 
-from ratslam_ros.starting import announce, ready, starting
+from ratslam_ros.starting import announced, starting
 
 SOURCE = """
 import sys
-from ratslam_ros.starting import announce, ready
-announce(sys.argv[1])
-print('announced', flush=True)
-sys.stdin.readline()
-ready()
-print('ready', flush=True)
-sys.stdin.readline()
+from ratslam_ros.starting import announced, ready
+with announced(sys.argv[1]):
+    print('announced', flush=True)
+    sys.stdin.readline()
+    ready()
+    print('ready', flush=True)
+    sys.stdin.readline()
 """
 ROOT = Path(__file__).parents[1]
 
@@ -73,6 +73,11 @@ def test_other_domains_are_not_listed(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_unwritable_folder_announces_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr('tempfile.tempdir', '/proc/no/such/folder')
-    announce('pose_cells')
+    with announced('pose_cells'):
+        assert starting() == []
+
+
+def test_announcement_ends_with_its_context() -> None:
+    with announced('pose_cells'):
+        assert starting() == ['pose_cells']
     assert starting() == []
-    ready()

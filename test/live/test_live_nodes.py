@@ -298,10 +298,10 @@ def test_launch_starts_and_stops_all_nodes(live: Live, bag: Path, expected: str)
 
 SLOW_START_SOURCE = """
 import sys, time
-from ratslam_ros.starting import announce
+from ratslam_ros.starting import announced
 
-announce('single_process')
-time.sleep(3.0)
+with announced('single_process'):
+    time.sleep(3.0)
 from ratslam_ros.live.run import run
 sys.exit(run('single_process', sys.argv[1:]))
 """
