@@ -14,7 +14,7 @@ from std_msgs.msg import String
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.id_map import MIN_MEMORY_NS, NO_MEMORY_NS
-from ratslam_ros.core.vision.local_view import UNDECODABLE, LocalView, ViewMatch, make_view
+from ratslam_ros.core.vision.local_view import FIXED_THRESHOLD, UNDECODABLE, LocalView, ViewMatch
 from ratslam_ros.messages.mapping import encode_template
 from ratslam_ros.nodes.convert import grey_image
 from ratslam_ros.nodes.image_node import ImageNode
@@ -78,7 +78,9 @@ class LocalViewNode(ImageNode):
         self, stamp_ns: int, image: NDArray[np.uint8], frame_id: str, match: ViewMatch
     ) -> None:
         """Publish the view as it was compared, above the template that it matched."""
-        view = make_view(image, self._section)
+        view = self._core.encode(image)
+        if view is None:
+            return
         template = np.zeros_like(view)
         if match.template_id >= 0:
             template = self._core.template(match.template_id)
@@ -95,6 +97,10 @@ class LocalViewNode(ImageNode):
             'templates': len(self._core),
             'template': self._last.template_id,
             'match_error': round(self._last.error, 4),
+            **(
+                {'match_threshold': round(self._last.threshold, 4)}
+                if self._last.threshold != FIXED_THRESHOLD else {}
+            ),
         }
 
 

@@ -19,6 +19,7 @@ from rclpy.parameter import Parameter
 from ratslam_ros.core.config import (
     SECTIONS,
     SETTABLE,
+    SHARED,
     Config,
     ParameterInfo,
     Section,
@@ -146,10 +147,11 @@ def declare(node: Node, kind: type[AnySection]) -> AnySection:
 
 
 def _with_values(config: Config, values: dict[str, Any]) -> Config:
-    """Set values; odom_source must agree in two sections, of which a node gets only one."""
+    """Set values; those of SHARED must agree in two sections, of which a node gets only one."""
     for section, other in (('pose_cells', 'experience_map'), ('experience_map', 'pose_cells')):
-        if f'{section}.odom_source' in values:
-            values.setdefault(f'{other}.odom_source', values[f'{section}.odom_source'])
+        for name in SHARED:
+            if f'{section}.{name}' in values:
+                values.setdefault(f'{other}.{name}', values[f'{section}.{name}'])
     return config.with_values(values)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.vision.local_view import make_view
+from ratslam_ros.core.vision.intensity import make_view
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.offline.inspection import inspect
 from ratslam_ros.offline.replay import ReplayOptions, ReplayOutcome, replay

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry
 from ratslam_ros.core.config import WHOLE, Config, LocalViewParameters, Value
-from ratslam_ros.core.vision.local_view import crop_window
+from ratslam_ros.core.vision.intensity import crop_window
 from ratslam_ros.event_inputs import odometry_from_event
 from ratslam_ros.offline.motion_calibration import calibrate_motion
 from ratslam_ros.recordings import (

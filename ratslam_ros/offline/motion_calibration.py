@@ -21,7 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry
-from ratslam_ros.core.common.rotation_gain import GainEstimate, estimate_gain
+from ratslam_ros.core.common.rotation_gain import (
+    Estimate,
+    estimate_correction,
+    is_small_error,
+)
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.vision.visual_odometry import VisualOdometry, field_of_view_deg
 from ratslam_ros.event_inputs import odometry_from_event
@@ -61,8 +65,6 @@ MIN_GAP_S = 3.0
 """Shortest duration of a loop."""
 
 LOWEST_FOV_DEG, HIGHEST_FOV_DEG = 20.0, 360.0
-MAX_GAIN_RATIO = 1.25
-"""Largest factor by which the rotation of recorded odometry is corrected."""
 
 COMPARED_S = 5.0
 """Length of the intervals in which the turns of visual odometry and of odometry are compared."""
@@ -123,15 +125,17 @@ def calibrate_motion(
     )
     if visual:
         return _camera(track, topic, config.visual_odometry.camera_fov_deg)
-    estimate = _from_loops(track, track.odometry_rad, 1.0 / MAX_GAIN_RATIO, MAX_GAIN_RATIO)
-    if estimate is None:
+    estimate = _from_loops(track, track.odometry_rad, expected=1.0)
+    if estimate is None or not is_small_error(estimate.correction.gain):
         return MotionCalibration('guess', f'the rotation of {topic} is used as it is: no closed '
                                  'loops to check it with')
+    gain, per_m_rad = round(estimate.correction.gain, 4), round(estimate.correction.per_m_rad, 5)
     return MotionCalibration(
-        'loops', f'rotation gain {estimate.gain:.3f} of {topic}, from {estimate.loops} views of '
-        f'closed loops ({estimate.share:.0%} agree)', estimate.loops,
-        {f'{section}.odom_rotation_gain': round(estimate.gain, 4)
-         for section in ('pose_cells', 'experience_map')},
+        'loops', f'{topic} is corrected by a rotation gain of {gain:g} and {per_m_rad:g} rad/m: '
+        f'with them, closed loops turn by 360 deg ({estimate.loops} views, '
+        f'{estimate.share:.0%} agree)', estimate.loops,
+        {f'{section}.{name}': value for section in ('pose_cells', 'experience_map')
+         for name, value in (('odom_rotation_gain', gain), ('odom_turn_per_m', per_m_rad))},
     )  # fmt: skip
 
 
@@ -140,13 +144,15 @@ class _Track:
     """Frames of a recording, and the headings at their stamps, in rad, not wrapped.
 
     views: (m, d) descriptors, see `_describe`. time_s: (m,) times. visual_rad, odometry_rad:
-    (m,) headings by visual odometry and by recorded odometry, zeros if there is none.
+    (m,) headings by visual odometry and by recorded odometry, zeros if there is none. odometry_m:
+    (m,) distances by recorded odometry.
     """
 
     views: NDArray[np.float32]
     time_s: Floats
     visual_rad: Floats
     odometry_rad: Floats
+    odometry_m: Floats
 
 
 def _camera(track: _Track, topic: str | None, assumed_deg: float) -> MotionCalibration:
@@ -160,13 +166,13 @@ def _camera(track: _Track, topic: str | None, assumed_deg: float) -> MotionCalib
             f'as {topic}',
             settings={'visual_odometry.camera_fov_deg': fov_deg},
         )  # fmt: skip
-    estimate = _from_loops(track, track.visual_rad, low, high)
-    if estimate is None:
+    estimate = _from_loops(track, track.visual_rad, expected=None)
+    if estimate is None or not low <= estimate.correction.gain <= high:
         return MotionCalibration(
             'guess', f'field of view {assumed_deg:g} deg is a guess: neither camera_info nor '
             'closed loops were found; set visual_odometry.camera_fov_deg if you know it',
         )  # fmt: skip
-    fov_deg = round(estimate.gain * assumed_deg, 1)
+    fov_deg = round(estimate.correction.gain * assumed_deg, 1)
     return MotionCalibration(
         'loops', f'field of view {fov_deg:g} deg: with it, closed loops turn by 360 deg '
         f'({estimate.loops} views, {estimate.share:.0%} agree)', estimate.loops,
@@ -202,8 +208,7 @@ def _read(
     stamps = np.array(stamps_ns, np.int64)[kept]
     return _Track(
         np.array(views, np.float32)[kept], stamps.astype(np.float64) * 1e-9,
-        np.array(visual_rad)[kept],
-        headings.recorded_at(stamps),
+        np.array(visual_rad)[kept], *headings.recorded_at(stamps),
     )  # fmt: skip
 
 
@@ -215,7 +220,8 @@ class _Headings:
         self._motion = MotionFromOdometry(config.pose_cells.odom_source)
         self._last_ns = 0
         self._visual_rad = 0.0
-        self._stamps_ns, self._recorded_rad = [0], [0.0]
+        self._stamps_ns = [0]
+        self._recorded = [(0.0, 0.0)]
 
     def see(self, stamp_ns: int, image: Image) -> float:
         """Return the heading at an image by visual odometry, 0 if it is not used."""
@@ -231,14 +237,20 @@ class _Headings:
         """Integrate one message of recorded odometry."""
         if self._motion.accepts(odometry) and odometry.stamp_ns > self._stamps_ns[-1]:
             motion = self._motion.update(odometry)
-            turn_rad = 0.0 if motion is None else motion.turn_rad
+            heading_rad, distance_m = self._recorded[-1]
+            if motion is not None:
+                heading_rad += motion.turn_rad
+                distance_m += motion.distance_m
             self._stamps_ns.append(odometry.stamp_ns)
-            self._recorded_rad.append(self._recorded_rad[-1] + turn_rad)
+            self._recorded.append((heading_rad, distance_m))
 
-    def recorded_at(self, stamps_ns: NDArray[np.int64]) -> Floats:
-        """Return the headings by recorded odometry at stamps, zeros if there is none."""
-        recorded = np.interp(stamps_ns, self._stamps_ns, self._recorded_rad)
-        return np.asarray(recorded, np.float64)
+    def recorded_at(self, stamps_ns: NDArray[np.int64]) -> tuple[Floats, Floats]:
+        """Return headings and distances by recorded odometry at stamps, zeros if none."""
+        heading_rad, distance_m = (
+            np.asarray(np.interp(stamps_ns, self._stamps_ns, values), np.float64)
+            for values in zip(*self._recorded, strict=True)
+        )
+        return heading_rad, distance_m
 
 
 def _thinned(events: Iterable[Event], period_ns: float) -> Iterator[Event]:
@@ -322,14 +334,15 @@ def _loops(views: NDArray[np.float32], time_s: Floats) -> list[tuple[int, int]]:
 
 
 def _from_loops(
-    track: _Track, heading_rad: Floats, low: float, high: float
-) -> GainEstimate | None:
-    """Return the rotation gain of headings, estimated from closed loops."""
+    track: _Track, heading_rad: Floats, expected: float | None
+) -> Estimate | None:
+    """Return the correction of headings, estimated from closed loops."""
     if len(track.views) < MIN_VIEW_COUNT:
         return None
     loops = np.array(_loops(track.views, track.time_s), np.int64).reshape(-1, 2)
     turns = heading_rad[loops[:, 0]] - heading_rad[loops[:, 1]]
-    return estimate_gain(turns, np.zeros(len(turns)), low, high)
+    lengths = track.odometry_m[loops[:, 0]] - track.odometry_m[loops[:, 1]]
+    return estimate_correction(turns, lengths, np.zeros(len(turns)), expected)
 
 
 def _ratio_of_turns(track: _Track) -> float | None:

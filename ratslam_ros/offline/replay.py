@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.console import ProgressBar
+from ratslam_ros.core.common.odometry import MAX_GAP_NS
 from ratslam_ros.core.common.scan import UnusableScan
-from ratslam_ros.core.config import Config
+from ratslam_ros.core.config import AUTOMATIC, Config
 from ratslam_ros.core.ratslam import RatSLAM, Step
 from ratslam_ros.core.vision.visual_odometry import field_of_view_deg
 from ratslam_ros.event_inputs import odometry_from_event, scan_from_event
@@ -191,7 +192,7 @@ class _Run:
         """Process all held messages, write all files, and return the summary."""
         self._write(self.slam.finish())
         wall_s = self.elapsed_s
-        results = self.results or Results(self._folder)
+        results = self.results or self._new_results()
         warnings = self._recording.warnings
         if self._lacks_scans:
             warnings.append(
@@ -210,6 +211,7 @@ class _Run:
             'experiences': len(self.slam.experience_map),
             'links': self.slam.experience_map.link_count,
             'loop_closures': results.loop_closures,
+            **self._gap_counts(results),
             'dropped': results.without_view + self._unusable.total() + self._recording.skipped,
             'late': counts.late,
             'refused': counts.refused,
@@ -218,9 +220,21 @@ class _Run:
             'times_realtime': round(self.span.duration_s / wall_s, 1) if wall_s > 0.0 else 0.0,
             'step_ms': self.times.summary_ms(),
         }
+        calibration = self.slam.pose_cells.calibration
+        if calibration is not None:
+            summary['odom_calibration'] = calibration.summary()
         results.finish(self.slam.experience_map, self.config, summary)
         self.results = results
         return summary
+
+    def _gap_counts(self, results: Results) -> dict[str, int]:
+        """Return the numbers of odometry gaps and components, if gaps are looked for."""
+        if self.config.pose_cells.max_odom_gap_s * 1e9 >= MAX_GAP_NS:
+            return {}
+        return {
+            'odometry_gaps': results.gap_count,
+            'components': self.slam.experience_map.component_count,
+        }
 
     def abandon(self) -> None:
         """End after an error: write the results, or keep those of an earlier run."""
@@ -247,6 +261,10 @@ class _Run:
             )
         return text
 
+    def _new_results(self) -> Results:
+        automatic = self.config.local_view.vt_match_threshold == AUTOMATIC
+        return Results(self._folder, with_thresholds=automatic)
+
     def _count_unusable(self, kind: str, error: Exception) -> None:
         self._unusable[kind] += 1
         self._first_errors.setdefault(kind, str(error))
@@ -255,7 +273,7 @@ class _Run:
         if not steps:
             return
         if self.results is None:
-            self.results = Results(self._folder)
+            self.results = self._new_results()
         for step in steps:
             self.results.add(step)
             self.observations.add(step)
