@@ -45,8 +45,8 @@ SMALL_WIDTH_PX = 320
 MIN_IMAGE_COUNT = 20
 """With fewer images, static borders cannot be told from a robot at rest."""
 
-GAP_S = 1.0
-"""Interval without a message that is reported. Drivers of 5 Hz or more leave a few of 0.5 s."""
+GAP_S = 2.0
+"""Interval without a message that is reported, unless `max_odom_gap_s` is shorter."""
 
 STATIC_RATIO = 0.15
 """Rows and columns with a smaller fraction of the median deviation over time are static."""
@@ -159,9 +159,10 @@ def _odometry(
     found: _Found, selection: Selection, config: Config
 ) -> tuple[dict[str, Value], str]:
     """Return the part of the odometry messages to use, and a description of them."""
+    gap_s = min(config.pose_cells.max_odom_gap_s, GAP_S)
     if selection.odom_topic is None:
         stamps = found.image_ns
-        return {}, f'estimated from the images; {_gaps(stamps, "image")}'
+        return {}, f'estimated from the images; {_gaps(stamps, "image", gap_s)}'
     stamps = [message.stamp_ns for message in found.odometry]
     source = config.pose_cells.odom_source
     moved = {kind: _movement(found.odometry, kind) for kind in ('twist', 'pose')}
@@ -180,7 +181,8 @@ def _odometry(
         moves = f'{distance_m:.0f} m and {np.degrees(turn_rad):.0f} deg of turns'
     rate = f'{_rate_hz(stamps):.1f} Hz'
     return settings, (
-        f'{source} of {selection.odom_topic}{why}, {rate}, {moves}; {_gaps(stamps, "message")}'
+        f'{source} of {selection.odom_topic}{why}, {rate}, {moves}; '
+        f'{_gaps(stamps, "message", gap_s)}'
     )
 
 
@@ -202,18 +204,18 @@ def _is_empty(used: tuple[float, float], other: tuple[float, float]) -> bool:
     return (used[0] == 0.0 and other[0] > EMPTY_M) or (used[1] == 0.0 and other[1] > EMPTY_RAD)
 
 
-def _gaps(stamps_ns: list[int], what: str) -> str:
+def _gaps(stamps_ns: list[int], what: str, least_s: float) -> str:
     """Describe the longest interval between successive stamps."""
     if len(stamps_ns) < 2:
         return f'{len(stamps_ns)} {what}s'
     steps_s = np.diff(np.array(stamps_ns, np.int64)).astype(np.float64) * 1e-9
     longest = int(steps_s.argmax())
-    if steps_s[longest] < GAP_S:
+    if steps_s[longest] <= least_s:
         return 'no gaps'
     since_s = (stamps_ns[longest] - stamps_ns[0]) * 1e-9
-    count = int(np.sum(steps_s >= GAP_S))
+    count = int(np.sum(steps_s > least_s))
     return (
-        f'{count} gap{"s" if count > 1 else ""} of {GAP_S:g} s or more, the longest '
+        f'{count} gap{"s" if count > 1 else ""} of more than {least_s:g} s, the longest '
         f'{steps_s[longest]:.1f} s at {since_s:.0f} s'
     )
 

@@ -61,7 +61,8 @@ FLAT_SHARE = 0.1
 """Share of views with too little structure for a template that is reported."""
 
 GAP_S = 2.0
-"""Interval between odometry messages that is reported; drivers of 1 Hz or more stay below."""
+"""Interval between odometry messages that is reported, unless `max_odom_gap_s` is shorter; drivers
+of 1 Hz or more stay below."""
 
 
 class _Visit:
@@ -220,7 +221,8 @@ def advise(seen: Observations, summary: Mapping[str, Any], source: Source) -> li
 
 def _gaps(seen: Observations, summary: Mapping[str, Any], source: Source) -> str:
     parts = summary.get('components')
-    if seen.gap_s < GAP_S or parts == 1:
+    limit_s = min(source.config.pose_cells.max_odom_gap_s, GAP_S)
+    if seen.gap_s <= limit_s or parts == 1:
         return ''  # No gap, or a place seen before and after it joined the map.
     effect = f', the map has {parts} parts' if parts else ', the map is wrong if the robot moved'
     after_s = seen.gap_at_s + seen.gap_s

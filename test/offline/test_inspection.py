@@ -126,7 +126,7 @@ def test_robot_at_rest_is_reported(tmp_path: Path) -> None:
 
 def test_gaps_of_odometry_are_reported(tmp_path: Path) -> None:
     line = inspected(tmp_path, left_out=range(20, 45)).lines[1]
-    assert '1 gap of 1 s or more, the longest 2.6 s at 2 s' in line
+    assert '1 gap of more than 2 s, the longest 2.6 s at 2 s' in line
 
 
 def test_static_borders_are_cropped(tmp_path: Path) -> None:
