@@ -20,7 +20,9 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry
 from ratslam_ros.core.config import WHOLE, Config, LocalViewParameters, Value
+from ratslam_ros.core.vision.image_window import Window
 from ratslam_ros.core.vision.intensity import crop_window
+from ratslam_ros.core.vision.structure import structure
 from ratslam_ros.event_inputs import odometry_from_event
 from ratslam_ros.offline.motion_calibration import calibrate_motion
 from ratslam_ros.recordings import (
@@ -56,10 +58,6 @@ MAX_BORDER_RATIO = 0.4
 
 MIN_BORDER_RATIO = 0.02
 """Narrower borders have no effect on templates."""
-
-FLAT_STD = 6.0
-"""Standard deviation, in grey levels, below which a view has almost no structure: noise and
-compression cause 1 to 3, scenes 20 to 70."""
 
 EMPTY_M, EMPTY_RAD = 0.5, 0.5
 """Movement by the pose from which a twist of zeros is empty, not that of a robot at rest."""
@@ -239,7 +237,8 @@ def _images(
     height, width = found.shape
     crop_window(np.zeros(found.shape, np.uint8), p)  # Raises if a given crop does not fit.
     small = static_borders(found.images)
-    flat = _flat_share(found.images, small)
+    least, window = p.vt_min_structure, Window(*small)
+    flat = sum(structure(image, window) < least for image in found.images) / len(found.images)
     left, right, top, bottom = (border * found.factor for border in small)
     # Rows and columns beyond the last whole pixel of the shrunk images belong to the scene.
     right = right if right // found.factor < found.images[0].shape[1] else width
@@ -258,9 +257,9 @@ def _images(
         settings['local_view.image_crop_y_min'] = top
         settings['local_view.image_crop_y_max'] = bottom if bottom < height else WHOLE
     crop = f'crop x {left} to {right}, y {top} to {bottom}: the rest never changes'
-    texture = f'{flat:.0%} of the views have almost no structure' if flat else 'all have structure'
+    flat_text = f'{flat:.0%} of the views have too little structure' if flat else 'all are usable'
     return settings, (
-        f'{width}x{height} at {_rate_hz(found.image_ns):.1f} Hz, {texture}; '
+        f'{width}x{height} at {_rate_hz(found.image_ns):.1f} Hz, {flat_text}; '
         f'{crop if settings else "no static borders, no crop"}'
     )
 
@@ -299,11 +298,3 @@ def _changing(deviation: NDArray[np.float64]) -> tuple[int, int]:
         first if ends[0] <= first <= ends[1] else 0,
         last if ends[0] <= count - last <= ends[1] else count,
     )
-
-
-def _flat_share(images: Sequence[Image], window: tuple[int, int, int, int]) -> float:
-    """Return the share of views with almost no structure in the window."""
-    left, right, top, bottom = window
-    parts = [image[top:bottom, left:right] for image in images]
-    reduced = [cv2.resize(part, (64, 32), interpolation=cv2.INTER_AREA) for part in parts]
-    return float(np.mean([image.std() < FLAT_STD for image in reduced]))
