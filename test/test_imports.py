@@ -44,7 +44,7 @@ LAYERS = [
         'starting',
     ],
     ['core', 'recordings'],
-    ['messages', 'files', 'event_inputs'],
+    ['messages', 'files', 'event_inputs', 'descriptors'],
     ['results'],
     ['simulator'],
     ['offline', 'nodes'],
