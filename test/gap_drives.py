@@ -55,6 +55,7 @@ class Drive:
         self.truths: dict[int, Pose] = {}
         self.steps: list[Step] = []
         self.messages: dict[int, Odometry] = {}
+        self.templates: dict[int, int] = {}
         self._observe()
 
     def forward(self, steps: int) -> None:
@@ -84,6 +85,7 @@ class Drive:
         slam = self.slam
         message = twist(self.stamp_ns, distance_m / dt_s, turn_rad / dt_s)
         self.messages[self.stamp_ns] = message
+        self.templates[self.stamp_ns] = self.at % LAP_STEPS
         self.steps += slam.odometry(message)
         self.steps += slam.template(self.stamp_ns, seen(self.at % LAP_STEPS))
 
