@@ -69,7 +69,7 @@ def test_replay_writes_all_files(results: Path) -> None:
     assert header == 'stamp_ns,template_id,is_new,match_error,relative_rad,experience_id'
     assert list(json.loads((results / 'summary.json').read_text())) == [
         'frames', 'odometry', 'templates', 'experiences', 'links', 'loop_closures', 'dropped',
-        'late', 'refused', 'duration_s', 'wall_s', 'times_realtime', 'step_ms',
+        'low_texture', 'late', 'refused', 'duration_s', 'wall_s', 'times_realtime', 'step_ms',
     ]  # fmt: skip
     for picture in ('map.png', 'matches.png'):
         assert (results / picture).read_bytes().startswith(b'\x89PNG')
