@@ -219,7 +219,7 @@ def test_summary_has_its_keys_in_order(base: Path) -> None:
     summary = json.loads((base / 'summary.json').read_text())
     assert list(summary) == [
         'frames', 'odometry', 'templates', 'experiences', 'links', 'loop_closures', 'dropped',
-        'late', 'refused', 'duration_s', 'wall_s', 'times_realtime', 'step_ms',
+        'low_texture', 'late', 'refused', 'duration_s', 'wall_s', 'times_realtime', 'step_ms',
     ]  # fmt: skip
     assert summary['duration_s'] == pytest.approx((FRAMES - 1) * 0.1 + 0.001, abs=2e-3)
     assert {'decode', 'local_view', 'pose_cells', 'pose_cells_view', 'experience_map'} == set(
