@@ -131,7 +131,7 @@ class _Run:
         self.times = StepTimes()
         visual_odometry = selection.odom_topic is None and selection.image_topic is not None
         if visual_odometry:
-            config = _calibrated(config, recording, selection)
+            config = calibrated(config, recording, selection)
         self.slam = RatSLAM(
             config,
             visual_odometry=visual_odometry,
@@ -253,7 +253,7 @@ class _Run:
                 self.video.add_step(step)
 
 
-def _calibrated(config: Config, recording: Recording, selection: Selection) -> Config:
+def calibrated(config: Config, recording: Recording, selection: Selection) -> Config:
     """Return the configuration with the field of view of the recorded calibration.
 
     The node visual_odometry computes it from camera_info in the same way.
