@@ -153,6 +153,11 @@ class FrameScaler:
             image_crop_x_max=full.image_crop_x_max if p.image_crop_x_max < width // kx else WHOLE,
             image_crop_y_max=full.image_crop_y_max if p.image_crop_y_max < height // ky else WHOLE)
 
+    def window(self, p: LocalViewParameters) -> tuple[int, int, int, int]:
+        """Return x_min, x_max, y_min, y_max of the crop in full-size frames."""
+        window = crop_window(self.sample, p)
+        return window.x_min, window.x_max, window.y_min, window.y_max
+
     def _factors(self) -> tuple[int, int]:
         height, width = self.sample.shape
         return max(1, width // SMALL_WIDTH_PX), max(1, height // SMALL_HEIGHT_PX)
@@ -285,8 +290,7 @@ def _rank_of_sequences(errors: Errors, lag: int, gap: int) -> Errors:
             total[frame, first:last] += rank[first + centre:last + centre]
             count[frame, first:last] += 1
     total[count < MIN_NEIGHBOUR_COUNT] = np.nan
-    mean: Errors = total / np.maximum(count, 1)
-    return mean
+    return np.divide(total, np.maximum(count, 1), dtype=np.float32)
 
 
 def _frames_to_best(errors: Errors, reach: int) -> NDArray[np.int64]:

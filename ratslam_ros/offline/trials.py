@@ -49,6 +49,9 @@ class Span:
     duration_s: float | None = None
 
 
+WHOLE_SPAN = Span()
+
+
 @dataclass(frozen=True)
 class Trial:
     """The map that one configuration built.
@@ -83,7 +86,7 @@ def run_trials(
     recording: Recording,
     selection: Selection,
     configs: Sequence[Config],
-    span: Span = Span(),
+    span: Span = WHOLE_SPAN,
     on_progress: Callable[[float], None] = lambda done_s: None,
 ) -> list[Trial | UnusableParameter]:
     """Build one map per configuration.
