@@ -32,6 +32,7 @@ NODES = [
 ]
 
 TEST = ['hypothesis>=6.90', 'pytest>=7.4']  # the versions of Ubuntu 24.04 suffice
+STUDY = ['optuna>=4.0']
 
 setup(
     name=NAME,
@@ -76,9 +77,10 @@ setup(
     extras_require={
         'test': TEST,  # by this name colcon knows that pytest runs the tests
         'dev': [
-            *TEST, 'mypy>=1.8', 'networkx>=3.0', 'pytest-xdist>=3.5', 'ruff>=0.4', 'types-PyYAML',
-            'types-tqdm',
+            *TEST, *STUDY, 'mypy>=1.8', 'networkx>=3.0', 'pytest-xdist>=3.5', 'ruff>=0.4',
+            'types-PyYAML', 'types-tqdm',
         ],
+        'study': STUDY,  # ratslam study
         'examples': ['networkx>=3.0'],
     },
     entry_points={

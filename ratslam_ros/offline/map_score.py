@@ -31,6 +31,9 @@ NEAR_SHARE = 0.05
 """Distance on the map at which a revisit counts as half joined, as a share of the diameter of the
 map; different places nearer than this are folded onto each other."""
 
+ENDS = 0.02, 0.98
+"""Quantiles of the coordinates between which the diameter of the map is measured."""
+
 SAME_HEADING_RAD = math.pi / 4.0
 MAX_STAMP_DIFFERENCE_S = 0.5
 """Largest difference between the stamps of a frame and of a processed view."""
@@ -57,12 +60,14 @@ class MapScore:
     @property
     def total(self) -> float:
         """0 to 1: F-measure of the recognitions, times `joined`, times 1 - `folded`."""
-        weight = PRECISION_WEIGHT * PRECISION_WEIGHT
-        denominator = weight * self.precision + self.recall
-        if denominator <= 0.0:
-            return 0.0
-        measure = (1.0 + weight) * self.precision * self.recall / denominator
+        measure = f_measure(self.precision, self.recall, PRECISION_WEIGHT)
         return measure * self.joined * (1.0 - self.folded)
+
+
+def f_measure(precision: float, recall: float, beta: float) -> float:
+    """Return the weighted harmonic mean of precision and recall; recall counts `beta` times."""
+    denominator = beta * beta * precision + recall
+    return (1.0 + beta * beta) * precision * recall / denominator if denominator > 0.0 else 0.0
 
 
 def score_map(trial: Trial, evidence: Evidence, rows: Rows | None = None) -> MapScore:
@@ -109,7 +114,8 @@ def _geometry(path: Trajectory, evidence: Evidence, rows: Rows,
               covered: slice) -> tuple[float, float]:
     """Return how closely revisits are joined, and the share of different places folded."""
     position_m, heading_rad = poses_at(path, evidence.stamp_ns[covered])
-    diameter_m = float(np.linalg.norm(np.ptp(position_m, axis=0)))
+    # Without the ends, as a single long link may lead far away.
+    diameter_m = float(np.linalg.norm(np.diff(np.quantile(position_m, ENDS, axis=0), axis=0)))
     near_m = max(NEAR_SHARE * diameter_m, 1e-9)
     here = rows - covered.start
     there = evidence.match[rows] - covered.start

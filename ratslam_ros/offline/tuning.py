@@ -97,7 +97,7 @@ class Proposal:
         reasons: explanation in lines of text.
         chosen: its candidate, None if no candidate was tried.
         default: candidate of the default configuration, likewise.
-        runner_up: the second best candidate, None if there is none.
+        runner_up: the best other candidate with another local view, None if there is none.
         candidates: those to show, best first.
         rating: errors of right and wrong matches with the proposed local view, None if it does
             not fit the frames.
@@ -241,7 +241,7 @@ class _Search:
         """Replay the finalists and the default on the whole recording if only a part was used."""
         if self._part == self._span:
             return
-        finalists = ranked(self.candidates)[:FINALIST_COUNT]
+        finalists = with_different_views(ranked(self.candidates))[:FINALIST_COUNT]
         names = {self.default_candidate.trial.config: DEFAULT,
                  **{candidate.trial.config: candidate.name for candidate in finalists}}
         self._tried.clear()
@@ -290,6 +290,14 @@ def ranked(candidates: list[Candidate]) -> list[Candidate]:
         left.remove(first)
         left.insert(0, first)
     return left
+
+
+def with_different_views(candidates: list[Candidate]) -> list[Candidate]:
+    """Return the first candidate with each set of local view parameters."""
+    first: dict[LocalViewParameters, Candidate] = {}
+    for candidate in candidates:
+        first.setdefault(candidate.trial.config.local_view, candidate)
+    return list(first.values())
 
 
 def _blocks(evidence: Evidence) -> Rows:
@@ -421,6 +429,8 @@ def _proposal(search: _Search, views: ViewSearch, scaler: FrameScaler, seen: str
     default, best = search.default_candidate, order[0]
     chosen = best if best is not default and search.is_clearly_better(best) else default
     others = [candidate for candidate in order if candidate is not chosen]
+    view = chosen.trial.config.local_view
+    runner_up = next((c for c in others if c.trial.config.local_view != view), None)
     shown = [chosen, *others[:SHOWN_COUNT - 1]]
     if default not in shown:
         shown.append(default)
@@ -435,7 +445,7 @@ def _proposal(search: _Search, views: ViewSearch, scaler: FrameScaler, seen: str
         rating = None
     return Proposal(
         config, _settings(search.default, config), tuple(reasons), chosen, default,
-        others[0] if others else None, tuple(shown), rating, scaler.sample,
+        runner_up, tuple(shown), rating, scaler.sample,
         scaler.window(config.local_view))
 
 
