@@ -37,10 +37,13 @@ Errors = NDArray[np.float32]
 Ints = NDArray[np.int64]
 
 NEUTRAL = LocalViewParameters(
-    template_x_size=32, template_y_size=24, vt_shift_match=1, vt_patch_normalise=4
+    template_x_size=32, template_y_size=24, vt_shift_match=0, vt_patch_normalise=4
 )
-"""Reduction of the images for the evidence: small, illumination-invariant, and nearly without
-shifts, which would blur the position of the best match."""
+"""Reduction of the images for the evidence: small and illumination-invariant."""
+
+NEUTRAL_SHIFTS_PX = (0, 2)
+"""The errors without shifts distinguish places by the heading of the robot; those with shifts
+tolerate other lanes. Their sum is used, as either is misleading for some robots."""
 
 MAX_FRAME_COUNT = 2000
 SMALL_WIDTH_PX, SMALL_HEIGHT_PX = 160, 60
@@ -68,8 +71,8 @@ to which a match counts as the same place, and from which it counts as another o
 MIN_SUPPORTED_COUNT, MIN_SUPPORTED_SHARE = 20, 0.1
 """With fewer revisits, the matches may all be chance matches."""
 
-NO_MATCH = np.float32(9.0)
-"""Error of pairs that are not compared; real errors are at most 1."""
+NO_MATCH = np.float32(np.inf)
+"""Error of pairs that are not compared."""
 
 
 def sample_frames(recording: Recording, selection: Selection, start_s: float = 0.0,
@@ -222,19 +225,17 @@ class Evidence:
         return float(self.stamp_ns[-1] - self.stamp_ns[0]) / NS_PER_S / (len(self.stamp_ns) - 1)
 
 
-def measure(images: NDArray[np.uint8], stamp_ns: Ints,
-            p: LocalViewParameters = NEUTRAL) -> Evidence:
+def measure(images: NDArray[np.uint8], stamp_ns: Ints) -> Evidence:
     """Compare each image with all earlier ones, and compute the support of the matches.
 
     Args:
         images: (n, H, W) uint8 grey.
         stamp_ns: (n,) increasing stamps.
-        p: the parameters of the comparison.
 
     Raises:
         UnusableInput: the recording is too short for revisits.
     """
-    errors = compare_all(np.stack([make_view(image, p) for image in images]), p)
+    errors = _neutral_errors(images)
     n = len(images)
     period_s = max(float(stamp_ns[-1] - stamp_ns[0]) / NS_PER_S / max(n - 1, 1), 1e-9)
     median_error = np.median(errors[np.tril_indices(n, -1)])
@@ -253,6 +254,17 @@ def measure(images: NDArray[np.uint8], stamp_ns: Ints,
     same_place = (np.clip((UNSUPPORTED_RANK - rank) / slope, 0.0, 1.0)
                   * np.clip(FAR - _frames_to_best(errors, 2 * lag) / lag, 0.0, 1.0) / (FAR - NEAR))
     return Evidence(stamp_ns, match, rank[row, match], same_place.astype(np.float32), lag, gap)
+
+
+def _neutral_errors(images: NDArray[np.uint8]) -> Errors:
+    """Return the (n, n) mean of the match errors, each relative to its median."""
+    views = np.stack([make_view(image, NEUTRAL) for image in images])
+    pairs = np.tril_indices(len(views), -1)
+    total = np.zeros((len(views), len(views)), np.float32)
+    for shift_px in NEUTRAL_SHIFTS_PX:
+        errors = compare_all(views, replace(NEUTRAL, vt_shift_match=shift_px))
+        total += errors / max(np.float32(np.median(errors[pairs])), np.float32(1e-6))
+    return total / np.float32(len(NEUTRAL_SHIFTS_PX))
 
 
 def _rank_of_sequences(errors: Errors, lag: int, gap: int) -> Errors:
