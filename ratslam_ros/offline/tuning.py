@@ -52,8 +52,13 @@ BLOCK_COUNT = 10
 MIN_BLOCK_REVISITS = 3
 EQUAL_SCORE = 0.02
 """Differences below this are noise. Of nearly equal candidates, the one tried first is preferred:
-the default, then presets, then variations. The default is replaced by a candidate whose held-out
-score is higher by at least this and by the standard error."""
+the default, then presets, then variations. The default is replaced by a candidate whose score is
+higher by at least this, and by the standard error, on both halves of the revisits."""
+
+LARGE_GAIN = 0.1
+CONCEDED = 0.01
+"""Unless the gain is large, neither precision nor recall, joined revisits or unfolded places may
+be lower than those of the default by more than this."""
 
 VIEWS_PER_DESCRIPTOR = 2
 SHOWN_COUNT = 8
@@ -265,7 +270,14 @@ class _Search:
                 name, trial, score_map(trial, self.evidence, self._selected),
                 score_map(trial, self.evidence, self._held_out))
 
-    def is_clearly_better(self, candidate: Candidate) -> bool:
+    @property
+    def contender(self) -> Candidate | None:
+        """The best candidate that exceeds the default on the selected revisits."""
+        default = self.default_candidate
+        return next((candidate for candidate in ranked(self.candidates)
+                     if is_better(candidate.score, default.score)), None)
+
+    def is_confirmed(self, candidate: Candidate) -> bool:
         """Return whether a candidate exceeds the default on the held-out revisits."""
         other = self.default_candidate
         gain = candidate.held_out.total - other.held_out.total
@@ -273,7 +285,17 @@ class _Search:
                  - score_map(other.trial, self.evidence, rows).total
                  for rows in self._held_out_blocks if _revisit_count(self.evidence, rows)]
         error = float(np.std(gains, ddof=1)) / math.sqrt(len(gains)) if len(gains) > 1 else 0.0
-        return gain >= max(EQUAL_SCORE, error)
+        return is_better(candidate.held_out, other.held_out) and gain >= error
+
+
+def is_better(score: MapScore, default: MapScore) -> bool:
+    """Return whether a score exceeds that of the default clearly, and in every respect."""
+    gain = score.total - default.total
+    if gain >= LARGE_GAIN:
+        return True
+    pairs = ((score.precision, default.precision), (score.recall, default.recall),
+             (score.joined, default.joined), (default.folded, score.folded))
+    return gain >= EQUAL_SCORE and all(mine >= other - CONCEDED for mine, other in pairs)
 
 
 def ranked(candidates: list[Candidate]) -> list[Candidate]:
@@ -426,15 +448,15 @@ def describe_view(p: LocalViewParameters) -> str:
 
 def _proposal(search: _Search, views: ViewSearch, scaler: FrameScaler, seen: str) -> Proposal:
     order = ranked(search.candidates)
-    default, best = search.default_candidate, order[0]
-    chosen = best if best is not default and search.is_clearly_better(best) else default
+    default, contender = search.default_candidate, search.contender
+    chosen = contender if contender and search.is_confirmed(contender) else default
     others = [candidate for candidate in order if candidate is not chosen]
     view = chosen.trial.config.local_view
     runner_up = next((c for c in others if c.trial.config.local_view != view), None)
     shown = [chosen, *others[:SHOWN_COUNT - 1]]
     if default not in shown:
         shown.append(default)
-    reasons = [seen, _reason(chosen, default, best)]
+    reasons = [seen, _reason(chosen, default, contender)]
     if not chosen.trial.loop_closures:
         reasons.append('places are seen again, but no candidate closes a loop: check the odometry '
                        'and the crop')
@@ -449,15 +471,15 @@ def _proposal(search: _Search, views: ViewSearch, scaler: FrameScaler, seen: str
         scaler.window(config.local_view))
 
 
-def _reason(chosen: Candidate, default: Candidate, best: Candidate) -> str:
+def _reason(chosen: Candidate, default: Candidate, contender: Candidate | None) -> str:
     if chosen is not default:
         return (f'proposed: {chosen.name}, held-out score {chosen.held_out.total:.3f}; '
                 f'default {default.held_out.total:.3f}')
-    if best is default:
-        return f'no candidate is better than the default, score {default.score.total:.3f}'
-    return (f'the default is proposed, held-out score {default.held_out.total:.3f}: the best '
-            f'candidate, {best.name}, reaches {best.held_out.total:.3f}, which is not clearly '
-            'better')
+    if contender is None:
+        return ('the default is proposed: no candidate is clearly better than its score of '
+                f'{default.score.total:.3f}')
+    return (f'the default is proposed, held-out score {default.held_out.total:.3f}: '
+            f'{contender.name} reaches {contender.held_out.total:.3f}, which is not clearly better')
 
 
 def _settings(default: Config, config: Config) -> tuple[str, ...]:
