@@ -43,7 +43,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.config import LocalViewParameters
-from ratslam_ros.core.vision.local_view import LocalView, make_view
+from ratslam_ros.core.vision.intensity import make_view
+from ratslam_ros.core.vision.local_view import LocalView
 from ratslam_ros.files.config import load_config
 from ratslam_ros.recordings import ImageEvent, open_recording
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from town import Camera, Town, drive
 
 from ratslam_ros.core.config import LocalViewParameters
-from ratslam_ros.core.vision.local_view import make_view
+from ratslam_ros.core.vision.intensity import make_view
 from ratslam_ros.recordings import ImageEvent, open_recording
 
 Views = NDArray[np.uint8]

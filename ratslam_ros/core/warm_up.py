@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.odometry import Motion, MotionFromOdometry, Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.common.rotation_gain import estimate_correction
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.link_learning import has_detour
@@ -69,6 +70,8 @@ def _pose_cells(config: Config) -> None:
             motion_from.update(Odometry(n * 10**9, Twist(1.0, 0.1), Pose(0.0, 0.0, 0.0)))
             pose_cells.integrate(_MOTION)
             pose_cells.view(ViewMatch(n % 15, n < 15, 0.0, 0.0))
+    turns = np.full(10, 6.0)
+    estimate_correction(turns, turns, np.zeros(10), 1.0)
     pose_cells.activity()
 
 

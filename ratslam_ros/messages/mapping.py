@@ -7,19 +7,22 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from operator import is_not
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ratslam_ros.core.common.rotation_gain import TurnCorrection
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
-from ratslam_ros.core.vision.local_view import ViewMatch
+from ratslam_ros.core.vision.local_view import FIXED_THRESHOLD, ViewMatch
 from ratslam_ros.messages.json_schema import (
     MAX_ID,
     SCHEMA_VERSION,
     MalformedMessage,
     check_range,
+    check_types,
     decode_fields,
     decode_stamp,
     encode_json,
@@ -29,6 +32,8 @@ from ratslam_ros.messages.json_schema import (
 MAX_COUNT = 2**63 - 1
 """Largest accepted sequence number and stamp of a memory: 64-bit integers."""
 MAX_PLACE_CELLS = 100_000.0
+MAX_GAIN, MAX_TURN_PER_M_RAD = 1000.0, 1000.0
+"""Largest accepted corrections of odometry."""
 
 
 def encode_template(stamp_ns: int, match: ViewMatch, memory_ns: int) -> str:
@@ -39,17 +44,18 @@ def encode_template(stamp_ns: int, match: ViewMatch, memory_ns: int) -> str:
         match: the matched or learned template.
         memory_ns: stamp at which the first template was learned, 0 before.
     """
-    return encode_json(
-        {
-            'schema_version': SCHEMA_VERSION,
-            'stamp': encode_stamp(stamp_ns),
-            'id': match.template_id,
-            'is_new': match.is_new,
-            'error': match.error,
-            'relative_rad': match.relative_rad,
-            'memory': memory_ns,
-        }
-    )
+    fields = {
+        'schema_version': SCHEMA_VERSION,
+        'stamp': encode_stamp(stamp_ns),
+        'id': match.template_id,
+        'is_new': match.is_new,
+        'error': match.error,
+        'relative_rad': match.relative_rad,
+        'memory': memory_ns,
+    }
+    if match.threshold != FIXED_THRESHOLD:
+        fields['threshold'] = match.threshold
+    return encode_json(fields)
 
 
 def decode_template(payload: str) -> tuple[int, ViewMatch, int]:
@@ -71,7 +77,13 @@ def decode_template(payload: str) -> tuple[int, ViewMatch, int]:
         ('memory', 0, MAX_COUNT),
     ):  # fmt: skip
         check_range('local_view/template', key, fields[key], low, high)
-    match = ViewMatch(fields['id'], fields['is_new'], fields['error'], fields['relative_rad'])
+    fields.setdefault('threshold', FIXED_THRESHOLD)
+    check_types(fields, 'local_view/template', {'threshold': float})
+    check_range('local_view/template', 'threshold', fields['threshold'], FIXED_THRESHOLD, 1.0)
+    match = ViewMatch(
+        fields['id'], fields['is_new'], fields['error'], fields['relative_rad'],
+        fields['threshold'],
+    )  # fmt: skip
     return decode_stamp(fields['stamp']), match, fields['memory']
 
 
@@ -84,22 +96,23 @@ def encode_action(stamp_ns: int, sequence: int, action: MapAction, memory_ns: in
         action: the change of the map.
         memory_ns: stamp at which the first experience was created, 0 before.
     """
-    return encode_json(
-        {
-            'schema_version': SCHEMA_VERSION,
-            'stamp': encode_stamp(stamp_ns),
-            'sequence': sequence,
-            'action': action.action,
-            'source_id': action.source_id,
-            'target_id': action.target_id,
-            'template_id': action.template_id,
-            'relative_rad': action.relative_rad,
-            'pc_x': action.place.x,
-            'pc_y': action.place.y,
-            'pc_theta': action.place.theta,
-            'memory': memory_ns,
-        }
-    )
+    fields: dict[str, Any] = {
+        'schema_version': SCHEMA_VERSION,
+        'stamp': encode_stamp(stamp_ns),
+        'sequence': sequence,
+        'action': action.action,
+        'source_id': action.source_id,
+        'target_id': action.target_id,
+        'template_id': action.template_id,
+        'relative_rad': action.relative_rad,
+        'pc_x': action.place.x,
+        'pc_y': action.place.y,
+        'pc_theta': action.place.theta,
+        'memory': memory_ns,
+    }
+    if action.correction is not None:
+        fields['correction'] = action.correction._asdict()
+    return encode_json(fields)
 
 
 def decode_action(payload: str) -> tuple[int, int, MapAction, int]:
@@ -132,8 +145,21 @@ def decode_action(payload: str) -> tuple[int, int, MapAction, int]:
     action = MapAction(
         kind, fields['source_id'], fields['target_id'], fields['template_id'],
         fields['relative_rad'], Place(fields['pc_x'], fields['pc_y'], fields['pc_theta']),
+        _decode_correction(name, fields.get('correction')),
     )  # fmt: skip
     return decode_stamp(fields['stamp']), fields['sequence'], action, fields['memory']
+
+
+def _decode_correction(name: str, fields: Any) -> TurnCorrection | None:
+    """Return the correction of an action, None if the sender does not calibrate."""
+    if fields is None:
+        return None
+    if not isinstance(fields, dict):
+        raise MalformedMessage(f'{name}: correction is {fields!r}; expected an object')
+    check_types(fields, name, {'gain': float, 'per_m_rad': float})
+    check_range(name, 'gain', fields['gain'], 1.0 / MAX_GAIN, MAX_GAIN)
+    check_range(name, 'per_m_rad', fields['per_m_rad'], -MAX_TURN_PER_M_RAD, MAX_TURN_PER_M_RAD)
+    return TurnCorrection(fields['gain'], fields['per_m_rad'])
 
 
 def encode_goal_memory(
@@ -193,12 +219,14 @@ def encode_map(
         ValueError: a number of the graph is not finite.
     """
     experiences, links = (map_text or MapText()).update(experience_map)
+    components = experience_map.components
     head = encode_json(
         {
             'schema_version': SCHEMA_VERSION,
             'frame_id': experience_map.frame_id,
             'stamp': encode_stamp(stamp_ns),
             'current_experience_id': experience_map.current_id,
+            **({'components': components} if any(components) else {}),
         }
     )
     # One join: copying megabytes takes longer than finding the changed items.

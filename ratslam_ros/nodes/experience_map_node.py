@@ -18,8 +18,10 @@ from visualization_msgs.msg import MarkerArray
 
 from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry
 from ratslam_ros.core.common.pose import Pose, composed, inverse
+from ratslam_ros.core.common.rotation_gain import TurnCorrection
 from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.common.state import State
+from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.late_join import LateJoin
 from ratslam_ros.core.mapping.mapping_step import apply_action
@@ -58,8 +60,8 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
     PARTS = ('goal_recall',)
     MAPS = True
 
-    def __init__(self) -> None:
-        super().__init__(('odometry', 'action'))
+    def __init__(self, initial: Config = Config()) -> None:
+        super().__init__(('odometry', 'action'), initial)
         if self._section.exp_align_scans:
             self._streams = 'odometry', 'scan', 'action'
             self._order = self._new_order()
@@ -90,7 +92,10 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         self._map_text = MapText()
         self._late_join = LateJoin(self._core)
         self._scans = ScanMatcher()
-        self._motion = MotionFromOdometry(self._section.odom_source)
+        self._motion = MotionFromOdometry(
+            self._section.odom_source, self._section.max_odom_gap_s,
+            self._section.turn_correction,
+        )
         self._action_ns = 0
         self._changed = self._sent  # subscribers that have the old map get the empty one
         self._goals.use_map(self._core)
@@ -113,6 +118,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
             'action_ns': self._action_ns,
             'joining': self._late_join.state(),
             'core': self._core.state(),
+            'correction': list(self._motion.correction),
             'goals': self._goals.memory_state(),
             'scans': self._scans.state(),
         }
@@ -129,6 +135,9 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         self._goals.use_map(core, state['goals'])
         self._action_ns = action_ns
         self._core, self._late_join, self._scans = core, late_join, scans
+        self._motion.correction = TurnCorrection(
+            *state.get('correction', self._section.turn_correction)
+        )
         self._map_text = MapText()
         self._core.mapping = self._mapping
         self._motion.restart()
@@ -177,8 +186,11 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
             if motion is not None:
                 self._core.integrate(motion)
                 self._scans.integrate(stamp_ns, motion)
+                if not motion.is_known:
+                    self._report_gap(motion.dt_s)
             return
         self._unlearn_blocked(stamp_ns)
+        self._motion.correction = item.action.correction or self._motion.correction
         late_join, behaviour = self._late_join, self._behaviours.at(stamp_ns)
         missed, restarts = late_join.missed, late_join.restarts
         with self._diagnostics.times('experience_map'):
@@ -214,6 +226,13 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
                 self.get_logger().info(
                     f'{unlearned} links were unlearned: {report.behaviour} was blocked'
                 )
+
+    def _report_gap(self, gap_s: float) -> None:
+        self._changed = True
+        self.get_logger().warning(
+            f'odometry has a gap of {gap_s:.1f} s: the map continues in a separate component '
+            'until a known place is recognised (max_odom_gap_s)'
+        )
 
     def _report_missing(self, text: str) -> None:
         if self._diagnostics.missing.get('action') != text:
@@ -291,6 +310,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         return {
             'experiences': len(self._core),
             'links': self._core.link_count,
+            'components': self._core.component_count,
             'experience': self._core.current_id,
             'jumps_refused': self._core.gate.rejected_count,
             'carried': self._core.gate.relocation_count,

@@ -12,8 +12,9 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
 from ratslam_ros.core.common.state import State
+from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.id_map import MIN_MEMORY_NS, NO_MEMORY_NS
-from ratslam_ros.core.vision.local_view import UNDECODABLE, LocalView, ViewMatch, make_view
+from ratslam_ros.core.vision.local_view import FIXED_THRESHOLD, UNDECODABLE, LocalView, ViewMatch
 from ratslam_ros.messages.mapping import encode_template
 from ratslam_ros.nodes.convert import grey_image
 from ratslam_ros.nodes.image_node import ImageNode
@@ -30,8 +31,8 @@ class LocalViewNode(ImageNode):
     SECTION = 'local_view'
     MAPS = True
 
-    def __init__(self) -> None:
-        super().__init__()
+    def __init__(self, initial: Config = Config()) -> None:
+        super().__init__(initial)
         self._publisher = self.create_publisher(String, 'local_view/template', RESULT)
         self._matched = self.create_publisher(Image, 'local_view/matched', VIEW)
         self._reset_state()
@@ -77,7 +78,9 @@ class LocalViewNode(ImageNode):
         self, stamp_ns: int, image: NDArray[np.uint8], frame_id: str, match: ViewMatch
     ) -> None:
         """Publish the view as it was compared, above the template that it matched."""
-        view = make_view(image, self._section)
+        view = self._core.encode(image)
+        if view is None:
+            return
         template = np.zeros_like(view)
         if match.template_id >= 0:
             template = self._core.template(match.template_id)
@@ -94,6 +97,10 @@ class LocalViewNode(ImageNode):
             'templates': len(self._core),
             'template': self._last.template_id,
             'match_error': round(self._last.error, 4),
+            **(
+                {'match_threshold': round(self._last.threshold, 4)}
+                if self._last.threshold != FIXED_THRESHOLD else {}
+            ),
         }
 
 

@@ -15,6 +15,7 @@ from std_msgs.msg import String
 
 from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry
 from ratslam_ros.core.common.state import State
+from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.id_map import MIN_MEMORY_NS, NO_MEMORY_NS, IdMap
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE, ViewMatch
@@ -45,8 +46,8 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
     PARTS = ('goal_memory',)
     MAPS = True
 
-    def __init__(self) -> None:
-        super().__init__(('odometry', 'template'))
+    def __init__(self, initial: Config = Config()) -> None:
+        super().__init__(('odometry', 'template'), initial)
         self._publisher = self.create_publisher(String, 'pose_cells/action', RESULT)
         self._active = self.create_publisher(String, 'pose_cells/active_experiences', VIEW)
         self._activity = self.create_publisher(Image, 'pose_cells/activity', VIEW)
@@ -69,7 +70,10 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
         self._core.mapping = self._mapping
         if self._goals is not None:
             self._goals.use_pose_cells(self._core)
-        self._motion = MotionFromOdometry(self._section.odom_source)
+        self._motion = MotionFromOdometry(
+            self._section.odom_source, self._section.max_odom_gap_s,
+            self._section.turn_correction,
+        )
         self._numbering = IdMap()
         self._memory_ns = NO_MEMORY_NS
         self._sequence = 0
@@ -102,6 +106,8 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
             self._goals.use_pose_cells(core, state.get('goal_memory'))
         self._memory_ns, self._sequence = memory_ns, sequence
         self._core, self._numbering = core, numbering
+        if core.calibration is not None:
+            self._motion.correction = core.calibration.correction
         self._core.mapping = self._mapping
         self._motion.restart()
 
@@ -136,7 +142,9 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
         self._check_memory(stamp_ns, template)
         number = self._numbering.own_id(template.match.template_id)
         with self._diagnostics.times('pose_cells_view'):
-            action = self._core.view(replace(template.match, template_id=number))
+            match = replace(template.match, template_id=number)
+            action = self._core.view(match, self._motion.reaches(stamp_ns))
+        self._motion.correction = action.correction or self._motion.correction
         if action.action == 'create' and self._memory_ns == NO_MEMORY_NS:
             self._memory_ns = max(stamp_ns, MIN_MEMORY_NS)
         payload = encode_action(stamp_ns, self._sequence, action, self._memory_ns)
@@ -199,6 +207,8 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
             'experience': self._core.current_experience,
             'peak': f'x {peak.x:.2f}, y {peak.y:.2f}, theta {peak.theta:.2f}',
             'actions': self._sequence,
+            **(self._core.calibration.summary() if self._core.calibration is not None else {}),
+            'odometry_gaps': self._core.gap_count,
             **(self._goals.diagnostic_values() if self._goals is not None else {}),
         }
 

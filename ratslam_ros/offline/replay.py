@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.console import ProgressBar
+from ratslam_ros.core.common.odometry import MAX_GAP_NS
 from ratslam_ros.core.common.scan import UnusableScan
-from ratslam_ros.core.config import Config
+from ratslam_ros.core.config import AUTOMATIC, Config
 from ratslam_ros.core.ratslam import RatSLAM, Step
 from ratslam_ros.core.vision.visual_odometry import field_of_view_deg
 from ratslam_ros.event_inputs import odometry_from_event, scan_from_event
@@ -32,6 +33,7 @@ from ratslam_ros.recordings import (
     Selection,
 )
 from ratslam_ros.recordings.prefetch import prefetch_images
+from ratslam_ros.results.advice import Observations
 from ratslam_ros.results.writer import Results
 from ratslam_ros.signals import StopSignals
 from ratslam_ros.timing import StepTimes
@@ -56,10 +58,17 @@ class ReplayOptions:
 
 @dataclass(frozen=True)
 class ReplayOutcome:
-    """Content of summary.json, and whether the replay was interrupted."""
+    """Result of a replay.
+
+    summary: content of summary.json. interrupted: whether the replay was interrupted.
+    config: the parameters, with the field of view of camera_info. observations: evidence for
+    advice on problems.
+    """
 
     summary: dict[str, Any]
     interrupted: bool
+    config: Config
+    observations: Observations
 
 
 def replay(
@@ -114,7 +123,7 @@ def replay(
     except BaseException:
         run.abandon()
         raise
-    return ReplayOutcome(run.finish(), interrupted)
+    return ReplayOutcome(run.finish(), interrupted, run.config, run.observations)
 
 
 class _Run:
@@ -141,8 +150,9 @@ class _Run:
         """Opened at the first result, so that errors before it leave no files behind."""
         self.video: ReplayVideo | None = None
         self.span = _TimeSpan()
+        self.observations = Observations()
         self._recording = recording
-        self._config = config
+        self.config = config
         self._folder = folder
         self._lacks_scans = self.slam.scan_matcher is not None and selection.scan_topic is None
         self._unusable: Counter[str] = Counter()
@@ -182,7 +192,7 @@ class _Run:
         """Process all held messages, write all files, and return the summary."""
         self._write(self.slam.finish())
         wall_s = self.elapsed_s
-        results = self.results or Results(self._folder)
+        results = self.results or self._new_results()
         warnings = self._recording.warnings
         if self._lacks_scans:
             warnings.append(
@@ -201,6 +211,7 @@ class _Run:
             'experiences': len(self.slam.experience_map),
             'links': self.slam.experience_map.link_count,
             'loop_closures': results.loop_closures,
+            **self._gap_counts(results),
             'dropped': results.without_view + self._unusable.total() + self._recording.skipped,
             'late': counts.late,
             'refused': counts.refused,
@@ -209,9 +220,21 @@ class _Run:
             'times_realtime': round(self.span.duration_s / wall_s, 1) if wall_s > 0.0 else 0.0,
             'step_ms': self.times.summary_ms(),
         }
-        results.finish(self.slam.experience_map, self._config, summary)
+        calibration = self.slam.pose_cells.calibration
+        if calibration is not None:
+            summary['odom_calibration'] = calibration.summary()
+        results.finish(self.slam.experience_map, self.config, summary)
         self.results = results
         return summary
+
+    def _gap_counts(self, results: Results) -> dict[str, int]:
+        """Return the numbers of odometry gaps and components, if gaps are looked for."""
+        if self._config.pose_cells.max_odom_gap_s * 1e9 >= MAX_GAP_NS:
+            return {}
+        return {
+            'odometry_gaps': results.gap_count,
+            'components': self.slam.experience_map.component_count,
+        }
 
     def abandon(self) -> None:
         """End after an error: write the results, or keep those of an earlier run."""
@@ -238,6 +261,10 @@ class _Run:
             )
         return text
 
+    def _new_results(self) -> Results:
+        automatic = self.config.local_view.vt_match_threshold == AUTOMATIC
+        return Results(self._folder, with_thresholds=automatic)
+
     def _count_unusable(self, kind: str, error: Exception) -> None:
         self._unusable[kind] += 1
         self._first_errors.setdefault(kind, str(error))
@@ -246,9 +273,10 @@ class _Run:
         if not steps:
             return
         if self.results is None:
-            self.results = Results(self._folder)
+            self.results = self._new_results()
         for step in steps:
             self.results.add(step)
+            self.observations.add(step)
             if self.video is not None:
                 self.video.add_step(step)
 

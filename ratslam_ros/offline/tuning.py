@@ -386,8 +386,7 @@ def _starts(search: _Search) -> Iterator[LocalViewParameters]:
     """Yield the best local view tried so far with each descriptor."""
     order = [candidate.trial.config.local_view for candidate in ranked(search.candidates)]
     for start in descriptors(search.default.local_view):
-        name = getattr(start, 'vt_descriptor', None)
-        yield next((p for p in order if getattr(p, 'vt_descriptor', None) == name), start)
+        yield next((p for p in order if p.vt_descriptor == start.vt_descriptor), start)
 
 
 def _variations(search: _Search) -> Iterator[tuple[str, Config]]:
@@ -439,8 +438,7 @@ def describe_view(p: LocalViewParameters) -> str:
         crop = (f' crop {p.image_crop_x_min}:{p.image_crop_x_max} '
                 f'{p.image_crop_y_min}:{p.image_crop_y_max}').replace('-1', '')
     patch = f' patch {p.vt_patch_normalise}' if p.vt_patch_normalise else ''
-    name = getattr(p, 'vt_descriptor', '')
-    return f'{name} {p.template_x_size}x{p.template_y_size}{patch}{crop}'.strip()
+    return f'{p.vt_descriptor} {p.template_x_size}x{p.template_y_size}{patch}{crop}'
 
 
 # Result
@@ -479,7 +477,7 @@ def _reason(chosen: Candidate, default: Candidate, contender: Candidate | None) 
         return ('the default is proposed: no candidate is clearly better than its score of '
                 f'{default.score.total:.3f}')
     return (f'the default is proposed, held-out score {default.held_out.total:.3f}: '
-            f'{contender.name} reaches {contender.held_out.total:.3f}, which is not clearly better')
+            f'{contender.name} reaches {contender.held_out.total:.3f}, not clearly more')
 
 
 def _settings(default: Config, config: Config) -> tuple[str, ...]:

@@ -10,19 +10,27 @@ between them.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, fields, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.config import LocalViewParameters
-from ratslam_ros.core.vision.local_view import LocalView, crop_window, make_view
+from ratslam_ros.core.vision.intensity import crop_window
+from ratslam_ros.core.vision.local_view import LocalView
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.offline.revisits import Errors, Evidence
 
-SIZES = ((12, 8), (20, 12), (28, 28), (32, 16), (48, 24), (60, 10), (60, 20), (80, 20))
-PATCHES = (0, 2, 4, 7)
+SIZES = {
+    'intensity': ((12, 8), (20, 12), (28, 28), (32, 16), (48, 24), (60, 10), (60, 20), (80, 20)),
+    'gradients': ((8, 6), (12, 9), (16, 8), (16, 12), (24, 12)),
+}
+"""Template sizes to try with each descriptor, in pixels or cells."""
+
+PATCHES = {'intensity': (0, 2, 4, 7)}
+"""Radii of the patch normalisation to try, for descriptors that have it."""
+
 SHIFT_SHARES = ((0.0, 0.0), (0.05, 0.05), (0.1, 0.0), (0.1, 0.08))
 """Largest horizontal and vertical shift, as shares of the template size."""
 
@@ -131,12 +139,15 @@ class ViewSearch:
         same = np.full(len(self._few), np.nan, np.float32)
         errors = np.full(len(self._few), np.nan, np.float32)
         learned: list[int] = []
+        older_row = 0
         for row, frame in enumerate(self._few.tolist()):
-            while (len(learned) < row
-                   and self._few[len(learned)] <= frame - self._evidence.gap):
-                older = int(self._few[len(learned)])
-                memory.learn(make_view(self._images[older], p))
-                learned.append(older)
+            while older_row < row and self._few[older_row] <= frame - self._evidence.gap:
+                older = int(self._few[older_row])
+                older_row += 1
+                view = memory.encode(self._images[older])
+                if view is not None:
+                    memory.learn(view)
+                    learned.append(older)
             match = memory.match(self._images[frame])
             if match.template_id >= 0:
                 errors[row] = match.error
@@ -169,10 +180,10 @@ def _changing(deviation: NDArray[np.float64]) -> tuple[int, int]:
 
 def _sizes(p: LocalViewParameters) -> Iterator[LocalViewParameters]:
     """Yield all template sizes and normalisations, with the shifts in proportion."""
-    for width, height in SIZES:
+    for width, height in SIZES.get(p.vt_descriptor, ()):
         shift_x = min(round(p.vt_shift_match * width / p.template_x_size), (width - 1) // 2)
         shift_y = min(round(p.vt_shift_match_y * height / p.template_y_size), (height - 1) // 2)
-        for patch in PATCHES:
+        for patch in PATCHES.get(p.vt_descriptor, (p.vt_patch_normalise,)):
             yield replace(p, template_x_size=width, template_y_size=height, vt_shift_match=shift_x,
                           vt_shift_match_y=shift_y, vt_patch_normalise=patch)
 
@@ -184,9 +195,11 @@ def _shifts(p: LocalViewParameters) -> Iterator[LocalViewParameters]:
                       vt_shift_match_y=round(share_y * p.template_y_size))
 
 
-def descriptors(p: LocalViewParameters) -> Iterable[LocalViewParameters]:
-    """Return the parameters with each descriptor, that of `p` first."""
-    info = {item.name: item.metadata['info'] for item in fields(p)}.get('vt_descriptor')
-    return [p] if info is None else [
-        p, *(replace(p, **{'vt_descriptor': name}) for name in info.choices
-             if name != getattr(p, 'vt_descriptor'))]  # noqa: B009
+def descriptors(p: LocalViewParameters) -> Iterator[LocalViewParameters]:
+    """Yield the parameters with each built-in descriptor, that of `p` first."""
+    yield p
+    for name, (size, *_) in SIZES.items():
+        if name != p.vt_descriptor:
+            width, height = size
+            yield replace(p, vt_descriptor=name, template_x_size=width, template_y_size=height,
+                          vt_shift_match=1, vt_shift_match_y=0)

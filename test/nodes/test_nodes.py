@@ -796,6 +796,29 @@ def test_invalid_parameter_raises_unusable_parameter(
         world(LocalViewNode, arguments=('-p', argument))
 
 
+def test_given_values_apply_to_initial_configuration(world: MakeWorld) -> None:
+    from ratslam_ros.nodes.local_view_node import LocalViewNode
+
+    values = {'local_view.template_x_size': 20, 'local_view.vt_shift_match': 3}
+    initial = Config().with_values(values)
+    made = world(lambda: LocalViewNode(initial), arguments=('-p', 'template_x_size:=16'))
+    node = made.nodes[0]
+    assert node.config == initial.with_values({'local_view.template_x_size': 16})
+    assert node.get_parameter('vt_shift_match').value == 3
+
+
+def test_parameter_file_replaces_preset_auto(
+    world: MakeWorld, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from ratslam_ros.nodes import parameters
+
+    automatic = Config().with_values({'local_view.vt_shift_match': 3})
+    monkeypatch.setattr(parameters, 'load_config', lambda source: (automatic, []))
+    arguments = ['--ros-args', '-p', 'template_x_size:=16']
+    assert parameters.initial_config(arguments) == automatic
+    assert parameters.initial_config([*arguments, '--params-file', 'a.yaml']) == Config()
+
+
 def test_parameters_have_descriptions_and_only_some_are_settable(world: MakeWorld) -> None:
     from rclpy.parameter import Parameter
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from ratslam_ros.core.common.rotation_gain import TurnCorrection
 from ratslam_ros.core.config.parameter import Section, parameter
 
 WHOLE = -1
@@ -67,7 +68,7 @@ class Memory(LiveInput):
 
 @dataclass(frozen=True)
 class OdometryInput(Memory):
-    """Odometry source, and the time to wait for slower streams."""
+    """Odometry source and gaps, and the time to wait for slower streams."""
 
     odom_source: str = parameter(
         'twist', '', 0, 0,
@@ -77,9 +78,35 @@ class OdometryInput(Memory):
         'set to twist if the pose jumps because another filter corrects it',
         choices=('twist', 'pose'),
     )  # fmt: skip
+    odom_rotation_gain: float = parameter(
+        1.0, '', 0.05, 20.0,
+        'Factor for the turns that odometry measures. Set it for pose_cells and experience_map.',
+        'the robot turns further than the odometry measures',
+        'the robot turns less far than the odometry measures')  # fmt: skip
+    odom_turn_per_m: float = parameter(
+        0.0, 'rad/m', -1.0, 1.0,
+        'Turn that is added to every metre of odometry, counter-clockwise, as for wheels of '
+        'unequal diameter. Set it for pose_cells and experience_map.',
+        'by odometry, a straight path bends to the right',
+        'by odometry, a straight path bends to the left')  # fmt: skip
+    max_odom_gap_s: float = parameter(
+        60.0, 's; 60: off', 0.01, 60.0,
+        'Longest interval between two odometry messages over which the motion is computed, from '
+        'the later message. After a longer one the motion is unknown: the map continues in a '
+        'separate component until a known place is recognised. 60: no motion is unknown; in '
+        'longer intervals the robot counts as stationary.',
+        'odometry messages are normally further apart, or the driver sends none while the robot '
+        'stands still',
+        'odometry has gaps in which the robot moves, and they leave long false links',
+    )  # fmt: skip
     max_lateness_s: float = parameter(
         2.0, 's', 0.0, 600.0,
         'Longest time that a message waits for other streams, measured by the newest stamp '
         'received.',
         'messages are counted as late', 'the map lags too long behind a camera that has stopped',
     )  # fmt: skip
+
+    @property
+    def turn_correction(self) -> TurnCorrection:
+        """Correction of the turns that odometry measures."""
+        return TurnCorrection(self.odom_rotation_gain, self.odom_turn_per_m)

@@ -35,9 +35,10 @@ class LocalViewParameters(ImageInput, Memory):
         'pitching of the camera prevents recognition')  # fmt: skip
     vt_match_threshold: float = parameter(
         0.03, 'mean difference', 0.0, 1.0,
-        'Largest difference at which a view is recognised as a known template.',
+        'Largest difference at which a view is recognised as a known template. Automatic: about '
+        'half the difference between views of unrelated places, which is measured while driving.',
         'known places are not recognised (ratslam tune proposes a value)',
-        'different places are confused')  # fmt: skip
+        'different places are confused', automatic=True)  # fmt: skip
     vt_shift_match: int = parameter(
         5, 'template px', 0, 511,
         'Largest horizontal shift tried to either side (forward camera).',
@@ -61,9 +62,10 @@ class LocalViewParameters(ImageInput, Memory):
     )  # fmt: skip
     vt_recent_templates: int = parameter(
         0, 'templates; 0: off', 0, 100_000,
-        'Number of newest templates that are matched with vt_recent_threshold.',
+        'Number of newest templates that are matched with vt_recent_threshold. Automatic: the '
+        'newest ones back to the first that does not match the view.',
         'slow driving matches the latest templates instead of learning new ones',
-        'a loop is shorter than this many templates')  # fmt: skip
+        'a loop is shorter than this many templates', automatic=True)  # fmt: skip
     vt_recent_threshold: float = parameter(
         0.5, 'share of vt_match_threshold', 0.0, 1.0,
         'Stricter threshold for the newest templates, by which a new stretch is learned in finer '

@@ -18,6 +18,13 @@ LEAST_EXP_MAX = 20
 class PoseCellsParameters(OdometryInput):
     """The continuous attractor network that estimates the pose, and its correction by views."""
 
+    odom_calibration: bool = parameter(
+        False, '', 0, 1,
+        'Estimate systematic errors of the turns that odometry measures from closed loops, and '
+        'correct the odometry that follows; starts at odom_rotation_gain and odom_turn_per_m.',
+        'wheels or the field of view of visual odometry are not calibrated',
+        'the odometry is precise, or results must be those of OpenRatSLAM',
+    )  # fmt: skip
     pc_dim_x: int = parameter(
         21, 'cells', 1, 100_000, 'Extent along x; the cells wrap around. pc_dim_xy sets x and y.',
         'distant places are confused', 'the activity picture is too large')  # fmt: skip

@@ -7,6 +7,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from ratslam_ros.core.common.rotation_gain import TurnCorrection
 from ratslam_ros.core.pose_cells.torus import Place
 
 Action = Literal['create', 'link', 'set', 'none']
@@ -29,6 +30,7 @@ class MapAction:
         template_id: the template of the message.
         relative_rad: heading of the robot minus the heading of the target's view.
         place: the target's place in the pose cells; the peak of activity if there is no target.
+        correction: correction of the odometry with later stamps; None to leave it as it is.
     """
 
     action: Action
@@ -37,3 +39,4 @@ class MapAction:
     template_id: int
     relative_rad: float
     place: Place
+    correction: TurnCorrection | None = None

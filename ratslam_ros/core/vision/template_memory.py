@@ -254,6 +254,11 @@ class Search:
                 best = Match(template_id, int(m._offsets[place]), found_sad)
         return best
 
+    def sad(self, template_id: int) -> int:
+        """Return the smallest SAD of one template over all offsets."""
+        number, row = divmod(template_id, self._memory._per_chunk)
+        return self._refine(self._memory._chunks[number], row, row + 1, MAX_SAD)[2]
+
     def _chunks(self, count: int) -> list[tuple[int, _Chunk, int]]:
         """Return index, chunk, and number of its templates among the oldest ``count``."""
         size = self._memory._per_chunk

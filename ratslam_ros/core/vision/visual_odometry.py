@@ -70,7 +70,7 @@ class VisualOdometry:
         if last is None or last[1] != image.shape:
             return None  # Profiles of different lengths cannot be compared.
         dt_s = (stamp_ns - last[0]) * 1e-9
-        offset_px, _ = _compare(rotation, last[2])
+        offset_px = self._rotation_px(rotation, last[2])
         _, min_difference = _compare(translation, last[3])
         difference = min_difference / (255.0 * (window.y_max - window.y_min))
         rad_per_px = p.camera_fov_deg / image.shape[1] * (math.pi / 180.0)
@@ -88,12 +88,21 @@ class VisualOdometry:
         """Treat the next image as the first one; the pose is kept."""
         self._last = None
 
+    def _rotation_px(self, now: Profile, before: Profile) -> float:
+        """Return the shift between two profiles of the turn window, in pixels."""
+        if not self._p.vrot_subpixel:
+            return _compare(now, before)[0]
+        now, before = _without_mean(now), _without_mean(before)
+        return _refined(now, before, _compare(now, before)[0])
+
     def _rotation_window(self, image: NDArray[np.uint8]) -> Window:
         p = self._p
-        return window_of(
+        window = window_of(
             image, 'visual_odometry.vrot_image',
             (p.vrot_image_x_min, p.vrot_image_x_max), (p.vrot_image_y_min, p.vrot_image_y_max),
         )  # fmt: skip
+        rows = math.ceil(p.vrot_height_share * (window.y_max - window.y_min))
+        return window._replace(y_max=window.y_min + rows)
 
     def _translation_window(self, image: NDArray[np.uint8]) -> Window:
         p = self._p
@@ -152,3 +161,35 @@ def _compare(now: Profile, before: Profile) -> tuple[int, float]:
                 best_count = count
                 offset = -s if side == 0 else s
     return offset, best_total / best_count
+
+
+def _without_mean(profile: Profile) -> Profile:
+    """Return the deviations from the mean, multiplied by the length so that they are integers."""
+    return profile * len(profile) - profile.sum()
+
+
+@compiled
+def _mean_difference(now: Profile, before: Profile, offset: int) -> float:
+    """Return the mean absolute difference of two profiles at a shift in px."""
+    total = np.int64(0)
+    for k in range(max(offset, 0), now.shape[0] + min(offset, 0)):
+        total += abs(now[k] - before[k - offset])
+    return total / (now.shape[0] - abs(offset))
+
+
+@compiled
+def _refined(now: Profile, before: Profile, offset: int) -> float:
+    """Return the shift near the best integer shift, in px, to a fraction of a pixel.
+
+    The mean absolute difference grows linearly to both sides of its minimum. Two lines of opposite
+    slopes through the best shift and its neighbours intersect at the refined shift.
+    """
+    if abs(offset) + 1 >= now.shape[0]:
+        return float(offset)
+    here = _mean_difference(now, before, offset)
+    left = _mean_difference(now, before, offset - 1)
+    right = _mean_difference(now, before, offset + 1)
+    slope = max(left, right) - here
+    if slope <= 0.0:  # without texture all shifts are equal
+        return float(offset)
+    return offset + min(max(0.5 * (left - right) / slope, -0.5), 0.5)

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.config import LocalViewParameters
 from ratslam_ros.core.vision import template_memory
-from ratslam_ros.core.vision.local_view import LocalView, make_view
+from ratslam_ros.core.vision.intensity import make_view
+from ratslam_ros.core.vision.local_view import LocalView
 from ratslam_ros.core.vision.sad import PIECE_BYTES, pieces_of, sad_by
 from ratslam_ros.core.vision.template_memory import Match, TemplateMemory
 from ratslam_ros.recordings import ImageEvent, open_recording

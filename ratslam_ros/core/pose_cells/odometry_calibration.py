@@ -1,0 +1,119 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Calibration of the turns that odometry measures, while the robot drives.
+
+Each return to an experience closes a loop. The systematic errors of the odometry are estimated
+from the last loops (core/common/rotation_gain.py). Experiences are recognised by several views
+that agree, so that few of these loops are false.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import NamedTuple
+
+import numpy as np
+
+from ratslam_ros.core.common.odometry import Motion
+from ratslam_ros.core.common.rotation_gain import TurnCorrection, estimate_correction
+from ratslam_ros.core.common.state import State
+
+MAX_LOOPS_COUNT = 128
+"""Number of loops, the latest ones, that are kept for the estimate."""
+
+LOOPS_PER_ESTIMATE = 8
+"""Number of new loops after which the estimate is renewed."""
+
+NEWEST_VISITS_COUNT = 10
+"""A return to one of the experiences visited last is no loop: the robot is still near them."""
+
+
+class _Visit(NamedTuple):
+    """The last visit of an experience.
+
+    ``turn_rad`` and ``length_m``: sums of all motions before it, as measured. ``relative_rad``:
+    heading of the robot minus heading of the view. ``number``: visits before it.
+    """
+
+    turn_rad: float
+    length_m: float
+    relative_rad: float
+    number: int
+
+
+class OdometryCalibration:
+    """Closed loops of the robot's path, and the correction of turns that they result in."""
+
+    def __init__(self, correction: TurnCorrection) -> None:
+        """Start without loops, at the configured correction."""
+        self._configured = correction
+        self.correction = correction
+        """Correction for the odometry after the last view."""
+        self.loops = 0
+        """Number of loops that the correction explains, 0 before the first estimate."""
+        self._turn_rad = self._length_m = 0.0
+        self._visits: dict[int, _Visit] = {}
+        self._visit_count = self._loop_count = 0
+        self._closed: deque[tuple[float, float, float]] = deque(maxlen=MAX_LOOPS_COUNT)
+
+    def integrate(self, motion: Motion) -> None:
+        """Add a motion, whose turn was corrected by ``correction``."""
+        self._turn_rad += self.correction.measured(motion.turn_rad, motion.distance_m)
+        self._length_m += motion.distance_m
+
+    def separate(self) -> None:
+        """Forget all visits: after an unknown motion, a return closes no loop."""
+        self._visits.clear()
+
+    def visit(self, experience_id: int, relative_rad: float, created: bool) -> None:
+        """Record that an experience became current, and renew the estimate if it is due."""
+        number = self._visit_count
+        self._visit_count += 1
+        last = self._visits.get(experience_id)
+        here = _Visit(self._turn_rad, self._length_m, relative_rad, number)
+        self._visits[experience_id] = here
+        if created or last is None or number - last.number <= NEWEST_VISITS_COUNT:
+            return
+        self._closed.append((
+            here.turn_rad - last.turn_rad, here.length_m - last.length_m,
+            relative_rad - last.relative_rad,
+        ))  # fmt: skip
+        self._loop_count += 1
+        if self._loop_count % LOOPS_PER_ESTIMATE == 0:
+            self._estimate()
+
+    def _estimate(self) -> None:
+        turns, lengths, differences = np.array(self._closed).T.copy()
+        estimate = estimate_correction(turns, lengths, differences, self._configured.gain)
+        if estimate is not None:
+            self.correction = estimate.correction
+            self.loops = estimate.loops
+
+    def summary(self) -> dict[str, float]:
+        """Return the correction and the number of loops, for summary.json and diagnostics."""
+        return {
+            'rotation_gain': round(self.correction.gain, 4),
+            'turn_per_m_rad': round(self.correction.per_m_rad, 5),
+            'calibration_loops': self.loops,
+        }
+
+    def state(self) -> State:
+        """Return the correction and everything that it is estimated from, for ``restore``."""
+        return {
+            'correction': list(self.correction),
+            'loops': self.loops,
+            'travelled': [self._turn_rad, self._length_m],
+            'visits': [[i, *visit] for i, visit in self._visits.items()],
+            'counts': [self._visit_count, self._loop_count],
+            'closed': [list(loop) for loop in self._closed],
+        }
+
+    def restore(self, state: State) -> None:
+        """Replace everything by what ``state`` returned."""
+        self.correction = TurnCorrection(*state['correction'])
+        self.loops = state['loops']
+        self._turn_rad, self._length_m = state['travelled']
+        self._visits = {i: _Visit(*visit) for i, *visit in state['visits']}
+        self._visit_count, self._loop_count = state['counts']
+        self._closed.clear()
+        self._closed.extend(tuple(loop) for loop in state['closed'])
