@@ -174,12 +174,13 @@ def _inspected(
 
 def _tune(options: argparse.Namespace) -> int:
     from ratslam_ros.files.config import load_config, parse_setting, presets, to_yaml
+    from ratslam_ros.offline.inspection import inspect
     from ratslam_ros.offline.trials import Span
     from ratslam_ros.offline.tuning import plot_proposal, propose
     from ratslam_ros.recordings import open_recording
 
     fixed = dict(parse_setting(text) for text in options.settings)
-    default = load_config('auto')[0].with_values(fixed)
+    default = load_config(None)[0].with_values(fixed)
     others = {'--config': config_of(options)} if options.config else {}
     for name in presets():
         with contextlib.suppress(UnusableParameter):  # A preset may contradict a setting.
@@ -194,10 +195,13 @@ def _tune(options: argparse.Namespace) -> int:
                 '(ratslam study varies parameters of recordings with templates)'
             )
         compile_kernels()
-        proposal = propose(
-            recording, selection, default, others, Span(options.start, options.duration),
-            print_notice,
+        span = Span(options.start, options.duration)
+        inspection = inspect(
+            recording, selection, default, list(fixed), span.start_s, span.duration_s
         )
+        for line in inspection.lines:
+            print_notice(line)
+        proposal = propose(recording, selection, inspection.config, others, span, print_notice)
         folder = make_folder(results_folder(options, f'{recording.name}-tune'))
         path = plot_proposal(proposal, folder / 'tune.png')
         files = {'tuned.yaml': proposal.config}

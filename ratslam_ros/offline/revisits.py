@@ -296,10 +296,12 @@ def _rank_of_sequences(errors: Errors, lag: int, gap: int) -> Errors:
             first, last = max(0, -centre), min(frame - gap + 1, intervals - centre)
             if intervals < 2 * width or last <= first:
                 continue
-            rank = np.empty(intervals, np.float32)
-            order = np.argsort(least[frame + ahead, :intervals], kind='stable')
-            rank[order] = np.arange(intervals) / intervals
-            total[frame, first:last] += rank[first + centre:last + centre]
+            row = least[frame + ahead, :intervals]
+            ordered = np.sort(row)
+            own = row[first + centre:last + centre]
+            # Equal errors share the mean of their ranks.
+            smaller = np.searchsorted(ordered, own) + np.searchsorted(ordered, own, side='right')
+            total[frame, first:last] += smaller / (2.0 * intervals)
             count[frame, first:last] += 1
     total[count < MIN_NEIGHBOUR_COUNT] = np.nan
     return np.divide(total, np.maximum(count, 1), dtype=np.float32)

@@ -22,13 +22,13 @@ from ratslam_ros.core.vision.local_view import LocalView
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.offline.revisits import Errors, Evidence
 
-SIZES = {
+SIZES: dict[str, tuple[tuple[int, int], ...]] = {
     'intensity': ((12, 8), (20, 12), (28, 28), (32, 16), (48, 24), (60, 10), (60, 20), (80, 20)),
     'gradients': ((8, 6), (12, 9), (16, 8), (16, 12), (24, 12)),
 }
 """Template sizes to try with each descriptor, in pixels or cells."""
 
-PATCHES = {'intensity': (0, 2, 4, 7)}
+PATCHES: dict[str, tuple[int, ...]] = {'intensity': (0, 2, 4, 7)}
 """Radii of the patch normalisation to try, for descriptors that have it."""
 
 SHIFT_SHARES = ((0.0, 0.0), (0.05, 0.05), (0.1, 0.0), (0.1, 0.08))
