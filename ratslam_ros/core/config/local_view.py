@@ -27,11 +27,20 @@ class LocalViewParameters(ImageInput, Memory):
     image_crop_y_max: int = parameter(
         WHOLE, CROP_MAX, WHOLE, 65535, 'Lower edge (exclusive) of the crop.',
         'landmarks are cut off', 'the robot itself or plain floor is seen below')  # fmt: skip
+    vt_descriptor: str = parameter(
+        'intensity', '', 0, 0,
+        'Descriptor that images are reduced to: intensity (grey values, as in OpenRatSLAM), '
+        'gradients (gradient orientations in cells), the name of an installed descriptor, or the '
+        'path of a model (.onnx).',
+        'set to gradients if the light or the season changes, or as a first choice',
+        'set to intensity to use a configuration of OpenRatSLAM')  # fmt: skip
     template_x_size: int = parameter(
-        60, 'px', 1, 1024, 'Width of a template.', 'different places look alike',
+        60, 'px, or cells of gradients', 1, 1024, 'Width of a template.',
+        'different places look alike',
         'small deviations from the path prevent recognition')  # fmt: skip
     template_y_size: int = parameter(
-        10, 'px', 1, 1024, 'Height of a template.', 'different places look alike',
+        10, 'px, or cells of gradients', 1, 1024, 'Height of a template.',
+        'different places look alike',
         'pitching of the camera prevents recognition')  # fmt: skip
     vt_match_threshold: float = parameter(
         0.03, 'mean difference', 0.0, 1.0,
@@ -84,6 +93,12 @@ class LocalViewParameters(ImageInput, Memory):
         0.0, 'of brightness 0 to 1', 0.0, 1.0,
         'Patches with a standard deviation below this count as uniform and become 0.5.',
         'noise in plain areas is amplified', 'faint texture should count')  # fmt: skip
+    vt_min_structure: float = parameter(
+        0.0, 'of brightness 0 to 1; 0: off', 0.0, 1.0,
+        'Images with less structure (root mean square of the brightness gradient per pixel, at a '
+        'size of 48 x 36 px) are neither recognised nor learned. Sensor noise has up to 0.023.',
+        'blank walls or dark images are confused',
+        'faint scenes should be recognised')  # fmt: skip
     vt_panoramic: bool = parameter(
         False, '', 0, 1, 'The camera sees 360 degrees: views are compared at every rotation.',
         'the camera is panoramic', 'the camera looks forward')  # fmt: skip

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.common.compiled import compiled
 from ratslam_ros.core.config import LocalViewParameters
-from ratslam_ros.core.vision.image_window import Window, contiguous, window_of
+from ratslam_ros.core.vision.encoder import Image, Layout, View
+from ratslam_ros.core.vision.image_window import Window, block_means, contiguous, cropped
 
-Image = NDArray[np.uint8]
 Values = NDArray[np.float64]
 
 
@@ -25,12 +25,15 @@ class Intensity:
 
     def __init__(self, parameters: LocalViewParameters) -> None:
         p = self._p = parameters
-        self.rows, self.columns = p.template_y_size, p.template_x_size
-        self.signed = p.vt_patch_normalise > 0
-        # Grey values differ less in scenes of low contrast; too low a value only costs templates.
-        self.typical = 0.18 if self.signed else 0.05
+        self.layout = Layout(
+            p.template_x_size, p.template_y_size, shift_x=p.vt_shift_match,
+            shift_y=p.vt_shift_match_y, step=p.vt_step_match, panoramic=p.vt_panoramic,
+            signed=p.vt_patch_normalise > 0,
+            # Grey values differ little in scenes of low contrast; a low value only costs templates.
+            typical=0.18 if p.vt_patch_normalise > 0 else 0.05,
+        )  # fmt: skip
 
-    def encode(self, image: Image) -> Image | None:
+    def encode(self, image: Image) -> View | None:
         """Return the view of an image; see ``make_view``."""
         return make_view(image, self._p)
 
@@ -63,13 +66,7 @@ def crop_window(image: Image, p: LocalViewParameters) -> Window:
     Raises:
         UnusableParameter: the crop exceeds the image or is smaller than the template.
     """
-    return window_of(
-        image,
-        'local_view.image_crop',
-        (p.image_crop_x_min, p.image_crop_x_max),
-        (p.image_crop_y_min, p.image_crop_y_max),
-        (p.template_x_size, p.template_y_size),
-    )
+    return cropped(image, p, (p.template_x_size, p.template_y_size))
 
 
 @compiled
@@ -78,26 +75,9 @@ def _make_view(
     normalise_to: float, patch_radius: int, min_std: float, view: Image,
 ) -> None:  # fmt: skip
     """Fill ``view`` (h, w) from a window of an image; sums are exact or in a fixed order."""
-    height, width = y_max - y_min, x_max - x_min
     rows, columns = view.shape
     value = np.empty((rows, columns), np.float64)
-    sums = np.empty(width, np.int64)
-    for row in range(rows):
-        top = row * height // rows
-        bottom = (row + 1) * height // rows
-        for x in range(width):
-            sums[x] = 0
-        for y in range(top, bottom):
-            for x in range(width):
-                sums[x] += image[y_min + y, x_min + x]
-        for column in range(columns):
-            left = column * width // columns
-            right = (column + 1) * width // columns
-            total = 0
-            for x in range(left, right):
-                total += sums[x]
-            value[row, column] = total / ((bottom - top) * (right - left) * 255.0)
-
+    block_means(image, x_min, x_max, y_min, y_max, value)
     if normalise_to > 0.0:
         total_value = 0.0
         for row in range(rows):

@@ -17,9 +17,11 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import AUTOMATIC, LocalViewParameters
+from ratslam_ros.core.vision.built_in import INTENSITY, built_in_encoder
 from ratslam_ros.core.vision.encoder import Encoder, Image, View
-from ratslam_ros.core.vision.intensity import Intensity
+from ratslam_ros.core.vision.image_window import cropped
 from ratslam_ros.core.vision.match_threshold import MatchThreshold
+from ratslam_ros.core.vision.structure import structure
 from ratslam_ros.core.vision.template_memory import Match, Search, TemplateMemory
 from ratslam_ros.errors import UnusableInput
 
@@ -69,28 +71,31 @@ class LocalView:
 
         Args:
             parameters: all parameters of the local view.
-            encoder: reduces images to views; None: the one that ``vt_descriptor`` names.
+            encoder: reduces images to views; None: the built-in one that ``vt_descriptor`` names.
+
+        Raises:
+            UnusableParameter: ``vt_descriptor`` is not built in.
         """
         p = self._p = parameters
         self.mapping = True
         """Whether unknown views are learned; otherwise they are reported as template -1."""
-        self._encoder = encoder if encoder is not None else Intensity(p)
-        self._memory = TemplateMemory(
-            self._encoder.columns, self._encoder.rows, p.vt_shift_match, p.vt_shift_match_y,
-            p.vt_step_match, panoramic=p.vt_panoramic, signed=self._encoder.signed,
-        )  # fmt: skip
-        self._threshold = MatchThreshold(p, self._memory.full_sum, self._encoder.typical)
+        self.low_texture = 0
+        """Number of images with too little structure, neither recognised nor learned."""
+        self._encoder = built_in_encoder(p) if encoder is None else encoder
+        self._layout = self._encoder.layout
+        self._memory = TemplateMemory(self._layout)
+        self._threshold = MatchThreshold(p, self._memory.full_sum, self._layout.typical)
 
     def __len__(self) -> int:
         return len(self._memory)
 
     @property
     def templates(self) -> NDArray[np.uint8]:
-        """Copy of all templates: (n, rows, columns) uint8."""
+        """Copy of all templates: (n, height, width) uint8."""
         return self._memory.views()
 
     def template(self, template_id: int) -> View:
-        """Return a copy of one template: (rows, columns) uint8."""
+        """Return a copy of one template: (height, width) uint8."""
         return self._memory.view(template_id)
 
     def encode(self, image: Image) -> View | None:
@@ -99,6 +104,9 @@ class LocalView:
         Raises:
             UnusableParameter: the crop or template size does not fit the image.
         """
+        least = self._p.vt_min_structure
+        if least > 0.0 and structure(image, cropped(image, self._p)) < least:
+            return None
         return self._encoder.encode(image)
 
     def match(self, image: Image) -> ViewMatch:
@@ -110,8 +118,9 @@ class LocalView:
         Raises:
             UnusableParameter: the crop or template size does not fit the image.
         """
-        view = self._encoder.encode(image)
+        view = self.encode(image)
         if view is None:
+            self.low_texture += 1
             return UNDECODABLE
         search = self._memory.search(view)
         first_recent = self._first_recent(search)
@@ -153,12 +162,14 @@ class LocalView:
         return search.best(first_recent, limit), best.sad
 
     def learn(self, view: View) -> int:
-        """Add a view, (rows, columns) uint8, as a template; return its id."""
+        """Add a view, (height, width) uint8, as a template; return its id."""
         return self._memory.append(view)
 
     def state(self) -> State:
         """Return everything learned, for ``restore``."""
         state: State = {'templates': self.templates}
+        if self._p.vt_descriptor != INTENSITY:
+            state['descriptor'] = self._p.vt_descriptor
         if self._threshold.is_automatic:
             state['threshold'] = self._threshold.state()
         return state
@@ -167,10 +178,17 @@ class LocalView:
         """Load a state returned by ``state`` into this memory, which must be empty.
 
         Raises:
-            UnusableInput: the templates have another size or type.
+            UnusableInput: the templates have another size or type, or are of another descriptor.
         """
+        descriptor = state.get('descriptor', INTENSITY)
+        if descriptor != self._p.vt_descriptor:
+            raise UnusableInput(
+                f'the templates are of the descriptor {descriptor}; expected '
+                f'{self._p.vt_descriptor}: vt_descriptor must equal that of the run that saved '
+                'them'
+            )
         templates = state['templates']
-        size = self._encoder.rows, self._encoder.columns
+        size = self._layout.height, self._layout.width
         if templates.dtype != np.uint8 or templates.shape[1:] != size:
             raise UnusableInput(
                 f'the templates are {templates.shape[1:]} of {templates.dtype}; expected '
@@ -190,8 +208,8 @@ class LocalView:
         return self._memory.search(view).best()
 
     def _relative_rad(self, offset: int) -> float:
-        p = self._p
-        if p.vt_panoramic:
-            return wrap(-2.0 * math.pi * offset / p.template_x_size)
+        layout = self._layout
+        if layout.panoramic:
+            return wrap(-2.0 * math.pi * offset / layout.width)
         # After a turn to the left, the content of the template appears further right in the view.
-        return math.radians(p.vt_shift_fov_deg) * (p.vt_shift_match - offset) / p.template_x_size
+        return math.radians(self._p.vt_shift_fov_deg) * (layout.shift_x - offset) / layout.width

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.compiled import compiled
+from ratslam_ros.core.vision.encoder import Layout
 from ratslam_ros.core.vision.sad import PIECE_BYTES, pieces_of, sad
 
 Bytes = NDArray[np.uint8]
@@ -83,22 +84,18 @@ class TemplateMemory:
     separately for every vertical offset.
     """
 
-    def __init__(
-        self, width: int, height: int, shift_x: int, shift_y: int, step: int, *,
-        panoramic: bool, signed: bool,
-    ) -> None:  # fmt: skip
-        """Create an empty memory.
+    def __init__(self, layout: Layout) -> None:
+        """Create an empty memory for views of a layout.
 
-        Args:
-            width, height: size of a view, in pixels.
-            shift_x, shift_y: largest shift of a view to either side, and up and down, in pixels.
-            step: step between horizontal shifts, in pixels.
-            panoramic: try all rotations of the view instead of shifts up to ``shift_x``.
-            signed: blocks hold differences between rows instead of sums, which give tighter bounds
-                for views with normalised local brightness.
+        If the layout is signed, blocks hold differences between rows instead of sums, which give
+        tighter bounds.
         """
-        self._width, self._height = width, height
-        self._rows = rows = height - 2 * shift_y
+        width, height, planes = layout.width, layout.height, layout.planes
+        shift_x, shift_y = layout.shift_x, layout.shift_y
+        panoramic = layout.panoramic
+        self._width, self._height, self._planes = width, height, planes
+        plane_rows = height // planes - 2 * shift_y
+        self._rows = rows = planes * plane_rows
         self._vertical_count = 2 * shift_y + 1
         self._top, self._left = shift_y, 0 if panoramic else shift_x
         self._columns = columns = width - 2 * self._left
@@ -106,10 +103,14 @@ class TemplateMemory:
         self.full_sum = 255 * columns * rows
         """Largest possible SAD: that between a black and a white view."""
 
-        groups = -(-rows // BLOCK_ROWS)
-        self._edges = np.array([g * rows // groups for g in range(groups + 1)])
+        in_plane = -(-plane_rows // BLOCK_ROWS)
+        groups = planes * in_plane
+        self._edges = np.array(
+            [g // in_plane * plane_rows + g % in_plane * plane_rows // in_plane
+             for g in range(groups + 1)]
+        )  # fmt: skip
         negative = (np.arange(rows) + 1) // 2 % 2 == 1  # + - - + + - - +
-        self._signs = np.where(signed & negative, -1, 1)
+        self._signs = np.where(layout.signed & negative, -1, 1)
         max_rows = int(np.diff(self._edges).max())
         self._divisor = BLOCK_COLUMNS * max_rows
         pairs = columns // BLOCK_COLUMNS
@@ -118,7 +119,7 @@ class TemplateMemory:
         # views' blocks can be too large by up to this.
         self._slack = (self._divisor - 1) * self._compared
 
-        offsets = np.arange(0, width if panoramic else 2 * shift_x + 1, step)
+        offsets = np.arange(0, width if panoramic else 2 * shift_x + 1, layout.step)
         vertical = np.arange(self._vertical_count)[:, None]
         self._offsets = np.tile(offsets, self._vertical_count)
         """(places,) horizontal offset of each place; ties go to the first place."""
@@ -163,7 +164,7 @@ class TemplateMemory:
         parts = pixels.reshape(self._vertical_count, self._width, self._rows)
         out = np.empty((self._height, self._width), np.uint8)
         for dy in range(self._vertical_count):
-            out[dy : dy + self._rows] = parts[dy].T
+            self._rows_from(out, dy)[:] = parts[dy].T.reshape(self._planes, -1, self._width)
         return out
 
     def views(self) -> Bytes:
@@ -187,7 +188,7 @@ class TemplateMemory:
         chunk = self._chunks[number]
         fine, coarse = self._pixels_per_offset, self._blocks_per_offset
         for dy in range(self._vertical_count):
-            columns = np.ascontiguousarray(view[dy : dy + self._rows].T)
+            columns = self._columns_from(view, dy)
             at = row * self._fine.stride + dy * fine
             chunk.pixels[at : at + fine] = columns.reshape(-1)
             at = row * self._coarse.stride + dy * coarse
@@ -199,7 +200,7 @@ class TemplateMemory:
 
     def search(self, view: Bytes) -> Search:
         """Start a search for a view, (height, width) uint8; valid until a view is added."""
-        columns = view[self._top : self._top + self._rows].T
+        columns = self._columns_from(view, self._top)
         if self._panoramic:  # Two periods, so that every rotation is contiguous.
             columns = np.concatenate([columns, columns])
         else:
@@ -211,6 +212,15 @@ class TemplateMemory:
         blocks = _aligned(2 * (len(columns) // BLOCK_COLUMNS) * groups)
         _blocks(columns, self._edges, self._signs, self._divisor, blocks)
         return Search(self, pixels, blocks)
+
+    def _rows_from(self, view: Bytes, top: int) -> Bytes:
+        """Return the compared rows of all planes from row ``top`` on: (planes, rows, width)."""
+        planes = view.reshape(self._planes, -1, self._width)
+        return planes[:, top : top + self._rows // self._planes]
+
+    def _columns_from(self, view: Bytes, top: int) -> Bytes:
+        """Return the columns of these rows, contiguous: (width, rows of all planes)."""
+        return np.ascontiguousarray(self._rows_from(view, top).reshape(self._rows, -1).T)
 
 
 class Search:

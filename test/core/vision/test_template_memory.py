@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.config import LocalViewParameters
 from ratslam_ros.core.vision import template_memory
+from ratslam_ros.core.vision.encoder import Layout
 from ratslam_ros.core.vision.intensity import make_view
 from ratslam_ros.core.vision.local_view import LocalView
 from ratslam_ros.core.vision.sad import PIECE_BYTES, pieces_of, sad_by
@@ -37,10 +38,10 @@ class Shape:
     signed: bool = False
 
     def memory(self, views: Views) -> TemplateMemory:
-        memory = TemplateMemory(
-            self.width, self.height, self.shift_x, self.shift_y, self.step,
-            panoramic=self.panoramic, signed=self.signed,
-        )  # fmt: skip
+        memory = TemplateMemory(Layout(
+            self.width, self.height, 1, self.shift_x, self.shift_y, self.step, self.panoramic,
+            self.signed,
+        ))  # fmt: skip
         for view in views:
             memory.append(view)
         return memory
