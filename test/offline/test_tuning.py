@@ -12,7 +12,7 @@ from loops import BLIND, FINE, frames, laps, write_loops
 from ratslam_ros.cli.main import main
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.files.config import load_config, parse_setting
-from ratslam_ros.offline import tuning
+from ratslam_ros.offline import tuning, view_search
 from ratslam_ros.offline.map_score import MapScore
 from ratslam_ros.offline.revisits import FrameScaler, measure
 from ratslam_ros.offline.tuning import Candidate, is_better, plot_proposal, propose, ranked
@@ -37,7 +37,10 @@ def proposed(bag, default, others, monkeypatch, **changes):
         return propose(recording, recording.select(), default, others)
 
 
-def test_blind_default_is_replaced_by_a_map_with_closures(bag):
+def test_blind_default_is_replaced_by_a_map_with_closures(bag, monkeypatch):
+    monkeypatch.setattr(view_search, 'SIZES',
+                        {'intensity': ((20, 12),), 'gradients': ((8, 6), (12, 9))})
+    monkeypatch.setattr(view_search, 'PATCHES', {'intensity': (0,)})
     lines = []
     with open_recording(bag) as recording:
         proposal = propose(recording, recording.select(), BLIND, {}, report=lines.append)
