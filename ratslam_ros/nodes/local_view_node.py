@@ -15,6 +15,7 @@ from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.id_map import MIN_MEMORY_NS, NO_MEMORY_NS
 from ratslam_ros.core.vision.local_view import FIXED_THRESHOLD, UNDECODABLE, LocalView, ViewMatch
+from ratslam_ros.descriptors import encoder_of
 from ratslam_ros.messages.mapping import encode_template
 from ratslam_ros.nodes.convert import grey_image
 from ratslam_ros.nodes.image_node import ImageNode
@@ -35,11 +36,16 @@ class LocalViewNode(ImageNode):
         super().__init__(initial)
         self._publisher = self.create_publisher(String, 'local_view/template', RESULT)
         self._matched = self.create_publisher(Image, 'local_view/matched', VIEW)
+        try:
+            self._encoder = encoder_of(self._section)
+        except BaseException:
+            self.destroy_node()  # the caller gets no node that it could destroy
+            raise
         self._reset_state()
         self._subscribe_to_images()
 
     def _reset_state(self) -> None:
-        self._core = LocalView(self._section)
+        self._core = LocalView(self._section, self._encoder)
         self._core.mapping = self._mapping
         self._memory_ns = NO_MEMORY_NS
         self._last = UNDECODABLE
@@ -51,7 +57,7 @@ class LocalViewNode(ImageNode):
         return {'memory_ns': self._memory_ns, 'core': self._core.state()}
 
     def _restore(self, state: State) -> None:
-        core = LocalView(self._section)
+        core = LocalView(self._section, self._encoder)
         core.restore(state['core'])
         self._memory_ns = int(state['memory_ns'])
         self._core = core
@@ -95,6 +101,7 @@ class LocalViewNode(ImageNode):
         return {
             **super()._diagnostic_values(),
             'templates': len(self._core),
+            'low_texture': self._core.low_texture,
             'template': self._last.template_id,
             'match_error': round(self._last.error, 4),
             **(

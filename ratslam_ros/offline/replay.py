@@ -19,7 +19,9 @@ from ratslam_ros.core.common.odometry import MAX_GAP_NS
 from ratslam_ros.core.common.scan import UnusableScan
 from ratslam_ros.core.config import AUTOMATIC, Config
 from ratslam_ros.core.ratslam import RatSLAM, Step
+from ratslam_ros.core.vision.local_view import LocalView
 from ratslam_ros.core.vision.visual_odometry import field_of_view_deg
+from ratslam_ros.descriptors import encoder_of
 from ratslam_ros.event_inputs import odometry_from_event, scan_from_event
 from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.messages.mapping import decode_template
@@ -141,10 +143,13 @@ class _Run:
         visual_odometry = selection.odom_topic is None and selection.image_topic is not None
         if visual_odometry:
             config = calibrated(config, recording, selection)
+        p = config.local_view
+        self._local_view = LocalView(p, encoder_of(p))
         self.slam = RatSLAM(
             config,
             visual_odometry=visual_odometry,
             stopwatch=self.times,
+            local_view=self._local_view,
         )
         self.results: Results | None = None
         """Opened at the first result, so that errors before it leave no files behind."""
@@ -212,7 +217,11 @@ class _Run:
             'links': self.slam.experience_map.link_count,
             'loop_closures': results.loop_closures,
             **self._gap_counts(results),
-            'dropped': results.without_view + self._unusable.total() + self._recording.skipped,
+            'dropped': (
+                results.without_view - self._local_view.low_texture + self._unusable.total()
+                + self._recording.skipped
+            ),
+            'low_texture': self._local_view.low_texture,
             'late': counts.late,
             'refused': counts.refused,
             'duration_s': round(self.span.duration_s, 3),

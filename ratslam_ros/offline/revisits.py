@@ -41,9 +41,13 @@ NEUTRAL = LocalViewParameters(
 )
 """Reduction of the images for the evidence: small and illumination-invariant."""
 
-NEUTRAL_SHIFTS_PX = (0, 2)
-"""The errors without shifts distinguish places by the heading of the robot; those with shifts
-tolerate other lanes. Their sum is used, as either is misleading for some robots."""
+NEUTRAL_SHIFTS_PX = (0, 2, 4)
+"""Largest horizontal shifts of the comparison. Without shifts, places are distinguished by the
+heading of the robot as well; with shifts, a place is recognised from other lanes."""
+
+FEWER_SHIFTS_RATIO = 0.95
+"""The smallest shift is used that finds at least this share of the revisits that any of them
+finds."""
 
 MAX_FRAME_COUNT = 2000
 SMALL_WIDTH_PX, SMALL_HEIGHT_PX = 160, 60
@@ -235,8 +239,19 @@ def measure(images: NDArray[np.uint8], stamp_ns: Ints) -> Evidence:
     Raises:
         UnusableInput: the recording is too short for revisits.
     """
-    errors = _neutral_errors(images)
-    n = len(images)
+    views = np.stack([make_view(image, NEUTRAL) for image in images])
+    found = [
+        _evidence(compare_all(views, replace(NEUTRAL, vt_shift_match=shift_px)), stamp_ns)
+        for shift_px in NEUTRAL_SHIFTS_PX
+    ]
+    counts = [int(evidence.is_supported.sum()) for evidence in found]
+    return next(evidence for evidence, count in zip(found, counts, strict=True)
+                if count >= FEWER_SHIFTS_RATIO * max(counts))
+
+
+def _evidence(errors: Errors, stamp_ns: Ints) -> Evidence:
+    """Compute the support of the matches from the (n, n) errors, which are overwritten."""
+    n = len(errors)
     period_s = max(float(stamp_ns[-1] - stamp_ns[0]) / NS_PER_S / max(n - 1, 1), 1e-9)
     median_error = np.median(errors[np.tril_indices(n, -1)])
     lag = next((k for k in range(1, n // 8)
@@ -254,17 +269,6 @@ def measure(images: NDArray[np.uint8], stamp_ns: Ints) -> Evidence:
     same_place = (np.clip((UNSUPPORTED_RANK - rank) / slope, 0.0, 1.0)
                   * np.clip(FAR - _frames_to_best(errors, 2 * lag) / lag, 0.0, 1.0) / (FAR - NEAR))
     return Evidence(stamp_ns, match, rank[row, match], same_place.astype(np.float32), lag, gap)
-
-
-def _neutral_errors(images: NDArray[np.uint8]) -> Errors:
-    """Return the (n, n) mean of the match errors, each relative to its median."""
-    views = np.stack([make_view(image, NEUTRAL) for image in images])
-    pairs = np.tril_indices(len(views), -1)
-    total = np.zeros((len(views), len(views)), np.float32)
-    for shift_px in NEUTRAL_SHIFTS_PX:
-        errors = compare_all(views, replace(NEUTRAL, vt_shift_match=shift_px))
-        total += errors / max(np.float32(np.median(errors[pairs])), np.float32(1e-6))
-    return total / np.float32(len(NEUTRAL_SHIFTS_PX))
 
 
 def _rank_of_sequences(errors: Errors, lag: int, gap: int) -> Errors:

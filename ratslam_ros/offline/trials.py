@@ -20,6 +20,8 @@ from ratslam_ros.core.common.scan import UnusableScan
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
 from ratslam_ros.core.ratslam import OdometryStep, RatSLAM, Step
+from ratslam_ros.core.vision.local_view import LocalView
+from ratslam_ros.descriptors import encoder_of
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.event_inputs import odometry_from_event, scan_from_event
 from ratslam_ros.messages.json_schema import MalformedMessage
@@ -132,7 +134,9 @@ class _Run:
         used = config.with_values({'pose_cells.exp_max': 0, 'goal_memory.goal_memory': False})
         if visual_odometry:
             used = calibrated(used, recording, selection)
-        self._slam = RatSLAM(used, visual_odometry=visual_odometry)
+        p = used.local_view
+        self._slam = RatSLAM(used, visual_odometry=visual_odometry,
+                             local_view=LocalView(p, encoder_of(p)))
         self._view_ns, self._template_id = array('q'), array('q')
         self._stamp_ns, self._experience_id = array('q'), array('q')
         self._offset, self._dead_reckoning = array('d'), array('d')

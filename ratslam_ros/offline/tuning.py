@@ -17,7 +17,13 @@ from pathlib import Path
 
 import numpy as np
 
-from ratslam_ros.core.config import SECTIONS, Config, LocalViewParameters, Value
+from ratslam_ros.core.config import (
+    SECTIONS,
+    Config,
+    LocalViewParameters,
+    Value,
+    VisualOdometryParameters,
+)
 from ratslam_ros.core.config.parameter import AUTOMATIC
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.messages.json_schema import NS_PER_S
@@ -63,6 +69,10 @@ be lower than those of the default by more than this."""
 VIEWS_PER_DESCRIPTOR = 2
 SHOWN_COUNT = 8
 FIELDS_OF_VIEW_DEG = (60.0, 90.0, 120.0, 150.0)
+"""Tried if the field of view is neither recorded nor observable from closed loops."""
+
+MOTION_PARAMETERS = {'odom_source', 'odom_rotation_gain', 'odom_turn_per_m', 'max_odom_gap_s'}
+"""Parameters of the odometry, which the inspection of the recording may have set."""
 
 
 @dataclass(frozen=True)
@@ -420,12 +430,13 @@ def _changes(search: _Search) -> Iterator[tuple[str, dict[str, Value]]]:
     for delta in (0.7, 2.0):
         if cells.exp_delta_pc_threshold not in (delta, AUTOMATIC):
             yield f'delta {delta:g}', {'pose_cells.exp_delta_pc_threshold': delta}
-    default = search.default.visual_odometry
-    if search.visual_odometry and config.visual_odometry != default:
-        motion = {f'visual_odometry.{name}': getattr(default, name)
-                  for name, _, _ in default.parameters()}
-        yield 'motion of the default', motion
-    if search.visual_odometry and not search.calibrated:
+    default = search.default.values()
+    motion = {f'{section}.{name}': value for section, values in default.items()
+              for name, value in values.items()
+              if section == 'visual_odometry' or name in MOTION_PARAMETERS}
+    yield 'motion of the default', motion
+    guessed = config.visual_odometry.camera_fov_deg == VisualOdometryParameters.camera_fov_deg
+    if search.visual_odometry and guessed and not search.calibrated:
         for fov_deg in FIELDS_OF_VIEW_DEG:
             yield f'field of view {fov_deg:g}', {'visual_odometry.camera_fov_deg': fov_deg}
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from ratslam_ros.core.config import LocalViewParameters
 from ratslam_ros.core.vision.intensity import crop_window
 from ratslam_ros.core.vision.local_view import LocalView
+from ratslam_ros.descriptors import encoder_of
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.offline.revisits import Errors, Evidence
 
@@ -134,7 +135,8 @@ class ViewSearch:
 
     def _matches(self, p: LocalViewParameters) -> tuple[Errors, Errors]:
         """Return error and correctness of the best match of each frame, NaN if there is none."""
-        memory = LocalView(replace(p, vt_match_threshold=1.0, vt_recent_templates=0))
+        memory = LocalView(replace(p, vt_match_threshold=1.0, vt_recent_templates=0),
+                           encoder_of(p))
         memory.mapping = False
         same = np.full(len(self._few), np.nan, np.float32)
         errors = np.full(len(self._few), np.nan, np.float32)

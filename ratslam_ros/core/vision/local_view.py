@@ -212,4 +212,4 @@ class LocalView:
         if layout.panoramic:
             return wrap(-2.0 * math.pi * offset / layout.width)
         # After a turn to the left, the content of the template appears further right in the view.
-        return math.radians(self._p.vt_shift_fov_deg) * (layout.shift_x - offset) / layout.width
+        return math.radians(self._p.vt_shift_fov_deg) * (layout.shift_x - offset) / self._p.template_x_size
