@@ -194,6 +194,7 @@ def _tune(options: argparse.Namespace) -> int:
                 f'{recording.path} has templates but no images; expected images to tune on '
                 '(ratslam study varies parameters of recordings with templates)'
             )
+        folder = make_folder(results_folder(options, f'{recording.name}-tune'))
         compile_kernels()
         span = Span(options.start, options.duration)
         inspection = inspect(
@@ -202,7 +203,6 @@ def _tune(options: argparse.Namespace) -> int:
         for line in inspection.lines:
             print_notice(line)
         proposal = propose(recording, selection, inspection.config, others, span, print_notice)
-        folder = make_folder(results_folder(options, f'{recording.name}-tune'))
         path = plot_proposal(proposal, folder / 'tune.png')
         files = {'tuned.yaml': proposal.config}
         if proposal.runner_up is not None:

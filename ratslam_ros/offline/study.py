@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ratslam_ros.core.config import Config, Value
-from ratslam_ros.errors import UnusableInput, UnusableParameter
+from ratslam_ros.errors import RatslamError, UnusableInput, UnusableParameter
 from ratslam_ros.files.config import to_yaml
 from ratslam_ros.offline.study_plan import Judge, Range, Result, StudyPlan
 from ratslam_ros.results.plots import BLUE, GREY, VERMILLION, new_figure, save_figure
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 VALIDATED_COUNT = 3
 """Number of the best configurations that are validated, beside the initial one."""
 
-MIN_IMPORTANCE_TRIALS = 10
+MIN_IMPORTANCE_TRIALS = 20
 EXPLORING_SHARE = 0.2
 """Share of the trials that are drawn at random before the sampler uses their results."""
 
@@ -69,7 +69,7 @@ def import_optuna() -> Any:
     except ImportError:
         raise UnusableInput("studies require Optuna, which is not installed; install it with: "
                             "pip install 'ratslam_ros[study]'") from None
-    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
     return optuna
 
 
@@ -80,19 +80,22 @@ def search(plan: StudyPlan, storage: str, jobs: int, report: Callable[[str], Non
         plan: the study.
         storage: URL of a database, or path of a file.
         jobs: number of processes.
-        report: called with a line of text after each trial.
+        report: called with a line of text after each trial; a function of a module if there are
+            several jobs, as it is sent to other processes.
 
     Raises:
         UnusableInput: a recording or the storage cannot be used.
     """
     study = _open(plan, storage)
+    for recording in plan.recordings:
+        Judge(recording, plan.config).check()
     if jobs == 1:
         _work(plan, storage, 0, report)
         return
     context = multiprocessing.get_context('spawn')
     report(f'{_finished(study)} of {plan.trials} trials are finished; searching with {jobs} '
            'processes')
-    workers = [context.Process(target=_work, args=(plan, storage, number))
+    workers = [context.Process(target=_work_or_report, args=(plan, storage, number, report))
                for number in range(jobs)]
     try:
         for worker in workers:
@@ -105,11 +108,21 @@ def search(plan: StudyPlan, storage: str, jobs: int, report: Callable[[str], Non
                 worker.terminate()
                 worker.join()
     if not _finished(study):
-        raise UnusableInput('no trial was finished; run with --jobs 1 to see the reason')
+        raise UnusableInput('no trial was finished, for the reasons above')
 
 
-def _work(plan: StudyPlan, storage: str, worker: int,
-          report: Callable[[str], None] = lambda line: None) -> None:
+def _work_or_report(plan: StudyPlan, storage: str, worker: int,
+                    report: Callable[[str], None]) -> None:
+    """Run trials in a process of its own; report an error in one line."""
+    try:
+        _work(plan, storage, worker, report)
+    except RatslamError as error:
+        report(str(error))
+    except KeyboardInterrupt:
+        return
+
+
+def _work(plan: StudyPlan, storage: str, worker: int, report: Callable[[str], None]) -> None:
     """Run trials until the study has enough of them."""
     optuna = import_optuna()
     study = _open(plan, storage, worker)
@@ -313,6 +326,8 @@ def draw_history(study: Study, path: Path) -> Path:
 def draw_slices(study: Study, plan: StudyPlan, importance: dict[str, float],
                 path: Path) -> Path:
     """Draw the objective of the trials over the values of each parameter."""
+    from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
+
     trials = _ranked(study)
     columns = min(len(plan.ranges), 3)
     rows = -(-len(plan.ranges) // columns)
@@ -326,6 +341,10 @@ def draw_slices(study: Study, plan: StudyPlan, importance: dict[str, float],
         axes.plot(values[:1], [trials[0].value], linestyle='', marker='o', color=VERMILLION)
         if item.log:
             axes.set_xscale('log')
+            axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axes.xaxis.set_major_formatter(FormatStrFormatter('%g'))
+            axes.xaxis.set_minor_formatter(NullFormatter())
+        axes.set_ylabel('objective' if index % columns == 0 else '', fontsize=8)
         share = f'\nimportance {importance[item.name]:.2f}' if item.name in importance else ''
         axes.set_title(f'{item.name}{share}', fontsize=9)
         axes.tick_params(labelsize=7)

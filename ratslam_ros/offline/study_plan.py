@@ -282,6 +282,21 @@ class Judge:
         """Name for tables."""
         return self.recording.path.resolve().name
 
+    def check(self) -> None:
+        """Open the recording, select its topics, and read the truth or the laps.
+
+        Raises:
+            UnusableInput: one of them cannot be used.
+        """
+        images = self._with_recording(lambda _, selection: selection.image_topic is not None)
+        if self.recording.truth is not None:
+            self._truth  # noqa: B018 - reads the file
+        elif self.recording.lap_phase is not None:
+            self._phases  # noqa: B018
+        elif not images:
+            raise UnusableInput(f'{self.recording.path} has no images, so that its maps cannot '
+                                'be judged by them; give truth or lap_phase')
+
     def judge(self, config: Config) -> Result:
         """Build the map of a configuration and compute its objective.
 
@@ -338,9 +353,6 @@ class Judge:
     @cached_property
     def _evidence(self) -> Evidence:
         def read(recording: Recording, selection: Selection) -> Evidence:
-            if selection.image_topic is None:
-                raise UnusableInput(f'{recording.path} has no images, so that its maps cannot be '
-                                    'judged by them; give truth or lap_phase')
             scaler = FrameScaler(self._initial.local_view)
             span = self.recording.span
             frames = [(stamp_ns, scaler.shrink(image)) for stamp_ns, image in sample_frames(

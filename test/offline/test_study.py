@@ -107,6 +107,15 @@ def test_laps_of_another_recording_are_rejected(folder):
         Judge(recording, FINE).judge(FINE)
 
 
+def test_missing_recording_is_reported_before_the_search(folder, tmp_path, capfd):
+    pytest.importorskip('optuna')
+    plan_of(folder, f'recordings: [nothing]{PARAMETERS}')
+    assert main(['study', str(folder / 'plan.yaml'), '--out', str(tmp_path), '--jobs', '2']) == 2
+    error = capfd.readouterr().err
+    assert 'nothing does not exist' in error
+    assert 'Traceback' not in error
+
+
 def test_missing_optuna_is_reported_with_the_command(folder, capfd, monkeypatch):
     monkeypatch.setitem(sys.modules, 'optuna', None)
     study(folder)
