@@ -23,7 +23,7 @@ from ratslam_ros.core.common.stamp_order import Counts, Released, StampOrder
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.goal_memory.goal_memory import GoalMemory
 from ratslam_ros.core.mapping.experience_map import ExperienceMap, PrunedExperience
-from ratslam_ros.core.mapping.mapping_step import apply_action
+from ratslam_ros.core.mapping.mapping_step import adopt_correction, apply_action
 from ratslam_ros.core.mapping.scan_matching import ScanMatcher
 from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
@@ -241,8 +241,8 @@ class RatSLAM:
     def _act(self, stamp_ns: int, match: ViewMatch) -> ViewStep:
         with self._watch('pose_cells_view'):
             action = self.pose_cells.view(match, self._motion.reaches(stamp_ns))
-        self._motion.correction = action.correction or self._motion.correction
         with self._watch('experience_map'):
+            adopt_correction(self._motion, self.experience_map, action)
             update = apply_action(
                 self.experience_map, self.scan_matcher, stamp_ns, action, self.behaviour
             )

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.odometry import Motion, MotionFromOdometry, Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.common.rotation_gain import estimate_correction
+from ratslam_ros.core.common.rotation_gain import UNCORRECTED, estimate_correction
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.link_learning import has_detour
@@ -53,9 +53,11 @@ def _images() -> list[NDArray[np.uint8]]:
 
 
 def _visual_odometry(config: Config) -> None:
-    visual_odometry = VisualOdometry(config.visual_odometry)
-    for frame, image in enumerate(_images()):
-        visual_odometry.estimate(frame, image)
+    for refined in (False, True):
+        parameters = replace(config.visual_odometry, vrot_subpixel=refined)
+        visual_odometry = VisualOdometry(parameters)
+        for frame, image in enumerate(_images()):
+            visual_odometry.estimate(frame, image)
 
 
 def _local_view(config: Config) -> None:
@@ -89,6 +91,7 @@ def _experience_map(config: Config) -> ExperienceMap:
             kind: Action = 'create' if n == len(experience_map) else 'link'
             source = experience_map.current_id
             experience_map.apply(MapAction(kind, source, n, n, 0.0, Place(0.0, 0.0, 0.0)))
+    experience_map.correct_turns(UNCORRECTED, UNCORRECTED)
     experience_map.unlearn_blocked('wait', 0.0)
     experience_map.apply(MapAction('create', 0, 2, 3, 0.0, Place(0.0, 0.0, 0.0)))
     links = experience_map.link_ends, experience_map.link_durations_s

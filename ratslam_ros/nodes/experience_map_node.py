@@ -24,7 +24,7 @@ from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.late_join import LateJoin
-from ratslam_ros.core.mapping.mapping_step import apply_action
+from ratslam_ros.core.mapping.mapping_step import adopt_correction, apply_action
 from ratslam_ros.core.mapping.scan_matching import ScanMatcher
 from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
@@ -190,10 +190,10 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
                     self._report_gap(motion.dt_s)
             return
         self._unlearn_blocked(stamp_ns)
-        self._motion.correction = item.action.correction or self._motion.correction
         late_join, behaviour = self._late_join, self._behaviours.at(stamp_ns)
         missed, restarts = late_join.missed, late_join.restarts
         with self._diagnostics.times('experience_map'):
+            adopt_correction(self._motion, self._core, item.action)
             action = late_join.translate(item.action, item.sequence, item.memory_ns)
             if action is not None:
                 apply_action(self._core, self._scans, stamp_ns, action, behaviour)

@@ -90,6 +90,7 @@ class LocalViewNode(ImageNode):
         template = np.zeros_like(view)
         if match.template_id >= 0:
             template = self._core.template(match.template_id)
+        view, template = self._core.picture(view), self._core.picture(template)
         gap = np.full((1, view.shape[1]), 255, np.uint8)
         both = np.concatenate([view, gap, template])
         factor = max(SHOWN_WIDTH_PX // view.shape[1], 1)

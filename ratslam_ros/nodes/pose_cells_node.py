@@ -14,6 +14,7 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
 from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry
+from ratslam_ros.core.common.rotation_gain import TurnCorrection
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.id_map import MIN_MEMORY_NS, NO_MEMORY_NS, IdMap
@@ -26,6 +27,9 @@ from ratslam_ros.nodes.goal_seeking import GoalSeeking
 from ratslam_ros.nodes.node import FLUSH_CHECK_PERIOD_S, RatslamNode
 from ratslam_ros.nodes.qos import RESULT, VIEW
 from ratslam_ros.nodes.run import run
+
+LOGGED_GAIN_CHANGE = 0.02
+"""Relative change of the rotation gain that is logged."""
 
 ACTIVITY_PERIOD_S = 0.1
 """Shortest time between two images of the activity."""
@@ -74,12 +78,15 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
             self._section.odom_source, self._section.max_odom_gap_s,
             self._section.turn_correction,
         )
+        self._logged_gain = self._motion.correction.gain
         self._numbering = IdMap()
         self._memory_ns = NO_MEMORY_NS
         self._sequence = 0
 
     def _on_relocated(self) -> None:
         self._motion.restart()
+        if self._core.calibration is not None:
+            self._core.calibration.restart()
         if self._goals is not None:
             self._goals.relocated()
 
@@ -108,6 +115,7 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
         self._core, self._numbering = core, numbering
         if core.calibration is not None:
             self._motion.correction = core.calibration.correction
+            core.calibration.restart()
         self._core.mapping = self._mapping
         self._motion.restart()
 
@@ -144,7 +152,9 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
         with self._diagnostics.times('pose_cells_view'):
             match = replace(template.match, template_id=number)
             action = self._core.view(match, self._motion.reaches(stamp_ns))
-        self._motion.correction = action.correction or self._motion.correction
+        if action.correction is not None and action.correction != self._motion.correction:
+            self._motion.correction = action.correction
+            self._report_correction(action.correction)
         if action.action == 'create' and self._memory_ns == NO_MEMORY_NS:
             self._memory_ns = max(stamp_ns, MIN_MEMORY_NS)
         payload = encode_action(stamp_ns, self._sequence, action, self._memory_ns)
@@ -153,6 +163,15 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
         if self._active.get_subscription_count() > 0:
             active = self._core.active_experiences()
             self._active.publish(String(data=encode_active(stamp_ns, number, active)))
+
+    def _report_correction(self, correction: TurnCorrection) -> None:
+        """Log a correction of the odometry whose gain differs from the last one logged."""
+        if abs(correction.gain / self._logged_gain - 1.0) >= LOGGED_GAIN_CHANGE:
+            self._logged_gain = correction.gain
+            self.get_logger().info(
+                f'closed loops: turns of the odometry are multiplied by {correction.gain:.3f}, '
+                f'plus {correction.per_m_rad:.4f} rad/m'
+            )
 
     def _check_memory(self, stamp_ns: int, template: Template) -> None:
         """Detect that local_view has another memory than before, and renumber its templates."""

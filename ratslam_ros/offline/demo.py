@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.vision.intensity import make_view
+from ratslam_ros.descriptors import encoder_of
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.offline.inspection import inspect
 from ratslam_ros.offline.replay import ReplayOptions, ReplayOutcome, replay
@@ -156,15 +156,17 @@ def _look_alike_share(
     recording: Recording, selection: Selection, run: SimulatedRun, config: Config
 ) -> float:
     """Return the share of views that match one from more than `LOOK_ALIKE_DISTANCE_M` away."""
+    encoder = encoder_of(config.local_view)
     views: list[NDArray[np.uint8]] = []
     stamps_ns: list[int] = []
     for event in recording.events(selection):
         if isinstance(event, ImageEvent):
-            views.append(make_view(event.grey(), config.local_view))
-            stamps_ns.append(event.stamp_ns)
+            view = encoder.encode(event.grey())
+            if view is not None:
+                views.append(view)
+                stamps_ns.append(event.stamp_ns)
     nearest = np.searchsorted(run.truth_stamp_ns, stamps_ns).clip(max=len(run.truth_pose) - 1)
-    p = config.local_view
     return measure_aliasing(
-        np.array(views), run.truth_pose[nearest], p.vt_match_threshold, p.vt_shift_match,
-        LOOK_ALIKE_DISTANCE_M,
+        np.array(views), run.truth_pose[nearest], config.local_view.vt_match_threshold,
+        encoder.layout.shift_x, LOOK_ALIKE_DISTANCE_M,
     ).look_alike_share  # fmt: skip

@@ -64,6 +64,12 @@ views, scaled so that the median of all pairs of views is 0 and equal views are 
 MIN_GAP_S = 3.0
 """Shortest duration of a loop."""
 
+MOVING_SPEED_RATIO = 0.25
+"""The robot moves at speeds above this fraction of the median."""
+
+MAX_STEP_S = 1.0
+"""Longest interval between two views during which the robot is taken to move."""
+
 LOWEST_FOV_DEG, HIGHEST_FOV_DEG = 20.0, 360.0
 
 COMPARED_S = 5.0
@@ -144,13 +150,14 @@ class _Track:
     """Frames of a recording, and the headings at their stamps, in rad, not wrapped.
 
     views: (m, d) descriptors, see `_describe`. time_s: (m,) times. visual_rad, odometry_rad:
-    (m,) headings by visual odometry and by recorded odometry, zeros if there is none. odometry_m:
-    (m,) distances by recorded odometry.
+    (m,) headings by visual odometry and by recorded odometry, zeros if there is none. visual_m,
+    odometry_m: (m,) distances driven.
     """
 
     views: NDArray[np.float32]
     time_s: Floats
     visual_rad: Floats
+    visual_m: Floats
     odometry_rad: Floats
     odometry_m: Floats
 
@@ -182,17 +189,17 @@ def _camera(track: _Track, topic: str | None, assumed_deg: float) -> MotionCalib
 
 def _read(
     recording: Recording, selection: Selection, config: Config, start_s: float,
-    duration_s: float | None, visual: bool,
+    duration_s: float | None, use_images: bool,
 ) -> _Track:  # fmt: skip
-    """Read views and headings of a recording; by visual odometry only if ``visual``."""
+    """Read views and headings of a recording; by visual odometry only if ``use_images``."""
     length_s = (recording.end_ns - recording.start_ns) * 1e-9 - start_s
     if duration_s is not None:
         length_s = min(length_s, duration_s)
     period_ns = min(length_s / MAX_FRAME_COUNT, MAX_PERIOD_S) * 1e9
-    headings = _Headings(config, visual)
+    headings = _Headings(config, use_images)
     views: list[NDArray[np.float32]] = []
     stamps_ns: list[int] = []
-    visual_rad: list[float] = []
+    visual: list[tuple[float, float]] = []
     for event in _thinned(recording.events(selection, start_s, duration_s), period_ns):
         if isinstance(event, OdometryEvent):
             headings.add(odometry_from_event(event))
@@ -201,14 +208,16 @@ def _read(
         ):
             with contextlib.suppress(UndecodableImage):
                 image = event.grey()
-                visual_rad.append(headings.see(event.stamp_ns, image))
+                visual.append(headings.see(event.stamp_ns, image))
                 views.append(_describe(image))
                 stamps_ns.append(event.stamp_ns)
     kept = np.arange(0, len(views), max(-(-len(views) // MAX_VIEW_COUNT), 1))
     stamps = np.array(stamps_ns, np.int64)[kept]
+    visual_rad, visual_m = np.array(visual).reshape(-1, 2)[kept].T
+    odometry_rad, odometry_m = headings.recorded_at(stamps)
     return _Track(
         np.array(views, np.float32)[kept], stamps.astype(np.float64) * 1e-9,
-        np.array(visual_rad)[kept], *headings.recorded_at(stamps),
+        visual_rad, visual_m, odometry_rad, odometry_m,
     )  # fmt: skip
 
 
@@ -219,19 +228,20 @@ class _Headings:
         self._visual_odometry = VisualOdometry(config.visual_odometry) if visual else None
         self._motion = MotionFromOdometry(config.pose_cells.odom_source)
         self._last_ns = 0
-        self._visual_rad = 0.0
+        self._visual_rad = self._visual_m = 0.0
         self._stamps_ns = [0]
         self._recorded = [(0.0, 0.0)]
 
-    def see(self, stamp_ns: int, image: Image) -> float:
-        """Return the heading at an image by visual odometry, 0 if it is not used."""
+    def see(self, stamp_ns: int, image: Image) -> tuple[float, float]:
+        """Return heading and distance at an image by visual odometry, 0 if it is not used."""
         if self._visual_odometry is not None:
             odometry = self._visual_odometry.estimate(stamp_ns, image)
             if odometry is not None:
                 dt_s = (stamp_ns - self._last_ns) * 1e-9
                 self._visual_rad += odometry.twist.angular_z_radps * dt_s
+                self._visual_m += odometry.twist.linear_x_mps * dt_s
             self._last_ns = stamp_ns
-        return self._visual_rad
+        return self._visual_rad, self._visual_m
 
     def add(self, odometry: Odometry) -> None:
         """Integrate one message of recorded odometry."""
@@ -309,7 +319,7 @@ def _loops(views: NDArray[np.float32], time_s: Floats) -> list[tuple[int, int]]:
     )  # fmt: skip
     if lag == 0:
         return []
-    reach = lag // 2
+    reach = lag
     mean = np.zeros_like(similarity)
     for k in range(-reach, reach + 1):
         to = slice(max(0, -k), count - max(0, k))
@@ -342,7 +352,34 @@ def _from_loops(
     loops = np.array(_loops(track.views, track.time_s), np.int64).reshape(-1, 2)
     turns = heading_rad[loops[:, 0]] - heading_rad[loops[:, 1]]
     lengths = track.odometry_m[loops[:, 0]] - track.odometry_m[loops[:, 1]]
-    return estimate_correction(turns, lengths, np.zeros(len(turns)), expected)
+    return estimate_correction(
+        turns, lengths, np.zeros(len(turns)), expected,
+        lambda gain: _open_share(track, heading_rad, loops, gain),
+    )  # fmt: skip
+
+
+def _open_share(
+    track: _Track, heading_rad: Floats, loops: NDArray[np.int64], gain: float
+) -> float:
+    """Return the median distance between the ends of loops, relative to their lengths.
+
+    The speed is assumed to be constant while the robot moves: visual odometry depends more on the
+    texture than on the speed. Headings are scaled so that each loop turns by 360 k degrees.
+    """
+    dt_s = np.diff(track.time_s, prepend=track.time_s[0])
+    moved_m = np.diff(track.visual_m, prepend=0.0)
+    is_moving = moved_m > MOVING_SPEED_RATIO * dt_s * np.median(moved_m[1:] / dt_s[1:])
+    length = np.where(is_moving, np.minimum(dt_s, MAX_STEP_S), 0.0)
+    shares = []
+    for end, start in loops.tolist():
+        turn = heading_rad[end] - heading_rad[start]
+        whole = 2.0 * math.pi * round(gain * turn / (2.0 * math.pi))
+        if whole != 0.0:
+            heading = heading_rad[start : end + 1] * (whole / turn)
+            step = length[start : end + 1]
+            ends = math.hypot(step @ np.cos(heading), step @ np.sin(heading))
+            shares.append(ends / max(float(step.sum()), 1e-9))
+    return float(np.median(shares)) if shares else math.inf
 
 
 def _ratio_of_turns(track: _Track) -> float | None:

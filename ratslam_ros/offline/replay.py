@@ -229,6 +229,8 @@ class _Run:
             'times_realtime': round(self.span.duration_s / wall_s, 1) if wall_s > 0.0 else 0.0,
             'step_ms': self.times.summary_ms(),
         }
+        if self.slam.visual_odometry is not None:
+            summary['visual_odometry'] = True
         calibration = self.slam.pose_cells.calibration
         if calibration is not None:
             summary['odom_calibration'] = calibration.summary()

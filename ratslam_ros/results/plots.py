@@ -39,6 +39,8 @@ DOTS_PER_INCH = 120
 MAX_POINT_COUNT = 100_000
 """Number of points to which longer recordings are thinned."""
 
+UNKNOWN_SCALE = 'in units of visual odometry (scale unknown)'
+
 NEWEST_EXPERIENCES_COUNT = 10
 """Links to one of the newest experiences are not drawn as loop closures."""
 
@@ -120,7 +122,7 @@ def draw_map(folder: str | Path, truth: str | Path | Trajectory | None = None,
                   markeredgewidth=2.0, color=BLACK, label='start', zorder=6)
         axes.plot(*last, linestyle='', marker='X', markersize=10, markeredgecolor='white',
                   color=BLACK, label='end', zorder=6)
-    equal_axes(axes)
+    equal_axes(axes, '[m]' if _has_scale(folder) else UNKNOWN_SCALE)
     axes.set_title(f'{_count(len(places_m), "experience")}, {_count(len(graph.links), "link")}, '
                    f'{_count(len(closures), "closing link")}', fontsize=11)
     add_legend_below(figure, axes)
@@ -251,11 +253,11 @@ def save_figure(figure: Figure, path: str | Path) -> Path:
     return path
 
 
-def equal_axes(axes: Axes) -> None:
-    """Give both axes the same scale, labels in metres, and a grid."""
+def equal_axes(axes: Axes, unit: str = '[m]') -> None:
+    """Give both axes the same scale, labels with a unit, and a grid."""
     axes.autoscale_view()
     axes.set_aspect('equal', adjustable='datalim')
-    axes.set(xlabel='x [m]', ylabel='y [m]')
+    axes.set(xlabel=f'x {unit}', ylabel=f'y {unit}')
     axes.grid(color='#EEEEEE', linewidth=0.8)
     axes.set_axisbelow(True)
 
@@ -361,6 +363,15 @@ def _frames(
         if template >= 0:
             counts[new] += 1
         yield (stamp_ns - first_ns) / NS_PER_S, template, new, error, threshold
+
+
+def _has_scale(folder: Path) -> bool:
+    """Return whether the map is in metres; visual odometry does not measure its scale."""
+    try:
+        summary = json.loads((folder / 'summary.json').read_text(encoding='utf-8'))
+    except (OSError, ValueError):
+        return True
+    return not (isinstance(summary, dict) and summary.get('visual_odometry'))
 
 
 def _read_if_present(path: Path) -> Trajectory | None:

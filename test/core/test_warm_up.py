@@ -49,15 +49,19 @@ assert before
 """
 
 VISUAL_ODOMETRY = """
-visual_odometry = VisualOdometry(config.visual_odometry)
-for n, image in enumerate(images()):
-    visual_odometry.estimate(n * 10**8, image)
+for refined in (False, True):
+    changed = config.with_values({'visual_odometry.vrot_subpixel': refined})
+    visual_odometry = VisualOdometry(changed.visual_odometry)
+    for n, image in enumerate(images()):
+        visual_odometry.estimate(n * 10**8, image)
 """
 
 LOCAL_VIEW = """
 for changed in (
     {}, {'vt_panoramic': True}, {'vt_normalisation': 0.5}, {'vt_patch_normalise': 2},
     {'vt_step_match': 2}, {'vt_recent_templates': 5}, {'vt_shift_match_y': 1},
+    {'vt_descriptor': 'gradients'}, {'vt_descriptor': 'gradients', 'vt_panoramic': True},
+    {'vt_min_structure': 1e-6},
 ):
     local_view = LocalView(
         config.with_values({f'local_view.{k}': v for k, v in changed.items()}).local_view
@@ -70,7 +74,7 @@ for changed in (
 """
 
 POSE_CELLS = """
-pose_cells = PoseCells(config.pose_cells)
+pose_cells = PoseCells(config.with_values({'pose_cells.odom_calibration': True}).pose_cells)
 motion_from = MotionFromOdometry('twist')
 for n in range(300):
     motion = motion_from.update(Odometry(n * 10**8, Twist(0.5, 0.3), Pose(0.0, 0.0, 0.0)))
@@ -85,7 +89,7 @@ again.integrate(motion)
 """
 
 EXPERIENCE_MAP = """
-slam = RatSLAM(config)
+slam = RatSLAM(config.with_values({'pose_cells.odom_calibration': True}))
 warm_up('pose_cells')  # Part of RatSLAM, but not of the experience map node.
 before = loaded()
 for n in range(300):

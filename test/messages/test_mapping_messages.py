@@ -5,6 +5,7 @@
 import json
 import math
 import random
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -12,6 +13,7 @@ from helpers import START_NS, ahead, template_text, turning
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ratslam_ros.core.common.rotation_gain import TurnCorrection
 from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.pose_cells.map_action import MapAction
@@ -227,6 +229,22 @@ def test_action_round_trips_bit_identically(
 
 def test_action_payload_has_exactly_the_documented_keys() -> None:
     assert list(json.loads(encode_action(START_NS, 8, ACTION, 7))) == ACTION_KEYS
+
+
+def test_correction_of_an_action_round_trips_bit_identically() -> None:
+    action = replace(ACTION, correction=TurnCorrection(1.0 / 3.0, -0.1 / 3.0))
+    payload = encode_action(START_NS, 8, action, 7)
+    assert list(json.loads(payload)) == [*ACTION_KEYS, 'correction']
+    assert decode_action(payload) == (START_NS, 8, action, 7)
+
+
+@pytest.mark.parametrize('correction', [
+    1.0, {'gain': 1.0}, {'gain': 0.0, 'per_m_rad': 0.0}, {'gain': 1.0, 'per_m_rad': 1e9},
+    {'gain': '1', 'per_m_rad': 0.0},
+])  # fmt: skip
+def test_invalid_correction_is_refused(correction: Any) -> None:
+    with pytest.raises(MalformedMessage, match='pose_cells/action: '):
+        decode_action(action_text(correction=correction))
 
 
 def test_action_none_before_first_experience_round_trips() -> None:

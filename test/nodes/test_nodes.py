@@ -118,6 +118,25 @@ def test_invalid_images_are_counted_and_change_nothing(world: MakeWorld) -> None
     assert state['level'] == '1'
 
 
+def test_low_texture_images_are_counted(world: MakeWorld) -> None:
+    made, received = local_view(
+        world, '-p', 'vt_min_structure:=0.03', '-p', 'vt_descriptor:=gradients'
+    )
+    made.send('image', image(START_NS, 0))
+    made.send('image', image(START_NS + PERIOD_NS, 0, data=b'\x46' * (24 * 32)))
+    made.until(lambda: len(received) == 2)
+    assert [decode_template(message.data)[1].template_id for message in received] == [0, -1]
+    state = made.diagnostics()['local_view']
+    assert (state['templates'], state['low_texture']) == ('1', '1')
+
+
+def test_unknown_descriptor_is_one_error(world: MakeWorld) -> None:
+    from ratslam_ros.errors import UnusableParameter
+
+    with pytest.raises(UnusableParameter, match='vt_descriptor is nothing'):
+        local_view(world, '-p', 'vt_descriptor:=nothing')
+
+
 def test_compressed_images_are_used_for_the_whole_run(world: MakeWorld) -> None:
     import cv2
     from sensor_msgs.msg import CompressedImage, Image

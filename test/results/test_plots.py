@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from ratslam_ros.errors import UnusableInput
+from ratslam_ros.results import plots
 from ratslam_ros.results.evaluation import evaluate
 from ratslam_ros.results.plots import (
     MAX_POINT_COUNT,
@@ -102,6 +103,24 @@ def test_drawing_does_not_import_pyplot(folder):
     code = (f'import sys, ratslam_ros.results.plots as p; p.draw_all({str(folder)!r}); '
             "assert 'matplotlib.pyplot' not in sys.modules")
     subprocess.run([sys.executable, '-c', code], check=True)
+
+
+def test_axes_have_no_metres_if_the_scale_is_unknown(folder, monkeypatch):
+    labels = []
+    save = plots.save_figure
+
+    def record(figure, path):
+        labels.append(figure.axes[0].get_xlabel())
+        return save(figure, path)
+
+    monkeypatch.setattr(plots, 'save_figure', record)
+    summary = folder / 'summary.json'
+    for text in (None, '{"frames": 3}', '{"visual_odometry": true}'):
+        if text is not None:
+            summary.write_text(text)
+        draw_map(folder)
+    summary.unlink()
+    assert labels == ['x [m]', 'x [m]', f'x {plots.UNKNOWN_SCALE}']
 
 
 def test_loop_closures_are_found_or_given(folder):

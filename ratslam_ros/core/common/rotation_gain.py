@@ -16,6 +16,7 @@ for an integer k. One loop fits many gains, one for each k; several loops select
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -61,10 +62,14 @@ CONSISTENT_SD = 2.0
 ITERATIONS = 5
 """Repetitions of the least squares fit, each with the loops that the last one explains."""
 
-RIVAL_RATIO = 0.5
+OPEN_SHARE_TOLERANCE = 0.02
+"""Difference between the distances of the ends of loops, relative to their lengths, below which
+two gains close the loops equally well."""
+
+RIVAL_RATIO = 0.3
 """Scores that exceed this fraction of the highest one belong to gains that may be right."""
 
-SMALL_ERROR_RATIO = 1.25
+SMALL_ERROR_RATIO = 1.15
 """Largest gain, or inverse of a gain, that is an error of wheels or of a gyro. A larger one means
 that the scale of the measured turns is unknown."""
 
@@ -104,8 +109,9 @@ class Estimate(NamedTuple):
 
 
 def estimate_correction(
-    turns_rad: Floats, lengths_m: Floats, differences_rad: Floats, expected: float | None = None
-) -> Estimate | None:
+    turns_rad: Floats, lengths_m: Floats, differences_rad: Floats, expected: float | None = None,
+    open_share: Callable[[float], float] | None = None,
+) -> Estimate | None:  # fmt: skip
     """Estimate the systematic errors of measured turns from closed loops.
 
     The score of a gain is the mean log likelihood ratio of the loops' residuals, under a mixture
@@ -113,9 +119,10 @@ def estimate_correction(
     no gain and against none.
 
     A gain close to the expected one is preferred. For it, both errors are estimated by least
-    squares with their prior. Without such a gain, the smallest one with a high score is refined
-    by least squares: if a gain explains the loops with k, its multiples explain them with
-    multiples of k.
+    squares with their prior. Otherwise several gains may have high scores: multiples of the right
+    gain explain the loops with multiples of k, and if opposite places look alike, so does twice
+    the right gain. Of those whose loops are closed in translation as well, the smallest one is
+    refined by least squares.
 
     Args:
         turns_rad: (n,) turn of each loop as measured, not wrapped.
@@ -123,6 +130,8 @@ def estimate_correction(
         differences_rad: (n,) heading at the end of the loop minus heading at its start, as seen.
         expected: the gain that small errors are relative to; None if the scale of the turns is
             unknown.
+        open_share: returns the distance between the ends of the loops relative to their length,
+            for a gain; None if the path is not known well enough.
 
     Returns:
         The estimate, None if the loops contain too little information or contradict each other.
@@ -142,21 +151,39 @@ def estimate_correction(
     ]  # fmt: skip
     if not peaks:
         return None
-    small = [i for i in peaks if expected is not None and is_small_error(gains[i] / expected)]
-    best = max(scores[i] for i in peaks)
-    peak = (
-        max(small, key=lambda i: float(scores[i])) if small
-        else next(i for i in peaks if scores[i] >= RIVAL_RATIO * best)
-    )  # fmt: skip
-    gain, loops = _scale(turns_rad, differences_rad, float(gains[peak]))
-    per_m_rad = 0.0
-    if expected is not None and is_small_error(gain / expected):
-        gain, per_m_rad, loops = _systematic_errors(
-            turns_rad, lengths_m, differences_rad, gain, expected
-        )
-    if loops < MIN_SHARE * n:
+    best = max(float(scores[i]) for i in peaks)
+    fits = [
+        _scale(turns_rad, differences_rad, float(gains[i]))
+        for i in peaks if scores[i] >= RIVAL_RATIO * best
+    ]  # fmt: skip
+    fits = [(gain, loops) for gain, loops in fits if loops >= MIN_SHARE * n]
+    if not fits:
         return None
-    return Estimate(TurnCorrection(gain, per_m_rad), loops, loops / n)
+    if expected is not None:
+        gain, loops = min(fits, key=lambda fit: abs(math.log(fit[0] / expected)))
+        if is_small_error(gain / expected):
+            gain, per_m_rad, loops = _systematic_errors(
+                turns_rad, lengths_m, differences_rad, gain, expected
+            )
+            if loops < MIN_SHARE * n:
+                return None
+            return Estimate(TurnCorrection(gain, per_m_rad), loops, loops / n)
+    gain, loops = fits[0] if open_share is None else _smallest_closed(fits, open_share)
+    return Estimate(TurnCorrection(gain, 0.0), loops, loops / n)
+
+
+def _smallest_closed(
+    fits: list[tuple[float, int]], open_share: Callable[[float], float]
+) -> tuple[float, int]:
+    """Return the smallest gain with which loops are about as well closed as with the best one.
+
+    Args:
+        fits: gains, ascending, and the numbers of loops that they explain.
+        open_share: see ``estimate_correction``.
+    """
+    shares = [open_share(gain) for gain, _ in fits]
+    limit = min(shares) + OPEN_SHARE_TOLERANCE
+    return next(fit for fit, share in zip(fits, shares, strict=True) if share <= limit)
 
 
 def is_small_error(ratio: float) -> bool:

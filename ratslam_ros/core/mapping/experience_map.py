@@ -14,6 +14,7 @@ import numpy as np
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.odometry import Motion, moved
 from ratslam_ros.core.common.pose import Pose, composed, inverse
+from ratslam_ros.core.common.rotation_gain import TurnCorrection, is_small_error
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.mapping.graph import ExperienceGraph, NotLinked
@@ -186,6 +187,26 @@ class ExperienceMap(ExperienceGraph):
         self._duration_s += motion.dt_s
         self._travelled_m += abs(motion.distance_m)
         self._odometer_m += abs(motion.distance_m)
+
+    def correct_turns(self, before: TurnCorrection, now: TurnCorrection) -> None:
+        """Correct everything that was measured with another correction of the odometry.
+
+        After a large change, the poses are composed anew along the links by which the experiences
+        were created, as relaxation only adjusts a map whose headings are about right. Links that
+        are measured by scans are not corrected.
+        """
+        if self._p.exp_align_scans:
+            return
+        self._links.correct_turns(before, now)
+        x, y, turn = self.offset
+        distance = math.hypot(x, y)
+        half = 0.5 * (now.corrected(before.measured(turn, distance), distance) - turn)
+        self.offset = composed(Pose(0.0, 0.0, half), Pose(x, y, turn + half))
+        if not is_small_error(now.gain / before.gain):
+            for row, (i, j) in enumerate(self.link_ends.tolist()):
+                if i < j and not self._links.ends[:row, 1][self._links.ends[:row, 1] == j].size:
+                    self._poses[j] = composed(self.pose_of(i), self._links[row].relative_pose)
+        self._optimiser.measurement_changed()
 
     def apply(
         self, action: MapAction, behaviour: str = '', scan_match: ScanMatch | None = None

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.compiled import compiled
 from ratslam_ros.core.common.pose import Pose, composed, inverse
+from ratslam_ros.core.common.rotation_gain import TurnCorrection
 from ratslam_ros.core.common.state import State
 
 
@@ -166,6 +167,11 @@ class Links:
         self._failures[row] = 0
         self.version += 1
 
+    def correct_turns(self, before: TurnCorrection, now: TurnCorrection) -> None:
+        """Replace the correction of the odometry that the links were measured with."""
+        _correct_turns(self.shapes, *before, *now)
+        self.version += 1
+
     def delete(self, rows: list[int]) -> None:
         """Delete links; later ones move up and keep their order."""
         for source, target in self._ends[rows].tolist():
@@ -260,6 +266,20 @@ def with_capacity(rows: NDArray[Any], capacity: int = 64) -> NDArray[Any]:
     grown = np.empty((max(capacity, len(rows)), *rows.shape[1:]), rows.dtype)
     grown[: len(rows)] = rows
     return grown
+
+
+@compiled
+def _correct_turns(
+    shapes: NDArray[np.float64], gain_before: float, per_m_before: float, gain: float,
+    per_m: float,
+) -> None:  # fmt: skip
+    """Correct the turns of links that are arcs, whose heading is half of their turn."""
+    for row in range(shapes.shape[0]):
+        distance = shapes[row, 0]
+        measured = (shapes[row, 2] - per_m_before * distance) / gain_before
+        change = gain * measured + per_m * distance - shapes[row, 2]
+        shapes[row, 1] = wrap(shapes[row, 1] + 0.5 * change)
+        shapes[row, 2] = wrap(shapes[row, 2] + change)
 
 
 @compiled

@@ -4,9 +4,20 @@
 
 from __future__ import annotations
 
+from ratslam_ros.core.common.odometry import MotionFromOdometry
 from ratslam_ros.core.mapping.experience_map import ExperienceMap, MapUpdate
 from ratslam_ros.core.mapping.scan_matching import ScanMatcher
 from ratslam_ros.core.pose_cells.map_action import MapAction
+
+
+def adopt_correction(
+    motion_of: MotionFromOdometry, experience_map: ExperienceMap, action: MapAction
+) -> None:
+    """Correct the odometry that follows an action, and what the map measured before it."""
+    before, now = motion_of.correction, action.correction
+    if now is not None and now != before:
+        motion_of.correction = now
+        experience_map.correct_turns(before, now)
 
 
 def apply_action(

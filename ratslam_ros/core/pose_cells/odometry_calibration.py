@@ -56,6 +56,10 @@ class OdometryCalibration:
         self._visit_count = self._loop_count = 0
         self._closed: deque[tuple[float, float, float]] = deque(maxlen=MAX_LOOPS_COUNT)
 
+    def restart(self) -> None:
+        """Forget where the robot was: it was moved, and no loop leads through that motion."""
+        self._visits.clear()
+
     def integrate(self, motion: Motion) -> None:
         """Add a motion, whose turn was corrected by ``correction``."""
         self._turn_rad += self.correction.measured(motion.turn_rad, motion.distance_m)

@@ -98,6 +98,11 @@ class LocalView:
         """Return a copy of one template: (height, width) uint8."""
         return self._memory.view(template_id)
 
+    def picture(self, view: View) -> Image:
+        """Return a view for display: its planes side by side."""
+        planes = view.reshape(self._layout.planes, -1, self._layout.width)
+        return np.concatenate(list(planes), 1)
+
     def encode(self, image: Image) -> View | None:
         """Return the view of an image, as it is compared; None if it has too little structure.
 
@@ -208,8 +213,9 @@ class LocalView:
         return self._memory.search(view).best()
 
     def _relative_rad(self, offset: int) -> float:
-        layout = self._layout
-        if layout.panoramic:
-            return wrap(-2.0 * math.pi * offset / layout.width)
+        p = self._p
+        if self._layout.panoramic:
+            return wrap(-2.0 * math.pi * offset / p.template_x_size)
         # After a turn to the left, the content of the template appears further right in the view.
-        return math.radians(self._p.vt_shift_fov_deg) * (layout.shift_x - offset) / self._p.template_x_size
+        shift = self._layout.shift_x - offset
+        return math.radians(p.vt_shift_fov_deg) * shift / p.template_x_size

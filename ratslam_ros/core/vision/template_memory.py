@@ -39,6 +39,9 @@ BLOCK_ROWS = 3
 """Largest height of a block, in pixels. Smaller blocks give tighter bounds, larger blocks less
 work; the size was tuned on noise, simulated views and real views."""
 
+PLANE_BLOCK_ROWS = 4
+"""The same for views of several planes, whose neighbouring cells overlap and so differ less."""
+
 
 class Match(NamedTuple):
     """The best match of a view."""
@@ -103,7 +106,7 @@ class TemplateMemory:
         self.full_sum = 255 * columns * rows
         """Largest possible SAD: that between a black and a white view."""
 
-        in_plane = -(-plane_rows // BLOCK_ROWS)
+        in_plane = -(-plane_rows // (BLOCK_ROWS if planes == 1 else PLANE_BLOCK_ROWS))
         groups = planes * in_plane
         self._edges = np.array(
             [g // in_plane * plane_rows + g % in_plane * plane_rows // in_plane

@@ -15,7 +15,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ratslam_ros.core.common.angles import wrap
+from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.common.rotation_gain import TurnCorrection
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.links import Link, Links
 
@@ -205,3 +207,35 @@ def test_bridge_links_neighbours_in_driven_directions(
         )
         assert link.duration_s == 2.0
     assert np.array_equal(links.failures, np.zeros((len(links), 2)))
+
+
+# Corrected turns
+
+
+def test_corrected_map_is_that_of_corrected_odometry() -> None:
+    """Links and the robot's pose; a link is an arc of constant curvature."""
+    def driven(correction: TurnCorrection) -> ExperienceMap:
+        graph = unrelaxed_map(20.0)
+        for n in range(8):
+            arrive(graph, n)
+            drive(graph, Motion(1.0, 0.5, correction.corrected(0.12 - 0.03 * n, 0.5)))
+        return graph
+
+    before, now = TurnCorrection(0.9, 0.01), TurnCorrection(2.3, -0.02)
+    graph, expected = driven(before), driven(now)
+    graph.correct_turns(before, now)
+    for found, right in zip(graph.links(), expected.links(), strict=True):
+        assert abs(wrap(found.facing_rad - right.facing_rad)) < 2e-3
+        assert abs(wrap(found.heading_rad - right.heading_rad)) < 1e-3
+    assert np.abs(graph.poses - expected.poses).max() < 0.02
+    assert np.abs(np.array(graph.pose) - np.array(expected.pose)).max() < 0.02
+
+
+def test_links_measured_by_scans_are_not_corrected() -> None:
+    graph = new_map(exp_align_scans=True)
+    for n in range(3):
+        arrive(graph, n)
+        drive(graph, Motion(1.0, 0.5, 0.1))
+    before = graph.links()
+    graph.correct_turns(TurnCorrection(), TurnCorrection(2.0, 0.0))
+    assert graph.links() == before

@@ -175,3 +175,43 @@ def test_changed_image_size_restarts_estimation() -> None:
 def test_window_outside_image_is_named_in_error(window: dict[str, int]) -> None:
     with pytest.raises(UnusableParameter, match=next(iter(window)).rsplit('_', 2)[0]):
         twists([(0, picture(1))], **window)
+
+
+def smooth_frame(shift: float, brightness: float = 0.0, height: int = 12) -> Image:
+    """Return a frame of smooth columns that have moved right by ``shift``, a fraction of a px."""
+    x = np.arange(120.0) - shift
+    columns = 120.0 + sum(
+        size * np.sin(x / length + phase)
+        for size, length, phase in ((40.0, 7.0, 0.3), (25.0, 3.1, 1.0), (20.0, 17.0, 2.0))
+    )
+    rows = columns + np.random.default_rng(0).uniform(-0.5, 0.5, (height, 120))
+    return np.rint(rows + brightness).clip(0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize('shift', [-3.6, -0.7, -0.3, 0.0, 0.25, 0.5, 1.4, 8.8])
+@pytest.mark.parametrize('brightness', [0.0, 25.0])
+def test_subpixel_shifts_are_measured_at_any_exposure(shift: float, brightness: float) -> None:
+    frames = [(0, smooth_frame(0.0)), (FRAME_NS, smooth_frame(shift, brightness))]
+    _, motion = twists(frames, camera_fov_deg=60.0, vrot_subpixel=True)
+    assert motion is not None
+    assert motion.angular_z_radps == pytest.approx(math.radians(shift * 0.5) / 0.1, abs=0.007)
+
+
+def test_subpixel_shift_without_texture_is_zero() -> None:
+    flat = np.full((12, 120), 90, np.uint8)
+    _, motion = twists([(0, flat), (FRAME_NS, flat)], vrot_subpixel=True)
+    assert motion == Twist(0.0, 0.0)
+
+
+def test_height_share_excludes_the_lower_part_of_the_turn_window() -> None:
+    """The lower half moves the other way, as the ground beside a car does."""
+    def halves(up: int, down: int) -> Image:
+        return np.concatenate((frame(up), frame(down), frame(down)))
+
+    frames = [(0, halves(0, 0)), (FRAME_NS, halves(2, -3))]
+    turns = []
+    for share in (1.0, 1 / 3):
+        _, motion = twists(frames, camera_fov_deg=60.0, vrot_height_share=share)
+        assert motion is not None
+        turns.append(round(math.degrees(motion.angular_z_radps * 0.1) / 0.5))
+    assert turns == [-3, 2]

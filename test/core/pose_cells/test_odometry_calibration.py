@@ -1,0 +1,142 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Calibration of odometry while driving: a robot drives laps of an oval with false turns."""
+
+import math
+from collections.abc import Iterator
+
+import pytest
+
+from ratslam_ros.core.common.odometry import Odometry, Twist
+from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.common.rotation_gain import TurnCorrection
+from ratslam_ros.core.config import Config
+from ratslam_ros.core.pose_cells.pose_cells import PoseCells
+from ratslam_ros.core.ratslam import RatSLAM
+from ratslam_ros.core.vision.local_view import ViewMatch
+
+PER_LAP, STEP_M, PERIOD_NS = 60, 0.5, 100_000_000
+CALIBRATING = Config().with_values({
+    'pose_cells.odom_calibration': True, 'pose_cells.exp_delta_pc_threshold': 1.0,
+    'pose_cells.pc_dim_x': 60, 'pose_cells.pc_dim_y': 60,
+})  # fmt: skip
+
+
+def oval(laps: int, gain: float, per_m_rad: float = 0.0) -> Iterator[tuple[Odometry, ViewMatch]]:
+    """Yield odometry that has to be corrected, and views that are right."""
+    for n in range(laps * PER_LAP):
+        place = n % PER_LAP
+        turn = 4.0 * math.pi / PER_LAP if place % (PER_LAP // 2) >= PER_LAP // 4 else 0.0
+        measured = TurnCorrection(gain, per_m_rad).measured(turn, STEP_M)
+        dt_s = PERIOD_NS * 1e-9
+        twist = Twist(STEP_M / dt_s, measured / dt_s)
+        odometry = Odometry((n + 1) * PERIOD_NS, twist, Pose(0.0, 0.0, 0.0))
+        yield odometry, ViewMatch(place, n < PER_LAP, 0.0, 0.0)
+
+
+def driven(
+    laps: int, gain: float, per_m_rad: float = 0.0, config: Config = CALIBRATING
+) -> RatSLAM:
+    slam = RatSLAM(config)
+    for odometry, match in oval(laps, gain, per_m_rad):
+        slam.odometry(odometry)
+        slam.template(odometry.stamp_ns, match)
+    slam.finish()
+    return slam
+
+
+def lap_turn_rad(slam: RatSLAM) -> float:
+    """Return the turn of the map's first lap, in rad."""
+    headings = slam.experience_map.poses[:PER_LAP, 2]
+    steps = headings[1:] - headings[:-1]
+    return float(sum(math.remainder(step, 2.0 * math.pi) for step in steps))
+
+
+@pytest.mark.parametrize(
+    ('gain', 'per_m_rad'), [(1.04, 0.0), (0.96, 0.0), (1.0, 0.006), (0.97, -0.004)]
+)
+def test_small_errors_are_corrected(gain: float, per_m_rad: float) -> None:
+    slam = driven(4, gain, per_m_rad)
+    calibration = slam.pose_cells.calibration
+    assert calibration is not None
+    assert calibration.loops > 20
+    measured = TurnCorrection(gain, per_m_rad).measured(2.0 * math.pi, PER_LAP * STEP_M)
+    corrected = calibration.correction.corrected(measured, PER_LAP * STEP_M)
+    assert abs(corrected - 2.0 * math.pi) < 0.4 * abs(measured - 2.0 * math.pi)
+    assert slam._motion.correction == calibration.correction
+
+
+@pytest.mark.parametrize('gain', [0.4, 2.5])
+def test_wrong_scale_is_corrected_in_the_map_of_the_first_lap(gain: float) -> None:
+    slam = driven(4, gain)
+    calibration = slam.pose_cells.calibration
+    assert calibration is not None
+    assert calibration.correction.gain == pytest.approx(gain, rel=0.02)
+    slam.experience_map.settle()
+    once = 2.0 * math.pi * (PER_LAP - 1) / PER_LAP
+    assert lap_turn_rad(slam) == pytest.approx(once, abs=0.3)
+
+
+def test_precise_odometry_is_hardly_changed() -> None:
+    calibration = driven(5, 1.0).pose_cells.calibration
+    assert calibration is not None
+    assert calibration.loops > 20
+    assert calibration.correction.gain == pytest.approx(1.0, abs=0.003)
+    assert calibration.correction.per_m_rad == pytest.approx(0.0, abs=0.0005)
+
+
+def test_calibration_is_off_by_default() -> None:
+    config = CALIBRATING.with_values({'pose_cells.odom_calibration': False})
+    slam = driven(3, 1.04, config=config)
+    assert slam.pose_cells.calibration is None
+    assert 'calibration' not in slam.pose_cells.state()
+    assert slam._motion.correction == TurnCorrection()
+
+
+def test_estimate_starts_from_configured_correction() -> None:
+    config = CALIBRATING.with_values({
+        f'{section}.{name}': value for section in ('pose_cells', 'experience_map')
+        for name, value in (('odom_rotation_gain', 2.5), ('odom_turn_per_m', 0.004))
+    })  # fmt: skip
+    slam = driven(1, 2.5, 0.004, config)
+    calibration = slam.pose_cells.calibration
+    assert calibration is not None
+    assert calibration.correction == TurnCorrection(2.5, 0.004)
+    assert calibration.loops == 0
+    once = 2.0 * math.pi * (PER_LAP - 1) / PER_LAP
+    assert lap_turn_rad(slam) == pytest.approx(once, abs=0.15)
+
+
+def test_restored_calibration_continues_identically() -> None:
+    config = CALIBRATING.pose_cells
+    messages = list(oval(3, 1.05))
+    one, split = PoseCells(config), PoseCells(config)
+    slam = RatSLAM(CALIBRATING)
+    actions: list[list[object]] = [[], []]
+    for which, core in enumerate((one, split)):
+        motion_of = type(slam._motion)('twist', config.turn_correction)
+        for n, (odometry, match) in enumerate(messages):
+            if core is not one and n == len(messages) // 2 + 20:
+                restored = PoseCells(config)
+                restored.restore(core.state())
+                core = restored
+            motion = motion_of.update(odometry)
+            if motion is not None:
+                core.integrate(motion)
+            action = core.view(match)
+            assert action.correction is not None
+            motion_of.correction = action.correction
+            actions[which].append(action)
+        assert core.calibration is not None
+        assert core.calibration.loops > 0
+    assert actions[0] == actions[1]
+
+
+def test_robot_that_was_carried_closes_no_loop() -> None:
+    slam = driven(2, 1.05)
+    calibration = slam.pose_cells.calibration
+    assert calibration is not None
+    calibration.restart()
+    before = len(calibration.state()['closed'])
+    calibration.visit(0, 0.0, created=False)
+    assert len(calibration.state()['closed']) == before
