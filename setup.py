@@ -33,6 +33,7 @@ NODES = [
 
 ONNX = ['onnxruntime>=1.17']  # for vt_descriptor: model.onnx
 TEST = ['hypothesis>=6.90', 'pytest>=7.4']  # the versions of Ubuntu 24.04 suffice
+STUDY = ['optuna>=4.0']  # for ratslam study
 
 setup(
     name=NAME,
@@ -78,9 +79,10 @@ setup(
         'onnx': ONNX,
         'test': TEST,  # by this name colcon knows that pytest runs the tests
         'dev': [
-            *TEST, *ONNX, 'mypy>=1.8', 'networkx>=3.0', 'pytest-xdist>=3.5', 'ruff>=0.4',
-            'types-PyYAML', 'types-tqdm',
+            *TEST, *ONNX, *STUDY, 'mypy>=1.8', 'networkx>=3.0', 'pytest-xdist>=3.5',
+            'ruff>=0.4', 'types-PyYAML', 'types-tqdm',
         ],
+        'study': STUDY,
         'examples': ['networkx>=3.0'],
     },
     entry_points={

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,7 +28,7 @@ from ratslam_ros.cli.options import (
     results_folder,
 )
 from ratslam_ros.console import print_notice
-from ratslam_ros.errors import UnusableInput
+from ratslam_ros.errors import UnusableInput, UnusableParameter
 
 if TYPE_CHECKING:
     from ratslam_ros.core.config import Config
@@ -68,10 +69,13 @@ def add_replay(commands: Commands) -> None:
 
 def add_tune(commands: Commands) -> None:
     """Add ``ratslam tune``."""
-    tune = commands.add_parser('tune', help='propose a match threshold, template size and crop')
+    tune = commands.add_parser('tune', help='propose a configuration by the maps it gives')
     add_recording(tune)
     add_config(tune)
     add_topics(tune)
+    tune.add_argument('--visual-odometry', action='store_true',
+                      help='estimate odometry from the camera, even if there is an odometry topic')
+    add_span(tune)
     add_out(tune, 'results/NAME-tune-TIME')
     tune.set_defaults(run=_tune)
 
@@ -169,23 +173,45 @@ def _inspected(
 
 
 def _tune(options: argparse.Namespace) -> int:
-    from ratslam_ros.offline.revisits import sample_frames
+    from ratslam_ros.files.config import load_config, parse_setting, presets, to_yaml
+    from ratslam_ros.offline.inspection import inspect
+    from ratslam_ros.offline.trials import Span
     from ratslam_ros.offline.tuning import plot_proposal, propose
     from ratslam_ros.recordings import open_recording
 
-    config = config_of(options)
+    fixed = dict(parse_setting(text) for text in options.settings)
+    default = load_config(None)[0].with_values(fixed)
+    others = {'--config': config_of(options)} if options.config else {}
+    for name in presets():
+        with contextlib.suppress(UnusableParameter):  # A preset may contradict a setting.
+            others[f'preset {name}'] = load_config(name)[0].with_values(fixed)
     with open_recording(options.recording, images_rate_hz=options.images_rate) as recording:
-        selection = recording.select(options.image_topic, options.odom_topic)
+        selection = recording.select(
+            options.image_topic, options.odom_topic, options.visual_odometry
+        )
         if selection.image_topic is None:
             raise UnusableInput(
-                f'{recording.path} has templates but no images; expected images to tune on'
+                f'{recording.path} has templates but no images; expected images to tune on '
+                '(ratslam study varies parameters of recordings with templates)'
             )
-        compile_kernels()
-        proposal = propose(sample_frames(recording, selection.image_topic), config.local_view)
         folder = make_folder(results_folder(options, f'{recording.name}-tune'))
+        compile_kernels()
+        span = Span(options.start, options.duration)
+        inspection = inspect(
+            recording, selection, default, list(fixed), span.start_s, span.duration_s
+        )
+        for line in inspection.lines:
+            print_notice(line)
+        proposal = propose(recording, selection, inspection.config, others, span, print_notice)
         path = plot_proposal(proposal, folder / 'tune.png')
+        files = {'tuned.yaml': proposal.config}
+        if proposal.runner_up is not None:
+            files['runner_up.yaml'] = proposal.runner_up.trial.config
+        for name, config in files.items():
+            (folder / name).write_text(to_yaml(config), encoding='ascii')
         print_warnings(recording.warnings)
-    print(f'{proposal.format()}\n{path}')
+    print(proposal.format())
+    print(f'\n{path}\nratslam replay {options.recording} --config {folder / "tuned.yaml"}')
     return DONE
 
 

@@ -142,7 +142,7 @@ class _Run:
         self.times = StepTimes()
         visual_odometry = selection.odom_topic is None and selection.image_topic is not None
         if visual_odometry:
-            config = _calibrated(config, recording, selection)
+            config = calibrated(config, recording, selection)
         p = config.local_view
         self._local_view = LocalView(p, encoder_of(p))
         self.slam = RatSLAM(
@@ -292,7 +292,7 @@ class _Run:
                 self.video.add_step(step)
 
 
-def _calibrated(config: Config, recording: Recording, selection: Selection) -> Config:
+def calibrated(config: Config, recording: Recording, selection: Selection) -> Config:
     """Return the configuration with the field of view of the recorded calibration.
 
     The node visual_odometry computes it from camera_info in the same way.

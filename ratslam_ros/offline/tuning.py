@@ -1,311 +1,532 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""``ratslam tune``: propose local-view parameters for a recording, without ground truth.
+"""``ratslam tune``: propose a configuration for a recording, without ground truth.
 
-The match errors of revisits and those of chance matches (`ratslam_ros.offline.revisits`) form two
-histograms. A good crop, template size and normalisation separates them, and the threshold belongs
-between them.
+Candidates are the default configuration, all presets, and variations of the best of them. Each
+candidate builds a map from the recording, or from a part of it with many revisits. The maps are
+scored by the revisits that sequences of images show (`ratslam_ros.offline.map_score`). One half
+of the revisits selects the candidate; the other half decides whether it replaces the default.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, fields, replace
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ratslam_ros.core.config import LocalViewParameters
-from ratslam_ros.core.vision.intensity import crop_window
+from ratslam_ros.core.config import (
+    SECTIONS,
+    Config,
+    LocalViewParameters,
+    Value,
+    VisualOdometryParameters,
+)
+from ratslam_ros.core.config.parameter import AUTOMATIC
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.messages.json_schema import NS_PER_S
+from ratslam_ros.offline.map_score import MapScore, Rows, poses_at, score_map
 from ratslam_ros.offline.revisits import (
     MAX_FRAME_COUNT,
-    NO_MATCH,
-    Errors,
     Evidence,
     FrameScaler,
     Image,
     measure,
+    sample_frames,
 )
+from ratslam_ros.offline.trials import WHOLE_SPAN, Span, Trial, run_trials
+from ratslam_ros.offline.view_search import ViewRating, ViewSearch, descriptors
+from ratslam_ros.recordings import Recording, Selection
 from ratslam_ros.results.plots import BLACK, BLUE, GREY, VERMILLION, new_figure, save_figure
 from ratslam_ros.results.trajectory import thinned
 
-SIZES = ((12, 8), (20, 12), (32, 16), (48, 24), (60, 10), (60, 20))
-PATCHES = (0, 2, 4)
+DEFAULT = 'default'
+"""Name of the candidate that replay uses without a configuration."""
+
 MIN_FRAME_COUNT = 50
-SCREENING_FRAME_COUNT = 700
-"""Number of frames to rank the candidates with; the best one is measured on all frames."""
+SCREENED_FRAME_COUNT = 3000
+"""Number of images of the part of a long recording that all candidates are replayed on."""
 
-FALSE_WEIGHT_RATIO = 4.0
-"""Cost of a wrong recognition relative to the gain of a right one."""
+FINALIST_COUNT = 3
+"""Number of candidates that are replayed on the whole recording, beside the default."""
 
-CONCEDED_SCORE = 0.05
-"""Score given up for a lower threshold, which gives finer places and fewer wrong matches."""
+BLOCK_COUNT = 10
+"""Number of blocks of equally many revisits; every second one is held out."""
 
+MIN_BLOCK_REVISITS = 3
 EQUAL_SCORE = 0.02
-"""Candidates whose scores differ by less are ranked by d-prime."""
+"""Differences below this are noise. Of nearly equal candidates, the one tried first is preferred:
+the default, then presets, then variations. The default is replaced by a candidate whose score is
+higher by at least this, and by the standard error, on both halves of the revisits."""
 
-MIN_D_PRIME = 2.3
-"""If the histograms are closer than this, both are of chance matches."""
+LARGE_GAIN = 0.1
+CONCEDED = 0.01
+"""Unless the gain is large, neither precision nor recall, joined revisits or unfolded places may
+be lower than those of the default by more than this."""
 
-CHANCE_PASS_RATE = 0.02
-"""Share of chance matches below the threshold if the recording has no revisits."""
+VIEWS_PER_DESCRIPTOR = 2
+SHOWN_COUNT = 8
+FIELDS_OF_VIEW_DEG = (60.0, 90.0, 120.0, 150.0)
+"""Tried if the field of view is neither recorded nor observable from closed loops."""
 
-STATIC_RATIO = 0.15
-"""Rows and columns with a smaller fraction of the median deviation over time are static."""
+MOTION_PARAMETERS = {'odom_source', 'odom_rotation_gain', 'odom_turn_per_m', 'max_odom_gap_s'}
+"""Parameters of the odometry, which the inspection of the recording may have set."""
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A set of parameters, and how well it separates revisits from chance matches.
+    """A configuration and its map.
 
-    score: share of frames recognised correctly at the threshold, minus `FALSE_WEIGHT_RATIO`
-    times the share recognised wrongly. d_prime: distance between the means of the two histograms
-    in standard deviations. recall, false_rate: shares of the revisits and of the chance matches
-    below the threshold.
+    Attributes:
+        name: short description.
+        trial: the map, with the configuration.
+        score: score on the revisits that candidates are selected by.
+        held_out: score on the other revisits.
     """
 
-    parameters: LocalViewParameters
-    score: float
-    d_prime: float
-    recall: float
-    false_rate: float
+    name: str
+    trial: Trial
+    score: MapScore
+    held_out: MapScore
 
-    def describe(self) -> str:
-        """Format the size, normalisation and crop, at most 38 characters."""
-        p = self.parameters
-        crop = (f'x {p.image_crop_x_min}:{p.image_crop_x_max} '
-                f'y {p.image_crop_y_min}:{p.image_crop_y_max}').replace('-1', '')
-        return f'{p.template_x_size}x{p.template_y_size} patch {p.vt_patch_normalise} crop {crop}'
+    def format(self) -> str:
+        """Format the candidate as a row below `HEADER`."""
+        s, h = self.score, self.held_out
+        return (f'{self.name[:44]:44}{s.total:7.3f}{h.total:10.3f}{h.precision:11.2f}'
+                f'{h.recall:8.2f}{h.joined:8.2f}{h.folded:8.2f}{self.trial.loop_closures:10d}')
+
+
+HEADER = (f'{"candidate":44}{"score":>7}{"held out":>10}{"precision":>11}{"recall":>8}'
+          f'{"joined":>8}{"folded":>8}{"closures":>10}')
 
 
 @dataclass(frozen=True)
 class Proposal:
-    """Proposed parameters, with the evidence for them.
+    """Proposed configuration, with the evidence for it.
 
-    settings: `local_view.name=value` for the parameters that differ from the initial ones.
-    revisits: False if the recording has no revisits. candidates: by score, best first.
-    reasons: explanation in lines of text. supported, unsupported, neighbour: match errors with
-    the proposed parameters of revisits, of chance matches, and of frames half a second apart.
-    sample: (H, W) uint8, a frame of the recording. window: x_min, x_max, y_min, y_max of the
-    crop in it, in pixels.
+    Attributes:
+        config: the proposed configuration.
+        settings: `section.name=value` for the parameters that differ from the default.
+        reasons: explanation in lines of text.
+        chosen: its candidate, None if no candidate was tried.
+        default: candidate of the default configuration, likewise.
+        runner_up: the best other candidate with another local view, None if there is none.
+        candidates: those to show, best first.
+        rating: errors of right and wrong matches with the proposed local view, None if it does
+            not fit the frames.
+        sample: (H, W) uint8, a frame of the recording.
+        window: x_min, x_max, y_min, y_max of the crop in it, in pixels.
     """
 
-    parameters: LocalViewParameters
+    config: Config
     settings: tuple[str, ...]
-    revisits: bool
-    candidates: tuple[Candidate, ...]
     reasons: tuple[str, ...]
-    supported: Errors
-    unsupported: Errors
-    neighbour: Errors
+    chosen: Candidate | None
+    default: Candidate | None
+    runner_up: Candidate | None
+    candidates: tuple[Candidate, ...]
+    rating: ViewRating | None
     sample: Image
     window: tuple[int, int, int, int]
 
     def format(self) -> str:
-        """Format the proposal for a terminal; the last line has the options to copy."""
+        """Format the proposal for a terminal."""
         lines = list(self.reasons)
-        if self.revisits:
-            lines += ['', f'{"candidate":38}{"score":>7}{"d-prime":>9}{"recall":>8}{"false":>7}']
-            lines += [f'{c.describe():38}{c.score:7.2f}{c.d_prime:9.2f}{c.recall:8.2f}'
-                      f'{c.false_rate:7.2f}' for c in self.candidates[:8]]
-        settings = ' '.join(f'--set {setting}' for setting in self.settings)
-        return '\n'.join([*lines, '', settings or 'the initial parameters are best'])
+        if self.candidates:
+            lines += ['', HEADER]
+            for candidate in self.candidates:
+                marks = [name for name, other in (('proposed', self.chosen),
+                                                  ('runner-up', self.runner_up))
+                         if candidate is other]
+                lines.append(f'{candidate.format()}  {" ".join(marks)}'.rstrip())
+        lines += ['', 'different from the default:' if self.settings else
+                  'the default configuration is proposed']
+        return '\n'.join([*lines, *(f'  {setting}' for setting in self.settings)])
 
 
-def propose(frames: Iterable[tuple[int, Image]], start: LocalViewParameters | None = None,
-            at_most: int = MAX_FRAME_COUNT) -> Proposal:
-    """Propose a match threshold, a template size, a normalisation and a crop.
+def propose(
+    recording: Recording,
+    selection: Selection,
+    default: Config,
+    others: Mapping[str, Config],
+    span: Span = WHOLE_SPAN,
+    report: Callable[[str], None] = lambda line: None,
+    at_most: int = MAX_FRAME_COUNT,
+) -> Proposal:
+    """Propose a configuration for a recording.
 
     Args:
-        frames: stamp in ns and (H, W) uint8 grey image, in temporal order; read once.
-        start: initial parameters; the crop is only reduced, and other parameters are kept.
-        at_most: number of frames held in memory (shrunk), evenly spaced over the recording.
+        recording: the recording; it must have images.
+        selection: its topics to use.
+        default: the configuration to compare with.
+        others: further configurations to try, by name.
+        span: the part of the recording to use.
+        report: called with a line of text before each stage.
+        at_most: number of frames that are compared with each other.
 
     Raises:
-        UnusableInput: fewer than 50 frames, frames of different sizes, or a recording too short
-            for revisits.
-        UnusableParameter: the initial parameters do not fit the images.
+        UnusableInput: fewer than 50 images, or images of different sizes.
+        UnusableParameter: the default does not fit the images.
     """
-    start = start or LocalViewParameters()
-    scaler = FrameScaler(start)
+    scaler = FrameScaler(default.local_view)
+    frames = sample_frames(recording, selection, span.start_s, span.duration_s, at_most)
     kept = thinned(((stamp_ns, scaler.shrink(image)) for stamp_ns, image in frames), at_most)
     if len(kept) < MIN_FRAME_COUNT:
         raise UnusableInput(f'{len(kept)} images to tune with, expected {MIN_FRAME_COUNT} or more')
-    time_s = np.array([stamp_ns - kept[0][0] for stamp_ns, _ in kept]) / NS_PER_S
+    stamp_ns = np.array([stamp for stamp, _ in kept], np.int64)
     images = np.stack([image for _, image in kept])
-
-    few = np.arange(0, len(images), -(-len(images) // SCREENING_FRAME_COUNT))
-    rated: dict[LocalViewParameters, Candidate] = {}
-
-    def best_of(trials: Iterable[LocalViewParameters]) -> LocalViewParameters:
-        for p in trials:
-            if p not in rated and _fits(images[0], p):
-                rated[p] = _rate(p, measure(images[few], time_s[few], p))
-        top = max(c.score for c in rated.values())
-        equal = [p for p, c in rated.items() if c.score >= top - EQUAL_SCORE]
-        return max(equal, key=lambda p: rated[p].d_prime)
-
-    small = scaler.to_small(start)
-    chosen = best_of([small])
-    chosen = best_of(_crops(images, chosen))
-    chosen = best_of(_sizes(chosen))
-    evidence = measure(images, time_s, chosen)
-    best = _rate(chosen, evidence)
-    revisits = evidence.revisits and best.d_prime >= MIN_D_PRIME
-    if not revisits:
-        evidence = measure(images, time_s, small)
-        best = _rate_without_revisits(small, evidence)
-    chance = evidence.is_unsupported if revisits else evidence.errors < NO_MATCH
-    parameters = scaler.to_full(best.parameters)
-    ranked = sorted(rated.values(), key=lambda c: -c.score)
-    return Proposal(
-        parameters, _settings(start, parameters), revisits,
-        tuple(replace(c, parameters=scaler.to_full(c.parameters)) for c in ranked),
-        _reasons(best, evidence, revisits, time_s),
-        evidence.errors[evidence.is_supported & revisits],
-        evidence.errors[chance], evidence.neighbour,
-        scaler.sample, crop_window(scaler.sample, parameters))
-
-
-def _rate(p: LocalViewParameters, evidence: Evidence) -> Candidate:
-    """Choose the threshold and compute how well it separates."""
-    right = np.sort(evidence.errors[evidence.is_supported])
-    wrong = np.sort(evidence.errors[evidence.is_unsupported])
-    if not evidence.revisits:
-        return _rate_without_revisits(p, evidence)
-    trial = np.unique(np.concatenate((right, wrong)))
-    recall = np.searchsorted(right, trial, side='right') / len(right)
-    false_rate = np.searchsorted(wrong, trial, side='right') / max(len(wrong), 1)
-    value = recall - FALSE_WEIGHT_RATIO * false_rate
-    at = int(np.argmax(value >= value.max() - CONCEDED_SCORE))
-    count = np.isfinite(evidence.rank).sum()
-    score = (recall[at] * len(right) - FALSE_WEIGHT_RATIO * false_rate[at] * len(wrong)) / count
-    spread = np.sqrt((right.var() + (wrong.var() if len(wrong) else right.var())) / 2.0)
-    distance = (wrong.mean() if len(wrong) else right.max()) - right.mean()
-    return Candidate(_with_threshold(p, float(trial[at])), float(score),
-                     float(distance / max(spread, 1e-9)), float(recall[at]), float(false_rate[at]))
-
-
-def _rate_without_revisits(p: LocalViewParameters, evidence: Evidence) -> Candidate:
-    """Choose the threshold by the rate of chance matches alone."""
-    errors = evidence.errors[evidence.errors < NO_MATCH]
-    threshold = float(np.quantile(errors, CHANCE_PASS_RATE))
-    return Candidate(_with_threshold(p, threshold), 0.0, 0.0, 0.0, CHANCE_PASS_RATE)
-
-
-def _with_threshold(p: LocalViewParameters, threshold: float) -> LocalViewParameters:
-    return replace(p, vt_match_threshold=float(f'{min(threshold, 1.0):.3g}'))
-
-
-def _crops(images: NDArray[np.uint8], p: LocalViewParameters) -> Iterator[LocalViewParameters]:
-    """Yield crops within that of `p`: without static borders, and horizontal bands of the rest."""
-    window = crop_window(images[0], p)
-    part = images[:, window.y_min:window.y_max, window.x_min:window.x_max]
-    deviation = part[::max(1, len(part) // 200)].std(axis=0)
-    left, right = _changing(np.median(deviation, axis=0))
-    top, bottom = _changing(np.median(deviation, axis=1))
-    whole = replace(
-        p, image_crop_x_min=window.x_min + left, image_crop_x_max=window.x_min + right,
-        image_crop_y_min=window.y_min + top, image_crop_y_max=window.y_min + bottom)
-    yield whole
-    top, bottom = whole.image_crop_y_min, whole.image_crop_y_max
-    third = (bottom - top) // 3
-    yield replace(whole, image_crop_y_max=bottom - third)
-    yield replace(whole, image_crop_y_max=(top + bottom) // 2)
-    yield replace(whole, image_crop_y_min=top + third)
-    yield replace(whole, image_crop_y_min=(top + bottom) // 2)
-
-
-def _changing(deviation: NDArray[np.float64]) -> tuple[int, int]:
-    """Return first and last + 1 index of a profile without its static ends."""
-    changing = np.flatnonzero(deviation > STATIC_RATIO * np.median(deviation))
-    return (int(changing[0]), int(changing[-1]) + 1) if len(changing) else (0, len(deviation))
-
-
-def _sizes(p: LocalViewParameters) -> Iterator[LocalViewParameters]:
-    """Yield all template sizes, with the shift in proportion to the width, and normalisations."""
-    for width, height in dict.fromkeys(((p.template_x_size, p.template_y_size), *SIZES)):
-        shift = min(round(p.vt_shift_match * width / p.template_x_size), (width - 1) // 2)
-        for patch in dict.fromkeys((p.vt_patch_normalise, *PATCHES)):
-            yield replace(p, template_x_size=width, template_y_size=height,
-                          vt_shift_match=shift, vt_patch_normalise=patch)
-
-
-def _fits(image: Image, p: LocalViewParameters) -> bool:
+    report(f'searching {len(images)} images for revisits')
+    duration_s = (stamp_ns[-1] - stamp_ns[0]) / NS_PER_S
+    seen = f'{len(images)} images over {duration_s:.0f} s'
     try:
-        crop_window(image, p)
+        evidence = measure(images, stamp_ns)
+    except UnusableInput as error:
+        return _without_revisits(default, scaler, (f'{seen}: {error}',))
+    supported = int(evidence.is_supported.sum())
+    seen += (f'; {supported} show a place that was seen more than {evidence.gap_s:.1f} s before, '
+             f'{int(evidence.is_unsupported.sum())} a new place')
+    if not evidence.revisits:
+        return _without_revisits(default, scaler, (
+            seen, 'too few revisits to compare maps with: drive some loops twice, or tune on a '
+            'longer part of the recording'))
+    search = _Search(recording, selection, span, evidence, default, report)
+    views = ViewSearch(images, evidence)
+    for stage in (_presets(default, others), _views(search, views, scaler), _variations(search),
+                  _variations(search)):
+        search.try_all(stage)
+    search.finish()
+    return _proposal(search, views, scaler, seen)
+
+
+def _without_revisits(default: Config, scaler: FrameScaler, reasons: tuple[str, ...]) -> Proposal:
+    return Proposal(default, (), reasons, None, None, None, (), None, scaler.sample,
+                    scaler.window(default.local_view))
+
+
+class _Search:
+    """The candidates tried so far, on a part of the recording or on all of it."""
+
+    def __init__(
+        self, recording: Recording, selection: Selection, span: Span, evidence: Evidence,
+        default: Config, report: Callable[[str], None],
+    ) -> None:
+        self.default = default
+        self.evidence = evidence
+        self.visual_odometry = selection.odom_topic is None
+        self.calibrated = recording.calibration(selection) is not None
+        self._recording, self._selection, self.report = recording, selection, report
+        self._span = span
+        self._part = _part_with_revisits(recording, selection, span, evidence)
+        self._scans = selection.scan_topic is not None
+        blocks = _blocks(evidence)
+        self._selected = np.flatnonzero(blocks % 2 == 0)
+        self._held_out = np.flatnonzero(blocks % 2 == 1)
+        self._held_out_blocks = [np.flatnonzero(blocks == block)
+                                 for block in range(1, BLOCK_COUNT, 2)]
+        self._tried: dict[Config, Candidate | None] = {}
+
+    @property
+    def candidates(self) -> list[Candidate]:
+        """Candidates that fit the recording, in the order of the trials."""
+        return [candidate for candidate in self._tried.values() if candidate is not None]
+
+    @property
+    def best(self) -> Candidate:
+        """The first of the candidates within `EQUAL_SCORE` of the best score."""
+        return ranked(self.candidates)[0]
+
+    def try_all(self, named: Iterator[tuple[str, Config]]) -> None:
+        """Run the trials of configurations that have not been tried yet."""
+        fresh: dict[Config, str] = {}
+        for name, config in named:
+            if not self._scans:
+                config = config.with_values({'experience_map.exp_align_scans': False})
+            if config not in self._tried:
+                fresh.setdefault(config, name)
+        if not fresh:
+            return
+        part = self._part
+        self.report(f'replaying {len(fresh)} configurations'
+                     + ('' if part == self._span else f' on {part.duration_s:.0f} s'))
+        self._run(fresh, part)
+
+    def finish(self) -> None:
+        """Replay the finalists and the default on the whole recording if only a part was used."""
+        if self._part == self._span:
+            return
+        finalists = with_different_views(ranked(self.candidates))[:FINALIST_COUNT]
+        names = {self.default_candidate.trial.config: DEFAULT,
+                 **{candidate.trial.config: candidate.name for candidate in finalists}}
+        self._tried.clear()
+        self.report(f'replaying {len(names)} configurations on the whole recording')
+        self._run(names, self._span)
+
+    @property
+    def default_candidate(self) -> Candidate:
+        """The candidate with the default configuration, which is tried first."""
+        return self.candidates[0]
+
+    def _run(self, named: Mapping[Config, str], part: Span) -> None:
+        trials = run_trials(self._recording, self._selection, list(named), part)
+        for (config, name), trial in zip(named.items(), trials, strict=True):
+            if isinstance(trial, UnusableParameter):
+                if name == DEFAULT:
+                    raise trial
+                self._tried[config] = None
+                continue
+            self._tried[config] = Candidate(
+                name, trial, score_map(trial, self.evidence, self._selected),
+                score_map(trial, self.evidence, self._held_out))
+
+    @property
+    def contender(self) -> Candidate | None:
+        """The best candidate that exceeds the default on the selected revisits."""
+        default = self.default_candidate
+        return next((candidate for candidate in ranked(self.candidates)
+                     if is_better(candidate.score, default.score)), None)
+
+    def is_confirmed(self, candidate: Candidate) -> bool:
+        """Return whether a candidate exceeds the default on the held-out revisits."""
+        other = self.default_candidate
+        gain = candidate.held_out.total - other.held_out.total
+        gains = [score_map(candidate.trial, self.evidence, rows).total
+                 - score_map(other.trial, self.evidence, rows).total
+                 for rows in self._held_out_blocks if _revisit_count(self.evidence, rows)]
+        error = float(np.std(gains, ddof=1)) / math.sqrt(len(gains)) if len(gains) > 1 else 0.0
+        return is_better(candidate.held_out, other.held_out) and gain >= error
+
+
+def is_better(score: MapScore, default: MapScore) -> bool:
+    """Return whether a score exceeds that of the default clearly, and in every respect."""
+    gain = score.total - default.total
+    if gain >= LARGE_GAIN:
+        return True
+    pairs = ((score.precision, default.precision), (score.recall, default.recall),
+             (score.joined, default.joined), (default.folded, score.folded))
+    return gain >= EQUAL_SCORE and all(mine >= other - CONCEDED for mine, other in pairs)
+
+
+def ranked(candidates: list[Candidate]) -> list[Candidate]:
+    """Return the candidates, best first; of nearly equal ones, the one tried first.
+
+    Candidates without loop closures come last.
+    """
+    left = sorted(candidates, key=lambda c: (c.trial.loop_closures == 0, -c.score.total))
+    order = {id(candidate): index for index, candidate in enumerate(candidates)}
+    if left and left[0].trial.loop_closures:
+        top = left[0].score.total - EQUAL_SCORE
+        first = min((c for c in left if c.trial.loop_closures and c.score.total >= top),
+                    key=lambda c: order[id(c)])
+        left.remove(first)
+        left.insert(0, first)
+    return left
+
+
+def with_different_views(candidates: list[Candidate]) -> list[Candidate]:
+    """Return the first candidate with each set of local view parameters."""
+    first: dict[LocalViewParameters, Candidate] = {}
+    for candidate in candidates:
+        first.setdefault(candidate.trial.config.local_view, candidate)
+    return list(first.values())
+
+
+def _blocks(evidence: Evidence) -> Rows:
+    """Return the number of the block of each frame: consecutive, with equally many revisits."""
+    supported = evidence.is_supported.astype(np.intp)
+    before: Rows = np.cumsum(supported) - supported
+    return np.minimum(before * BLOCK_COUNT // max(int(supported.sum()), 1), BLOCK_COUNT - 1)
+
+
+def _revisit_count(evidence: Evidence, rows: Rows) -> bool:
+    return int(evidence.is_supported[rows].sum()) >= MIN_BLOCK_REVISITS
+
+
+def _part_with_revisits(
+    recording: Recording, selection: Selection, span: Span, evidence: Evidence
+) -> Span:
+    """Return the part of a long recording that has the most revisits within itself."""
+    stamp_ns = evidence.stamp_ns
+    duration_s = float(stamp_ns[-1] - stamp_ns[0]) / NS_PER_S
+    length_s = (recording.end_ns - recording.start_ns) / NS_PER_S
+    image_count = recording.count().get(selection.image_topic or '', 0) * min(
+        duration_s / max(length_s, 1e-9), 1.0)
+    if image_count <= SCREENED_FRAME_COUNT:
+        return span
+    frames = max(round(len(stamp_ns) * SCREENED_FRAME_COUNT / image_count), 2)
+    revisit = np.flatnonzero(evidence.is_supported)
+    starts = np.linspace(0, len(stamp_ns) - frames, 21).astype(int).tolist()
+    begin = max(starts, key=lambda first: int(np.sum(
+        (revisit < first + frames) & (evidence.match[revisit] >= first))))
+    since_s = float(stamp_ns[begin] - stamp_ns[0]) / NS_PER_S
+    return Span(span.start_s + since_s, frames * evidence.period_s)
+
+
+# Candidates
+
+
+def _presets(default: Config, others: Mapping[str, Config]) -> Iterator[tuple[str, Config]]:
+    yield DEFAULT, default
+    yield from others.items()
+
+
+def _views(search: _Search, views: ViewSearch,
+           scaler: FrameScaler) -> Iterator[tuple[str, Config]]:
+    """Yield the best local views of each descriptor, with the best back ends."""
+    search.report('comparing local views')
+    best = search.best.trial.config
+    bases = list(dict.fromkeys((best, search.default)))
+    for start in _starts(search):
+        try:
+            found = views.best(scaler.to_small(start), VIEWS_PER_DESCRIPTOR)
+        except UnusableParameter:
+            continue
+        for rating in found:
+            view = scaler.to_full(rating.parameters)
+            for base in bases:
+                name = describe_view(view) + (', default back end' if base != best else '')
+                yield name, replace(base, local_view=view)
+                if not view.vt_recent_templates:
+                    fine = replace(view, vt_recent_templates=10, vt_recent_threshold=0.4)
+                    yield f'{name}, recent 10', replace(base, local_view=fine)
+
+
+def _starts(search: _Search) -> Iterator[LocalViewParameters]:
+    """Yield the best local view tried so far with each descriptor."""
+    order = [candidate.trial.config.local_view for candidate in ranked(search.candidates)]
+    for start in descriptors(search.default.local_view):
+        yield next((p for p in order if p.vt_descriptor == start.vt_descriptor), start)
+
+
+def _variations(search: _Search) -> Iterator[tuple[str, Config]]:
+    """Yield single changes of the best candidate; called again, changes of that result."""
+    best = search.best
+    for name, changes in _changes(search):
+        yield from _changed(best, name, changes)
+
+
+def _changed(base: Candidate, name: str,
+             changes: Mapping[str, Value]) -> Iterator[tuple[str, Config]]:
+    try:
+        yield f'{base.name}, {name}', base.trial.config.with_values(changes)
     except UnusableParameter:
-        return False
-    return True
+        return
 
 
-def _settings(start: LocalViewParameters, parameters: LocalViewParameters) -> tuple[str, ...]:
-    return tuple(f'local_view.{field.name}={getattr(parameters, field.name)}'
-                 for field in fields(parameters)
-                 if getattr(parameters, field.name) != getattr(start, field.name))
+def _changes(search: _Search) -> Iterator[tuple[str, dict[str, Value]]]:
+    """Yield names and values of single changes."""
+    config = search.best.trial.config
+    view, cells = config.local_view, config.pose_cells
+    if view.vt_match_threshold != AUTOMATIC:
+        for factor in (0.85, 1.18):
+            threshold = float(f'{view.vt_match_threshold * factor:.3g}')
+            yield f'threshold {threshold:g}', {'local_view.vt_match_threshold': threshold}
+        yield 'automatic threshold', {'local_view.vt_match_threshold': AUTOMATIC}
+    if cells.pc_cell_x_size > 0.0:
+        for factor in (0.5, 2.0):
+            size = float(f'{cells.pc_cell_x_size * factor:.3g}')
+            yield f'cells of {size:g} m', {'pose_cells.pc_cell_x_size': size}
+    for delta in (0.7, 2.0):
+        if cells.exp_delta_pc_threshold not in (delta, AUTOMATIC):
+            yield f'delta {delta:g}', {'pose_cells.exp_delta_pc_threshold': delta}
+    default = search.default.values()
+    motion = {f'{section}.{name}': value for section, values in default.items()
+              for name, value in values.items()
+              if section == 'visual_odometry' or name in MOTION_PARAMETERS}
+    yield 'motion of the default', motion
+    guessed = config.visual_odometry.camera_fov_deg == VisualOdometryParameters.camera_fov_deg
+    if search.visual_odometry and guessed and not search.calibrated:
+        for fov_deg in FIELDS_OF_VIEW_DEG:
+            yield f'field of view {fov_deg:g}', {'visual_odometry.camera_fov_deg': fov_deg}
 
 
-def _reasons(best: Candidate, evidence: Evidence, revisits: bool,
-             time_s: NDArray[np.float64]) -> tuple[str, ...]:
-    threshold = best.parameters.vt_match_threshold
-    period_s = float(time_s[-1]) / (len(time_s) - 1)
-    reasons = [f'{len(time_s)} frames, {period_s:.2g} s apart, over {time_s[-1]:.0f} s']
-    if period_s > 1.0:
-        reasons.append('frames this sparse miss the places that are seen again, and the '
-                       'threshold becomes too high: tune on a shorter recording')
-    if not revisits:
-        return (*reasons,
-                'no place is clearly seen twice: crop, size and normalisation are not changed',
-                f'{CHANCE_PASS_RATE:.0%} of the best matches between different places are below '
-                f'the threshold {threshold:g}; it should rather be lower for a longer run')
-    count = int(np.isfinite(evidence.rank).sum())
-    supported, unsupported = int(evidence.is_supported.sum()), int(evidence.is_unsupported.sum())
-    reasons += [
-        f'{supported} of {count} frames show a place that was seen more than '
-        f'{evidence.gap_s:.1f} s before; {unsupported} clearly show a new place',
-        f'the threshold {threshold:g} recognises {best.recall:.0%} of the former and '
-        f'{best.false_rate:.0%} of the latter']
-    if best.false_rate > 0.05 or best.recall < 0.6:
-        reasons.append('the two overlap: expect missed or wrong recognitions')
-    if unsupported < 20:
-        reasons.append('few frames show a new place, so that wrong recognitions can hardly be '
-                       'measured: lower the threshold rather than raising it')
-    return tuple(reasons)
+def describe_view(p: LocalViewParameters) -> str:
+    """Format descriptor, size, normalisation and crop."""
+    crop = ''
+    if (p.image_crop_x_min, p.image_crop_x_max, p.image_crop_y_min, p.image_crop_y_max) != (
+            0, -1, 0, -1):
+        crop = (f' crop {p.image_crop_x_min}:{p.image_crop_x_max} '
+                f'{p.image_crop_y_min}:{p.image_crop_y_max}').replace('-1', '')
+    patch = f' patch {p.vt_patch_normalise}' if p.vt_patch_normalise else ''
+    return f'{p.vt_descriptor} {p.template_x_size}x{p.template_y_size}{patch}{crop}'
+
+
+# Result
+
+
+def _proposal(search: _Search, views: ViewSearch, scaler: FrameScaler, seen: str) -> Proposal:
+    order = ranked(search.candidates)
+    default, contender = search.default_candidate, search.contender
+    chosen = contender if contender and search.is_confirmed(contender) else default
+    others = [candidate for candidate in order if candidate is not chosen]
+    view = chosen.trial.config.local_view
+    runner_up = next((c for c in others if c.trial.config.local_view != view), None)
+    shown = [chosen, *others[:SHOWN_COUNT - 1]]
+    if default not in shown:
+        shown.append(default)
+    reasons = [seen, _reason(chosen, default, contender)]
+    if not chosen.trial.loop_closures:
+        reasons.append('places are seen again, but no candidate closes a loop: check the odometry '
+                       'and the crop')
+    config = chosen.trial.config
+    try:
+        rating = views.rate(scaler.to_small(config.local_view))
+    except UnusableParameter:
+        rating = None
+    return Proposal(
+        config, _settings(search.default, config), tuple(reasons), chosen, default,
+        runner_up, tuple(shown), rating, scaler.sample,
+        scaler.window(config.local_view))
+
+
+def _reason(chosen: Candidate, default: Candidate, contender: Candidate | None) -> str:
+    if chosen is not default:
+        return (f'proposed: {chosen.name}, held-out score {chosen.held_out.total:.3f}; '
+                f'default {default.held_out.total:.3f}')
+    if contender is None:
+        return ('the default is proposed: no candidate is clearly better than its score of '
+                f'{default.score.total:.3f}')
+    return (f'the default is proposed, held-out score {default.held_out.total:.3f}: '
+            f'{contender.name} reaches {contender.held_out.total:.3f}, not clearly more')
+
+
+def _settings(default: Config, config: Config) -> tuple[str, ...]:
+    return tuple(
+        f'{section}.{name}={getattr(getattr(config, section), name)}'
+        for section, cls in SECTIONS.items() for name, _, _ in cls.parameters()
+        if getattr(getattr(config, section), name) != getattr(getattr(default, section), name))
 
 
 def plot_proposal(proposal: Proposal, path: str | Path) -> Path:
-    """Draw the two histograms with the threshold, the candidates, and the crop in a frame.
+    """Draw the match errors, the crop, and the maps of the proposal and of the default.
 
     Raises:
         UnusableInput: the file cannot be written.
     """
     from matplotlib.patches import Rectangle
 
-    figure = new_figure(11.0, 6.4)
-    grid = figure.add_gridspec(2, 2, width_ratios=(3, 2), height_ratios=(1, 1))
-    histogram, frame = figure.add_subplot(grid[:, 0]), figure.add_subplot(grid[0, 1])
-    table = figure.add_subplot(grid[1, 1])
-
-    shown = [e for e in (proposal.supported, proposal.unsupported) if len(e)]
-    top = 1.05 * max(float(e.max()) for e in (*shown, proposal.neighbour))
-    bins = np.linspace(0.0, top, 60).tolist()
-    for errors, colour, label in (
-        (proposal.supported, BLUE, 'seen again'),
-        (proposal.unsupported, VERMILLION, 'not seen before'),
-    ):
-        if len(errors):
-            histogram.hist(errors, bins, color=colour, alpha=0.6, label=f'{label}: {len(errors)}',
-                           weights=np.full(len(errors), 1.0 / len(errors)))
-    histogram.hist(proposal.neighbour, bins, histtype='step', color=GREY,
-                   label='frames up to half a second apart',
-                   weights=np.full(len(proposal.neighbour), 1.0 / len(proposal.neighbour)))
-    threshold = proposal.parameters.vt_match_threshold
-    histogram.axvline(threshold, color=BLACK, linestyle='--', label=f'threshold {threshold:g}')
-    histogram.set(xlabel='match error', ylabel='share of frames', xlim=(0.0, top))
-    histogram.legend(fontsize=8)
+    figure = new_figure(11.0, 8.0)
+    grid = figure.add_gridspec(2, 2)
+    histogram, frame = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[0, 1])
+    rating = proposal.rating
+    if rating is not None and len(rating.right) + len(rating.wrong):
+        top = 1.05 * max(float(e.max()) for e in (rating.right, rating.wrong) if len(e))
+        bins = np.linspace(0.0, top, 60).tolist()
+        for errors, colour, label in ((rating.right, BLUE, 'same place'),
+                                      (rating.wrong, VERMILLION, 'other place')):
+            histogram.hist(errors, bins, color=colour, alpha=0.6, label=f'{label}: {len(errors)}')
+        threshold = proposal.config.local_view.vt_match_threshold
+        if threshold != AUTOMATIC:
+            histogram.axvline(threshold, color=BLACK, linestyle='--',
+                              label=f'threshold {threshold:g}')
+        histogram.set(xlabel='error of the best match with an earlier frame',
+                      ylabel='number of frames', xlim=(0.0, top))
+        histogram.set_title('local view of the proposal', fontsize=10)
+        histogram.legend(fontsize=8)
+    else:
+        histogram.set_axis_off()
+        histogram.text(0.5, 0.5, 'no place is clearly seen twice', ha='center')
 
     x_min, x_max, y_min, y_max = proposal.window
     frame.imshow(proposal.sample, cmap='gray', vmin=0, vmax=255)
@@ -314,15 +535,21 @@ def plot_proposal(proposal: Proposal, path: str | Path) -> Path:
     frame.set_title('crop', fontsize=10)
     frame.set_axis_off()
 
-    table.set_axis_off()
-    rows = [[c.describe(), f'{c.score:.2f}', f'{c.d_prime:.1f}', f'{c.recall:.2f}',
-             f'{c.false_rate:.2f}'] for c in proposal.candidates[:8]]
-    if proposal.revisits:
-        cells = table.table(rows, colLabels=['candidate', 'score', "d'", 'recall', 'false'],
-                            colWidths=[0.6, 0.1, 0.1, 0.1, 0.1], loc='center', cellLoc='left',
-                            edges='horizontal')
-        cells.auto_set_font_size(False)
-        cells.set_fontsize(7)
-    else:
-        table.text(0.5, 0.5, 'no place is clearly seen twice', ha='center')
+    second = proposal.runner_up if proposal.chosen is proposal.default else proposal.default
+    for column, (title, candidate) in enumerate((('proposed', proposal.chosen),
+                                                 ('compared', second))):
+        axes = figure.add_subplot(grid[1, column])
+        if candidate is None:
+            axes.set_axis_off()
+            continue
+        path_m, _ = poses_at(candidate.trial.map, candidate.trial.view_ns)
+        seen_again = candidate.trial.first_seen < np.arange(len(candidate.trial.view_ns))
+        axes.plot(*path_m.T, color=GREY, linewidth=0.7)
+        axes.plot(*path_m[seen_again].T, linestyle='', marker='.', markersize=2, color=BLUE)
+        axes.set_aspect('equal', 'datalim')
+        score = candidate.held_out
+        axes.set_title(f'{title}: {candidate.name}\nheld-out score {score.total:.3f}, precision '
+                       f'{score.precision:.2f}, recall {score.recall:.2f}, joined '
+                       f'{score.joined:.2f}, folded {score.folded:.2f}', fontsize=9)
+        axes.tick_params(labelsize=7)
     return save_figure(figure, path)

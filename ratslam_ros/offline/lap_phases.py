@@ -1,0 +1,80 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Precision and recall of place recognition on recordings of laps."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ratslam_ros.errors import UnusableInput
+
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class LapPhases:
+    """Lap and place on the lap of each frame of a recording, (n,) each.
+
+    Two frames show the same place if their places are equal. Places are cyclic.
+    """
+
+    lap: Ints
+    place: Ints
+
+    @property
+    def lap_length(self) -> int:
+        """Number of different places."""
+        return len(np.unique(self.place))
+
+    def recognition(self, template_ids: Sequence[int] | Ints, tolerance: int,
+                    from_lap: int = 2) -> tuple[float, float]:
+        """Return precision and recall of recognising places of earlier laps.
+
+        A frame counts as recognised if its template was first seen in an earlier lap and more
+        than half a lap of frames before. The recognition is correct if the first frame of the
+        template shows the same place.
+
+        Args:
+            template_ids: template ids of all frames in order; -1: none.
+            tolerance: largest distance between frames of the same place, in frames.
+            from_lap: first lap that is evaluated.
+
+        Raises:
+            UnusableInput: the number of frames differs.
+        """
+        ids = np.asarray(template_ids)
+        if len(ids) != len(self.lap):
+            raise UnusableInput(f'the laps of {len(self.lap)} frames are given, but '
+                                f'{len(ids)} frames were processed; expected one row per frame')
+        frame = np.arange(len(ids))
+        _, first_frames, which = np.unique(ids, return_index=True, return_inverse=True)
+        first = first_frames[which]
+        counted = self.lap >= from_lap
+        recognised = (counted & (ids >= 0) & (self.lap[first] < self.lap)
+                      & (frame - first > self.lap_length / 2))
+        apart = np.abs(self.place - self.place[first]) % self.lap_length
+        correct = recognised & (np.minimum(apart, self.lap_length - apart) <= tolerance)
+        return (float(correct.sum() / max(recognised.sum(), 1)),
+                float(correct.sum() / max(counted.sum(), 1)))
+
+
+def read_lap_phases(path: Path) -> LapPhases:
+    """Read a CSV file with the columns lap and ref_frame, one row per frame.
+
+    Raises:
+        UnusableInput: the file cannot be read.
+    """
+    try:
+        with path.open(newline='', encoding='utf-8') as file:
+            rows = [(int(row['lap']), int(row['ref_frame'])) for row in csv.DictReader(file)]
+    except (OSError, KeyError, TypeError, ValueError) as error:
+        raise UnusableInput(f'{path} cannot be read ({error!r}); expected a CSV file with the '
+                            'columns lap and ref_frame') from None
+    table = np.array(rows, np.int64).reshape(-1, 2)
+    return LapPhases(table[:, 0], table[:, 1])

@@ -1,0 +1,205 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Trials: the maps that several configurations build from the same recording.
+
+The recording is read and decoded once for all configurations. Nothing is written.
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ratslam_ros.core.common.pose import Pose, composed
+from ratslam_ros.core.common.scan import UnusableScan
+from ratslam_ros.core.config import Config
+from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
+from ratslam_ros.core.ratslam import OdometryStep, RatSLAM, Step
+from ratslam_ros.core.vision.local_view import LocalView
+from ratslam_ros.descriptors import encoder_of
+from ratslam_ros.errors import UnusableParameter
+from ratslam_ros.event_inputs import odometry_from_event, scan_from_event
+from ratslam_ros.messages.json_schema import MalformedMessage
+from ratslam_ros.messages.mapping import decode_template
+from ratslam_ros.offline.replay import calibrated
+from ratslam_ros.recordings import (
+    Event,
+    ImageEvent,
+    OdometryEvent,
+    Recording,
+    ScanEvent,
+    Selection,
+)
+from ratslam_ros.recordings.prefetch import prefetch_images
+from ratslam_ros.results.trajectory import Trajectory
+from ratslam_ros.results.writer import NEWEST_EXPERIENCES_COUNT
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Span:
+    """Part of a recording: skipped seconds at the start, and duration, None for the rest."""
+
+    start_s: float = 0.0
+    duration_s: float | None = None
+
+
+WHOLE_SPAN = Span()
+
+
+@dataclass(frozen=True)
+class Trial:
+    """The map that one configuration built.
+
+    Attributes:
+        config: the configuration.
+        view_ns: (v,) stamps of the processed views.
+        template_id: (v,) their templates, -1 for none.
+        first_seen: (v,) index of the view at which the template was first seen.
+        map: trajectory on the final map.
+        dead_reckoning: trajectory by odometry alone, with the same stamps.
+        loop_closures: number of transitions to experiences that are not among the newest.
+        experiences: number of experiences.
+    """
+
+    config: Config
+    view_ns: Ints
+    template_id: Ints
+    first_seen: Ints
+    map: Trajectory
+    dead_reckoning: Trajectory
+    loop_closures: int
+    experiences: int
+
+    @property
+    def templates(self) -> int:
+        """Number of templates."""
+        return len(np.unique(self.template_id[self.template_id >= 0]))
+
+
+def run_trials(
+    recording: Recording,
+    selection: Selection,
+    configs: Sequence[Config],
+    span: Span = WHOLE_SPAN,
+    on_progress: Callable[[float], None] = lambda done_s: None,
+) -> list[Trial | UnusableParameter]:
+    """Build one map per configuration.
+
+    The number of experiences is not limited: ``pose_cells.exp_max`` is ignored.
+
+    Args:
+        recording: the recording.
+        selection: its topics to use.
+        configs: the configurations.
+        span: the part of the recording to use.
+        on_progress: called with the processed duration in s.
+
+    Returns:
+        The trials, in the order of the configurations; an error for a configuration that does
+        not fit the images.
+    """
+    visual_odometry = selection.odom_topic is None and selection.image_topic is not None
+    runs = [_Run(config, recording, selection, visual_odometry) for config in configs]
+    errors: dict[int, UnusableParameter] = {}
+    first_ns: int | None = None
+    events = recording.events(selection, span.start_s, span.duration_s)
+    with prefetch_images(events, lambda name: nullcontext()) as decoded:
+        for event, image in decoded:
+            first_ns = event.log_ns if first_ns is None else first_ns
+            for index, run in enumerate(runs):
+                if index not in errors:
+                    try:
+                        run.feed(event, image)
+                    except UnusableParameter as error:
+                        errors[index] = error
+            on_progress((event.log_ns - first_ns) * 1e-9)
+    return [errors[index] if index in errors else run.finish() for index, run in enumerate(runs)]
+
+
+class _Run:
+    """RatSLAM with one configuration, and the record of its steps."""
+
+    def __init__(
+        self, config: Config, recording: Recording, selection: Selection, visual_odometry: bool
+    ) -> None:
+        self._config = config
+        used = config.with_values({'pose_cells.exp_max': 0, 'goal_memory.goal_memory': False})
+        if visual_odometry:
+            used = calibrated(used, recording, selection)
+        p = used.local_view
+        self._slam = RatSLAM(used, visual_odometry=visual_odometry,
+                             local_view=LocalView(p, encoder_of(p)))
+        self._view_ns, self._template_id = array('q'), array('q')
+        self._stamp_ns, self._experience_id = array('q'), array('q')
+        self._offset, self._dead_reckoning = array('d'), array('d')
+        self._newest: list[int] = []
+        self._loop_closures = 0
+
+    def feed(self, event: Event, image: NDArray[np.uint8] | None) -> None:
+        """Process one event; unusable scans and templates are skipped."""
+        slam = self._slam
+        if isinstance(event, OdometryEvent):
+            self._add(slam.odometry(odometry_from_event(event)))
+        elif isinstance(event, ImageEvent):
+            self._add(slam.image(event.stamp_ns, image))
+        elif isinstance(event, ScanEvent):
+            try:
+                self._add(slam.scan(scan_from_event(event)))
+            except UnusableScan:
+                return
+        else:
+            try:
+                stamp_ns, match, _ = decode_template(event.payload)
+            except MalformedMessage:
+                return
+            self._add(slam.template(stamp_ns, match))
+
+    def _add(self, steps: list[Step]) -> None:
+        for step in steps:
+            if isinstance(step, OdometryStep):
+                self._stamp_ns.append(step.stamp_ns)
+                self._experience_id.append(step.experience_id)
+                self._offset.extend(step.offset)
+                self._dead_reckoning.extend(step.dead_reckoning)
+                continue
+            self._view_ns.append(step.stamp_ns)
+            self._template_id.append(step.match.template_id)
+            action = step.action
+            if action.action == 'create':
+                self._newest = [*self._newest[1 - NEWEST_EXPERIENCES_COUNT:], action.target_id]
+            elif action.action != 'none' and not step.rejected:
+                self._loop_closures += action.target_id not in self._newest
+
+    def finish(self) -> Trial:
+        """Process all held messages and return the result."""
+        self._add(self._slam.finish())
+        template_id = np.array(self._template_id, np.int64)
+        _, first, which = np.unique(template_id, return_index=True, return_inverse=True)
+        offsets = np.array(self._offset).reshape(-1, 3).tolist()
+        graph = self._slam.experience_map
+        poses = {i: graph.pose_of(i) for i in {NO_EXPERIENCE, *self._experience_id}}
+        on_map = [
+            composed(poses[i], Pose(*offset))
+            for i, offset in zip(self._experience_id, offsets, strict=True)
+        ]
+        stamps = np.array(self._stamp_ns, np.int64)
+        rising = np.flatnonzero(np.diff(stamps, prepend=-1) > 0)
+        return Trial(
+            self._config, np.array(self._view_ns, np.int64), template_id,
+            first[which].astype(np.int64).reshape(-1),
+            _trajectory(stamps, np.array(on_map).reshape(-1, 3), rising),
+            _trajectory(stamps, np.array(self._dead_reckoning).reshape(-1, 3), rising),
+            self._loop_closures, len(graph),
+        )  # fmt: skip
+
+
+def _trajectory(stamps: Ints, poses: Floats, rows: NDArray[np.intp]) -> Trajectory:
+    return Trajectory(stamps[rows], poses[rows, :2], poses[rows, 2], True)
