@@ -31,6 +31,7 @@ NODES = [
     'single_process',
 ]
 
+ONNX = ['onnxruntime>=1.17']  # for vt_descriptor: model.onnx
 TEST = ['hypothesis>=6.90', 'pytest>=7.4']  # the versions of Ubuntu 24.04 suffice
 
 setup(
@@ -74,10 +75,11 @@ setup(
         'zstandard>=0.22',
     ],
     extras_require={
+        'onnx': ONNX,
         'test': TEST,  # by this name colcon knows that pytest runs the tests
         'dev': [
-            *TEST, 'mypy>=1.8', 'networkx>=3.0', 'pytest-xdist>=3.5', 'ruff>=0.4', 'types-PyYAML',
-            'types-tqdm',
+            *TEST, *ONNX, 'mypy>=1.8', 'networkx>=3.0', 'pytest-xdist>=3.5', 'ruff>=0.4',
+            'types-PyYAML', 'types-tqdm',
         ],
         'examples': ['networkx>=3.0'],
     },

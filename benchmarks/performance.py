@@ -27,7 +27,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import matplotlib
@@ -45,6 +45,7 @@ from ratslam_ros.core.mapping.relaxation import sweep
 from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.pose_cells.torus import Place
+from ratslam_ros.core.vision.built_in import built_in_encoder
 from ratslam_ros.core.vision.template_memory import TemplateMemory
 from ratslam_ros.core.vision.visual_odometry import VisualOdometry
 from ratslam_ros.core.warm_up import warm_up
@@ -200,9 +201,8 @@ def three_packets_ms(cells: PoseCells) -> list[float]:
 
 def filled(kind: Kind, panoramic: bool = False) -> TemplateMemory:
     """Return a memory with all templates of a kind."""
-    p = kind.parameters
     memory = TemplateMemory(
-        60, 10, 0 if panoramic else 5, 0, 1, panoramic=panoramic, signed=p.vt_patch_normalise > 0
+        built_in_encoder(replace(kind.parameters, vt_panoramic=panoramic)).layout
     )
     for view in kind.templates:
         memory.append(view)
@@ -230,7 +230,8 @@ def search_ms(
 def local_view(curve: Curve, quick: bool, data: Path) -> Iterator[Row]:
     """Measure searches for all kinds of views; the rows are those of the slowest kind."""
     count = 20_000
-    all_kinds = kinds(count, data)
+    both = kinds(count, data)
+    all_kinds = [kind for kind in both if not kind.gradients]
     worst: dict[str, tuple[float, str, list[float]]] = {}
     by_kind = []
     for kind in all_kinds:
@@ -267,8 +268,25 @@ def local_view(curve: Curve, quick: bool, data: Path) -> Iterator[Row]:
     for name, (step, size, cpp, target) in lines.items():
         _, kind_name, times_ms = worst[name]
         yield Row(step, size, cpp, target, times_ms, f'slowest kind: {kind_name}')
+    decision_ms = statistics.median(worst['decision'][2])
+    yield from gradients([kind for kind in both if kind.gradients], decision_ms)
     if not quick:
         yield from a_million(curve, all_kinds)
+
+
+def gradients(gradient_kinds: list[Kind], intensity_ms: float) -> Iterator[Row]:
+    """Measure the decision for views of gradients; the row is that of the slowest kind."""
+    worst: tuple[float, str, list[float]] | None = None
+    for kind in gradient_kinds:
+        memory = filled(kind)
+        limit = math.floor(kind.parameters.vt_match_threshold * memory.full_sum)
+        times_ms = search_ms(memory, kind.unknown, limit)
+        if worst is None or statistics.median(times_ms) > worst[0]:
+            ratio = statistics.median(times_ms) / intensity_ms
+            note = f'slowest kind: {kind.name}; {ratio:.2f} times intensity'
+            worst = statistics.median(times_ms), note, times_ms
+    assert worst is not None
+    yield Row('gradients: the decision', '20,000', 'none', 1.5, worst[2], worst[1])
 
 
 def a_million(curve: Curve, all_kinds: list[Kind]) -> Iterator[Row]:
@@ -276,9 +294,7 @@ def a_million(curve: Curve, all_kinds: list[Kind]) -> Iterator[Row]:
     worst: tuple[float, str, list[float]] | None = None
     for kind in all_kinds:
         before_mb = resident_mb()
-        memory = TemplateMemory(
-            60, 10, 5, 0, 1, panoramic=False, signed=kind.parameters.vt_patch_normalise > 0
-        )
+        memory = TemplateMemory(built_in_encoder(kind.parameters).layout)
         limit = math.floor(kind.parameters.vt_match_threshold * memory.full_sum)
         for repeat in range(50):
             for view in np.roll(kind.templates, repeat, 2) ^ np.uint8(repeat % 4):

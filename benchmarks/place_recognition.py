@@ -2,9 +2,30 @@
 # SPDX-License-Identifier: Apache-2.0
 """Precision and recall of the local view on real recordings.
 
-    python benchmarks/place_recognition.py [--data ../shared/data]
+    python benchmarks/place_recognition.py [--data ../shared/data] [--descriptor NAME ...]
+    python benchmarks/place_recognition.py --data FOLDER [--descriptor NAME ...]
 
-The presets of the folder `config` are used. Missing recordings are reported and skipped.
+A FOLDER with the folders `query` and `ref` (the layout of VPR-Bench) is evaluated with every
+descriptor, see "Descriptors" below. Otherwise --data is the folder of the recordings below, which
+are evaluated with the presets of the folder `config` and then with every descriptor. Missing
+recordings are reported and skipped.
+
+Descriptors. The settings of `settings` are compared, one setting for all data, and the descriptors
+given by --descriptor (names of installed descriptors, or paths of ONNX models). The measures are
+- top-1: share of the queries whose best match is correct. Queries without a reference do not
+  count; images with too little structure have no match.
+- AUC: area under the precision-recall curve of the best matches, ordered by their error.
+- ms: median time of encoding a view, and of searching all references.
+On recordings of laps, the references are every second frame of the first whole lap, and the
+queries up to 300 frames of the later laps. The corridors are also evaluated with references and
+queries exchanged. "held out" is the leave-one-out score: that of the setting with the best mean
+top-1 on all other places, where both directions of a corridor have half the weight. Presets, which
+were tuned on some of the data, are not chosen.
+
+VPR-Bench: the images of `query` and `ref` are ordered by the numbers in their names.
+`ground_truth.csv` has the columns query and ref_list (numbers separated by spaces). Without it,
+`ground_truth_new.npy` or `ground_truth.npy` is read, a pickled array of rows (query, references):
+use only files that you trust.
 
 Laps (rc_car_loops, donkeycar_track). `LocalView` processes all images in order, except those whose
 stamp does not increase. `lap_phase.csv` contains the lap of each frame and its place on the lap,
@@ -34,6 +55,10 @@ from __future__ import annotations
 
 import argparse
 import csv
+import math
+import re
+import statistics
+import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -43,7 +68,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.config import LocalViewParameters
-from ratslam_ros.core.vision.local_view import LocalView, make_view
+from ratslam_ros.core.vision.intensity import make_view
+from ratslam_ros.core.vision.local_view import LocalView
+from ratslam_ros.descriptors import encoder_of
+from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.files.config import load_config
 from ratslam_ros.recordings import ImageEvent, open_recording
 
@@ -61,6 +89,12 @@ TUNED_ON_VPR = LocalViewParameters(
 
 CIRCUIT_IMAGES = 40
 """Number of images of one round of the circuit."""
+
+TUNED_PRESETS = 'corridor', 'rc_car', 'donkeycar'
+"""Presets that were tuned on some of the recordings."""
+
+LAP_LENGTHS = (('rc_car_loops', 191, 8), ('donkeycar_track', 521, 5), ('lab_car', 366, 8))
+"""Recordings of laps: name, frames per lap, tolerance in frames."""
 
 
 @dataclass(frozen=True)
@@ -224,6 +258,238 @@ def report_corridors(data: Path) -> None:
         print_row(name, 'top-1', 'preset, tuned on both', value, target)
 
 
+# Descriptors
+
+
+@dataclass(frozen=True)
+class PlaceSet:
+    """References, queries, and which references show the place of each query.
+
+    Attributes:
+        place: name of the place.
+        exchanged: whether references and queries are exchanged.
+        references, queries: (H, W) uint8 images.
+        correct: set of the correct references of each query.
+    """
+
+    place: str
+    references: list[Image]
+    queries: list[Image]
+    correct: list[set[int]]
+    exchanged: bool = False
+
+    @property
+    def name(self) -> str:
+        """Name in the table."""
+        return f'{self.place}, exchanged' if self.exchanged else self.place
+
+    def exchange(self) -> PlaceSet:
+        """Return the set with references and queries exchanged."""
+        correct: list[set[int]] = [set() for _ in self.references]
+        for query, those in enumerate(self.correct):
+            for reference in those:
+                correct[reference].add(query)
+        return PlaceSet(self.place, self.queries, self.references, correct, True)
+
+
+@dataclass(frozen=True)
+class Scores:
+    """Results of one setting on one set; the measures are defined in the module docstring."""
+
+    top_1: float
+    auc: float
+    encode_ms: float
+    search_ms: float
+
+
+def settings() -> dict[str, LocalViewParameters]:
+    """Return the compared settings by name."""
+    return {
+        'intensity (default)': LocalViewParameters(),
+        'intensity, patches': LocalViewParameters(
+            template_x_size=60, template_y_size=24, vt_patch_normalise=4, vt_shift_match_y=2
+        ),
+        **{name: preset(name) for name in TUNED_PRESETS},
+        'gradients (auto)': preset('auto'),
+        **{
+            f'gradients {x}x{y}, shift {shift_x}, {shift_y}': LocalViewParameters(
+                vt_descriptor='gradients', template_x_size=x, template_y_size=y,
+                vt_shift_match=shift_x, vt_shift_match_y=shift_y,
+            )
+            for x, y, shift_x, shift_y in (
+                (12, 9, 0, 0), (12, 9, 1, 0), (12, 9, 2, 1), (16, 12, 2, 1), (24, 12, 2, 1)
+            )
+        },
+    }  # fmt: skip
+
+
+def evaluate(place_set: PlaceSet, parameters: LocalViewParameters) -> Scores:
+    """Return the scores of the best matches, without a threshold and without learning."""
+    local_view = LocalView(parameters, encoder_of(parameters))
+    number_of = []
+    for number, image in enumerate(place_set.references):
+        view = local_view.encode(image)
+        if view is not None:
+            local_view.learn(view)
+            number_of.append(number)
+    results, encode_ms, search_ms = [], [], []
+    for image, correct in zip(place_set.queries, place_set.correct, strict=True):
+        start_s = time.perf_counter()
+        view = local_view.encode(image)
+        encoded_s = time.perf_counter()
+        match = None if view is None else local_view.best_match(view)
+        search_ms.append((time.perf_counter() - encoded_s) * 1e3)
+        encode_ms.append((encoded_s - start_s) * 1e3)
+        if correct and match is not None:
+            results.append((match.sad, number_of[match.template_id] in correct))
+    queries = sum(bool(correct) for correct in place_set.correct)
+    right = [correct for _, correct in sorted(results, key=lambda result: result[0])]
+    return Scores(
+        sum(right) / queries, average_precision(right, queries), statistics.median(encode_ms),
+        statistics.median(search_ms),
+    )  # fmt: skip
+
+
+def average_precision(right: Sequence[bool], count: int) -> float:
+    """Return the area under the precision-recall curve.
+
+    Args:
+        right: whether each match is correct, best match first.
+        count: number of queries.
+    """
+    found, area = 0, 0.0
+    for number, correct in enumerate(right, 1):
+        if correct:
+            found += 1
+            area += found / number / count
+    return area
+
+
+def vpr_set(folder: Path) -> PlaceSet:
+    """Return a set in the layout of VPR-Bench."""
+    references, queries = (images_of(folder / part) for part in ('ref', 'query'))
+    correct: list[set[int]] = [set() for _ in queries]
+    for query, those in ground_truth(folder):
+        correct[query] = those
+    return PlaceSet(folder.name, references, queries, correct)
+
+
+def ground_truth(folder: Path) -> list[tuple[int, set[int]]]:
+    """Return pairs of a query and its correct references."""
+    table = folder / 'ground_truth.csv'
+    if table.is_file():
+        with table.open(newline='') as file:
+            rows = list(csv.DictReader(file))
+        return [(int(row['query']), {int(i) for i in row['ref_list'].split()}) for row in rows]
+    for name in ('ground_truth_new.npy', 'ground_truth.npy'):
+        if (folder / name).is_file():
+            pairs = np.load(folder / name, allow_pickle=True)
+            return [(int(pair[0]), {int(i) for i in np.atleast_1d(pair[1])}) for pair in pairs]
+    raise SystemExit(f'{folder} has no ground_truth.csv, ground_truth_new.npy or ground_truth.npy')
+
+
+def images_of(folder: Path) -> list[Image]:
+    """Return all images of a folder, ordered by the numbers in their names."""
+    suffixes = {'.jpg', '.jpeg', '.png', '.bmp', '.ppm'}
+    paths = [path for path in folder.iterdir() if path.suffix.lower() in suffixes]
+
+    def order(path: Path) -> list[tuple[int, str]]:
+        return [(int(part or 0), text) for text, part in re.findall(r'(\D*)(\d*)', path.stem)]
+
+    images = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in sorted(paths, key=order)]
+    if not images or any(image is None for image in images):
+        raise SystemExit(f'{folder}: no images, or some that cannot be decoded')
+    return [image.astype(np.uint8, copy=False) for image in images if image is not None]
+
+
+def circuit_set(folder: Path, tolerance: int = 1) -> PlaceSet:
+    """Return corridor_circuit as a set."""
+    images = list(images_in(folder))
+    queries = images[CIRCUIT_IMAGES:]
+    near = range(-tolerance, tolerance + 1)
+    correct = [{(number + d) % CIRCUIT_IMAGES for d in near} for number in range(len(queries))]
+    return PlaceSet(folder.name, images[:CIRCUIT_IMAGES], queries, correct)
+
+
+def lap_set(folder: Path, lap_length: int, tolerance: int) -> PlaceSet:
+    """Return a recording of laps as a set: the first whole lap, and frames of later ones."""
+    with (folder / 'lap_phase.csv').open(newline='') as file:
+        rows = list(csv.DictReader(file))
+    images = []
+    with open_recording(folder) as recording:
+        last_ns = -1
+        for event in recording.events(recording.select(visual_odometry=True)):
+            if isinstance(event, ImageEvent) and event.stamp_ns > last_ns:
+                last_ns = event.stamp_ns
+                images.append(event)
+        lap = np.array([int(row['lap']) for row in rows])
+        place = np.array([int(row['ref_frame']) for row in rows])
+        references = np.flatnonzero(lap == 1)[::2]
+        later = np.flatnonzero(lap >= 2)
+        queries = later[:: max(math.ceil(len(later) / 300), 1)]
+        apart = np.abs(place[queries][:, None] - place[references][None]) % lap_length
+        correct = np.minimum(apart, lap_length - apart) <= tolerance
+        return PlaceSet(
+            folder.name, [images[n].grey() for n in references],
+            [images[n].grey() for n in queries],
+            [set(np.flatnonzero(row).tolist()) for row in correct],
+        )  # fmt: skip
+
+
+def shared_sets(data: Path) -> list[PlaceSet]:
+    """Return all sets of the shared recordings that exist."""
+    found = []
+    if (data / 'corridor_vpr').is_dir():
+        found.append(vpr_set(data / 'corridor_vpr'))
+    if (data / 'corridor_circuit').is_dir():
+        found.append(circuit_set(data / 'corridor_circuit'))
+    found += [place_set.exchange() for place_set in found]
+    for name, lap_length, tolerance in LAP_LENGTHS:
+        if (data / name).is_dir():
+            found.append(lap_set(data / name, lap_length, tolerance))
+    return found
+
+
+def report_descriptors(place_sets: list[PlaceSet], descriptors: Sequence[str]) -> None:
+    """Print the scores of all settings on all sets, and the leave-one-out choice."""
+    compared = settings()
+    compared |= {name: LocalViewParameters(vt_descriptor=name) for name in descriptors}
+    print(f'\n{"top-1 / AUC / ms to encode + search":38}', *(f'{s.name:>27}' for s in place_sets))
+    top_1: dict[str, list[float]] = {}
+    for name, parameters in compared.items():
+        cells = []
+        for place_set in place_sets:
+            try:
+                scores = evaluate(place_set, parameters)
+            except UnusableParameter:
+                cells.append('does not fit the images')
+                continue
+            top_1.setdefault(name, []).append(scores.top_1)
+            cells.append(f'{scores.top_1:.3f} / {scores.auc:.3f} / '
+                         f'{scores.encode_ms:.2f} + {scores.search_ms:.2f}')  # fmt: skip
+        print(f'{name:38}', *(f'{cell:>27}' for cell in cells), flush=True)
+    complete = {
+        name: row for name, row in top_1.items()
+        if len(row) == len(place_sets) and name not in TUNED_PRESETS
+    }  # fmt: skip
+    places = list(dict.fromkeys(place_set.place for place_set in place_sets))
+    if len(places) > 1 and complete:
+        for held_out in places:
+            means = {
+                name: statistics.fmean(
+                    statistics.fmean(
+                        score for score, s in zip(row, place_sets, strict=True) if s.place == place
+                    )
+                    for place in places if place != held_out
+                )
+                for name, row in complete.items()
+            }  # fmt: skip
+            best = max(means, key=lambda name: means[name])
+            for score, place_set in zip(complete[best], place_sets, strict=True):
+                if place_set.place == held_out:
+                    print(f'held out: {place_set.name:30} {score:.3f} by {best}')
+
+
 def print_row(recording: str, measure: str, part: str, value: str, target: str) -> None:
     """Print one row of the table."""
     print(f'{recording:17} {measure:23} {part:24} {value:>15} {target:>13}', flush=True)
@@ -232,7 +498,15 @@ def print_row(recording: str, measure: str, part: str, value: str, target: str) 
 def main() -> None:
     parser = argparse.ArgumentParser(description='Place recognition on real recordings.')
     parser.add_argument('--data', type=Path, default=ROOT.parent / 'shared' / 'data')
-    data: Path = parser.parse_args().data
+    parser.add_argument(
+        '--descriptor', action='append', default=[], metavar='NAME',
+        help='also evaluate this descriptor or ONNX model (may be repeated)',
+    )  # fmt: skip
+    options = parser.parse_args()
+    data: Path = options.data
+    if (data / 'query').is_dir() and (data / 'ref').is_dir():
+        report_descriptors([vpr_set(data)], options.descriptor)
+        return
     print_row('recording', 'measure', 'part', 'value', 'target')
     for laps in LAPS:
         if (data / laps.folder).is_dir():
@@ -240,6 +514,9 @@ def main() -> None:
         else:
             print(f'{laps.folder}: skipped, {data / laps.folder} not found')
     report_corridors(data)
+    place_sets = shared_sets(data)
+    if place_sets:
+        report_descriptors(place_sets, options.descriptor)
 
 
 if __name__ == '__main__':

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from town import Camera, Town, drive
 
 from ratslam_ros.core.config import LocalViewParameters
-from ratslam_ros.core.vision.local_view import make_view
+from ratslam_ros.core.vision.built_in import GRADIENTS, built_in_encoder
+from ratslam_ros.core.vision.encoder import Encoder
 from ratslam_ros.recordings import ImageEvent, open_recording
 
 Views = NDArray[np.uint8]
@@ -29,8 +30,8 @@ class Kind:
 
     Attributes:
         name: name in the tables.
-        templates: (n, 10, 60) uint8, views in the memory.
-        unknown: (QUERIES, 10, 60) uint8, views of other places.
+        templates: (n, height, width) uint8, views in the memory.
+        unknown: (QUERIES, height, width) uint8, views of other places.
         parameters: parameters of the local view that fit these views.
     """
 
@@ -38,6 +39,11 @@ class Kind:
     templates: Views
     unknown: Views
     parameters: LocalViewParameters
+
+    @property
+    def gradients(self) -> bool:
+        """Whether these are views of gradients."""
+        return self.parameters.vt_descriptor == GRADIENTS
 
     def known(self) -> Views:
         """Return views of random templates, with noise of up to 3 grey levels per pixel."""
@@ -48,7 +54,7 @@ class Kind:
 
 
 def kinds(count: int, data: Path) -> list[Kind]:
-    """Return all kinds of views, plain and patch-normalised.
+    """Return all kinds of views, plain, patch-normalised, and of gradients.
 
     Args:
         count: number of templates of each kind.
@@ -58,6 +64,10 @@ def kinds(count: int, data: Path) -> list[Kind]:
     patch = LocalViewParameters(
         template_x_size=60, template_y_size=10, vt_patch_normalise=2, vt_match_threshold=0.054
     )
+    gradients = LocalViewParameters(
+        vt_descriptor='gradients', template_x_size=12, template_y_size=9, vt_shift_match=1,
+        vt_shift_match_y=1, vt_match_threshold=0.09,
+    )  # fmt: skip
     rng = np.random.default_rng(1)
     noise = rng.integers(0, 256, (count + QUERIES, 10, 60), dtype=np.uint8)
     found = [Kind('noise', noise[:count], noise[count:], plain)]
@@ -65,13 +75,14 @@ def kinds(count: int, data: Path) -> list[Kind]:
     if all((data / name).is_dir() for name in RECORDINGS):
         sources['real'] = real(data)
     for name, images in sources.items():
-        for suffix, p in (('', plain), (', patches', patch)):
+        for suffix, p in (('', plain), (', patches', patch), (', gradients', gradients)):
             if name == 'real':
                 held_out = len(images) // 6  # unknown views come from separate images
                 templates = np.stack([crop_view(images[held_out:], p, rng) for _ in range(count)])
                 unknown = np.stack([crop_view(images[:held_out], p, rng) for _ in range(QUERIES)])
             else:
-                views = np.stack([make_view(image, p) for image in images])
+                encoder = built_in_encoder(p)
+                views = np.stack([encoded(encoder, image) for image in images])
                 # The last views show streets that are not among the templates.
                 templates, unknown = views[:count], views[count:]
             found.append(Kind(name + suffix, templates, unknown, p))
@@ -108,4 +119,12 @@ def crop_view(images: list[Views], p: LocalViewParameters, rng: np.random.Genera
     height, width = image.shape
     h, w = int(height * rng.uniform(0.35, 0.9)), int(width * rng.uniform(0.6, 1.0))
     y, x = rng.integers(0, height - h + 1), rng.integers(0, width - w + 1)
-    return make_view(np.ascontiguousarray(image[y : y + h, x : x + w]), p)
+    crop = np.ascontiguousarray(image[y : y + h, x : x + w])
+    return encoded(built_in_encoder(p), crop)
+
+
+def encoded(encoder: Encoder, image: Views) -> Views:
+    """Return the view of an image, black for a uniform image."""
+    view = encoder.encode(image)
+    layout = encoder.layout
+    return np.zeros((layout.height, layout.width), np.uint8) if view is None else view

@@ -41,7 +41,7 @@ LAYERS = [
     ['errors'],
     ['compilation', 'images', 'timing', 'quick_start', 'signals', 'console', 'standalone'],
     ['core', 'recordings'],
-    ['messages', 'files', 'event_inputs'],
+    ['messages', 'files', 'event_inputs', 'descriptors'],
     ['results'],
     ['simulator'],
     ['offline', 'nodes'],

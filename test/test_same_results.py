@@ -19,6 +19,7 @@ from same_results import (
     compiled_key,
     copy_working_tree,
     first_difference,
+    first_missing_line,
     without_comments,
     without_timings,
 )
@@ -66,6 +67,36 @@ def test_missing_output_or_failure_is_reported(
 ) -> None:
     found = first_difference(*folders(tmp_path, base, tree))
     assert found is not None and expected in found
+
+
+@pytest.mark.parametrize(
+    ('tree', 'expected'),
+    [
+        ('a: 1\nb: 2\nc: 3\n', None),
+        ('new: 0\na: 1,\nnew: 1\nb: 2\nc: 3\nnew: 2\n', None),
+        ('a: 1\nb: 3\nc: 3\n', 'b: 2'),
+        ('b: 2\na: 1\nc: 3\n', 'b: 2'),
+        ('a: 1\nb: 2\n', 'c: 3'),
+    ],
+)
+def test_further_lines_are_no_change(tree: str, expected: str | None) -> None:
+    assert first_missing_line('a: 1\nb: 2\nc: 3\n', tree) == expected
+
+
+@pytest.mark.parametrize(
+    ('name', 'allowed'),
+    [('config.yaml', True), ('summary.json', True), ('map.json', False), ('frames.csv', False)],
+)
+def test_additions_are_allowed_on_request_only(tmp_path: Path, name: str, allowed: bool) -> None:
+    base, tree = folders(tmp_path, {name: 'a\nb\n'}, {name: 'a\nnew\nb\n'})
+    assert first_difference(base, tree) is not None
+    assert (first_difference(base, tree, additions=True) is None) == allowed
+
+
+def test_case_of_a_later_version_is_skipped(tmp_path: Path) -> None:
+    names = [case.name for case in chosen(['auto'], False, tmp_path, lambda name: False)]
+    assert 'auto' not in names
+    assert 'auto' in [case.name for case in chosen(['auto'], False, tmp_path, lambda name: True)]
 
 
 def test_timings_are_ignored_at_any_depth() -> None:

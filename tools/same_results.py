@@ -2,12 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Check that a refactoring changed no result: run two versions and compare what they write.
 
-    python tools/same_results.py BASE [--quick] [--only NAME ...] [--tree DIR] [--cache DIR]
+    python tools/same_results.py BASE [--quick] [--additions] [--only NAME ...] [--tree DIR]
 
 BASE is a commit. The other version is the working tree, uncommitted changes included. Both are
 copied into the cache folder and run there by the commands and topics of the program only, because
 module names may change. Maps, trajectories, frames, configurations, memory files, payloads,
 parameters, topics, services and exit codes must be identical; wording and timings are ignored.
+With --additions, the working tree may have further parameters, options, topics and keys of
+summary.json and of memory files; maps, trajectories and frames must still be identical.
 
 The results of BASE are kept in the cache, so that later runs only run the working tree. The first
 run of a version compiles for about 20 s. The exit code is 0 if all cases agree, 1 if one does
@@ -36,6 +38,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
+from fnmatch import fnmatch
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -62,6 +65,12 @@ TIMING_KEYS = {'wall_s', 'times_realtime', 'step_ms'}
 
 EXACT_FILES = ('*.tum', 'frames.csv', 'map.json', 'trials.csv')
 """Result files that are compared byte by byte."""
+
+GROWING_FILES = (
+    'config.yaml', 'summary.json', 'options-*.txt', 'config/*.yaml', '*endpoints.txt',
+    '*_parameters.json', '*_parameters.yaml', '*.npz.txt',
+)  # fmt: skip
+"""Outputs that may have further lines in the working tree with --additions."""
 
 
 class CaseError(Exception):
@@ -350,7 +359,7 @@ class Case:
     ``makes`` is the recording that other cases replay; ``needs`` a real recording. A case that
     differs runs again in both versions until ``tries`` are used up: on a busy machine, live nodes
     that are not scheduled for seconds lose their order of messages. A changed result differs in
-    every try.
+    every try. ``since`` is a file that BASE must have, or the case is skipped.
     """
 
     name: str
@@ -359,6 +368,7 @@ class Case:
     makes: str = ''
     needs: str = ''
     tries: int = 1
+    since: str = ''
 
 
 FLOOR = 'floor'
@@ -405,7 +415,9 @@ def keep_recording(run: Run, folder: Path, name: str) -> None:
 def demo(run: Run) -> None:
     """Run the demo."""
     folder = run.work / 'demo'
-    run.ratslam('demo', '--quiet', '--out', folder)
+    # Older versions of the demo have no option for it and use this preset.
+    config = ('--config', 'pioneer') if '--config' in run.ratslam('demo', '--help') else ()
+    run.ratslam('demo', '--quiet', '--out', folder, *config)
     run.keep_results(folder)
     keep_recording(run, folder / 'recording', '')
     truth = folder / 'recording' / 'truth.tum'
@@ -521,6 +533,8 @@ PRESETS = {
     'default': (),
 }  # fmt: skip
 NAVIGATION = ('--config', 'navigation')
+DEFAULT = ('--config', 'default')
+"""The default of every parameter; without it, the preset auto is used."""
 
 
 LIVE_TRIES = 3
@@ -622,7 +636,7 @@ PARAMETER_SERVICE = re.compile(r'^\d+ subscriber rq/(\S+)/list_parametersRequest
 def graph(run: Run) -> None:
     """Start all nodes, then the simulated robot: compare topics, services and parameters."""
     with session(run) as nodes:
-        nodes.start('launch', 'launch', '--visual-odometry', '--goal-follower', ready=5)
+        nodes.start('launch', 'launch', *DEFAULT, '--visual-odometry', '--goal-follower', ready=5)
         keep_graph(run, nodes, 'nodes', 5)
     with session(run) as nodes:
         nodes.start('robot', 'simulate', '--live', '--plan', 'obstacle_loop')
@@ -779,11 +793,12 @@ def all_cases() -> list[Case]:
         Case('sweep', replayed(
             FLOOR, *NAVIGATION, *setting('experience_map.exp_relaxation=sweep')), quick=True),
         Case('preset_pioneer', replayed(FLOOR, '--config', 'pioneer'), quick=True),
-        Case('default_values', replayed(FLOOR), quick=True),
-        Case('ini', ini),
+        Case('default_values', replayed(FLOOR, *DEFAULT), quick=True),
+        Case('auto', replayed(FLOOR), since='config/auto.yaml'),
+        Case('ini', ini, quick=True),
         Case('goal_memory', replayed(
             FLOOR, *NAVIGATION, *setting('goal_memory.goal_memory=true')), quick=True),
-        Case('visual_odometry', replayed(FLOOR, '--visual-odometry', *SPAN)),
+        Case('visual_odometry', replayed(FLOOR, *DEFAULT, '--visual-odometry', *SPAN)),
     ]  # fmt: skip
     for name, values in PRESETS.items():
         words = [word for value in values for word in setting(value)]
@@ -797,8 +812,13 @@ def all_cases() -> list[Case]:
 # Comparing
 
 
-def first_difference(base: Path, tree: Path) -> str | None:
-    """Return where the outputs of a case differ first, None if they are equal."""
+def first_difference(base: Path, tree: Path, additions: bool = False) -> str | None:
+    """Return where the outputs of a case differ first, None if they are equal.
+
+    Args:
+        base, tree: folders with the outputs of both versions.
+        additions: whether the working tree may have further lines in `GROWING_FILES`.
+    """
     outputs = [_outputs(folder) for folder in (base, tree)]
     for side, files in zip(('BASE', 'the working tree'), outputs, strict=True):
         if FAILURE in files:
@@ -808,12 +828,29 @@ def first_difference(base: Path, tree: Path) -> str | None:
     for name in sorted(outputs[0].keys() | outputs[1].keys()):
         if name not in outputs[1]:
             return f'{name}: only in BASE'
+        growing = additions and any(fnmatch(name, pattern) for pattern in GROWING_FILES)
         if name not in outputs[0]:
+            if growing:
+                continue
             return f'{name}: only in the working tree'
         texts = [files[name].read_bytes() for files in outputs]
+        if growing:
+            if (line := first_missing_line(*(text.decode('utf-8') for text in texts))) is None:
+                continue
+            return f'{name}: the working tree lacks the line {line!r}, or has it elsewhere'
         if hashlib.sha256(texts[0]).digest() != hashlib.sha256(texts[1]).digest():
             return f'{name}, {_first_line(*(text.decode("utf-8") for text in texts))}'
     return None
+
+
+def first_missing_line(base: str, tree: str) -> str | None:
+    """Return the first line of BASE that the working tree lacks in this order, or None.
+
+    A comma at the end is ignored: in JSON it depends on whether a further key follows.
+    """
+    lines = (line.rstrip(',') for line in tree.splitlines())
+    wanted = (line.rstrip(',') for line in base.splitlines())
+    return next((line for line in wanted if line not in lines), None)
 
 
 def _outputs(folder: Path) -> dict[str, Path]:
@@ -853,6 +890,7 @@ class Comparison:
     base: Version
     tree: Version
     cases: Sequence[Case]
+    additions: bool = False
     different: list[str] = field(default_factory=list)
     _took_ms: Counter[str] = field(default_factory=Counter)
     _printing: threading.Lock = field(default_factory=threading.Lock)
@@ -907,7 +945,9 @@ class Comparison:
             done.touch()
 
     def _difference(self, case: Case) -> str | None:
-        return first_difference(self.base.outputs / case.name, self.tree.outputs / case.name)
+        return first_difference(
+            self.base.outputs / case.name, self.tree.outputs / case.name, self.additions
+        )
 
     def _report(self, case: Case) -> None:
         difference = self._difference(case)
@@ -979,8 +1019,17 @@ def prepare(commit: str, tree: Path, cache: Path, data: Path) -> tuple[Version, 
     return versions[0], versions[1]
 
 
-def chosen(only: Sequence[str], quick: bool, data: Path) -> list[Case]:
-    """Return the cases to run, with those that make the recordings for them."""
+def chosen(
+    only: Sequence[str], quick: bool, data: Path, in_base: Callable[[str], bool] = bool
+) -> list[Case]:
+    """Return the cases to run, with those that make the recordings for them.
+
+    Args:
+        only: names of cases, all if empty.
+        quick: whether to leave out the other cases.
+        data: folder of the real recordings.
+        in_base: returns whether BASE has a file.
+    """
     cases = all_cases()
     names = [case.name for case in cases]
     unknown = [name for name in only if name not in names]
@@ -990,6 +1039,8 @@ def chosen(only: Sequence[str], quick: bool, data: Path) -> list[Case]:
     for case in cases:
         if case.needs and not (data / case.needs).is_dir():
             print(f'skipped    {case.name}: there is no {data / case.needs}')
+        elif case.since and not in_base(case.since):
+            print(f'skipped    {case.name}: BASE has no {case.since}')
         elif case.name in only or case.makes == FLOOR or (not only and (case.quick or not quick)):
             found.append(case)
     return found
@@ -1000,6 +1051,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or '').partition('\n')[0])
     parser.add_argument('base', metavar='BASE', help='the commit to compare with')
     parser.add_argument('--quick', action='store_true', help='the most important cases only')
+    parser.add_argument('--additions', action='store_true',
+                        help='allow further parameters, options and keys')
     parser.add_argument('--only', nargs='+', default=[], metavar='NAME', help='these cases only')
     parser.add_argument('--tree', type=Path, default=ROOT, metavar='DIR',
                         help='the working tree (default: the one that this tool is in)')
@@ -1016,11 +1069,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         commit = git('rev-parse', '--verify', f'{options.base}^{{commit}}', folder=tree)
         commit_id = commit.decode().strip()
         data = (options.data or data_folder(tree)).resolve()
-        cases = chosen(options.only, options.quick, data)
+        files = git('ls-tree', '-r', '--name-only', commit_id, folder=tree).decode().split('\n')
+        cases = chosen(options.only, options.quick, data, lambda name: name in files)
         cache = options.cache.resolve()
         with locked(cache / 'trees' / f'{_hash(str(tree).encode())}.lock'), \
                 locked(cache / f'{commit_id[:16]}.lock'):
-            comparison = Comparison(*prepare(commit_id, tree, cache, data), cases)
+            versions = prepare(commit_id, tree, cache, data)
+            comparison = Comparison(*versions, cases, options.additions)
             comparison.run()
     except (UsageError, OSError) as error:
         print(f'same_results: {error}', file=sys.stderr)

@@ -17,6 +17,9 @@ from ratslam_ros.errors import UnusableInput
 DONE, INTERNAL_ERROR, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
 """Exit codes: success, a fault of the program, unusable input or wrong use, interrupted."""
 
+IMAGES_RATE_HZ = 10.0
+"""Frame rate of a folder of images, if none is given."""
+
 NO_ANSWER = 1
 """Exit code of ``call`` and ``echo`` when nothing arrived in time."""
 
@@ -41,8 +44,9 @@ def add_recording(parser: argparse.ArgumentParser) -> None:
     """Add the recording, and options for reading it."""
     parser.add_argument('recording', type=Path, metavar='RECORDING',
                         help='rosbag2 folder or file, ROS 1 bag, video, or folder of images')
-    parser.add_argument('--images-rate', type=float, default=10.0, metavar='HZ',
-                        help='frame rate of a folder of images without time stamps (default: 10)')
+    parser.add_argument('--images-rate', type=float, default=IMAGES_RATE_HZ, metavar='HZ',
+                        help='frame rate of a folder of images without time stamps '
+                             f'(default: {IMAGES_RATE_HZ:g})')
 
 
 def add_topics(parser: argparse.ArgumentParser) -> None:
@@ -55,9 +59,9 @@ def add_topics(parser: argparse.ArgumentParser) -> None:
 
 def add_config(parser: argparse.ArgumentParser, default: str | None = None) -> None:
     """Add the configuration, and single parameters that override it."""
-    suffix = f' (default: {default})' if default else ''
     parser.add_argument('--config', metavar='FILE|PRESET', default=default,
-                        help=f'YAML, an INI file of OpenRatSLAM, or the name of a preset{suffix}')
+                        help='YAML, an INI file of OpenRatSLAM, or the name of a preset '
+                             f'(default: {default or "auto"})')
     parser.add_argument('--set', action='append', default=[], dest='settings',
                         metavar='section.name=value', help='one parameter; may be repeated')
 

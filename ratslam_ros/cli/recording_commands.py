@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from ratslam_ros.cli.options import (
     DONE,
+    IMAGES_RATE_HZ,
     INTERRUPTED,
     Commands,
     add_config,
@@ -29,6 +30,8 @@ from ratslam_ros.console import print_notice
 from ratslam_ros.errors import UnusableInput
 
 if TYPE_CHECKING:
+    from ratslam_ros.core.config import Config
+    from ratslam_ros.recordings import Recording, Selection
     from ratslam_ros.results.trajectory import Trajectory
 
 
@@ -45,6 +48,8 @@ def add_replay(commands: Commands) -> None:
     replay = commands.add_parser('replay', help='build a map from a recording')
     add_recording(replay)
     add_config(replay)
+    replay.add_argument('--no-inspect', action='store_true',
+                        help='without --config: do not inspect the recording before the replay')
     add_topics(replay)
     replay.add_argument('--scan-topic', metavar='T',
                         help='laser topic, read if experience_map.exp_align_scans is set')
@@ -82,6 +87,7 @@ def _info(options: argparse.Namespace) -> int:
 def _replay(options: argparse.Namespace) -> int:
     from ratslam_ros.offline.replay import ReplayOptions, replay
     from ratslam_ros.recordings import open_recording
+    from ratslam_ros.results.advice import Source, advise
     from ratslam_ros.results.plots import draw_all
     from ratslam_ros.results.writer import link_latest
 
@@ -96,6 +102,8 @@ def _replay(options: argparse.Namespace) -> int:
             for notice in selection.notices:
                 print_notice(notice)
         compile_kernels()
+        if options.config is None and not options.no_inspect:
+            config = _inspected(options, recording, selection, config)
         folder = results_folder(options, recording.name)
         outcome = replay(
             recording, selection, config, folder,
@@ -116,7 +124,48 @@ def _replay(options: argparse.Namespace) -> int:
             _print_errors(folder, truth)
         for path in plots:
             print(path)
+        source = Source(
+            options.recording, outcome.config, selection.odom_topic is None, _topics(options),
+            _given(options),
+        )  # fmt: skip
+        for line in advise(outcome.observations, outcome.summary, source):
+            print(f'advice: {line}')
     return DONE
+
+
+def _topics(options: argparse.Namespace) -> tuple[str, ...]:
+    """Return the given options that select what is read of a recording."""
+    words: list[str] = []
+    for name in ('image_topic', 'odom_topic'):
+        if getattr(options, name) is not None:
+            words += [f'--{name.replace("_", "-")}', getattr(options, name)]
+    if options.images_rate != IMAGES_RATE_HZ:
+        words += ['--images-rate', f'{options.images_rate:g}']
+    return tuple(words)
+
+
+def _given(options: argparse.Namespace) -> tuple[str, ...]:
+    """Return the given options of a replay that change the map."""
+    words = [] if options.config is None else ['--config', options.config]
+    words += [word for setting in options.settings for word in ('--set', setting)]
+    if options.visual_odometry:
+        words.append('--visual-odometry')
+    return tuple(words)
+
+
+def _inspected(
+    options: argparse.Namespace, recording: Recording, selection: Selection, config: Config
+) -> Config:
+    """Return the configuration for a recording; print the reasons."""
+    from ratslam_ros.files.config import parse_setting
+    from ratslam_ros.offline.inspection import inspect
+
+    fixed = [parse_setting(text)[0] for text in options.settings]
+    inspection = inspect(recording, selection, config, fixed, options.start, options.duration)
+    if not options.quiet:
+        for line in inspection.lines:
+            print_notice(line)
+    return inspection.config
 
 
 def _tune(options: argparse.Namespace) -> int:

@@ -39,7 +39,8 @@ class OdometryStep:
     """Result of one odometry message.
 
     ``pose``: estimate on the map, composed of the pose of experience ``experience_id`` and
-    ``offset``. ``dead_reckoning``: pose by odometry alone.
+    ``offset``. ``dead_reckoning``: pose by odometry alone. ``gap_s``: length of the gap of the
+    odometry that this message ends, after which the motion is unknown; otherwise 0.
     """
 
     stamp_ns: int
@@ -47,6 +48,7 @@ class OdometryStep:
     dead_reckoning: Pose
     experience_id: int
     offset: Pose
+    gap_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +110,8 @@ class RatSLAM:
             streams, round(config.pose_cells.max_lateness_s * 1e9)
         )
         self._motion = MotionFromOdometry(
-            config.pose_cells.odom_source, config.pose_cells.turn_correction
+            config.pose_cells.odom_source, config.pose_cells.max_odom_gap_s,
+            config.pose_cells.turn_correction,
         )
         self._images: StampOrder[NDArray[np.uint8] | None] = StampOrder(('image',), 0)
         self._refused = 0
@@ -229,13 +232,15 @@ class RatSLAM:
             if self.scan_matcher is not None:
                 self.scan_matcher.integrate(odometry.stamp_ns, motion)
         graph = self.experience_map
+        gap_s = 0.0 if motion is None or motion.is_known else motion.dt_s
         return OdometryStep(
-            odometry.stamp_ns, graph.pose, self.dead_reckoning, graph.current_id, graph.offset
-        )
+            odometry.stamp_ns, graph.pose, self.dead_reckoning, graph.current_id, graph.offset,
+            gap_s,
+        )  # fmt: skip
 
     def _act(self, stamp_ns: int, match: ViewMatch) -> ViewStep:
         with self._watch('pose_cells_view'):
-            action = self.pose_cells.view(match)
+            action = self.pose_cells.view(match, self._motion.reaches(stamp_ns))
         with self._watch('experience_map'):
             adopt_correction(self._motion, self.experience_map, action)
             update = apply_action(

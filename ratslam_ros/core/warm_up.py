@@ -20,6 +20,7 @@ from ratslam_ros.core.mapping.link_learning import has_detour
 from ratslam_ros.core.pose_cells.map_action import Action, MapAction
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.pose_cells.torus import Place
+from ratslam_ros.core.vision.built_in import BUILT_IN
 from ratslam_ros.core.vision.local_view import LocalView, ViewMatch
 from ratslam_ros.core.vision.visual_odometry import VisualOdometry
 
@@ -47,7 +48,8 @@ def warm_up(*parts: str) -> None:
 
 
 def _images() -> list[NDArray[np.uint8]]:
-    return [np.full((4, 8), 60 * frame, np.uint8) for frame in range(3)]
+    ramp = np.add.outer(np.arange(4), np.arange(8))
+    return [(5 * ramp + 60 * frame).astype(np.uint8) for frame in range(3)]
 
 
 def _visual_odometry(config: Config) -> None:
@@ -59,9 +61,12 @@ def _visual_odometry(config: Config) -> None:
 
 
 def _local_view(config: Config) -> None:
-    local_view = LocalView(config.local_view)
-    for image in _images():
-        local_view.match(image)
+    for descriptor in BUILT_IN:
+        local_view = LocalView(
+            replace(config.local_view, vt_descriptor=descriptor, vt_min_structure=1e-6)
+        )
+        for image in _images():
+            local_view.match(image)
 
 
 def _pose_cells(config: Config) -> None:

@@ -18,17 +18,29 @@ from ratslam_ros.core.config import SECTIONS, Config, Value, section_of
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 
 PACKAGE = 'ratslam_ros'
+AUTO = 'auto'
+"""Preset that is used if no configuration is given."""
+
 SUBSECTION_OF = {'pose_cells': 'goal_memory', 'experience_map': 'goal_recall'}
 """Sections that the node of another section reads; in YAML they are nested below that node."""
 
 
 def preset_folders() -> list[Path]:
-    """Return the existing preset folders: of a checkout, a Python environment, ROS workspaces."""
-    prefixes = [sys.prefix, *os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)]
+    """Return the existing preset folders.
+
+    They are those of a checkout, of the prefix that the package is installed in, of the Python
+    environment, and of ROS workspaces. The package is in PREFIX/lib/python3.12/site-packages, or
+    in fewer folders below PREFIX.
+    """
+    parent = Path(__file__).resolve().parents[2]
+    prefixes = [
+        *map(str, [parent, *parent.parents[:3]]), sys.prefix,
+        *os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep),
+    ]  # fmt: skip
     shares = [Path(prefix) / 'share' / PACKAGE / 'config' for prefix in prefixes if prefix]
     return [
         folder
-        for folder in [Path(__file__).resolve().parents[2] / 'config', *shares]
+        for folder in dict.fromkeys([parent / 'config', *shares])
         if (folder / 'default.yaml').is_file()
     ]
 
@@ -46,7 +58,8 @@ def load_config(source: str | None) -> tuple[Config, list[str]]:
     """Read a configuration.
 
     Args:
-        source: name of a preset, a YAML file, or an INI file of OpenRatSLAM; None: the defaults.
+        source: name of a preset, a YAML file, or an INI file of OpenRatSLAM; None: the preset
+            `AUTO`.
 
     Returns:
         The configuration, and notices about unused entries of the file.
@@ -55,17 +68,9 @@ def load_config(source: str | None) -> tuple[Config, list[str]]:
         UnusableInput: there is no such preset or file, or it has neither format.
         UnusableParameter: a parameter is unknown or out of range.
     """
-    if source is None:
-        return Config(), []
-    path = Path(source)
-    if not path.is_file():
-        available = presets()
-        if source not in available:
-            raise UnusableInput(
-                f'--config {source}: no such file or preset; the presets are '
-                f'{", ".join(sorted(available)) or "not installed"}'
-            )
-        path = available[source]
+    path = Path(source or '')
+    if source is None or not path.is_file():
+        path = _preset(source or AUTO)
     try:
         text = path.read_text(encoding='utf-8')
     except (OSError, UnicodeDecodeError) as error:
@@ -79,6 +84,16 @@ def load_config(source: str | None) -> tuple[Config, list[str]]:
     except (yaml.YAMLError, configparser.Error, ValueError) as error:
         reason = ' '.join(str(error).split())[:200]
         raise UnusableInput(f'{path} cannot be read: {reason}') from None
+
+
+def _preset(name: str) -> Path:
+    available = presets()
+    if name not in available:
+        raise UnusableInput(
+            f'--config {name}: no such file or preset; the presets are '
+            f'{", ".join(sorted(available)) or "not installed"}'
+        )
+    return available[name]
 
 
 def parse_setting(text: str) -> tuple[str, Value]:

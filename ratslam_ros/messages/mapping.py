@@ -16,7 +16,7 @@ from ratslam_ros.core.common.rotation_gain import TurnCorrection
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
-from ratslam_ros.core.vision.local_view import ViewMatch
+from ratslam_ros.core.vision.local_view import FIXED_THRESHOLD, ViewMatch
 from ratslam_ros.messages.json_schema import (
     MAX_ID,
     SCHEMA_VERSION,
@@ -44,17 +44,18 @@ def encode_template(stamp_ns: int, match: ViewMatch, memory_ns: int) -> str:
         match: the matched or learned template.
         memory_ns: stamp at which the first template was learned, 0 before.
     """
-    return encode_json(
-        {
-            'schema_version': SCHEMA_VERSION,
-            'stamp': encode_stamp(stamp_ns),
-            'id': match.template_id,
-            'is_new': match.is_new,
-            'error': match.error,
-            'relative_rad': match.relative_rad,
-            'memory': memory_ns,
-        }
-    )
+    fields = {
+        'schema_version': SCHEMA_VERSION,
+        'stamp': encode_stamp(stamp_ns),
+        'id': match.template_id,
+        'is_new': match.is_new,
+        'error': match.error,
+        'relative_rad': match.relative_rad,
+        'memory': memory_ns,
+    }
+    if match.threshold != FIXED_THRESHOLD:
+        fields['threshold'] = match.threshold
+    return encode_json(fields)
 
 
 def decode_template(payload: str) -> tuple[int, ViewMatch, int]:
@@ -76,7 +77,13 @@ def decode_template(payload: str) -> tuple[int, ViewMatch, int]:
         ('memory', 0, MAX_COUNT),
     ):  # fmt: skip
         check_range('local_view/template', key, fields[key], low, high)
-    match = ViewMatch(fields['id'], fields['is_new'], fields['error'], fields['relative_rad'])
+    fields.setdefault('threshold', FIXED_THRESHOLD)
+    check_types(fields, 'local_view/template', {'threshold': float})
+    check_range('local_view/template', 'threshold', fields['threshold'], FIXED_THRESHOLD, 1.0)
+    match = ViewMatch(
+        fields['id'], fields['is_new'], fields['error'], fields['relative_rad'],
+        fields['threshold'],
+    )  # fmt: skip
     return decode_stamp(fields['stamp']), match, fields['memory']
 
 
@@ -212,12 +219,14 @@ def encode_map(
         ValueError: a number of the graph is not finite.
     """
     experiences, links = (map_text or MapText()).update(experience_map)
+    components = experience_map.components
     head = encode_json(
         {
             'schema_version': SCHEMA_VERSION,
             'frame_id': experience_map.frame_id,
             'stamp': encode_stamp(stamp_ns),
             'current_experience_id': experience_map.current_id,
+            **({'components': components} if any(components) else {}),
         }
     )
     # One join: copying megabytes takes longer than finding the changed items.

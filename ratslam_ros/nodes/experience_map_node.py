@@ -21,6 +21,7 @@ from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.rotation_gain import TurnCorrection
 from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.common.state import State
+from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.late_join import LateJoin
 from ratslam_ros.core.mapping.mapping_step import adopt_correction, apply_action
@@ -59,8 +60,8 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
     PARTS = ('goal_recall',)
     MAPS = True
 
-    def __init__(self) -> None:
-        super().__init__(('odometry', 'action'))
+    def __init__(self, initial: Config = Config()) -> None:
+        super().__init__(('odometry', 'action'), initial)
         if self._section.exp_align_scans:
             self._streams = 'odometry', 'scan', 'action'
             self._order = self._new_order()
@@ -92,7 +93,8 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         self._late_join = LateJoin(self._core)
         self._scans = ScanMatcher()
         self._motion = MotionFromOdometry(
-            self._section.odom_source, self._section.turn_correction
+            self._section.odom_source, self._section.max_odom_gap_s,
+            self._section.turn_correction,
         )
         self._action_ns = 0
         self._changed = self._sent  # subscribers that have the old map get the empty one
@@ -184,6 +186,8 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
             if motion is not None:
                 self._core.integrate(motion)
                 self._scans.integrate(stamp_ns, motion)
+                if not motion.is_known:
+                    self._report_gap(motion.dt_s)
             return
         self._unlearn_blocked(stamp_ns)
         late_join, behaviour = self._late_join, self._behaviours.at(stamp_ns)
@@ -222,6 +226,13 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
                 self.get_logger().info(
                     f'{unlearned} links were unlearned: {report.behaviour} was blocked'
                 )
+
+    def _report_gap(self, gap_s: float) -> None:
+        self._changed = True
+        self.get_logger().warning(
+            f'odometry has a gap of {gap_s:.1f} s: the map continues in a separate component '
+            'until a known place is recognised (max_odom_gap_s)'
+        )
 
     def _report_missing(self, text: str) -> None:
         if self._diagnostics.missing.get('action') != text:
@@ -299,6 +310,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         return {
             'experiences': len(self._core),
             'links': self._core.link_count,
+            'components': self._core.component_count,
             'experience': self._core.current_id,
             'jumps_refused': self._core.gate.rejected_count,
             'carried': self._core.gate.relocation_count,

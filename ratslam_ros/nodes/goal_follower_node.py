@@ -18,6 +18,7 @@ from std_msgs.msg import String
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import Scan
+from ratslam_ros.core.config import Config
 from ratslam_ros.core.driving.exploration import Exploration
 from ratslam_ros.core.driving.goal_follower import GoalFollower, in_robot_frame, remaining_route
 from ratslam_ros.core.driving.steering import Command
@@ -46,8 +47,8 @@ class GoalFollowerNode(RatslamNode[Scan]):
 
     SECTION = 'goal_follower'
 
-    def __init__(self) -> None:
-        super().__init__(('scan',))
+    def __init__(self, initial: Config = Config()) -> None:
+        super().__init__(('scan',), initial)
         self._velocity = self.create_publisher(Twist, 'cmd_vel', STATE)
         self._behaviour = self.create_publisher(String, 'goal_follower/behaviour', RESULT)
         self._task = 'none'

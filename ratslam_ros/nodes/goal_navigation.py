@@ -153,7 +153,7 @@ class GoalNavigation:
 
     def _publish_times(self) -> None:
         """Publish the temporal map if it has subscribers and has changed."""
-        if self._times.get_subscription_count() == 0 or len(self._map) == 0:
+        if self._times.get_subscription_count() == 0 or self._map.current_id < 0:
             self._times_key = ()
             return
         key = self._map.current_id, self._map.links_version, len(self._map)

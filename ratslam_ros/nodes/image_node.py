@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sensor_msgs.msg import CompressedImage, Image
 
+from ratslam_ros.core.config import Config
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.images import UndecodableImage, image_of
 from ratslam_ros.nodes.backlog import Backlog
@@ -23,8 +24,8 @@ Message = Any
 class ImageNode(RatslamNode[Message]):
     """A node that processes every image, raw or compressed, in a thread beside the executor."""
 
-    def __init__(self) -> None:
-        super().__init__(('image',))
+    def __init__(self, initial: Config = Config()) -> None:
+        super().__init__(('image',), initial)
         self.error: BaseException | None = None
         """The exception that ended the thread, if any; ``run`` raises it."""
         self._backlog: Backlog[Message] = Backlog(self._process_message, self._failed)

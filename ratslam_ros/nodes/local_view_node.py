@@ -12,8 +12,10 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
 from ratslam_ros.core.common.state import State
+from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.id_map import MIN_MEMORY_NS, NO_MEMORY_NS
-from ratslam_ros.core.vision.local_view import UNDECODABLE, LocalView, ViewMatch, make_view
+from ratslam_ros.core.vision.local_view import FIXED_THRESHOLD, UNDECODABLE, LocalView, ViewMatch
+from ratslam_ros.descriptors import encoder_of
 from ratslam_ros.messages.mapping import encode_template
 from ratslam_ros.nodes.convert import grey_image
 from ratslam_ros.nodes.image_node import ImageNode
@@ -30,15 +32,20 @@ class LocalViewNode(ImageNode):
     SECTION = 'local_view'
     MAPS = True
 
-    def __init__(self) -> None:
-        super().__init__()
+    def __init__(self, initial: Config = Config()) -> None:
+        super().__init__(initial)
         self._publisher = self.create_publisher(String, 'local_view/template', RESULT)
         self._matched = self.create_publisher(Image, 'local_view/matched', VIEW)
+        try:
+            self._encoder = encoder_of(self._section)
+        except BaseException:
+            self.destroy_node()  # the caller gets no node that it could destroy
+            raise
         self._reset_state()
         self._subscribe_to_images()
 
     def _reset_state(self) -> None:
-        self._core = LocalView(self._section)
+        self._core = LocalView(self._section, self._encoder)
         self._core.mapping = self._mapping
         self._memory_ns = NO_MEMORY_NS
         self._last = UNDECODABLE
@@ -50,7 +57,7 @@ class LocalViewNode(ImageNode):
         return {'memory_ns': self._memory_ns, 'core': self._core.state()}
 
     def _restore(self, state: State) -> None:
-        core = LocalView(self._section)
+        core = LocalView(self._section, self._encoder)
         core.restore(state['core'])
         self._memory_ns = int(state['memory_ns'])
         self._core = core
@@ -77,10 +84,13 @@ class LocalViewNode(ImageNode):
         self, stamp_ns: int, image: NDArray[np.uint8], frame_id: str, match: ViewMatch
     ) -> None:
         """Publish the view as it was compared, above the template that it matched."""
-        view = make_view(image, self._section)
+        view = self._core.encode(image)
+        if view is None:
+            return
         template = np.zeros_like(view)
         if match.template_id >= 0:
             template = self._core.template(match.template_id)
+        view, template = self._core.picture(view), self._core.picture(template)
         gap = np.full((1, view.shape[1]), 255, np.uint8)
         both = np.concatenate([view, gap, template])
         factor = max(SHOWN_WIDTH_PX // view.shape[1], 1)
@@ -92,8 +102,13 @@ class LocalViewNode(ImageNode):
         return {
             **super()._diagnostic_values(),
             'templates': len(self._core),
+            'low_texture': self._core.low_texture,
             'template': self._last.template_id,
             'match_error': round(self._last.error, 4),
+            **(
+                {'match_threshold': round(self._last.threshold, 4)}
+                if self._last.threshold != FIXED_THRESHOLD else {}
+            ),
         }
 
 

@@ -44,10 +44,16 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
     MAPS = False
     """Whether the node learns, and so has the services ``mapping``, ``save`` and ``load``."""
 
-    def __init__(self, streams: tuple[str, ...]) -> None:
+    def __init__(self, streams: tuple[str, ...], initial: Config) -> None:
+        """Create the node.
+
+        Args:
+            streams: names of the inputs that are merged.
+            initial: values of parameters that are not given to the node.
+        """
         super().__init__(self.SECTION, automatically_declare_parameters_from_overrides=True)
         try:
-            self._checked = NodeParameters(self, self.SECTION, *self.PARTS)
+            self._checked = NodeParameters(self, initial, self.SECTION, *self.PARTS)
         except BaseException:
             self.destroy_node()  # the caller gets no node that it could destroy
             raise

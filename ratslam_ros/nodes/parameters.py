@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, TypeVar
 
 from rcl_interfaces.msg import (
@@ -18,6 +19,7 @@ from rclpy.parameter import Parameter
 from ratslam_ros.core.config import (
     SECTIONS,
     SETTABLE,
+    SHARED,
     Config,
     ParameterInfo,
     Section,
@@ -25,11 +27,27 @@ from ratslam_ros.core.config import (
     section_of,
 )
 from ratslam_ros.errors import UnusableParameter
+from ratslam_ros.files.config import load_config
 
 AnySection = TypeVar('AnySection', bound=Section)
 
 ROS_PREFIXES = ('use_sim_time', 'start_type_description_service', 'qos_overrides')
 """Prefixes of the parameters that ROS declares on every node."""
+
+
+def initial_config(arguments: Sequence[str]) -> Config:
+    """Return the configuration to which single values of a command line are applied.
+
+    A parameter file starts from the defaults, so that it keeps its meaning. Without one, the
+    preset for the case that no configuration is given is used.
+
+    Args:
+        arguments: command line of the node.
+
+    Raises:
+        UnusableInput: the presets are not installed.
+    """
+    return Config() if '--params-file' in arguments else load_config(None)[0]
 
 
 class NodeParameters:
@@ -39,11 +57,12 @@ class NodeParameters:
     parameters that are unknown could not be detected.
     """
 
-    def __init__(self, node: Node, section: str, *parts: str) -> None:
+    def __init__(self, node: Node, initial: Config, section: str, *parts: str) -> None:
         """Declare all parameters.
 
         Args:
             node: the node; its name may be remapped.
+            initial: values of parameters that are not given.
             section: section whose parameters are declared by their plain names.
             parts: sections whose parameters are declared as ``part.name``.
 
@@ -56,7 +75,7 @@ class NodeParameters:
             for name, _, _ in SECTIONS[part].parameters():
                 self._keys[f'{part}.{name}'] = f'{part}.{name}'
         self._section = section
-        self.config = self._given()
+        self.config = self._given(initial)
         values = self.config.values()
         for name, key in self._keys.items():
             of, _, short = key.partition('.')
@@ -66,8 +85,8 @@ class NodeParameters:
             node.declare_parameter(name, values[of][short], descriptor, ignore_override=True)
         node.add_on_set_parameters_callback(self._set)
 
-    def _given(self) -> Config:
-        """Return the configuration from the command line and parameter files."""
+    def _given(self, initial: Config) -> Config:
+        """Apply the command line and parameter files to the initial configuration."""
         values: dict[str, Value] = {}
         for name, parameter in sorted(self._node.get_parameters_by_prefix('').items()):
             if name.startswith(ROS_PREFIXES):
@@ -86,7 +105,7 @@ class NodeParameters:
         # Aliases that set several parameters first: a parameter given by its name takes priority.
         own = set(self._keys.values())
         ordered = dict(sorted(values.items(), key=lambda item: item[0] in own))
-        return _with_values(Config(), ordered)
+        return _with_values(initial, ordered)
 
     def _set(self, parameters: list[Parameter]) -> SetParametersResult:
         """Check and set parameters that may change while the node runs."""
@@ -128,10 +147,11 @@ def declare(node: Node, kind: type[AnySection]) -> AnySection:
 
 
 def _with_values(config: Config, values: dict[str, Any]) -> Config:
-    """Set values; odom_source must agree in two sections, of which a node gets only one."""
+    """Set values; those of SHARED must agree in two sections, of which a node gets only one."""
     for section, other in (('pose_cells', 'experience_map'), ('experience_map', 'pose_cells')):
-        if f'{section}.odom_source' in values:
-            values.setdefault(f'{other}.odom_source', values[f'{section}.odom_source'])
+        for name in SHARED:
+            if f'{section}.{name}' in values:
+                values.setdefault(f'{other}.{name}', values[f'{section}.{name}'])
     return config.with_values(values)
 
 

@@ -16,6 +16,7 @@ from std_msgs.msg import String
 from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry
 from ratslam_ros.core.common.rotation_gain import TurnCorrection
 from ratslam_ros.core.common.state import State
+from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.id_map import MIN_MEMORY_NS, NO_MEMORY_NS, IdMap
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE, ViewMatch
@@ -49,8 +50,8 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
     PARTS = ('goal_memory',)
     MAPS = True
 
-    def __init__(self) -> None:
-        super().__init__(('odometry', 'template'))
+    def __init__(self, initial: Config = Config()) -> None:
+        super().__init__(('odometry', 'template'), initial)
         self._publisher = self.create_publisher(String, 'pose_cells/action', RESULT)
         self._active = self.create_publisher(String, 'pose_cells/active_experiences', VIEW)
         self._activity = self.create_publisher(Image, 'pose_cells/activity', VIEW)
@@ -74,7 +75,8 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
         if self._goals is not None:
             self._goals.use_pose_cells(self._core)
         self._motion = MotionFromOdometry(
-            self._section.odom_source, self._section.turn_correction
+            self._section.odom_source, self._section.max_odom_gap_s,
+            self._section.turn_correction,
         )
         self._logged_gain = self._motion.correction.gain
         self._numbering = IdMap()
@@ -148,7 +150,8 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
         self._check_memory(stamp_ns, template)
         number = self._numbering.own_id(template.match.template_id)
         with self._diagnostics.times('pose_cells_view'):
-            action = self._core.view(replace(template.match, template_id=number))
+            match = replace(template.match, template_id=number)
+            action = self._core.view(match, self._motion.reaches(stamp_ns))
         if action.correction is not None and action.correction != self._motion.correction:
             self._motion.correction = action.correction
             self._report_correction(action.correction)
@@ -224,6 +227,7 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
             'peak': f'x {peak.x:.2f}, y {peak.y:.2f}, theta {peak.theta:.2f}',
             'actions': self._sequence,
             **(self._core.calibration.summary() if self._core.calibration is not None else {}),
+            'odometry_gaps': self._core.gap_count,
             **(self._goals.diagnostic_values() if self._goals is not None else {}),
         }
 

@@ -16,6 +16,8 @@ from rclpy.signals import SignalHandlerOptions
 from ratslam_ros.compilation import announced_compilation
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.errors import RatslamError
+from ratslam_ros.nodes.node import RatslamNode
+from ratslam_ros.nodes.parameters import initial_config
 from ratslam_ros.quick_start import import_numba, settle
 from ratslam_ros.signals import StopSignals
 
@@ -27,8 +29,9 @@ def run(*kinds: type[Any], args: list[str] | None = None) -> int:
     """Create nodes and spin them on one executor until SIGINT or SIGTERM.
 
     Args:
-        kinds: node classes whose constructors take no arguments: RatslamNodes, or classes with
-            the same ``SECTION``, ``warm_up``, ``parts`` and ``close``.
+        kinds: node classes: RatslamNodes, whose constructors take the initial configuration, or
+            classes with the same ``SECTION``, ``warm_up``, ``parts`` and ``close``, whose
+            constructors take no arguments.
         args: arguments for rclpy; None: those of the process.
 
     Returns:
@@ -49,8 +52,10 @@ def run(*kinds: type[Any], args: list[str] | None = None) -> int:
             with announced_compilation(_logger(kinds).info):
                 for kind in kinds:
                     kind.warm_up()
+            initial = initial_config(sys.argv if args is None else args)
             for kind in kinds:
-                nodes.append(kind())
+                arguments = (initial,) if issubclass(kind, RatslamNode) else ()
+                nodes.append(kind(*arguments))
             executor = SingleThreadedExecutor()
             for node in nodes:
                 executor.add_node(node)

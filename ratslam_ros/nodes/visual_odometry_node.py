@@ -17,6 +17,7 @@ from sensor_msgs.msg import CameraInfo
 from tf2_msgs.msg import TFMessage
 
 from ratslam_ros.core.common.odometry import Odometry
+from ratslam_ros.core.config import Config
 from ratslam_ros.core.vision.visual_odometry import VisualOdometry, field_of_view_deg
 from ratslam_ros.nodes.convert import header_of, pose_message, transform
 from ratslam_ros.nodes.image_node import ImageNode, Message
@@ -39,8 +40,8 @@ class VisualOdometryNode(ImageNode):
 
     SECTION = 'visual_odometry'
 
-    def __init__(self) -> None:
-        super().__init__()
+    def __init__(self, initial: Config = Config()) -> None:
+        super().__init__(initial)
         self._publisher = self.create_publisher(OdometryMessage, 'odom', RESULT)
         self._tf = self.create_publisher(TFMessage, '/tf', STATE)
         self._fov_deg: float | None = None

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.vision.local_view import make_view
+from ratslam_ros.descriptors import encoder_of
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.files.config import load_config
+from ratslam_ros.offline.inspection import inspect
 from ratslam_ros.offline.replay import ReplayOptions, ReplayOutcome, replay
 from ratslam_ros.recordings import ImageEvent, Recording, Selection, open_recording
 from ratslam_ros.results.evaluation import evaluate
@@ -27,7 +27,6 @@ from ratslam_ros.simulator.aliasing import measure_aliasing
 from ratslam_ros.simulator.picture import draw_run
 from ratslam_ros.simulator.recording import SimulatedRun, write_recording
 
-PRESET = 'pioneer'
 LOOK_ALIKE_DISTANCE_M = 5.0
 """Distance beyond which a view that matches another is an alias, not a revisit."""
 
@@ -53,13 +52,17 @@ class DemoFigures:
         return self.map_m / self.dead_reckoning_m
 
 
-def run_demo(seed: int, folder: Path, progress: bool = True) -> str:
+def run_demo(
+    config: Config, seed: int, folder: Path, progress: bool = True, look_ahead: bool = False
+) -> str:
     """Simulate, replay, evaluate and draw one run.
 
     Args:
+        config: all parameters of the replay.
         seed: random seed of world and noise.
         folder: folder for the results and the recording.
         progress: show a progress bar.
+        look_ahead: inspect the recording before the replay, as for a recording of one's own.
 
     Returns:
         The errors and the paths of the plots, as text.
@@ -68,7 +71,7 @@ def run_demo(seed: int, folder: Path, progress: bool = True) -> str:
         UnusableInput: the folder has a recording already, or cannot be written.
         KeyboardInterrupt: the replay was interrupted; its results are written.
     """
-    run, outcome, figures = _run(seed, folder, progress)
+    run, outcome, figures = _run(config, seed, folder, progress, look_ahead)
     plots = [
         *draw_all(folder, run.truth),
         draw_run(run, folder / 'world.png'),
@@ -93,19 +96,19 @@ def run_demo(seed: int, folder: Path, progress: bool = True) -> str:
             '',
             f'recording: {run.recording}',
             *[f'plot:      {path}' for path in plots],
-            f'to replay this recording like one of your own:\n  ratslam replay {run.recording} '
-            f'--config {PRESET} --truth {run.truth}',
+            'to replay this recording like one of your own:\n'
+            f'  ratslam replay {run.recording} --truth {run.truth}',
         ]
     )
 
 
-def run_seeds(seeds: Iterable[int]) -> str:
+def run_seeds(config: Config, seeds: Iterable[int], look_ahead: bool = False) -> str:
     """Run several seeds without plots; return a table of the errors, with mean and worst."""
     rows = ['seed  map [m]  dead reckoning [m]  ratio  look-alikes']
     all_figures = []
     for seed in seeds:
         with tempfile.TemporaryDirectory() as folder:
-            _, _, f = _run(seed, Path(folder), False)
+            _, _, f = _run(config, seed, Path(folder), False, look_ahead)
         all_figures.append(f)
         rows.append(
             f'{f.seed:4d}  {f.map_m:7.2f}  {f.dead_reckoning_m:18.2f}  {f.ratio:5.2f}  '
@@ -123,11 +126,10 @@ def run_seeds(seeds: Iterable[int]) -> str:
 
 
 def _run(
-    seed: int, folder: Path, progress: bool
+    config: Config, seed: int, folder: Path, progress: bool, look_ahead: bool
 ) -> tuple[SimulatedRun, ReplayOutcome, DemoFigures]:
     if (folder / 'recording').exists():
         raise UnusableInput(f'{folder} already has a recording; give another --out')
-    config, _ = load_config(PRESET)
     try:
         run = write_recording(folder / 'recording', seed)
     except BaseException:
@@ -136,6 +138,8 @@ def _run(
         raise
     with open_recording(run.recording) as recording:
         selection = recording.select()
+        if look_ahead:
+            config = inspect(recording, selection, config).config
         outcome = replay(
             recording, selection, config, folder, ReplayOptions(progress=progress)
         )
@@ -152,15 +156,17 @@ def _look_alike_share(
     recording: Recording, selection: Selection, run: SimulatedRun, config: Config
 ) -> float:
     """Return the share of views that match one from more than `LOOK_ALIKE_DISTANCE_M` away."""
+    encoder = encoder_of(config.local_view)
     views: list[NDArray[np.uint8]] = []
     stamps_ns: list[int] = []
     for event in recording.events(selection):
         if isinstance(event, ImageEvent):
-            views.append(make_view(event.grey(), config.local_view))
-            stamps_ns.append(event.stamp_ns)
+            view = encoder.encode(event.grey())
+            if view is not None:
+                views.append(view)
+                stamps_ns.append(event.stamp_ns)
     nearest = np.searchsorted(run.truth_stamp_ns, stamps_ns).clip(max=len(run.truth_pose) - 1)
-    p = config.local_view
     return measure_aliasing(
-        np.array(views), run.truth_pose[nearest], p.vt_match_threshold, p.vt_shift_match,
-        LOOK_ALIKE_DISTANCE_M,
+        np.array(views), run.truth_pose[nearest], config.local_view.vt_match_threshold,
+        encoder.layout.shift_x, LOOK_ALIKE_DISTANCE_M,
     ).look_alike_share  # fmt: skip

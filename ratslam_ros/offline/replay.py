@@ -15,10 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.console import ProgressBar
+from ratslam_ros.core.common.odometry import MAX_GAP_NS
 from ratslam_ros.core.common.scan import UnusableScan
-from ratslam_ros.core.config import Config
+from ratslam_ros.core.config import AUTOMATIC, Config
 from ratslam_ros.core.ratslam import RatSLAM, Step
+from ratslam_ros.core.vision.local_view import LocalView
 from ratslam_ros.core.vision.visual_odometry import field_of_view_deg
+from ratslam_ros.descriptors import encoder_of
 from ratslam_ros.event_inputs import odometry_from_event, scan_from_event
 from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.messages.mapping import decode_template
@@ -32,6 +35,7 @@ from ratslam_ros.recordings import (
     Selection,
 )
 from ratslam_ros.recordings.prefetch import prefetch_images
+from ratslam_ros.results.advice import Observations
 from ratslam_ros.results.writer import Results
 from ratslam_ros.signals import StopSignals
 from ratslam_ros.timing import StepTimes
@@ -56,10 +60,17 @@ class ReplayOptions:
 
 @dataclass(frozen=True)
 class ReplayOutcome:
-    """Content of summary.json, and whether the replay was interrupted."""
+    """Result of a replay.
+
+    summary: content of summary.json. interrupted: whether the replay was interrupted.
+    config: the parameters, with the field of view of camera_info. observations: evidence for
+    advice on problems.
+    """
 
     summary: dict[str, Any]
     interrupted: bool
+    config: Config
+    observations: Observations
 
 
 def replay(
@@ -114,7 +125,7 @@ def replay(
     except BaseException:
         run.abandon()
         raise
-    return ReplayOutcome(run.finish(), interrupted)
+    return ReplayOutcome(run.finish(), interrupted, run.config, run.observations)
 
 
 class _Run:
@@ -132,17 +143,21 @@ class _Run:
         visual_odometry = selection.odom_topic is None and selection.image_topic is not None
         if visual_odometry:
             config = _calibrated(config, recording, selection)
+        p = config.local_view
+        self._local_view = LocalView(p, encoder_of(p))
         self.slam = RatSLAM(
             config,
             visual_odometry=visual_odometry,
             stopwatch=self.times,
+            local_view=self._local_view,
         )
         self.results: Results | None = None
         """Opened at the first result, so that errors before it leave no files behind."""
         self.video: ReplayVideo | None = None
         self.span = _TimeSpan()
+        self.observations = Observations()
         self._recording = recording
-        self._config = config
+        self.config = config
         self._folder = folder
         self._lacks_scans = self.slam.scan_matcher is not None and selection.scan_topic is None
         self._unusable: Counter[str] = Counter()
@@ -182,7 +197,7 @@ class _Run:
         """Process all held messages, write all files, and return the summary."""
         self._write(self.slam.finish())
         wall_s = self.elapsed_s
-        results = self.results or Results(self._folder)
+        results = self.results or self._new_results()
         warnings = self._recording.warnings
         if self._lacks_scans:
             warnings.append(
@@ -201,7 +216,12 @@ class _Run:
             'experiences': len(self.slam.experience_map),
             'links': self.slam.experience_map.link_count,
             'loop_closures': results.loop_closures,
-            'dropped': results.without_view + self._unusable.total() + self._recording.skipped,
+            **self._gap_counts(results),
+            'dropped': (
+                results.without_view - self._local_view.low_texture + self._unusable.total()
+                + self._recording.skipped
+            ),
+            'low_texture': self._local_view.low_texture,
             'late': counts.late,
             'refused': counts.refused,
             'duration_s': round(self.span.duration_s, 3),
@@ -214,9 +234,18 @@ class _Run:
         calibration = self.slam.pose_cells.calibration
         if calibration is not None:
             summary['odom_calibration'] = calibration.summary()
-        results.finish(self.slam.experience_map, self._config, summary)
+        results.finish(self.slam.experience_map, self.config, summary)
         self.results = results
         return summary
+
+    def _gap_counts(self, results: Results) -> dict[str, int]:
+        """Return the numbers of odometry gaps and components, if gaps are looked for."""
+        if self.config.pose_cells.max_odom_gap_s * 1e9 >= MAX_GAP_NS:
+            return {}
+        return {
+            'odometry_gaps': results.gap_count,
+            'components': self.slam.experience_map.component_count,
+        }
 
     def abandon(self) -> None:
         """End after an error: write the results, or keep those of an earlier run."""
@@ -243,6 +272,10 @@ class _Run:
             )
         return text
 
+    def _new_results(self) -> Results:
+        automatic = self.config.local_view.vt_match_threshold == AUTOMATIC
+        return Results(self._folder, with_thresholds=automatic)
+
     def _count_unusable(self, kind: str, error: Exception) -> None:
         self._unusable[kind] += 1
         self._first_errors.setdefault(kind, str(error))
@@ -251,9 +284,10 @@ class _Run:
         if not steps:
             return
         if self.results is None:
-            self.results = Results(self._folder)
+            self.results = self._new_results()
         for step in steps:
             self.results.add(step)
+            self.observations.add(step)
             if self.video is not None:
                 self.video.add_step(step)
 

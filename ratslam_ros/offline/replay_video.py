@@ -53,7 +53,7 @@ class ReplayVideo:
         assert isinstance(local_view, LocalView)
         self._video.write(
             image,
-            local_view.template(template_id) if template_id >= 0 else None,
+            local_view.picture(local_view.template(template_id)) if template_id >= 0 else None,
             self._slam.pose_cells.activity(),
             self._slam.experience_map.poses[:, :2],
             self._slam.experience_map.pose,

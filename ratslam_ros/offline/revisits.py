@@ -23,7 +23,7 @@ from scipy.ndimage import minimum_filter1d
 
 from ratslam_ros.core.common.compiled import compiled
 from ratslam_ros.core.config import WHOLE, LocalViewParameters
-from ratslam_ros.core.vision.local_view import crop_window, make_view
+from ratslam_ros.core.vision.intensity import crop_window, make_view
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.recordings import ImageEvent, Recording, UndecodableImage
 

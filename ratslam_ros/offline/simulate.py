@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from ratslam_ros.core.config import Config
+from ratslam_ros.core.config import AUTOMATIC, Config
 from ratslam_ros.core.ratslam import Step
 from ratslam_ros.errors import UnreachableGoal, UnusableInput
 from ratslam_ros.results.goal_plots import draw_temporal_map
@@ -96,7 +96,9 @@ def simulate(
         if options.record is not None:
             writer = stack.enter_context(RecordingWriter(options.record, simulator.options))
             simulator.watchers.append(writer.write)
-        results = Results(folder)
+        results = Results(
+            folder, with_thresholds=config.local_view.vt_match_threshold == AUTOMATIC
+        )
         try:
             loop = _RecordingLoop(simulator, config, parameters.seed, results)
             run = _Run(loop, options)

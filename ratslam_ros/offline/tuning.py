@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.config import LocalViewParameters
-from ratslam_ros.core.vision.local_view import crop_window
+from ratslam_ros.core.vision.intensity import crop_window
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.messages.json_schema import NS_PER_S
 from ratslam_ros.offline.revisits import (

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -23,12 +24,15 @@ from ratslam_ros.errors import UnusableInput
 from ratslam_ros.messages.json_schema import NS_PER_S
 from ratslam_ros.results.evaluation import Evaluation, Transform2D, associate, fit
 from ratslam_ros.results.trajectory import Floats, Trajectory, read_tum, thinned
+from ratslam_ros.results.writer import THRESHOLD_COLUMN
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 BLUE, VERMILLION, GREEN = '#0072B2', '#D55E00', '#009E73'
+SEPARATE = '#CC79A7', '#E69F00', '#56B4E9', '#F0E442'
+"""Colours of components that are not joined with the first one, in turn."""
 BLACK, GREY, PALE_GREY = '#000000', '#777777', '#CFCFCF'
 
 DOTS_PER_INCH = 120
@@ -106,8 +110,11 @@ def draw_map(folder: str | Path, truth: str | Path | Trajectory | None = None,
             axes.add_collection(LineCollection(ends, colors=colour, linewidths=1.4, label=label,
                                                zorder=3 if colour == BLUE else 5))
     places_m = np.array(list(graph.places.values())).reshape(-1, 2)
-    axes.plot(*places_m.T, linestyle='', color=BLUE, marker='o', zorder=4,
-              markersize=3.0 if len(places_m) < 1000 else 1.5)
+    for number, part_m in graph.places_by_component().items():
+        colour = BLUE if number == 0 else SEPARATE[(number - 1) % len(SEPARATE)]
+        axes.plot(*part_m.T, linestyle='', color=colour, marker='o', zorder=4,
+                  markersize=3.0 if len(places_m) < 1000 else 1.5,
+                  label=f'component {number}, not joined' if number else None)
     if len(places_m):
         first = places_m[0]
         last = graph.places.get(graph.current, places_m[-1])
@@ -127,7 +134,7 @@ def draw_matches(folder: str | Path, threshold: float | None = None) -> Path:
 
     Args:
         folder: the results folder.
-        threshold: match threshold to draw; None for none.
+        threshold: match threshold to draw if frames.csv has none; None for none.
 
     Returns:
         The path of the plot.
@@ -138,8 +145,8 @@ def draw_matches(folder: str | Path, threshold: float | None = None) -> Path:
     folder = Path(folder)
     counts = [0, 0]
     rows = thinned(_frames(folder / 'frames.csv', counts), MAX_POINT_COUNT)
-    table = np.array(rows, dtype=np.float64).reshape(-1, 4)
-    time_s, template_id, is_new, error = table.T
+    table = np.array(rows, dtype=np.float64).reshape(-1, 5)
+    time_s, template_id, is_new, error, automatic = table.T
     new = (template_id >= 0) & (is_new == 1)
     recognised = (template_id >= 0) & (is_new == 0)
     compared = error >= 0.0  # The first view has no template to compare with.
@@ -151,7 +158,11 @@ def draw_matches(folder: str | Path, threshold: float | None = None) -> Path:
         look = {'linestyle': '', 'marker': '.', 'color': colour, 'markersize': size}
         ids.plot(time_s[which], template_id[which], label=label, **look)
         errors.plot(time_s[which & compared], error[which & compared], **look)
-    if threshold is not None:
+    if np.isfinite(automatic).any():
+        errors.plot(time_s, automatic, color=BLACK, linewidth=1.0, linestyle='--',
+                    label=f'automatic threshold, at the end {automatic[-1]:.3g}')
+        errors.legend(loc='upper right', fontsize=8)
+    elif threshold is not None:
         errors.axhline(threshold, color=BLACK, linewidth=1.0, linestyle='--',
                        label=f'threshold {threshold:g}')
         errors.legend(loc='upper right', fontsize=8)
@@ -256,11 +267,19 @@ class _Graph:
     """Map of a results folder.
 
     places: (x, y) in m by experience id. links: (source, target) ids. current: id, or -1.
+    components: component of each experience, in the order of ids.
     """
 
     places: dict[int, tuple[float, float]]
     links: list[tuple[int, int]]
     current: int
+    components: list[int]
+
+    def places_by_component(self) -> dict[int, Floats]:
+        """Return (n, 2) places of the experiences of each component, by its number."""
+        places_m = np.array(list(self.places.values())).reshape(-1, 2)
+        of = np.array(self.components)
+        return {number: places_m[of == number] for number in sorted(set(self.components))}
 
 
 def _read_map(path: Path) -> _Graph:
@@ -270,6 +289,7 @@ def _read_map(path: Path) -> _Graph:
                   for e in payload['experiences']}
         links = [(int(k['source_id']), int(k['target_id'])) for k in payload['links']]
         current = int(payload['current_experience_id'])
+        components = [int(c) for c in payload.get('components', [0] * len(places))]
     except OSError as error:
         raise UnusableInput(f'{path}: {error.strerror or error}; give the folder that '
                             'ratslam replay wrote') from None
@@ -277,7 +297,9 @@ def _read_map(path: Path) -> _Graph:
         raise UnusableInput(f'{path}: not a map of ratslam_ros ({error!r})') from None
     if any(end not in places for link in links for end in link):
         raise UnusableInput(f'{path}: a link leads to an experience that is not in the map')
-    return _Graph(places, links, current)
+    if len(components) != len(places):
+        raise UnusableInput(f'{path}: {len(components)} components for {len(places)} experiences')
+    return _Graph(places, links, current, components)
 
 
 def _closures(folder: Path, graph: _Graph) -> set[tuple[int, int]]:
@@ -291,19 +313,20 @@ def _closures(folder: Path, graph: _Graph) -> set[tuple[int, int]]:
         return {link for link in graph.links if abs(link[0] - link[1]) > NEWEST_EXPERIENCES_COUNT}
     closures = set()
     last, count = -1, 0
-    for *_, experience in _rows(path):
-        if experience < 0:
-            continue  # No experience exists yet.
+    for *_, experience, _ in _rows(path):
         if experience >= count:
             count = experience + 1
-        elif experience != last and experience < count - NEWEST_EXPERIENCES_COUNT:
+        elif (
+            -1 not in (last, experience)  # no experience yet, or none since an odometry gap
+            and experience not in (last, *range(count - NEWEST_EXPERIENCES_COUNT, count))
+        ):
             closures.add((last, experience))
         last = experience
     return closures
 
 
-def _rows(path: Path) -> Iterator[tuple[int, int, int, float, int]]:
-    """Yield stamp_ns, template_id, is_new, match_error and experience_id of each row."""
+def _rows(path: Path) -> Iterator[tuple[int, int, int, float, int, float]]:
+    """Yield the used columns of each row; match_threshold is NaN if there is none."""
     columns = ('stamp_ns', 'template_id', 'is_new', 'match_error', 'experience_id')
     try:
         with path.open(encoding='utf-8', newline='') as file:
@@ -312,10 +335,12 @@ def _rows(path: Path) -> Iterator[tuple[int, int, int, float, int]]:
             if not set(columns) <= set(header):
                 raise UnusableInput(f'{path}: the first line has to name {", ".join(columns)}')
             where = [header.index(column) for column in columns]
+            last = header.index(THRESHOLD_COLUMN) if THRESHOLD_COLUMN in header else None
             for row in reader:
                 stamp, template, new, error, experience = (row[index] for index in where)
+                threshold = math.nan if last is None else float(row[last])
                 yield (int(stamp), int(template), ('0', '1').index(new), float(error),
-                       int(experience))
+                       int(experience), threshold)
     except OSError as refusal:
         raise UnusableInput(f'{path}: {refusal.strerror or refusal}; give the folder that '
                             'ratslam replay wrote') from None
@@ -324,18 +349,20 @@ def _rows(path: Path) -> Iterator[tuple[int, int, int, float, int]]:
                             f'{", ".join(columns)}') from None
 
 
-def _frames(path: Path, counts: list[int]) -> Iterator[tuple[float, float, float, float]]:
-    """Yield seconds since the first frame, template id, is_new and match error of each row.
+def _frames(
+    path: Path, counts: list[int]
+) -> Iterator[tuple[float, float, float, float, float]]:
+    """Yield seconds since the first frame, template id, is_new, match error and threshold.
 
     The numbers of rows with recognised and with new templates are added to `counts[0]` and
     `counts[1]`.
     """
     first_ns = None
-    for stamp_ns, template, new, error, _ in _rows(path):
+    for stamp_ns, template, new, error, _, threshold in _rows(path):
         first_ns = stamp_ns if first_ns is None else first_ns
         if template >= 0:
             counts[new] += 1
-        yield (stamp_ns - first_ns) / NS_PER_S, template, new, error
+        yield (stamp_ns - first_ns) / NS_PER_S, template, new, error, threshold
 
 
 def _has_scale(folder: Path) -> bool:
@@ -379,7 +406,7 @@ def _threshold_of(config: Path) -> float | None:
     if not config.exists():
         return None
     found = re.search(r'^\s*vt_match_threshold:\s*([0-9.eE+-]+)', config.read_text('utf-8'), re.M)
-    return float(found[1]) if found else None
+    return float(found[1]) if found and float(found[1]) >= 0.0 else None
 
 
 def _count(number: int, noun: str) -> str:

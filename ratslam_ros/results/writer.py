@@ -13,10 +13,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import IO, Any
 
-from ratslam_ros.core.common.pose import Pose, composed
+from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.experience_map import ExperienceMap, PrunedExperience
-from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
+from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
 from ratslam_ros.core.ratslam import OdometryStep, Step, ViewStep
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
 from ratslam_ros.errors import UnusableInput
@@ -25,6 +25,9 @@ from ratslam_ros.messages.mapping import encode_map
 from ratslam_ros.results.trajectory import tum_line
 
 FRAMES_HEADER = 'stamp_ns,template_id,is_new,match_error,relative_rad,experience_id\n'
+
+THRESHOLD_COLUMN = 'match_threshold'
+"""Last column of frames.csv if the threshold is automatic."""
 
 NEWEST_EXPERIENCES_COUNT = 10
 """An action that leads to one of the newest experiences is not counted as a loop closure."""
@@ -40,8 +43,12 @@ class Results:
     the same folder stay until then.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, with_thresholds: bool = False) -> None:
         """Create the folder and open the files.
+
+        Args:
+            folder: the folder; it is created.
+            with_thresholds: write the match threshold of each frame, which is automatic.
 
         Raises:
             UnusableInput: the folder cannot be created or written to.
@@ -58,6 +65,10 @@ class Results:
         self.without_view = 0
         """Number of frames with template -1: images that could not be decoded or used."""
         self._last_view_ns = 0
+        self._gaps: list[tuple[int, float]] = []
+        """Stamp of the odometry message at the end of each gap, and length of the gap in s."""
+        self._unplaced: list[OdometryStep] = []
+        """Steps since the last gap, until an experience is current that they are relative to."""
         try:
             folder.mkdir(parents=True, exist_ok=True)
             self._frames = _writer(folder / 'frames.csv.part')
@@ -67,7 +78,9 @@ class Results:
             raise UnusableInput(
                 f'{folder} cannot be written to ({error.strerror}); give another --out'
             ) from None
-        self._frames.write(FRAMES_HEADER)
+        self._with_thresholds = with_thresholds
+        columns = FRAMES_HEADER.strip() + (f',{THRESHOLD_COLUMN}' if with_thresholds else '')
+        self._frames.write(columns + '\n')
         # Poses relative to their experience: the final trajectory needs the final map.
         self._offsets: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - closed by finish
 
@@ -80,10 +93,18 @@ class Results:
 
     def _add_odometry(self, step: OdometryStep) -> None:
         self.odometry += 1
+        if step.gap_s > 0.0:
+            self._gaps.append((step.stamp_ns, step.gap_s))
+            self._current_id = NO_EXPERIENCE
+            for file in (self._trajectory, self._dead_reckoning):
+                file.write(_gap_comment(step.gap_s))
+            self._write_unplaced()
         self._trajectory.write(tum_line(step.stamp_ns, step.pose))
         self._dead_reckoning.write(tum_line(step.stamp_ns, step.dead_reckoning))
-        place = self._places.of(step.experience_id)
-        self._offsets.write(_OFFSET.pack(step.stamp_ns, place, *step.offset))
+        if self._gaps and step.experience_id == NO_EXPERIENCE:
+            self._unplaced.append(step)
+        else:
+            self._write_offset(step.stamp_ns, step.experience_id, step.offset)
 
     def _add_view(self, step: ViewStep) -> None:
         match, action = step.match, step.action
@@ -98,13 +119,42 @@ class Results:
             self.experiences += step.pruned is None
             self._newest.append(action.target_id)
         if action.action != 'none' and not step.rejected:
+            self._place(action)
             is_closure = action.action != 'create' and action.target_id not in self._newest
             self.loop_closures += is_closure
             self._current_id = action.target_id
         self._frames.write(
             f'{step.stamp_ns},{match.template_id},{int(match.is_new)},{match.error!r},'
-            f'{match.relative_rad!r},{self._current_id}\n'
+            f'{match.relative_rad!r},{self._current_id}'
+            f'{f",{match.threshold!r}" if self._with_thresholds else ""}\n'
         )
+
+    def _place(self, action: MapAction) -> None:
+        """Relate the steps since a gap to the experience that is current after an action."""
+        if not self._unplaced:
+            return
+        # No motion lies between the last step and the action.
+        to_target = composed(
+            Pose(0.0, 0.0, action.relative_rad), inverse(self._unplaced[-1].pose)
+        )
+        for step in self._unplaced:
+            offset = composed(to_target, step.pose)
+            self._write_offset(step.stamp_ns, action.target_id, offset)
+        self._unplaced.clear()
+
+    def _write_unplaced(self) -> None:
+        """Write the steps that no experience followed before the next gap or the end."""
+        for step in self._unplaced:
+            self._write_offset(step.stamp_ns, step.experience_id, step.offset)
+        self._unplaced.clear()
+
+    def _write_offset(self, stamp_ns: int, experience_id: int, offset: Pose) -> None:
+        self._offsets.write(_OFFSET.pack(stamp_ns, self._places.of(experience_id), *offset))
+
+    @property
+    def gap_count(self) -> int:
+        """Number of odometry gaps after which the motion was unknown."""
+        return len(self._gaps)
 
     def finish(
         self, experience_map: ExperienceMap, config: Config, summary: dict[str, Any]
@@ -116,6 +166,7 @@ class Results:
             config: the configuration of the run, for config.yaml.
             summary: content of summary.json.
         """
+        self._write_unplaced()
         self._write_final(experience_map)
         for file in self._files:
             file.close()
@@ -139,9 +190,12 @@ class Results:
     def _write_final(self, experience_map: ExperienceMap) -> None:
         self._offsets.seek(0)
         pose_of = self._places.poses(experience_map)
+        gaps_s = dict(self._gaps)
         with _writer(self.folder / 'trajectory_final.tum.part') as file:
             while chunk := self._offsets.read(_OFFSET.size * 4096):
                 for stamp_ns, place, x, y, heading in _OFFSET.iter_unpack(chunk):
+                    if stamp_ns in gaps_s:
+                        file.write(_gap_comment(gaps_s[stamp_ns]))
                     line = tum_line(stamp_ns, composed(pose_of(place), Pose(x, y, heading)))
                     file.write(line)
         self._offsets.close()
@@ -200,6 +254,11 @@ def link_latest(folder: Path) -> None:
         fresh.replace(link)
     except OSError:
         fresh.unlink(missing_ok=True)
+
+
+def _gap_comment(gap_s: float) -> str:
+    """Return the comment line that precedes the first pose after an odometry gap."""
+    return f'# odometry gap of {gap_s:.3f} s: unknown motion\n'
 
 
 def _writer(path: Path) -> IO[str]:

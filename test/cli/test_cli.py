@@ -63,6 +63,29 @@ def results(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+def test_replay_without_configuration_is_inspected(
+    bag: Path, here: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    extra = ['--set', 'pose_cells.pc_dim_x=31']
+    for arguments, count in (
+        ([], 3), (['--no-inspect'], 0), (['--config', 'auto'], 0), (['--quiet'], 0)
+    ):  # fmt: skip
+        assert main(['replay', str(bag), *SMALL, *extra, *arguments, '--out', 'out']) == 0
+        lines = capfd.readouterr().err.splitlines()
+        starts = tuple(f'{word}: ' for word in ('rotation', 'odometry', 'images'))
+        assert sum(line.startswith(starts) for line in lines) == count
+        assert 'pc_dim_x: 31' in Path('out/config.yaml').read_text()
+
+
+def test_replay_with_its_config_gives_the_same_files(
+    results: Path, bag: Path, here: Path
+) -> None:
+    config = str(results / 'config.yaml')
+    assert main(['replay', str(bag), '--config', config, '--out', 'out', '--quiet']) == 0
+    for name in ('map.json', 'frames.csv', 'trajectory_final.tum', 'config.yaml'):
+        assert (here / 'out' / name).read_bytes() == (results / name).read_bytes()
+
+
 def test_replay_writes_all_files(results: Path) -> None:
     assert sorted(path.name for path in results.iterdir()) == WRITTEN
     header = (results / 'frames.csv').read_text().splitlines()[0]
@@ -276,7 +299,7 @@ def test_interrupted_replay_writes_results_and_returns_130(
             yield event
 
     monkeypatch.setattr(BagRecording, 'events', interrupted)
-    assert main(['replay', str(bag), *SMALL, '--out', 'out', '--quiet']) == 130
+    assert main(['replay', str(bag), *SMALL, '--no-inspect', '--out', 'out', '--quiet']) == 130
     assert 'the results so far are in out' in capfd.readouterr().err
     assert json.loads((here / 'out' / 'map.json').read_text())['experiences']
     frames = json.loads((here / 'out' / 'summary.json').read_text())['frames']
@@ -292,7 +315,7 @@ def test_interrupt_before_first_message_returns_130(
         yield
 
     monkeypatch.setattr(BagRecording, 'events', interrupted)
-    assert main(['replay', str(bag), *SMALL, '--out', 'out', '--quiet']) == 130
+    assert main(['replay', str(bag), *SMALL, '--no-inspect', '--out', 'out', '--quiet']) == 130
     assert 'Traceback' not in capfd.readouterr().err
 
 
@@ -306,7 +329,7 @@ def test_interrupt_before_first_result_keeps_earlier_results(
         yield
 
     monkeypatch.setattr(BagRecording, 'events', interrupted)
-    assert main(['replay', str(bag), *SMALL, '--out', 'out', '--quiet']) == 130
+    assert main(['replay', str(bag), *SMALL, '--no-inspect', '--out', 'out', '--quiet']) == 130
     for name in WRITTEN:
         assert (here / 'out' / name).read_bytes() == (results / name).read_bytes(), name
 

@@ -60,6 +60,8 @@ LOCAL_VIEW = """
 for changed in (
     {}, {'vt_panoramic': True}, {'vt_normalisation': 0.5}, {'vt_patch_normalise': 2},
     {'vt_step_match': 2}, {'vt_recent_templates': 5}, {'vt_shift_match_y': 1},
+    {'vt_descriptor': 'gradients'}, {'vt_descriptor': 'gradients', 'vt_panoramic': True},
+    {'vt_min_structure': 1e-6},
 ):
     local_view = LocalView(
         config.with_values({f'local_view.{k}': v for k, v in changed.items()}).local_view

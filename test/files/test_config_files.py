@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from ratslam_ros.core.config import LEAST_EXP_MAX, SECTIONS, Config
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.files.config import (
+    AUTO,
     documented_yaml,
     load_config,
     parse_setting,
@@ -178,8 +179,28 @@ def test_unknown_preset_is_rejected() -> None:
         load_config('no_such_robot')
 
 
-def test_no_source_gives_the_defaults() -> None:
-    assert load_config(None) == (Config(), [])
+def test_no_source_gives_the_preset_auto(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path(AUTO).write_text('not a configuration')
+    assert load_config(None) == load_config(str(presets()[AUTO]))
+
+
+def test_partial_file_starts_from_the_defaults(file: Any) -> None:
+    text = 'local_view:\n  ros__parameters:\n    vt_shift_match: 3\n'
+    assert load_config(file(text))[0] == Config().with_values({'local_view.vt_shift_match': 3})
+
+
+@pytest.mark.parametrize('installed', ['lib/python3.12/site-packages', 'lib/site-packages'])
+def test_presets_are_found_beside_installed_package(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, installed: str
+) -> None:
+    share = tmp_path / 'share' / 'ratslam_ros' / 'config'
+    share.mkdir(parents=True)
+    for name in ('default', AUTO):
+        (share / f'{name}.yaml').write_text('')
+    module = tmp_path / installed / 'ratslam_ros' / 'files' / 'config.py'
+    monkeypatch.setattr('ratslam_ros.files.config.__file__', str(module))
+    assert presets()[AUTO] == share / 'auto.yaml'
 
 
 def test_every_preset_can_be_loaded() -> None:

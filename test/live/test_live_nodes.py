@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import random
 import signal
@@ -19,14 +20,19 @@ import cv2
 import pytest
 from helpers import (
     START_NS,
+    Recorded,
     camera_info_message,
     circles,
+    image_message,
     live_environment,
+    odometry_message,
     picture,
     real_recording,
     write_bag,
 )
 
+from ratslam_ros.cli import main
+from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.standalone import StandaloneUnavailable, install
 
 try:
@@ -50,7 +56,8 @@ def ratslam(*arguments: str) -> list[str]:
 class Live:
     """Nodes, each in its own process, and commands of a user."""
 
-    def __init__(self, folder: Path, settings: dict[str, Any], offset: int = 0) -> None:
+    def __init__(self, folder: Path, settings: dict[str, Any] | None, offset: int = 0) -> None:
+        """Without settings, the nodes get no configuration."""
         from ratslam_ros.core.config import Config
         from ratslam_ros.files.config import to_yaml
 
@@ -59,8 +66,11 @@ class Live:
         self.environment = {**os.environ, **live_environment()}
         domain = (int(self.environment['ROS_DOMAIN_ID']) + offset) % 100 + 1
         self.environment['ROS_DOMAIN_ID'] = str(domain)
-        self.parameters = folder / 'parameters.yaml'
-        self.parameters.write_text(to_yaml(Config().with_values(settings)))
+        self.parameters: list[str] = []
+        if settings is not None:
+            path = folder / 'parameters.yaml'
+            path.write_text(to_yaml(Config().with_values(settings)))
+            self.parameters = ['--params-file', str(path)]
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
 
     def __enter__(self) -> Self:
@@ -73,8 +83,7 @@ class Live:
 
     def start(self, *nodes: str, arguments: tuple[str, ...] = ()) -> None:
         for node in nodes:
-            command = ratslam('run', node, *arguments, '--ros-args', '--params-file',
-                              str(self.parameters))  # fmt: skip
+            command = ratslam('run', node, *arguments, '--ros-args', *self.parameters)
             with self.log(node).open('wb') as log:
                 self.processes[node] = subprocess.Popen(
                     command, env=self.environment, cwd=self.folder, stdout=log,
@@ -123,7 +132,8 @@ class Live:
 
 def offline(recording: Path, folder: Path, settings: dict[str, Any], *arguments: str) -> str:
     """Return map.json of a replay."""
-    given = [item for key, value in settings.items() for item in ('--set', f'{key}={value}')]
+    given = ['--config', 'default']
+    given += [item for key, value in settings.items() for item in ('--set', f'{key}={value}')]
     subprocess.run(
         ratslam('replay', str(recording), '--out', str(folder), '--quiet', *given, *arguments),
         check=True, cwd=ROOT, env={**os.environ, **live_environment()},
@@ -274,7 +284,7 @@ def test_launch_starts_and_stops_all_nodes(live: Live, bag: Path, expected: str)
     settings = [item for key, value in SMALL.items() for item in ('--set', f'{key}={value}')]
     with live.log('launch').open('wb') as log:
         live.processes['launch'] = subprocess.Popen(
-            ratslam('launch', *settings), env=live.environment, stdout=log,
+            ratslam('launch', '--config', 'default', *settings), env=live.environment, stdout=log,
             stderr=subprocess.STDOUT,
         )  # fmt: skip
     end_s = time.monotonic() + READY_S
@@ -369,6 +379,37 @@ def test_simulated_recording_gives_same_map_live_and_offline(tmp_path: Path) -> 
         live.run('play', str(recording), '--rate', '10', '--quiet', *part)
         assert live.settled_map(expected) == expected, live.logs()
         assert set(live.stop().values()) == {0}
+
+
+def turned_about() -> Iterator[Recorded]:
+    """Yield circles with images behind a mask, and odometry whose twist is empty."""
+    for i, (stamp_ns, topic, kind, message) in enumerate(circles(3, 30)):
+        if kind == 'odometry':
+            angle = 2.0 * math.pi * (i // 2) / 30
+            pose = Pose(2.0 * math.sin(angle), 2.0 - 2.0 * math.cos(angle), angle)
+            message = odometry_message(stamp_ns, 0.0, 0.0, pose)
+        else:
+            pixels = picture(i // 2 % 30, 60, 80)
+            pixels[:, :9] = 0
+            message = image_message(stamp_ns, pixels)
+        yield stamp_ns, topic, kind, message
+
+
+def test_nodes_without_configuration_build_replay_map(tmp_path: Path) -> None:
+    recording = str(write_bag(tmp_path / 'masked', turned_about()))
+    maps = []
+    for name, arguments in (('without', ['--no-inspect']), ('inspected', [])):
+        out = tmp_path / name
+        assert main(['replay', recording, *arguments, '--out', str(out), '--quiet']) == 0
+        maps.append((out / 'map.json').read_text())
+    assert maps[0] != maps[1]
+    config = str(tmp_path / 'inspected' / 'config.yaml')
+    for expected, parameters in zip(maps, ([], ['--params-file', config]), strict=True):
+        with Live(tmp_path / 'live', None) as live:
+            live.parameters = parameters
+            live.start('single_process')
+            live.run('play', recording, '--rate', '0', '--lockstep', '--quiet')
+            assert live.settled_map(expected) == expected, live.logs()
 
 
 def preset(name: str) -> dict[str, Any]:

@@ -118,6 +118,25 @@ def test_invalid_images_are_counted_and_change_nothing(world: MakeWorld) -> None
     assert state['level'] == '1'
 
 
+def test_low_texture_images_are_counted(world: MakeWorld) -> None:
+    made, received = local_view(
+        world, '-p', 'vt_min_structure:=0.03', '-p', 'vt_descriptor:=gradients'
+    )
+    made.send('image', image(START_NS, 0))
+    made.send('image', image(START_NS + PERIOD_NS, 0, data=b'\x46' * (24 * 32)))
+    made.until(lambda: len(received) == 2)
+    assert [decode_template(message.data)[1].template_id for message in received] == [0, -1]
+    state = made.diagnostics()['local_view']
+    assert (state['templates'], state['low_texture']) == ('1', '1')
+
+
+def test_unknown_descriptor_is_one_error(world: MakeWorld) -> None:
+    from ratslam_ros.errors import UnusableParameter
+
+    with pytest.raises(UnusableParameter, match='vt_descriptor is nothing'):
+        local_view(world, '-p', 'vt_descriptor:=nothing')
+
+
 def test_compressed_images_are_used_for_the_whole_run(world: MakeWorld) -> None:
     import cv2
     from sensor_msgs.msg import CompressedImage, Image
@@ -794,6 +813,29 @@ def test_invalid_parameter_raises_unusable_parameter(
 
     with pytest.raises(UnusableParameter, match=word):
         world(LocalViewNode, arguments=('-p', argument))
+
+
+def test_given_values_apply_to_initial_configuration(world: MakeWorld) -> None:
+    from ratslam_ros.nodes.local_view_node import LocalViewNode
+
+    values = {'local_view.template_x_size': 20, 'local_view.vt_shift_match': 3}
+    initial = Config().with_values(values)
+    made = world(lambda: LocalViewNode(initial), arguments=('-p', 'template_x_size:=16'))
+    node = made.nodes[0]
+    assert node.config == initial.with_values({'local_view.template_x_size': 16})
+    assert node.get_parameter('vt_shift_match').value == 3
+
+
+def test_parameter_file_replaces_preset_auto(
+    world: MakeWorld, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from ratslam_ros.nodes import parameters
+
+    automatic = Config().with_values({'local_view.vt_shift_match': 3})
+    monkeypatch.setattr(parameters, 'load_config', lambda source: (automatic, []))
+    arguments = ['--ros-args', '-p', 'template_x_size:=16']
+    assert parameters.initial_config(arguments) == automatic
+    assert parameters.initial_config([*arguments, '--params-file', 'a.yaml']) == Config()
 
 
 def test_parameters_have_descriptions_and_only_some_are_settable(world: MakeWorld) -> None:

@@ -11,6 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 import pytest
 from helpers import (
     IMAGE_TOPIC,
@@ -513,3 +514,22 @@ def test_images_smaller_than_template_still_give_odometry(
     summary = run(write_bag(tmp_path / 'bag', messages), tmp_path / 'results').summary
     assert summary['dropped'] == FRAMES - 40
     assert summary['odometry'] == FRAMES - 2  # The first image of each size gives none.
+
+
+@pytest.mark.parametrize('descriptor', ['intensity', 'gradients'])
+def test_low_texture_images_are_counted_apart_from_dropped_ones(
+    tmp_path: Path, descriptor: str
+) -> None:
+    messages = list(circles(1, 10))
+    blank = np.full((24, 32), 70, np.uint8)
+    for at, (log_ns, topic, kind, _) in enumerate(messages):
+        if topic == IMAGE_TOPIC and (log_ns - START_NS) // PERIOD_NS in (3, 4):
+            messages[at] = log_ns, topic, kind, image_message(log_ns - 1_000_000, blank)
+    config = CONFIG.with_values({
+        'local_view.vt_min_structure': 0.03, 'local_view.vt_descriptor': descriptor,
+    })  # fmt: skip
+    summary = run(write_bag(tmp_path / 'bag', messages), tmp_path / 'results', config=config)
+    assert summary.summary['low_texture'] == 2
+    assert summary.summary['dropped'] == 0
+    ids = [int(row['template_id']) for row in rows(tmp_path / 'results')]
+    assert [n for n, template in enumerate(ids) if template == -1] == [3, 4]

@@ -11,7 +11,8 @@ import pytest
 from helpers import real_recording
 
 from ratslam_ros.core.config import Config, LocalViewParameters
-from ratslam_ros.core.vision.local_view import LocalView, make_view
+from ratslam_ros.core.vision.intensity import make_view
+from ratslam_ros.core.vision.local_view import LocalView
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.offline.revisits import NO_MATCH, compare_all, measure, sample_frames
 from ratslam_ros.offline.tuning import plot_proposal, propose

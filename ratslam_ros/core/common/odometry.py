@@ -18,7 +18,7 @@ MAX_PLAUSIBLE_VALUE = 1e9
 """Messages with a larger speed (m/s, rad/s), position (m) or heading (rad) are rejected."""
 
 MAX_GAP_NS = 60_000_000_000
-"""Longest interval between two messages over which a motion is computed."""
+"""Longest interval between two messages over which a motion is ever computed."""
 
 
 class Twist(NamedTuple):
@@ -53,12 +53,14 @@ class Odometry:
 class Motion:
     """Motion of the robot between two odometry messages: an arc of constant curvature.
 
-    ``distance_m`` is the arc length, negative when driving backwards.
+    ``distance_m`` is the arc length, negative when driving backwards. ``is_known``: False if the
+    odometry had a gap, after which the robot may be anywhere; distance and turn are 0 then.
     """
 
     dt_s: float
     distance_m: float
     turn_rad: float
+    is_known: bool = True
 
     @property
     def chord_m(self) -> float:
@@ -69,11 +71,17 @@ class Motion:
 class MotionFromOdometry:
     """Conversion of successive odometry messages to motions.
 
-    ``odom_source`` is ``'twist'`` or ``'pose'``: the part of the messages that is used.
+    ``odom_source`` is ``'twist'`` or ``'pose'``: the part of the messages that is used. After an
+    interval longer than ``max_gap_s`` the motion is unknown. If that is ``MAX_GAP_NS``, the robot
+    is assumed to have been stationary in longer intervals.
     """
 
-    def __init__(self, odom_source: str, correction: TurnCorrection = UNCORRECTED) -> None:
+    def __init__(
+        self, odom_source: str, max_gap_s: float = MAX_GAP_NS * 1e-9,
+        correction: TurnCorrection = UNCORRECTED,
+    ) -> None:  # fmt: skip
         self._from_pose = odom_source == 'pose'
+        self._max_gap_ns = round(max_gap_s * 1e9)
         self.correction = correction
         """Correction of the turns of the messages that follow."""
         self._last: Odometry | None = None
@@ -87,6 +95,15 @@ class MotionFromOdometry:
         """Treat the next message as the first one: no motion is computed for the gap before it."""
         self._last = None
 
+    def reaches(self, stamp_ns: int) -> bool:
+        """Return whether a stamp is close enough to the last message for the motion to be known.
+
+        Always True if unknown motions are switched off, and before the first message.
+        """
+        if self._last is None or self._max_gap_ns >= MAX_GAP_NS:
+            return True
+        return stamp_ns - self._last.stamp_ns <= self._max_gap_ns
+
     def update(self, odometry: Odometry) -> Motion | None:
         """Return the motion since the previous message.
 
@@ -94,14 +111,15 @@ class MotionFromOdometry:
         the two poses in the robot's frame (docs/algorithm.md, "Odometry").
 
         Returns:
-            The motion, or None for the first message and after more than ``MAX_GAP_NS``.
+            The motion, or None if the robot is assumed not to have moved: for the first message,
+            and after a gap if unknown motions are switched off.
         """
         last, self._last = self._last, odometry
         if last is None:
             return None
         dt_s = (odometry.stamp_ns - last.stamp_ns) * 1e-9
-        if odometry.stamp_ns - last.stamp_ns > MAX_GAP_NS:
-            return None
+        if odometry.stamp_ns - last.stamp_ns > self._max_gap_ns:
+            return Motion(dt_s, 0.0, 0.0, False) if self._max_gap_ns < MAX_GAP_NS else None
         if not self._from_pose:
             v, w = odometry.twist
             return self._corrected(Motion(dt_s, v * dt_s, w * dt_s))

@@ -6,7 +6,7 @@ YAML files, ``--set``, the ROS parameter descriptors and docs/parameters.md are 
 dataclasses. Names follow OpenRatSLAM (Ball et al. 2013), so that its configurations can be used.
 """
 
-from ratslam_ros.core.config.config import SECTIONS, SETTABLE, Config, section_of
+from ratslam_ros.core.config.config import SECTIONS, SETTABLE, SHARED, Config, section_of
 from ratslam_ros.core.config.experience_map import ExperienceMapParameters
 from ratslam_ros.core.config.goal_follower import GoalFollowerParameters
 from ratslam_ros.core.config.goal_memory import GoalMemoryParameters
@@ -24,7 +24,7 @@ from ratslam_ros.core.config.pose_cells import LEAST_EXP_MAX, PoseCellsParameter
 from ratslam_ros.core.config.visual_odometry import VisualOdometryParameters
 
 __all__ = [
-    'AUTOMATIC', 'LEAST_EXP_MAX', 'SECTIONS', 'SETTABLE', 'WHOLE', 'Config',
+    'AUTOMATIC', 'LEAST_EXP_MAX', 'SECTIONS', 'SETTABLE', 'SHARED', 'WHOLE', 'Config',
     'ExperienceMapParameters', 'GoalFollowerParameters', 'GoalMemoryParameters',
     'GoalRecallParameters', 'LiveInput', 'LocalViewParameters', 'ParameterInfo',
     'PoseCellsParameters', 'Section', 'Value', 'VisualOdometryParameters', 'parameter',

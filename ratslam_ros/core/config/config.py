@@ -19,6 +19,9 @@ from ratslam_ros.core.config.pose_cells import PoseCellsParameters
 from ratslam_ros.core.config.visual_odometry import VisualOdometryParameters
 from ratslam_ros.errors import UnusableParameter
 
+SHARED = 'odom_source', 'max_odom_gap_s'
+"""Parameters that must have the same value in the sections pose_cells and experience_map."""
+
 
 @dataclass(frozen=True)
 class Config:
@@ -33,13 +36,14 @@ class Config:
     goal_follower: GoalFollowerParameters = field(default_factory=GoalFollowerParameters)
 
     def __post_init__(self) -> None:
-        sources = self.pose_cells.odom_source, self.experience_map.odom_source
-        if sources[0] != sources[1]:
-            raise UnusableParameter(
-                'pose_cells.odom_source and experience_map.odom_source are '
-                f'{sources[0]} and {sources[1]}; expected equal values, so that the map and the '
-                'pose cells use the same motion: set both'
-            )
+        for name in SHARED:
+            values = getattr(self.pose_cells, name), getattr(self.experience_map, name)
+            if values[0] != values[1]:
+                raise UnusableParameter(
+                    f'pose_cells.{name} and experience_map.{name} are {values[0]} and '
+                    f'{values[1]}; expected equal values, so that the map and the pose cells use '
+                    'the same motion: set both'
+                )
 
     def with_values(self, values: Mapping[str, Value]) -> Self:
         """Return a copy with new values, given by ``section.name``.

@@ -68,7 +68,7 @@ class Memory(LiveInput):
 
 @dataclass(frozen=True)
 class OdometryInput(Memory):
-    """Odometry source, and the time to wait for slower streams."""
+    """Odometry source and gaps, and the time to wait for slower streams."""
 
     odom_source: str = parameter(
         'twist', '', 0, 0,
@@ -89,6 +89,16 @@ class OdometryInput(Memory):
         'unequal diameter. Set it for pose_cells and experience_map.',
         'by odometry, a straight path bends to the right',
         'by odometry, a straight path bends to the left')  # fmt: skip
+    max_odom_gap_s: float = parameter(
+        60.0, 's; 60: off', 0.01, 60.0,
+        'Longest interval between two odometry messages over which the motion is computed, from '
+        'the later message. After a longer one the motion is unknown: the map continues in a '
+        'separate component until a known place is recognised. 60: no motion is unknown; in '
+        'longer intervals the robot counts as stationary.',
+        'odometry messages are normally further apart, or the driver sends none while the robot '
+        'stands still',
+        'odometry has gaps in which the robot moves, and they leave long false links',
+    )  # fmt: skip
     max_lateness_s: float = parameter(
         2.0, 's', 0.0, 600.0,
         'Longest time that a message waits for other streams, measured by the newest stamp '

@@ -27,23 +27,40 @@ class LocalViewParameters(ImageInput, Memory):
     image_crop_y_max: int = parameter(
         WHOLE, CROP_MAX, WHOLE, 65535, 'Lower edge (exclusive) of the crop.',
         'landmarks are cut off', 'the robot itself or plain floor is seen below')  # fmt: skip
+    vt_descriptor: str = parameter(
+        'intensity', '', 0, 0,
+        'Descriptor that images are reduced to: intensity (grey values, as in OpenRatSLAM), '
+        'gradients (gradient orientations in cells), the name of an installed descriptor, or the '
+        'path of a model (.onnx).',
+        'set to gradients if the light or the season changes, or as a first choice',
+        'set to intensity to use a configuration of OpenRatSLAM')  # fmt: skip
     template_x_size: int = parameter(
-        60, 'px', 1, 1024, 'Width of a template.', 'different places look alike',
+        60, 'px, or cells of gradients', 1, 1024, 'Width of a template.',
+        'different places look alike',
         'small deviations from the path prevent recognition')  # fmt: skip
     template_y_size: int = parameter(
-        10, 'px', 1, 1024, 'Height of a template.', 'different places look alike',
+        10, 'px, or cells of gradients', 1, 1024, 'Height of a template.',
+        'different places look alike',
         'pitching of the camera prevents recognition')  # fmt: skip
     vt_match_threshold: float = parameter(
         0.03, 'mean difference', 0.0, 1.0,
-        'Largest difference at which a view is recognised as a known template.',
+        'Largest difference at which a view is recognised as a known template. Automatic: about '
+        'half the difference between views of unrelated places, which is measured while driving.',
         'known places are not recognised (ratslam tune proposes a value)',
-        'different places are confused')  # fmt: skip
+        'different places are confused', automatic=True)  # fmt: skip
     vt_shift_match: int = parameter(
         5, 'template px', 0, 511,
         'Largest horizontal shift tried to either side (forward camera).',
         'the robot passes places with other headings or in other lanes',
         'different places look alike',
     )  # fmt: skip
+    vt_shifted_threshold: float = parameter(
+        1.0, 'share of vt_match_threshold', 0.0, 1.0,
+        'Below 1, a template that matches without a shift is preferred, and this is the threshold '
+        'of matches with a shift. A robot that repeats its route sees places without a shift, and '
+        'the best match at any shift can be a neighbouring place with another heading.',
+        'the robot passes places with other headings or in other lanes',
+        'neighbouring places are confused')  # fmt: skip
     vt_shift_fov_deg: float = parameter(
         0.0, 'deg; 0: no', 0.0, 180.0,
         'Horizontal field of view of the cropped image (forward camera). With it, the shift of '
@@ -61,9 +78,10 @@ class LocalViewParameters(ImageInput, Memory):
     )  # fmt: skip
     vt_recent_templates: int = parameter(
         0, 'templates; 0: off', 0, 100_000,
-        'Number of newest templates that are matched with vt_recent_threshold.',
+        'Number of newest templates that are matched with vt_recent_threshold. Automatic: the '
+        'newest ones back to the first that does not match the view.',
         'slow driving matches the latest templates instead of learning new ones',
-        'a loop is shorter than this many templates')  # fmt: skip
+        'a loop is shorter than this many templates', automatic=True)  # fmt: skip
     vt_recent_threshold: float = parameter(
         0.5, 'share of vt_match_threshold', 0.0, 1.0,
         'Stricter threshold for the newest templates, by which a new stretch is learned in finer '
@@ -82,6 +100,12 @@ class LocalViewParameters(ImageInput, Memory):
         0.0, 'of brightness 0 to 1', 0.0, 1.0,
         'Patches with a standard deviation below this count as uniform and become 0.5.',
         'noise in plain areas is amplified', 'faint texture should count')  # fmt: skip
+    vt_min_structure: float = parameter(
+        0.0, 'of brightness 0 to 1; 0: off', 0.0, 1.0,
+        'Images with less structure (root mean square of the brightness gradient per pixel, at a '
+        'size of 48 x 36 px) are neither recognised nor learned. Sensor noise has up to 0.023.',
+        'blank walls or dark images are confused',
+        'faint scenes should be recognised')  # fmt: skip
     vt_panoramic: bool = parameter(
         False, '', 0, 1, 'The camera sees 360 degrees: views are compared at every rotation.',
         'the camera is panoramic', 'the camera looks forward')  # fmt: skip
@@ -104,4 +128,10 @@ class LocalViewParameters(ImageInput, Memory):
             raise UnusableParameter(
                 f'vt_shift_match_y is {self.vt_shift_match_y}; expected less than half of '
                 f'template_y_size ({self.template_y_size}), so that rows are left to compare'
+            )
+        if self.vt_shifted_threshold < 1.0 and self.vt_shift_match % self.vt_step_match:
+            raise UnusableParameter(
+                f'vt_step_match is {self.vt_step_match}; expected a divisor of vt_shift_match '
+                f'({self.vt_shift_match}), so that views are compared without a shift, as '
+                f'vt_shifted_threshold {self.vt_shifted_threshold:g} requires'
             )

@@ -100,7 +100,7 @@ class GoalMemory:
 
         Links are updated whenever the peak has moved by ``goal_memory_step_cells``.
         """
-        if not pose_cells.mapping:
+        if not (pose_cells.mapping and motion.is_known):
             self.relocated()
             return
         if abs(motion.distance_m) <= STATIONARY_CELLS_PER_S * self._cell_m * motion.dt_s:

@@ -101,8 +101,11 @@ class ExperienceMap(ExperienceGraph):
         return composed(self.pose_of(self.current_id), self.offset)
 
     def seen_from(self, experience_id: int) -> Pose | None:
-        """Return the robot's pose in the frame of an experience; None if the id does not exist."""
-        if not 0 <= experience_id < len(self):
+        """Return the robot's pose in the frame of an experience.
+
+        None if the id does not exist, or the experience is in another component than the robot.
+        """
+        if not 0 <= experience_id < len(self) or self._is_apart(experience_id):
             return None
         return composed(inverse(self.pose_of(experience_id)), self.pose)
 
@@ -141,6 +144,7 @@ class ExperienceMap(ExperienceGraph):
             'poses': self.poses,
             'labels': [[template, *place] for template, place in self._labels],
             **self._links.state(),
+            **self._components.state(),
             'unlearned': self.unlearned_ends,
             'current': self.current_id,
             'offset': list(self.offset),
@@ -161,6 +165,7 @@ class ExperienceMap(ExperienceGraph):
         self._odometer_m = self._scan_checked_m = state['odometer_m']
         self._labels = [(t, Place(x, y, theta)) for t, x, y, theta in state['labels']]
         self._links.restore(state)
+        self._components.restore(state, len(self))
         self._unlearned = {(i, j) for i, j in state['unlearned'].tolist()}
         self.current_id = state['current']
         self.offset = Pose(*state['offset'])
@@ -170,7 +175,14 @@ class ExperienceMap(ExperienceGraph):
         self.gate.restore(state['jumps'])
 
     def integrate(self, motion: Motion) -> None:
-        """Compose one motion with the offset from the current experience."""
+        """Compose one motion with the offset from the current experience.
+
+        An unknown motion ends the component of the map: there is no current experience, and the
+        next one begins a new component at the present pose.
+        """
+        if not motion.is_known:
+            self._separate()
+            return
         self.offset = moved(self.offset, motion)
         self._duration_s += motion.dt_s
         self._travelled_m += abs(motion.distance_m)
@@ -191,9 +203,11 @@ class ExperienceMap(ExperienceGraph):
         half = 0.5 * (now.corrected(before.measured(turn, distance), distance) - turn)
         self.offset = composed(Pose(0.0, 0.0, half), Pose(x, y, turn + half))
         if not is_small_error(now.gain / before.gain):
+            reached: set[int] = set()
             for row, (i, j) in enumerate(self.link_ends.tolist()):
-                if i < j and not self._links.ends[:row, 1][self._links.ends[:row, 1] == j].size:
+                if i < j and j not in reached:
                     self._poses[j] = composed(self.pose_of(i), self._links[row].relative_pose)
+                reached.add(j)
         self._optimiser.measurement_changed()
 
     def apply(
@@ -223,7 +237,9 @@ class ExperienceMap(ExperienceGraph):
         # After a rejected closure the current experience of the pose cells differs from that of
         # the map, so the robot did not come from the action's source.
         was_rejecting = self.gate.rejecting
-        source = self.current_id if was_rejecting else action.source_id
+        source = action.source_id
+        if was_rejecting or self.current_id == NO_EXPERIENCE:
+            source = self.current_id
         target_offset = Pose(0.0, 0.0, action.relative_rad)
         if scan_match is not None:
             self.offset = scan_match.from_current or self.offset
@@ -237,6 +253,9 @@ class ExperienceMap(ExperienceGraph):
                 if source == action.target_id:  # possible if actions were lost
                     source = self.current_id
             self._place(action, composed(pose, inverse(target_offset)), self._odometer_m)
+        elif self._is_apart(action.target_id):
+            self._rejoin(action.target_id, target_offset)
+            self.gate.record_agreement(self.pose)
         elif self._exceeds_drift(action.target_id, target_offset):
             if self._scan_confirms_pose(scan_match):
                 self.gate.reject_by_scan(self.pose)
@@ -258,6 +277,48 @@ class ExperienceMap(ExperienceGraph):
         self._record_scan_confirmation(scan_match)
         self._relax()
         return MapUpdate(pruned)
+
+    # Components
+
+    def _is_apart(self, experience_id: int) -> bool:
+        """Return whether an experience is in another component than the robot."""
+        return self._components.of(experience_id) != self._components.current
+
+    def _separate(self) -> None:
+        """Begin a new component; nothing happens if the present one has no experience."""
+        if self.current_id == NO_EXPERIENCE:
+            return
+        self.offset = composed(inverse(self.origin), self.pose)
+        self.current_id = NO_EXPERIENCE
+        self._duration_s = self._travelled_m = 0.0
+        self._components.begin()
+        self.gate.discard_path()
+
+    def _rejoin(self, target: int, target_offset: Pose) -> None:
+        """Connect the components of the robot and of the place where it was recognised.
+
+        The later component is moved rigidly, so that both poses of the robot coincide. If the
+        robot has no experience in its component, or ``mapping`` is False, it only changes the
+        component.
+
+        Args:
+            target: the recognised experience.
+            target_offset: pose of the robot in the frame of the target.
+        """
+        components = self._components
+        here, there = components.current, components.of(target)
+        recognised = composed(self.pose_of(target), target_offset)
+        if self.current_id == NO_EXPERIENCE or not self.mapping:
+            components.current = there
+            self.current_id, self.offset = target, target_offset
+            return
+        moved_part, fixed_part, before, after = here, there, self.pose, recognised
+        if here < there:
+            moved_part, fixed_part, before, after = there, here, recognised, self.pose
+        transform = composed(after, inverse(before))
+        for experience_id in components.members(moved_part):
+            self._poses[experience_id] = composed(transform, self.pose_of(experience_id))
+        components.merge(moved_part, fixed_part)
 
     # Loop-closure gating
 

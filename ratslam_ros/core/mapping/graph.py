@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.mapping.components import Components
 from ratslam_ros.core.mapping.links import Link, Links
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
 from ratslam_ros.core.pose_cells.torus import Place
@@ -46,6 +47,7 @@ class ExperienceGraph:
         self._created_at_m = np.zeros(len(self._poses))
         self._labels: list[tuple[int, Place]] = []
         self._links = Links()
+        self._components = Components()
         self._unlearned: set[tuple[int, int]] = set()
 
     def __len__(self) -> int:
@@ -83,6 +85,23 @@ class ExperienceGraph:
             Experience(i, template, self.pose_of(i), place)
             for i, (template, place) in enumerate(self._labels)
         ]
+
+    def component_of(self, experience_id: int) -> int:
+        """Return the component of an experience; for -1 that of the robot.
+
+        The relative pose of two components is unknown.
+        """
+        return self._components.of(experience_id)
+
+    @property
+    def components(self) -> list[int]:
+        """Component of every experience; all are 0 unless the odometry had gaps."""
+        return self._components.numbers()
+
+    @property
+    def component_count(self) -> int:
+        """Number of components that have experiences."""
+        return self._components.count
 
     def neighbours(self, experience_id: int) -> list[int]:
         """Return the ids of the experiences one link away, in either direction, ascending.
@@ -167,6 +186,7 @@ class ExperienceGraph:
         """Store a new experience under the next id, or under the id of a pruned one."""
         n = len(self)
         label = action.template_id, action.place
+        self._components.add(action.target_id)
         if action.target_id < n:
             self._poses[action.target_id] = pose
             self._created_at_m[action.target_id] = odometer_m

@@ -95,6 +95,11 @@ class LoopClosureGate:
         self._spots.clear()
         self.accepts_next = True
 
+    def discard_path(self) -> None:
+        """Discard the evidence: the robot's motion since it was recorded is unknown."""
+        self._spots.clear()
+        self.rejecting = False
+
     def record_new_place(self, here: Pose) -> None:
         """Record that a new place was learned; an earlier closure at this spot still counts."""
         self.rejecting = False

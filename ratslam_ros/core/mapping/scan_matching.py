@@ -81,6 +81,9 @@ class ScanMatcher:
 
     def integrate(self, stamp_ns: int, motion: Motion) -> None:
         """Add one motion of the odometry that ends at ``stamp_ns``."""
+        if not motion.is_known:
+            self.restart()
+            return
         self._odometry_pose = moved(self._odometry_pose, motion)
         self._variance_m2 += DRIFT_M2_PER_M * abs(motion.distance_m)
         self._track.append((stamp_ns, self._odometry_pose))

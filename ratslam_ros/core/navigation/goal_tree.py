@@ -15,6 +15,7 @@ from ratslam_ros.core.navigation.route_planner import (
     RoutePlanner,
     check_on_map,
     predecessor_chain,
+    start_of,
     unreachable,
 )
 
@@ -79,15 +80,13 @@ class GoalTree:
         start = self._start(start_id)
         remaining_s = self._remaining_s[start]
         if not math.isfinite(remaining_s):
-            raise unreachable(start, self.goal_id)
+            raise unreachable(start, self.goal_id, self._map.components)
         ids = predecessor_chain(np.frombuffer(self._successors, np.int32), start)
         arrival_s = remaining_s - np.frombuffer(self._remaining_s)[ids]
         return Route(tuple(ids.tolist()), tuple(arrival_s.tolist()))
 
     def _start(self, start_id: int | None) -> int:
-        start = self._map.current_id if start_id is None else start_id
-        check_on_map(start, len(self._successors))
-        return start
+        return start_of(self._map, start_id)
 
     def _compute(self) -> None:
         """Compute the whole tree."""

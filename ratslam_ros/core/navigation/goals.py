@@ -107,7 +107,10 @@ class Goals:
             UnreachableGoal: the map is empty, or the name is invalid.
         """
         if experience_map.current_id == NO_EXPERIENCE:
-            raise UnreachableGoal('there is no place to name yet: the map is empty; drive first')
+            reason = 'the robot is at no experience since the odometry had a gap'
+            if len(experience_map) == 0:
+                reason = 'the map is empty'
+            raise UnreachableGoal(f'there is no place to name yet: {reason}; drive first')
         name = _checked_name(name) if name else self._unused_name()
         place = experience_map.offset if offset is None else offset
         goal = self._named[name] = Goal(experience_map.current_id, place, name)

@@ -18,6 +18,7 @@ from ratslam_ros.core.navigation.goal_tree import GoalTree
 from ratslam_ros.core.navigation.goals import Goal
 from ratslam_ros.core.navigation.route_planner import RoutePlanner
 from ratslam_ros.core.navigation.tracked_route import TrackedRoute
+from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
 from ratslam_ros.errors import UnreachableGoal
 
 Status = Literal[
@@ -270,6 +271,8 @@ class RouteFollowing:
             self._planned = TrackedRoute(tree.route(), graph)
         except UnreachableGoal:
             self._planned = None
+            if graph.component_of(graph.current_id) != graph.component_of(goal_id):
+                self._followed = None  # the pose relative to the route is unknown
 
     def _update_distances(self, pose: Pose) -> None:
         """Update the distance since the last known place and the remaining recovery distance.
@@ -279,7 +282,9 @@ class RouteFollowing:
         """
         graph = self._map
         aligned = graph.scan_confirmed_m > self._scan_confirmed_m
-        created_m = graph.created_at_m(graph.current_id)
+        created_m = math.inf
+        if graph.current_id != NO_EXPERIENCE:
+            created_m = graph.created_at_m(graph.current_id)
         if self._last_pose is None or aligned or created_m <= self._known_odometer_m:
             self._unknown_m, self._known_odometer_m = 0.0, graph.odometer_m
             self._scan_confirmed_m = graph.scan_confirmed_m

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -16,6 +16,7 @@ from ratslam_ros.core.common.compiled import compiled
 from ratslam_ros.core.config import GoalRecallParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation.route_graph import route_graph
+from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
 from ratslam_ros.errors import UnreachableGoal
 
 if TYPE_CHECKING:  # SciPy loads slowly, so it is imported with the first route
@@ -44,11 +45,13 @@ class TemporalMap:
         arrival_s: (n,) travel times in s, infinite for unreachable experiences.
         predecessors: (n,) ids of the previous experience on the fastest route, negative for the
             start and for unreachable experiences.
+        components: component of each experience.
     """
 
     start_id: int
     arrival_s: NDArray[np.float64]
     predecessors: NDArray[np.int32]
+    components: Sequence[int] = ()
 
     def route_to(self, goal_id: int) -> Route:
         """Return the fastest route to an experience.
@@ -58,7 +61,7 @@ class TemporalMap:
         """
         check_on_map(goal_id, len(self.arrival_s))
         if not math.isfinite(self.arrival_s[goal_id]):
-            raise unreachable(self.start_id, goal_id)
+            raise unreachable(self.start_id, goal_id, self.components)
         ids = predecessor_chain(self.predecessors, goal_id)[::-1]
         return Route(tuple(ids.tolist()), tuple(self.arrival_s[ids].tolist()))
 
@@ -97,12 +100,12 @@ class RoutePlanner:
                 place of predecessors. They differ unless ``route_back_factor`` is 1.
 
         Raises:
-            UnreachableGoal: the map is empty.
+            UnreachableGoal: the map is empty, or the robot is at no experience.
         """
         experience_map = self.experience_map
         if len(experience_map) == 0:
             raise UnreachableGoal('the map is empty; drive first')
-        start = experience_map.current_id if start_id is None else start_id
+        start = start_of(experience_map, start_id)
         version = (
             experience_map.links_version, len(experience_map), len(self._rejected_shortcuts)
         )  # fmt: skip
@@ -117,7 +120,7 @@ class RoutePlanner:
         from scipy.sparse.csgraph import dijkstra
 
         arrival_s, predecessors = dijkstra(cached[1], indices=start, return_predecessors=True)
-        return TemporalMap(start, arrival_s, predecessors)
+        return TemporalMap(start, arrival_s, predecessors, experience_map.components)
 
     def route_to(self, goal_id: int) -> Route:
         """Return the fastest route to an experience; see ``TemporalMap.route_to``."""
@@ -190,8 +193,34 @@ def check_on_map(experience_id: int, count: int) -> None:
         )
 
 
-def unreachable(start_id: int, goal_id: int) -> UnreachableGoal:
-    """Return the error for a goal in another component of the graph than the start."""
+def start_of(experience_map: ExperienceMap, start_id: int | None) -> int:
+    """Return the start of a route: the current experience if ``start_id`` is None.
+
+    Raises:
+        UnreachableGoal: there is no such experience, or no current one since a gap of the
+            odometry.
+    """
+    is_nowhere = start_id is None and experience_map.current_id == NO_EXPERIENCE
+    if is_nowhere and len(experience_map) > 0:
+        raise UnreachableGoal(
+            'the robot is at no experience since the odometry had a gap; drive on'
+        )
+    start = experience_map.current_id if start_id is None else start_id
+    check_on_map(start, len(experience_map))
+    return start
+
+
+def unreachable(start_id: int, goal_id: int, components: Sequence[int]) -> UnreachableGoal:
+    """Return the error for a goal to which no links lead from the start.
+
+    ``components``: component of each experience.
+    """
+    if components and components[start_id] != components[goal_id]:
+        return UnreachableGoal(
+            f'no link leads from experience {start_id} to {goal_id}: between their components, '
+            f'{components[start_id]} and {components[goal_id]}, the odometry had a gap; drive '
+            'until a place of the other component is recognised'
+        )
     return UnreachableGoal(
         f'no link leads from experience {start_id} to {goal_id}; drive between their parts of '
         'the map first'

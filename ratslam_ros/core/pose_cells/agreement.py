@@ -12,6 +12,7 @@ errors, so hypotheses count separately only if the robot has moved between them.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,11 +62,12 @@ class Agreement:
         self._slot_start = 0.0
         self._travelled = 0.0
         # Arrays of the hypotheses, oldest first: place now, travelled distance at the recognition,
-        # recognised template and slot.
+        # recognised template, slot and component of the place.
         self._places = np.empty((MAX_HYPOTHESES_COUNT, 3))
         self._made_at = np.empty(MAX_HYPOTHESES_COUNT)
         self._template_ids = np.empty(MAX_HYPOTHESES_COUNT, np.int64)
         self._slots = np.empty(MAX_HYPOTHESES_COUNT, np.int64)
+        self._components = np.empty(MAX_HYPOTHESES_COUNT, np.int64)
         self._count = 0
 
     def state(self) -> State:
@@ -76,7 +78,9 @@ class Agreement:
             'travelled': self._travelled,
             'claims': [
                 [int(self._template_ids[i]), *self._places[i].tolist(),
-                 float(self._made_at[i]), int(self._slots[i])]
+                 float(self._made_at[i]), int(self._slots[i]),
+                 # Left out if 0, as in memories of earlier versions.
+                 *([int(self._components[i])] if self._components[i] else [])]
                 for i in range(self._count)
             ],
         }
@@ -87,8 +91,17 @@ class Agreement:
         self._slot_start = state['slot_began']
         self._travelled = state['travelled']
         self._count = 0
-        for template_id, x, y, theta, travelled, slot in state['claims']:
-            self._append(template_id, Place(x, y, theta), travelled, slot)
+        for template_id, x, y, theta, travelled, slot, *component in state['claims']:
+            self._append(template_id, Place(x, y, theta), travelled, slot, *component)
+
+    def discard(self, component: int | None = None) -> None:
+        """Remove the hypotheses of one component, or all if the motion since then is unknown."""
+        kept = np.zeros(0, np.int64)
+        if component is not None:
+            kept = np.flatnonzero(self._components[: self._count] != component)
+        for column in self._columns:
+            column[: len(kept)] = column[kept]
+        self._count = len(kept)
 
     def integrate(self, chord_cells: float, turn_planes: float) -> None:
         """Move all hypotheses by one motion of the robot."""
@@ -98,8 +111,9 @@ class Agreement:
         )
 
     def weigh(
-        self, template_id: int, place: Place, estimate: Place, distance_cells: float = math.inf
-    ) -> float:
+        self, template_id: int, place: Place, estimate: Place | None,
+        distance_cells: float = math.inf, component: int = 0,
+    ) -> float:  # fmt: skip
         """Add the hypothesis of a recognised view and compute its weight.
 
         The weight is ((n - m) / views)^4. n is the number of hypotheses that agree with the new
@@ -112,20 +126,24 @@ class Agreement:
         Args:
             template_id: recognised template.
             place: pose that the recognition implies.
-            estimate: current pose estimate.
+            estimate: current pose estimate; None if it is in another component than the place,
+                so that the two cannot contradict each other.
             distance_cells: distance between the two, not wrapped at the edges of the torus.
+            component: component of the place. Places in different components never agree.
 
         Returns:
             Factor for the energy to inject.
         """
         if self._views == 0.0:
             return 1.0
-        if self._count == 0 or self._template_ids[self._count - 1] != template_id:
-            self._add(template_id, place)
-        hypothesis = Place(*self._places[self._count - 1].tolist())
-        support = self._support(hypothesis)
-        if self._torus.distance(hypothesis, estimate) > self._radius:
-            support -= self._support(estimate)
+        latest = self._latest_of(template_id, component)
+        if latest is None:
+            self._add(template_id, place, component)
+            latest = self._count - 1
+        hypothesis = Place(*self._places[latest].tolist())
+        support = self._support(hypothesis, component)
+        if estimate is not None and self._torus.distance(hypothesis, estimate) > self._radius:
+            support -= self._support(estimate, component)
         views = self._views
         if distance_cells < self._near:
             views = max(
@@ -135,15 +153,29 @@ class Agreement:
         share: float = max(support, 0) / views
         return share * share * share * share
 
-    def _add(self, template_id: int, place: Place) -> None:
+    def _latest_of(self, template_id: int, component: int) -> int | None:
+        """Return the latest hypothesis if it is of this template; one view adds several.
+
+        A view adds one hypothesis for each component in which its template has a place.
+        """
+        for i in range(self._count - 1, -1, -1):
+            if self._template_ids[i] != template_id:
+                return None
+            if self._components[i] == component:
+                return i
+        return None
+
+    def _add(self, template_id: int, place: Place, component: int) -> None:
         if self._travelled - self._slot_start >= self._spacing:
             self._slot += 1
             self._slot_start = self._travelled
-        self._append(template_id, place, self._travelled, self._slot)
+        self._append(template_id, place, self._travelled, self._slot, component)
         while self._slots[0] <= self._slot - self._recent:
             self._remove_oldest()
 
-    def _append(self, template_id: int, place: Place, travelled: float, slot: int) -> None:
+    def _append(
+        self, template_id: int, place: Place, travelled: float, slot: int, component: int = 0
+    ) -> None:
         if self._count == MAX_HYPOTHESES_COUNT:
             self._remove_oldest()
         i = self._count
@@ -151,18 +183,24 @@ class Agreement:
         self._made_at[i] = travelled
         self._template_ids[i] = template_id
         self._slots[i] = slot
+        self._components[i] = component
         self._count += 1
 
     def _remove_oldest(self) -> None:
-        for column in (self._places, self._made_at, self._template_ids, self._slots):
+        for column in self._columns:
             column[: self._count - 1] = column[1 : self._count]
         self._count -= 1
 
-    def _support(self, place: Place) -> int:
+    @property
+    def _columns(self) -> tuple[NDArray[Any], ...]:
+        return self._places, self._made_at, self._template_ids, self._slots, self._components
+
+    def _support(self, place: Place, component: int) -> int:
         """Count the hypotheses near a place that were made at least a spacing apart."""
         torus = self._torus
         count = _support(
-            self._places, self._made_at, self._count, place.x, place.y, place.theta,
+            self._places, self._made_at, self._components, self._count,
+            place.x, place.y, place.theta, component,
             torus.n_x, torus.n_y, torus.n_theta, self._radius, self._spacing,
         )  # fmt: skip
         return int(count)
@@ -182,15 +220,18 @@ def _propagate(
 
 @compiled
 def _support(
-    places: NDArray[np.float64], made_at: NDArray[np.float64], count: int,
-    x: float, y: float, theta: float, n_x: int, n_y: int, n_theta: int,
+    places: NDArray[np.float64], made_at: NDArray[np.float64], components: NDArray[np.int64],
+    count: int, x: float, y: float, theta: float, component: int, n_x: int, n_y: int, n_theta: int,
     radius: float, spacing: float,
 ) -> int:  # fmt: skip
-    """Count places within a radius, by ``Torus.distance``, that were made a spacing apart."""
+    """Count places of a component within a radius that were made a spacing apart.
+
+    The distance is that of ``Torus.distance``.
+    """
     found = 0
     last = -spacing
     for i in range(count):
-        if made_at[i] - last < spacing:
+        if components[i] != component or made_at[i] - last < spacing:
             continue
         d_x = abs(places[i, 0] - x) % n_x
         d_y = abs(places[i, 1] - y) % n_y

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Set
 
 from ratslam_ros.core.common.odometry import Motion, moved
 from ratslam_ros.core.common.pose import Pose
@@ -14,6 +14,7 @@ from ratslam_ros.core.config import PoseCellsParameters
 from ratslam_ros.core.pose_cells.experience_activity import activity
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, Action
 from ratslam_ros.core.pose_cells.pruning import DistanceGraph, VisitHistory
+from ratslam_ros.core.pose_cells.registration import Located, Registration
 from ratslam_ros.core.pose_cells.torus import Place, Torus, Unwrapped
 from ratslam_ros.core.pose_cells.visual_evidence import Observation
 
@@ -39,7 +40,8 @@ class Experiences:
         self.current_id = NO_EXPERIENCE
         """Id of the current experience, -1 before the first one."""
         self._experiences: list[tuple[int, Place]] = []
-        self._unwrapped: list[Unwrapped] = []
+        self._located: list[Located] = []
+        self._components: list[int] = []
         self._of_template: dict[int, list[int]] = {}
         self._transitions = _Transitions()
         self._visits = VisitHistory()
@@ -49,24 +51,26 @@ class Experiences:
     def __len__(self) -> int:
         return len(self._experiences)
 
-    def place(self, experience_id: int) -> Place:
-        """Return the place of an experience."""
+    def label(self, experience_id: int) -> Place:
+        """Return the place at which an experience was created, which identifies it."""
         return self._experiences[experience_id][1]
 
-    def unwrapped(self, experience_id: int) -> Unwrapped:
-        """Return the unwrapped position of an experience."""
-        return self._unwrapped[experience_id]
+    def located(self, experience_id: int) -> Located:
+        """Return the place of an experience; it moves if its component joins another one."""
+        return self._located[experience_id]
 
     def state(self) -> State:
         """Return all experiences and transitions, for ``restore``."""
         return {
-            'unrolled': {'experiences': [list(position) for position in self._unwrapped]},
+            'unrolled': {'experiences': [list(one.unwrapped) for one in self._located]},
             'experiences': [[template_id, *place] for template_id, place in self._experiences],
             'transitions': self._transitions.pairs(),
             'visits': self._visits.state(),
             'gaps': self._distances.state(),
             'current': self.current_id,
             'since_current': list(self._since_current),
+            'components': self._components.copy(),
+            'places': [list(one.place) for one in self._located],
         }
 
     def restore(self, state: State) -> None:
@@ -74,7 +78,16 @@ class Experiences:
         for number, (template_id, x, y, theta) in enumerate(state['experiences']):
             self._experiences.append((template_id, Place(x, y, theta)))
             self._of_template.setdefault(template_id, []).append(number)
-        self._unwrapped = [tuple(position) for position in state['unrolled']['experiences']]
+        positions = state['unrolled']['experiences']
+        places = [place for _, place in self._experiences]
+        self._components = [0] * len(places)
+        if 'components' in state:
+            places = [Place(*place) for place in state['components']['places']]
+            self._components = list(state['components']['experiences'])
+        self._located = [
+            Located(place, tuple(position))
+            for place, position in zip(places, positions, strict=True)
+        ]
         for source, target in state['transitions']:
             self._transitions.add(source, target)
         self.current_id = state['current']
@@ -83,13 +96,27 @@ class Experiences:
         if self._p.exp_max > 0:  # without a limit distances are not recorded: estimate them
             for source, target in state['transitions']:
                 if source != NO_EXPERIENCE and not self._distances.are_neighbours(source, target):
-                    cells = math.dist(self._unwrapped[source], self._unwrapped[target])
+                    cells = math.dist(
+                        self._located[source].unwrapped, self._located[target].unwrapped
+                    )
                     self._distances.connect(source, target, cells * self._p.pc_cell_x_size)
         self._since_current = Pose(*state['since_current'])
 
     def integrate(self, motion: Motion) -> None:
         """Add a motion to the displacement since the current experience."""
         self._since_current = moved(self._since_current, motion)
+
+    def separate(self) -> None:
+        """Leave the current experience: the motion since then is unknown."""
+        self.current_id = NO_EXPERIENCE
+        self._since_current = Pose(0.0, 0.0, 0.0)
+
+    def merge(self, component: int, into: int, registration: Registration) -> None:
+        """Move the experiences of one component into another one."""
+        for i, number in enumerate(self._components):
+            if number == component:
+                self._located[i] = registration.moved(self._located[i])
+                self._components[i] = into
 
     def active(
         self, seen: Observation, recent: Collection[Unwrapped]
@@ -114,40 +141,60 @@ class Experiences:
             (item for item in active if item[1] > 0.0), key=lambda item: (-item[1], item[0])
         )
 
+    def members(self, component: int) -> set[int]:
+        """Return the experiences of a component."""
+        return {i for i, number in enumerate(self._components) if number == component}
+
     def decide(
-        self, seen: Observation, recent: Collection[Unwrapped], learn: bool
-    ) -> Action:
+        self, seen: Observation, recent: Collection[Unwrapped], learn: bool,
+        joined: Set[int] = frozenset(),
+    ) -> Action:  # fmt: skip
         """Associate an observation with an experience, and make that one current.
 
         Args:
             seen: the observation.
             recent: unwrapped positions of the latest recognitions.
             learn: whether an experience may be created.
+            joined: experiences of the component in which the robot has just been recognised. A
+                transition to one of them joins the components of the map.
 
         Returns:
             The action for the experience map.
         """
+        if joined:
+            there = self._nearest(seen, joined & set(self._of_template.get(seen.template_id, ())))
+            if there is not None:
+                return self._visit(there)
         if self._p.exp_current_by == 'activity':
             return self._decide_by_activity(seen, recent, learn)
         candidates = self._of_template.get(seen.template_id)
         if candidates is None:
             return self._create(seen, learn)
-        place = seen.place
-        threshold = self._p.exp_delta_pc_threshold
-        current_template, current_place = self._experiences[self.current_id]
-        is_far = self._torus.distance(place, current_place) > threshold
-        if not is_far and (seen.template_id == current_template or self._is_stationary()):
+        if self._is_at_current(seen) and (
+            self._experiences[self.current_id][0] == seen.template_id or self._is_stationary()
+        ):
             return 'none'
-        others = [
+        nearest = self._nearest(seen, [
             i for i in candidates if i != self.current_id and self._is_plausible(i, seen, recent)
-        ]
-        if others:
-            distance, nearest = min(
-                (self._torus.distance(place, self._experiences[i][1]), i) for i in others
-            )
-            if distance < threshold:
-                return self._visit(nearest)
-        return self._create(seen, learn)
+        ])  # fmt: skip
+        return self._create(seen, learn) if nearest is None else self._visit(nearest)
+
+    def _nearest(self, seen: Observation, candidates: Collection[int]) -> int | None:
+        """Return the nearest candidate closer than ``exp_delta_pc_threshold``, if any."""
+        if not candidates:
+            return None
+        distance, nearest = min(
+            (self._torus.distance(seen.place, self._located[i].place), i) for i in candidates
+        )
+        return nearest if distance < self._p.exp_delta_pc_threshold else None
+
+    def _is_at_current(self, seen: Observation) -> bool:
+        """Return whether the observation was made near the current experience."""
+        current = self.current_id
+        if current == NO_EXPERIENCE or self._components[current] != seen.component:
+            return False
+        distance = self._torus.distance(seen.place, self._located[current].place)
+        return distance <= self._p.exp_delta_pc_threshold
 
     def _decide_by_activity(
         self, seen: Observation, recent: Collection[Unwrapped], learn: bool
@@ -156,14 +203,16 @@ class Experiences:
         if not active or active[0][1] <= self._p.exp_activity_threshold:
             return self._create(seen, learn)
         most_active = active[0][0]
-        if most_active == self.current_id or (
-            self._is_stationary() and self._activity(self.current_id, seen.place) > 0.0
+        current = self.current_id
+        if most_active == current or (
+            current != NO_EXPERIENCE and self._components[current] == seen.component
+            and self._is_stationary() and self._activity(current, seen.place) > 0.0
         ):
             return 'none'
         return self._visit(most_active)
 
     def _activity(self, experience_id: int, peak: Place) -> float:
-        p, (_, place) = self._p, self._experiences[experience_id]
+        p, place = self._p, self._located[experience_id].place
         return activity(self._torus, peak, place, p.exp_activity_xy, p.exp_activity_th)
 
     def _is_plausible(
@@ -174,10 +223,12 @@ class Experiences:
         The odometry since the last known place distinguishes places that share cells. Several
         recent recognitions near the experience override the odometry; a single view does not.
         """
+        if self._components[experience_id] != seen.component:
+            return False
         near = self._p.pc_vt_agree_near
         if near == 0.0 or experience_id == self.current_id:
             return True
-        x, y = self._unwrapped[experience_id]
+        x, y = self._located[experience_id].unwrapped
         if math.hypot(seen.unwrapped[0] - x, seen.unwrapped[1] - y) < near:
             return True
         return sum(math.hypot(a - x, b - y) < near for a, b in recent) >= MIN_SUPPORT_COUNT
@@ -194,10 +245,12 @@ class Experiences:
             new_id = self._visits.prune_candidate(self._distances)
             self._prune(new_id)
             self._experiences[new_id] = seen.template_id, place
-            self._unwrapped[new_id] = seen.unwrapped
+            self._located[new_id] = Located(place, seen.unwrapped)
+            self._components[new_id] = seen.component
         else:
             self._experiences.append((seen.template_id, place))
-            self._unwrapped.append(seen.unwrapped)
+            self._located.append(Located(place, seen.unwrapped))
+            self._components.append(seen.component)
         self._of_template.setdefault(seen.template_id, []).append(new_id)
         self._visits.create(new_id)
         self._change_to(new_id)

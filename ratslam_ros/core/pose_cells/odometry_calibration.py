@@ -57,13 +57,17 @@ class OdometryCalibration:
         self._closed: deque[tuple[float, float, float]] = deque(maxlen=MAX_LOOPS_COUNT)
 
     def restart(self) -> None:
-        """Forget where the robot was: it was moved, and no loop leads through that motion."""
+        """Forget where the robot was after an unknown motion, through which no loop leads."""
         self._visits.clear()
 
     def integrate(self, motion: Motion) -> None:
         """Add a motion, whose turn was corrected by ``correction``."""
         self._turn_rad += self.correction.measured(motion.turn_rad, motion.distance_m)
         self._length_m += motion.distance_m
+
+    def separate(self) -> None:
+        """Forget all visits: after an unknown motion, a return closes no loop."""
+        self._visits.clear()
 
     def visit(self, experience_id: int, relative_rad: float, created: bool) -> None:
         """Record that an experience became current, and renew the estimate if it is due."""

@@ -12,10 +12,11 @@ from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import PoseCellsParameters
 from ratslam_ros.core.pose_cells.attractor import Network, Packet, kernel
 from ratslam_ros.core.pose_cells.experiences import Experiences
-from ratslam_ros.core.pose_cells.map_action import Action, MapAction
+from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, Action, MapAction
 from ratslam_ros.core.pose_cells.odometry_calibration import OdometryCalibration
+from ratslam_ros.core.pose_cells.registration import Located, Registration
 from ratslam_ros.core.pose_cells.torus import Place, Torus
-from ratslam_ros.core.pose_cells.visual_evidence import Observation, VisualEvidence
+from ratslam_ros.core.pose_cells.visual_evidence import Injection, Observation, VisualEvidence
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE, ViewMatch
 from ratslam_ros.errors import UnusableInput
 
@@ -57,6 +58,7 @@ class PoseCells:
         self._unwrapped = self.peak.x, self.peak.y
         self._last_view = NO_TEMPLATE, 0.0
         self._stepped = False
+        self._component = self._gap_count = 0
 
     def __len__(self) -> int:
         """Return the number of experiences."""
@@ -66,6 +68,11 @@ class PoseCells:
     def current_experience(self) -> int:
         """Id of the current experience, -1 before the first one."""
         return self._experiences.current_id
+
+    @property
+    def gap_count(self) -> int:
+        """Number of unknown motions."""
+        return self._gap_count
 
     def activity(self) -> NDArray[np.float64]:
         """Return the activity of all cells, (n_theta, n_y, n_x)."""
@@ -98,7 +105,14 @@ class PoseCells:
         }
         if self.calibration is not None:
             state['calibration'] = self.calibration.state()
-        return {key: state[key] for key in _STATE_KEYS if key in state}
+        saved = {key: state[key] for key in _STATE_KEYS if key in state}
+        if self._gap_count:  # otherwise the memory equals that of earlier versions
+            saved['components'] = {
+                'current': self._component, 'gaps': self._gap_count,
+                **evidence['components'], 'experiences': experiences['components'],
+                'places': experiences['places'],
+            }  # fmt: skip
+        return saved
 
     def restore(self, state: State) -> None:
         """Restore what ``state`` returned; nothing must have been learned before.
@@ -120,9 +134,18 @@ class PoseCells:
         self._stepped = state['stepped']
         if self.calibration is not None and 'calibration' in state:
             self.calibration.restore(state['calibration'])
+        if 'components' in state:
+            saved = state['components']
+            self._component, self._gap_count = saved['current'], saved['gaps']
 
     def integrate(self, motion: Motion) -> None:
-        """Advance the network by one step: competition, then path integration of the motion."""
+        """Advance the network by one step: competition, then path integration of the motion.
+
+        After an unknown motion, the network starts again in a new component.
+        """
+        if not motion.is_known:
+            self._separate()
+            return
         chord = motion.chord_m / self._p.pc_cell_x_size
         turn = motion.turn_rad * self._torus.planes_per_rad
         self._evidence.integrate(chord, turn)
@@ -134,15 +157,20 @@ class PoseCells:
         if self.calibration is not None:
             self.calibration.integrate(motion)
 
-    def view(self, match: ViewMatch) -> MapAction:
+    def view(self, match: ViewMatch, is_located: bool = True) -> MapAction:
         """Process one template message: learn it or inject its activity, then choose the action.
 
         At most one action other than ``none`` is returned per odometry message.
+
+        Args:
+            match: the template.
+            is_located: False if the odometry has been missing for so long that the robot may be
+                anywhere. Such a view has no effect.
         """
         self._last_view = match.template_id, match.relative_rad * self._torus.planes_per_rad
         source_id = self._experiences.current_id
         action: Action = 'none'
-        if match.template_id != NO_TEMPLATE:
+        if match.template_id != NO_TEMPLATE and is_located:
             action = self._observe()
         target_id = self._experiences.current_id
         correction = None
@@ -150,7 +178,8 @@ class PoseCells:
             if action != 'none':
                 self.calibration.visit(target_id, match.relative_rad, action == 'create')
             correction = self.calibration.correction
-        place = self._experiences.place(target_id) if len(self._experiences) else self.peak
+        is_at_none = target_id == NO_EXPERIENCE
+        place = self.peak if is_at_none else self._experiences.label(target_id)
         return MapAction(
             action, source_id, target_id, match.template_id, match.relative_rad, place, correction
         )
@@ -167,26 +196,61 @@ class PoseCells:
 
     def _observe(self) -> Action:
         seen = self._observation()
-        injection = self._evidence.observe(seen, learn=self.mapping)
-        if injection is not None:
-            place, energy = injection
+        joined: set[int] = set()
+        effect = self._evidence.observe(seen, self.mapping, is_first=self._stepped)
+        if isinstance(effect, Injection):
+            place, energy = effect
             self._packets = self._network.inject(
                 self._packets, place.theta, place.y, place.x, energy
             )
+        elif effect is not None:
+            joined = self._experiences.members(effect.component)
+            self._join(*effect)
+            seen = self._observation()
         if not self._stepped:
             return 'none'
         self._stepped = False
-        action = self._experiences.decide(seen, self._evidence.recent, learn=self.mapping)
+        action = self._experiences.decide(seen, self._evidence.recent, self.mapping, joined)
         if action in ('link', 'set'):  # the robot is at a known place: correct its position
-            current_id = self._experiences.current_id
-            self._unwrapped = self._torus.displaced(
-                self._experiences.unwrapped(current_id), self._experiences.place(current_id),
-                self.peak,
-            )  # fmt: skip
+            place, unwrapped = self._experiences.located(self._experiences.current_id)
+            self._unwrapped = self._torus.displaced(unwrapped, place, self.peak)
         return action
 
+    def _separate(self) -> None:
+        """Begin a new component: the pose relative to all known places is unknown."""
+        self._gap_count += 1
+        self._component = self._gap_count
+        if self.calibration is not None:
+            self.calibration.restart()
+        self._evidence.separate(self._component)
+        if self.calibration is not None:
+            self.calibration.separate()
+        self._experiences.separate()
+        self._packets = self._network.start()
+        self.peak = self._decoded()
+        self._unwrapped = self.peak.x, self.peak.y
+        self._stepped = True
+
+    def _join(self, recognised: Located, component: int) -> None:
+        """Merge the component of the robot and another one, in which its pose is known as well.
+
+        The places of the later component move. While ``mapping`` is False, only the robot does.
+        """
+        estimate, own = Located(self.peak, self._unwrapped), self._component
+        if component < own or not self.mapping:
+            (x, y, theta), self._unwrapped = recognised
+            self._packets = self._network.inject([], theta, y, x, 1.0)
+            self.peak, self._component = self._decoded(), component
+            registration = Registration(self._torus, estimate, recognised)
+        else:
+            registration = Registration(self._torus, recognised, estimate)
+        if self.mapping:
+            moved, into = max(own, component), min(own, component)
+            self._evidence.merge(moved, into, registration)
+            self._experiences.merge(moved, into, registration)
+
     def _observation(self) -> Observation:
-        return Observation(*self._last_view, self.peak, self._unwrapped)
+        return Observation(*self._last_view, self.peak, self._unwrapped, self._component)
 
     def _decoded(self) -> Place:
         theta, y, x = self._network.peak(self._packets)

@@ -12,6 +12,7 @@ from typing import NamedTuple
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import PoseCellsParameters
 from ratslam_ros.core.pose_cells.agreement import Agreement
+from ratslam_ros.core.pose_cells.registration import Located, Registration
 from ratslam_ros.core.pose_cells.torus import Place, Torus, Unwrapped
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
 
@@ -30,12 +31,14 @@ class Observation(NamedTuple):
         turn_planes: heading of the robot minus heading of the template, in heading planes.
         peak: peak of activity.
         unwrapped: unwrapped position of the peak.
+        component: component that the robot is in.
     """
 
     template_id: int
     turn_planes: float
     peak: Place
     unwrapped: Unwrapped
+    component: int = 0
 
     @property
     def place(self) -> Place:
@@ -50,14 +53,21 @@ class Injection(NamedTuple):
     energy: float
 
 
+class Relocation(NamedTuple):
+    """A pose of the robot in another component than its own, on which recent views agree."""
+
+    located: Located
+    component: int
+
+
 @dataclass(slots=True)
 class _Association:
-    """Place at which a template was first seen, and its decay.
+    """Place at which a template was first seen in a component, and its decay.
 
     Attributes:
         place: peak of activity with the heading of the template.
         unwrapped: unwrapped position of the peak.
-        order: number of templates associated before.
+        order: number of associations made before.
         decay: decay of the template when it was last updated.
         message: number of the template message of that update.
     """
@@ -83,7 +93,12 @@ class VisualEvidence:
             p.pc_vt_agree_recent,
             p.pc_vt_agree_near,
         )
-        self._associations: dict[int, _Association] = {}
+        # By template and component, in the order in which they were made.
+        self._associations: dict[tuple[int, int], _Association] = {}
+        self._components = [0]
+        self._made_count = 0
+        # Made since the first view after the last motion; misplaced if odometry is missing.
+        self._unlocated: list[tuple[int, int]] = []
         self._messages = 0
         self._last_template = NO_TEMPLATE
         self.recent: deque[Unwrapped] = deque(maxlen=RECENT_RECOGNITIONS_COUNT)
@@ -95,7 +110,7 @@ class VisualEvidence:
         return {
             'memories': [
                 [template_id, *a.place, a.order, a.decay, a.message]
-                for template_id, a in associations.items()
+                for (template_id, _), a in associations.items()
             ],
             'unrolled': {
                 'claimed': [list(position) for position in self.recent],
@@ -104,15 +119,24 @@ class VisualEvidence:
             'messages': self._messages,
             'last_template': self._last_template,
             'agreement': self._agreement.state(),
-        }
+            'components': {
+                'memories': [component for _, component in associations],
+                'alive': self._components.copy(), 'made': self._made_count,
+            },
+        }  # fmt: skip
 
     def restore(self, state: State) -> None:
         """Restore what ``state`` returned; nothing must have been learned before."""
         positions = state['unrolled']['memories']
-        for (template_id, x, y, theta, order, decay, message), position in zip(
-            state['memories'], positions, strict=True
+        numbers, self._made_count = [0] * len(positions), len(positions)
+        if 'components' in state:
+            saved = state['components']
+            numbers, self._made_count = saved['memories'], saved['made']
+            self._components = list(saved['alive'])
+        for (template_id, x, y, theta, order, decay, message), position, number in zip(
+            state['memories'], positions, numbers, strict=True
         ):
-            self._associations[template_id] = _Association(
+            self._associations[template_id, number] = _Association(
                 Place(x, y, theta), tuple(position), order, decay, message
             )
         self.recent.extend(tuple(position) for position in state['unrolled']['claimed'])
@@ -123,33 +147,75 @@ class VisualEvidence:
     def integrate(self, chord_cells: float, turn_planes: float) -> None:
         """Move the pose hypotheses by one motion of the robot."""
         self._agreement.integrate(chord_cells, turn_planes)
+        self._unlocated.clear()
 
-    def observe(self, seen: Observation, learn: bool) -> Injection | None:
-        """Associate a new template with the peak, or compute the injection of a known one.
+    def separate(self, component: int) -> None:
+        """Begin a component, and discard what depends on the pose, which is unknown now.
+
+        This includes the associations that were made while odometry was missing already.
+        """
+        for key in self._unlocated:
+            del self._associations[key]
+        self._unlocated.clear()
+        self._components.append(component)
+        self._agreement.discard()
+        self.recent.clear()
+        self._last_template = NO_TEMPLATE
+
+    def merge(self, component: int, into: int, registration: Registration) -> None:
+        """Move the places of one component into another one.
+
+        A template that has a place there already keeps it.
+        """
+        kept: dict[tuple[int, int], _Association] = {}
+        for (template_id, number), a in self._associations.items():
+            if number != component:
+                kept[template_id, number] = a
+            elif (template_id, into) not in self._associations:
+                a.place, a.unwrapped = registration.moved(Located(a.place, a.unwrapped))
+                kept[template_id, into] = a
+        self._associations = kept
+        self._unlocated.clear()
+        self._components.remove(component)
+        self._agreement.discard(component)
+        self.recent.clear()
+
+    def observe(
+        self, seen: Observation, learn: bool, is_first: bool = False
+    ) -> Injection | Relocation | None:
+        """Associate a new template with the peak, or compute the effect of a known one.
 
         Args:
             seen: the observation, with a template.
             learn: whether a new template is associated; otherwise it is ignored.
+            is_first: whether this is the first view after a motion.
 
         Returns:
-            The activity to inject, None if there is none.
+            The activity to inject; a relocation, if the template has a place in another component
+            on which enough views agree; None if the view has no effect.
         """
         injection = self._recall(seen, learn)
+        if is_first:
+            self._unlocated.clear()
+        relocation = self._relocation(seen) if is_first else None
         self._messages += 1
         self._last_template = seen.template_id
-        return injection
+        return relocation or injection
 
     def _recall(self, seen: Observation, learn: bool) -> Injection | None:
         p = self._p
-        known = self._associations.get(seen.template_id)
+        key = seen.template_id, seen.component
+        known = self._associations.get(key)
         if known is None:
             if learn:
-                self._associations[seen.template_id] = _Association(
-                    seen.place, seen.unwrapped, len(self._associations), p.vt_active_decay,
+                self._associations[key] = _Association(
+                    seen.place, seen.unwrapped, self._made_count, p.vt_active_decay,
                     self._messages,
                 )  # fmt: skip
+                self._made_count += 1
+                self._unlocated.append(key)
             return None
-        if known.order >= len(self._associations) - NEWEST_TEMPLATES_COUNT:
+        if known.order >= self._made_count - NEWEST_TEMPLATES_COUNT:
             return None
         if seen.template_id != self._last_template:
             self.recent.append(known.unwrapped)
@@ -163,9 +229,26 @@ class VisualEvidence:
         loss = math.exp(min(1.2 * known.decay, 10.0))  # above e^3.4 the energy is negative
         energy = p.pc_vt_inject_energy / 30.0 * (30.0 - loss)
         energy *= self._agreement.weigh(
-            seen.template_id, place, seen.peak, self._distance_cells(known, place, seen)
-        )
+            seen.template_id, place, seen.peak, self._distance_cells(known, place, seen),
+            seen.component,
+        )  # fmt: skip
         return Injection(place, energy) if energy > 0.0 else None
+
+    def _relocation(self, seen: Observation) -> Relocation | None:
+        """Return the place in another component that a view indicates, if enough views agree.
+
+        The number is ``pc_vt_agree_views``, at which the energy of a recognition has its full
+        value. Of several such components it is the first one.
+        """
+        for component in self._components:
+            known = self._associations.get((seen.template_id, component))
+            if known is None or component == seen.component:
+                continue
+            theta = (known.place.theta + seen.turn_planes) % self._torus.n_theta
+            place = known.place._replace(theta=theta)
+            if self._agreement.weigh(seen.template_id, place, None, component=component) >= 1.0:
+                return Relocation(Located(place, known.unwrapped), component)
+        return None
 
     def _distance_cells(self, known: _Association, place: Place, seen: Observation) -> float:
         """Return the distance of a recognised place from the peak, x and y unwrapped."""

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Image windows given by parameters."""
+"""Image windows given by parameters, and their reduction by block means."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ratslam_ros.core.common.compiled import compiled
+from ratslam_ros.core.config import LocalViewParameters
 from ratslam_ros.errors import UnusableParameter
 
 
@@ -65,3 +67,55 @@ def window_of(
                 f'{min_length} px within the image, which is {width} x {height} px'
             )
     return window
+
+
+def cropped(
+    image: NDArray[np.uint8], p: LocalViewParameters, min_size: tuple[int, int] = (1, 1)
+) -> Window:
+    """Return the crop of an image that is compared.
+
+    Args:
+        image: (H, W) uint8.
+        p: crop.
+        min_size: smallest valid width and height, in px.
+
+    Raises:
+        UnusableParameter: the crop exceeds the image or is too small.
+    """
+    return window_of(
+        image,
+        'local_view.image_crop',
+        (p.image_crop_x_min, p.image_crop_x_max),
+        (p.image_crop_y_min, p.image_crop_y_max),
+        min_size,
+    )
+
+
+@compiled
+def block_means(
+    image: NDArray[np.uint8], x_min: int, x_max: int, y_min: int, y_max: int,
+    value: NDArray[np.float64],
+) -> None:  # fmt: skip
+    """Fill ``value`` (h, w) with the mean brightness of blocks of a window, from 0 to 1.
+
+    Block borders are rounded down. The sums are integers, so the result is exact to the last
+    rounding.
+    """
+    height, width = y_max - y_min, x_max - x_min
+    rows, columns = value.shape
+    sums = np.empty(width, np.int64)
+    for row in range(rows):
+        top = row * height // rows
+        bottom = (row + 1) * height // rows
+        for x in range(width):
+            sums[x] = 0
+        for y in range(top, bottom):
+            for x in range(width):
+                sums[x] += image[y_min + y, x_min + x]
+        for column in range(columns):
+            left = column * width // columns
+            right = (column + 1) * width // columns
+            total = 0
+            for x in range(left, right):
+                total += sums[x]
+            value[row, column] = total / ((bottom - top) * (right - left) * 255.0)

@@ -14,12 +14,14 @@ does not depend on the number of templates, and little memory is allocated in ad
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.compiled import compiled
+from ratslam_ros.core.vision.encoder import Layout
 from ratslam_ros.core.vision.sad import PIECE_BYTES, pieces_of, sad
 
 Bytes = NDArray[np.uint8]
@@ -37,6 +39,9 @@ BLOCK_COLUMNS = 2
 BLOCK_ROWS = 3
 """Largest height of a block, in pixels. Smaller blocks give tighter bounds, larger blocks less
 work; the size was tuned on noise, simulated views and real views."""
+
+PLANE_BLOCK_ROWS = 4
+"""The same for views of several planes, whose neighbouring cells overlap and so differ less."""
 
 
 class Match(NamedTuple):
@@ -75,6 +80,13 @@ class _Layer(NamedTuple):
     inside: Bytes
     """Mask of the last piece."""
 
+    def at(self, places: Sequence[int]) -> _Layer:
+        """Return the layout of some of the places."""
+        if len(places) == len(self.in_template):
+            return self
+        which = list(places)
+        return self._replace(in_template=self.in_template[which], in_query=self.in_query[which])
+
 
 class TemplateMemory:
     """Memory of views of one size, uint8.
@@ -83,22 +95,18 @@ class TemplateMemory:
     separately for every vertical offset.
     """
 
-    def __init__(
-        self, width: int, height: int, shift_x: int, shift_y: int, step: int, *,
-        panoramic: bool, signed: bool,
-    ) -> None:  # fmt: skip
-        """Create an empty memory.
+    def __init__(self, layout: Layout) -> None:
+        """Create an empty memory for views of a layout.
 
-        Args:
-            width, height: size of a view, in pixels.
-            shift_x, shift_y: largest shift of a view to either side, and up and down, in pixels.
-            step: step between horizontal shifts, in pixels.
-            panoramic: try all rotations of the view instead of shifts up to ``shift_x``.
-            signed: blocks hold differences between rows instead of sums, which give tighter bounds
-                for views with normalised local brightness.
+        If the layout is signed, blocks hold differences between rows instead of sums, which give
+        tighter bounds.
         """
-        self._width, self._height = width, height
-        self._rows = rows = height - 2 * shift_y
+        width, height, planes = layout.width, layout.height, layout.planes
+        shift_x, shift_y = layout.shift_x, layout.shift_y
+        panoramic = layout.panoramic
+        self._width, self._height, self._planes = width, height, planes
+        plane_rows = height // planes - 2 * shift_y
+        self._rows = rows = planes * plane_rows
         self._vertical_count = 2 * shift_y + 1
         self._top, self._left = shift_y, 0 if panoramic else shift_x
         self._columns = columns = width - 2 * self._left
@@ -106,10 +114,14 @@ class TemplateMemory:
         self.full_sum = 255 * columns * rows
         """Largest possible SAD: that between a black and a white view."""
 
-        groups = -(-rows // BLOCK_ROWS)
-        self._edges = np.array([g * rows // groups for g in range(groups + 1)])
+        in_plane = -(-plane_rows // (BLOCK_ROWS if planes == 1 else PLANE_BLOCK_ROWS))
+        groups = planes * in_plane
+        self._edges = np.array(
+            [g // in_plane * plane_rows + g % in_plane * plane_rows // in_plane
+             for g in range(groups + 1)]
+        )  # fmt: skip
         negative = (np.arange(rows) + 1) // 2 % 2 == 1  # + - - + + - - +
-        self._signs = np.where(signed & negative, -1, 1)
+        self._signs = np.where(layout.signed & negative, -1, 1)
         max_rows = int(np.diff(self._edges).max())
         self._divisor = BLOCK_COLUMNS * max_rows
         pairs = columns // BLOCK_COLUMNS
@@ -118,7 +130,7 @@ class TemplateMemory:
         # views' blocks can be too large by up to this.
         self._slack = (self._divisor - 1) * self._compared
 
-        offsets = np.arange(0, width if panoramic else 2 * shift_x + 1, step)
+        offsets = np.arange(0, width if panoramic else 2 * shift_x + 1, layout.step)
         vertical = np.arange(self._vertical_count)[:, None]
         self._offsets = np.tile(offsets, self._vertical_count)
         """(places,) horizontal offset of each place; ties go to the first place."""
@@ -142,6 +154,11 @@ class TemplateMemory:
 
         self._fine = layer(self._pixels_per_offset, turns * rows, columns * rows)
         self._coarse = layer(self._blocks_per_offset, block_turns, self._compared)
+        self._places = range(len(self._offsets))
+        self._unshifted = [
+            place for place in self._places
+            if self._offsets[place] == self._left and place // len(offsets) == shift_y
+        ]
         self._chunks: list[_Chunk] = []
         self._per_chunk = max(CHUNK_BYTES // (self._fine.stride + self._coarse.stride), 1)
         self._count = 0
@@ -163,7 +180,7 @@ class TemplateMemory:
         parts = pixels.reshape(self._vertical_count, self._width, self._rows)
         out = np.empty((self._height, self._width), np.uint8)
         for dy in range(self._vertical_count):
-            out[dy : dy + self._rows] = parts[dy].T
+            self._rows_from(out, dy)[:] = parts[dy].T.reshape(self._planes, -1, self._width)
         return out
 
     def views(self) -> Bytes:
@@ -187,7 +204,7 @@ class TemplateMemory:
         chunk = self._chunks[number]
         fine, coarse = self._pixels_per_offset, self._blocks_per_offset
         for dy in range(self._vertical_count):
-            columns = np.ascontiguousarray(view[dy : dy + self._rows].T)
+            columns = self._columns_from(view, dy)
             at = row * self._fine.stride + dy * fine
             chunk.pixels[at : at + fine] = columns.reshape(-1)
             at = row * self._coarse.stride + dy * coarse
@@ -199,7 +216,7 @@ class TemplateMemory:
 
     def search(self, view: Bytes) -> Search:
         """Start a search for a view, (height, width) uint8; valid until a view is added."""
-        columns = view[self._top : self._top + self._rows].T
+        columns = self._columns_from(view, self._top)
         if self._panoramic:  # Two periods, so that every rotation is contiguous.
             columns = np.concatenate([columns, columns])
         else:
@@ -211,6 +228,15 @@ class TemplateMemory:
         blocks = _aligned(2 * (len(columns) // BLOCK_COLUMNS) * groups)
         _blocks(columns, self._edges, self._signs, self._divisor, blocks)
         return Search(self, pixels, blocks)
+
+    def _rows_from(self, view: Bytes, top: int) -> Bytes:
+        """Return the compared rows of all planes from row ``top`` on: (planes, rows, width)."""
+        planes = view.reshape(self._planes, -1, self._width)
+        return planes[:, top : top + self._rows // self._planes]
+
+    def _columns_from(self, view: Bytes, top: int) -> Bytes:
+        """Return the columns of these rows, contiguous: (width, rows of all planes)."""
+        return np.ascontiguousarray(self._rows_from(view, top).reshape(self._rows, -1).T)
 
 
 class Search:
@@ -227,7 +253,9 @@ class Search:
                 likely, min_bound = number * memory._per_chunk + row, int(chunk.bounds[row])
         self._likely = likely
 
-    def best(self, count: int | None = None, limit: int | None = None) -> Match | None:
+    def best(
+        self, count: int | None = None, limit: int | None = None, unshifted: bool = False
+    ) -> Match | None:
         """Return the best match, or None if there is none.
 
         Ties go to the lowest template id, then to the lowest vertical and horizontal offset.
@@ -235,24 +263,33 @@ class Search:
         Args:
             count: search only the oldest ``count`` templates; None: all.
             limit: largest SAD of a match; a limit makes the search faster.
+            unshifted: compare the views without a shift only; the step between shifts must
+                divide the largest shift.
         """
         m = self._memory
+        places = m._unshifted if unshifted else m._places
         count = len(m) if count is None else count
         bound = MAX_SAD if limit is None else limit + 1
         if self._likely < count:
             # Evaluating the most promising template first excludes most others. The bound is one
             # above its SAD, so that an equally good template with a lower id is still found.
             number, row = divmod(self._likely, m._per_chunk)
-            found = self._refine(m._chunks[number], row, row + 1, bound)
+            found = self._refine(m._chunks[number], row, row + 1, bound, places)
             bound = min(bound, found[2] + 1)
         best: Match | None = None
         for number, chunk, learned in self._chunks(count):
-            row, place, found_sad = self._refine(chunk, 0, learned, bound)
+            row, place, found_sad = self._refine(chunk, 0, learned, bound, places)
             if row >= 0:
                 bound = found_sad
                 template_id = number * m._per_chunk + row
-                best = Match(template_id, int(m._offsets[place]), found_sad)
+                best = Match(template_id, int(m._offsets[places[place]]), found_sad)
         return best
+
+    def sad(self, template_id: int) -> int:
+        """Return the smallest SAD of one template over all offsets."""
+        number, row = divmod(template_id, self._memory._per_chunk)
+        chunk = self._memory._chunks[number]
+        return self._refine(chunk, row, row + 1, MAX_SAD, self._memory._places)[2]
 
     def _chunks(self, count: int) -> list[tuple[int, _Chunk, int]]:
         """Return index, chunk, and number of its templates among the oldest ``count``."""
@@ -260,10 +297,13 @@ class Search:
         chunks = self._memory._chunks[: -(-count // size)]
         return [(n, chunk, min(count - n * size, size)) for n, chunk in enumerate(chunks)]
 
-    def _refine(self, chunk: _Chunk, first: int, last: int, bound: int) -> tuple[int, int, int]:
+    def _refine(
+        self, chunk: _Chunk, first: int, last: int, bound: int, places: Sequence[int]
+    ) -> tuple[int, int, int]:
         m = self._memory
+        fine, coarse = m._fine.at(places), m._coarse.at(places)
         row, place, found = _refine(
-            chunk.pixels, *m._fine, self._pixels, chunk.blocks, *m._coarse, self._blocks,
+            chunk.pixels, *fine, self._pixels, chunk.blocks, *coarse, self._blocks,
             chunk.bounds, m._divisor, m._slack, first, last, bound,
         )  # fmt: skip
         return int(row), int(place), int(found)

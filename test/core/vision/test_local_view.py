@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from ratslam_ros.core.config import LocalViewParameters
-from ratslam_ros.core.vision.local_view import LocalView, make_view
+from ratslam_ros.core.vision.intensity import make_view
+from ratslam_ros.core.vision.local_view import LocalView
 from ratslam_ros.errors import UnusableParameter
 
 Image = NDArray[np.uint8]
@@ -387,20 +388,20 @@ def test_recent_templates_need_the_stricter_threshold() -> None:
 def test_image_layouts_share_one_compiled_function() -> None:
     """Otherwise crops, read-only buffers and other strides would be compiled during a run."""
     from ratslam_ros.core.config import VisualOdometryParameters
-    from ratslam_ros.core.vision import local_view, visual_odometry
+    from ratslam_ros.core.vision import intensity, visual_odometry
 
     whole = np.random.default_rng(0).integers(0, 256, (40, 60), dtype=np.uint8)
     frozen = whole.copy()
     frozen.flags.writeable = False
     size = {'template_x_size': 12, 'template_y_size': 8, 'vt_shift_match': 1}
     views = [
-        local_view.make_view(image, LocalViewParameters(**size))
+        intensity.make_view(image, LocalViewParameters(**size))
         for image in (whole, frozen, np.asfortranarray(whole), np.repeat(whole, 2, 1)[:, ::2])
     ]
     assert all((view == views[0]).all() for view in views)
-    local_view.make_view(frozen, LocalViewParameters(**size, image_crop_x_min=5))
+    intensity.make_view(frozen, LocalViewParameters(**size, image_crop_x_min=5))
     odometry = visual_odometry.VisualOdometry(VisualOdometryParameters(vrot_image_x_min=3))
     odometry.estimate(0, whole)
     odometry.estimate(1, frozen)
-    assert len(local_view._make_view.signatures) == 1
+    assert len(intensity._make_view.signatures) == 1
     assert len(visual_odometry._profile.signatures) == 1

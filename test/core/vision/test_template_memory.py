@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.config import LocalViewParameters
 from ratslam_ros.core.vision import template_memory
-from ratslam_ros.core.vision.local_view import LocalView, make_view
+from ratslam_ros.core.vision.encoder import Layout
+from ratslam_ros.core.vision.intensity import make_view
+from ratslam_ros.core.vision.local_view import LocalView
 from ratslam_ros.core.vision.sad import PIECE_BYTES, pieces_of, sad_by
 from ratslam_ros.core.vision.template_memory import Match, TemplateMemory
 from ratslam_ros.recordings import ImageEvent, open_recording
@@ -34,12 +36,13 @@ class Shape:
     step: int = 1
     panoramic: bool = False
     signed: bool = False
+    planes: int = 1
 
     def memory(self, views: Views) -> TemplateMemory:
-        memory = TemplateMemory(
-            self.width, self.height, self.shift_x, self.shift_y, self.step,
-            panoramic=self.panoramic, signed=self.signed,
-        )  # fmt: skip
+        memory = TemplateMemory(Layout(
+            self.width, self.height, self.planes, self.shift_x, self.shift_y, self.step,
+            self.panoramic, self.signed,
+        ))  # fmt: skip
         for view in views:
             memory.append(view)
         return memory
@@ -48,14 +51,16 @@ class Shape:
 def all_sads(views: Views, view: Views, s: Shape) -> tuple[NDArray[np.int64], list[int]]:
     """Return (n, places) SADs computed with NumPy, and the offset of each place."""
     left = 0 if s.panoramic else s.shift_x
-    columns, rows = s.width - 2 * left, s.height - 2 * s.shift_y
-    now = view[s.shift_y : s.shift_y + rows, left : left + columns].astype(np.int64)
+    columns, rows = s.width - 2 * left, s.height // s.planes - 2 * s.shift_y
+    views = views.reshape(len(views), s.planes, -1, s.width)
+    now = view.reshape(s.planes, -1, s.width).astype(np.int64)
+    now = now[:, s.shift_y : s.shift_y + rows, left : left + columns]
     sads, places = [], []
     for dy in range(2 * s.shift_y + 1):
-        known = views[:, dy : dy + rows].astype(np.int64)
+        known = views[:, :, dy : dy + rows].astype(np.int64)
         for offset in range(0, s.width if s.panoramic else 2 * s.shift_x + 1, s.step):
-            part = np.roll(known, -offset, 2) if s.panoramic else known[:, :, offset:]
-            sads.append(np.abs(part[:, :, :columns] - now).sum((1, 2)))
+            part = np.roll(known, -offset, 3) if s.panoramic else known[..., offset:]
+            sads.append(np.abs(part[..., :columns] - now).sum((1, 2, 3)))
             places.append(offset)
     return np.stack(sads, 1), places
 
@@ -95,6 +100,9 @@ SHAPES = [
     Shape(3, 3, 1, 1, signed=True),
     Shape(1, 1, 0),
     Shape(160, 120, 3),
+    Shape(14, 54, 1, 1, planes=6),
+    Shape(12, 20, 0, 1, panoramic=True, planes=4),
+    Shape(50, 1, 0),
 ]
 
 
@@ -106,7 +114,7 @@ def test_search_noise_matches_exhaustive_search(s: Shape) -> None:
         check(images[:40], images[36:], s)
 
 
-@pytest.mark.parametrize('s', SHAPES[:6], ids=str)
+@pytest.mark.parametrize('s', [*SHAPES[:6], SHAPES[12]], ids=str)
 def test_search_near_ties_matches_exhaustive_search(s: Shape) -> None:
     """The templates are copies of one view, identical or different in a few pixels."""
     rng = np.random.default_rng(5)
@@ -143,9 +151,11 @@ def test_block_bound_never_exceeds_minimum_sad(
     seed: int, panoramic: bool, signed: bool
 ) -> None:
     rng = np.random.default_rng(seed)
+    planes = int(rng.integers(1, 4))
     s = Shape(
-        int(rng.integers(3, 40)), int(rng.integers(1, 13)), 1, panoramic=panoramic, signed=signed
-    )
+        int(rng.integers(3, 40)), planes * int(rng.integers(1, 13)), 1, panoramic=panoramic,
+        signed=signed, planes=planes,
+    )  # fmt: skip
     shape = (9, s.height, s.width)
     images = rng.choice([0, 1, 127, 128, 254, 255], shape).astype(np.uint8)
     memory = s.memory(images[:8])

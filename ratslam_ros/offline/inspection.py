@@ -1,0 +1,307 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Inspection of a recording before it is replayed without a configuration.
+
+The inspection sets what depends on the robot and its camera and can be read from the recording:
+the calibration of the rotation, the used part of the odometry messages, and the crop. What the
+nodes estimate while driving stays automatic. Results depend on the recording alone, never on the
+time that the inspection takes.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry
+from ratslam_ros.core.config import WHOLE, Config, LocalViewParameters, Value
+from ratslam_ros.core.vision.intensity import crop_window
+from ratslam_ros.event_inputs import odometry_from_event
+from ratslam_ros.offline.motion_calibration import calibrate_motion
+from ratslam_ros.recordings import (
+    ImageEvent,
+    OdometryEvent,
+    Recording,
+    Selection,
+    UndecodableImage,
+)
+
+Image = NDArray[np.uint8]
+
+MAX_DURATION_S = 600.0
+"""Duration of the inspected part. Odometry and camera are the same throughout a recording."""
+
+MAX_IMAGE_COUNT = 240
+"""Number of images that are decoded."""
+
+SMALL_WIDTH_PX = 320
+"""Images are shrunk by an integer factor, to at least this width."""
+
+MIN_IMAGE_COUNT = 20
+"""With fewer images, static borders cannot be told from a robot at rest."""
+
+GAP_S = 1.0
+"""Interval without a message that is reported. Drivers of 5 Hz or more leave a few of 0.5 s."""
+
+STATIC_RATIO = 0.15
+"""Rows and columns with a smaller fraction of the median deviation over time are static."""
+
+MAX_BORDER_RATIO = 0.4
+"""A larger static border at one side is part of the scene, such as a ceiling, and is kept."""
+
+MIN_BORDER_RATIO = 0.02
+"""Narrower borders have no effect on templates."""
+
+FLAT_STD = 6.0
+"""Standard deviation, in grey levels, below which a view has almost no structure: noise and
+compression cause 1 to 3, scenes 20 to 70."""
+
+EMPTY_M, EMPTY_RAD = 0.5, 0.5
+"""Movement by the pose from which a twist of zeros is empty, not that of a robot at rest."""
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """Configuration for a recording, and the reasons for it: motion, odometry, images."""
+
+    config: Config
+    lines: tuple[str, ...]
+
+
+def inspect(
+    recording: Recording, selection: Selection, config: Config, fixed: Collection[str] = (),
+    start_s: float = 0.0, duration_s: float | None = None,
+) -> Inspection:  # fmt: skip
+    """Choose parameters for a recording.
+
+    Args:
+        recording: the recording.
+        selection: its topics to use.
+        config: the initial parameters.
+        fixed: parameters, by full name, that keep their value.
+        start_s, duration_s: the part of the recording to use, in s, as for a replay.
+
+    Raises:
+        UnusableInput: nothing can be read.
+        UnusableParameter: a crop or window does not fit the images.
+    """
+    part_s = MAX_DURATION_S if duration_s is None else min(MAX_DURATION_S, duration_s)
+    found = _read(recording, selection, start_s, part_s)
+    odometry, odometry_line = _odometry(found, selection, config)
+    images, images_line = _images(found, config.local_view)
+    config = config.with_values(_allowed({**odometry, **images}, fixed))
+    motion = calibrate_motion(recording, selection, config, start_s, part_s)
+    config = config.with_values(_allowed(motion.settings, fixed))
+    kept = ' (not used: another value is set)' if {*motion.settings} & {*fixed} else ''
+    reasons = motion.reason + kept, odometry_line, images_line
+    names = 'rotation', 'odometry', 'images'
+    lines = tuple(f'{name}: {reason}' for name, reason in zip(names, reasons, strict=True))
+    return Inspection(config, lines)
+
+
+def _allowed(values: Mapping[str, Value], fixed: Collection[str]) -> dict[str, Value]:
+    return {name: value for name, value in values.items() if name not in fixed}
+
+
+@dataclass
+class _Found:
+    """What was read.
+
+    odometry: messages. image_ns: stamps of all images. shape: height and width of the first one.
+    images: some of the images, shrunk by ``factor``.
+    """
+
+    odometry: list[Odometry] = field(default_factory=list)
+    image_ns: list[int] = field(default_factory=list)
+    shape: tuple[int, ...] = ()
+    images: list[Image] = field(default_factory=list)
+
+    @property
+    def factor(self) -> int:
+        """Factor by which the images are shrunk."""
+        return max(1, self.shape[1] // SMALL_WIDTH_PX)
+
+    def add(self, image: Image) -> None:
+        """Add a decoded image, if it has the size of the first one."""
+        self.shape = self.shape or image.shape
+        if image.shape == self.shape:
+            size = image.shape[1] // self.factor, max(1, image.shape[0] // self.factor)
+            small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+            self.images.append(np.asarray(small, np.uint8))
+
+
+def _read(recording: Recording, selection: Selection, start_s: float, part_s: float) -> _Found:
+    found = _Found()
+    length_s = (recording.end_ns - recording.start_ns) * 1e-9 - start_s
+    step_ns = min(part_s, length_s) * 1e9 / MAX_IMAGE_COUNT
+    due_ns = -1.0
+    for event in recording.events(selection, start_s, part_s):
+        if isinstance(event, OdometryEvent):
+            found.odometry.append(odometry_from_event(event))
+        elif isinstance(event, ImageEvent):
+            found.image_ns.append(event.stamp_ns)
+            if event.log_ns >= due_ns:
+                due_ns = event.log_ns + step_ns
+                with contextlib.suppress(UndecodableImage):
+                    found.add(event.grey())
+    return found
+
+
+# Odometry
+
+
+def _odometry(
+    found: _Found, selection: Selection, config: Config
+) -> tuple[dict[str, Value], str]:
+    """Return the part of the odometry messages to use, and a description of them."""
+    if selection.odom_topic is None:
+        stamps = found.image_ns
+        return {}, f'estimated from the images; {_gaps(stamps, "image")}'
+    stamps = [message.stamp_ns for message in found.odometry]
+    source = config.pose_cells.odom_source
+    moved = {kind: _movement(found.odometry, kind) for kind in ('twist', 'pose')}
+    other = 'pose' if source == 'twist' else 'twist'
+    settings: dict[str, Value] = {}
+    why = ''
+    if _is_empty(moved[source], moved[other]):
+        sections = 'pose_cells', 'experience_map'
+        settings = {f'{section}.odom_source': other for section in sections}
+        why = f', because the {source} is empty'
+        source = other
+    distance_m, turn_rad = moved[source]
+    if not distance_m and not turn_rad:
+        moves = 'the robot never moves: choose another topic, or try --visual-odometry'
+    else:
+        moves = f'{distance_m:.0f} m and {np.degrees(turn_rad):.0f} deg of turns'
+    rate = f'{_rate_hz(stamps):.1f} Hz'
+    return settings, (
+        f'{source} of {selection.odom_topic}{why}, {rate}, {moves}; {_gaps(stamps, "message")}'
+    )
+
+
+def _movement(messages: list[Odometry], source: str) -> tuple[float, float]:
+    """Return the length of the path in m, and the sum of all turns in rad."""
+    motion_of = MotionFromOdometry(source)
+    motions = [
+        motion for message in messages
+        if motion_of.accepts(message) and (motion := motion_of.update(message)) is not None
+    ]  # fmt: skip
+    return (
+        sum(abs(motion.distance_m) for motion in motions),
+        sum(abs(motion.turn_rad) for motion in motions),
+    )
+
+
+def _is_empty(used: tuple[float, float], other: tuple[float, float]) -> bool:
+    """Return whether the used part of the messages is zero although the robot moves or turns."""
+    return (used[0] == 0.0 and other[0] > EMPTY_M) or (used[1] == 0.0 and other[1] > EMPTY_RAD)
+
+
+def _gaps(stamps_ns: list[int], what: str) -> str:
+    """Describe the longest interval between successive stamps."""
+    if len(stamps_ns) < 2:
+        return f'{len(stamps_ns)} {what}s'
+    steps_s = np.diff(np.array(stamps_ns, np.int64)).astype(np.float64) * 1e-9
+    longest = int(steps_s.argmax())
+    if steps_s[longest] < GAP_S:
+        return 'no gaps'
+    since_s = (stamps_ns[longest] - stamps_ns[0]) * 1e-9
+    count = int(np.sum(steps_s >= GAP_S))
+    return (
+        f'{count} gap{"s" if count > 1 else ""} of {GAP_S:g} s or more, the longest '
+        f'{steps_s[longest]:.1f} s at {since_s:.0f} s'
+    )
+
+
+def _rate_hz(stamps_ns: list[int]) -> float:
+    """Return the rate by the median interval, 0 if there is none."""
+    steps_ns = np.diff(np.array(stamps_ns, np.int64))
+    steps_ns = steps_ns[steps_ns > 0]
+    return 1e9 / float(np.median(steps_ns)) if len(steps_ns) else 0.0
+
+
+# Images
+
+
+def _images(
+    found: _Found, p: LocalViewParameters
+) -> tuple[dict[str, Value], str]:
+    """Return the crop, which holds at least a template, and a description of the images."""
+    if not found.images:
+        return {}, 'none can be decoded' if found.image_ns else 'recorded templates are used'
+    height, width = found.shape
+    crop_window(np.zeros(found.shape, np.uint8), p)  # Raises if a given crop does not fit.
+    small = static_borders(found.images)
+    flat = _flat_share(found.images, small)
+    left, right, top, bottom = (border * found.factor for border in small)
+    # Rows and columns beyond the last whole pixel of the shrunk images belong to the scene.
+    right = right if right // found.factor < found.images[0].shape[1] else width
+    bottom = bottom if bottom // found.factor < found.images[0].shape[0] else height
+    if right - left < p.template_x_size:
+        left, right = 0, width
+    if bottom - top < p.template_y_size:
+        top, bottom = 0, height
+    settings: dict[str, Value] = {}
+    if left or right < width:
+        for prefix in ('local_view.image_crop', 'visual_odometry.vtrans_image',
+                       'visual_odometry.vrot_image'):
+            settings[f'{prefix}_x_min'] = left
+            settings[f'{prefix}_x_max'] = right if right < width else WHOLE
+    if top or bottom < height:
+        settings['local_view.image_crop_y_min'] = top
+        settings['local_view.image_crop_y_max'] = bottom if bottom < height else WHOLE
+    crop = f'crop x {left} to {right}, y {top} to {bottom}: the rest never changes'
+    texture = f'{flat:.0%} of the views have almost no structure' if flat else 'all have structure'
+    return settings, (
+        f'{width}x{height} at {_rate_hz(found.image_ns):.1f} Hz, {texture}; '
+        f'{crop if settings else "no static borders, no crop"}'
+    )
+
+
+def static_borders(images: Sequence[Image]) -> tuple[int, int, int, int]:
+    """Return the window (left, right, top, bottom) without the borders that never change.
+
+    Such borders are black masks, the robot itself, or captions.
+
+    Args:
+        images: n images of (H, W) uint8, from all over the recording.
+    """
+    height, width = images[0].shape
+    if len(images) < MIN_IMAGE_COUNT:
+        return 0, width, 0, height
+    total, squares = np.zeros((2, height, width))
+    for image in images:
+        total += image
+        squares += np.square(image, dtype=np.float64)
+    deviation = np.sqrt(np.maximum(squares / len(images) - (total / len(images)) ** 2, 0.0))
+    return (
+        *_changing(np.median(deviation, axis=0)),
+        *_changing(np.median(deviation, axis=1)),
+    )
+
+
+def _changing(deviation: NDArray[np.float64]) -> tuple[int, int]:
+    """Return first and last + 1 index of a profile without its static ends."""
+    count = len(deviation)
+    changing = np.flatnonzero(deviation > STATIC_RATIO * np.median(deviation))
+    if not len(changing):
+        return 0, count
+    first, last = int(changing[0]), int(changing[-1]) + 1
+    ends = (MIN_BORDER_RATIO * count, MAX_BORDER_RATIO * count)
+    return (
+        first if ends[0] <= first <= ends[1] else 0,
+        last if ends[0] <= count - last <= ends[1] else count,
+    )
+
+
+def _flat_share(images: Sequence[Image], window: tuple[int, int, int, int]) -> float:
+    """Return the share of views with almost no structure in the window."""
+    left, right, top, bottom = window
+    parts = [image[top:bottom, left:right] for image in images]
+    reduced = [cv2.resize(part, (64, 32), interpolation=cv2.INTER_AREA) for part in parts]
+    return float(np.mean([image.std() < FLAT_STD for image in reduced]))

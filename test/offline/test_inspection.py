@@ -1,0 +1,189 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The inspection of a recording: what it chooses, and that it changes nothing else."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import (
+    IMAGE_TOPIC,
+    ODOM_TOPIC,
+    PERIOD_NS,
+    START_NS,
+    Recorded,
+    image_message,
+    odometry_message,
+    picture,
+    write_bag,
+)
+from numpy.typing import NDArray
+
+from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.config import Config
+from ratslam_ros.offline import inspection as module
+from ratslam_ros.offline.inspection import Inspection, inspect, static_borders
+from ratslam_ros.offline.motion_calibration import MotionCalibration
+from ratslam_ros.recordings import open_recording
+
+COUNT = 60
+HEIGHT, WIDTH = 48, 64
+
+
+@pytest.fixture(autouse=True)
+def calibration(monkeypatch: pytest.MonkeyPatch) -> MotionCalibration:
+    """Replace the calibration of the motion, which has tests of its own."""
+    found = MotionCalibration(
+        'loops', 'field of view 80 deg', 5, {'visual_odometry.camera_fov_deg': 80.0}
+    )
+    monkeypatch.setattr(module, 'calibrate_motion', lambda *arguments: found)
+    return found
+
+
+def drive(
+    speed: float = 1.0, moves: bool = True, left_out: range = range(0), left: int = 0,
+    right: int = 0, bottom: int = 0, flat: float = 0.0,
+) -> Iterator[Recorded]:  # fmt: skip
+    """Yield a circle.
+
+    Args:
+        speed: speed in the twist, in m/s.
+        moves: whether the pose moves.
+        left_out: numbers of the odometry messages that are missing.
+        left, right, bottom: width of the static borders in px.
+        flat: share of images of a single grey level.
+    """
+    for i in range(COUNT):
+        stamp_ns = START_NS + i * PERIOD_NS
+        angle = i / COUNT * 2.0 * math.pi
+        pose = Pose(2.0 * math.sin(angle), 2.0 - 2.0 * math.cos(angle), angle)
+        turn_rate = 0.5 if speed else 0.0
+        if i not in left_out:
+            still = Pose(0.0, 0.0, 0.0)
+            message = odometry_message(stamp_ns, speed, turn_rate, pose if moves else still)
+            yield stamp_ns, ODOM_TOPIC, 'odometry', message
+        image = picture(i, HEIGHT, WIDTH)
+        if i < flat * COUNT:
+            image[:] = i
+        image[HEIGHT - bottom :] = 60
+        image[:, :left] = 10
+        image[:, WIDTH - right :] = 20
+        yield stamp_ns + 1_000_000, IMAGE_TOPIC, 'image', image_message(stamp_ns, image)
+
+
+SMALL = Config().with_values({'local_view.template_x_size': 16})
+
+
+def inspected(folder: Path, *fixed: str, config: Config = SMALL, **world: Any) -> Inspection:
+    with open_recording(write_bag(folder / 'bag', drive(**world))) as recording:
+        return inspect(recording, recording.select(), config, fixed)
+
+
+def changes(config: Config) -> dict[str, Any]:
+    """Return the parameters that differ from the defaults."""
+    default = SMALL.values()
+    return {
+        f'{section}.{name}': value
+        for section, values in config.values().items()
+        for name, value in values.items() if value != default[section][name]
+    }  # fmt: skip
+
+
+def test_complete_recording_changes_only_calibration(tmp_path: Path) -> None:
+    found = inspected(tmp_path)
+    assert changes(found.config) == {'visual_odometry.camera_fov_deg': 80.0}
+    rotation, odometry, images = found.lines
+    assert rotation == 'rotation: field of view 80 deg'
+    assert all(part in odometry for part in ('twist of /odom', '10.0 Hz', '6 m', 'no gaps'))
+    assert all(part in images for part in ('64x48', '10.0 Hz', 'all have structure', 'no crop'))
+
+
+def test_empty_twist_selects_the_pose(tmp_path: Path) -> None:
+    found = inspected(tmp_path, speed=0.0)
+    assert found.config.pose_cells.odom_source == 'pose'
+    assert found.config.experience_map.odom_source == 'pose'
+    assert 'pose of /odom, because the twist is empty' in found.lines[1]
+
+
+def test_empty_pose_selects_the_twist(tmp_path: Path) -> None:
+    from_pose = Config().with_values(
+        {'pose_cells.odom_source': 'pose', 'experience_map.odom_source': 'pose'}
+    )
+    found = inspected(tmp_path, moves=False, config=from_pose)
+    assert found.config.pose_cells.odom_source == 'twist'
+
+
+def test_robot_at_rest_is_reported(tmp_path: Path) -> None:
+    found = inspected(tmp_path, speed=0.0, moves=False)
+    assert found.config.pose_cells.odom_source == 'twist'
+    assert 'never moves' in found.lines[1]
+
+
+def test_gaps_of_odometry_are_reported(tmp_path: Path) -> None:
+    line = inspected(tmp_path, left_out=range(20, 45)).lines[1]
+    assert '1 gap of 1 s or more, the longest 2.6 s at 2 s' in line
+
+
+def test_static_borders_are_cropped(tmp_path: Path) -> None:
+    found = inspected(tmp_path, left=6, bottom=10)
+    window = {'_x_min': 6, '_x_max': -1, '_y_min': 0, '_y_max': 38}
+    values = found.config.values()
+    for suffix, value in window.items():
+        assert values['local_view'][f'image_crop{suffix}'] == value
+    for name in ('vrot_image', 'vtrans_image'):
+        assert values['visual_odometry'][f'{name}_x_min'] == 6
+        assert values['visual_odometry'][f'{name}_y_max'] == -1
+    assert 'crop x 6 to 64, y 0 to 38' in found.lines[2]
+
+
+def test_crop_holds_a_template(tmp_path: Path) -> None:
+    config = Config().with_values({'local_view.template_x_size': 60})
+    assert config == inspected(tmp_path, left=6, config=config).config.with_values(
+        {'visual_odometry.camera_fov_deg': config.visual_odometry.camera_fov_deg}
+    )
+
+
+def test_borders_of_large_images_are_in_their_pixels(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, 'SMALL_WIDTH_PX', 32)
+    assert inspected(tmp_path, right=6).config.local_view.image_crop_x_max == 58
+
+
+def test_set_values_are_kept(tmp_path: Path) -> None:
+    name = 'visual_odometry.camera_fov_deg'
+    config = Config().with_values({name: 70.0})
+    found = inspected(tmp_path, name, config=config)
+    assert found.config == config
+    assert 'not used' in found.lines[0]
+
+
+def test_views_without_structure_are_counted(tmp_path: Path) -> None:
+    assert '25% of the views' in inspected(tmp_path, flat=0.25).lines[2]
+
+
+def frames(deviation: NDArray[np.float64], count: int = 40) -> list[NDArray[np.uint8]]:
+    """Return images whose columns have given deviations over time."""
+    rng = np.random.default_rng(1)
+    noise = rng.normal(size=(count, 20, len(deviation)))
+    return list((128.0 + deviation * noise).clip(0, 255).astype(np.uint8))
+
+
+def test_broad_static_part_is_kept() -> None:
+    deviation = np.full(100, 30.0)
+    deviation[:45] = 0.0
+    assert static_borders(frames(deviation)) == (0, 100, 0, 20)
+    deviation[5:] = 30.0
+    assert static_borders(frames(deviation)) == (5, 100, 0, 20)
+
+
+def test_few_images_or_a_robot_at_rest_give_no_crop() -> None:
+    deviation = np.full(100, 30.0)
+    deviation[:10] = 0.0
+    assert static_borders(frames(deviation, 10)) == (0, 100, 0, 20)
+    assert static_borders(frames(np.zeros(100))) == (0, 100, 0, 20)
