@@ -197,6 +197,8 @@ class Setup:
 
     config: Config
     look_ahead: bool
+    fixed: tuple[str, ...] = ()
+    """Parameters that the inspection keeps."""
 
     def replay(self, path: Path, out: Path, **values: float) -> dict[str, Any]:
         """Replay a recording as without a configuration; return the content of summary.json.
@@ -211,7 +213,7 @@ class Setup:
         with open_recording(path) as recording:
             selection = recording.select()
             if self.look_ahead:
-                inspection = inspect(recording, selection, config, given)
+                inspection = inspect(recording, selection, config, (*self.fixed, *given))
                 config = inspection.config
                 for line in inspection.lines if not given else ():
                     print(f'{path.name:16} {line}')
@@ -341,8 +343,9 @@ def main() -> None:
                              f'(default: {TOLERANCE_FRAMES})')
     options = parser.parse_args()
     config, _ = load_config(options.config)
-    config = config.with_values(dict(map(parse_setting, options.set)))
-    setup = Setup(config, options.config is None and not options.no_inspect)
+    values = dict(map(parse_setting, options.set))
+    look_ahead = options.config is None and not options.no_inspect
+    setup = Setup(config.with_values(values), look_ahead, tuple(values))
     warm_up()
     shown: list[Row] = []
     for name, folder, compute in all_rows(options, setup):

@@ -68,7 +68,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.config import LocalViewParameters
-from ratslam_ros.core.vision.intensity import make_view
 from ratslam_ros.core.vision.local_view import LocalView
 from ratslam_ros.descriptors import encoder_of
 from ratslam_ros.errors import UnusableParameter
@@ -170,16 +169,22 @@ def lap_recognition(
 def best_matches(
     references: Iterable[Image], queries: Iterable[Image], parameters: LocalViewParameters
 ) -> list[int]:
-    """Return the index of the most similar reference for each query."""
+    """Return the index of the most similar reference for each query.
+
+    It is -1 for a query with too little structure to be compared.
+    """
     local_view = LocalView(parameters)
-    for image in references:
-        local_view.learn(make_view(image, parameters))
+    learned = []
+    for index, image in enumerate(references):
+        view = local_view.encode(image)
+        if view is not None:
+            local_view.learn(view)
+            learned.append(index)
     best = []
     for image in queries:
-        match = local_view.best_match(make_view(image, parameters))
-        if match is None:
-            raise ValueError('there are no references')
-        best.append(match[0])
+        view = local_view.encode(image)
+        match = None if view is None else local_view.best_match(view)
+        best.append(-1 if match is None else learned[match[0]])
     return best
 
 
@@ -196,7 +201,7 @@ def circuit_top_1(folder: Path, parameters: LocalViewParameters, tolerance: int 
     images = list(images_in(folder))
     best = np.array(best_matches(images[:CIRCUIT_IMAGES], images[CIRCUIT_IMAGES:], parameters))
     apart = np.abs(best - np.arange(len(best))) % CIRCUIT_IMAGES
-    return float(np.mean(np.minimum(apart, CIRCUIT_IMAGES - apart) <= tolerance))
+    return float(np.mean((best >= 0) & (np.minimum(apart, CIRCUIT_IMAGES - apart) <= tolerance)))
 
 
 def images_in(folder: Path) -> Iterator[Image]:

@@ -39,7 +39,10 @@ CORE_LAYERS = [
 ]
 LAYERS = [
     ['errors'],
-    ['compilation', 'images', 'timing', 'quick_start', 'signals', 'console', 'standalone'],
+    [
+        'compilation', 'images', 'timing', 'quick_start', 'signals', 'console', 'standalone',
+        'starting',
+    ],
     ['core', 'recordings'],
     ['messages', 'files', 'event_inputs', 'descriptors'],
     ['results'],

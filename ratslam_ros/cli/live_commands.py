@@ -70,7 +70,8 @@ def add_live(commands: Commands) -> None:
     play.add_argument('--visual-odometry', action='store_true',
                       help='publish no odometry, even if it is recorded')
     play.add_argument('--wait', type=float, default=10.0, metavar='S',
-                      help='time to wait for subscribers at the start (default: 10)')
+                      help='time to wait for subscribers; nodes that are starting on this machine '
+                           'are awaited first (default: 10)')
     play.add_argument('--quiet', action='store_true', help='no progress bar, no summary')
     add_ros_args(play)
     play.set_defaults(run=_play)

@@ -27,6 +27,18 @@ NO_ANSWER = 1
 class Parser(argparse.ArgumentParser):
     """Argument parser that reports wrong use in one line."""
 
+    def parse_known_args(  # type: ignore[no-untyped-def]
+        self, args=None, namespace=None
+    ):
+        """Parse arguments; report unknown ones here, because only this parser has their command.
+
+        Argparse would leave those of a command to the parser of all commands.
+        """
+        namespace, unknown = super().parse_known_args(args, namespace)
+        if unknown:
+            self.error(f'unrecognized arguments: {" ".join(unknown)}')
+        return namespace, unknown
+
     def error(self, message: str) -> NoReturn:
         """Raise UnusableInput with a pointer to the help text."""
         raise UnusableInput(f'{message}; see {self.prog} --help')

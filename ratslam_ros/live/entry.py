@@ -10,6 +10,7 @@ from importlib.util import find_spec
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.live.run import load, require_packages
 from ratslam_ros.quick_start import quick_start
+from ratslam_ros.starting import announced
 
 
 def _main(node: str) -> int:
@@ -21,7 +22,7 @@ def _main(node: str) -> int:
         )
         return 2
     try:
-        with quick_start():
+        with quick_start(), announced(node):
             require_packages(node)
             return int(load(node).main())
     except UnusableInput as error:

@@ -20,7 +20,7 @@ from std_msgs.msg import String
 
 from ratslam_ros.console import ProgressBar, print_notice
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.live import graph, ros
+from ratslam_ros.live import ros
 from ratslam_ros.live.action_wait import ACTION, ACTION_TIMEOUT_S, POLL_S, ActionWait
 from ratslam_ros.live.clock import ClockThread
 from ratslam_ros.live.messages import camera_info, message_of
@@ -38,6 +38,7 @@ from ratslam_ros.recordings.topics import (
     TABLE,
     VIDEO,
 )
+from ratslam_ros.starting import starting
 
 ODOM, SCAN, TEMPLATE = 'odom', 'scan', 'local_view/template'
 CAMERA_INFO = 'camera_info'
@@ -72,6 +73,9 @@ SETTLE_S = 0.3
 SILENT_WAIT_S = 1.0
 """Time of waiting for subscribers without a notice."""
 
+START_TIMEOUT_S = 180.0
+"""Longest time to wait for nodes that are starting on this machine."""
+
 SEND_TIMEOUT_S = 30.0
 ACKNOWLEDGE_TIMEOUT_S = 10.0
 
@@ -83,7 +87,8 @@ class PlayOptions:
     rate: playback speed relative to real time; 0: as fast as possible. clock: publish /clock.
     loop: repeat until interrupted. lockstep: wait for the action of each image. start_s: skipped
     seconds at the start. duration_s: limit on the duration, None for the rest. wait_s: time to
-    wait for subscribers. progress: show a progress bar.
+    wait for subscribers after the nodes that are starting on this machine. progress: show a
+    progress bar.
     """
 
     rate: float = 1.0
@@ -171,10 +176,7 @@ class _Player:
         """
         if self._options.wait_s == 0.0:
             return
-        end_s = time.monotonic() + self._options.wait_s
-        if not graph.until(lambda: not self._missing(), min(SILENT_WAIT_S, self._options.wait_s)):
-            print_notice(f'waiting for {", ".join(self._missing())}')
-            graph.until(lambda: not self._missing(), end_s - time.monotonic())
+        self._wait()
         missing = self._missing()
         if missing and not any(map(_subscriber_count, self._publishers.values())):
             raise UnusableInput(
@@ -191,6 +193,25 @@ class _Player:
         if missing:
             print_notice(f'warning: going on without {", ".join(missing)}')
         time.sleep(SETTLE_S)
+
+    def _wait(self) -> None:
+        """Wait for missing connections, and as long as nodes start on this machine."""
+        start_s = time.monotonic()
+        end_s = start_s + self._options.wait_s
+        shown: list[str] | None = None
+        while True:
+            names, now_s = starting(), time.monotonic()
+            if names:
+                end_s = min(now_s + self._options.wait_s, start_s + START_TIMEOUT_S)
+            missing = self._missing()
+            if now_s >= end_s or not (names or missing):
+                return
+            if names != shown and now_s - start_s >= SILENT_WAIT_S:
+                nodes = [f'{name} to start' for name in names]
+                slow = ' (a first start compiles for about half a minute)' if names else ''
+                print_notice(f'waiting for {", ".join(nodes or missing)}{slow}')
+                shown = names
+            time.sleep(POLL_S)
 
     def run(self) -> None:
         """Publish the recording, repeatedly with the option loop."""

@@ -13,6 +13,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.logging import get_logger
 from rclpy.signals import SignalHandlerOptions
 
+from ratslam_ros import starting
 from ratslam_ros.compilation import announced_compilation
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.errors import RatslamError
@@ -60,6 +61,7 @@ def run(*kinds: type[Any], args: list[str] | None = None) -> int:
             for node in nodes:
                 executor.add_node(node)
             settle()
+            starting.ready()
             for node in nodes:
                 node.get_logger().info('ready')
             for part in {part for node in nodes for part in node.parts}:

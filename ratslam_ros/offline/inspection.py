@@ -20,7 +20,9 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry
 from ratslam_ros.core.config import WHOLE, Config, LocalViewParameters, Value
+from ratslam_ros.core.vision.image_window import Window
 from ratslam_ros.core.vision.intensity import crop_window
+from ratslam_ros.core.vision.structure import structure
 from ratslam_ros.event_inputs import odometry_from_event
 from ratslam_ros.offline.motion_calibration import calibrate_motion
 from ratslam_ros.recordings import (
@@ -45,8 +47,8 @@ SMALL_WIDTH_PX = 320
 MIN_IMAGE_COUNT = 20
 """With fewer images, static borders cannot be told from a robot at rest."""
 
-GAP_S = 1.0
-"""Interval without a message that is reported. Drivers of 5 Hz or more leave a few of 0.5 s."""
+GAP_S = 2.0
+"""Interval without a message that is reported, unless `max_odom_gap_s` is shorter."""
 
 STATIC_RATIO = 0.15
 """Rows and columns with a smaller fraction of the median deviation over time are static."""
@@ -56,10 +58,6 @@ MAX_BORDER_RATIO = 0.4
 
 MIN_BORDER_RATIO = 0.02
 """Narrower borders have no effect on templates."""
-
-FLAT_STD = 6.0
-"""Standard deviation, in grey levels, below which a view has almost no structure: noise and
-compression cause 1 to 3, scenes 20 to 70."""
 
 EMPTY_M, EMPTY_RAD = 0.5, 0.5
 """Movement by the pose from which a twist of zeros is empty, not that of a robot at rest."""
@@ -159,9 +157,10 @@ def _odometry(
     found: _Found, selection: Selection, config: Config
 ) -> tuple[dict[str, Value], str]:
     """Return the part of the odometry messages to use, and a description of them."""
+    gap_s = min(config.pose_cells.max_odom_gap_s, GAP_S)
     if selection.odom_topic is None:
         stamps = found.image_ns
-        return {}, f'estimated from the images; {_gaps(stamps, "image")}'
+        return {}, f'estimated from the images; {_gaps(stamps, "image", gap_s)}'
     stamps = [message.stamp_ns for message in found.odometry]
     source = config.pose_cells.odom_source
     moved = {kind: _movement(found.odometry, kind) for kind in ('twist', 'pose')}
@@ -180,7 +179,8 @@ def _odometry(
         moves = f'{distance_m:.0f} m and {np.degrees(turn_rad):.0f} deg of turns'
     rate = f'{_rate_hz(stamps):.1f} Hz'
     return settings, (
-        f'{source} of {selection.odom_topic}{why}, {rate}, {moves}; {_gaps(stamps, "message")}'
+        f'{source} of {selection.odom_topic}{why}, {rate}, {moves}; '
+        f'{_gaps(stamps, "message", gap_s)}'
     )
 
 
@@ -202,18 +202,18 @@ def _is_empty(used: tuple[float, float], other: tuple[float, float]) -> bool:
     return (used[0] == 0.0 and other[0] > EMPTY_M) or (used[1] == 0.0 and other[1] > EMPTY_RAD)
 
 
-def _gaps(stamps_ns: list[int], what: str) -> str:
+def _gaps(stamps_ns: list[int], what: str, least_s: float) -> str:
     """Describe the longest interval between successive stamps."""
     if len(stamps_ns) < 2:
         return f'{len(stamps_ns)} {what}s'
     steps_s = np.diff(np.array(stamps_ns, np.int64)).astype(np.float64) * 1e-9
     longest = int(steps_s.argmax())
-    if steps_s[longest] < GAP_S:
+    if steps_s[longest] <= least_s:
         return 'no gaps'
     since_s = (stamps_ns[longest] - stamps_ns[0]) * 1e-9
-    count = int(np.sum(steps_s >= GAP_S))
+    count = int(np.sum(steps_s > least_s))
     return (
-        f'{count} gap{"s" if count > 1 else ""} of {GAP_S:g} s or more, the longest '
+        f'{count} gap{"s" if count > 1 else ""} of more than {least_s:g} s, the longest '
         f'{steps_s[longest]:.1f} s at {since_s:.0f} s'
     )
 
@@ -237,7 +237,8 @@ def _images(
     height, width = found.shape
     crop_window(np.zeros(found.shape, np.uint8), p)  # Raises if a given crop does not fit.
     small = static_borders(found.images)
-    flat = _flat_share(found.images, small)
+    least, window = p.vt_min_structure, Window(*small)
+    flat = sum(structure(image, window) < least for image in found.images) / len(found.images)
     left, right, top, bottom = (border * found.factor for border in small)
     # Rows and columns beyond the last whole pixel of the shrunk images belong to the scene.
     right = right if right // found.factor < found.images[0].shape[1] else width
@@ -256,9 +257,9 @@ def _images(
         settings['local_view.image_crop_y_min'] = top
         settings['local_view.image_crop_y_max'] = bottom if bottom < height else WHOLE
     crop = f'crop x {left} to {right}, y {top} to {bottom}: the rest never changes'
-    texture = f'{flat:.0%} of the views have almost no structure' if flat else 'all have structure'
+    flat_text = f'{flat:.0%} of the views have too little structure' if flat else 'all are usable'
     return settings, (
-        f'{width}x{height} at {_rate_hz(found.image_ns):.1f} Hz, {texture}; '
+        f'{width}x{height} at {_rate_hz(found.image_ns):.1f} Hz, {flat_text}; '
         f'{crop if settings else "no static borders, no crop"}'
     )
 
@@ -297,11 +298,3 @@ def _changing(deviation: NDArray[np.float64]) -> tuple[int, int]:
         first if ends[0] <= first <= ends[1] else 0,
         last if ends[0] <= count - last <= ends[1] else count,
     )
-
-
-def _flat_share(images: Sequence[Image], window: tuple[int, int, int, int]) -> float:
-    """Return the share of views with almost no structure in the window."""
-    left, right, top, bottom = window
-    parts = [image[top:bottom, left:right] for image in images]
-    reduced = [cv2.resize(part, (64, 32), interpolation=cv2.INTER_AREA) for part in parts]
-    return float(np.mean([image.std() < FLAT_STD for image in reduced]))

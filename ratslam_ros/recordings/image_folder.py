@@ -41,6 +41,10 @@ IMAGE_SUFFIXES = frozenset(
     }
 )
 IMAGES_TOPIC, ODOMETRY_TOPIC = 'images', 'odometry'
+GENERIC_NAMES = frozenset(
+    {'images', 'image', 'imgs', 'img', 'frames', 'rgb', 'color', 'colour', 'grey', 'data'}
+)
+"""Names of folders and tables that do not name a recording; that of a folder above is used."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,6 +107,9 @@ class ImageFolder(Recording):
             UnusableInput: the table, the rate or the folder cannot be used.
         """
         super().__init__(path)
+        above = [parent.name for parent in path.resolve().parents if parent.name]
+        names = [name for name in (self.name, *above) if name.lower() not in GENERIC_NAMES]
+        self.name = names[0] if names else self.name
         folder = path if path.is_dir() else path.parent
         table = find_table(path) if path.is_dir() else path
         if table is not None:

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.pose import Pose
@@ -42,6 +43,10 @@ MAX_TURN_ERROR_DEG = 30.0
 """Largest median deviation of a turn of 360 degrees around loops: three cells of heading. A gyro
 and uncalibrated wheels drift by less than 25 degrees within a lap."""
 
+OTHER_PLACE_DEG, CONFUSED_SHARE = 60.0, 0.15
+"""Deviation of a turn from which a return must be to another place, and the share of such returns
+that is reported. Drift alone exceeds it in less than a twentieth of the returns."""
+
 MIN_TEMPLATE_COUNT = 50
 """Number of templates, or of frames in motion, below which nothing can be said about them."""
 
@@ -61,7 +66,8 @@ FLAT_SHARE = 0.1
 """Share of views with too little structure for a template that is reported."""
 
 GAP_S = 2.0
-"""Interval between odometry messages that is reported; drivers of 1 Hz or more stay below."""
+"""Interval between odometry messages that is reported, unless `max_odom_gap_s` is shorter; drivers
+of 1 Hz or more stay below."""
 
 
 class _Visit:
@@ -123,13 +129,11 @@ class Observations:
         return max(self._driven_of.values(), default=0) / max(self.driven_frames, 1)
 
     @property
-    def turn_error_deg(self) -> float:
-        """Median deviation from 360 degrees for each turn of a loop, 0 without loops."""
-        if not len(self.loop_turns_rad):
-            return 0.0
+    def turn_errors_deg(self) -> NDArray[np.float64]:
+        """Deviation from 360 degrees for each turn, of each loop."""
         turns_deg = np.abs(np.degrees(np.array(self.loop_turns_rad)))
         count = np.round(turns_deg / 360.0)
-        return float(np.median(np.abs(turns_deg - 360.0 * count) / np.maximum(count, 1.0)))
+        return np.asarray(np.abs(turns_deg - 360.0 * count) / np.maximum(count, 1.0))
 
     @property
     def turn_deg(self) -> float:
@@ -220,7 +224,8 @@ def advise(seen: Observations, summary: Mapping[str, Any], source: Source) -> li
 
 def _gaps(seen: Observations, summary: Mapping[str, Any], source: Source) -> str:
     parts = summary.get('components')
-    if seen.gap_s < GAP_S or parts == 1:
+    limit_s = min(source.config.pose_cells.max_odom_gap_s, GAP_S)
+    if seen.gap_s <= limit_s or parts == 1:
         return ''  # No gap, or a place seen before and after it joined the map.
     effect = f', the map has {parts} parts' if parts else ', the map is wrong if the robot moved'
     after_s = seen.gap_at_s + seen.gap_s
@@ -233,9 +238,18 @@ def _gaps(seen: Observations, summary: Mapping[str, Any], source: Source) -> str
 
 
 def _rotation(seen: Observations, source: Source) -> str:
-    count = len(seen.loop_turns_rad)
-    if count < MIN_LOOP_COUNT or seen.turn_error_deg <= MAX_TURN_ERROR_DEG:
+    errors_deg = seen.turn_errors_deg
+    count = len(errors_deg)
+    if count < MIN_LOOP_COUNT:
         return ''
+    if np.median(errors_deg) <= MAX_TURN_ERROR_DEG:
+        confused = float(np.mean(errors_deg > OTHER_PLACE_DEG))
+        if confused <= CONFUSED_SHARE:
+            return ''
+        return (
+            f'{confused:.0%} of the returns to a known place contradict the turns since the last '
+            f'visit: different places are confused: {source.tune()}'
+        )
     turns = max(1, round(seen.turn_deg / 360.0))
     gain = 360.0 * turns / seen.turn_deg
     found = (

@@ -24,10 +24,11 @@ from ratslam_ros.recordings.bag import BagRecording
 from ratslam_ros.results.writer import Results
 
 REPOSITORY = Path(__file__).parents[2]
-SMALL = [
+SIZES = [
     '--set', 'local_view.template_x_size=16', '--set', 'local_view.template_y_size=8',
     '--set', 'local_view.vt_shift_match=2', '--set', 'pose_cells.pc_cell_x_size=0.5',
 ]  # fmt: skip
+SMALL = ['--config', 'default', *SIZES]
 WRITTEN = [
     'config.yaml', 'dead_reckoning.tum', 'frames.csv', 'map.json', 'map.png', 'matches.png',
     'summary.json', 'trajectory.tum', 'trajectory_final.tum',
@@ -63,6 +64,14 @@ def results(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.parametrize('quiet', [['--quiet'], []])
+def test_inspection_reports_wrong_crop_in_one_line(
+    bag: Path, here: Path, capfd: pytest.CaptureFixture[str], quiet: list[str]
+) -> None:
+    extra = ['--set', 'local_view.image_crop_x_max=1000', *quiet]
+    assert 'local_view.image_crop' in refusal(['replay', str(bag), *SIZES, *extra], capfd)
+
+
 def test_replay_without_configuration_is_inspected(
     bag: Path, here: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -70,7 +79,7 @@ def test_replay_without_configuration_is_inspected(
     for arguments, count in (
         ([], 3), (['--no-inspect'], 0), (['--config', 'auto'], 0), (['--quiet'], 0)
     ):  # fmt: skip
-        assert main(['replay', str(bag), *SMALL, *extra, *arguments, '--out', 'out']) == 0
+        assert main(['replay', str(bag), *SIZES, *extra, *arguments, '--out', 'out']) == 0
         lines = capfd.readouterr().err.splitlines()
         starts = tuple(f'{word}: ' for word in ('rotation', 'odometry', 'images'))
         assert sum(line.startswith(starts) for line in lines) == count
@@ -92,7 +101,7 @@ def test_replay_writes_all_files(results: Path) -> None:
     assert header == 'stamp_ns,template_id,is_new,match_error,relative_rad,experience_id'
     assert list(json.loads((results / 'summary.json').read_text())) == [
         'frames', 'odometry', 'templates', 'experiences', 'links', 'loop_closures', 'dropped',
-        'late', 'refused', 'duration_s', 'wall_s', 'times_realtime', 'step_ms',
+        'low_texture', 'late', 'refused', 'duration_s', 'wall_s', 'times_realtime', 'step_ms',
     ]  # fmt: skip
     for picture in ('map.png', 'matches.png'):
         assert (results / picture).read_bytes().startswith(b'\x89PNG')
@@ -190,6 +199,15 @@ def test_crop_outside_image_is_reported_in_one_line(
     line = refusal(['replay', str(bag), *SMALL, '--set', setting, '--out', 'out', *quiet], capfd)
     assert 'local_view.image_crop' in line
     assert '32 x 24 px' in line
+
+
+@pytest.mark.parametrize('command', ['replay', 'tune', 'info', 'play'])
+def test_unknown_option_names_help_of_its_command(
+    here: Path, capfd: pytest.CaptureFixture[str], command: str
+) -> None:
+    line = refusal([command, 'a_bag', '--no-such-option', '5'], capfd)
+    assert '--no-such-option 5; see ratslam' in line
+    assert line.endswith(f'ratslam {command} --help')
 
 
 def test_missing_recording_is_reported_in_one_line(
@@ -299,7 +317,7 @@ def test_interrupted_replay_writes_results_and_returns_130(
             yield event
 
     monkeypatch.setattr(BagRecording, 'events', interrupted)
-    assert main(['replay', str(bag), *SMALL, '--no-inspect', '--out', 'out', '--quiet']) == 130
+    assert main(['replay', str(bag), *SMALL, '--out', 'out', '--quiet']) == 130
     assert 'the results so far are in out' in capfd.readouterr().err
     assert json.loads((here / 'out' / 'map.json').read_text())['experiences']
     frames = json.loads((here / 'out' / 'summary.json').read_text())['frames']
@@ -315,7 +333,7 @@ def test_interrupt_before_first_message_returns_130(
         yield
 
     monkeypatch.setattr(BagRecording, 'events', interrupted)
-    assert main(['replay', str(bag), *SMALL, '--no-inspect', '--out', 'out', '--quiet']) == 130
+    assert main(['replay', str(bag), *SMALL, '--out', 'out', '--quiet']) == 130
     assert 'Traceback' not in capfd.readouterr().err
 
 
@@ -329,7 +347,7 @@ def test_interrupt_before_first_result_keeps_earlier_results(
         yield
 
     monkeypatch.setattr(BagRecording, 'events', interrupted)
-    assert main(['replay', str(bag), *SMALL, '--no-inspect', '--out', 'out', '--quiet']) == 130
+    assert main(['replay', str(bag), *SMALL, '--out', 'out', '--quiet']) == 130
     for name in WRITTEN:
         assert (here / 'out' / name).read_bytes() == (results / name).read_bytes(), name
 

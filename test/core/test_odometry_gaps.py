@@ -4,110 +4,27 @@
 
 from __future__ import annotations
 
+import json
 import math
 import random
-from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from gap_drives import GAP_NS, LAP_STEPS, PERIOD_NS, STEP_M, Drive, config, true_pose
 from helpers import START_NS, seen, twist
 
-from ratslam_ros.core.common.angles import wrap
-from ratslam_ros.core.common.pose import Pose, composed, inverse
-from ratslam_ros.core.config import Config
-from ratslam_ros.core.ratslam import OdometryStep, RatSLAM, Step, ViewStep
+from ratslam_ros.core.common.odometry import Motion, MotionFromOdometry
+from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.mapping.late_join import LateJoin
+from ratslam_ros.core.navigation.goal_tree import GoalTree
+from ratslam_ros.core.navigation.route_planner import RoutePlanner
+from ratslam_ros.core.pose_cells.map_action import MapAction
+from ratslam_ros.core.pose_cells.pose_cells import PoseCells
+from ratslam_ros.core.pose_cells.torus import Place
+from ratslam_ros.core.ratslam import RatSLAM, ViewStep
+from ratslam_ros.errors import UnreachableGoal
 from ratslam_ros.messages.mapping import encode_map
-
-PERIOD_NS = 500_000_000
-STEP_M = 0.5
-SIDE_STEPS, SIDES = 20, 4
-LAP_STEPS = SIDE_STEPS * SIDES
-GAP_NS = 10 * 10**9
-"""Longer than the limit of 2 s."""
-
-SECTIONS = 'pose_cells', 'experience_map'
-
-
-def config(max_gap_s: float = 2.0, **changes: float | str | bool) -> Config:
-    return Config().with_values({
-        'pose_cells.pc_dim_xy': 41, 'pose_cells.exp_delta_pc_threshold': 0.4,
-        'experience_map.exp_initial_em_deg': 0.0,
-        **{f'{section}.max_odom_gap_s': max_gap_s for section in SECTIONS},
-        **changes,
-    })  # fmt: skip
-
-
-def true_pose(step: int) -> Pose:
-    """Return the pose on a square track after a number of steps; corners are turned sharply."""
-    side, along = divmod(step % LAP_STEPS, SIDE_STEPS)
-    x, y = [(0.0, 0.0), (10.0, 0.0), (10.0, 10.0), (0.0, 10.0)][side]
-    heading = wrap(side * math.pi / 2.0)
-    distance = along * STEP_M
-    return Pose(x + distance * math.cos(heading), y + distance * math.sin(heading), heading)
-
-
-class Drive:
-    """A robot on the square track; each place has one template, of two steps."""
-
-    def __init__(self, parameters: Config) -> None:
-        self.slam = RatSLAM(parameters)
-        self.stamp_ns = START_NS
-        self.at = 0
-        self.truths: dict[int, Pose] = {}
-        self.steps: list[Step] = []
-        self._observe()
-
-    def forward(self, steps: int) -> None:
-        """Drive along the track."""
-        for _ in range(steps):
-            self.stamp_ns += PERIOD_NS
-            turn = wrap(
-                true_pose(self.at + 1).heading_rad - true_pose(self.at).heading_rad
-            )
-            self.at += 1
-            # The turn is made half before and half after the step, as the chord of an arc is.
-            self._observe(STEP_M, turn)
-
-    def stand(self, messages: int) -> None:
-        for _ in range(messages):
-            self.stamp_ns += PERIOD_NS
-            self._observe()
-
-    def carry(self, steps: int, gap_ns: int = GAP_NS) -> None:
-        """Move the robot during a gap, after which its odometry shows the last velocity."""
-        self.stamp_ns += gap_ns
-        self.at += steps
-        self._observe(STEP_M)
-
-    def _observe(self, distance_m: float = 0.0, turn_rad: float = 0.0) -> None:
-        dt_s = PERIOD_NS * 1e-9
-        self.truths[self.stamp_ns] = true_pose(self.at)
-        slam = self.slam
-        self.steps += slam.odometry(twist(self.stamp_ns, distance_m / dt_s, turn_rad / dt_s))
-        self.steps += slam.template(self.stamp_ns, seen(self.at % LAP_STEPS))
-
-    def finish(self) -> RatSLAM:
-        self.steps += self.slam.finish()
-        return self.slam
-
-    def error_m(self) -> float:
-        """Return the largest error of an experience, after alignment at experience 0."""
-        poses = [e.pose for e in self.slam.experience_map.experiences()]
-        truths = [
-            self.truths[step.stamp_ns] for step in self.steps
-            if isinstance(step, ViewStep) and step.action.action == 'create'
-        ]  # fmt: skip
-        to_map = composed(poses[0], inverse(truths[0]))
-        return max(
-            math.dist(composed(to_map, truth)[:2], pose[:2])
-            for pose, truth in zip(poses, truths, strict=True)
-        )
-
-
-def components_over_time(drive: Drive) -> Iterator[int]:
-    for step in drive.steps:
-        if isinstance(step, OdometryStep) and step.gap_s > 0.0:
-            yield step.stamp_ns
 
 
 @pytest.mark.parametrize('drift', [0.0, 0.1])
@@ -300,3 +217,135 @@ def test_random_gaps_never_link_across_and_join_correctly() -> None:
         drive.finish()
         assert graph.component_count == 1, seed
         assert drive.error_m() < 1.0, seed
+
+
+@pytest.mark.parametrize('forward', [30, 75])
+def test_restored_memory_continues_in_a_separate_component(forward: int) -> None:
+    """Saved before and after the components are joined."""
+    drives = [Drive(config()) for _ in range(2)]
+    for drive in drives:
+        drive.forward(20)
+        drive.carry(10)
+        drive.forward(forward)
+    slam = drives[1].slam
+    parameters = config()
+    pose_cells = PoseCells(parameters.pose_cells)
+    pose_cells.restore(slam.pose_cells.state())
+    graph = ExperienceMap(parameters.experience_map)
+    graph.restore(slam.experience_map.state())
+    assert graph.components == slam.experience_map.components
+    slam.pose_cells, slam.experience_map = pose_cells, graph
+    maps = []
+    for drive in drives:
+        drive.forward(LAP_STEPS)
+        drive.carry(7)
+        drive.forward(LAP_STEPS)
+        maps.append(encode_map(0, drive.finish().experience_map))
+    assert maps[0] == maps[1]
+
+
+def test_late_join_executes_the_same_actions() -> None:
+    """The places that identify experiences stay the same when their component moves."""
+    drive = Drive(config())
+    drive.forward(15)
+    drive.carry(15)
+    drive.forward(2 * LAP_STEPS)
+    drive.finish()
+    graph = ExperienceMap(config().experience_map)
+    late_join, motions = LateJoin(graph), MotionFromOdometry('twist', 2.0)
+    sequence = 0
+    for step in drive.steps:
+        if isinstance(step, ViewStep):
+            action = late_join.translate(step.action, sequence, 1)
+            assert action == step.action
+            graph.apply(step.action)
+            sequence += 1
+        else:
+            motion = motions.update(drive.messages[step.stamp_ns])
+            if motion is not None:
+                graph.integrate(motion)
+    assert encode_map(0, graph) == encode_map(0, drive.slam.experience_map)
+
+
+def test_map_that_misses_the_gap_keeps_one_component() -> None:
+    """Odometry is lost on its way to one of two nodes: their gaps differ."""
+    for lossy in ('pose_cells', 'experience_map'):
+        drive = Drive(config())
+        drive.forward(20)
+        slam = drive.slam
+        getattr(slam, lossy).integrate(Motion(3.0, 0.0, 0.0, False))
+        for n in range(100):
+            motion = Motion(0.5, STEP_M, 0.0)
+            slam.pose_cells.integrate(motion)
+            slam.experience_map.integrate(motion)
+            action = slam.pose_cells.view(seen((drive.at + 1 + n) % 60))
+            source = slam.experience_map.current_id
+            slam.experience_map.apply(replace(action, source_id=source))
+        assert slam.experience_map.component_count == 1
+
+
+def test_later_component_moves_if_the_robot_is_in_an_earlier_one() -> None:
+    """A robot on the first component recognises a place of one that it left by a gap."""
+    drive = Drive(config())
+    drive.forward(20)
+    drive.carry(20)  # to step 40
+    drive.forward(20)
+    drive.carry(-55)  # back to the first component, where it is recognised
+    drive.forward(14)
+    graph = drive.slam.experience_map
+    drive.slam.finish()
+    first = graph.pose_of(0)
+    assert graph.component_of(-1) == 0
+    assert graph.component_count == 2
+    drive.forward(40)  # over unknown ground into the other component
+    drive.finish()
+    assert graph.component_count == 1
+    assert graph.pose_of(0) == first
+    assert drive.error_m() < 1.0
+
+
+def test_route_to_a_separate_component_is_refused() -> None:
+    drive = Drive(config())
+    drive.forward(15)
+    drive.carry(15)
+    drive.forward(15)
+    graph = drive.finish().experience_map
+    planner = RoutePlanner(config().goal_recall, graph)
+    for request in (
+        lambda: planner.route_to(0), lambda: GoalTree(planner, 0).route(),
+        lambda: planner.route_to_place(0.0, 0.0, 0.9),
+    ):
+        with pytest.raises(UnreachableGoal, match='components, 1 and 0, the odometry had a gap'):
+            request()
+    graph.integrate(Motion(3.0, 0.0, 0.0, False))
+    for request in (lambda: planner.route_to(0), lambda: GoalTree(planner, 0).route()):
+        with pytest.raises(UnreachableGoal, match='at no experience since the odometry had a gap'):
+            request()
+
+
+def test_separate_map_lists_components_and_joined_map_does_not() -> None:
+    drive = Drive(config())
+    drive.forward(15)
+    assert 'components' not in json.loads(encode_map(0, drive.slam.experience_map))
+    drive.carry(15)
+    drive.forward(30)
+    graph = drive.slam.experience_map
+    assert json.loads(encode_map(0, graph))['components'] == graph.components
+    drive.forward(60)
+    drive.finish()
+    assert 'components' not in json.loads(encode_map(0, graph))
+
+
+def test_relaxation_of_separate_components_equals_one_of_each_alone() -> None:
+    """The first experience of each component is held, before and after a new plan is made."""
+    drive = Drive(config())
+    drive.forward(15)
+    drive.carry(15)
+    drive.forward(30)
+    graph = drive.finish().experience_map
+    apart = graph.components.index(1)
+    held, free = (graph.pose_of(0), graph.pose_of(apart)), graph.pose_of(apart + 8)
+    graph.apply(MapAction('link', len(graph) - 1, apart + 3, apart, 0.0, Place(0.0, 0.0, 0.0)))
+    graph.settle()
+    assert (graph.pose_of(0), graph.pose_of(apart)) == held
+    assert math.dist(graph.pose_of(apart + 8)[:2], free[:2]) > 0.1

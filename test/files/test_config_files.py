@@ -69,7 +69,8 @@ PARAMETERS['pose_cells.exp_max'] = PARAMETERS['pose_cells.exp_max'].filter(
 def test_values_survive_a_round_trip_through_yaml(values: dict[str, Any]) -> None:
     values['local_view.vt_shift_match'] = 0
     values['local_view.vt_shift_match_y'] = 0
-    values['experience_map.odom_source'] = values['pose_cells.odom_source']
+    for name in ('odom_source', 'max_odom_gap_s'):
+        values[f'experience_map.{name}'] = values[f'pose_cells.{name}']
     config = Config().with_values(values)
     document = yaml.safe_load(to_yaml(config))
     read = {}

@@ -296,6 +296,33 @@ def test_launch_starts_and_stops_all_nodes(live: Live, bag: Path, expected: str)
     assert live.stop() == {'launch': 0}
 
 
+SLOW_START_SOURCE = """
+import sys, time
+from ratslam_ros.starting import announced
+
+with announced('single_process'):
+    time.sleep(3.0)
+from ratslam_ros.live.run import run
+sys.exit(run('single_process', sys.argv[1:]))
+"""
+
+
+def test_play_waits_for_nodes_that_are_starting(live: Live, bag: Path) -> None:
+    with live.log('node').open('wb') as log:
+        live.processes['node'] = subprocess.Popen(
+            [sys.executable, '-c', SLOW_START_SOURCE, '--ros-args', *live.parameters],
+            env=live.environment, stdout=log, stderr=subprocess.STDOUT,
+        )  # fmt: skip
+    time.sleep(0.5)
+    done = subprocess.run(
+        ratslam('play', str(bag), '--rate', '0', '--duration', '0.5', '--wait', '1'),
+        env=live.environment, capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert 'waiting for single_process to start' in done.stderr
+    assert 'ready' in live.log('node').read_text()
+
+
 INVALID_INPUT_SOURCE = """
 import math, random, sys, time
 from ratslam_ros.live import ros

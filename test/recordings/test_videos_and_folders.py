@@ -42,6 +42,21 @@ def test_images_without_table_have_natural_order(tmp_path):
     assert '16x12 png' in describe(recording).format()
 
 
+@pytest.mark.parametrize(
+    ('folders', 'name'),
+    [('run/images', 'run'), ('run/Data/rgb', 'run'), ('run/left', 'left'), ('run', 'run')],
+)
+def test_generic_folder_is_named_after_the_one_above(tmp_path, folders, name):
+    folder = tmp_path / folders
+    folder.mkdir(parents=True)
+    with open_recording(write_images(folder, ['a.png', 'b.png'])) as recording:
+        assert recording.name == name
+    table = folder / 'frames.csv'
+    table.write_text('stamp_s,image\n1.0,a.png\n')
+    with open_recording(table) as recording:
+        assert recording.name == name
+
+
 def test_table_gives_stamps_and_odometry(tmp_path):
     folder = write_images(tmp_path / 'run', ['a.png', 'b.png'])
     (folder / 'frames.csv').write_text(

@@ -106,6 +106,16 @@ def test_wrong_turn_of_odometry_names_the_gain() -> None:
     ]  # fmt: skip
 
 
+def test_confused_places_are_reported() -> None:
+    def template(frame: int) -> int:
+        place = frame % PER_LAP * PLACES // PER_LAP
+        return place % 50 if place % 5 == 0 else place  # Two places at opposite headings.
+
+    problem, command = only(advice(drive(template=template)))
+    assert 'different places are confused' in problem
+    assert command == ['ratslam', 'tune', 'a bag']
+
+
 @pytest.mark.parametrize(
     ('template', 'word'),
     [

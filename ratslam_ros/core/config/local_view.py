@@ -54,13 +54,6 @@ class LocalViewParameters(ImageInput, Memory):
         'the robot passes places with other headings or in other lanes',
         'different places look alike',
     )  # fmt: skip
-    vt_shifted_threshold: float = parameter(
-        1.0, 'share of vt_match_threshold', 0.0, 1.0,
-        'Below 1, a template that matches without a shift is preferred, and this is the threshold '
-        'of matches with a shift. A robot that repeats its route sees places without a shift, and '
-        'the best match at any shift can be a neighbouring place with another heading.',
-        'the robot passes places with other headings or in other lanes',
-        'neighbouring places are confused')  # fmt: skip
     vt_shift_fov_deg: float = parameter(
         0.0, 'deg; 0: no', 0.0, 180.0,
         'Horizontal field of view of the cropped image (forward camera). With it, the shift of '
@@ -128,10 +121,4 @@ class LocalViewParameters(ImageInput, Memory):
             raise UnusableParameter(
                 f'vt_shift_match_y is {self.vt_shift_match_y}; expected less than half of '
                 f'template_y_size ({self.template_y_size}), so that rows are left to compare'
-            )
-        if self.vt_shifted_threshold < 1.0 and self.vt_shift_match % self.vt_step_match:
-            raise UnusableParameter(
-                f'vt_step_match is {self.vt_step_match}; expected a divisor of vt_shift_match '
-                f'({self.vt_shift_match}), so that views are compared without a shift, as '
-                f'vt_shifted_threshold {self.vt_shifted_threshold:g} requires'
             )

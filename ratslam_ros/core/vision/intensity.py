@@ -29,7 +29,7 @@ class Intensity:
             p.template_x_size, p.template_y_size, shift_x=p.vt_shift_match,
             shift_y=p.vt_shift_match_y, step=p.vt_step_match, panoramic=p.vt_panoramic,
             signed=p.vt_patch_normalise > 0,
-            # Grey values differ little in scenes of low contrast; a low value only costs templates.
+            # Grey values differ little in scenes of low contrast; too low only costs templates.
             typical=0.18 if p.vt_patch_normalise > 0 else 0.05,
         )  # fmt: skip
 

@@ -84,7 +84,6 @@ class LocalView:
         self._encoder = built_in_encoder(p) if encoder is None else encoder
         self._layout = self._encoder.layout
         self._memory = TemplateMemory(self._layout)
-        self._prefers_unshifted = p.vt_shifted_threshold < 1.0 and not p.vt_panoramic
         self._threshold = MatchThreshold(p, self._memory.full_sum, self._layout.typical)
 
     def __len__(self) -> int:
@@ -161,23 +160,11 @@ class LocalView:
         best = search.best(limit=None if self._p.vt_exact_error else limit)
         if best is None:
             return None, None
-        match = None
-        if self._prefers_unshifted:
-            unshifted = search.best(limit=limit, unshifted=True)
-            match = self._accepted(search, unshifted, first_recent, limit, unshifted=True)
-            limit = self._threshold.shifted_limit
-        return match or self._accepted(search, best, first_recent, limit), best.sad
-
-    def _accepted(
-        self, search: Search, best: Match | None, first_recent: int, limit: int,
-        unshifted: bool = False,
-    ) -> Match | None:  # fmt: skip
-        """Return the best match, or that with an older template if a recent one is too weak."""
-        if best is None or best.template_id < first_recent:
-            return best if best is not None and best.sad <= limit else None
+        if best.template_id < first_recent:
+            return best if best.sad <= limit else None, best.sad
         if best.sad <= self._threshold.recent_limit:
-            return best
-        return search.best(first_recent, limit, unshifted)
+            return best, best.sad
+        return search.best(first_recent, limit), best.sad
 
     def learn(self, view: View) -> int:
         """Add a view, (height, width) uint8, as a template; return its id."""

@@ -57,7 +57,6 @@ class MatchThreshold:
                 threshold starts with.
         """
         self._recent = parameters.vt_recent_threshold
-        self._shifted = parameters.vt_shifted_threshold
         self._full_sum = full_sum
         self.is_automatic = parameters.vt_match_threshold == AUTOMATIC
         """Whether the threshold is estimated from the views."""
@@ -83,11 +82,6 @@ class MatchThreshold:
     def recent_limit(self) -> int:
         """Largest SAD of a match with one of the newest templates."""
         return math.floor(self._recent * (self._threshold * self._full_sum))
-
-    @property
-    def shifted_limit(self) -> int:
-        """Largest SAD of a match with a shift, if matches without one are preferred."""
-        return math.floor(self._shifted * (self._threshold * self._full_sum))
 
     def state(self) -> State:
         """Return the samples, for ``restore``."""

@@ -14,7 +14,6 @@ does not depend on the number of templates, and little memory is allocated in ad
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -79,13 +78,6 @@ class _Layer(NamedTuple):
     """Number of compared pieces; see ``pieces_of``."""
     inside: Bytes
     """Mask of the last piece."""
-
-    def at(self, places: Sequence[int]) -> _Layer:
-        """Return the layout of some of the places."""
-        if len(places) == len(self.in_template):
-            return self
-        which = list(places)
-        return self._replace(in_template=self.in_template[which], in_query=self.in_query[which])
 
 
 class TemplateMemory:
@@ -154,11 +146,6 @@ class TemplateMemory:
 
         self._fine = layer(self._pixels_per_offset, turns * rows, columns * rows)
         self._coarse = layer(self._blocks_per_offset, block_turns, self._compared)
-        self._places = range(len(self._offsets))
-        self._unshifted = [
-            place for place in self._places
-            if self._offsets[place] == self._left and place // len(offsets) == shift_y
-        ]
         self._chunks: list[_Chunk] = []
         self._per_chunk = max(CHUNK_BYTES // (self._fine.stride + self._coarse.stride), 1)
         self._count = 0
@@ -253,9 +240,7 @@ class Search:
                 likely, min_bound = number * memory._per_chunk + row, int(chunk.bounds[row])
         self._likely = likely
 
-    def best(
-        self, count: int | None = None, limit: int | None = None, unshifted: bool = False
-    ) -> Match | None:
+    def best(self, count: int | None = None, limit: int | None = None) -> Match | None:
         """Return the best match, or None if there is none.
 
         Ties go to the lowest template id, then to the lowest vertical and horizontal offset.
@@ -263,33 +248,29 @@ class Search:
         Args:
             count: search only the oldest ``count`` templates; None: all.
             limit: largest SAD of a match; a limit makes the search faster.
-            unshifted: compare the views without a shift only; the step between shifts must
-                divide the largest shift.
         """
         m = self._memory
-        places = m._unshifted if unshifted else m._places
         count = len(m) if count is None else count
         bound = MAX_SAD if limit is None else limit + 1
         if self._likely < count:
             # Evaluating the most promising template first excludes most others. The bound is one
             # above its SAD, so that an equally good template with a lower id is still found.
             number, row = divmod(self._likely, m._per_chunk)
-            found = self._refine(m._chunks[number], row, row + 1, bound, places)
+            found = self._refine(m._chunks[number], row, row + 1, bound)
             bound = min(bound, found[2] + 1)
         best: Match | None = None
         for number, chunk, learned in self._chunks(count):
-            row, place, found_sad = self._refine(chunk, 0, learned, bound, places)
+            row, place, found_sad = self._refine(chunk, 0, learned, bound)
             if row >= 0:
                 bound = found_sad
                 template_id = number * m._per_chunk + row
-                best = Match(template_id, int(m._offsets[places[place]]), found_sad)
+                best = Match(template_id, int(m._offsets[place]), found_sad)
         return best
 
     def sad(self, template_id: int) -> int:
         """Return the smallest SAD of one template over all offsets."""
         number, row = divmod(template_id, self._memory._per_chunk)
-        chunk = self._memory._chunks[number]
-        return self._refine(chunk, row, row + 1, MAX_SAD, self._memory._places)[2]
+        return self._refine(self._memory._chunks[number], row, row + 1, MAX_SAD)[2]
 
     def _chunks(self, count: int) -> list[tuple[int, _Chunk, int]]:
         """Return index, chunk, and number of its templates among the oldest ``count``."""
@@ -297,13 +278,10 @@ class Search:
         chunks = self._memory._chunks[: -(-count // size)]
         return [(n, chunk, min(count - n * size, size)) for n, chunk in enumerate(chunks)]
 
-    def _refine(
-        self, chunk: _Chunk, first: int, last: int, bound: int, places: Sequence[int]
-    ) -> tuple[int, int, int]:
+    def _refine(self, chunk: _Chunk, first: int, last: int, bound: int) -> tuple[int, int, int]:
         m = self._memory
-        fine, coarse = m._fine.at(places), m._coarse.at(places)
         row, place, found = _refine(
-            chunk.pixels, *fine, self._pixels, chunk.blocks, *coarse, self._blocks,
+            chunk.pixels, *m._fine, self._pixels, chunk.blocks, *m._coarse, self._blocks,
             chunk.bounds, m._divisor, m._slack, first, last, bound,
         )  # fmt: skip
         return int(row), int(place), int(found)

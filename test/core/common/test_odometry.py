@@ -124,3 +124,37 @@ def test_gap_over_a_minute_gives_no_motion(source: str) -> None:
     assert motion_from.update(twist(SECOND + 60 * 10**9, 1.0)) is not None
     assert motion_from.update(twist(SECOND + 121 * 10**9, 1.0)) is None
     assert motion_from.update(twist(SECOND + 122 * 10**9, 1.0)) is not None
+
+
+@pytest.mark.parametrize('source', ['twist', 'pose'])
+def test_motion_after_a_gap_is_unknown(source: str) -> None:
+    motions = MotionFromOdometry(source, 2.0)
+    motions.update(twist(0, 1.0))
+    assert motions.reaches(2 * SECOND)
+    assert not motions.reaches(2 * SECOND + 1)
+    motion = motions.update(twist(2 * SECOND, 1.0))
+    assert motion is not None
+    assert motion.is_known
+    motion = motions.update(twist(4 * SECOND + 1, 1.0))
+    assert motion == Motion(pytest.approx(2.0), 0.0, 0.0, is_known=False)
+    motion = motions.update(twist(5 * SECOND + 1, 1.0))
+    assert motion is not None
+    assert motion.is_known
+
+
+def test_gaps_of_the_default_are_stationary_after_a_minute() -> None:
+    motions = MotionFromOdometry('twist', 60.0)
+    assert motions.reaches(10**18)
+    motions.update(twist(0, 1.0))
+    assert motions.reaches(10**18)
+    motion = motions.update(twist(60 * SECOND, 1.0))
+    assert motion is not None
+    assert motion.distance_m == pytest.approx(60.0)
+    assert motions.update(twist(120 * SECOND + 1, 1.0)) is None
+
+
+def test_queued_gap_leaves_the_pose_continuous() -> None:
+    motions = MotionFromOdometry('twist', 2.0)
+    motions.update(twist(0, 1.0))
+    waiting = [twist(SECOND, 1.0), twist(9 * SECOND, 1.0), twist(10 * SECOND, 1.0)]
+    assert_same(motions.ahead(waiting, START), moved(START, Motion(2.0, 2.0, 0.0)))

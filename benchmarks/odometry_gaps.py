@@ -1,0 +1,154 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Maps of real recordings with parts cut out, with and without `max_odom_gap_s`.
+
+    python benchmarks/odometry_gaps.py [--data ../shared/data]
+
+All messages within a cut are dropped, as if the recorder had paused while the robot drove on. Each
+recording is replayed with its preset: with the gaps integrated (60 s, the default) and treated as
+unknown motion (2 s).
+
+- lecture_hall: ATE RMSE of trajectory_final in m.
+- rc_car_loops, which has gaps of 3.4 and 5.6 s of its own: median distance in m between frames of
+  different laps that show the same place, and the largest distance between two frames. The links
+  of integrated gaps enlarge the latter.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import lecture_hall
+import numpy as np
+from real_recordings import read_frames
+from scipy.spatial.distance import pdist
+
+from ratslam_ros.core.config import Config
+from ratslam_ros.core.warm_up import warm_up
+from ratslam_ros.files.config import load_config
+from ratslam_ros.offline.replay import ReplayOptions, replay
+from ratslam_ros.recordings import Event, ImageEvent, open_recording
+from ratslam_ros.results.evaluation import evaluate
+from ratslam_ros.results.trajectory import Trajectory, read_tum
+
+ROOT = Path(__file__).resolve().parents[1]
+RC_CAR = 'rc_car_loops'
+
+LIMITS_S = (60.0, 2.0)
+Cuts = Sequence[tuple[float, float]]
+"""Start and end of each cut, in seconds from the start of the recording."""
+
+HALL_CUTS: Sequence[Cuts] = (
+    (), ((100, 120),), ((300, 320),), ((600, 630),), ((900, 915),),
+    ((200, 215), (650, 680), (1000, 1030)),
+)  # fmt: skip
+CAR_CUTS: Sequence[Cuts] = ((), ((5, 15),), ((70, 80),), ((30, 41), (100, 107)))
+
+
+class CutRecording:
+    """A recording without the messages in some intervals."""
+
+    def __init__(self, recording: Any, cuts: Cuts) -> None:
+        self._recording = recording
+        self._cuts = cuts
+        self.image_stamps_ns: list[int] = []
+        """Stamps of all images, including those in the cuts."""
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._recording, name)
+
+    def events(self, *arguments: Any) -> Iterator[Event]:
+        """Yield the events outside the cuts."""
+        for event in self._recording.events(*arguments):
+            if isinstance(event, ImageEvent):
+                self.image_stamps_ns.append(event.stamp_ns)
+            time_s = (event.log_ns - self._recording.start_ns) * 1e-9
+            if not any(start <= time_s < end for start, end in self._cuts):
+                yield event
+
+
+def run(path: Path, config: Config, cuts: Cuts, folder: Path) -> tuple[dict[str, Any], list[int]]:
+    """Replay a recording with cuts; return the summary and the stamps of all images."""
+    with open_recording(path) as opened:
+        recording: Any = CutRecording(opened, cuts)
+        options = ReplayOptions(progress=False)
+        outcome = replay(recording, opened.select(), config, folder, options)
+    return outcome.summary, recording.image_stamps_ns
+
+
+def configured(preset: str, limit_s: float) -> Config:
+    """Return a preset with a limit of gaps."""
+    sections = 'pose_cells', 'experience_map'
+    values = {f'{section}.max_odom_gap_s': limit_s for section in sections}
+    return load_config(preset)[0].with_values(values)
+
+
+def lap_distances_m(folder: Path, image_stamps_ns: list[int], lap_phase: Path) -> list[float]:
+    """Return the median distance between laps and the largest distance, in m."""
+    frames = read_frames(folder / 'frames.csv')
+    path = read_tum(folder / 'trajectory_final.tum')
+    since = frames.stamp_ns[0]
+    at = np.stack([
+        np.interp(frames.stamp_ns - since, path.stamp_ns - since, path.position_m[:, axis])
+        for axis in (0, 1)
+    ], 1)  # fmt: skip
+    with open(lap_phase, newline='') as file:
+        rows = dict(zip(image_stamps_ns, csv.DictReader(file), strict=True))
+    used = [rows[stamp_ns] for stamp_ns in frames.stamp_ns.tolist()]
+    lap = np.array([int(row['lap']) for row in used])
+    place = np.array([int(row['ref_frame']) for row in used])
+    i, j = np.triu_indices(len(at), 1)
+    same = (place[i] == place[j]) & (lap[i] != lap[j])
+    return [float(np.median(np.linalg.norm(at[i[same]] - at[j[same]], axis=1))), pdist(at).max()]
+
+
+def _described(cuts: Cuts) -> str:
+    return ', '.join(f'{start:g} to {end:g} s' for start, end in cuts) or 'no cut'
+
+
+def report_lecture_hall(data: Path, temporary: Path) -> None:
+    """Print the error for each cut and limit."""
+    recording, truth_path = lecture_hall.convert(data, temporary)
+    truth: Trajectory = read_tum(truth_path)
+    for cuts in HALL_CUTS:
+        texts = []
+        for limit_s in LIMITS_S:
+            config = configured('lecture_hall', limit_s)
+            summary, _ = run(recording, config, cuts, temporary / 'results')
+            final = read_tum(temporary / 'results' / 'trajectory_final.tum')
+            ate_m = evaluate(final, truth).ate.rmse
+            texts.append(f'{ate_m:.2f} m ({summary.get("components", 1)} components)')
+        print(f'lecture_hall  {_described(cuts):45} {"   ".join(texts)}', flush=True)
+
+
+def report_rc_car(data: Path, temporary: Path) -> None:
+    """Print the distances for each cut and limit."""
+    for cuts in CAR_CUTS:
+        texts = []
+        for limit_s in LIMITS_S:
+            folder = temporary / 'results'
+            summary, stamps = run(data / RC_CAR, configured('rc_car', limit_s), cuts, folder)
+            laps_m, largest_m = lap_distances_m(folder, stamps, data / RC_CAR / 'lap_phase.csv')
+            components = summary.get('components', 1)
+            texts.append(f'{laps_m:.3f} of {largest_m:.1f} m ({components} components)')
+        print(f'{RC_CAR}  {_described(cuts):45} {"   ".join(texts)}', flush=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument('--data', type=Path, default=ROOT.parent / 'shared' / 'data')
+    data: Path = parser.parse_args().data
+    warm_up()
+    print(f'limits: {" and ".join(f"{limit_s:g} s" for limit_s in LIMITS_S)}')
+    with tempfile.TemporaryDirectory() as temporary:
+        report_lecture_hall(data, Path(temporary))
+        report_rc_car(data, Path(temporary))
+
+
+if __name__ == '__main__':
+    main()
