@@ -203,9 +203,11 @@ class ExperienceMap(ExperienceGraph):
         half = 0.5 * (now.corrected(before.measured(turn, distance), distance) - turn)
         self.offset = composed(Pose(0.0, 0.0, half), Pose(x, y, turn + half))
         if not is_small_error(now.gain / before.gain):
+            reached: set[int] = set()
             for row, (i, j) in enumerate(self.link_ends.tolist()):
-                if i < j and not self._links.ends[:row, 1][self._links.ends[:row, 1] == j].size:
+                if i < j and j not in reached:
                     self._poses[j] = composed(self.pose_of(i), self._links[row].relative_pose)
+                reached.add(j)
         self._optimiser.measurement_changed()
 
     def apply(

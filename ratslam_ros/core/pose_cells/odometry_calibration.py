@@ -57,7 +57,7 @@ class OdometryCalibration:
         self._closed: deque[tuple[float, float, float]] = deque(maxlen=MAX_LOOPS_COUNT)
 
     def restart(self) -> None:
-        """Forget where the robot was: it was moved, and no loop leads through that motion."""
+        """Forget where the robot was after an unknown motion, through which no loop leads."""
         self._visits.clear()
 
     def integrate(self, motion: Motion) -> None:

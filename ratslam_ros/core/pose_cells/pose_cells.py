@@ -220,6 +220,8 @@ class PoseCells:
         """Begin a new component: the pose relative to all known places is unknown."""
         self._gap_count += 1
         self._component = self._gap_count
+        if self.calibration is not None:
+            self.calibration.restart()
         self._evidence.separate(self._component)
         if self.calibration is not None:
             self.calibration.separate()

@@ -4,10 +4,11 @@
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 
 import pytest
 
-from ratslam_ros.core.common.odometry import Odometry, Twist
+from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.rotation_gain import TurnCorrection
 from ratslam_ros.core.config import Config
@@ -111,10 +112,9 @@ def test_restored_calibration_continues_identically() -> None:
     config = CALIBRATING.pose_cells
     messages = list(oval(3, 1.05))
     one, split = PoseCells(config), PoseCells(config)
-    slam = RatSLAM(CALIBRATING)
     actions: list[list[object]] = [[], []]
     for which, core in enumerate((one, split)):
-        motion_of = type(slam._motion)('twist', config.turn_correction)
+        motion_of = MotionFromOdometry('twist', correction=config.turn_correction)
         for n, (odometry, match) in enumerate(messages):
             if core is not one and n == len(messages) // 2 + 20:
                 restored = PoseCells(config)
@@ -140,3 +140,21 @@ def test_robot_that_was_carried_closes_no_loop() -> None:
     before = len(calibration.state()['closed'])
     calibration.visit(0, 0.0, created=False)
     assert len(calibration.state()['closed']) == before
+
+
+def test_loop_through_an_odometry_gap_does_not_count() -> None:
+    config = CALIBRATING.with_values(
+        {'pose_cells.max_odom_gap_s': 2.0, 'experience_map.max_odom_gap_s': 2.0}
+    )
+    slam = RatSLAM(config)
+    gap_ns = 10 * 10**9
+    for n, (odometry, match) in enumerate(oval(2, 1.05)):
+        if n >= PER_LAP:
+            odometry = replace(odometry, stamp_ns=odometry.stamp_ns + gap_ns)
+        slam.odometry(odometry)
+        slam.template(odometry.stamp_ns, match)
+    slam.finish()
+    calibration = slam.pose_cells.calibration
+    assert calibration is not None
+    assert slam.pose_cells.gap_count == 1
+    assert not calibration.state()['closed']
