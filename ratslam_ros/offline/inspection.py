@@ -19,11 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry
-from ratslam_ros.core.config import WHOLE, Config, LocalViewParameters, Value
+from ratslam_ros.core.config import AUTOMATIC, WHOLE, Config, LocalViewParameters, Value
 from ratslam_ros.core.vision.image_window import Window
 from ratslam_ros.core.vision.intensity import crop_window
 from ratslam_ros.core.vision.structure import structure
 from ratslam_ros.event_inputs import odometry_from_event
+from ratslam_ros.offline.look_alikes import look_alike_ratio
 from ratslam_ros.offline.motion_calibration import calibrate_motion
 from ratslam_ros.recordings import (
     ImageEvent,
@@ -95,6 +96,10 @@ def inspect(
     config = config.with_values(_allowed({**odometry, **images}, fixed))
     motion = calibrate_motion(recording, selection, config, start_s, part_s)
     config = config.with_values(_allowed(motion.settings, fixed))
+    if found.images and config.local_view.vt_match_threshold == AUTOMATIC:
+        ratio, text = _look_alikes(recording, selection, config, start_s, part_s)
+        config = config.with_values(_allowed(ratio, fixed))
+        images_line += f'; {text}'
     kept = ' (not used: another value is set)' if {*motion.settings} & {*fixed} else ''
     reasons = motion.reason + kept, odometry_line, images_line
     names = 'rotation', 'odometry', 'images'
@@ -148,6 +153,18 @@ def _read(recording: Recording, selection: Selection, start_s: float, part_s: fl
                 with contextlib.suppress(UndecodableImage):
                     found.add(event.grey())
     return found
+
+
+def _look_alikes(
+    recording: Recording, selection: Selection, config: Config, start_s: float, part_s: float
+) -> tuple[dict[str, Value], str]:
+    """Return the ratio of the match threshold, lowered if places look alike, and a reason."""
+    found = look_alike_ratio(recording, selection, config, start_s, part_s)
+    if found is None or found >= config.local_view.vt_match_ratio:
+        return {}, 'no places look alike' if found else 'look-alikes cannot be measured'
+    return {'local_view.vt_match_ratio': round(found, 3)}, (
+        f'places look alike: vt_match_ratio {found:.3f} keeps 98% of them apart'
+    )
 
 
 # Odometry

@@ -48,6 +48,12 @@ class LocalViewParameters(ImageInput, Memory):
         'half the difference between views of unrelated places, which is measured while driving.',
         'known places are not recognised (ratslam tune proposes a value)',
         'different places are confused', automatic=True)  # fmt: skip
+    vt_match_ratio: float = parameter(
+        0.655, 'share of the difference between unrelated views', 0.0, 1.0,
+        'If vt_match_threshold is automatic: largest difference of a match. The inspection before '
+        'a replay lowers it for environments with places that look alike.',
+        'known places are not recognised',
+        'places that look alike, or neighbouring places, are confused')  # fmt: skip
     vt_shift_match: int = parameter(
         5, 'template px', 0, 511,
         'Largest horizontal shift tried to either side (forward camera).',

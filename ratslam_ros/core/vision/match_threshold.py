@@ -19,12 +19,8 @@ import numpy as np
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import AUTOMATIC, LocalViewParameters
 
-MATCH_RATIO = 0.64
-"""Largest difference of a match, relative to the median difference between unrelated views.
-
-About halfway between equal and unrelated views: the difference between two views grows with the
-distance between their positions up to that of unrelated views, so the ratio is the resolution of
-places. It was chosen by leave-one-out over the recordings in docs/benchmarks.md."""
+RELATED_RATIO = 0.655
+"""Difference up to which views are related, relative to the median between unrelated views."""
 
 FALSE_MATCH_RATE = 0.01
 """Bound on the probability that a view matches any unrelated template, if views differ in
@@ -57,6 +53,7 @@ class MatchThreshold:
                 threshold starts with.
         """
         self._recent = parameters.vt_recent_threshold
+        self._ratio = parameters.vt_match_ratio
         self._full_sum = full_sum
         self.is_automatic = parameters.vt_match_threshold == AUTOMATIC
         """Whether the threshold is estimated from the views."""
@@ -117,8 +114,8 @@ class MatchThreshold:
         median = ordered[len(ordered) // 2]
         spread = ordered[int(_ABOVE_MEDIAN * len(ordered))] / max(median, 1) - 1.0
         ratio = _ratio_of_chance(FALSE_MATCH_RATE / max(template_count, 1), spread)
-        self.related_limit = math.floor(MATCH_RATIO * median)
-        self._threshold = min(MATCH_RATIO, ratio) * median / self._full_sum
+        self.related_limit = math.floor(RELATED_RATIO * median)
+        self._threshold = min(self._ratio, ratio) * median / self._full_sum
 
 
 def _ratio_of_chance(probability: float, spread: float) -> float:
