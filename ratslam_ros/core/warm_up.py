@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.odometry import Motion, MotionFromOdometry, Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.common.rotation_gain import UNCORRECTED, estimate_correction
+from ratslam_ros.core.common.rotation_gain import estimate_correction
+from ratslam_ros.core.common.turn_correction import UNCORRECTED
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.link_learning import has_detour

@@ -18,9 +18,9 @@ from visualization_msgs.msg import MarkerArray
 
 from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry
 from ratslam_ros.core.common.pose import Pose, composed, inverse
-from ratslam_ros.core.common.rotation_gain import TurnCorrection
 from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.common.state import State
+from ratslam_ros.core.common.turn_correction import TurnCorrection
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.late_join import LateJoin

@@ -13,7 +13,7 @@ from helpers import START_NS, ahead, template_text, turning
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ratslam_ros.core.common.rotation_gain import TurnCorrection
+from ratslam_ros.core.common.turn_correction import TurnCorrection
 from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.pose_cells.map_action import MapAction

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.pose import Pose, heading_of, quaternion_of
-from ratslam_ros.core.common.rotation_gain import UNCORRECTED, TurnCorrection
+from ratslam_ros.core.common.turn_correction import UNCORRECTED, TurnCorrection
 
 MAX_PLAUSIBLE_VALUE = 1e9
 """Messages with a larger speed (m/s, rad/s), position (m) or heading (rad) are rejected."""

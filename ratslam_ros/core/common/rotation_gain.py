@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.common.angles import TWO_PI
 from ratslam_ros.core.common.compiled import compiled
+from ratslam_ros.core.common.turn_correction import TurnCorrection
 
 Floats = NDArray[np.float64]
 
@@ -80,24 +81,6 @@ GAIN_SD, PER_M_SD_RAD = 0.03, 0.005
 INDEPENDENT_LOOPS_COUNT = 10.0
 """The evidence of more loops is scaled down to that of so many. Loops of one route share the
 errors of the route, which further laps do not average out."""
-
-
-class TurnCorrection(NamedTuple):
-    """Correction of measured turns: ``gain`` times the turn, plus ``per_m_rad`` per metre."""
-
-    gain: float = 1.0
-    per_m_rad: float = 0.0
-
-    def corrected(self, turn_rad: float, distance_m: float) -> float:
-        """Return the turn of a motion of which ``turn_rad`` was measured."""
-        return self.gain * turn_rad + self.per_m_rad * distance_m
-
-    def measured(self, turn_rad: float, distance_m: float) -> float:
-        """Return the measured turn of a motion whose corrected turn is ``turn_rad``."""
-        return (turn_rad - self.per_m_rad * distance_m) / self.gain
-
-
-UNCORRECTED = TurnCorrection()
 
 
 class Estimate(NamedTuple):

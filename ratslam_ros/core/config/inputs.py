@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ratslam_ros.core.common.rotation_gain import TurnCorrection
+from ratslam_ros.core.common.turn_correction import TurnCorrection
 from ratslam_ros.core.config.parameter import Section, parameter
 
 WHOLE = -1

@@ -14,8 +14,9 @@ import numpy as np
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.odometry import Motion, moved
 from ratslam_ros.core.common.pose import Pose, composed, inverse
-from ratslam_ros.core.common.rotation_gain import TurnCorrection, is_small_error
+from ratslam_ros.core.common.rotation_gain import is_small_error
 from ratslam_ros.core.common.state import State
+from ratslam_ros.core.common.turn_correction import TurnCorrection
 from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.mapping.graph import ExperienceGraph, NotLinked
 from ratslam_ros.core.mapping.link_learning import (

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.compiled import compiled
 from ratslam_ros.core.common.pose import Pose, composed, inverse
-from ratslam_ros.core.common.rotation_gain import TurnCorrection
 from ratslam_ros.core.common.state import State
+from ratslam_ros.core.common.turn_correction import TurnCorrection
 
 
 @dataclass(frozen=True, slots=True)

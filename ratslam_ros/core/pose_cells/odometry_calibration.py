@@ -15,8 +15,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ratslam_ros.core.common.odometry import Motion
-from ratslam_ros.core.common.rotation_gain import TurnCorrection, estimate_correction
+from ratslam_ros.core.common.rotation_gain import estimate_correction
 from ratslam_ros.core.common.state import State
+from ratslam_ros.core.common.turn_correction import TurnCorrection
 
 MAX_LOOPS_COUNT = 128
 """Number of loops, the latest ones, that are kept for the estimate."""

@@ -6,12 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ratslam_ros.core.common.rotation_gain import (
-    UNCORRECTED,
-    Estimate,
-    TurnCorrection,
-    estimate_correction,
-)
+from ratslam_ros.core.common.rotation_gain import Estimate, estimate_correction
+from ratslam_ros.core.common.turn_correction import UNCORRECTED, TurnCorrection
 
 Floats = NDArray[np.float64]
 

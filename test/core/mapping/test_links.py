@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.common.rotation_gain import TurnCorrection
+from ratslam_ros.core.common.turn_correction import TurnCorrection
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.links import Link, Links
 

@@ -10,7 +10,7 @@ import pytest
 
 from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.common.rotation_gain import TurnCorrection
+from ratslam_ros.core.common.turn_correction import TurnCorrection
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.ratslam import RatSLAM
