@@ -31,6 +31,7 @@ def add_demo(commands: Commands) -> None:
                       help='random seed of world and noise (default: 1)')
     demo.add_argument('--seeds', type=positive_number, metavar='N',
                       help='run N seeds, starting at --seed, and print the mean and worst errors')
+    add_config(demo, 'pioneer')
     add_out(demo, 'results/demo-TIME, with the link results/latest')
     demo.add_argument('--quiet', action='store_true', help='no progress bar')
     demo.set_defaults(run=_demo)
@@ -78,12 +79,13 @@ def add_simulate(commands: Commands) -> None:
 def _demo(options: argparse.Namespace) -> int:
     from ratslam_ros.offline.demo import run_demo, run_seeds
 
+    config = config_of(options)
     compile_kernels()
     if options.seeds is not None:
-        print(run_seeds(range(options.seed, options.seed + options.seeds)))
+        print(run_seeds(range(options.seed, options.seed + options.seeds), config))
         return DONE
     folder = make_folder(results_folder(options, 'demo'))
-    print(run_demo(options.seed, folder, progress=not options.quiet))
+    print(run_demo(options.seed, folder, config, options.config, progress=not options.quiet))
     if options.out is None:
         from ratslam_ros.results.writer import link_latest
 

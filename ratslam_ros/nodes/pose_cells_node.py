@@ -199,6 +199,7 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
             'experience': self._core.current_experience,
             'peak': f'x {peak.x:.2f}, y {peak.y:.2f}, theta {peak.theta:.2f}',
             'actions': self._sequence,
+            **self._core.lengths.report(),
             **(self._goals.diagnostic_values() if self._goals is not None else {}),
         }
 

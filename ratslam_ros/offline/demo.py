@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.vision.local_view import make_view
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.files.config import load_config
 from ratslam_ros.offline.replay import ReplayOptions, ReplayOutcome, replay
 from ratslam_ros.recordings import ImageEvent, Recording, Selection, open_recording
 from ratslam_ros.results.evaluation import evaluate
@@ -27,7 +26,6 @@ from ratslam_ros.simulator.aliasing import measure_aliasing
 from ratslam_ros.simulator.picture import draw_run
 from ratslam_ros.simulator.recording import SimulatedRun, write_recording
 
-PRESET = 'pioneer'
 LOOK_ALIKE_DISTANCE_M = 5.0
 """Distance beyond which a view that matches another is an alias, not a revisit."""
 
@@ -53,12 +51,15 @@ class DemoFigures:
         return self.map_m / self.dead_reckoning_m
 
 
-def run_demo(seed: int, folder: Path, progress: bool = True) -> str:
+def run_demo(
+    seed: int, folder: Path, config: Config, config_name: str, progress: bool = True
+) -> str:
     """Simulate, replay, evaluate and draw one run.
 
     Args:
         seed: random seed of world and noise.
         folder: folder for the results and the recording.
+        config, config_name: all parameters, and the name or file that they come from.
         progress: show a progress bar.
 
     Returns:
@@ -68,7 +69,7 @@ def run_demo(seed: int, folder: Path, progress: bool = True) -> str:
         UnusableInput: the folder has a recording already, or cannot be written.
         KeyboardInterrupt: the replay was interrupted; its results are written.
     """
-    run, outcome, figures = _run(seed, folder, progress)
+    run, outcome, figures = _run(seed, folder, config, progress)
     plots = [
         *draw_all(folder, run.truth),
         draw_run(run, folder / 'world.png'),
@@ -94,18 +95,21 @@ def run_demo(seed: int, folder: Path, progress: bool = True) -> str:
             f'recording: {run.recording}',
             *[f'plot:      {path}' for path in plots],
             f'to replay this recording like one of your own:\n  ratslam replay {run.recording} '
-            f'--config {PRESET} --truth {run.truth}',
+            f'--config {config_name} --truth {run.truth}',
         ]
     )
 
 
-def run_seeds(seeds: Iterable[int]) -> str:
-    """Run several seeds without plots; return a table of the errors, with mean and worst."""
+def run_seeds(seeds: Iterable[int], config: Config) -> str:
+    """Run several seeds without plots; return a table of the errors, with mean and worst.
+
+    Last come the means, the seed with the largest ratio, and the one with the largest error.
+    """
     rows = ['seed  map [m]  dead reckoning [m]  ratio  look-alikes']
     all_figures = []
     for seed in seeds:
         with tempfile.TemporaryDirectory() as folder:
-            _, _, f = _run(seed, Path(folder), False)
+            _, _, f = _run(seed, Path(folder), config, False)
         all_figures.append(f)
         rows.append(
             f'{f.seed:4d}  {f.map_m:7.2f}  {f.dead_reckoning_m:18.2f}  {f.ratio:5.2f}  '
@@ -119,15 +123,16 @@ def run_seeds(seeds: Iterable[int]) -> str:
         f'worst {worst.map_m:7.2f}  {worst.dead_reckoning_m:18.2f}  {worst.ratio:5.2f}  '
         f'(seed {worst.seed})'
     )
+    largest = max(all_figures, key=lambda f: f.map_m)
+    rows.append(f'largest error {largest.map_m:.2f} m (seed {largest.seed})')
     return '\n'.join(rows)
 
 
 def _run(
-    seed: int, folder: Path, progress: bool
+    seed: int, folder: Path, config: Config, progress: bool
 ) -> tuple[SimulatedRun, ReplayOutcome, DemoFigures]:
     if (folder / 'recording').exists():
         raise UnusableInput(f'{folder} already has a recording; give another --out')
-    config, _ = load_config(PRESET)
     try:
         run = write_recording(folder / 'recording', seed)
     except BaseException:

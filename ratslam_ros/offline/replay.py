@@ -201,6 +201,7 @@ class _Run:
             'experiences': len(self.slam.experience_map),
             'links': self.slam.experience_map.link_count,
             'loop_closures': results.loop_closures,
+            **{k: round(v, 6) for k, v in self.slam.pose_cells.lengths.report().items()},
             'dropped': results.without_view + self._unusable.total() + self._recording.skipped,
             'late': counts.late,
             'refused': counts.refused,

@@ -203,7 +203,7 @@ class ExperienceMap(ExperienceGraph):
         # the map, so the robot did not come from the action's source.
         was_rejecting = self.gate.rejecting
         source = self.current_id if was_rejecting else action.source_id
-        target_offset = Pose(0.0, 0.0, action.relative_rad)
+        target_offset = action.relative_pose
         if scan_match is not None:
             self.offset = scan_match.from_current or self.offset
             target_offset = scan_match.from_target or target_offset

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.common.compiled import compiled
 from ratslam_ros.core.common.state import State
+from ratslam_ros.core.pose_cells.lengths import Lengths
 from ratslam_ros.core.pose_cells.torus import Place, Torus
 
 MAX_HYPOTHESES_COUNT = 64
@@ -35,27 +36,23 @@ turns on the spot does see different parts of its surroundings."""
 class Agreement:
     """Pose hypotheses of the most recently recognised views, and the weights they justify."""
 
-    def __init__(
-        self, torus: Torus, views: float, radius_cells: float, spacing_cells: float, recent: int,
-        near_cells: float = 0.0,
-    ) -> None:  # fmt: skip
+    def __init__(self, torus: Torus, lengths: Lengths, views: float, recent: int) -> None:
         """Start without hypotheses.
 
         Args:
             torus: extents of the pose cells.
+            lengths: ``agree``: maximum distance between hypotheses that agree. ``agree_spacing``:
+                minimum travelled distance between hypotheses that count separately. ``near``:
+                hypotheses closer than this to the current pose estimate need fewer views, in
+                proportion to their distance, at least MIN_NEARBY_VIEWS_COUNT; 0 disables this.
+                Distances between hypotheses are added to its measurements.
             views: number of agreeing views at which the weight is 1; 0 makes every weight 1.
-            radius_cells: maximum distance between hypotheses that agree.
-            spacing_cells: minimum travelled distance between hypotheses that count separately.
             recent: number of hypotheses, at least a spacing apart, that are kept.
-            near_cells: hypotheses closer than this to the current pose estimate need fewer views,
-                in proportion to their distance, at least MIN_NEARBY_VIEWS_COUNT; 0 disables this.
         """
         self._torus = torus
+        self._lengths = lengths
         self._views = views
-        self._radius = radius_cells
-        self._spacing = spacing_cells
         self._recent = recent
-        self._near = near_cells
         # Hypotheses made within one spacing share a slot.
         self._slot = 0
         self._slot_start = 0.0
@@ -92,13 +89,14 @@ class Agreement:
 
     def integrate(self, chord_cells: float, turn_planes: float) -> None:
         """Move all hypotheses by one motion of the robot."""
-        self._travelled += abs(chord_cells) + TURN_WEIGHT_CELLS_PER_PLANE * abs(turn_planes)
+        cells = abs(chord_cells) * self._lengths.agree_spacing.planes_per_cell
+        self._travelled += cells + TURN_WEIGHT_CELLS_PER_PLANE * abs(turn_planes)
         _propagate(
             self._places, self._count, chord_cells, turn_planes, self._torus.planes_per_rad
         )
 
     def weigh(
-        self, template_id: int, place: Place, estimate: Place, distance_cells: float = math.inf
+        self, template_id: int, place: Place, estimate: Place, distance: float = math.inf
     ) -> float:
         """Add the hypothesis of a recognised view and compute its weight.
 
@@ -113,7 +111,8 @@ class Agreement:
             template_id: recognised template.
             place: pose that the recognition implies.
             estimate: current pose estimate.
-            distance_cells: distance between the two, not wrapped at the edges of the torus.
+            distance: distance between the two in the unit of ``lengths.near``, not wrapped at the
+                edges of the torus.
 
         Returns:
             Factor for the energy to inject.
@@ -124,24 +123,51 @@ class Agreement:
             self._add(template_id, place)
         hypothesis = Place(*self._places[self._count - 1].tolist())
         support = self._support(hypothesis)
-        if self._torus.distance(hypothesis, estimate) > self._radius:
+        radius, planes_per_cell = self._lengths.agree
+        if self._torus.distance(hypothesis, estimate, planes_per_cell) > radius:
             support -= self._support(estimate)
         views = self._views
-        if distance_cells < self._near:
-            views = max(
-                views * distance_cells / self._near, min(views, MIN_NEARBY_VIEWS_COUNT)
-            )
+        near = self._lengths.near.limit
+        if distance < near:
+            views = max(views * distance / near, min(views, MIN_NEARBY_VIEWS_COUNT))
             support = min(support, int(2 * views))
         share: float = max(support, 0) / views
         return share * share * share * share
 
+    def mean(self, keep: float) -> Place:
+        """Return the weighted mean of the hypotheses that agree with the newest one.
+
+        Args:
+            keep: weight of a hypothesis relative to the next one, a spacing later.
+        """
+        torus, lengths = self._torus, self._lengths
+        x, y, theta = _mean(
+            self._places, self._made_at, self._count, torus.n_x, torus.n_y, torus.n_theta,
+            *lengths.agree, lengths.agree_spacing.limit, keep,
+        )  # fmt: skip
+        return Place(x, y, theta)
+
     def _add(self, template_id: int, place: Place) -> None:
-        if self._travelled - self._slot_start >= self._spacing:
+        if self._travelled - self._slot_start >= self._lengths.agree_spacing.limit:
             self._slot += 1
             self._slot_start = self._travelled
         self._append(template_id, place, self._travelled, self._slot)
         while self._slots[0] <= self._slot - self._recent:
             self._remove_oldest()
+        if self._lengths.is_automatic:
+            self._measure_scatter()
+
+    def _measure_scatter(self) -> None:
+        """Measure the distances of the newest hypothesis to earlier ones, a spacing apart."""
+        spacing = self._lengths.agree_spacing.limit
+        newest = last = self._count - 1
+        for i in range(newest - 1, -1, -1):
+            if self._made_at[last] - self._made_at[i] >= spacing:
+                x, y = self._torus.displaced(
+                    (0.0, 0.0), Place(*self._places[i]), Place(*self._places[newest])
+                )
+                self._lengths.add_pair(math.hypot(x, y))
+                last = i
 
     def _append(self, template_id: int, place: Place, travelled: float, slot: int) -> None:
         if self._count == MAX_HYPOTHESES_COUNT:
@@ -160,10 +186,10 @@ class Agreement:
 
     def _support(self, place: Place) -> int:
         """Count the hypotheses near a place that were made at least a spacing apart."""
-        torus = self._torus
+        torus, lengths = self._torus, self._lengths
         count = _support(
             self._places, self._made_at, self._count, place.x, place.y, place.theta,
-            torus.n_x, torus.n_y, torus.n_theta, self._radius, self._spacing,
+            torus.n_x, torus.n_y, torus.n_theta, *lengths.agree, lengths.agree_spacing.limit,
         )  # fmt: skip
         return int(count)
 
@@ -184,7 +210,7 @@ def _propagate(
 def _support(
     places: NDArray[np.float64], made_at: NDArray[np.float64], count: int,
     x: float, y: float, theta: float, n_x: int, n_y: int, n_theta: int,
-    radius: float, spacing: float,
+    radius: float, planes_per_cell: float, spacing: float,
 ) -> int:  # fmt: skip
     """Count places within a radius, by ``Torus.distance``, that were made a spacing apart."""
     found = 0
@@ -198,7 +224,49 @@ def _support(
         d_x = min(d_x, n_x - d_x)
         d_y = min(d_y, n_y - d_y)
         d_theta = min(d_theta, n_theta - d_theta)
+        d_x *= planes_per_cell
+        d_y *= planes_per_cell
         if math.sqrt(d_x * d_x + d_y * d_y + d_theta * d_theta) <= radius:
             found += 1
             last = made_at[i]
     return found
+
+
+@compiled
+def _mean(
+    places: NDArray[np.float64], made_at: NDArray[np.float64], count: int,
+    n_x: int, n_y: int, n_theta: int, radius: float, planes_per_cell: float, spacing: float,
+    keep: float,
+) -> tuple[float, float, float]:  # fmt: skip
+    """Return the weighted mean of the last place and of those that agree with it.
+
+    Of places made within a spacing, the last one counts. ``keep``: weight of a place relative to
+    the next one.
+    """
+    x = places[count - 1, 0]
+    y = places[count - 1, 1]
+    theta = places[count - 1, 2]
+    sum_x = 0.0
+    sum_y = 0.0
+    sum_theta = 0.0
+    weight = 1.0
+    total = 1.0
+    last = made_at[count - 1]
+    for i in range(count - 2, -1, -1):
+        if last - made_at[i] < spacing:
+            continue
+        last = made_at[i]
+        weight *= keep
+        d_x = places[i, 0] - x
+        d_y = places[i, 1] - y
+        d_theta = places[i, 2] - theta
+        d_x -= n_x * round(d_x / n_x)
+        d_y -= n_y * round(d_y / n_y)
+        d_theta -= n_theta * round(d_theta / n_theta)
+        away = planes_per_cell * planes_per_cell * (d_x * d_x + d_y * d_y) + d_theta * d_theta
+        if away <= radius * radius:
+            sum_x += weight * d_x
+            sum_y += weight * d_y
+            sum_theta += weight * d_theta
+            total += weight
+    return x + sum_x / total, y + sum_y / total, theta + sum_theta / total

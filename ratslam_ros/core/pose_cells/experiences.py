@@ -12,6 +12,7 @@ from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import PoseCellsParameters
 from ratslam_ros.core.pose_cells.experience_activity import activity
+from ratslam_ros.core.pose_cells.lengths import Lengths
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, Action
 from ratslam_ros.core.pose_cells.pruning import DistanceGraph, VisitHistory
 from ratslam_ros.core.pose_cells.torus import Place, Torus, Unwrapped
@@ -33,9 +34,12 @@ class Experiences:
     distinguishes them, as precisely as the odometry since the last known place allows.
     """
 
-    def __init__(self, parameters: PoseCellsParameters, torus: Torus) -> None:
+    def __init__(
+        self, parameters: PoseCellsParameters, torus: Torus, lengths: Lengths
+    ) -> None:
         self._p = parameters
         self._torus = torus
+        self._lengths = lengths
         self.current_id = NO_EXPERIENCE
         """Id of the current experience, -1 before the first one."""
         self._experiences: list[tuple[int, Place]] = []
@@ -84,8 +88,18 @@ class Experiences:
             for source, target in state['transitions']:
                 if source != NO_EXPERIENCE and not self._distances.are_neighbours(source, target):
                     cells = math.dist(self._unwrapped[source], self._unwrapped[target])
-                    self._distances.connect(source, target, cells * self._p.pc_cell_x_size)
+                    self._distances.connect(source, target, cells * self._lengths.cell_m)
         self._since_current = Pose(*state['since_current'])
+
+    def rescale(self, factor: float) -> None:
+        """Multiply all places by a factor."""
+        self._unwrapped = [(x * factor, y * factor) for x, y in self._unwrapped]
+        self._experiences = [
+            (template_id, self._torus.wrapped(position, place.theta))
+            for (template_id, place), position in zip(
+                self._experiences, self._unwrapped, strict=True
+            )
+        ]
 
     def integrate(self, motion: Motion) -> None:
         """Add a motion to the displacement since the current experience."""
@@ -132,10 +146,12 @@ class Experiences:
         candidates = self._of_template.get(seen.template_id)
         if candidates is None:
             return self._create(seen, learn)
+        if not self._lengths.are_known:
+            return 'none'
         place = seen.place
-        threshold = self._p.exp_delta_pc_threshold
+        threshold, scale = self._lengths.delta
         current_template, current_place = self._experiences[self.current_id]
-        is_far = self._torus.distance(place, current_place) > threshold
+        is_far = self._torus.distance(place, current_place, scale) > threshold
         if not is_far and (seen.template_id == current_template or self._is_stationary()):
             return 'none'
         others = [
@@ -143,7 +159,7 @@ class Experiences:
         ]
         if others:
             distance, nearest = min(
-                (self._torus.distance(place, self._experiences[i][1]), i) for i in others
+                (self._torus.distance(place, self._experiences[i][1], scale), i) for i in others
             )
             if distance < threshold:
                 return self._visit(nearest)
@@ -174,13 +190,13 @@ class Experiences:
         The odometry since the last known place distinguishes places that share cells. Several
         recent recognitions near the experience override the odometry; a single view does not.
         """
-        near = self._p.pc_vt_agree_near
+        near, scale = self._lengths.near
         if near == 0.0 or experience_id == self.current_id:
             return True
         x, y = self._unwrapped[experience_id]
-        if math.hypot(seen.unwrapped[0] - x, seen.unwrapped[1] - y) < near:
+        if math.hypot(seen.unwrapped[0] - x, seen.unwrapped[1] - y) * scale < near:
             return True
-        return sum(math.hypot(a - x, b - y) < near for a, b in recent) >= MIN_SUPPORT_COUNT
+        return sum(math.hypot(a - x, b - y) * scale < near for a, b in recent) >= MIN_SUPPORT_COUNT
 
     def _create(self, seen: Observation, learn: bool) -> Action:
         if self.current_id != NO_EXPERIENCE and self._is_stationary():
@@ -228,8 +244,10 @@ class Experiences:
 
     def _is_stationary(self) -> bool:
         x, y, turn = self._since_current
+        if not self._lengths.is_cell_known:
+            return x == y == turn == 0.0
         planes = abs(turn) * self._torus.planes_per_rad
-        cells = math.hypot(x, y) / self._p.pc_cell_x_size
+        cells = math.hypot(x, y) / self._lengths.cell_m
         return cells < STATIONARY_CELLS and planes < STATIONARY_CELLS
 
 

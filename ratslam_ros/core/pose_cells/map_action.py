@@ -7,6 +7,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.pose_cells.torus import Place
 
 Action = Literal['create', 'link', 'set', 'none']
@@ -29,6 +30,7 @@ class MapAction:
         template_id: the template of the message.
         relative_rad: heading of the robot minus the heading of the target's view.
         place: the target's place in the pose cells; the peak of activity if there is no target.
+        relative_m: position of the robot in the frame of the target.
     """
 
     action: Action
@@ -37,3 +39,9 @@ class MapAction:
     template_id: int
     relative_rad: float
     place: Place
+    relative_m: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def relative_pose(self) -> Pose:
+        """Pose of the robot in the frame of the target."""
+        return Pose(*self.relative_m, self.relative_rad)

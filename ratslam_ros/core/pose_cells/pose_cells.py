@@ -4,14 +4,18 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
+from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import PoseCellsParameters
 from ratslam_ros.core.pose_cells.attractor import Network, Packet, kernel
 from ratslam_ros.core.pose_cells.experiences import Experiences
+from ratslam_ros.core.pose_cells.lengths import Lengths
 from ratslam_ros.core.pose_cells.map_action import Action, MapAction
 from ratslam_ros.core.pose_cells.torus import Place, Torus
 from ratslam_ros.core.pose_cells.visual_evidence import Observation, VisualEvidence
@@ -43,8 +47,10 @@ class PoseCells:
             kernel(p.pc_w_i_dim, p.pc_w_i_var),
             p.pc_global_inhib,
         )
-        self._evidence = VisualEvidence(p, self._torus)
-        self._experiences = Experiences(p, self._torus)
+        self.lengths = Lengths(p)
+        """Cell size and thresholds in force, see ``Lengths``."""
+        self._evidence = VisualEvidence(p, self._torus, self.lengths)
+        self._experiences = Experiences(p, self._torus, self.lengths)
         self._packets = self._network.start()
         self.peak = self._decoded()
         """Peak of activity after the last odometry message."""
@@ -90,7 +96,10 @@ class PoseCells:
             },
             'stepped': self._stepped,
         }
-        return {key: state[key] for key in _STATE_KEYS}
+        ordered = {key: state[key] for key in _STATE_KEYS}
+        if self.lengths.is_automatic:
+            ordered['lengths'] = self.lengths.state()
+        return ordered
 
     def restore(self, state: State) -> None:
         """Restore what ``state`` returned; nothing must have been learned before.
@@ -104,6 +113,8 @@ class PoseCells:
                 f'the pose cells are {state["dims"]}; expected {dims}: pc_dim_x, pc_dim_y and '
                 'pc_dim_th must be those of the run that saved'
             )
+        if self.lengths.is_automatic and 'lengths' in state:
+            self.lengths.restore(state['lengths'])
         self._packets = [Packet(**packet) for packet in state['packets']]
         self.peak = Place(*state['unrolled']['peak'])
         self._unwrapped = tuple(state['unrolled']['here'])
@@ -113,12 +124,20 @@ class PoseCells:
 
     def integrate(self, motion: Motion) -> None:
         """Advance the network by one step: competition, then path integration of the motion."""
-        chord = motion.chord_m / self._p.pc_cell_x_size
+        self.lengths.integrate(motion.distance_m)
+        chord = motion.chord_m / self.lengths.cell_m
         turn = motion.turn_rad * self._torus.planes_per_rad
         self._evidence.integrate(chord, turn)
-        self._packets = self._network.step(self._packets, chord, turn)
-        before, self.peak = self.peak, self._decoded()
-        self._unwrapped = self._torus.displaced(self._unwrapped, before, self.peak)
+        if self.lengths.is_cell_known:
+            self._packets = self._network.step(self._packets, chord, turn)
+            before, self.peak = self.peak, self._decoded()
+            self._unwrapped = self._torus.displaced(self._unwrapped, before, self.peak)
+        else:
+            direction = (self.peak.theta + 0.5 * turn) / self._torus.planes_per_rad
+            x, y = self._unwrapped
+            self._unwrapped = x + chord * math.cos(direction), y + chord * math.sin(direction)
+            self._packets = self._network.step(self._packets, 0.0, turn)
+            self.peak = self._torus.wrapped(self._unwrapped, self._decoded().theta)
         self._experiences.integrate(motion)
         self._stepped = True
 
@@ -134,8 +153,11 @@ class PoseCells:
             action = self._observe()
         target_id = self._experiences.current_id
         place = self._experiences.place(target_id) if len(self._experiences) else self.peak
+        relative_rad, relative_m = match.relative_rad, (0.0, 0.0)
+        if self._p.exp_place_offset and action in ('link', 'set'):
+            relative_rad, relative_m = self._relative_to(place)
         return MapAction(
-            action, source_id, target_id, match.template_id, match.relative_rad, place
+            action, source_id, target_id, match.template_id, relative_rad, place, relative_m
         )
 
     def active_experiences(self) -> list[tuple[int, float]]:
@@ -148,7 +170,39 @@ class PoseCells:
         """
         return self._experiences.active(self._observation(), self._evidence.recent)
 
+    def _relative_to(self, place: Place) -> tuple[float, tuple[float, float]]:
+        """Return the robot's heading in rad and position in m in the frame of a place."""
+        torus, cell_m = self._torus, self.lengths.cell_m
+        x, y = torus.displaced((0.0, 0.0), place, self.peak)
+        heading_rad = place.theta / torus.planes_per_rad
+        c, s = math.cos(heading_rad), math.sin(heading_rad)
+        turn_rad = wrap((self.peak.theta - place.theta) / torus.planes_per_rad)
+        return turn_rad, (cell_m * (c * x + s * y), cell_m * (c * y - s * x))
+
+    def _rescale(self, factor: float) -> None:
+        """Multiply all places by a factor after a change of the cell size.
+
+        The activity keeps its shape. It is a single packet, because nothing was injected yet.
+        """
+        before, (x, y) = self._decoded(), self._unwrapped
+        self._unwrapped = x * factor, y * factor
+        place = self._torus.wrapped(self._unwrapped, before.theta)
+        self._packets = [
+            self._network.displaced(packet, place.y - before.y, place.x - before.x)
+            for packet in self._packets
+        ]
+        self.peak = self._decoded()
+        self._evidence.rescale(factor)
+        self._experiences.rescale(factor)
+
     def _observe(self) -> Action:
+        template_id, _ = self._last_view
+        factor = self.lengths.observe(
+            self.mapping and not self._evidence.is_known(template_id),
+            self._evidence.is_recent(template_id),
+        )
+        if factor != 1.0:
+            self._rescale(factor)
         seen = self._observation()
         injection = self._evidence.observe(seen, learn=self.mapping)
         if injection is not None:

@@ -12,6 +12,7 @@ from typing import NamedTuple
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import PoseCellsParameters
 from ratslam_ros.core.pose_cells.agreement import Agreement
+from ratslam_ros.core.pose_cells.lengths import Lengths
 from ratslam_ros.core.pose_cells.torus import Place, Torus, Unwrapped
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
 
@@ -72,17 +73,13 @@ class _Association:
 class VisualEvidence:
     """Associations of templates with places, and the energies that recognised templates inject."""
 
-    def __init__(self, parameters: PoseCellsParameters, torus: Torus) -> None:
+    def __init__(
+        self, parameters: PoseCellsParameters, torus: Torus, lengths: Lengths
+    ) -> None:
         p = self._p = parameters
         self._torus = torus
-        self._agreement = Agreement(
-            torus,
-            p.pc_vt_agree_views,
-            p.pc_vt_agree_cells,
-            p.pc_vt_agree_spacing,
-            p.pc_vt_agree_recent,
-            p.pc_vt_agree_near,
-        )
+        self._lengths = lengths
+        self._agreement = Agreement(torus, lengths, p.pc_vt_agree_views, p.pc_vt_agree_recent)
         self._associations: dict[int, _Association] = {}
         self._messages = 0
         self._last_template = NO_TEMPLATE
@@ -124,6 +121,21 @@ class VisualEvidence:
         """Move the pose hypotheses by one motion of the robot."""
         self._agreement.integrate(chord_cells, turn_planes)
 
+    def is_known(self, template_id: int) -> bool:
+        """Return whether a template has a place."""
+        return template_id in self._associations
+
+    def is_recent(self, template_id: int) -> bool:
+        """Return whether a template is one of the newest, or unknown."""
+        known = self._associations.get(template_id)
+        return known is None or known.order >= len(self._associations) - NEWEST_TEMPLATES_COUNT
+
+    def rescale(self, factor: float) -> None:
+        """Multiply all places by a factor; there must be no hypotheses yet."""
+        for known in self._associations.values():
+            known.unwrapped = known.unwrapped[0] * factor, known.unwrapped[1] * factor
+            known.place = self._torus.wrapped(known.unwrapped, known.place.theta)
+
     def observe(self, seen: Observation, learn: bool) -> Injection | None:
         """Associate a new template with the peak, or compute the injection of a known one.
 
@@ -149,7 +161,7 @@ class VisualEvidence:
                     self._messages,
                 )  # fmt: skip
             return None
-        if known.order >= len(self._associations) - NEWEST_TEMPLATES_COUNT:
+        if self.is_recent(seen.template_id) or not self._lengths.are_known:
             return None
         if seen.template_id != self._last_template:
             self.recent.append(known.unwrapped)
@@ -163,15 +175,21 @@ class VisualEvidence:
         loss = math.exp(min(1.2 * known.decay, 10.0))  # above e^3.4 the energy is negative
         energy = p.pc_vt_inject_energy / 30.0 * (30.0 - loss)
         energy *= self._agreement.weigh(
-            seen.template_id, place, seen.peak, self._distance_cells(known, place, seen)
+            seen.template_id, place, seen.peak, self._distance(known, place, seen)
         )
+        if p.pc_vt_agree_views > 0.0 and p.pc_vt_agree_mean > 0.0:
+            place = self._agreement.mean(p.pc_vt_agree_mean)
         return Injection(place, energy) if energy > 0.0 else None
 
-    def _distance_cells(self, known: _Association, place: Place, seen: Observation) -> float:
-        """Return the distance of a recognised place from the peak, x and y unwrapped."""
+    def _distance(self, known: _Association, place: Place, seen: Observation) -> float:
+        """Return the distance of a recognised place from the peak, x and y unwrapped.
+
+        The unit is that of ``lengths.near``.
+        """
+        scale = self._lengths.near.planes_per_cell
         same = Place(seen.peak.x, seen.peak.y, place.theta)
         x, y = seen.unwrapped
         return math.hypot(
-            known.unwrapped[0] - x, known.unwrapped[1] - y,
+            (known.unwrapped[0] - x) * scale, (known.unwrapped[1] - y) * scale,
             self._torus.distance(same, seen.peak),
         )  # fmt: skip
