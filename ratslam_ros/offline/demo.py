@@ -61,6 +61,7 @@ def run_demo(
         config: all parameters of the replay.
         seed: random seed of world and noise.
         folder: folder for the results and the recording.
+        config, config_name: all parameters, and the name or file that they come from.
         progress: show a progress bar.
         look_ahead: inspect the recording before the replay, as for a recording of one's own.
 
@@ -122,6 +123,8 @@ def run_seeds(config: Config, seeds: Iterable[int], look_ahead: bool = False) ->
         f'worst {worst.map_m:7.2f}  {worst.dead_reckoning_m:18.2f}  {worst.ratio:5.2f}  '
         f'(seed {worst.seed})'
     )
+    largest = max(all_figures, key=lambda f: f.map_m)
+    rows.append(f'largest error {largest.map_m:.2f} m (seed {largest.seed})')
     return '\n'.join(rows)
 
 
