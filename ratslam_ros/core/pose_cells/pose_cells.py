@@ -200,7 +200,8 @@ class PoseCells:
         label = self.peak if is_at_none else self._experiences.label(target_id)
         relative_rad, relative_m = match.relative_rad, (0.0, 0.0)
         if self._p.exp_place_offset and action in ('link', 'set'):
-            relative_rad, relative_m = self._relative_to(self._experiences.located(target_id).place)
+            place, _ = self._experiences.located(target_id)
+            relative_rad, relative_m = self._relative_to(place)
         return MapAction(
             action, source_id, target_id, match.template_id, relative_rad, label, correction,
             relative_m,
