@@ -55,6 +55,8 @@ def encode_template(stamp_ns: int, match: ViewMatch, memory_ns: int) -> str:
     }
     if match.threshold != FIXED_THRESHOLD:
         fields['threshold'] = match.threshold
+    if match.related_count:
+        fields['related'] = match.related_count
     return encode_json(fields)
 
 
@@ -78,11 +80,13 @@ def decode_template(payload: str) -> tuple[int, ViewMatch, int]:
     ):  # fmt: skip
         check_range('local_view/template', key, fields[key], low, high)
     fields.setdefault('threshold', FIXED_THRESHOLD)
-    check_types(fields, 'local_view/template', {'threshold': float})
+    fields.setdefault('related', 0)
+    check_types(fields, 'local_view/template', {'threshold': float, 'related': int})
+    check_range('local_view/template', 'related', fields['related'], 0, MAX_ID)
     check_range('local_view/template', 'threshold', fields['threshold'], FIXED_THRESHOLD, 1.0)
     match = ViewMatch(
         fields['id'], fields['is_new'], fields['error'], fields['relative_rad'],
-        fields['threshold'],
+        fields['threshold'], fields['related'],
     )  # fmt: skip
     return decode_stamp(fields['stamp']), match, fields['memory']
 

@@ -12,6 +12,7 @@ decisions.
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -119,6 +120,10 @@ class _Gap:
     is_clean: bool = False
 
 
+MAX_GAPS_COUNT = 256
+"""Number of latest gaps that are kept, to add them up to the distance to an unrelated template."""
+
+
 @dataclass
 class Lengths:
     """The lengths in force, and the measurements that the automatic ones are derived from."""
@@ -131,6 +136,7 @@ class Lengths:
     scatter_m: float = 0.0
     """Scatter of hypotheses in m, 0 before it is known."""
     _gap: _Gap = field(default_factory=_Gap)
+    _latest_m: deque[float] = field(default_factory=lambda: deque(maxlen=MAX_GAPS_COUNT))
     _gaps: LogHistogram = field(default_factory=LogHistogram)
     _pairs: LogHistogram = field(default_factory=LogHistogram)
 
@@ -169,12 +175,13 @@ class Lengths:
         if self.is_automatic:
             self._gap.length_m += abs(distance_m)
 
-    def observe(self, is_new: bool, is_recent: bool) -> float:
-        """Measure the distance to the last new view, if the surroundings were unknown since then.
+    def observe(self, is_new: bool, is_recent: bool, related_count: int = 0) -> float:
+        """Measure the distance to the last view of another scene, if all was unknown since then.
 
         Args:
             is_new: whether the present view was not known before.
             is_recent: whether it is new, or one of the newest templates was recognised.
+            related_count: number of newest templates that show the same scene as the view.
 
         Returns:
             Factor by which all places in cells have to be multiplied, because the size of the
@@ -187,8 +194,13 @@ class Lengths:
             gap.is_clean = gap.is_clean and is_recent
             return 1.0
         if gap.is_clean:
-            # Weighted by length: half of the way is driven in longer gaps.
-            self._gaps.add(gap.length_m, gap.length_m)
+            self._latest_m.append(gap.length_m)
+            if related_count < len(self._latest_m):
+                spacing_m = sum(list(self._latest_m)[-1 - related_count :])
+                # Weighted by length: half of the way is driven in longer gaps.
+                self._gaps.add(spacing_m, gap.length_m)
+        else:
+            self._latest_m.clear()
         self._gap = _Gap(0.0, True)
         if self._gaps.count < MIN_GAPS_COUNT:
             return 1.0
@@ -249,6 +261,7 @@ class Lengths:
             'spacing_m': self.spacing_m,
             'scatter_m': self.scatter_m,
             'gap': [self._gap.length_m, self._gap.is_clean],
+            'latest': list(self._latest_m),
             'gaps': self._gaps.state(),
             'pairs': self._pairs.state(),
         }
@@ -259,5 +272,6 @@ class Lengths:
             self.cell_m = state['cell_m']
         self.spacing_m, self.scatter_m = state['spacing_m'], state['scatter_m']
         self._gap = _Gap(*state['gap'])
+        self._latest_m.extend(state['latest'])
         self._gaps.restore(state['gaps'])
         self._pairs.restore(state['pairs'])

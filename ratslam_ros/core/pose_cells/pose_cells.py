@@ -189,7 +189,7 @@ class PoseCells:
         source_id = self._experiences.current_id
         action: Action = 'none'
         if match.template_id != NO_TEMPLATE and is_located:
-            action = self._observe()
+            action = self._observe(match.related_count)
         target_id = self._experiences.current_id
         correction = None
         if self.calibration is not None:
@@ -242,11 +242,12 @@ class PoseCells:
         self._evidence.rescale(factor)
         self._experiences.rescale(factor)
 
-    def _observe(self) -> Action:
+    def _observe(self, related_count: int) -> Action:
         template_id, _ = self._last_view
         factor = self.lengths.observe(
             self.mapping and not self._evidence.is_known(template_id, self._component),
             self._evidence.is_recent(template_id, self._component),
+            related_count,
         )
         if factor != 1.0:
             self._rescale(factor)

@@ -49,6 +49,9 @@ class ViewMatch:
     if ``vt_shift_fov_deg`` is 0."""
     threshold: float = FIXED_THRESHOLD
     """The automatic threshold that ``error`` was compared with; -1 if the threshold is fixed."""
+    related_count: int = 0
+    """Number of newest templates that show the same scene as the view, apart from gradual changes;
+    0 if ``vt_recent_templates`` is not automatic."""
 
 
 UNDECODABLE = ViewMatch(NO_TEMPLATE, False, -1.0, 0.0)
@@ -132,13 +135,17 @@ class LocalView:
         recognised, min_sad = self._best(search, first_recent)
         error = -1.0 if min_sad is None else min_sad / self._memory.full_sum
         threshold = self._threshold.value if self._threshold.is_automatic else FIXED_THRESHOLD
+        is_automatic = self._p.vt_recent_templates == AUTOMATIC
+        related_count = len(self) - first_recent if is_automatic else 0
         if recognised is not None:
             relative_rad = self._relative_rad(recognised.offset)
-            return ViewMatch(recognised.template_id, False, error, relative_rad, threshold)
+            return ViewMatch(
+                recognised.template_id, False, error, relative_rad, threshold, related_count
+            )
         if not self.mapping:
-            return ViewMatch(NO_TEMPLATE, False, error, 0.0, threshold)
+            return ViewMatch(NO_TEMPLATE, False, error, 0.0, threshold, related_count)
         self._threshold.learn(len(self), first_recent, search.sad)
-        return ViewMatch(self.learn(view), True, error, 0.0, threshold)
+        return ViewMatch(self.learn(view), True, error, 0.0, threshold, related_count)
 
     def _first_recent(self, search: Search) -> int:
         """Return the id of the first template that shows the stretch the robot is just learning.
