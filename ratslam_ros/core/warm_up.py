@@ -72,7 +72,9 @@ def _local_view(config: Config) -> None:
 def _pose_cells(config: Config) -> None:
     motion_from = MotionFromOdometry(config.pose_cells.odom_source)
     for views in (0.0, 1.0):  # With 0, every recognised view injects activity.
-        pose_cells = PoseCells(replace(config.pose_cells, pc_vt_agree_views=views))
+        pose_cells = PoseCells(
+            replace(config.pose_cells, pc_vt_agree_views=views, pc_vt_agree_mean=1.0)
+        )
         for n in range(30):  # Two rounds: in the second, recognised views inject activity.
             motion_from.update(Odometry(n * 10**9, Twist(1.0, 0.1), Pose(0.0, 0.0, 0.0)))
             pose_cells.integrate(_MOTION)

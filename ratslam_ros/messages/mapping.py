@@ -110,6 +110,8 @@ def encode_action(stamp_ns: int, sequence: int, action: MapAction, memory_ns: in
         'pc_theta': action.place.theta,
         'memory': memory_ns,
     }
+    if action.relative_m != (0.0, 0.0):
+        fields['relative_x_m'], fields['relative_y_m'] = action.relative_m
     if action.correction is not None:
         fields['correction'] = action.correction._asdict()
     return encode_json(fields)
@@ -142,10 +144,13 @@ def decode_action(payload: str) -> tuple[int, int, MapAction, int]:
         ('pc_theta', 0.0, MAX_PLACE_CELLS), ('memory', 0, MAX_COUNT),
     ):  # fmt: skip
         check_range(name, key, fields[key], low, high)
+    position = {key: fields.get(key, 0.0) for key in ('relative_x_m', 'relative_y_m')}
+    check_types(position, name, dict.fromkeys(position, float))
     action = MapAction(
         kind, fields['source_id'], fields['target_id'], fields['template_id'],
         fields['relative_rad'], Place(fields['pc_x'], fields['pc_y'], fields['pc_theta']),
         _decode_correction(name, fields.get('correction')),
+        (position['relative_x_m'], position['relative_y_m']),
     )  # fmt: skip
     return decode_stamp(fields['stamp']), fields['sequence'], action, fields['memory']
 

@@ -228,6 +228,7 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
             'actions': self._sequence,
             **(self._core.calibration.summary() if self._core.calibration is not None else {}),
             'odometry_gaps': self._core.gap_count,
+            **self._core.lengths.report(),
             **(self._goals.diagnostic_values() if self._goals is not None else {}),
         }
 

@@ -217,6 +217,7 @@ class _Run:
             'links': self.slam.experience_map.link_count,
             'loop_closures': results.loop_closures,
             **self._gap_counts(results),
+            **{k: round(v, 6) for k, v in self.slam.pose_cells.lengths.report().items()},
             'dropped': (
                 results.without_view - self._local_view.low_texture + self._unusable.total()
                 + self._recording.skipped

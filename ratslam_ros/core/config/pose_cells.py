@@ -55,7 +55,7 @@ class PoseCellsParameters(OdometryInput):
     pc_cell_x_size: float = parameter(
         1.0, 'm', 1e-4, 1e4, 'Side length of a pose cell on the ground.',
         'the robot is fast or its odometry is poor, and places are not linked',
-        'nearby places must be distinguished')  # fmt: skip
+        'nearby places must be distinguished', automatic=True)  # fmt: skip
     vt_active_decay: float = parameter(
         1.0, '', 0.0, 100.0,
         'Habituation added to a template each time that it is seen again in succession.',
@@ -81,13 +81,14 @@ class PoseCellsParameters(OdometryInput):
         3.0, 'cells', 0.0, 1000.0,
         'Largest distance between the places that two agreeing views indicate.',
         'odometry or views are imprecise compared to the cells',
-        'neighbouring places are confused',
+        'neighbouring places are confused', automatic=True,
     )  # fmt: skip
     pc_vt_agree_spacing: float = parameter(
         2.0, 'cells', 0.0, 1000.0,
         'Smallest motion between two views that count separately: the distance plus a quarter of '
         'the turn in heading planes.',
         'places that look alike along a stretch distort the map', 'short revisits are not linked',
+        automatic=True,
     )  # fmt: skip
     pc_vt_agree_recent: int = parameter(
         8, 'views', 1, 1000,
@@ -95,19 +96,35 @@ class PoseCellsParameters(OdometryInput):
         'counting agreement.',
         'correct recognitions are rare among wrong ones', 'repetitive places agree by chance',
     )  # fmt: skip
+    pc_vt_agree_mean: float = parameter(
+        0.0, '0: off', 0.0, 1.0,
+        'Activity is injected at the mean of the agreeing places instead of at the place of the '
+        'present view. This is the weight of a place in the mean, relative to one that was '
+        'recognised pc_vt_agree_spacing later.',
+        'views are recognised from some distance and the odometry is good',
+        'the odometry is poor and views are recognised precisely',
+    )  # fmt: skip
     pc_vt_agree_near: float = parameter(
         0.0, 'cells; 0: off', 0.0, 1e6,
         'Views that indicate a place within this distance of the present estimate need fewer '
         'agreeing views, in proportion to the distance, but at least 2. The distance is measured '
         'by the odometry since a known place.',
         'paths are mapped a second time beside themselves', 'neighbouring places are confused',
+        automatic=True,
     )  # fmt: skip
     exp_delta_pc_threshold: float = parameter(
         2.0, 'cells', 0.01, 1000.0,
         'Distance in the pose cells from the current experience at which another experience is '
         'created or becomes current.',
         'places are recognised but not linked, or there are too many experiences',
-        'the map is too coarse, or wrong places are linked')  # fmt: skip
+        'the map is too coarse, or wrong places are linked', automatic=True)  # fmt: skip
+    exp_place_offset: bool = parameter(
+        False, '', 0, 1,
+        'A robot that arrives at a known experience is placed on the map where the packet is '
+        'relative to that experience. Otherwise it is placed exactly at the experience. Not in '
+        'the papers.',
+        'links to recognised places are imprecise', 'leave off to compare with OpenRatSLAM',
+    )  # fmt: skip
     exp_current_by: str = parameter(
         'delta', '', 0, 0,
         'Selection of the current experience among those of the recognised template. delta: the '

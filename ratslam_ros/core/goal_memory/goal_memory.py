@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.common.state import State
-from ratslam_ros.core.config import PoseCellsParameters
+from ratslam_ros.core.config import AUTOMATIC, PoseCellsParameters
 from ratslam_ros.core.config.goal_memory import GoalMemoryParameters
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.pose_cells.torus import Place, Torus
-from ratslam_ros.errors import UnreachableGoal, UnusableInput
+from ratslam_ros.errors import UnreachableGoal, UnusableInput, UnusableParameter
 
 Cells = NDArray[np.int64]
 Activity = NDArray[np.float64]
@@ -70,6 +70,11 @@ class GoalMemory:
     """
 
     def __init__(self, parameters: GoalMemoryParameters, cells: PoseCellsParameters) -> None:
+        if cells.pc_cell_x_size == AUTOMATIC:
+            raise UnusableParameter(
+                'goal_memory.goal_memory is true and pose_cells.pc_cell_x_size is -1; expected a '
+                'size in m, because links between cells do not follow a change of the size'
+            )
         self._p = parameters
         self._torus = Torus(cells.pc_dim_x, cells.pc_dim_y, cells.pc_dim_th)
         self._cell_m = cells.pc_cell_x_size

@@ -238,7 +238,7 @@ class ExperienceMap(ExperienceGraph):
         source = action.source_id
         if was_rejecting or self.current_id == NO_EXPERIENCE:
             source = self.current_id
-        target_offset = Pose(0.0, 0.0, action.relative_rad)
+        target_offset = action.relative_pose
         if scan_match is not None:
             self.offset = scan_match.from_current or self.offset
             target_offset = scan_match.from_target or target_offset

@@ -119,7 +119,7 @@ class ScanMatcher:
             return ScanMatch()
         points = self._points_at(stamp_ns)
         before, there = self._references.get(current_id), self._references.get(action.target_id)
-        view = Pose(0.0, 0.0, action.relative_rad)
+        view = action.relative_pose
         if action.action == 'create':
             there = None
             self._references.pop(action.target_id, None)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.common.compiled import compiled
 from ratslam_ros.core.common.state import State
+from ratslam_ros.core.pose_cells.lengths import Lengths
 from ratslam_ros.core.pose_cells.torus import Place, Torus
 
 MAX_HYPOTHESES_COUNT = 64
@@ -36,27 +37,23 @@ turns on the spot does see different parts of its surroundings."""
 class Agreement:
     """Pose hypotheses of the most recently recognised views, and the weights they justify."""
 
-    def __init__(
-        self, torus: Torus, views: float, radius_cells: float, spacing_cells: float, recent: int,
-        near_cells: float = 0.0,
-    ) -> None:  # fmt: skip
+    def __init__(self, torus: Torus, lengths: Lengths, views: float, recent: int) -> None:
         """Start without hypotheses.
 
         Args:
             torus: extents of the pose cells.
+            lengths: ``agree``: maximum distance between hypotheses that agree. ``agree_spacing``:
+                minimum travelled distance between hypotheses that count separately. ``near``:
+                hypotheses closer than this to the current pose estimate need fewer views, in
+                proportion to their distance, at least MIN_NEARBY_VIEWS_COUNT; 0 disables this.
+                Distances between hypotheses are added to its measurements.
             views: number of agreeing views at which the weight is 1; 0 makes every weight 1.
-            radius_cells: maximum distance between hypotheses that agree.
-            spacing_cells: minimum travelled distance between hypotheses that count separately.
             recent: number of hypotheses, at least a spacing apart, that are kept.
-            near_cells: hypotheses closer than this to the current pose estimate need fewer views,
-                in proportion to their distance, at least MIN_NEARBY_VIEWS_COUNT; 0 disables this.
         """
         self._torus = torus
+        self._lengths = lengths
         self._views = views
-        self._radius = radius_cells
-        self._spacing = spacing_cells
         self._recent = recent
-        self._near = near_cells
         # Hypotheses made within one spacing share a slot.
         self._slot = 0
         self._slot_start = 0.0
@@ -105,14 +102,15 @@ class Agreement:
 
     def integrate(self, chord_cells: float, turn_planes: float) -> None:
         """Move all hypotheses by one motion of the robot."""
-        self._travelled += abs(chord_cells) + TURN_WEIGHT_CELLS_PER_PLANE * abs(turn_planes)
+        cells = abs(chord_cells) * self._lengths.agree_spacing.planes_per_cell
+        self._travelled += cells + TURN_WEIGHT_CELLS_PER_PLANE * abs(turn_planes)
         _propagate(
             self._places, self._count, chord_cells, turn_planes, self._torus.planes_per_rad
         )
 
     def weigh(
         self, template_id: int, place: Place, estimate: Place | None,
-        distance_cells: float = math.inf, component: int = 0,
+        distance: float = math.inf, component: int = 0,
     ) -> float:  # fmt: skip
         """Add the hypothesis of a recognised view and compute its weight.
 
@@ -128,7 +126,8 @@ class Agreement:
             place: pose that the recognition implies.
             estimate: current pose estimate; None if it is in another component than the place,
                 so that the two cannot contradict each other.
-            distance_cells: distance between the two, not wrapped at the edges of the torus.
+            distance: distance between the two in the unit of ``lengths.near``, not wrapped at the
+                edges of the torus.
             component: component of the place. Places in different components never agree.
 
         Returns:
@@ -142,16 +141,35 @@ class Agreement:
             latest = self._count - 1
         hypothesis = Place(*self._places[latest].tolist())
         support = self._support(hypothesis, component)
-        if estimate is not None and self._torus.distance(hypothesis, estimate) > self._radius:
+        radius, scale = self._lengths.agree
+        if estimate is not None and self._torus.distance(hypothesis, estimate, scale) > radius:
             support -= self._support(estimate, component)
         views = self._views
-        if distance_cells < self._near:
-            views = max(
-                views * distance_cells / self._near, min(views, MIN_NEARBY_VIEWS_COUNT)
-            )
+        near = self._lengths.near.limit
+        if distance < near:
+            views = max(views * distance / near, min(views, MIN_NEARBY_VIEWS_COUNT))
             support = min(support, int(2 * views))
         share: float = max(support, 0) / views
         return share * share * share * share
+
+    def mean(self, template_id: int, keep: float, component: int = 0) -> Place:
+        """Return the weighted mean of the hypotheses that agree with the latest view.
+
+        Args:
+            template_id: template of the view, which must have a hypothesis.
+            keep: weight of a hypothesis relative to the next one, a spacing later.
+            component: component of the hypotheses.
+        """
+        torus, lengths = self._torus, self._lengths
+        newest = self._latest_of(template_id, component)
+        if newest is None:
+            raise ValueError(f'the latest view is not of template {template_id}')
+        x, y, theta = _mean(
+            self._places, self._made_at, self._components, newest,
+            torus.n_x, torus.n_y, torus.n_theta,
+            *lengths.agree, lengths.agree_spacing.limit, keep,
+        )  # fmt: skip
+        return Place(x, y, theta)
 
     def _latest_of(self, template_id: int, component: int) -> int | None:
         """Return the latest hypothesis if it is of this template; one view adds several.
@@ -166,12 +184,28 @@ class Agreement:
         return None
 
     def _add(self, template_id: int, place: Place, component: int) -> None:
-        if self._travelled - self._slot_start >= self._spacing:
+        if self._travelled - self._slot_start >= self._lengths.agree_spacing.limit:
             self._slot += 1
             self._slot_start = self._travelled
         self._append(template_id, place, self._travelled, self._slot, component)
         while self._slots[0] <= self._slot - self._recent:
             self._remove_oldest()
+        if self._lengths.is_automatic:
+            self._measure_scatter()
+
+    def _measure_scatter(self) -> None:
+        """Measure the distances of the newest hypothesis to earlier ones, a spacing apart."""
+        spacing = self._lengths.agree_spacing.limit
+        newest = last = self._count - 1
+        for i in range(newest - 1, -1, -1):
+            if self._components[i] == self._components[newest] and (
+                self._made_at[last] - self._made_at[i] >= spacing
+            ):
+                x, y = self._torus.displaced(
+                    (0.0, 0.0), Place(*self._places[i]), Place(*self._places[newest])
+                )
+                self._lengths.add_pair(math.hypot(x, y))
+                last = i
 
     def _append(
         self, template_id: int, place: Place, travelled: float, slot: int, component: int = 0
@@ -197,11 +231,11 @@ class Agreement:
 
     def _support(self, place: Place, component: int) -> int:
         """Count the hypotheses near a place that were made at least a spacing apart."""
-        torus = self._torus
+        torus, lengths = self._torus, self._lengths
         count = _support(
             self._places, self._made_at, self._components, self._count,
             place.x, place.y, place.theta, component,
-            torus.n_x, torus.n_y, torus.n_theta, self._radius, self._spacing,
+            torus.n_x, torus.n_y, torus.n_theta, *lengths.agree, lengths.agree_spacing.limit,
         )  # fmt: skip
         return int(count)
 
@@ -222,7 +256,7 @@ def _propagate(
 def _support(
     places: NDArray[np.float64], made_at: NDArray[np.float64], components: NDArray[np.int64],
     count: int, x: float, y: float, theta: float, component: int, n_x: int, n_y: int, n_theta: int,
-    radius: float, spacing: float,
+    radius: float, planes_per_cell: float, spacing: float,
 ) -> int:  # fmt: skip
     """Count places of a component within a radius that were made a spacing apart.
 
@@ -239,7 +273,49 @@ def _support(
         d_x = min(d_x, n_x - d_x)
         d_y = min(d_y, n_y - d_y)
         d_theta = min(d_theta, n_theta - d_theta)
+        d_x *= planes_per_cell
+        d_y *= planes_per_cell
         if math.sqrt(d_x * d_x + d_y * d_y + d_theta * d_theta) <= radius:
             found += 1
             last = made_at[i]
     return found
+
+
+@compiled
+def _mean(
+    places: NDArray[np.float64], made_at: NDArray[np.float64], components: NDArray[np.int64],
+    newest: int, n_x: int, n_y: int, n_theta: int,
+    radius: float, planes_per_cell: float, spacing: float, keep: float,
+) -> tuple[float, float, float]:  # fmt: skip
+    """Return the weighted mean of a place and of earlier ones of its component that agree with it.
+
+    Of places made within a spacing, the last one counts. ``keep``: weight of a place relative to
+    the next one.
+    """
+    x = places[newest, 0]
+    y = places[newest, 1]
+    theta = places[newest, 2]
+    sum_x = 0.0
+    sum_y = 0.0
+    sum_theta = 0.0
+    weight = 1.0
+    total = 1.0
+    last = made_at[newest]
+    for i in range(newest - 1, -1, -1):
+        if last - made_at[i] < spacing or components[i] != components[newest]:
+            continue
+        last = made_at[i]
+        weight *= keep
+        d_x = places[i, 0] - x
+        d_y = places[i, 1] - y
+        d_theta = places[i, 2] - theta
+        d_x -= n_x * round(d_x / n_x)
+        d_y -= n_y * round(d_y / n_y)
+        d_theta -= n_theta * round(d_theta / n_theta)
+        away = planes_per_cell * planes_per_cell * (d_x * d_x + d_y * d_y) + d_theta * d_theta
+        if away <= radius * radius:
+            sum_x += weight * d_x
+            sum_y += weight * d_y
+            sum_theta += weight * d_theta
+            total += weight
+    return x + sum_x / total, y + sum_y / total, theta + sum_theta / total

@@ -117,6 +117,14 @@ class Network:
         spread = Packet(np.zeros((1, 1, 1)), point.box, frame)
         return self._merged([*packets, _merge_pair(spread, point, self.dims)])
 
+    def displaced(self, packet: Packet, y: float, x: float) -> Packet:
+        """Return a packet moved by y and x, in cells."""
+        frame = packet.frame + np.array([0.0, y, x])
+        whole = np.rint(frame)
+        box = packet.box.copy()
+        box[:3] = (box[:3] + whole.astype(np.int64)) % self.dims
+        return Packet(packet.cells, box, frame - whole)
+
     def peak(self, packets: list[Packet]) -> tuple[float, float, float]:
         """Return theta, y and x, in cells, of the peak of the packet with the largest cell."""
         largest = packets[0]

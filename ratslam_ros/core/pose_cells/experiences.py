@@ -12,6 +12,7 @@ from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import PoseCellsParameters
 from ratslam_ros.core.pose_cells.experience_activity import activity
+from ratslam_ros.core.pose_cells.lengths import Lengths
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, Action
 from ratslam_ros.core.pose_cells.pruning import DistanceGraph, VisitHistory
 from ratslam_ros.core.pose_cells.registration import Located, Registration
@@ -34,9 +35,12 @@ class Experiences:
     distinguishes them, as precisely as the odometry since the last known place allows.
     """
 
-    def __init__(self, parameters: PoseCellsParameters, torus: Torus) -> None:
+    def __init__(
+        self, parameters: PoseCellsParameters, torus: Torus, lengths: Lengths
+    ) -> None:
         self._p = parameters
         self._torus = torus
+        self._lengths = lengths
         self.current_id = NO_EXPERIENCE
         """Id of the current experience, -1 before the first one."""
         self._experiences: list[tuple[int, Place]] = []
@@ -99,8 +103,14 @@ class Experiences:
                     cells = math.dist(
                         self._located[source].unwrapped, self._located[target].unwrapped
                     )
-                    self._distances.connect(source, target, cells * self._p.pc_cell_x_size)
+                    self._distances.connect(source, target, cells * self._lengths.cell_m)
         self._since_current = Pose(*state['since_current'])
+
+    def rescale(self, factor: float) -> None:
+        """Multiply all places by a factor; labels stay, because the map has received them."""
+        for i, (place, (x, y)) in enumerate(self._located):
+            unwrapped = x * factor, y * factor
+            self._located[i] = Located(self._torus.wrapped(unwrapped, place.theta), unwrapped)
 
     def integrate(self, motion: Motion) -> None:
         """Add a motion to the displacement since the current experience."""
@@ -170,6 +180,8 @@ class Experiences:
         candidates = self._of_template.get(seen.template_id)
         if candidates is None:
             return self._create(seen, learn)
+        if not self._lengths.are_known:
+            return 'none'
         if self._is_at_current(seen) and (
             self._experiences[self.current_id][0] == seen.template_id or self._is_stationary()
         ):
@@ -183,18 +195,22 @@ class Experiences:
         """Return the nearest candidate closer than ``exp_delta_pc_threshold``, if any."""
         if not candidates:
             return None
+        threshold, scale = self._lengths.delta
         distance, nearest = min(
-            (self._torus.distance(seen.place, self._located[i].place), i) for i in candidates
+            (self._torus.distance(seen.place, self._located[i].place, scale), i)
+            for i in candidates
         )
-        return nearest if distance < self._p.exp_delta_pc_threshold else None
+        return nearest if distance < threshold else None
 
     def _is_at_current(self, seen: Observation) -> bool:
         """Return whether the observation was made near the current experience."""
         current = self.current_id
         if current == NO_EXPERIENCE or self._components[current] != seen.component:
             return False
-        distance = self._torus.distance(seen.place, self._located[current].place)
-        return distance <= self._p.exp_delta_pc_threshold
+        threshold, scale = self._lengths.delta
+        return (
+            self._torus.distance(seen.place, self._located[current].place, scale) <= threshold
+        )
 
     def _decide_by_activity(
         self, seen: Observation, recent: Collection[Unwrapped], learn: bool
@@ -225,13 +241,13 @@ class Experiences:
         """
         if self._components[experience_id] != seen.component:
             return False
-        near = self._p.pc_vt_agree_near
+        near, scale = self._lengths.near
         if near == 0.0 or experience_id == self.current_id:
             return True
         x, y = self._located[experience_id].unwrapped
-        if math.hypot(seen.unwrapped[0] - x, seen.unwrapped[1] - y) < near:
+        if math.hypot(seen.unwrapped[0] - x, seen.unwrapped[1] - y) * scale < near:
             return True
-        return sum(math.hypot(a - x, b - y) < near for a, b in recent) >= MIN_SUPPORT_COUNT
+        return sum(math.hypot(a - x, b - y) * scale < near for a, b in recent) >= MIN_SUPPORT_COUNT
 
     def _create(self, seen: Observation, learn: bool) -> Action:
         if self.current_id != NO_EXPERIENCE and self._is_stationary():
@@ -281,8 +297,10 @@ class Experiences:
 
     def _is_stationary(self) -> bool:
         x, y, turn = self._since_current
+        if not self._lengths.is_cell_known:
+            return x == y == turn == 0.0
         planes = abs(turn) * self._torus.planes_per_rad
-        cells = math.hypot(x, y) / self._p.pc_cell_x_size
+        cells = math.hypot(x, y) / self._lengths.cell_m
         return cells < STATIONARY_CELLS and planes < STATIONARY_CELLS
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.rotation_gain import TurnCorrection
 from ratslam_ros.core.pose_cells.torus import Place
 
@@ -31,6 +32,7 @@ class MapAction:
         relative_rad: heading of the robot minus the heading of the target's view.
         place: the target's place in the pose cells; the peak of activity if there is no target.
         correction: correction of the odometry with later stamps; None to leave it as it is.
+        relative_m: position of the robot in the frame of the target.
     """
 
     action: Action
@@ -40,3 +42,9 @@ class MapAction:
     relative_rad: float
     place: Place
     correction: TurnCorrection | None = None
+    relative_m: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def relative_pose(self) -> Pose:
+        """Pose of the robot in the frame of the target."""
+        return Pose(*self.relative_m, self.relative_rad)

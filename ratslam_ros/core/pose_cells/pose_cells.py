@@ -4,14 +4,18 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
+from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import PoseCellsParameters
 from ratslam_ros.core.pose_cells.attractor import Network, Packet, kernel
 from ratslam_ros.core.pose_cells.experiences import Experiences
+from ratslam_ros.core.pose_cells.lengths import Lengths
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, Action, MapAction
 from ratslam_ros.core.pose_cells.odometry_calibration import OdometryCalibration
 from ratslam_ros.core.pose_cells.registration import Located, Registration
@@ -46,8 +50,10 @@ class PoseCells:
             kernel(p.pc_w_i_dim, p.pc_w_i_var),
             p.pc_global_inhib,
         )
-        self._evidence = VisualEvidence(p, self._torus)
-        self._experiences = Experiences(p, self._torus)
+        self.lengths = Lengths(p)
+        """Cell size and thresholds in force, see ``Lengths``."""
+        self._evidence = VisualEvidence(p, self._torus, self.lengths)
+        self._experiences = Experiences(p, self._torus, self.lengths)
         self.calibration: OdometryCalibration | None = None
         """Calibration of the odometry, if ``odom_calibration`` is set."""
         if p.odom_calibration:
@@ -106,7 +112,9 @@ class PoseCells:
         if self.calibration is not None:
             state['calibration'] = self.calibration.state()
         saved = {key: state[key] for key in _STATE_KEYS if key in state}
-        if self._gap_count:  # otherwise the memory equals that of earlier versions
+        if self.lengths.is_automatic:
+            saved['lengths'] = self.lengths.state()
+        if self._gap_count or self.lengths.is_automatic:  # otherwise as in earlier versions
             saved['components'] = {
                 'current': self._component, 'gaps': self._gap_count,
                 **evidence['components'], 'experiences': experiences['components'],
@@ -126,6 +134,8 @@ class PoseCells:
                 f'the pose cells are {state["dims"]}; expected {dims}: pc_dim_x, pc_dim_y and '
                 'pc_dim_th must be those of the run that saved'
             )
+        if self.lengths.is_automatic and 'lengths' in state:
+            self.lengths.restore(state['lengths'])
         self._packets = [Packet(**packet) for packet in state['packets']]
         self.peak = Place(*state['unrolled']['peak'])
         self._unwrapped = tuple(state['unrolled']['here'])
@@ -146,12 +156,20 @@ class PoseCells:
         if not motion.is_known:
             self._separate()
             return
-        chord = motion.chord_m / self._p.pc_cell_x_size
+        self.lengths.integrate(motion.distance_m)
+        chord = motion.chord_m / self.lengths.cell_m
         turn = motion.turn_rad * self._torus.planes_per_rad
         self._evidence.integrate(chord, turn)
-        self._packets = self._network.step(self._packets, chord, turn)
-        before, self.peak = self.peak, self._decoded()
-        self._unwrapped = self._torus.displaced(self._unwrapped, before, self.peak)
+        if self.lengths.is_cell_known:
+            self._packets = self._network.step(self._packets, chord, turn)
+            before, self.peak = self.peak, self._decoded()
+            self._unwrapped = self._torus.displaced(self._unwrapped, before, self.peak)
+        else:
+            direction = (self.peak.theta + 0.5 * turn) / self._torus.planes_per_rad
+            x, y = self._unwrapped
+            self._unwrapped = x + chord * math.cos(direction), y + chord * math.sin(direction)
+            self._packets = self._network.step(self._packets, 0.0, turn)
+            self.peak = self._torus.wrapped(self._unwrapped, self._decoded().theta)
         self._experiences.integrate(motion)
         self._stepped = True
         if self.calibration is not None:
@@ -180,9 +198,14 @@ class PoseCells:
             correction = self.calibration.correction
         is_at_none = target_id == NO_EXPERIENCE
         place = self.peak if is_at_none else self._experiences.label(target_id)
+        relative_rad, relative_m = match.relative_rad, (0.0, 0.0)
+        if self._p.exp_place_offset and action in ('link', 'set'):
+            located = self._experiences.located(target_id)
+            relative_rad, relative_m = self._relative_to(located.place)
         return MapAction(
-            action, source_id, target_id, match.template_id, match.relative_rad, place, correction
-        )
+            action, source_id, target_id, match.template_id, relative_rad, place, correction,
+            relative_m,
+        )  # fmt: skip
 
     def active_experiences(self) -> list[tuple[int, float]]:
         """Return the experiences of the last view's template near the peak, most active first.
@@ -194,7 +217,39 @@ class PoseCells:
         """
         return self._experiences.active(self._observation(), self._evidence.recent)
 
+    def _relative_to(self, place: Place) -> tuple[float, tuple[float, float]]:
+        """Return the robot's heading in rad and position in m in the frame of a place."""
+        torus, cell_m = self._torus, self.lengths.cell_m
+        x, y = torus.displaced((0.0, 0.0), place, self.peak)
+        heading_rad = place.theta / torus.planes_per_rad
+        c, s = math.cos(heading_rad), math.sin(heading_rad)
+        turn_rad = wrap((self.peak.theta - place.theta) / torus.planes_per_rad)
+        return turn_rad, (cell_m * (c * x + s * y), cell_m * (c * y - s * x))
+
+    def _rescale(self, factor: float) -> None:
+        """Multiply all places by a factor after a change of the cell size.
+
+        The activity keeps its shape. It is a single packet, because nothing was injected yet.
+        """
+        before, (x, y) = self._decoded(), self._unwrapped
+        self._unwrapped = x * factor, y * factor
+        place = self._torus.wrapped(self._unwrapped, before.theta)
+        self._packets = [
+            self._network.displaced(packet, place.y - before.y, place.x - before.x)
+            for packet in self._packets
+        ]
+        self.peak = self._decoded()
+        self._evidence.rescale(factor)
+        self._experiences.rescale(factor)
+
     def _observe(self) -> Action:
+        template_id, _ = self._last_view
+        factor = self.lengths.observe(
+            self.mapping and not self._evidence.is_known(template_id),
+            self._evidence.is_recent(template_id, self._component),
+        )
+        if factor != 1.0:
+            self._rescale(factor)
         seen = self._observation()
         joined: set[int] = set()
         effect = self._evidence.observe(seen, self.mapping, is_first=self._stepped)
@@ -220,6 +275,7 @@ class PoseCells:
         """Begin a new component: the pose relative to all known places is unknown."""
         self._gap_count += 1
         self._component = self._gap_count
+        self.lengths.interrupt()
         self._evidence.separate(self._component)
         if self.calibration is not None:
             self.calibration.separate()

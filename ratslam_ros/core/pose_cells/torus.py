@@ -33,15 +33,26 @@ class Torus:
         """Number of heading planes per radian."""
         return self.n_theta / (2.0 * math.pi)
 
-    def distance(self, a: Place, b: Place) -> float:
-        """Return the shortest distance of two places on the torus, in cells."""
+    def distance(self, a: Place, b: Place, planes_per_cell: float = 1.0) -> float:
+        """Return the shortest distance of two places on the torus, in heading planes.
+
+        Args:
+            a, b: the places.
+            planes_per_cell: number of heading planes that a distance of one cell counts as.
+        """
         d_x = abs(a.x - b.x) % self.n_x
         d_y = abs(a.y - b.y) % self.n_y
         d_theta = abs(a.theta - b.theta) % self.n_theta
         d_x = min(d_x, self.n_x - d_x)
         d_y = min(d_y, self.n_y - d_y)
         d_theta = min(d_theta, self.n_theta - d_theta)
+        d_x *= planes_per_cell
+        d_y *= planes_per_cell
         return math.sqrt(d_x * d_x + d_y * d_y + d_theta * d_theta)
+
+    def wrapped(self, position: Unwrapped, theta: float) -> Place:
+        """Return the place on the torus of an unwrapped position."""
+        return Place(position[0] % self.n_x, position[1] % self.n_y, theta)
 
     def displaced(self, origin: Unwrapped, start: Place, end: Place) -> Unwrapped:
         """Add the shortest displacement along x and y from one place to another.

@@ -12,6 +12,7 @@ from typing import NamedTuple
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import PoseCellsParameters
 from ratslam_ros.core.pose_cells.agreement import Agreement
+from ratslam_ros.core.pose_cells.lengths import Lengths
 from ratslam_ros.core.pose_cells.registration import Located, Registration
 from ratslam_ros.core.pose_cells.torus import Place, Torus, Unwrapped
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
@@ -82,17 +83,13 @@ class _Association:
 class VisualEvidence:
     """Associations of templates with places, and the energies that recognised templates inject."""
 
-    def __init__(self, parameters: PoseCellsParameters, torus: Torus) -> None:
+    def __init__(
+        self, parameters: PoseCellsParameters, torus: Torus, lengths: Lengths
+    ) -> None:
         p = self._p = parameters
         self._torus = torus
-        self._agreement = Agreement(
-            torus,
-            p.pc_vt_agree_views,
-            p.pc_vt_agree_cells,
-            p.pc_vt_agree_spacing,
-            p.pc_vt_agree_recent,
-            p.pc_vt_agree_near,
-        )
+        self._lengths = lengths
+        self._agreement = Agreement(torus, lengths, p.pc_vt_agree_views, p.pc_vt_agree_recent)
         # By template and component, in the order in which they were made.
         self._associations: dict[tuple[int, int], _Association] = {}
         self._components = [0]
@@ -180,6 +177,23 @@ class VisualEvidence:
         self._agreement.discard(component)
         self.recent.clear()
 
+    def is_known(self, template_id: int) -> bool:
+        """Return whether a template has a place."""
+        return any((template_id, number) in self._associations for number in self._components)
+
+    def is_recent(self, template_id: int, component: int) -> bool:
+        """Return whether a template is unknown, or one of the newest of the component."""
+        known = self._associations.get((template_id, component))
+        if known is None:
+            return not self.is_known(template_id)
+        return known.order >= self._made_count - NEWEST_TEMPLATES_COUNT
+
+    def rescale(self, factor: float) -> None:
+        """Multiply all places by a factor; there must be no hypotheses yet."""
+        for known in self._associations.values():
+            known.unwrapped = known.unwrapped[0] * factor, known.unwrapped[1] * factor
+            known.place = self._torus.wrapped(known.unwrapped, known.place.theta)
+
     def observe(
         self, seen: Observation, learn: bool, is_first: bool = False
     ) -> Injection | Relocation | None:
@@ -197,7 +211,9 @@ class VisualEvidence:
         injection = self._recall(seen, learn)
         if is_first:
             self._unlocated.clear()
-        relocation = self._relocation(seen) if is_first else None
+        relocation = None
+        if is_first and self._lengths.are_known:
+            relocation = self._relocation(seen)
         self._messages += 1
         self._last_template = seen.template_id
         return relocation or injection
@@ -217,6 +233,8 @@ class VisualEvidence:
             return None
         if known.order >= self._made_count - NEWEST_TEMPLATES_COUNT:
             return None
+        if not self._lengths.are_known:
+            return None
         if seen.template_id != self._last_template:
             self.recent.append(known.unwrapped)
         # The decay recovers with each template message; it is computed when a template is seen.
@@ -229,9 +247,11 @@ class VisualEvidence:
         loss = math.exp(min(1.2 * known.decay, 10.0))  # above e^3.4 the energy is negative
         energy = p.pc_vt_inject_energy / 30.0 * (30.0 - loss)
         energy *= self._agreement.weigh(
-            seen.template_id, place, seen.peak, self._distance_cells(known, place, seen),
+            seen.template_id, place, seen.peak, self._distance(known, place, seen),
             seen.component,
         )  # fmt: skip
+        if energy > 0.0 and p.pc_vt_agree_views > 0.0 and p.pc_vt_agree_mean > 0.0:
+            place = self._agreement.mean(seen.template_id, p.pc_vt_agree_mean, seen.component)
         return Injection(place, energy) if energy > 0.0 else None
 
     def _relocation(self, seen: Observation) -> Relocation | None:
@@ -250,11 +270,15 @@ class VisualEvidence:
                 return Relocation(Located(place, known.unwrapped), component)
         return None
 
-    def _distance_cells(self, known: _Association, place: Place, seen: Observation) -> float:
-        """Return the distance of a recognised place from the peak, x and y unwrapped."""
+    def _distance(self, known: _Association, place: Place, seen: Observation) -> float:
+        """Return the distance of a recognised place from the peak, x and y unwrapped.
+
+        The unit is that of ``lengths.near``.
+        """
+        scale = self._lengths.near.planes_per_cell
         same = Place(seen.peak.x, seen.peak.y, place.theta)
         x, y = seen.unwrapped
         return math.hypot(
-            known.unwrapped[0] - x, known.unwrapped[1] - y,
+            (known.unwrapped[0] - x) * scale, (known.unwrapped[1] - y) * scale,
             self._torus.distance(same, seen.peak),
         )  # fmt: skip

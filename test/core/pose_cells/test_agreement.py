@@ -8,15 +8,20 @@ import math
 
 import pytest
 
+from ratslam_ros.core.config import PoseCellsParameters
 from ratslam_ros.core.pose_cells.agreement import MAX_HYPOTHESES_COUNT, Agreement
+from ratslam_ros.core.pose_cells.lengths import Lengths
 from ratslam_ros.core.pose_cells.torus import Place, Torus
 
 TORUS = Torus(30, 30, 36)
 HERE, THERE = Place(10.0, 10.0, 0.0), Place(20.0, 20.0, 18.0)
 
 
-def agreement(views: float = 3.0) -> Agreement:
-    return Agreement(TORUS, views, radius_cells=3.0, spacing_cells=2.0, recent=8)
+def agreement(views: float = 3.0, near: float = 0.0) -> Agreement:
+    parameters = PoseCellsParameters(
+        pc_vt_agree_cells=3.0, pc_vt_agree_spacing=2.0, pc_vt_agree_near=near
+    )
+    return Agreement(TORUS, Lengths(parameters), views, recent=8)
 
 
 def ahead(place: Place, cells: float) -> Place:
@@ -76,7 +81,7 @@ def test_views_while_turning_on_the_spot_count_separately() -> None:
     (0.0, 2.0), (2.0, 2.0), (5.0, 3.0), (9.9, 5.94), (10.0, 6.0), (math.inf, 6.0)
 ])  # fmt: skip
 def test_nearby_hypothesis_needs_fewer_views(distance_cells: float, required: float) -> None:
-    hypotheses = Agreement(TORUS, 6.0, 3.0, 2.0, recent=8, near_cells=10.0)
+    hypotheses = agreement(views=6.0, near=10.0)
     weights = []
     for n in range(4):
         weights.append(hypotheses.weigh(n, ahead(HERE, 2.0 * n), THERE, distance_cells))
@@ -85,7 +90,7 @@ def test_nearby_hypothesis_needs_fewer_views(distance_cells: float, required: fl
 
 
 def test_nearby_support_is_limited_to_twice_the_required_views() -> None:
-    hypotheses = Agreement(TORUS, 6.0, 3.0, 2.0, recent=8, near_cells=10.0)
+    hypotheses = agreement(views=6.0, near=10.0)
     for n in range(8):
         weight = hypotheses.weigh(n, ahead(HERE, 2.0 * n), THERE, 1.0)
         hypotheses.integrate(2.0, 0.0)
@@ -108,3 +113,26 @@ def test_number_of_hypotheses_is_bounded() -> None:
         hypotheses.weigh(n, Place(n % 7, n % 5, math.pi), THERE)
         hypotheses.integrate(1e-6, 0.0)
     assert len(hypotheses.state()['claims']) == MAX_HYPOTHESES_COUNT
+
+
+def test_mean_of_agreeing_hypotheses_reduces_noise() -> None:
+    hypotheses = agreement()
+    noise = [0.9, -0.8, 0.7, -0.9, 0.8, -0.7]
+    for n, error in enumerate(noise):
+        if n:
+            hypotheses.integrate(2.0, 0.0)
+        hypotheses.weigh(n, ahead(HERE, 2.0 * n + error), THERE)
+    assert hypotheses.mean(len(noise) - 1, 1.0).x == pytest.approx(HERE.x + 10.0, abs=0.05)
+    assert hypotheses.mean(len(noise) - 1, 0.0).x == pytest.approx(HERE.x + 10.0 + noise[-1])
+
+
+def test_mean_ignores_contradicting_hypotheses_and_wraps() -> None:
+    hypotheses = agreement()
+    for n in range(4):
+        hypotheses.weigh(2 * n, THERE, THERE)
+        hypotheses.weigh(2 * n + 1, Place(29.9 if n % 2 else 30.1, 5.0, 35.9 + 0.2 * n), THERE)
+        if n < 3:
+            hypotheses.integrate(0.0, 8.0)  # as far as a motion of two cells
+    mean = hypotheses.mean(7, 1.0)
+    assert abs(mean.y - 5.0) < 0.01
+    assert TORUS.distance(mean, THERE) > 10.0

@@ -1,0 +1,267 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Lengths of the pose cells that depend on the scene: explicit, or estimated while driving.
+
+Two properties of the scene are measured. The view spacing is the distance after which a view of
+unknown surroundings is new. The scatter is the distance between pose hypotheses of the same
+visit: the error of a recognition, plus the drift of the odometry between two of them. All
+automatic lengths are multiples of the two, so a world that is k times as large gives the same
+decisions.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from ratslam_ros.core.common.state import State
+from ratslam_ros.core.config import AUTOMATIC, PoseCellsParameters
+
+MIN_GAPS_COUNT = 10
+"""Number of distances between new views that give the first estimate of the view spacing. The
+newest templates inject nothing, so the estimate exists before the first recognition counts."""
+
+MIN_PAIRS_COUNT = 16
+"""Number of distances between hypotheses that give the first estimate of the scatter."""
+
+UNIT_SPACINGS = 2.0 / 3.0
+"""Length, in view spacings, that counts as one heading plane when places are compared. It is also
+the automatic size of a cell."""
+
+DELTA_SPACINGS = 0.5
+"""Automatic ``exp_delta_pc_threshold``, in view spacings."""
+
+AGREE_SPACINGS = 0.75
+"""Automatic ``pc_vt_agree_spacing``, in view spacings. Below 1, so that neighbouring views count
+separately although their distances vary."""
+
+NEAR_SPACINGS = 10.0
+"""Automatic ``pc_vt_agree_near``, in view spacings."""
+
+SCATTERS = 2.0
+"""Automatic ``pc_vt_agree_cells``, in scatters."""
+
+MIN_AGREE_SPACINGS, FIRST_AGREE_SPACINGS, MAX_AGREE_SPACINGS = 1.0, 2.0, 4.0
+"""Bounds of ``pc_vt_agree_cells`` if it is automatic, and its value before the scatter is known,
+in view spacings. The upper bound is for surroundings in which most recognitions are false."""
+
+BINS_PER_OCTAVE = 8
+"""Resolution of the histograms: a bin is 9 % wide."""
+
+PROVISIONAL_CELL_M = 1.0
+"""Automatic cell size before the view spacing is known. Until then places come from odometry
+alone, and the network only turns; afterwards all places are rescaled."""
+
+
+class Reach(NamedTuple):
+    """A length to compare distances of places with.
+
+    Attributes:
+        limit: the length, in heading planes.
+        planes_per_cell: number of heading planes that a distance of one cell counts as.
+    """
+
+    limit: float
+    planes_per_cell: float
+
+
+class LogHistogram:
+    """Weighted histogram of positive values with bins of equal ratio."""
+
+    def __init__(self) -> None:
+        self._unit = 0.0
+        self._weights: dict[int, float] = {}
+        self.count = 0
+        """Number of values."""
+
+    def add(self, value: float, weight: float = 1.0) -> None:
+        """Add a value; zero has no bin and is ignored."""
+        if value > 0.0 and weight > 0.0:
+            self._unit = self._unit or value  # bins relative to a value do not depend on its unit
+            at = round(BINS_PER_OCTAVE * math.log2(value / self._unit))
+            self._weights[at] = self._weights.get(at, 0.0) + weight
+            self.count += 1
+
+    def median(self) -> float:
+        """Return the centre of the bin at which half of the weight is reached; 0 if empty."""
+        bins = sorted(self._weights)
+        half = 0.5 * sum([self._weights[at] for at in bins])
+        reached = 0.0
+        for at in bins:
+            reached += self._weights[at]
+            if reached >= half:
+                return self._unit * math.exp2(at / BINS_PER_OCTAVE)
+        return 0.0
+
+    def state(self) -> State:
+        """Return all bins, for ``restore``."""
+        return {
+            'count': self.count,
+            'unit': self._unit,
+            'bins': [[at, self._weights[at]] for at in sorted(self._weights)],
+        }
+
+    def restore(self, state: State) -> None:
+        """Restore what ``state`` returned."""
+        self.count, self._unit = int(state['count']), float(state['unit'])
+        self._weights = {int(at): float(weight) for at, weight in state['bins']}
+
+
+@dataclass
+class _Gap:
+    """Motion since the newest template was learned.
+
+    ``is_clean``: only the newest templates were seen since then.
+    """
+
+    length_m: float = 0.0
+    is_clean: bool = False
+
+
+@dataclass
+class Lengths:
+    """The lengths in force, and the measurements that the automatic ones are derived from."""
+
+    parameters: PoseCellsParameters
+    cell_m: float = 0.0
+    """Size of a cell in m."""
+    spacing_m: float = 0.0
+    """View spacing in m, 0 before it is known."""
+    scatter_m: float = 0.0
+    """Scatter of hypotheses in m, 0 before it is known."""
+    _gap: _Gap = field(default_factory=_Gap)
+    _gaps: LogHistogram = field(default_factory=LogHistogram)
+    _pairs: LogHistogram = field(default_factory=LogHistogram)
+
+    def __post_init__(self) -> None:
+        p = self.parameters
+        self.is_automatic = AUTOMATIC in (
+            p.pc_cell_x_size, p.pc_vt_agree_cells, p.pc_vt_agree_spacing, p.pc_vt_agree_near,
+            p.exp_delta_pc_threshold,
+        )  # fmt: skip
+        """Whether any length is estimated."""
+        is_cell_automatic = p.pc_cell_x_size == AUTOMATIC
+        self.cell_m = PROVISIONAL_CELL_M if is_cell_automatic else p.pc_cell_x_size
+
+    @property
+    def are_known(self) -> bool:
+        """Whether all lengths have a value; before that, recognised views inject nothing."""
+        return not self.is_automatic or self.spacing_m > 0.0
+
+    def report(self) -> dict[str, float]:
+        """Return the estimates in m, by name; empty if all lengths are explicit."""
+        if not self.is_automatic:
+            return {}
+        return {
+            'view_spacing_m': self.spacing_m, 'scatter_m': self.scatter_m, 'cell_m': self.cell_m
+        }
+
+    @property
+    def is_cell_known(self) -> bool:
+        """Whether the size of the cells is final."""
+        return self.parameters.pc_cell_x_size != AUTOMATIC or self.spacing_m > 0.0
+
+    # Measurements
+
+    def integrate(self, distance_m: float) -> None:
+        """Add the length of one motion."""
+        if self.is_automatic:
+            self._gap.length_m += abs(distance_m)
+
+    def interrupt(self) -> None:
+        """Discard the distance since the last new view: a motion is unknown."""
+        self._gap = _Gap()
+
+    def observe(self, is_new: bool, is_recent: bool) -> float:
+        """Measure the distance to the last new view, if the surroundings were unknown since then.
+
+        Args:
+            is_new: whether the present view was not known before.
+            is_recent: whether it is new, or one of the newest templates was recognised.
+
+        Returns:
+            Factor by which all places in cells have to be multiplied, because the size of the
+            cells has just been determined; otherwise 1.
+        """
+        if not self.is_automatic:
+            return 1.0
+        gap = self._gap
+        if not is_new:
+            gap.is_clean = gap.is_clean and is_recent
+            return 1.0
+        if gap.is_clean:
+            # Weighted by length: half of the way is driven in longer gaps.
+            self._gaps.add(gap.length_m, gap.length_m)
+        self._gap = _Gap(0.0, True)
+        if self._gaps.count < MIN_GAPS_COUNT:
+            return 1.0
+        was_known = self.spacing_m > 0.0
+        self.spacing_m = self._gaps.median()
+        if was_known or self.parameters.pc_cell_x_size != AUTOMATIC:
+            return 1.0
+        before_m, self.cell_m = self.cell_m, UNIT_SPACINGS * self.spacing_m
+        return before_m / self.cell_m
+
+    def add_pair(self, distance_cells: float) -> None:
+        """Add the distance between two hypotheses."""
+        self._pairs.add(distance_cells * self.cell_m)
+        if self._pairs.count >= MIN_PAIRS_COUNT:
+            self.scatter_m = self._pairs.median()
+
+    # Lengths
+
+    @property
+    def delta(self) -> Reach:
+        """Distance at which another experience is created or becomes current."""
+        return self._reach(self.parameters.exp_delta_pc_threshold, DELTA_SPACINGS)
+
+    @property
+    def agree(self) -> Reach:
+        """Largest distance between hypotheses that agree."""
+        spacings = FIRST_AGREE_SPACINGS
+        if self.scatter_m > 0.0:
+            spacings = SCATTERS * self.scatter_m / self.spacing_m
+            spacings = min(max(spacings, MIN_AGREE_SPACINGS), MAX_AGREE_SPACINGS)
+        return self._reach(self.parameters.pc_vt_agree_cells, spacings)
+
+    @property
+    def agree_spacing(self) -> Reach:
+        """Smallest motion between two hypotheses that count separately."""
+        return self._reach(self.parameters.pc_vt_agree_spacing, AGREE_SPACINGS)
+
+    @property
+    def near(self) -> Reach:
+        """Distance from the present estimate below which fewer hypotheses have to agree."""
+        return self._reach(self.parameters.pc_vt_agree_near, NEAR_SPACINGS)
+
+    def _reach(self, value: float, spacings: float) -> Reach:
+        if value != AUTOMATIC:
+            return Reach(value, 1.0)
+        if self.spacing_m == 0.0:
+            return Reach(math.inf, 1.0)
+        return Reach(
+            spacings / UNIT_SPACINGS, self.cell_m / (UNIT_SPACINGS * self.spacing_m)
+        )
+
+    # State
+
+    def state(self) -> State:
+        """Return all measurements, for ``restore``."""
+        return {
+            'cell_m': self.cell_m,
+            'spacing_m': self.spacing_m,
+            'scatter_m': self.scatter_m,
+            'gap': [self._gap.length_m, self._gap.is_clean],
+            'gaps': self._gaps.state(),
+            'pairs': self._pairs.state(),
+        }
+
+    def restore(self, state: State) -> None:
+        """Restore what ``state`` returned; explicit parameters keep their values."""
+        if self.parameters.pc_cell_x_size == AUTOMATIC:
+            self.cell_m = state['cell_m']
+        self.spacing_m, self.scatter_m = state['spacing_m'], state['scatter_m']
+        self._gap = _Gap(*state['gap'])
+        self._gaps.restore(state['gaps'])
+        self._pairs.restore(state['pairs'])

@@ -1,0 +1,148 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Lengths that are estimated while driving: view spacing, scatter, and decisions at any scale."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import pytest
+from helpers import seen
+
+from ratslam_ros.core.common.odometry import Motion
+from ratslam_ros.core.config import AUTOMATIC, GoalMemoryParameters, PoseCellsParameters
+from ratslam_ros.core.goal_memory.goal_memory import GoalMemory
+from ratslam_ros.core.pose_cells.lengths import MIN_GAPS_COUNT, Lengths, LogHistogram
+from ratslam_ros.core.pose_cells.map_action import MapAction
+from ratslam_ros.core.pose_cells.pose_cells import PoseCells
+from ratslam_ros.errors import UnusableParameter
+
+PER_LAP = 40
+
+
+def automatic(**changes: float) -> PoseCellsParameters:
+    return PoseCellsParameters(**{
+        'pc_dim_x': 200, 'pc_dim_y': 200, 'pc_cell_x_size': AUTOMATIC,
+        'exp_delta_pc_threshold': AUTOMATIC, 'pc_vt_agree_cells': AUTOMATIC,
+        'pc_vt_agree_spacing': AUTOMATIC, 'pc_vt_agree_near': AUTOMATIC,
+        'pc_vt_agree_mean': 1.0, 'exp_place_offset': True, **changes,
+    })  # fmt: skip
+
+
+def drive(
+    pose_cells: PoseCells, first: int, last: int, view_m: float = 1.0
+) -> list[MapAction]:
+    """Drive laps of PER_LAP views on a circle, with odometry that turns 3 % too far."""
+    actions = []
+    for n in range(first, last):
+        for _ in range(3):
+            pose_cells.integrate(
+                Motion(0.3, view_m / 3, 1.03 * 2.0 * math.pi / PER_LAP / 3)
+            )
+            actions.append(pose_cells.view(seen(n % PER_LAP)))
+    return actions
+
+
+def decisions(actions: list[MapAction]) -> list[tuple[str, int, int]]:
+    return [(a.action, a.source_id, a.target_id) for a in actions]
+
+
+def test_weighted_median_of_histogram_is_within_a_bin() -> None:
+    histogram = LogHistogram()
+    for value, weight in ((0.5, 1.0), (2.0, 1.0), (3.0, 3.0), (0.0, 9.0)):
+        histogram.add(value, weight)
+    assert histogram.median() == pytest.approx(3.0, rel=0.05)
+    assert histogram.count == 3
+    assert LogHistogram().median() == 0.0
+
+
+def test_view_spacing_is_the_distance_between_new_views() -> None:
+    pose_cells = PoseCells(automatic())
+    drive(pose_cells, 0, MIN_GAPS_COUNT, 0.4)
+    assert not pose_cells.lengths.are_known
+    drive(pose_cells, MIN_GAPS_COUNT, PER_LAP, 0.4)
+    assert pose_cells.lengths.spacing_m == pytest.approx(0.4, rel=0.1)
+    assert pose_cells.lengths.cell_m == pytest.approx(0.4 * 2 / 3, rel=0.1)
+
+
+def test_distances_driven_over_known_ground_are_not_measured() -> None:
+    pose_cells = PoseCells(automatic())
+    drive(pose_cells, 0, PER_LAP)
+    before = pose_cells.lengths.spacing_m
+    drive(pose_cells, PER_LAP, 2 * PER_LAP, 7.0)
+    drive(pose_cells, 0, 5, 7.0)
+    assert pose_cells.lengths.spacing_m == before
+
+
+@pytest.mark.parametrize('scale', [0.03, 0.25, 40.0])
+def test_scaled_world_gives_same_decisions(scale: float) -> None:
+    one, other = PoseCells(automatic()), PoseCells(automatic())
+    expected = decisions(drive(one, 0, 3 * PER_LAP))
+    assert decisions(drive(other, 0, 3 * PER_LAP, scale)) == expected
+    assert {action for action, _, _ in expected} >= {'create', 'link'}
+    assert other.lengths.cell_m == pytest.approx(scale * one.lengths.cell_m)
+
+
+def test_rescaled_places_keep_their_distances() -> None:
+    pose_cells = PoseCells(automatic())
+    turned = 0.0
+    while not pose_cells.lengths.are_known:
+        pose_cells.integrate(Motion(0.1, 0.25, 0.1))
+        turned += 0.1
+        pose_cells.view(seen(len(pose_cells)))
+    radius_m = 2.5
+    cell_m = pose_cells.lengths.cell_m
+    first = pose_cells._experiences.place(0)
+    expected_m = 2.0 * radius_m * abs(math.sin(0.5 * (turned - 0.1)))
+    distance_m = cell_m * math.hypot(
+        pose_cells.peak.x - first.x, pose_cells.peak.y - first.y
+    )
+    assert distance_m == pytest.approx(expected_m, rel=0.02)
+
+
+@pytest.mark.parametrize('views', [3, MIN_GAPS_COUNT + 3, PER_LAP + 9, 2 * PER_LAP])
+def test_restored_lengths_continue_identically(views: int) -> None:
+    pose_cells, restored = PoseCells(automatic()), PoseCells(automatic())
+    drive(pose_cells, 0, views)
+    state = pose_cells.state()
+    lengths = json.loads(json.dumps(state['lengths']))
+    restored.restore({**state, 'lengths': lengths})
+    assert decisions(drive(pose_cells, views, 3 * PER_LAP)) == decisions(
+        drive(restored, views, 3 * PER_LAP)
+    )
+    assert restored.lengths.state() == pose_cells.lengths.state()
+
+
+def test_explicit_lengths_are_saved_and_measured_not_at_all() -> None:
+    pose_cells = PoseCells(PoseCellsParameters())
+    drive(pose_cells, 0, PER_LAP)
+    assert 'lengths' not in pose_cells.state()
+    assert pose_cells.lengths.delta == (2.0, 1.0)
+    assert pose_cells.lengths.spacing_m == 0.0
+
+
+def test_automatic_thresholds_do_not_depend_on_the_cell_size() -> None:
+    for cell_m in (0.25, 1.0, 3.0):
+        lengths = Lengths(automatic(pc_cell_x_size=cell_m))
+        for _ in range(MIN_GAPS_COUNT + 1):
+            lengths.observe(True, True)
+            lengths.integrate(1.5)
+        limit, planes_per_cell = lengths.delta
+        assert limit / planes_per_cell * lengths.cell_m == pytest.approx(0.75)
+
+
+def test_place_offset_is_the_position_relative_to_the_experience() -> None:
+    with_offset = PoseCells(automatic())
+    actions = drive(with_offset, 0, 3 * PER_LAP)
+    known = [a for a in actions if a.action in ('link', 'set')]
+    assert known
+    assert any(a.relative_m != (0.0, 0.0) for a in known)
+    assert all(math.hypot(*a.relative_m) < 1.0 for a in known)
+    without = drive(PoseCells(automatic(exp_place_offset=False)), 0, 3 * PER_LAP)
+    assert all(a.relative_m == (0.0, 0.0) for a in without)
+
+
+def test_goal_memory_rejects_an_automatic_cell_size() -> None:
+    with pytest.raises(UnusableParameter, match='pc_cell_x_size is -1'):
+        GoalMemory(GoalMemoryParameters(), automatic())
