@@ -36,7 +36,7 @@ AGREE_SPACINGS = 0.75
 """Automatic ``pc_vt_agree_spacing``, in view spacings. Below 1, so that neighbouring views count
 separately although their distances vary."""
 
-NEAR_SPACINGS = 10.0
+NEAR_SPACINGS = 20.0
 """Automatic ``pc_vt_agree_near``, in view spacings."""
 
 SCATTERS = 2.0
