@@ -116,6 +116,8 @@ def encode_action(stamp_ns: int, sequence: int, action: MapAction, memory_ns: in
         'pc_theta': action.place.theta,
         'memory': memory_ns,
     }
+    if action.relative_m != (0.0, 0.0):
+        fields['relative_x_m'], fields['relative_y_m'] = action.relative_m
     if action.correction is not None:
         fields['correction'] = action.correction._asdict()
     return encode_json(fields)

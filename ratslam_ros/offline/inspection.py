@@ -175,14 +175,17 @@ def _odometry(
 ) -> tuple[dict[str, Value], str]:
     """Return the part of the odometry messages to use, and a description of them."""
     gap_s = min(config.pose_cells.max_odom_gap_s, GAP_S)
+    settings: dict[str, Value] = {}
     if selection.odom_topic is None:
         stamps = found.image_ns
-        return {}, f'estimated from the images; {_gaps(stamps, "image", gap_s)}'
+        # The speed that is measured in images depends on the texture, so that positions relative
+        # to a known place are less precise than the place itself.
+        settings['pose_cells.exp_place_offset'] = False
+        return settings, f'estimated from the images; {_gaps(stamps, "image", gap_s)}'
     stamps = [message.stamp_ns for message in found.odometry]
     source = config.pose_cells.odom_source
     moved = {kind: _movement(found.odometry, kind) for kind in ('twist', 'pose')}
     other = 'pose' if source == 'twist' else 'twist'
-    settings: dict[str, Value] = {}
     why = ''
     if _is_empty(moved[source], moved[other]):
         sections = 'pose_cells', 'experience_map'

@@ -141,11 +141,8 @@ class Agreement:
             latest = self._count - 1
         hypothesis = Place(*self._places[latest].tolist())
         support = self._support(hypothesis, component)
-        radius, planes_per_cell = self._lengths.agree
-        if (
-            estimate is not None
-            and self._torus.distance(hypothesis, estimate, planes_per_cell) > radius
-        ):
+        radius, scale = self._lengths.agree
+        if estimate is not None and self._torus.distance(hypothesis, estimate, scale) > radius:
             support -= self._support(estimate, component)
         views = self._views
         near = self._lengths.near.limit
@@ -155,16 +152,20 @@ class Agreement:
         share: float = max(support, 0) / views
         return share * share * share * share
 
-    def mean(self, keep: float, component: int = 0) -> Place:
-        """Return the weighted mean of the hypotheses that agree with the newest one.
+    def mean(self, template_id: int, keep: float, component: int = 0) -> Place:
+        """Return the weighted mean of the hypotheses that agree with the latest view.
 
         Args:
+            template_id: template of the view, which must have a hypothesis.
             keep: weight of a hypothesis relative to the next one, a spacing later.
-            component: component of the hypotheses; it must contain at least one.
+            component: component of the hypotheses.
         """
         torus, lengths = self._torus, self._lengths
+        newest = self._latest_of(template_id, component)
+        if newest is None:
+            raise ValueError(f'the latest view is not of template {template_id}')
         x, y, theta = _mean(
-            self._places, self._made_at, self._components, self._count, component,
+            self._places, self._made_at, self._components, newest,
             torus.n_x, torus.n_y, torus.n_theta,
             *lengths.agree, lengths.agree_spacing.limit, keep,
         )  # fmt: skip
@@ -197,9 +198,8 @@ class Agreement:
         spacing = self._lengths.agree_spacing.limit
         newest = last = self._count - 1
         for i in range(newest - 1, -1, -1):
-            if (
-                self._components[i] == self._components[newest]
-                and self._made_at[last] - self._made_at[i] >= spacing
+            if self._components[i] == self._components[newest] and (
+                self._made_at[last] - self._made_at[i] >= spacing
             ):
                 x, y = self._torus.displaced(
                     (0.0, 0.0), Place(*self._places[i]), Place(*self._places[newest])
@@ -284,17 +284,14 @@ def _support(
 @compiled
 def _mean(
     places: NDArray[np.float64], made_at: NDArray[np.float64], components: NDArray[np.int64],
-    count: int, component: int, n_x: int, n_y: int, n_theta: int,
+    newest: int, n_x: int, n_y: int, n_theta: int,
     radius: float, planes_per_cell: float, spacing: float, keep: float,
 ) -> tuple[float, float, float]:  # fmt: skip
-    """Return the weighted mean of the last place of a component and of those that agree with it.
+    """Return the weighted mean of a place and of earlier ones of its component that agree with it.
 
     Of places made within a spacing, the last one counts. ``keep``: weight of a place relative to
     the next one.
     """
-    newest = count - 1
-    while components[newest] != component:
-        newest -= 1
     x = places[newest, 0]
     y = places[newest, 1]
     theta = places[newest, 2]
@@ -305,7 +302,7 @@ def _mean(
     total = 1.0
     last = made_at[newest]
     for i in range(newest - 1, -1, -1):
-        if components[i] != component or last - made_at[i] < spacing:
+        if last - made_at[i] < spacing or components[i] != components[newest]:
             continue
         last = made_at[i]
         weight *= keep

@@ -85,8 +85,6 @@ class Experiences:
         positions = state['unrolled']['experiences']
         places = [place for _, place in self._experiences]
         self._components = [0] * len(places)
-        if 'lengths' in state:
-            places = [Place(*place) for place in state['lengths']['places']]
         if 'components' in state:
             places = [Place(*place) for place in state['components']['places']]
             self._components = list(state['components']['experiences'])
@@ -109,7 +107,7 @@ class Experiences:
         self._since_current = Pose(*state['since_current'])
 
     def rescale(self, factor: float) -> None:
-        """Multiply all places by a factor; labels stay as they are."""
+        """Multiply all places by a factor; labels stay, because the map has received them."""
         for i, (place, (x, y)) in enumerate(self._located):
             unwrapped = x * factor, y * factor
             self._located[i] = Located(self._torus.wrapped(unwrapped, place.theta), unwrapped)
@@ -210,8 +208,9 @@ class Experiences:
         if current == NO_EXPERIENCE or self._components[current] != seen.component:
             return False
         threshold, scale = self._lengths.delta
-        distance = self._torus.distance(seen.place, self._located[current].place, scale)
-        return distance <= threshold
+        return (
+            self._torus.distance(seen.place, self._located[current].place, scale) <= threshold
+        )
 
     def _decide_by_activity(
         self, seen: Observation, recent: Collection[Unwrapped], learn: bool

@@ -175,6 +175,11 @@ class Lengths:
         if self.is_automatic:
             self._gap.length_m += abs(distance_m)
 
+    def interrupt(self) -> None:
+        """Discard the distance since the last new view: a motion is unknown."""
+        self._gap = _Gap()
+        self._latest_m.clear()
+
     def observe(self, is_new: bool, is_recent: bool, related_count: int = 0) -> float:
         """Measure the distance to the last view of another scene, if all was unknown since then.
 

@@ -113,8 +113,8 @@ class PoseCells:
             state['calibration'] = self.calibration.state()
         saved = {key: state[key] for key in _STATE_KEYS if key in state}
         if self.lengths.is_automatic:
-            saved['lengths'] = {**self.lengths.state(), 'places': experiences['places']}
-        if self._gap_count:  # otherwise the memory equals that of earlier versions
+            saved['lengths'] = self.lengths.state()
+        if self._gap_count or self.lengths.is_automatic:  # otherwise as in earlier versions
             saved['components'] = {
                 'current': self._component, 'gaps': self._gap_count,
                 **evidence['components'], 'experiences': experiences['components'],
@@ -197,15 +197,15 @@ class PoseCells:
                 self.calibration.visit(target_id, match.relative_rad, action == 'create')
             correction = self.calibration.correction
         is_at_none = target_id == NO_EXPERIENCE
-        label = self.peak if is_at_none else self._experiences.label(target_id)
+        place = self.peak if is_at_none else self._experiences.label(target_id)
         relative_rad, relative_m = match.relative_rad, (0.0, 0.0)
         if self._p.exp_place_offset and action in ('link', 'set'):
-            place, _ = self._experiences.located(target_id)
-            relative_rad, relative_m = self._relative_to(place)
+            located = self._experiences.located(target_id)
+            relative_rad, relative_m = self._relative_to(located.place)
         return MapAction(
-            action, source_id, target_id, match.template_id, relative_rad, label, correction,
+            action, source_id, target_id, match.template_id, relative_rad, place, correction,
             relative_m,
-        )
+        )  # fmt: skip
 
     def active_experiences(self) -> list[tuple[int, float]]:
         """Return the experiences of the last view's template near the peak, most active first.
@@ -245,7 +245,7 @@ class PoseCells:
     def _observe(self, related_count: int) -> Action:
         template_id, _ = self._last_view
         factor = self.lengths.observe(
-            self.mapping and not self._evidence.is_known(template_id, self._component),
+            self.mapping and not self._evidence.is_known(template_id),
             self._evidence.is_recent(template_id, self._component),
             related_count,
         )
@@ -276,8 +276,7 @@ class PoseCells:
         """Begin a new component: the pose relative to all known places is unknown."""
         self._gap_count += 1
         self._component = self._gap_count
-        if self.calibration is not None:
-            self.calibration.restart()
+        self.lengths.interrupt()
         self._evidence.separate(self._component)
         if self.calibration is not None:
             self.calibration.separate()

@@ -146,21 +146,6 @@ class VisualEvidence:
         self._agreement.integrate(chord_cells, turn_planes)
         self._unlocated.clear()
 
-    def is_known(self, template_id: int, component: int) -> bool:
-        """Return whether a template has a place in a component."""
-        return (template_id, component) in self._associations
-
-    def is_recent(self, template_id: int, component: int) -> bool:
-        """Return whether a template is one of the newest, or unknown in a component."""
-        known = self._associations.get((template_id, component))
-        return known is None or known.order >= self._made_count - NEWEST_TEMPLATES_COUNT
-
-    def rescale(self, factor: float) -> None:
-        """Multiply all places by a factor; there must be no hypotheses yet."""
-        for known in self._associations.values():
-            known.unwrapped = known.unwrapped[0] * factor, known.unwrapped[1] * factor
-            known.place = self._torus.wrapped(known.unwrapped, known.place.theta)
-
     def separate(self, component: int) -> None:
         """Begin a component, and discard what depends on the pose, which is unknown now.
 
@@ -192,6 +177,23 @@ class VisualEvidence:
         self._agreement.discard(component)
         self.recent.clear()
 
+    def is_known(self, template_id: int) -> bool:
+        """Return whether a template has a place."""
+        return any((template_id, number) in self._associations for number in self._components)
+
+    def is_recent(self, template_id: int, component: int) -> bool:
+        """Return whether a template is unknown, or one of the newest of the component."""
+        known = self._associations.get((template_id, component))
+        if known is None:
+            return not self.is_known(template_id)
+        return known.order >= self._made_count - NEWEST_TEMPLATES_COUNT
+
+    def rescale(self, factor: float) -> None:
+        """Multiply all places by a factor; there must be no hypotheses yet."""
+        for known in self._associations.values():
+            known.unwrapped = known.unwrapped[0] * factor, known.unwrapped[1] * factor
+            known.place = self._torus.wrapped(known.unwrapped, known.place.theta)
+
     def observe(
         self, seen: Observation, learn: bool, is_first: bool = False
     ) -> Injection | Relocation | None:
@@ -209,7 +211,9 @@ class VisualEvidence:
         injection = self._recall(seen, learn)
         if is_first:
             self._unlocated.clear()
-        relocation = self._relocation(seen) if is_first else None
+        relocation = None
+        if is_first and self._lengths.are_known:
+            relocation = self._relocation(seen)
         self._messages += 1
         self._last_template = seen.template_id
         return relocation or injection
@@ -227,7 +231,9 @@ class VisualEvidence:
                 self._made_count += 1
                 self._unlocated.append(key)
             return None
-        if self.is_recent(*key) or not self._lengths.are_known:
+        if known.order >= self._made_count - NEWEST_TEMPLATES_COUNT:
+            return None
+        if not self._lengths.are_known:
             return None
         if seen.template_id != self._last_template:
             self.recent.append(known.unwrapped)
@@ -244,8 +250,8 @@ class VisualEvidence:
             seen.template_id, place, seen.peak, self._distance(known, place, seen),
             seen.component,
         )  # fmt: skip
-        if p.pc_vt_agree_views > 0.0 and p.pc_vt_agree_mean > 0.0:
-            place = self._agreement.mean(p.pc_vt_agree_mean, seen.component)
+        if energy > 0.0 and p.pc_vt_agree_views > 0.0 and p.pc_vt_agree_mean > 0.0:
+            place = self._agreement.mean(seen.template_id, p.pc_vt_agree_mean, seen.component)
         return Injection(place, energy) if energy > 0.0 else None
 
     def _relocation(self, seen: Observation) -> Relocation | None:
@@ -254,8 +260,6 @@ class VisualEvidence:
         The number is ``pc_vt_agree_views``, at which the energy of a recognition has its full
         value. Of several such components it is the first one.
         """
-        if not self._lengths.are_known:
-            return None
         for component in self._components:
             known = self._associations.get((seen.template_id, component))
             if known is None or component == seen.component:

@@ -122,8 +122,8 @@ def test_mean_of_agreeing_hypotheses_reduces_noise() -> None:
         if n:
             hypotheses.integrate(2.0, 0.0)
         hypotheses.weigh(n, ahead(HERE, 2.0 * n + error), THERE)
-    assert hypotheses.mean(1.0).x == pytest.approx(HERE.x + 10.0, abs=0.05)
-    assert hypotheses.mean(0.0).x == pytest.approx(HERE.x + 10.0 + noise[-1])
+    assert hypotheses.mean(len(noise) - 1, 1.0).x == pytest.approx(HERE.x + 10.0, abs=0.05)
+    assert hypotheses.mean(len(noise) - 1, 0.0).x == pytest.approx(HERE.x + 10.0 + noise[-1])
 
 
 def test_mean_ignores_contradicting_hypotheses_and_wraps() -> None:
@@ -133,6 +133,6 @@ def test_mean_ignores_contradicting_hypotheses_and_wraps() -> None:
         hypotheses.weigh(2 * n + 1, Place(29.9 if n % 2 else 30.1, 5.0, 35.9 + 0.2 * n), THERE)
         if n < 3:
             hypotheses.integrate(0.0, 8.0)  # as far as a motion of two cells
-    mean = hypotheses.mean(1.0)
+    mean = hypotheses.mean(7, 1.0)
     assert abs(mean.y - 5.0) < 0.01
     assert TORUS.distance(mean, THERE) > 10.0
