@@ -66,10 +66,6 @@ class OdometryCalibration:
         self._turn_rad += self.correction.measured(motion.turn_rad, motion.distance_m)
         self._length_m += motion.distance_m
 
-    def separate(self) -> None:
-        """Forget all visits: after an unknown motion, a return closes no loop."""
-        self._visits.clear()
-
     def visit(self, experience_id: int, relative_rad: float, created: bool) -> None:
         """Record that an experience became current, and renew the estimate if it is due."""
         number = self._visit_count

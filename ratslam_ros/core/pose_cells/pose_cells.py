@@ -279,7 +279,7 @@ class PoseCells:
         self.lengths.interrupt()
         self._evidence.separate(self._component)
         if self.calibration is not None:
-            self.calibration.separate()
+            self.calibration.restart()
         self._experiences.separate()
         self._packets = self._network.start()
         self.peak = self._decoded()
