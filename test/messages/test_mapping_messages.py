@@ -51,12 +51,14 @@ def refused(payload: str) -> str:
 
 @given(
     st.integers(0, 2**31 * 10**9 - 1), st.integers(-1, 10**6), st.booleans(), st.floats(-1.0, 1.0),
-    st.floats(-3.14, 3.14), st.integers(0, 2**62),
+    st.floats(-3.14, 3.14), st.integers(0, 2**62), st.just(-1.0) | st.floats(0.0, 1.0),
+    st.integers(0, 1000),
 )  # fmt: skip
 def test_template_round_trips_bit_identically(
-    stamp_ns: int, number: int, is_new: bool, error: float, relative: float, memory: int
-) -> None:
-    match = ViewMatch(number, is_new, error, relative)
+    stamp_ns: int, number: int, is_new: bool, error: float, relative: float, memory: int,
+    threshold: float, related: int,
+) -> None:  # fmt: skip
+    match = ViewMatch(number, is_new, error, relative, threshold, related)
     payload = encode_template(stamp_ns, match, memory)
     assert decode_template(payload) == (stamp_ns, match, memory)
     assert encode_template(*decode_template(payload)) == payload
@@ -68,6 +70,15 @@ def test_template_payload_has_exactly_the_documented_keys() -> None:
         '{"schema_version":1,"stamp":{"sec":1700000000,"nanosec":42},"id":3,"is_new":false,'
         '"error":0.1,"relative_rad":-0.5,"memory":7}'
     )
+
+
+def test_automatic_template_payload_has_threshold_and_related() -> None:
+    payload = encode_template(START_NS, ViewMatch(3, False, 0.1, 0.0, 0.2, 4), 7)
+    assert payload.endswith('"memory":7,"threshold":0.2,"related":4}')
+    for wrong in ('"threshold":1.5', '"threshold":"x"', '"related":-1', '"related":0.5'):
+        key, _, _ = wrong.partition(':')
+        value = {'"threshold"': '0.2', '"related"': '4'}[key]
+        assert key.strip('"') in refused(payload.replace(f'{key}:{value}', wrong))
 
 
 def test_undecodable_image_round_trips() -> None:

@@ -189,3 +189,30 @@ def test_few_images_or_a_robot_at_rest_give_no_crop() -> None:
     deviation[:10] = 0.0
     assert static_borders(frames(deviation, 10)) == (0, 100, 0, 20)
     assert static_borders(frames(np.zeros(100))) == (0, 100, 0, 20)
+
+
+def test_visual_odometry_places_robot_at_the_experience(tmp_path: Path) -> None:
+    config = SMALL.with_values({'pose_cells.exp_place_offset': True})
+    with open_recording(write_bag(tmp_path / 'bag', drive())) as recording:
+        visual = inspect(recording, recording.select(visual_odometry=True), config).config
+        wheels = inspect(recording, recording.select(), config).config
+    assert not visual.pose_cells.exp_place_offset
+    assert wheels.pose_cells.exp_place_offset
+
+
+@pytest.mark.parametrize(
+    ('found', 'ratio', 'text'),
+    [(0.3, 0.3, 'places look alike: vt_match_ratio 0.300'), (0.9, 0.655, 'no places look alike'),
+     (None, 0.655, 'look-alikes cannot be measured')],
+)  # fmt: skip
+def test_look_alikes_tighten_the_automatic_threshold(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, found: float | None, ratio: float, text: str
+) -> None:
+    monkeypatch.setattr(module, 'look_alike_ratio', lambda *arguments: found)
+    automatic = SMALL.with_values({'local_view.vt_match_threshold': -1})
+    inspection = inspected(tmp_path / 'a', config=automatic)
+    assert inspection.config.local_view.vt_match_ratio == ratio
+    assert text in inspection.lines[2]
+    kept = inspected(tmp_path / 'b', 'local_view.vt_match_ratio', config=automatic)
+    assert kept.config.local_view.vt_match_ratio == 0.655
+    assert 'look' not in inspected(tmp_path / 'c', config=SMALL).lines[2]

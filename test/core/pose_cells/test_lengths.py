@@ -66,6 +66,21 @@ def test_view_spacing_is_the_distance_between_new_views() -> None:
     assert pose_cells.lengths.cell_m == pytest.approx(0.4 * 2 / 3, rel=0.1)
 
 
+@pytest.mark.parametrize('related', [0, 1, 4])
+def test_view_spacing_reaches_back_to_the_last_unrelated_template(related: int) -> None:
+    lengths = Lengths(automatic())
+    for _ in range(40):
+        lengths.integrate(0.3)
+        lengths.observe(is_new=True, is_recent=True, related_count=related)
+    assert lengths.spacing_m == pytest.approx(0.3 * (related + 1), rel=0.1)
+    resumed = Lengths(automatic())
+    resumed.restore(json.loads(json.dumps(lengths.state())))
+    for one in (lengths, resumed):
+        one.integrate(0.9)
+        one.observe(is_new=True, is_recent=True, related_count=related)
+    assert resumed.state() == lengths.state()
+
+
 def test_distances_driven_over_known_ground_are_not_measured() -> None:
     pose_cells = PoseCells(automatic())
     drive(pose_cells, 0, PER_LAP)
