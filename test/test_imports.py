@@ -30,7 +30,7 @@ SIDE_EFFECTS = {
 CORE_LAYERS = [
     ['common'],
     ['config'],
-    ['vision'],
+    ['vision', 'landmarks'],
     ['pose_cells'],
     ['mapping', 'goal_memory'],
     ['navigation'],
