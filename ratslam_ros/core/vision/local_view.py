@@ -15,11 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.angles import wrap
+from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import AUTOMATIC, LocalViewParameters
 from ratslam_ros.core.vision.built_in import INTENSITY, built_in_encoder
 from ratslam_ros.core.vision.encoder import Encoder, Image, View
 from ratslam_ros.core.vision.image_window import cropped
+from ratslam_ros.core.vision.look_alikes import LookAlikes
 from ratslam_ros.core.vision.match_threshold import MatchThreshold
 from ratslam_ros.core.vision.structure import structure
 from ratslam_ros.core.vision.template_memory import Match, Search, TemplateMemory
@@ -58,6 +60,22 @@ UNDECODABLE = ViewMatch(NO_TEMPLATE, False, -1.0, 0.0)
 """Result for an image that could not be decoded, or has too little structure to be recognised."""
 
 
+ODOMETRY_DELAY_NS = 1_000_000_000
+"""Delay of the odometry that a local view follows. Odometry of a later stamp than the image is
+therefore at hand, and no image waits for it. Displacements are the same."""
+
+
+def delayed_ns(stamp_ns: int) -> int:
+    """Return where an odometry message is among the stamps of the images."""
+    return stamp_ns + ODOMETRY_DELAY_NS
+
+
+def uses_odometry(parameters: LocalViewParameters) -> bool:
+    """Return whether a local view with these parameters follows the robot by odometry."""
+    p = parameters
+    return p.vt_match_threshold == AUTOMATIC and p.vt_match_ratio == AUTOMATIC
+
+
 class ViewMatcher(Protocol):
     """What RatSLAM needs of a local view; a class of your own with this method can replace it."""
 
@@ -88,6 +106,8 @@ class LocalView:
         self._layout = self._encoder.layout
         self._memory = TemplateMemory(self._layout)
         self._threshold = MatchThreshold(p, self._memory.full_sum, self._layout.typical)
+        self._look_alikes = LookAlikes(self._layout) if uses_odometry(p) else None
+        self._motion = MotionFromOdometry(p.odom_source, p.max_odom_gap_s, p.turn_correction)
 
     def __len__(self) -> int:
         return len(self._memory)
@@ -117,6 +137,26 @@ class LocalView:
             return None
         return self._encoder.encode(image)
 
+    def follow(self, odometry: Odometry) -> None:
+        """Follow the robot, to learn how much different places look alike.
+
+        Without effect unless ``uses_odometry``. Messages are merged with the images in the order
+        of ``delayed_ns``.
+        """
+        if self._look_alikes is None or not self._motion.accepts(odometry):
+            return
+        if not odometry.scale_known:
+            return  # With an unknown field of view, closed loops seem to lead away.
+        motion = self._motion.update(odometry)
+        if motion is not None:
+            self._look_alikes.move(motion)
+
+    def relocated(self) -> None:
+        """Continue after the robot may have been moved unobserved."""
+        self._motion.restart()
+        if self._look_alikes is not None:
+            self._look_alikes.relocated()
+
     def match(self, image: Image) -> ViewMatch:
         """Recognise an image, or learn it as a new template.
 
@@ -130,6 +170,7 @@ class LocalView:
         if view is None:
             self.low_texture += 1
             return UNDECODABLE
+        self._learn_look_alikes(view)
         search = self._memory.search(view)
         first_recent = self._first_recent(search)
         recognised, min_sad = self._best(search, first_recent)
@@ -146,6 +187,12 @@ class LocalView:
             return ViewMatch(NO_TEMPLATE, False, error, 0.0, threshold, related_count)
         self._threshold.learn(len(self), first_recent, search.sad)
         return ViewMatch(self.learn(view), True, error, 0.0, threshold, related_count)
+
+    def _learn_look_alikes(self, view: View) -> None:
+        if self._look_alikes is None or not self.mapping:
+            return
+        self._look_alikes.see(view)
+        self._threshold.use_ratio(self._look_alikes.match_ratio)
 
     def _first_recent(self, search: Search) -> int:
         """Return the id of the first template that shows the stretch the robot is just learning.
@@ -184,6 +231,8 @@ class LocalView:
             state['descriptor'] = self._p.vt_descriptor
         if self._threshold.is_automatic:
             state['threshold'] = self._threshold.state()
+        if self._look_alikes is not None:
+            state['look_alikes'] = self._look_alikes.state()
         return state
 
     def restore(self, state: State) -> None:
@@ -211,6 +260,9 @@ class LocalView:
             self.learn(view)
         if 'threshold' in state:
             self._threshold.restore(state['threshold'], len(self))
+        if self._look_alikes is not None and 'look_alikes' in state:
+            self._look_alikes.restore(state['look_alikes'])
+            self._threshold.use_ratio(self._look_alikes.match_ratio)
 
     def best_match(self, view: View) -> Match | None:
         """Return the best match regardless of the threshold, or None if there are no templates.
