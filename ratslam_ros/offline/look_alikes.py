@@ -20,6 +20,9 @@ from ratslam_ros.recordings import (
     UndecodableImage,
 )
 
+MIN_EVIDENCE_COUNT = 100
+"""With fewer views of places known to be different, look-alikes cannot be measured."""
+
 
 def look_alike_ratio(
     recording: Recording, selection: Selection, config: Config, start_s: float = 0.0,
@@ -64,4 +67,4 @@ def look_alike_ratio(
                 view = encoder.encode(image) if found.is_due else None
                 if view is not None:
                     found.see(view)
-    return found.ratio
+    return found.ratio if found.evidence_count >= MIN_EVIDENCE_COUNT else None

@@ -178,6 +178,9 @@ class LocalView:
         threshold = self._threshold.value if self._threshold.is_automatic else FIXED_THRESHOLD
         is_automatic = self._p.vt_recent_templates == AUTOMATIC
         related_count = len(self) - first_recent if is_automatic else 0
+        if recognised is not None and self._look_alikes is not None:
+            is_elsewhere = self._look_alikes.contradicts(recognised.template_id)
+            recognised = None if is_elsewhere else recognised
         if recognised is not None:
             relative_rad = self._relative_rad(recognised.offset)
             return ViewMatch(
@@ -186,13 +189,16 @@ class LocalView:
         if not self.mapping:
             return ViewMatch(NO_TEMPLATE, False, error, 0.0, threshold, related_count)
         self._threshold.learn(len(self), first_recent, search.sad)
-        return ViewMatch(self.learn(view), True, error, 0.0, threshold, related_count)
+        template_id = self.learn(view)
+        if self._look_alikes is not None:
+            self._look_alikes.learned(template_id)
+        return ViewMatch(template_id, True, error, 0.0, threshold, related_count)
 
     def _learn_look_alikes(self, view: View) -> None:
         if self._look_alikes is None or not self.mapping:
             return
         self._look_alikes.see(view)
-        self._threshold.use_ratio(self._look_alikes.match_ratio)
+        self._threshold.use_ratio(self._look_alikes.ratio)
 
     def _first_recent(self, search: Search) -> int:
         """Return the id of the first template that shows the stretch the robot is just learning.
@@ -262,7 +268,7 @@ class LocalView:
             self._threshold.restore(state['threshold'], len(self))
         if self._look_alikes is not None and 'look_alikes' in state:
             self._look_alikes.restore(state['look_alikes'])
-            self._threshold.use_ratio(self._look_alikes.match_ratio)
+            self._threshold.use_ratio(self._look_alikes.ratio)
 
     def best_match(self, view: View) -> Match | None:
         """Return the best match regardless of the threshold, or None if there are no templates.
