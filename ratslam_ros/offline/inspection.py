@@ -98,7 +98,8 @@ def inspect(
     config = config.with_values(_allowed({**odometry, **images}, fixed))
     motion = calibrate_motion(recording, selection, config, start_s, part_s)
     config = config.with_values(_allowed(motion.settings, fixed))
-    if found.images and uses_odometry(config.local_view):
+    # While driving, only odometry of known scale shows which places look alike.
+    if found.images and uses_odometry(config.local_view) and selection.odom_topic is None:
         ratio, text = _look_alikes(recording, selection, config, start_s, part_s)
         config = config.with_values(_allowed(ratio, fixed))
         images_line += f'; {text}'

@@ -29,7 +29,7 @@ MAX_VIEW_COUNT = 900
 """Number of compared views. When it is reached, every second one is dropped, and the period is
 doubled, so that the views are evenly spaced in time."""
 
-DIRECTNESS = 0.3
+DIRECTNESS = 0.4
 """Smallest ratio of displacement to path at which odometry shows that two places differ. A return
 to the same place would need an odometry error of this share of the path."""
 
