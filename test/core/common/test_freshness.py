@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import random
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -80,23 +81,21 @@ class Model:
         return min(rest, key=lambda item: item.observed_s).name if rest else None
 
 
-steps = st.lists(
-    st.tuples(st.sampled_from(('wait', 'add', 'add', 'observe', 'forget')), st.integers(0, 10**6)),
-    max_size=120,
-)
-
-
-@settings(max_examples=150, deadline=None)
-@given(steps, st.sampled_from((0.0, 0.3, 0.7, 1.0)), st.integers(1, 4), st.integers(0, 2**64 - 1))
-def test_freshness_equals_simple_model(
-    script: list[tuple[str, int]], share: float, robust_visits: int, seed: int
-) -> None:
+@settings(max_examples=30, deadline=None)
+@given(st.sampled_from((0.0, 0.3, 0.7, 1.0)), st.integers(1, 4), st.integers(0, 2**64 - 1))
+def test_freshness_equals_simple_model(share: float, robust_visits: int, seed: int) -> None:
+    rng = random.Random(seed)
+    script = [
+        (rng.choice(('wait', 'add', 'add', 'observe', 'forget')), rng.randrange(2**20))
+        for _ in range(200)
+    ]
     model = Model(share, robust_visits, seed)
     memory = Freshness(share, DECAY_S, robust_visits, seed)
+    memory.advance(10**18)
     for number, (kind, choice) in enumerate(script):
         n = len(model.items)
         if kind == 'wait':
-            model.now_s += choice % 8 if n else 0
+            model.now_s += choice % 3 if n else 0
             memory.advance(10**18 + model.now_s * S)
         elif kind == 'add':
             model.add(number)
