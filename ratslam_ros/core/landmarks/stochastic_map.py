@@ -150,16 +150,10 @@ class StochasticMap:
             UnusableObservations: values are invalid, or identifiers are missing; the map is
                 unchanged.
         """
-        # The fields of the dataclass may hold anything, if they were not validated by the caller.
-        seen = checked_observations(
-            observations.range_m, observations.bearing_rad, observations.direction_rad,
-            observations.length_m, observations.identifiers,
-        )  # fmt: skip
+        seen, z, sizes = _values(observations)
         if seen.identifiers is None:
             raise UnusableObservations('identifiers are missing; expected one per landmark')
         n = len(seen)
-        z = np.stack((seen.range_m, seen.bearing_rad, seen.direction_rad, seen.length_m), axis=1)
-        sizes = np.where(np.isnan(seen.length_m), POINT_SIZE, BAR_SIZE).astype(np.int64)
         starts, degrees = np.full(n, -1, np.int64), sizes.copy()
         for o, identifier in enumerate(seen.identifiers.tolist()):
             index = self._index.get(identifier)
@@ -178,6 +172,21 @@ class StochasticMap:
         return Observed(
             seen.identifiers[new], seen.identifiers[results == kernels.UPDATED], rejected,
             squared, degrees,
+        )  # fmt: skip
+
+    def nearest(self, observations: Observations) -> NDArray[np.int64]:
+        """Return the index of the nearest landmark for each observation, -1 without one.
+
+        A pair has the same type and passes the chi-square test. The nearest pairs are formed
+        first, and no landmark is used twice. Identifiers are not used.
+
+        Raises:
+            UnusableObservations: values are invalid.
+        """
+        _, z, sizes = _values(observations)
+        return kernels.associate(
+            self._x, self._triangle, self._offsets, z, sizes, self._variances,
+            self._p.lm_outlier_probability,
         )  # fmt: skip
 
     def remove(self, identifiers: Iterable[int]) -> None:
@@ -311,6 +320,22 @@ class StochasticMap:
         x[: len(self._x)] = self._x
         triangle[: len(self._triangle)] = self._triangle
         self._x, self._triangle = x, triangle
+
+
+def _values(
+    observations: Observations,
+) -> tuple[Observations, NDArray[np.float64], NDArray[np.int64]]:
+    """Return valid observations, their (n, 4) values, and how many of these they have.
+
+    They are validated here, because a dataclass may hold anything.
+    """
+    seen = checked_observations(
+        observations.range_m, observations.bearing_rad, observations.direction_rad,
+        observations.length_m, observations.identifiers,
+    )  # fmt: skip
+    z = np.stack((seen.range_m, seen.bearing_rad, seen.direction_rad, seen.length_m), axis=1)
+    sizes = np.where(np.isnan(seen.length_m), POINT_SIZE, BAR_SIZE)
+    return seen, z, sizes.astype(np.int64)
 
 
 def _triangle_size(n: int) -> int:

@@ -380,3 +380,38 @@ def to_robot_frame(
             for b in range(5):
                 total += product[places[j, b]] * slopes[j, b]
             covariance[i, j] = covariance[j, i] = total
+
+
+@compiled
+def associate(
+    x: NDArray[np.float64], p: NDArray[np.float64], offsets: NDArray[np.int64],
+    z: NDArray[np.float64], sizes: NDArray[np.int64], variances: NDArray[np.float64],
+    outlier_probability: float,
+) -> NDArray[np.int64]:
+    """Return the index of the feature of each observation, -1 without one.
+
+    Of all pairs of the same type that pass the chi-square test, the nearest one is taken first;
+    no feature and no observation is used twice. Arguments as for ``observe``.
+    """
+    n, count = len(z), len(offsets) - 1
+    squared = np.zeros(n * count)
+    pairs = np.zeros(n * count, np.int64)
+    found = 0
+    h, innovation = np.zeros((BAR_SIZE, _COLUMNS)), np.zeros(BAR_SIZE)
+    for o in range(n):
+        for f in range(count):
+            if offsets[f + 1] - offsets[f] != sizes[o]:
+                continue
+            if not _linearise(x, offsets[f], sizes[o], z[o], h, innovation):
+                continue
+            distance = _squared_distance(p, offsets[f], sizes[o], h, innovation, variances)
+            if survival(distance, sizes[o]) >= outlier_probability:
+                squared[found], pairs[found] = distance, o * count + f
+                found += 1
+    matches = np.full(n, -1)
+    is_taken = np.zeros(count, np.bool_)
+    for k in np.argsort(squared[:found], kind='mergesort'):
+        o, f = pairs[k] // count, pairs[k] % count
+        if matches[o] < 0 and not is_taken[f]:
+            matches[o], is_taken[f] = f, True
+    return matches
