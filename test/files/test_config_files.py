@@ -8,7 +8,8 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ratslam_ros.core.config import LEAST_EXP_MAX, LEAST_VT_MAX, SECTIONS, Config
+from ratslam_ros.core.config import LEAST_EXP_MAX, SECTIONS, Config
+from ratslam_ros.core.config.local_view import LEAST_VT_MAX
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.files.config import (
     AUTO,

@@ -12,7 +12,8 @@ from ratslam_ros.core.config.goal_follower import GoalFollowerParameters
 from ratslam_ros.core.config.goal_memory import GoalMemoryParameters
 from ratslam_ros.core.config.goal_recall import GoalRecallParameters
 from ratslam_ros.core.config.inputs import WHOLE, LiveInput
-from ratslam_ros.core.config.local_view import LEAST_VT_MAX, LocalViewParameters
+from ratslam_ros.core.config.landmark_map import LandmarkMapParameters
+from ratslam_ros.core.config.local_view import LocalViewParameters
 from ratslam_ros.core.config.parameter import (
     AUTOMATIC,
     ParameterInfo,
@@ -24,9 +25,9 @@ from ratslam_ros.core.config.pose_cells import LEAST_EXP_MAX, PoseCellsParameter
 from ratslam_ros.core.config.visual_odometry import VisualOdometryParameters
 
 __all__ = [
-    'AUTOMATIC', 'LEAST_EXP_MAX', 'LEAST_VT_MAX', 'SECTIONS', 'SETTABLE', 'SHARED', 'WHOLE',
-    'Config', 'ExperienceMapParameters', 'GoalFollowerParameters', 'GoalMemoryParameters',
-    'GoalRecallParameters', 'LiveInput', 'LocalViewParameters', 'ParameterInfo',
-    'PoseCellsParameters', 'Section', 'Value', 'VisualOdometryParameters', 'parameter',
-    'section_of',
+    'AUTOMATIC', 'LEAST_EXP_MAX', 'SECTIONS', 'SETTABLE', 'SHARED', 'WHOLE', 'Config',
+    'ExperienceMapParameters', 'GoalFollowerParameters', 'GoalMemoryParameters',
+    'GoalRecallParameters', 'LandmarkMapParameters', 'LiveInput', 'LocalViewParameters',
+    'ParameterInfo', 'PoseCellsParameters', 'Section', 'Value', 'VisualOdometryParameters',
+    'parameter', 'section_of',
 ]
