@@ -35,6 +35,6 @@ class Forgetting(Section):
         'places on frequent routes are forgotten',
     )  # fmt: skip
 
-    def freshness(self) -> Freshness:
+    def freshness(self, seed: int = 0) -> Freshness:
         """Return a memory of freshness values with these parameters and no items."""
-        return Freshness(self.forget_share, self.forget_after_s, self.forget_robust_visits)
+        return Freshness(self.forget_share, self.forget_after_s, self.forget_robust_visits, seed)
