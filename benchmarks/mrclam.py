@@ -31,7 +31,8 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.odometry import Motion, moved
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.config import LandmarkMapParameters, RelocalisationParameters
+from ratslam_ros.core.config import LandmarkMapParameters
+from ratslam_ros.core.config.relocalisation import RelocalisationParameters
 from ratslam_ros.core.landmarks.features import Features, Observations, checked_observations
 from ratslam_ros.core.landmarks.local_map import LocalMap
 from ratslam_ros.core.landmarks.relocalisation import relocalise
@@ -308,7 +309,7 @@ def report(folder: Path) -> list[str]:
     """Run everything; return the tables as lines."""
     logs, positions = read_logs(folder)
     unit = {robot: drive(logs[robot], positions, scaled(1.0)) for robot in ROBOTS}
-    lines = [f'{"robot":8}{"landmarks":>11}{"robot":>9}{"outliers":>10}{"factor of the others":>22}']
+    lines = [f'{"robot":8}{"landmarks":>11}{"robot":>9}{"outliers":>10}{"factor by others":>18}']
     lines.append(f'{"":8}{"RMS m":>11}{"RMS m":>9}{"%":>10}')
     drives = []
     for robot in ROBOTS:
