@@ -54,6 +54,14 @@ class LandmarkMapParameters(Section):
         'by a chi-square test of its innovation. 0: none is rejected.',
         'wrong observations distort the map', 'correct observations are rejected',
     )  # fmt: skip
+    lm_repeat_m: float = parameter(
+        0.0, 'm', 0.0, 1000.0,
+        'Travel after which a landmark that is seen again updates the map, where a turn of 1 rad '
+        'counts as 1 m. Observations from nearly the same place repeat the same error of the '
+        'sensor, and the filter assumes independent errors. 0: every observation counts.',
+        'the robot often stands still, or the map is less accurate than its covariance',
+        "the sensor's errors are independent",
+    )  # fmt: skip
     lm_local_m: float = parameter(
         1.0, 'm', 0.0, 1000.0,
         'Distance for which the local map, the input of relocalisation, keeps a landmark that is '

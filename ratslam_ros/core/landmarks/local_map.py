@@ -78,7 +78,8 @@ class LocalMap:
                 observations.length_m, names,
             )
         )  # fmt: skip
-        for name in (*observed.added.tolist(), *observed.updated.tolist()):
+        used = observed.added, observed.updated, observed.repeated
+        for name in np.concatenate(used).tolist():
             self._seen_at_m[name] = self._travelled_m
 
     def features(self) -> Features:

@@ -45,14 +45,18 @@ class Observed:
     Attributes:
         added: identifiers of the landmarks that are new in the map.
         updated: identifiers of the known landmarks that updated the map.
+        repeated: identifiers of known landmarks that were seen from nearly the same place before
+            (``lm_repeat_m``) and did not update the map.
         rejected: identifiers of outliers, and of landmarks at the very place of the robot.
         squared: (n,) squared Mahalanobis distances of the innovations, outliers included; NaN
-            for new landmarks. They follow a chi-square distribution if the noise is as assumed.
+            for new and repeated landmarks. They follow a chi-square distribution if the noise is
+            as assumed.
         degrees: (n,) degrees of freedom of the innovations, 2 or 4.
     """
 
     added: NDArray[np.int64]
     updated: NDArray[np.int64]
+    repeated: NDArray[np.int64]
     rejected: NDArray[np.int64]
     squared: NDArray[np.float64]
     degrees: NDArray[np.int64]
@@ -84,6 +88,8 @@ class StochasticMap:
         self._offsets = np.array([POSE_SIZE], np.int64)
         self._identifiers = np.zeros(0, np.int64)
         self._index: dict[int, int] = {}
+        self._travelled_m = 0.0
+        self._updated_at_m = np.zeros(0)
         self.outlier_count = 0
         """Number of observations that were rejected as outliers."""
         self.move_to(pose, covariance)
@@ -137,6 +143,7 @@ class StochasticMap:
             self._x, self._triangle, self._size, float(forward_m), float(left_m), float(turn_rad),
             p.lm_odom_position_sd_m**2, p.lm_odom_drift_sd_rad**2, p.lm_odom_turn_sd_rad**2,
         )  # fmt: skip
+        self._travelled_m += math.hypot(forward_m, left_m) + abs(turn_rad)
 
     def observe(self, observations: Observations) -> Observed:
         """Update the map by the landmarks that are seen at one moment, and add the unknown ones.
@@ -155,23 +162,28 @@ class StochasticMap:
             raise UnusableObservations('identifiers are missing; expected one per landmark')
         n = len(seen)
         starts, degrees = np.full(n, -1, np.int64), sizes.copy()
+        is_repeated = np.zeros(n, np.bool_)
+        latest_m = self._travelled_m - self._p.lm_repeat_m
         for o, identifier in enumerate(seen.identifiers.tolist()):
             index = self._index.get(identifier)
             if index is not None:
                 starts[o], end = self._offsets[index : index + 2]
                 degrees[o] = min(sizes[o], end - starts[o])
+                is_repeated[o] = self._updated_at_m[index] > latest_m
         results, squared = np.zeros(n, np.int8), np.zeros(n)
         kernels.observe(
-            self._x, self._triangle, self._offsets, starts, z, degrees, self._variances,
-            self._p.lm_outlier_probability, results, squared,
+            self._x, self._triangle, self._offsets, starts, is_repeated, z, degrees,
+            self._variances, self._p.lm_outlier_probability, results, squared,
         )  # fmt: skip
+        updated = seen.identifiers[results == kernels.UPDATED]
+        self._updated_at_m[[self._index[name] for name in updated.tolist()]] = self._travelled_m
         new = np.flatnonzero(results == kernels.NEW)
         self._add(seen.identifiers[new], z[new], sizes[new])
         rejected = seen.identifiers[results == kernels.REJECTED]
         self.outlier_count += len(rejected)
         return Observed(
-            seen.identifiers[new], seen.identifiers[results == kernels.UPDATED], rejected,
-            squared, degrees,
+            seen.identifiers[new], updated, seen.identifiers[is_repeated], rejected, squared,
+            degrees,
         )  # fmt: skip
 
     def nearest(self, observations: Observations) -> NDArray[np.int64]:
@@ -203,6 +215,7 @@ class StochasticMap:
         kept = [np.arange(POSE_SIZE)]
         kept += [np.arange(self._offsets[i], self._offsets[i + 1]) for i in indices]
         kernels.remove(self._x, self._triangle, np.concatenate(kept))
+        self._updated_at_m = self._updated_at_m[indices]
         self._set_features(
             self._identifiers[indices],
             np.concatenate(([POSE_SIZE], POSE_SIZE + np.cumsum(sizes))).astype(np.int64),
@@ -275,6 +288,8 @@ class StochasticMap:
             'triangle': self._triangle[: _triangle_size(self._size)].copy(),
             'identifiers': self.identifiers,
             'offsets': self._offsets.copy(),
+            'travelled_m': self._travelled_m,
+            'updated_at_m': self._updated_at_m.copy(),
             'outlier_count': self.outlier_count,
         }
 
@@ -285,6 +300,8 @@ class StochasticMap:
         self._set_features(
             np.array(state['identifiers'], np.int64), np.array(state['offsets'], np.int64)
         )
+        self._travelled_m = float(state['travelled_m'])
+        self._updated_at_m = np.array(state['updated_at_m'], np.float64)
         self.outlier_count = int(state['outlier_count'])
 
     @property
@@ -310,6 +327,8 @@ class StochasticMap:
             np.concatenate((self._identifiers, identifiers)),
             np.concatenate((self._offsets, self._size + np.cumsum(sizes))),
         )
+        added_at_m = np.full(len(identifiers), self._travelled_m)
+        self._updated_at_m = np.concatenate((self._updated_at_m, added_at_m))
 
     def _reserve(self, size: int) -> None:
         """Enlarge the arrays to hold at least ``size`` values, geometrically."""

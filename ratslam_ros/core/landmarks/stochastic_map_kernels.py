@@ -24,7 +24,7 @@ POSE_SIZE = 3
 LEAST_DISTANCE_M = 1e-3
 """Landmarks nearer to the robot than this have no bearing; their observations are rejected."""
 
-UPDATED, REJECTED, NEW = 0, 1, 2
+UPDATED, REJECTED, NEW, REPEATED = 0, 1, 2, 3
 """Results of one observation."""
 
 _COLUMNS = POSE_SIZE + BAR_SIZE
@@ -222,9 +222,9 @@ def _correct(
 @compiled
 def observe(
     x: NDArray[np.float64], p: NDArray[np.float64], offsets: NDArray[np.int64],
-    starts: NDArray[np.int64], z: NDArray[np.float64], sizes: NDArray[np.int64],
-    variances: NDArray[np.float64], outlier_probability: float, results: NDArray[np.int8],
-    squared: NDArray[np.float64],
+    starts: NDArray[np.int64], is_repeated: NDArray[np.bool_], z: NDArray[np.float64],
+    sizes: NDArray[np.int64], variances: NDArray[np.float64], outlier_probability: float,
+    results: NDArray[np.int8], squared: NDArray[np.float64],
 ) -> None:
     """Update state and covariance by the observations of one moment.
 
@@ -236,11 +236,12 @@ def observe(
         p: triangle of its covariance.
         offsets: (features + 1,) places of the features within ``x``, and its length d.
         starts: (n,) places of the observed features; -1 if unknown.
+        is_repeated: (n,) True for observations that are not used.
         z: (n, 4) range, bearing, direction and length.
         sizes: (n,) number of values to compare, 2 or 4.
         variances: (4,) of range, bearing, direction and length.
         outlier_probability: observations whose innovations are less probable are rejected.
-        results: (n,) output: UPDATED, REJECTED or NEW.
+        results: (n,) output: UPDATED, REJECTED, NEW or REPEATED.
         squared: (n,) output: squared Mahalanobis distances of the innovations; NaN without one.
     """
     n, d = len(starts), offsets[-1]
@@ -249,6 +250,9 @@ def observe(
     innovations = np.zeros((n, BAR_SIZE))
     for o in range(n):
         squared[o] = np.nan
+        if is_repeated[o]:
+            results[o] = REPEATED
+            continue
         if starts[o] < 0:
             results[o] = NEW if z[o, 0] > LEAST_DISTANCE_M else REJECTED
             continue
