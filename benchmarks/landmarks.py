@@ -87,8 +87,8 @@ CROWDED = replace(NORMAL, count=200)
 FEW = 10
 """Observations per step in the memory experiments."""
 
-FORGET_AFTER_S = 60.0
-"""Decay time of the freshness: half of a lap."""
+FORGET_AFTER_S = 15.0
+"""Decay time of the freshness: the vehicle passes a region in this time, and an eighth of a lap."""
 
 
 @dataclass(frozen=True)
