@@ -6,11 +6,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ratslam_ros.core.config.parameter import Section, parameter
+from ratslam_ros.core.config.forgetting import Forgetting
+from ratslam_ros.core.config.parameter import parameter
 
 
 @dataclass(frozen=True)
-class LandmarkMapParameters(Section):
+class LandmarkMapParameters(Forgetting):
     """Stochastic mapping of landmarks by an extended Kalman filter (Smith et al. 1990)."""
 
     lm_odom_position_sd_m: float = parameter(
@@ -68,4 +69,11 @@ class LandmarkMapParameters(Section):
         'not seen again.',
         'too few landmarks are in view at a time to recognise a place',
         'the odometry is inaccurate',
+    )  # fmt: skip
+    lm_max: int = parameter(
+        0, 'landmarks; 0: any number', 0, 1_000_000,
+        'Limit of the number of landmarks. At the limit, landmarks are removed by their freshness '
+        '(forget_share, forget_after_s and forget_robust_visits) before new ones are added.',
+        'landmarks are forgotten that are still needed',
+        'updates, whose time is quadratic in the number of landmarks, take too long',
     )  # fmt: skip

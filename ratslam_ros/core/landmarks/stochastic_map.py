@@ -65,6 +65,12 @@ class Observed:
 class StochasticMap:
     """Pose of a robot and landmarks around it, estimated by an extended Kalman filter.
 
+    The Jacobians are computed at the first estimates: landmarks where they were added, the pose
+    where it was predicted. A filter with Jacobians at the latest estimates gains information on
+    the absolute heading, which observations cannot provide, and becomes overconfident (Huang,
+    Mourikis and Roumeliotis 2010, "Observability-based rules for designing consistent EKF SLAM
+    estimators", section 5.1).
+
     A landmark that was first seen as a point remains a point; directions and lengths of later
     observations are not used. An observation without them updates the position of a bar.
     """
@@ -84,6 +90,7 @@ class StochasticMap:
             parameters.lm_direction_sd_rad**2, parameters.lm_length_sd_m**2,
         ])  # fmt: skip
         self._x = np.zeros(POSE_SIZE)
+        self._first = np.zeros(POSE_SIZE)
         self._triangle = np.zeros(_triangle_size(POSE_SIZE))
         self._offsets = np.array([POSE_SIZE], np.int64)
         self._identifiers = np.zeros(0, np.int64)
@@ -140,8 +147,9 @@ class StochasticMap:
             raise UnusableInput(f'the motion is {motion}; expected finite m, m and rad')
         p = self._p
         kernels.predict(
-            self._x, self._triangle, self._size, float(forward_m), float(left_m), float(turn_rad),
-            p.lm_odom_position_sd_m**2, p.lm_odom_drift_sd_rad**2, p.lm_odom_turn_sd_rad**2,
+            self._x, self._first, self._triangle, self._size, float(forward_m), float(left_m),
+            float(turn_rad), p.lm_odom_position_sd_m**2, p.lm_odom_drift_sd_rad**2,
+            p.lm_odom_turn_sd_rad**2,
         )  # fmt: skip
         self._travelled_m += math.hypot(forward_m, left_m) + abs(turn_rad)
 
@@ -172,8 +180,8 @@ class StochasticMap:
                 is_repeated[o] = self._updated_at_m[index] > latest_m
         results, squared = np.zeros(n, np.int8), np.zeros(n)
         kernels.observe(
-            self._x, self._triangle, self._offsets, starts, is_repeated, z, degrees,
-            self._variances, self._p.lm_outlier_probability, results, squared,
+            self._x, self._first, self._triangle, self._offsets, starts, is_repeated, z,
+            degrees, self._variances, self._p.lm_outlier_probability, results, squared,
         )  # fmt: skip
         updated = seen.identifiers[results == kernels.UPDATED]
         self._updated_at_m[[self._index[name] for name in updated.tolist()]] = self._travelled_m
@@ -198,7 +206,7 @@ class StochasticMap:
         """
         _, z, sizes = _values(observations)
         return kernels.associate(
-            self._x, self._triangle, self._offsets, z, sizes, self._variances,
+            self._x, self._first, self._triangle, self._offsets, z, sizes, self._variances,
             self._p.lm_outlier_probability,
         )  # fmt: skip
 
@@ -215,7 +223,7 @@ class StochasticMap:
         sizes = np.diff(self._offsets)[indices]
         kept = [np.arange(POSE_SIZE)]
         kept += [np.arange(self._offsets[i], self._offsets[i + 1]) for i in indices]
-        kernels.remove(self._x, self._triangle, np.concatenate(kept))
+        kernels.remove(self._x, self._first, self._triangle, np.concatenate(kept))
         self._updated_at_m = self._updated_at_m[indices]
         self._set_features(
             self._identifiers[indices],
@@ -238,7 +246,9 @@ class StochasticMap:
         """
         values = np.zeros(self._size - POSE_SIZE)
         covariance = np.zeros((len(values), len(values)))
-        kernels.to_robot_frame(self._x, self._triangle, self._offsets, values, covariance)
+        kernels.to_robot_frame(
+            self._x, self._first, self._triangle, self._offsets, values, covariance
+        )
         return Features(self.identifiers, self._offsets - POSE_SIZE, values, covariance)
 
     def move_to(self, pose: Pose, covariance: NDArray[np.float64]) -> None:
@@ -264,6 +274,7 @@ class StochasticMap:
                 'semi-definite 3x3 matrix'
             )
         self._x[:POSE_SIZE] = pose.x_m, pose.y_m, wrap(float(pose.heading_rad))
+        self._first[:POSE_SIZE] = self._x[:POSE_SIZE]
         for i in range(POSE_SIZE):
             self._triangle[_triangle_size(i) : _triangle_size(i + 1)] = block[i, : i + 1]
         for i in range(POSE_SIZE, self._size):
@@ -278,6 +289,7 @@ class StochasticMap:
         seen = self.seen_from_robot()
         self.move_to(_ORIGIN, _NO_COVARIANCE)
         self._x[POSE_SIZE : self._size] = seen.values
+        self._first[: self._size] = self._x[: self._size]
         for i, row in enumerate(seen.covariance):
             start = _triangle_size(POSE_SIZE + i) + POSE_SIZE
             self._triangle[start : start + i + 1] = row[: i + 1]
@@ -286,6 +298,7 @@ class StochasticMap:
         """Return the complete state."""
         return {
             'values': self._x[: self._size].copy(),
+            'first_values': self._first[: self._size].copy(),
             'triangle': self._triangle[: _triangle_size(self._size)].copy(),
             'identifiers': self.identifiers,
             'offsets': self._offsets.copy(),
@@ -297,6 +310,7 @@ class StochasticMap:
     def restore(self, state: State) -> None:
         """Restore the state that ``state`` returned."""
         self._x = np.array(state['values'], np.float64)
+        self._first = np.array(state['first_values'], np.float64)
         self._triangle = np.array(state['triangle'], np.float64)
         self._set_features(
             np.array(state['identifiers'], np.int64), np.array(state['offsets'], np.int64)
@@ -322,7 +336,7 @@ class StochasticMap:
         d = self._size
         self._reserve(d + int(sizes.sum()))
         for row, size in zip(z, sizes.tolist(), strict=True):
-            kernels.add(self._x, self._triangle, d, row, size, self._variances)
+            kernels.add(self._x, self._first, self._triangle, d, row, size, self._variances)
             d += size
         self._set_features(
             np.concatenate((self._identifiers, identifiers)),
@@ -336,10 +350,12 @@ class StochasticMap:
         if size <= len(self._x):
             return
         capacity = size + size // 4
-        x, triangle = np.zeros(capacity), np.zeros(_triangle_size(capacity))
+        x, first = np.zeros(capacity), np.zeros(capacity)
+        triangle = np.zeros(_triangle_size(capacity))
         x[: len(self._x)] = self._x
+        first[: len(self._x)] = self._first
         triangle[: len(self._triangle)] = self._triangle
-        self._x, self._triangle = x, triangle
+        self._x, self._first, self._triangle = x, first, triangle
 
 
 def _values(
