@@ -50,10 +50,18 @@ class LandmarkMapParameters(Forgetting):
         'the sensor is less accurate', 'the sensor is more accurate',
     )  # fmt: skip
     lm_outlier_probability: float = parameter(
-        0.001, '', 0.0, 0.5,
+        0.001, '', 1e-12, 0.5,
         'Probability that a correct observation of a known landmark is rejected as an outlier, '
-        'by a chi-square test of its innovation. 0: none is rejected.',
+        'by a chi-square test of its innovation.',
         'wrong observations distort the map', 'correct observations are rejected',
+    )  # fmt: skip
+    lm_repeat_m: float = parameter(
+        0.0, 'm', 0.0, 1000.0,
+        'Travel after which a landmark that is seen again updates the map, where a turn of 1 rad '
+        'counts as 1 m. Observations from nearly the same place repeat the same error of the '
+        'sensor, and the filter assumes independent errors. 0: every observation counts.',
+        'the robot often stands still, or the map is less accurate than its covariance',
+        "the sensor's errors are independent",
     )  # fmt: skip
     lm_local_m: float = parameter(
         1.0, 'm', 0.0, 1000.0,

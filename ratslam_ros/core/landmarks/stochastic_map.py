@@ -45,14 +45,18 @@ class Observed:
     Attributes:
         added: identifiers of the landmarks that are new in the map.
         updated: identifiers of the known landmarks that updated the map.
+        repeated: identifiers of known landmarks that were seen from nearly the same place before
+            (``lm_repeat_m``) and did not update the map.
         rejected: identifiers of outliers, and of landmarks at the very place of the robot.
         squared: (n,) squared Mahalanobis distances of the innovations, outliers included; NaN
-            for new landmarks. They follow a chi-square distribution if the noise is as assumed.
+            for new and repeated landmarks. They follow a chi-square distribution if the noise is
+            as assumed.
         degrees: (n,) degrees of freedom of the innovations, 2 or 4.
     """
 
     added: NDArray[np.int64]
     updated: NDArray[np.int64]
+    repeated: NDArray[np.int64]
     rejected: NDArray[np.int64]
     squared: NDArray[np.float64]
     degrees: NDArray[np.int64]
@@ -60,6 +64,12 @@ class Observed:
 
 class StochasticMap:
     """Pose of a robot and landmarks around it, estimated by an extended Kalman filter.
+
+    The Jacobians are computed at the first estimates: landmarks where they were added, the pose
+    where it was predicted. A filter with Jacobians at the latest estimates gains information on
+    the absolute heading, which observations cannot provide, and becomes overconfident (Huang,
+    Mourikis and Roumeliotis 2010, "Observability-based rules for designing consistent EKF SLAM
+    estimators", section 5.1).
 
     A landmark that was first seen as a point remains a point; directions and lengths of later
     observations are not used. An observation without them updates the position of a bar.
@@ -80,10 +90,13 @@ class StochasticMap:
             parameters.lm_direction_sd_rad**2, parameters.lm_length_sd_m**2,
         ])  # fmt: skip
         self._x = np.zeros(POSE_SIZE)
+        self._first = np.zeros(POSE_SIZE)
         self._triangle = np.zeros(_triangle_size(POSE_SIZE))
         self._offsets = np.array([POSE_SIZE], np.int64)
         self._identifiers = np.zeros(0, np.int64)
         self._index: dict[int, int] = {}
+        self._travelled_m = 0.0
+        self._updated_at_m = np.zeros(0)
         self.outlier_count = 0
         """Number of observations that were rejected as outliers."""
         self.move_to(pose, covariance)
@@ -134,9 +147,11 @@ class StochasticMap:
             raise UnusableInput(f'the motion is {motion}; expected finite m, m and rad')
         p = self._p
         kernels.predict(
-            self._x, self._triangle, self._size, float(forward_m), float(left_m), float(turn_rad),
-            p.lm_odom_position_sd_m**2, p.lm_odom_drift_sd_rad**2, p.lm_odom_turn_sd_rad**2,
+            self._x, self._first, self._triangle, self._size, float(forward_m), float(left_m),
+            float(turn_rad), p.lm_odom_position_sd_m**2, p.lm_odom_drift_sd_rad**2,
+            p.lm_odom_turn_sd_rad**2,
         )  # fmt: skip
+        self._travelled_m += math.hypot(forward_m, left_m) + abs(turn_rad)
 
     def observe(self, observations: Observations) -> Observed:
         """Update the map by the landmarks that are seen at one moment, and add the unknown ones.
@@ -155,37 +170,43 @@ class StochasticMap:
             raise UnusableObservations('identifiers are missing; expected one per landmark')
         n = len(seen)
         starts, degrees = np.full(n, -1, np.int64), sizes.copy()
+        is_repeated = np.zeros(n, np.bool_)
+        latest_m = self._travelled_m - self._p.lm_repeat_m
         for o, identifier in enumerate(seen.identifiers.tolist()):
             index = self._index.get(identifier)
             if index is not None:
                 starts[o], end = self._offsets[index : index + 2]
                 degrees[o] = min(sizes[o], end - starts[o])
+                is_repeated[o] = self._updated_at_m[index] > latest_m
         results, squared = np.zeros(n, np.int8), np.zeros(n)
         kernels.observe(
-            self._x, self._triangle, self._offsets, starts, z, degrees, self._variances,
-            self._p.lm_outlier_probability, results, squared,
+            self._x, self._first, self._triangle, self._offsets, starts, is_repeated, z,
+            degrees, self._variances, self._p.lm_outlier_probability, results, squared,
         )  # fmt: skip
+        updated = seen.identifiers[results == kernels.UPDATED]
+        self._updated_at_m[[self._index[name] for name in updated.tolist()]] = self._travelled_m
         new = np.flatnonzero(results == kernels.NEW)
         self._add(seen.identifiers[new], z[new], sizes[new])
         rejected = seen.identifiers[results == kernels.REJECTED]
         self.outlier_count += len(rejected)
         return Observed(
-            seen.identifiers[new], seen.identifiers[results == kernels.UPDATED], rejected,
-            squared, degrees,
+            seen.identifiers[new], updated, seen.identifiers[is_repeated], rejected, squared,
+            degrees,
         )  # fmt: skip
 
     def nearest(self, observations: Observations) -> NDArray[np.int64]:
-        """Return the index of the nearest landmark for each observation, -1 without one.
+        """Return the index of the nearest landmark for each observation.
 
         A pair has the same type and passes the chi-square test. The nearest pairs are formed
-        first, and no landmark is used twice. Identifiers are not used.
+        first, and no landmark is used twice. Without a landmark the result is -1 for an unknown
+        one, and -2 if the observation may be an outlier of a known one. Identifiers are not used.
 
         Raises:
             UnusableObservations: values are invalid.
         """
         _, z, sizes = _values(observations)
         return kernels.associate(
-            self._x, self._triangle, self._offsets, z, sizes, self._variances,
+            self._x, self._first, self._triangle, self._offsets, z, sizes, self._variances,
             self._p.lm_outlier_probability,
         )  # fmt: skip
 
@@ -202,7 +223,8 @@ class StochasticMap:
         sizes = np.diff(self._offsets)[indices]
         kept = [np.arange(POSE_SIZE)]
         kept += [np.arange(self._offsets[i], self._offsets[i + 1]) for i in indices]
-        kernels.remove(self._x, self._triangle, np.concatenate(kept))
+        kernels.remove(self._x, self._first, self._triangle, np.concatenate(kept))
+        self._updated_at_m = self._updated_at_m[indices]
         self._set_features(
             self._identifiers[indices],
             np.concatenate(([POSE_SIZE], POSE_SIZE + np.cumsum(sizes))).astype(np.int64),
@@ -224,7 +246,9 @@ class StochasticMap:
         """
         values = np.zeros(self._size - POSE_SIZE)
         covariance = np.zeros((len(values), len(values)))
-        kernels.to_robot_frame(self._x, self._triangle, self._offsets, values, covariance)
+        kernels.to_robot_frame(
+            self._x, self._first, self._triangle, self._offsets, values, covariance
+        )
         return Features(self.identifiers, self._offsets - POSE_SIZE, values, covariance)
 
     def move_to(self, pose: Pose, covariance: NDArray[np.float64]) -> None:
@@ -250,6 +274,7 @@ class StochasticMap:
                 'semi-definite 3x3 matrix'
             )
         self._x[:POSE_SIZE] = pose.x_m, pose.y_m, wrap(float(pose.heading_rad))
+        self._first[:POSE_SIZE] = self._x[:POSE_SIZE]
         for i in range(POSE_SIZE):
             self._triangle[_triangle_size(i) : _triangle_size(i + 1)] = block[i, : i + 1]
         for i in range(POSE_SIZE, self._size):
@@ -264,6 +289,7 @@ class StochasticMap:
         seen = self.seen_from_robot()
         self.move_to(_ORIGIN, _NO_COVARIANCE)
         self._x[POSE_SIZE : self._size] = seen.values
+        self._first[: self._size] = self._x[: self._size]
         for i, row in enumerate(seen.covariance):
             start = _triangle_size(POSE_SIZE + i) + POSE_SIZE
             self._triangle[start : start + i + 1] = row[: i + 1]
@@ -272,19 +298,25 @@ class StochasticMap:
         """Return the complete state."""
         return {
             'values': self._x[: self._size].copy(),
+            'first_values': self._first[: self._size].copy(),
             'triangle': self._triangle[: _triangle_size(self._size)].copy(),
             'identifiers': self.identifiers,
             'offsets': self._offsets.copy(),
+            'travelled_m': self._travelled_m,
+            'updated_at_m': self._updated_at_m.copy(),
             'outlier_count': self.outlier_count,
         }
 
     def restore(self, state: State) -> None:
         """Restore the state that ``state`` returned."""
         self._x = np.array(state['values'], np.float64)
+        self._first = np.array(state['first_values'], np.float64)
         self._triangle = np.array(state['triangle'], np.float64)
         self._set_features(
             np.array(state['identifiers'], np.int64), np.array(state['offsets'], np.int64)
         )
+        self._travelled_m = float(state['travelled_m'])
+        self._updated_at_m = np.array(state['updated_at_m'], np.float64)
         self.outlier_count = int(state['outlier_count'])
 
     @property
@@ -304,22 +336,26 @@ class StochasticMap:
         d = self._size
         self._reserve(d + int(sizes.sum()))
         for row, size in zip(z, sizes.tolist(), strict=True):
-            kernels.add(self._x, self._triangle, d, row, size, self._variances)
+            kernels.add(self._x, self._first, self._triangle, d, row, size, self._variances)
             d += size
         self._set_features(
             np.concatenate((self._identifiers, identifiers)),
             np.concatenate((self._offsets, self._size + np.cumsum(sizes))),
         )
+        added_at_m = np.full(len(identifiers), self._travelled_m)
+        self._updated_at_m = np.concatenate((self._updated_at_m, added_at_m))
 
     def _reserve(self, size: int) -> None:
         """Enlarge the arrays to hold at least ``size`` values, geometrically."""
         if size <= len(self._x):
             return
         capacity = size + size // 4
-        x, triangle = np.zeros(capacity), np.zeros(_triangle_size(capacity))
+        x, first = np.zeros(capacity), np.zeros(capacity)
+        triangle = np.zeros(_triangle_size(capacity))
         x[: len(self._x)] = self._x
+        first[: len(self._x)] = self._first
         triangle[: len(self._triangle)] = self._triangle
-        self._x, self._triangle = x, triangle
+        self._x, self._first, self._triangle = x, first, triangle
 
 
 def _values(

@@ -24,8 +24,11 @@ POSE_SIZE = 3
 LEAST_DISTANCE_M = 1e-3
 """Landmarks nearer to the robot than this have no bearing; their observations are rejected."""
 
-UPDATED, REJECTED, NEW = 0, 1, 2
+UPDATED, REJECTED, NEW, REPEATED = 0, 1, 2, 3
 """Results of one observation."""
+
+UNKNOWN, DOUBTFUL = -1, -2
+"""Associations of observations without a feature: of a new landmark, or not to be used."""
 
 _COLUMNS = POSE_SIZE + BAR_SIZE
 """Values that one observation depends on: the pose and one feature."""
@@ -33,12 +36,16 @@ _COLUMNS = POSE_SIZE + BAR_SIZE
 
 @compiled
 def predict(
-    x: NDArray[np.float64], p: NDArray[np.float64], d: int, forward_m: float, left_m: float,
-    turn_rad: float, position_variance: float, drift_variance: float, turn_variance: float,
+    x: NDArray[np.float64], first: NDArray[np.float64], p: NDArray[np.float64], d: int,
+    forward_m: float, left_m: float, turn_rad: float, position_variance: float,
+    drift_variance: float, turn_variance: float,
 ) -> None:
     """Move the pose, and add the noise of the motion; arguments as in ``StochasticMap.predict``.
 
+    The Jacobian contains the way from the previous predicted pose to the new one.
+
     Args:
+        first: first estimates of the state (``StochasticMap``).
         position_variance: m^2 per m of distance.
         drift_variance, turn_variance: rad^2 per m of distance and per rad of turn.
     """
@@ -47,21 +54,23 @@ def predict(
     x[0] += m_x
     x[1] += m_y
     x[2] = wrap(x[2] + turn_rad)
+    f_x, f_y = x[0] - first[0], x[1] - first[1]
+    first[:POSE_SIZE] = x[:POSE_SIZE]
     for i in range(POSE_SIZE, d):
         row = i * (i + 1) // 2
-        p[row] -= m_y * p[row + 2]
-        p[row + 1] += m_x * p[row + 2]
+        p[row] -= f_y * p[row + 2]
+        p[row + 1] += f_x * p[row + 2]
     distance = math.hypot(forward_m, left_m)
     xy = position_variance * distance
     # Noise of the heading that accumulates evenly along the way moves the end of the way to its
     # side: the integrals of 1 - u and (1 - u)^2 over the way are 1/2 and 1/3.
     heading = drift_variance * distance + turn_variance * abs(turn_rad)
     h = p[5]
-    p[0] += -2.0 * m_y * p[3] + m_y * m_y * (h + heading / 3.0) + xy
-    p[1] += m_x * p[3] - m_y * p[4] - m_x * m_y * (h + heading / 3.0)
-    p[2] += 2.0 * m_x * p[4] + m_x * m_x * (h + heading / 3.0) + xy
-    p[3] -= m_y * (h + heading / 2.0)
-    p[4] += m_x * (h + heading / 2.0)
+    p[0] += f_y * f_y * h - 2.0 * f_y * p[3] + m_y * m_y * heading / 3.0 + xy
+    p[1] += f_x * p[3] - f_y * p[4] - f_x * f_y * h - m_x * m_y * heading / 3.0
+    p[2] += f_x * f_x * h + 2.0 * f_x * p[4] + m_x * m_x * heading / 3.0 + xy
+    p[3] -= f_y * h + m_y * heading / 2.0
+    p[4] += f_x * h + m_x * heading / 2.0
     p[5] += heading
 
 
@@ -81,13 +90,14 @@ def _column(start: int, b: int) -> int:
 
 @compiled
 def _linearise(
-    x: NDArray[np.float64], start: int, m: int, z: NDArray[np.float64], h: NDArray[np.float64],
-    innovation: NDArray[np.float64],
+    x: NDArray[np.float64], first: NDArray[np.float64], start: int, m: int,
+    z: NDArray[np.float64], h: NDArray[np.float64], innovation: NDArray[np.float64],
 ) -> bool:
     """Compute the innovation and the Jacobian of an observation; False if it is too near.
 
     Args:
-        x: the state.
+        x: the state, for the innovation.
+        first: its first estimates, for the Jacobian.
         start: place of the feature within the state.
         m: number of values that are compared, 2 or 4.
         z: range, bearing, direction and length.
@@ -95,6 +105,9 @@ def _linearise(
         innovation: (4,) output.
     """
     d_x, d_y = x[start] - x[0], x[start + 1] - x[1]
+    innovation[0] = z[0] - math.sqrt(d_x * d_x + d_y * d_y)
+    innovation[1] = wrap(z[1] - math.atan2(d_y, d_x) + x[2])
+    d_x, d_y = first[start] - first[0], first[start + 1] - first[1]
     q = d_x * d_x + d_y * d_y
     r = math.sqrt(q)
     if not r > LEAST_DISTANCE_M:
@@ -105,8 +118,6 @@ def _linearise(
     for a in range(2):
         h[a, 0], h[a, 1] = -h[a, 3], -h[a, 4]
     h[1, 2] = -1.0
-    innovation[0] = z[0] - r
-    innovation[1] = wrap(z[1] - math.atan2(d_y, d_x) + x[2])
     if m == BAR_SIZE:
         h[2, 2], h[2, 5], h[3, 6] = -1.0, 1.0, 1.0
         innovation[2] = wrap(z[2] - x[start + 2] + x[2])
@@ -213,18 +224,20 @@ def _correct(
                 c[a, i] -= 0.5 * s[a, b] * k[b, i]
     for i in range(d):
         row = p[i * (i + 1) // 2 : (i + 1) * (i + 2) // 2]
-        for a in range(m):
-            k_i, a_i = k[a, i], c[a, i]
+        for a in range(0, m, 2):  # Two at a time, as m is even: half the passes over the row.
+            k_0, a_0, k_1, a_1 = k[a, i], c[a, i], k[a + 1, i], c[a + 1, i]
             for j in range(i + 1):
-                row[j] -= k_i * c[a, j] + a_i * k[a, j]
+                row[j] -= (k_0 * c[a, j] + a_0 * k[a, j]) + (
+                    k_1 * c[a + 1, j] + a_1 * k[a + 1, j]
+                )
 
 
 @compiled
 def observe(
-    x: NDArray[np.float64], p: NDArray[np.float64], offsets: NDArray[np.int64],
-    starts: NDArray[np.int64], z: NDArray[np.float64], sizes: NDArray[np.int64],
-    variances: NDArray[np.float64], outlier_probability: float, results: NDArray[np.int8],
-    squared: NDArray[np.float64],
+    x: NDArray[np.float64], first: NDArray[np.float64], p: NDArray[np.float64],
+    offsets: NDArray[np.int64], starts: NDArray[np.int64], is_repeated: NDArray[np.bool_],
+    z: NDArray[np.float64], sizes: NDArray[np.int64], variances: NDArray[np.float64],
+    outlier_probability: float, results: NDArray[np.int8], squared: NDArray[np.float64],
 ) -> None:
     """Update state and covariance by the observations of one moment.
 
@@ -233,14 +246,16 @@ def observe(
 
     Args:
         x: state.
+        first: its first estimates.
         p: triangle of its covariance.
         offsets: (features + 1,) places of the features within ``x``, and its length d.
         starts: (n,) places of the observed features; -1 if unknown.
+        is_repeated: (n,) True for observations that are not used.
         z: (n, 4) range, bearing, direction and length.
         sizes: (n,) number of values to compare, 2 or 4.
         variances: (4,) of range, bearing, direction and length.
         outlier_probability: observations whose innovations are less probable are rejected.
-        results: (n,) output: UPDATED, REJECTED or NEW.
+        results: (n,) output: UPDATED, REJECTED, NEW or REPEATED.
         squared: (n,) output: squared Mahalanobis distances of the innovations; NaN without one.
     """
     n, d = len(starts), offsets[-1]
@@ -249,11 +264,14 @@ def observe(
     innovations = np.zeros((n, BAR_SIZE))
     for o in range(n):
         squared[o] = np.nan
+        if is_repeated[o]:
+            results[o] = REPEATED
+            continue
         if starts[o] < 0:
             results[o] = NEW if z[o, 0] > LEAST_DISTANCE_M else REJECTED
             continue
         results[o] = REJECTED
-        if _linearise(before, starts[o], sizes[o], z[o], h[o], innovations[o]):
+        if _linearise(before, first, starts[o], sizes[o], z[o], h[o], innovations[o]):
             squared[o] = _squared_distance(
                 p, starts[o], sizes[o], h[o], innovations[o], variances
             )
@@ -278,8 +296,8 @@ def observe(
 
 @compiled
 def add(
-    x: NDArray[np.float64], p: NDArray[np.float64], d: int, z: NDArray[np.float64], m: int,
-    variances: NDArray[np.float64],
+    x: NDArray[np.float64], first: NDArray[np.float64], p: NDArray[np.float64], d: int,
+    z: NDArray[np.float64], m: int, variances: NDArray[np.float64],
 ) -> None:
     """Append a feature of m values, which is correlated with the rest through the pose."""
     angle = x[2] + z[1]
@@ -287,9 +305,10 @@ def add(
     x[d], x[d + 1] = x[0] + z[0] * c, x[1] + z[0] * s
     pose = np.zeros((BAR_SIZE, POSE_SIZE))
     pose[0, 0] = pose[1, 1] = pose[2, 2] = 1.0
-    pose[0, 2], pose[1, 2] = -z[0] * s, z[0] * c
+    pose[0, 2], pose[1, 2] = first[1] - x[d + 1], x[d] - first[0]
     if m == BAR_SIZE:
         x[d + 2], x[d + 3] = wrap(x[2] + z[2]), z[3]
+    first[d : d + m] = x[d : d + m]
     along, across = variances[0], z[0] * z[0] * variances[1]
     noise = np.zeros((BAR_SIZE, BAR_SIZE))
     noise[0, 0] = along * c * c + across * s * s
@@ -312,12 +331,13 @@ def add(
 
 @compiled
 def remove(
-    x: NDArray[np.float64], p: NDArray[np.float64], kept: NDArray[np.int64]
+    x: NDArray[np.float64], first: NDArray[np.float64], p: NDArray[np.float64],
+    kept: NDArray[np.int64],
 ) -> None:
     """Keep the values at the given places, in ascending order, and their rows and columns."""
     target = 0
     for i in range(len(kept)):
-        x[i] = x[kept[i]]
+        x[i], first[i] = x[kept[i]], first[kept[i]]
         row = kept[i] * (kept[i] + 1) // 2
         for j in range(i + 1):
             p[target] = p[row + kept[j]]
@@ -335,8 +355,8 @@ def fill_dense(p: NDArray[np.float64], first: int, dense: NDArray[np.float64]) -
 
 @compiled
 def to_robot_frame(
-    x: NDArray[np.float64], p: NDArray[np.float64], offsets: NDArray[np.int64],
-    values: NDArray[np.float64], covariance: NDArray[np.float64],
+    x: NDArray[np.float64], first: NDArray[np.float64], p: NDArray[np.float64],
+    offsets: NDArray[np.int64], values: NDArray[np.float64], covariance: NDArray[np.float64],
 ) -> None:
     """Compute the features in the frame of the robot, and their covariance.
 
@@ -344,6 +364,7 @@ def to_robot_frame(
 
     Args:
         x: state.
+        first: its first estimates.
         p: triangle of its covariance.
         offsets: as in ``observe``.
         values: (d - 3,) output.
@@ -362,8 +383,9 @@ def to_robot_frame(
         values[i], values[i + 1] = c * d_x + s * d_y, -s * d_x + c * d_y
         for a in range(2):
             places[i + a] = np.array([0, 1, 2, start, start + 1])
-        slopes[i] = np.array([-c, -s, values[i + 1], c, s])
-        slopes[i + 1] = np.array([s, -c, -values[i], -s, c])
+        d_x, d_y = first[start] - first[0], first[start + 1] - first[1]
+        slopes[i] = np.array([-c, -s, -s * d_x + c * d_y, c, s])
+        slopes[i + 1] = np.array([s, -c, -c * d_x - s * d_y, -s, c])
         if offsets[f + 1] - start == BAR_SIZE:
             values[i + 2], values[i + 3] = wrap(x[start + 2] - x[2]), x[start + 3]
             places[i + 2, 0], places[i + 2, 1], places[i + 3, 0] = 2, start + 2, start + 3
@@ -384,14 +406,16 @@ def to_robot_frame(
 
 @compiled
 def associate(
-    x: NDArray[np.float64], p: NDArray[np.float64], offsets: NDArray[np.int64],
-    z: NDArray[np.float64], sizes: NDArray[np.int64], variances: NDArray[np.float64],
-    outlier_probability: float,
+    x: NDArray[np.float64], first: NDArray[np.float64], p: NDArray[np.float64],
+    offsets: NDArray[np.int64], z: NDArray[np.float64], sizes: NDArray[np.int64],
+    variances: NDArray[np.float64], outlier_probability: float,
 ) -> NDArray[np.int64]:
-    """Return the index of the feature of each observation, -1 without one.
+    """Return the index of the feature of each observation, UNKNOWN or DOUBTFUL without one.
 
     Of all pairs of the same type that pass the chi-square test, the nearest one is taken first;
-    no feature and no observation is used twice. Arguments as for ``observe``.
+    no feature and no observation is used twice. An observation without a feature is doubtful if
+    it may be an outlier of a feature that no other observation matches: a pair that fails at the
+    given probability, but passes at its square. Arguments as for ``observe``.
     """
     n, count = len(z), len(offsets) - 1
     squared = np.zeros(n * count)
@@ -402,16 +426,22 @@ def associate(
         for f in range(count):
             if offsets[f + 1] - offsets[f] != sizes[o]:
                 continue
-            if not _linearise(x, offsets[f], sizes[o], z[o], h, innovation):
+            if not _linearise(x, first, offsets[f], sizes[o], z[o], h, innovation):
                 continue
             distance = _squared_distance(p, offsets[f], sizes[o], h, innovation, variances)
-            if survival(distance, sizes[o]) >= outlier_probability:
+            if survival(distance, sizes[o]) >= outlier_probability * outlier_probability:
                 squared[found], pairs[found] = distance, o * count + f
                 found += 1
-    matches = np.full(n, -1)
+    matches = np.full(n, UNKNOWN)
     is_taken = np.zeros(count, np.bool_)
-    for k in np.argsort(squared[:found], kind='mergesort'):
+    order = np.argsort(squared[:found], kind='mergesort')
+    for k in order:
         o, f = pairs[k] // count, pairs[k] % count
-        if matches[o] < 0 and not is_taken[f]:
+        passes = survival(squared[k], sizes[o]) >= outlier_probability
+        if passes and matches[o] == UNKNOWN and not is_taken[f]:
             matches[o], is_taken[f] = f, True
+    for k in order:
+        o, f = pairs[k] // count, pairs[k] % count
+        if matches[o] == UNKNOWN and not is_taken[f]:
+            matches[o] = DOUBTFUL
     return matches
