@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Maps with a limited memory: error and size at several limits, with each policy.
 
-    python benchmarks/forgetting.py [--seeds N] [--first N] [--after SECONDS]
+    python benchmarks/forgetting.py [--seeds N] [--after SECONDS] [--only TEXT]
+    python benchmarks/forgetting.py --data ../shared/data [--after SECONDS]
 
 The recordings are those of ``ratslam demo``: a robot drives about 400 s through an office, and
 returns to most places. A run without limits gives the numbers of templates and experiences that
@@ -14,6 +15,9 @@ the limits are shares of. Each row is the mean over all seeds:
   seed in brackets
 - closures: loop closures
 - match: mean time of the local view per image, in ms
+
+With --data, the real recordings of laps are mapped instead, with their presets and limits of
+templates; place_recognition.py and real_recordings.py define precision, recall and spread.
 """
 
 from __future__ import annotations
@@ -30,12 +34,16 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from place_recognition import LAPS, Laps, lap_recognition
+from real_recordings import map_spread, read_frames
+
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.ratslam import RatSLAM
 from ratslam_ros.core.vision.local_view import LocalView
 from ratslam_ros.event_inputs import odometry_from_event
 from ratslam_ros.files.config import load_config
 from ratslam_ros.files.memory import save
+from ratslam_ros.offline.replay import ReplayOptions, replay
 from ratslam_ros.recordings import ImageEvent, OdometryEvent, open_recording
 from ratslam_ros.results.evaluation import evaluate
 from ratslam_ros.results.trajectory import read_tum
@@ -135,16 +143,46 @@ def settings(full: Row) -> Iterator[tuple[str, dict[str, Any]]]:
         }
 
 
-def one_seed(config: Config, changes: dict[str, Any], seed: int) -> dict[str, Row]:
-    """Return the rows of one recording by name."""
+def one_seed(config: Config, changes: dict[str, Any], only: str, seed: int) -> dict[str, Row]:
+    """Return the rows of one recording by name; those whose name contains ``only``."""
     with tempfile.TemporaryDirectory() as folder:
         run = write_recording(Path(folder) / 'recording', seed)
         recording, truth = Path(run.recording), Path(run.truth)
         full = map_recording(recording, truth, config)
         rows = {'no limit': full}
         for name, values in settings(full):
+            if only not in name:
+                continue
             rows[name] = map_recording(recording, truth, config.with_values({**values, **changes}))
     return rows
+
+
+def lap_rows(data: Path, laps: Laps, after_s: float) -> Iterator[str]:
+    """Map a recording of laps at several limits of templates; yield the rows of the table."""
+    config, _ = load_config(laps.preset)
+    lap_phase, count = data / laps.folder / 'lap_phase.csv', 0
+    for share in (1.0, *SHARES):
+        for fading in (0.0, 0.5, 1.0) if share < 1.0 else (0.5,):
+            limited = config.with_values({
+                'local_view.vt_max': round(share * count), 'local_view.forget_share': fading,
+                'local_view.forget_after_s': after_s,
+            })  # fmt: skip
+            with tempfile.TemporaryDirectory() as name:
+                folder = Path(name)
+                with open_recording(data / laps.folder) as recording:
+                    selection = recording.select()
+                    options = ReplayOptions(progress=False)
+                    outcome = replay(recording, selection, limited, folder, options)
+                ids = read_frames(folder / 'frames.csv').template_id
+                precision, recall = lap_recognition(
+                    ids, lap_phase, laps.tolerance, laps.lap_length
+                )
+                spread = map_spread(folder, 'trajectory_final', lap_phase)
+            count = count or outcome.summary['templates']
+            yield (
+                f'{laps.folder:16s} {share:5.0%} {fading:12.1f}  {precision:9.3f}  {recall:6.3f}  '
+                f'{spread:6.4f}'
+            )
 
 
 def main() -> None:
@@ -156,14 +194,22 @@ def main() -> None:
     parser.add_argument(
         '--after', type=float, default=100.0, help='forget_after_s of both memories (default: 100)'
     )
+    parser.add_argument('--only', default='', help='compute only rows that contain this text')
+    parser.add_argument('--data', type=Path, help='folder of the real recordings of laps')
     options = parser.parse_args()
+    if options.data is not None:
+        print('recording        limit forget_share  precision  recall  spread')
+        for laps in LAPS:
+            for row in lap_rows(options.data, laps, options.after):
+                print(row, flush=True)
+        return
     config, _ = load_config(options.config)
     changes = {
         f'{section}.forget_after_s': options.after for section in ('local_view', 'pose_cells')
     }
     seeds = range(options.first, options.first + options.seeds)
     with ProcessPoolExecutor(min(2, len(seeds))) as pool:
-        found = list(pool.map(partial(one_seed, config, changes), seeds))
+        found = list(pool.map(partial(one_seed, config, changes, options.only), seeds))
     print(
         f'{"":30s} templates  experiences     kB      map [m]  estimate [m]  closures  match [ms]'
     )
