@@ -150,8 +150,9 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
         self._check_memory(stamp_ns, template)
         number = self._numbering.own_id(template.match.template_id)
         with self._diagnostics.times('pose_cells_view'):
-            match = replace(template.match, template_id=number)
-            action = self._core.view(match, self._motion.reaches(stamp_ns))
+            removed = tuple(self._numbering.own_id(i) for i in template.match.removed)
+            match = replace(template.match, template_id=number, removed=removed)
+            action = self._core.view(match, self._motion.reaches(stamp_ns), stamp_ns)
         if action.correction is not None and action.correction != self._motion.correction:
             self._motion.correction = action.correction
             self._report_correction(action.correction)
@@ -181,11 +182,13 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
             self._numbering.was_used(match.template_id)
         ):
             self._numbering.restart()
+            self._core.forget()
             self._report_missing(
                 'local_view has gone back to an earlier memory: its ids mean other views now, so '
                 'places seen before will not be recognised; load or reset all nodes together'
             )
         if self._numbering.set_memory(template.memory_ns):
+            self._core.forget()
             self._report_missing(
                 'local_view has started with an empty memory: places seen before will not be '
                 'recognised; to start over, call pose_cells/reset and experience_map/reset too'

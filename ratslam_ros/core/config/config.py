@@ -13,6 +13,7 @@ from ratslam_ros.core.config.experience_map import ExperienceMapParameters
 from ratslam_ros.core.config.goal_follower import GoalFollowerParameters
 from ratslam_ros.core.config.goal_memory import GoalMemoryParameters
 from ratslam_ros.core.config.goal_recall import GoalRecallParameters
+from ratslam_ros.core.config.landmark_map import LandmarkMapParameters
 from ratslam_ros.core.config.local_view import LocalViewParameters
 from ratslam_ros.core.config.parameter import Section, Value
 from ratslam_ros.core.config.pose_cells import PoseCellsParameters
@@ -34,6 +35,7 @@ class Config:
     experience_map: ExperienceMapParameters = field(default_factory=ExperienceMapParameters)
     goal_recall: GoalRecallParameters = field(default_factory=GoalRecallParameters)
     goal_follower: GoalFollowerParameters = field(default_factory=GoalFollowerParameters)
+    landmark_map: LandmarkMapParameters = field(default_factory=LandmarkMapParameters)
 
     def __post_init__(self) -> None:
         for name in SHARED:
@@ -91,6 +93,7 @@ SECTIONS: dict[str, type[Section]] = {
     'experience_map': ExperienceMapParameters,
     'goal_recall': GoalRecallParameters,
     'goal_follower': GoalFollowerParameters,
+    'landmark_map': LandmarkMapParameters,
 }
 """Class of each section, in the order of config.yaml."""
 

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +28,7 @@ from ratslam_ros.errors import UnusableInput
 _STATE_KEYS = (
     'dims', 'packets', 'memories', 'unrolled', 'messages', 'last_template', 'experiences',
     'transitions', 'visits', 'gaps', 'current', 'since_current', 'stepped', 'agreement',
-    'calibration',
+    'calibration', 'freshness',
 )  # fmt: skip
 """Order of the keys in memory files."""
 
@@ -114,7 +115,9 @@ class PoseCells:
         saved = {key: state[key] for key in _STATE_KEYS if key in state}
         if self.lengths.is_automatic:
             saved['lengths'] = self.lengths.state()
-        if self._gap_count or self.lengths.is_automatic:  # otherwise as in earlier versions
+        has_removed = evidence['components']['made'] != len(evidence['memories'])
+        if self._gap_count or self.lengths.is_automatic or has_removed:
+            # Otherwise as in earlier versions.
             saved['components'] = {
                 'current': self._component, 'gaps': self._gap_count,
                 **evidence['components'], 'experiences': experiences['components'],
@@ -175,8 +178,10 @@ class PoseCells:
         if self.calibration is not None:
             self.calibration.integrate(motion)
 
-    def view(self, match: ViewMatch, is_located: bool = True) -> MapAction:
+    def view(self, match: ViewMatch, is_located: bool = True, stamp_ns: int = 0) -> MapAction:
         """Process one template message: learn it or inject its activity, then choose the action.
+
+        The associations of templates that local view has removed are removed first.
 
         At most one action other than ``none`` is returned per odometry message.
 
@@ -184,7 +189,11 @@ class PoseCells:
             match: the template.
             is_located: False if the odometry has been missing for so long that the robot may be
                 anywhere. Such a view has no effect.
+            stamp_ns: stamp of the message; used if ``exp_forget`` is freshness.
         """
+        if match.removed:
+            self.forget(match.removed)
+        self._experiences.advance(stamp_ns)
         self._last_view = match.template_id, match.relative_rad * self._torus.planes_per_rad
         source_id = self._experiences.current_id
         action: Action = 'none'
@@ -206,6 +215,12 @@ class PoseCells:
             action, source_id, target_id, match.template_id, relative_rad, place, correction,
             relative_m,
         )  # fmt: skip
+
+    def forget(self, template_ids: Collection[int] | None = None) -> None:
+        """Remove the associations of templates that will not be seen again; None: of all."""
+        gone = self._evidence.template_ids if template_ids is None else template_ids
+        self._evidence.forget(gone, self._component)
+        self._experiences.forget_templates(gone)
 
     def active_experiences(self) -> list[tuple[int, float]]:
         """Return the experiences of the last view's template near the peak, most active first.

@@ -1,0 +1,426 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Experiments of the memory paper in simulation: landmark mapping, memory and relocalisation.
+
+    python benchmarks/landmarks.py mapping [--seeds 50] [--first 1] [--out results/landmarks]
+    python benchmarks/landmarks.py memory | memory-relocalisation
+
+Each experiment prints a table beside the results of the paper and draws its plots into --out. They
+are described in docs/landmarks.md. One seed runs per core.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import statistics
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ratslam_ros.core.common.angles import wrap
+from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.config import LandmarkMapParameters
+from ratslam_ros.core.landmarks.features import BAR_SIZE, Features
+from ratslam_ros.core.landmarks.landmark_memory import LandmarkMemory
+from ratslam_ros.results.plots import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    PALE_GREY,
+    VERMILLION,
+    equal_axes,
+    new_figure,
+    save_figure,
+)
+from ratslam_ros.simulator.floor_plan import load_floor_plan
+from ratslam_ros.simulator.landmarks import (
+    DISTINCT,
+    NORMAL,
+    BarOptions,
+    LandmarkSensor,
+    LandmarkWorld,
+    Step,
+    Vehicle,
+    drive,
+    floor_plan_landmarks,
+    lap,
+    scattered_bars,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Job = TypeVar('Job')
+Row = TypeVar('Row')
+
+SENSOR = LandmarkSensor()
+"""Sensor with the noise at which relocalisation is required to succeed."""
+
+SPEED_MPS = 1.0
+"""Constant speed of the vehicle, by which freshness decays."""
+
+MARGIN_M = 12.5
+"""Distance of the vehicle's rectangular path from the edge of the world."""
+
+OFFICE_TOUR = 'EBCFDAE'
+"""Places of the office that the vehicle passes."""
+
+OFFICE_VEHICLE = Vehicle(step_m=0.5, look_ahead_m=0.7)
+"""Vehicle in the office, where corridors are 2.1 m wide."""
+
+LIMITS = (20, 30, 40, 60, 80, 120, 160, 0)
+"""Limits of the number of landmarks; 0: none."""
+
+CROWDED = replace(NORMAL, count=200)
+"""World of the memory experiments, with many more landmarks than the limits."""
+
+FEW = 10
+"""Observations per step in the memory experiments."""
+
+FORGET_AFTER_S = 15.0
+"""Decay time of the freshness: the vehicle passes a region, an eighth of a lap, in this time."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """Options that all experiments share.
+
+    Attributes:
+        out: folder of the plots.
+        seeds: seeds of worlds and drives.
+    """
+
+    out: Path
+    seeds: Sequence[int]
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A vehicle's drive through a world, and what its sensors measure."""
+
+    world: LandmarkWorld
+    sensor: LandmarkSensor
+    vehicle: Vehicle
+    start: Pose
+    steps: list[Step]
+
+
+@dataclass(frozen=True)
+class Mapped:
+    """A drive with the map made from it.
+
+    Attributes:
+        drive: the drive.
+        memory: the map.
+        path: (steps, 3) estimated poses.
+        ms: CPU time per step.
+    """
+
+    drive: Drive
+    memory: LandmarkMemory
+    path: NDArray[np.float64]
+    ms: float
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """Errors of the landmarks of a map.
+
+    Attributes:
+        count: number of landmarks.
+        within: share of the coordinates (x, y, direction, length) within 2 standard deviations.
+        nees: normalised estimation error squared of all coordinates together, per degree of
+            freedom; 1 on average if the covariance is right.
+        rms_m: root mean square of the position errors.
+        sd_m: root mean square of the standard deviations of the positions.
+        pose_rms_m: root mean square of the errors of the vehicle's position.
+    """
+
+    count: int
+    within: float
+    nees: float
+    rms_m: float
+    sd_m: float
+    pose_rms_m: float
+
+
+def generator(seed: int) -> np.random.Generator:
+    """Return a generator of random numbers."""
+    return np.random.Generator(np.random.PCG64(seed))
+
+
+def scattered_drive(
+    seed: int, options: BarOptions = NORMAL, sensor: LandmarkSensor = SENSOR,
+    laps: float = 1.0,
+) -> Drive:  # fmt: skip
+    """Drive through scattered bars along a rectangle."""
+    rng, vehicle = generator(seed), Vehicle()
+    world = scattered_bars(rng, options)
+    return Drive(
+        world, sensor, vehicle, *drive(world, lap(world, MARGIN_M, laps), sensor, rng, vehicle)
+    )
+
+
+def office_drive(seed: int, sensor: LandmarkSensor = SENSOR) -> Drive:
+    """Drive round both loops of the simulated office."""
+    plan = load_floor_plan('office')
+    world, vehicle = floor_plan_landmarks(plan), OFFICE_VEHICLE
+    tour = [plan.places[name] for name in OFFICE_TOUR]
+    return Drive(world, sensor, vehicle, *drive(world, tour, sensor, generator(seed), vehicle))
+
+
+def map_parameters(driven: Drive, limit: int = 0) -> LandmarkMapParameters:
+    """Return parameters of a map with the true standard deviations of the noise."""
+    sensor, vehicle = driven.sensor, driven.vehicle
+    return LandmarkMapParameters(
+        lm_odom_position_sd_m=vehicle.position_sd_m,
+        lm_odom_drift_sd_rad=vehicle.drift_sd_rad,
+        lm_odom_turn_sd_rad=vehicle.turn_sd_rad,
+        lm_range_sd_m=sensor.range_sd_m,
+        lm_bearing_sd_rad=sensor.bearing_sd_rad,
+        lm_direction_sd_rad=sensor.direction_sd_rad,
+        lm_length_sd_m=sensor.length_sd_m,
+        lm_max=limit,
+        forget_after_s=FORGET_AFTER_S,
+    )
+
+
+def mapped(driven: Drive, limit: int = 0, seed: int = 0) -> Mapped:
+    """Map a drive, with identifiers, in the frame of the world.
+
+    Args:
+        driven: the drive.
+        limit: limit of the number of landmarks; 0: none.
+        seed: of the random choice of the landmarks that fade.
+    """
+    memory = LandmarkMemory(map_parameters(driven, limit), driven.start, seed)
+    path = np.zeros((len(driven.steps), 3))
+    step_ns = round(driven.vehicle.step_m / SPEED_MPS * 1e9)
+    began = time.process_time()
+    for index, step in enumerate(driven.steps):
+        memory.map.predict(*step.motion)
+        memory.observe(step.observations, index * step_ns)
+        path[index] = memory.map.pose
+    ms = 1e3 * (time.process_time() - began) / len(driven.steps)
+    return Mapped(driven, memory, path, ms)
+
+
+def errors(world: LandmarkWorld, features: Features) -> NDArray[np.float64]:
+    """Return the (n, 4) errors of x, y, direction and length."""
+    found = features.values.reshape(-1, BAR_SIZE) - world.bars[features.identifiers]
+    found[:, 2] = [wrap(angle) for angle in found[:, 2].tolist()]
+    return found
+
+
+def accuracy(result: Mapped) -> Accuracy:
+    """Compare a map with the world."""
+    features = result.memory.map.features()
+    error = errors(result.drive.world, features)
+    variance = np.diag(features.covariance).reshape(-1, BAR_SIZE)
+    flat = error.ravel()
+    true = np.array([step.pose for step in result.drive.steps])
+    return Accuracy(
+        count=len(features),
+        within=float(np.mean(error**2 <= 4.0 * variance)),
+        nees=float(flat @ np.linalg.solve(features.covariance, flat)) / len(flat),
+        rms_m=rms(error[:, :2]),
+        sd_m=math.sqrt(float(variance[:, :2].sum(axis=1).mean())),
+        pose_rms_m=rms(result.path[:, :2] - true[:, :2]),
+    )
+
+
+def rms(offsets_m: NDArray[np.float64]) -> float:
+    """Return the root of the mean squared length of (n, 2) offsets."""
+    return math.sqrt(float((offsets_m**2).sum(axis=1).mean()))
+
+
+MAPPING_CASES: dict[str, Callable[[int], Drive]] = {
+    'normal': scattered_drive,
+    'normal, 3 observations': partial(
+        scattered_drive, sensor=replace(SENSOR, max_count=3)
+    ),
+    'normal, twice the noise': partial(
+        scattered_drive, sensor=SENSOR.with_noise(2.0)
+    ),
+    'distinct': partial(scattered_drive, options=DISTINCT),
+    'office, 2 loops': office_drive,
+}  # fmt: skip
+"""Worlds and sensors of the mapping experiment."""
+
+
+def mapping_run(case: str, seed: int) -> Accuracy:
+    """Map one world."""
+    return accuracy(mapped(MAPPING_CASES[case](seed)))
+
+
+def mapping(setting: Setting) -> None:
+    """Print the table of the mapping experiment, and draw figure 1."""
+    print('paper: the first-pass map is within 2 standard deviations of the correct map')
+    print(f'{"world":24}{"landmarks":>10}{"within 2 SD":>13}{"NEES/dof":>10}{"least":>7}'
+          f'{"most":>7}{"RMS [m]":>9}{"SD [m]":>8}{"vehicle [m]":>13}')  # fmt: skip
+    for case in MAPPING_CASES:
+        found = pooled(partial(mapping_run, case), setting.seeds)
+        nees = [row.nees for row in found]
+        print(
+            f'{case:24}{mean(row.count for row in found):10.1f}'
+            f'{mean(row.within for row in found):13.1%}{mean(nees):10.2f}{min(nees):7.2f}'
+            f'{max(nees):7.2f}{mean(row.rms_m for row in found):9.2f}'
+            f'{mean(row.sd_m for row in found):8.2f}{mean(row.pose_rms_m for row in found):13.2f}'
+        )
+    print('required: at least 93 % within 2 SD; mean NEES per degree of freedom 0.8 to 1.3')
+    figure = new_figure(10.0, 6.4)
+    axes = figure.subplots(1, 2)
+    for panel, case in zip(axes, ('normal', 'normal, 3 observations'), strict=True):
+        draw_mapped(panel, mapped(MAPPING_CASES[case](setting.seeds[0])))
+        panel.set_title(case)
+    axes[0].legend(loc='upper right', fontsize=7)
+    save_figure(figure, setting.out / 'landmarks_mapping.png')
+
+
+def memory_run(seed: int) -> list[tuple[Accuracy, float]]:
+    """Map one crowded world at all limits; return the accuracies and ms per step."""
+    driven = crowded_drive(seed)
+    mapped(replace(driven, steps=driven.steps[:5]), LIMITS[0])  # compile before time is taken
+    results = [mapped(driven, limit, seed) for limit in LIMITS]
+    return [(accuracy(result), result.ms) for result in results]
+
+
+def crowded_drive(seed: int, options: BarOptions = CROWDED) -> Drive:
+    """Drive two laps through a world with many more landmarks than the limits."""
+    sensor = replace(SENSOR, max_count=FEW)
+    return scattered_drive(seed, options, sensor, laps=2.0)
+
+
+def memory(setting: Setting) -> None:
+    """Print time and error at all limits, and draw figures 2 and 3."""
+    print('paper: with a limit the mapping is faster, with larger variances and errors')
+    print(f'{"limit":>6}{"landmarks":>11}{"ms per step":>20}{"RMS error [m]":>18}'
+          f'{"SD [m]":>16}{"within 2 SD":>13}{"vehicle [m]":>13}')  # fmt: skip
+    found = pooled(memory_run, setting.seeds)
+    columns = {}
+    for index, limit in enumerate(LIMITS):
+        rows = [run[index][0] for run in found]
+        ms = [run[index][1] for run in found]
+        error_m, sd_m = [row.rms_m for row in rows], [row.sd_m for row in rows]
+        columns[limit] = ms, error_m, sd_m
+        print(
+            f'{limit or "none":>6}{mean(row.count for row in rows):11.1f}'
+            f'{spread(ms):>20}{spread(error_m):>18}{spread(sd_m):>16}'
+            f'{mean(row.within for row in rows):13.1%}'
+            f'{mean(row.pose_rms_m for row in rows):13.2f}'
+        )
+    sizes = [limit or round(mean(run[-1][0].count for run in found)) for limit in LIMITS]
+    figure = new_figure(9.0, 3.6)
+    panels = figure.subplots(1, 2)
+    for panel, names in ((panels[0], ('time',)), (panels[1], ('error', 'SD'))):
+        for name in names:
+            place = ('time', 'error', 'SD').index(name)
+            values = [columns[limit][place] for limit in LIMITS]
+            panel.errorbar(
+                sizes, [mean(v) for v in values], [statistics.pstdev(v) for v in values],
+                color=(BLUE, VERMILLION, GREEN)[place], marker='o', markersize=4, capsize=3,
+                label=name,
+            )  # fmt: skip
+        panel.set_xlabel('limit of the number of landmarks (last: none)')
+        panel.set_ylim(bottom=0.0)
+        panel.grid(color=PALE_GREY, linewidth=0.5)
+    panels[0].set_ylabel('CPU time per step [ms]')
+    panels[1].set_ylabel('position of the landmarks [m]')
+    panels[1].legend(fontsize=8)
+    save_figure(figure, setting.out / 'landmarks_memory.png')
+    figure = new_figure(12.0, 5.4)
+    driven = crowded_drive(setting.seeds[0])
+    for panel, limit in zip(figure.subplots(1, 3), (40, 80, 0), strict=True):
+        draw_mapped(panel, mapped(driven, limit, setting.seeds[0]))
+        panel.set_title(f'limit of {limit} landmarks' if limit else 'no limit')
+    save_figure(figure, setting.out / 'landmarks_memory_maps.png')
+
+
+def draw_mapped(axes: Axes, result: Mapped) -> None:
+    """Draw a map as in figures 1 and 3 of the paper."""
+    from matplotlib.collections import LineCollection, PatchCollection
+    from matplotlib.patches import Circle
+
+    world = result.drive.world
+    x, y, direction, length = world.bars.T
+    ends = np.stack((x + length * np.cos(direction), y + length * np.sin(direction)), axis=1)
+    axes.add_collection(
+        LineCollection(
+            np.stack((world.bars[:, :2], ends), axis=1), colors=GREY, linewidths=0.8, zorder=2
+        )
+    )
+    axes.plot(x, y, linestyle='', marker='*', color=BLACK, markersize=4, label='landmark')
+    features = result.memory.map.features()
+    radii_m = []
+    for start in features.offsets[:-1]:
+        block = features.covariance[start : start + 2, start : start + 2]
+        radii_m.append(2.0 * math.sqrt(float(np.linalg.eigvalsh(block)[-1])))
+    circles = [
+        Circle((float(at[0]), float(at[1])), radius_m)
+        for at, radius_m in zip(features.positions_m, radii_m, strict=True)
+    ]
+    axes.add_collection(
+        PatchCollection(circles, facecolor='none', edgecolor=VERMILLION, linewidth=0.9, zorder=4)
+    )
+    axes.plot([], [], linestyle='', marker='o', markerfacecolor='none', color=VERMILLION,
+              label='estimate, 2 SD')  # fmt: skip
+    steps = result.drive.steps
+    axes.plot(*np.array([step.planned[:2] for step in steps]).T, '--', color=GREY, linewidth=1.0,
+              label='planned', zorder=5)  # fmt: skip
+    axes.plot(*np.array([step.pose[:2] for step in steps]).T, color=GREEN, linewidth=1.2,
+              label='driven', zorder=3)  # fmt: skip
+    axes.plot(*result.path[:, :2].T, color=BLUE, linewidth=1.0, label='estimated', zorder=3)
+    equal_axes(axes)
+
+
+def mean(values: Sequence[float] | object) -> float:
+    """Return the mean."""
+    return statistics.fmean(values)  # type: ignore[arg-type]
+
+
+def spread(values: Sequence[float]) -> str:
+    """Return mean and standard deviation as a text."""
+    return f'{mean(values):.2f} +- {statistics.pstdev(values):.2f}'
+
+
+def pooled(run: Callable[[Job], Row], jobs: Sequence[Job]) -> list[Row]:
+    """Run jobs in parallel on all cores; return their rows in order."""
+    with ProcessPoolExecutor(min(os.cpu_count() or 1, len(jobs))) as pool:
+        return list(pool.map(run, jobs))
+
+
+EXPERIMENTS: dict[str, tuple[Callable[[Setting], None], int]] = {
+    'mapping': (mapping, 50),
+    'memory': (memory, 20),
+}
+"""Experiments with their number of seeds."""
+
+
+def main() -> None:
+    """Run one experiment."""
+    parser = argparse.ArgumentParser(description=(__doc__ or '').partition('\n')[0])
+    parser.add_argument('experiment', choices=EXPERIMENTS)
+    parser.add_argument('--seeds', type=int, help="number of seeds (default: the experiment's)")
+    parser.add_argument('--first', type=int, default=1, help='first seed (default: 1)')
+    parser.add_argument('--out', type=Path, default=Path('results/landmarks'))
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    experiment, count = EXPERIMENTS[options.experiment]
+    began = time.perf_counter()
+    first, count = options.first, options.seeds or count
+    experiment(Setting(options.out, range(first, first + count)))
+    print(f'{time.perf_counter() - began:.0f} s')
+
+
+if __name__ == '__main__':
+    main()
