@@ -27,10 +27,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.angles import wrap
-from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.common.pose import Pose, composed
 from ratslam_ros.core.config import LandmarkMapParameters
+from ratslam_ros.core.config.relocalisation import RelocalisationParameters
 from ratslam_ros.core.landmarks.features import BAR_SIZE, Features
 from ratslam_ros.core.landmarks.landmark_memory import LandmarkMemory
+from ratslam_ros.core.landmarks.local_map import LocalMap
+from ratslam_ros.core.landmarks.relocalisation import KnownFeatures, relocalise
 from ratslam_ros.results.plots import (
     BLACK,
     BLUE,
@@ -54,6 +57,8 @@ from ratslam_ros.simulator.landmarks import (
     drive,
     floor_plan_landmarks,
     lap,
+    observe,
+    random_pose,
     scattered_bars,
 )
 
@@ -88,7 +93,23 @@ FEW = 10
 """Observations per step in the memory experiments."""
 
 FORGET_AFTER_S = 15.0
-"""Decay time of the freshness: the vehicle passes a region in this time, and an eighth of a lap."""
+"""Decay time of the freshness: an eighth of a lap, in which the vehicle passes a region."""
+
+
+KIDNAP_WORLDS = (100, 150, 200)
+"""Numbers of landmarks in the worlds of memory-relocalisation."""
+
+KIDNAP_LIMITS = (80, 0)
+"""Limits of memory-relocalisation, as in figure 4 of the paper; 0: none."""
+
+KIDNAPS_COUNT = 10
+"""Kidnappings per seed."""
+
+SPARSE_SEARCH = RelocalisationParameters(reloc_share=0.15)
+"""Search of a map that may have forgotten most of the landmarks in view."""
+
+RIGHT_M, RIGHT_RAD = 1.0, math.radians(10.0)
+"""Largest errors of a relocalisation that counts as right."""
 
 
 @dataclass(frozen=True)
@@ -346,6 +367,151 @@ def memory(setting: Setting) -> None:
     save_figure(figure, setting.out / 'landmarks_memory_maps.png')
 
 
+@dataclass(frozen=True)
+class Kidnapping:
+    """Relocalisation of a robot that was carried to an unknown pose.
+
+    Attributes:
+        outcome: `right`, `wrong`, `ambiguous` or `not here`.
+        error: x and y in m and heading in rad of the pose that was found, else NaN.
+        pose: the pose that was found in the frame of the world, or None.
+        true_pose: the pose to which it was carried.
+        observed: number of observations.
+        nodes: number of search nodes.
+        ms: time of the search.
+    """
+
+    outcome: str
+    error: tuple[float, float, float]
+    pose: Pose | None
+    true_pose: Pose
+    observed: int
+    nodes: int
+    ms: float
+
+
+def kidnapped(
+    result: Mapped, known: KnownFeatures, world_from_map: Pose, pose: Pose,
+    rng: np.random.Generator, search: RelocalisationParameters, sensor: LandmarkSensor = SENSOR,
+) -> Kidnapping:  # fmt: skip
+    """Carry the robot to a pose, and relocalise it by the observations of one moment.
+
+    Args:
+        result: drive with its map.
+        known: the map.
+        world_from_map: pose of the map's frame in that of the world.
+        pose: true pose.
+        rng: generator for the noise of the sensor, and for the seed of the search.
+        search: parameters of the search.
+        sensor: sensor; its identifiers are not used.
+    """
+    observations = observe(result.drive.world, pose, sensor, rng)
+    local = LocalMap(map_parameters(replace(result.drive, sensor=sensor)))
+    local.observe(replace(observations, identifiers=None))
+    seed = int(rng.integers(2**31))
+    began = time.process_time()
+    answer = relocalise(local.features(), known, search, seed)
+    ms = 1e3 * (time.process_time() - began)
+    outcome, error, found = answer.outcome, (math.nan,) * 3, None
+    if outcome == 'found':
+        found = composed(world_from_map, answer.places[0].pose)
+        turn_rad = wrap(found.heading_rad - pose.heading_rad)
+        error = found.x_m - pose.x_m, found.y_m - pose.y_m, turn_rad
+        is_right = math.hypot(*error[:2]) <= RIGHT_M and abs(turn_rad) <= RIGHT_RAD
+        outcome = 'right' if is_right else 'wrong'
+    return Kidnapping(outcome, error, found, pose, len(observations), answer.search_nodes, ms)
+
+
+def map_frame(result: Mapped) -> Pose:
+    """Return the pose of a map's frame in the world, by rigid alignment of the landmarks.
+
+    The map drifts while it is made; relocalisation cannot correct this.
+    """
+    features = result.memory.map.features()
+    found, true = features.positions_m, result.drive.world.bars[features.identifiers, :2]
+    a, b = found - found.mean(axis=0), true - true.mean(axis=0)
+    turn_rad = math.atan2(
+        float((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum()), float((a * b).sum())
+    )
+    centre = composed(Pose(0.0, 0.0, turn_rad), Pose(*found.mean(axis=0).tolist(), 0.0))
+    x_m, y_m = true.mean(axis=0).tolist()
+    return Pose(x_m - centre.x_m, y_m - centre.y_m, turn_rad)
+
+
+def memory_relocalisation_run(count: int, seed: int) -> dict[int, list[Kidnapping]]:
+    """Kidnap the robot in one world, with maps of different limits.
+
+    Args:
+        count: number of landmarks in the world.
+        seed: of the world, the drive and the kidnappings.
+    """
+    driven = crowded_drive(seed, replace(NORMAL, count=count))
+    found = {}
+    for limit in KIDNAP_LIMITS:
+        result, rng = mapped(driven, limit, seed), generator(1000 + seed)
+        known, frame = KnownFeatures(result.memory.map.features()), map_frame(result)
+        found[limit] = [
+            kidnapped(
+                result, known, frame, random_pose(driven.world, rng, MARGIN_M / 2), rng,
+                SPARSE_SEARCH,
+            )
+            for _ in range(KIDNAPS_COUNT)
+        ]  # fmt: skip
+    return found
+
+
+def memory_relocalisation(setting: Setting) -> None:
+    """Print the outcomes with and without a limit, and draw figure 4."""
+    print('paper: the relocalisation succeeds with a limit of 80')
+    print(f'{"world":>5}{"limit":>7}{"right":>8}{"wrong":>7}{"ambiguous":>11}{"not here":>10}'
+          f'{"x [m]":>16}{"y [m]":>16}{"ms":>7}')  # fmt: skip
+    for count in KIDNAP_WORLDS:
+        runs = pooled(partial(memory_relocalisation_run, count), setting.seeds)
+        for limit in KIDNAP_LIMITS:
+            rows = [row for run in runs for row in run[limit]]
+            print(f'{count:5}{limit or "none":>7}' + outcomes(rows))
+    print('required: with a limit of 80, right within 5 percentage points of no limit')
+    count, seed = KIDNAP_WORLDS[-1], setting.seeds[0]
+    driven = crowded_drive(seed, replace(NORMAL, count=count))
+    found = memory_relocalisation_run(count, seed)
+    figure = new_figure(10.0, 6.4)
+    for panel, limit in zip(figure.subplots(1, 2), KIDNAP_LIMITS, strict=True):
+        draw_mapped(panel, mapped(driven, limit, seed))
+        draw_kidnappings(panel, found[limit])
+        panel.set_title(f'limit of {limit} landmarks' if limit else 'no limit')
+    save_figure(figure, setting.out / 'landmarks_memory_relocalisation.png')
+
+
+def outcomes(rows: Sequence[Kidnapping]) -> str:
+    """Return the shares of the outcomes, the errors and the time as columns of a table."""
+    share = {
+        name: sum(row.outcome == name for row in rows) / len(rows)
+        for name in ('right', 'wrong', 'ambiguous', 'not here')
+    }
+    found = [row.error for row in rows if row.pose is not None]
+    x_m, y_m = ([row[axis] for row in found] or [math.nan] for axis in (0, 1))
+    return (
+        f'{share["right"]:8.1%}{share["wrong"]:7.1%}{share["ambiguous"]:11.1%}'
+        f'{share["not here"]:10.1%}{spread(x_m):>16}{spread(y_m):>16}'
+        f'{mean(row.ms for row in rows):7.1f}'
+    )
+
+
+def draw_kidnappings(axes: Axes, rows: Sequence[Kidnapping]) -> None:
+    """Draw true poses as crosses and found ones as discs, with their headings."""
+    for row in rows:
+        is_right = row.outcome == 'right'
+        axes.plot(row.true_pose.x_m, row.true_pose.y_m, 'x', color=BLACK, markersize=7, zorder=7)
+        if row.pose is not None:
+            x_m, y_m, heading_rad = row.pose
+            colour = GREEN if is_right else VERMILLION
+            axes.plot(x_m, y_m, 'o', color=colour, markersize=7, zorder=6)
+            axes.plot(
+                [x_m, x_m + 2.5 * math.cos(heading_rad)], [y_m, y_m + 2.5 * math.sin(heading_rad)],
+                color=colour, linewidth=2.0, zorder=6,
+            )  # fmt: skip
+
+
 def draw_mapped(axes: Axes, result: Mapped) -> None:
     """Draw a map as in figures 1 and 3 of the paper."""
     from matplotlib.collections import LineCollection, PatchCollection
@@ -402,6 +568,7 @@ def pooled(run: Callable[[Job], Row], jobs: Sequence[Job]) -> list[Row]:
 EXPERIMENTS: dict[str, tuple[Callable[[Setting], None], int]] = {
     'mapping': (mapping, 50),
     'memory': (memory, 20),
+    'memory-relocalisation': (memory_relocalisation, 20),
 }
 """Experiments with their number of seeds."""
 
