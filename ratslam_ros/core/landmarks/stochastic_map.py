@@ -195,10 +195,11 @@ class StochasticMap:
         )  # fmt: skip
 
     def nearest(self, observations: Observations) -> NDArray[np.int64]:
-        """Return the index of the nearest landmark for each observation, -1 without one.
+        """Return the index of the nearest landmark for each observation.
 
         A pair has the same type and passes the chi-square test. The nearest pairs are formed
-        first, and no landmark is used twice. Identifiers are not used.
+        first, and no landmark is used twice. Without a landmark the result is -1 for an unknown
+        one, and -2 if the observation may be an outlier of a known one. Identifiers are not used.
 
         Raises:
             UnusableObservations: values are invalid.
