@@ -299,7 +299,7 @@ def mapping(setting: Setting) -> None:
             f'{mean(row.sd_m for row in found):8.2f}{mean(row.pose_rms_m for row in found):13.2f}'
         )
     print('required: at least 93 % within 2 SD; mean NEES per degree of freedom 0.8 to 1.3')
-    figure = new_figure(10.0, 6.4)
+    figure = new_figure(8.6, 5.6)
     axes = figure.subplots(1, 2)
     for panel, case in zip(axes, ('normal', 'normal, 3 observations'), strict=True):
         draw_mapped(panel, mapped(MAPPING_CASES[case](setting.seeds[0])))
@@ -325,41 +325,45 @@ def crowded_drive(seed: int, options: BarOptions = CROWDED) -> Drive:
 def memory(setting: Setting) -> None:
     """Print time and error at all limits, and draw figures 2 and 3."""
     print('paper: with a limit the mapping is faster, with larger variances and errors')
-    print(f'{"limit":>6}{"landmarks":>11}{"ms per step":>20}{"RMS error [m]":>18}'
-          f'{"SD [m]":>16}{"within 2 SD":>13}{"vehicle [m]":>13}')  # fmt: skip
+    print(f'{"limit":>6}{"landmarks":>11}{"ms per step":>18}{"RMS error [m]":>18}'
+          f'{"SD [m]":>18}{"vehicle [m]":>18}{"within 2 SD":>13}')  # fmt: skip
     found = pooled(memory_run, setting.seeds)
-    columns = {}
+    columns: dict[str, list[list[float]]] = {
+        'time': [], 'error of the landmarks': [], 'their estimated SD': [],
+        'error of the vehicle': [],
+    }  # fmt: skip
     for index, limit in enumerate(LIMITS):
         rows = [run[index][0] for run in found]
-        ms = [run[index][1] for run in found]
-        error_m, sd_m = [row.rms_m for row in rows], [row.sd_m for row in rows]
-        columns[limit] = ms, error_m, sd_m
+        values = (
+            [run[index][1] for run in found], [row.rms_m for row in rows],
+            [row.sd_m for row in rows], [row.pose_rms_m for row in rows],
+        )  # fmt: skip
+        for column, value in zip(columns.values(), values, strict=True):
+            column.append(value)
         print(
             f'{limit or "none":>6}{mean(row.count for row in rows):11.1f}'
-            f'{spread(ms):>20}{spread(error_m):>18}{spread(sd_m):>16}'
-            f'{mean(row.within for row in rows):13.1%}'
-            f'{mean(row.pose_rms_m for row in rows):13.2f}'
+            + ''.join(f'{spread(value):>18}' for value in values)
+            + f'{mean(row.within for row in rows):13.1%}'
         )
     sizes = [limit or round(mean(run[-1][0].count for run in found)) for limit in LIMITS]
     figure = new_figure(9.0, 3.6)
     panels = figure.subplots(1, 2)
-    for panel, names in ((panels[0], ('time',)), (panels[1], ('error', 'SD'))):
-        for name in names:
-            place = ('time', 'error', 'SD').index(name)
-            values = [columns[limit][place] for limit in LIMITS]
-            panel.errorbar(
-                sizes, [mean(v) for v in values], [statistics.pstdev(v) for v in values],
-                color=(BLUE, VERMILLION, GREEN)[place], marker='o', markersize=4, capsize=3,
-                label=name,
-            )  # fmt: skip
-        panel.set_xlabel('limit of the number of landmarks (last: none)')
+    for (name, column), colour in zip(
+        columns.items(), (BLUE, VERMILLION, GREEN, BLACK), strict=True
+    ):
+        panel = panels[int(name != 'time')]
+        panel.errorbar(
+            sizes, [mean(value) for value in column],
+            [statistics.pstdev(value) for value in column],
+            color=colour, marker='o', markersize=4, capsize=3, label=name,
+        )  # fmt: skip
+    for panel, label in zip(panels, ('CPU time per step [ms]', 'position [m]'), strict=True):
+        panel.set(xlabel='limit of the number of landmarks (last: none)', ylabel=label)
         panel.set_ylim(bottom=0.0)
         panel.grid(color=PALE_GREY, linewidth=0.5)
-    panels[0].set_ylabel('CPU time per step [ms]')
-    panels[1].set_ylabel('position of the landmarks [m]')
     panels[1].legend(fontsize=8)
     save_figure(figure, setting.out / 'landmarks_memory.png')
-    figure = new_figure(12.0, 5.4)
+    figure = new_figure(10.0, 4.4)
     driven = crowded_drive(setting.seeds[0])
     for panel, limit in zip(figure.subplots(1, 3), (40, 80, 0), strict=True):
         draw_mapped(panel, mapped(driven, limit, setting.seeds[0]))
@@ -482,7 +486,7 @@ def memory_relocalisation(setting: Setting) -> None:
     count, seed = KIDNAP_WORLDS[-1], setting.seeds[0]
     driven = crowded_drive(seed, replace(NORMAL, count=count))
     found = memory_relocalisation_run(count, seed)
-    figure = new_figure(10.0, 6.4)
+    figure = new_figure(8.6, 5.6)
     for panel, limit in zip(figure.subplots(1, 2), KIDNAP_LIMITS, strict=True):
         draw_mapped(panel, mapped(driven, limit, seed))
         draw_kidnappings(panel, found[limit])
