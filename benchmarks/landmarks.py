@@ -4,6 +4,7 @@
 
     python benchmarks/landmarks.py mapping [--seeds 50] [--first 1] [--out results/landmarks]
     python benchmarks/landmarks.py memory | memory-relocalisation
+    python benchmarks/landmarks.py relocalisation | unmapped | effort
 
 Each experiment prints a table beside the results of the paper and draws its plots into --out. They
 are described in docs/landmarks.md. One seed runs per core.
@@ -30,7 +31,8 @@ from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.pose import Pose, composed
 from ratslam_ros.core.config import LandmarkMapParameters
 from ratslam_ros.core.config.relocalisation import RelocalisationParameters
-from ratslam_ros.core.landmarks.features import BAR_SIZE, Features
+from ratslam_ros.core.landmarks.features import BAR_SIZE, MAX_OBSERVATION_COUNT, Features
+from ratslam_ros.core.landmarks.joint_compatibility import Bound, search_jointly_compatible
 from ratslam_ros.core.landmarks.landmark_memory import LandmarkMemory
 from ratslam_ros.core.landmarks.local_map import LocalMap
 from ratslam_ros.core.landmarks.relocalisation import KnownFeatures, relocalise
@@ -67,6 +69,8 @@ if TYPE_CHECKING:
 
 Job = TypeVar('Job')
 Row = TypeVar('Row')
+
+FLOORS = Path(__file__).parent / 'floors'
 
 SENSOR = LandmarkSensor()
 """Sensor with the noise at which relocalisation is required to succeed."""
@@ -110,6 +114,52 @@ SPARSE_SEARCH = RelocalisationParameters(reloc_share=0.15, reloc_draws=5000)
 
 RIGHT_M, RIGHT_RAD = 1.0, math.radians(10.0)
 """Largest errors of a relocalisation that counts as right."""
+
+
+ALL = MAX_OBSERVATION_COUNT
+"""Number of observations that does not limit them."""
+
+RELOCALISATION_CASES: dict[str, tuple[BarOptions, float, int]] = {
+    'distinct': (DISTINCT, 1.0, ALL),
+    'distinct, twice the noise': (DISTINCT, 2.0, ALL),
+    'normal': (NORMAL, 1.0, ALL),
+    'normal, twice the noise': (NORMAL, 2.0, ALL),
+    'normal, only 5 seen': (NORMAL, 1.0, 5),
+    'twice the noise, 5 seen': (NORMAL, 2.0, 5),
+    'normal, only 4 seen': (NORMAL, 1.0, 4),
+    'twice the noise, 4 seen': (NORMAL, 2.0, 4),
+}
+"""Worlds of table 1, the factor of the sensor's noise, and the limit of the observations."""
+
+UNMAPPED_CASES: dict[str, tuple[BarOptions, float]] = {
+    case: (options, noise)
+    for case, (options, noise, count) in RELOCALISATION_CASES.items() if count == ALL
+}  # fmt: skip
+"""Worlds of which another one is mapped, with the factor of the noise."""
+
+UNMAPPED_PLANS = ('house', 'school', 'hall')
+"""Floor plans of which the western half is mapped; the robot is in the eastern half."""
+
+ENTRY_M = 6.0
+"""Distance from the mapped half beyond which the robot is in a region never mapped."""
+
+PLAN_SD = np.array([0.05, 0.05, 0.01, 0.05])
+"""Standard deviations of x, y, direction and length of landmarks that are mapped without a drive,
+in the experiments on floor plans and on the search effort."""
+
+OBSERVATION_COUNTS, FEATURE_COUNTS = (4, 8, 12, 15, 20), (20, 50, 100, 200, 500)
+"""Sizes of the searches."""
+
+SEARCH = RelocalisationParameters()
+"""Search with the default parameters."""
+
+OUTCOME_HEADING = (
+    f'{"right":>8}{"wrong":>7}{"ambiguous":>11}{"not here":>10}{"x [m]":>16}{"y [m]":>16}{"ms":>7}'
+)
+"""Names of the columns of ``outcomes``."""
+
+MAX_NODES = 50_000
+"""Joint tests after which a search without random sampling is aborted."""
 
 
 @dataclass(frozen=True)
@@ -577,10 +627,250 @@ def pooled(run: Callable[[Job], Row], jobs: Sequence[Job]) -> list[Row]:
         return list(pool.map(run, jobs))
 
 
+def relocalisation_run(case: str, seed: int) -> list[Kidnapping]:
+    """Map one world, and carry the robot to random places of it."""
+    options, noise, count = RELOCALISATION_CASES[case]
+    result = mapped(scattered_drive(seed, options, SENSOR.with_noise(noise)))
+    known, frame = KnownFeatures(result.memory.map.features()), map_frame(result)
+    sensor = replace(result.drive.sensor, max_count=count)
+    result = replace(result, drive=replace(result.drive, sensor=sensor))
+    return kidnapped_often(result, known, frame, 1000 + seed)
+
+
+def unmapped_run(case: str, seed: int) -> list[Kidnapping]:
+    """Map one world, and carry the robot to another one that looks like it."""
+    options, noise = UNMAPPED_CASES[case]
+    result = mapped(scattered_drive(seed, options, SENSOR.with_noise(noise)))
+    known, frame = KnownFeatures(result.memory.map.features()), map_frame(result)
+    other = scattered_bars(generator(2000 + seed), options)
+    elsewhere = replace(result, drive=replace(result.drive, world=other))
+    return kidnapped_often(elsewhere, known, frame, 1000 + seed)
+
+
+def unmapped_plan_run(name: str, seed: int) -> list[Kidnapping]:
+    """Map the western half of a floor plan, and carry the robot to the other half."""
+    world = floor_plan_landmarks(load_floor_plan(str(FLOORS / f'{name}.txt')))
+    middle_m = 0.5 * world.size_m[0]
+    bars = world.bars[world.bars[:, 0] < middle_m]
+    known = KnownFeatures(roughly_mapped(bars, generator(seed)))
+    driven = Drive(world, replace(SENSOR, min_range_m=0.1), Vehicle(), Pose(0.0, 0.0, 0.0), [])
+    result = Mapped(driven, LandmarkMemory(map_parameters(driven)), np.zeros((0, 3)), 0.0)
+    return kidnapped_often(
+        result, known, Pose(0.0, 0.0, 0.0), 1000 + seed, 0.0, middle_m + ENTRY_M
+    )
+
+
+def kidnapped_often(
+    result: Mapped,
+    known: KnownFeatures,
+    frame: Pose,
+    seed: int,
+    margin_m: float = 0.5 * MARGIN_M,
+    beyond_m: float = -math.inf,
+) -> list[Kidnapping]:
+    """Carry the robot to random poses with an x of more than ``beyond_m``."""
+    rng = generator(seed)
+    warm_up_search(known)
+    found: list[Kidnapping] = []
+    while len(found) < KIDNAPS_COUNT:
+        pose = random_pose(result.drive.world, rng, margin_m)
+        if pose.x_m > beyond_m:
+            found.append(
+                kidnapped(result, known, frame, pose, rng, SEARCH, result.drive.sensor)
+            )
+    return found
+
+
+def warm_up_search(known: KnownFeatures) -> None:
+    """Load the compiled functions, so that they do not count."""
+    few = Features(
+        np.arange(4), BAR_SIZE * np.arange(5), known.geometry.values[:4].ravel(), np.eye(16)
+    )
+    relocalise(few, known, SEARCH, 0)
+
+
+def roughly_mapped(bars: NDArray[np.float64], rng: np.random.Generator) -> Features:
+    """Return a map of bars with independent errors."""
+    n = len(bars)
+    return Features(
+        np.arange(n), BAR_SIZE * np.arange(n + 1),
+        (bars + PLAN_SD * rng.standard_normal(bars.shape)).ravel(),
+        np.diag(np.tile(PLAN_SD**2, n)),
+    )  # fmt: skip
+
+
+def relocalisation(setting: Setting) -> None:
+    """Print table 1, and draw the errors."""
+    print('paper: normal x -1.30 +- 20.73, y -0.58 +- 26.74; distinct x -0.12 +- 0.41, '
+          'y 0.09 +- 0.39')  # fmt: skip
+    print(f'{"world":26}{"seen":>6}{OUTCOME_HEADING}')
+    figure = new_figure(8.0, 4.2)
+    panels = figure.subplots(1, 2)
+    for case in RELOCALISATION_CASES:
+        runs = pooled(partial(relocalisation_run, case), setting.seeds)
+        rows = [row for run in runs for row in run]
+        print(f'{case:26}{mean(row.observed for row in rows):6.1f}{outcomes(rows)}')
+        if RELOCALISATION_CASES[case][2] < FEW:
+            continue
+        errors_m = np.array([row.error[:2] for row in rows if row.pose is not None]).reshape(-1, 2)
+        is_noisy = 'twice' in case
+        panels[int(case.startswith('normal'))].plot(
+            *errors_m.T, linestyle='', marker='x' if is_noisy else '.',
+            color=VERMILLION if is_noisy else BLUE, markersize=4,
+            label=f'{len(errors_m)} of {len(rows)} found' + ', twice the noise' * is_noisy,
+        )  # fmt: skip
+    print('required: distinct: right at least 98 %, SD at most 0.2 m, wrong 0; normal: right at '
+          'least 60 %, wrong at most 1 %')  # fmt: skip
+    for panel, name in zip(panels, ('distinct', 'normal'), strict=True):
+        panel.set_title(name)
+        panel.set_xlabel('error of x [m]')
+        panel.set_ylabel('error of y [m]')
+        panel.grid(color=PALE_GREY, linewidth=0.5)
+        panel.legend(fontsize=8)
+        panel.set_aspect('equal', 'datalim')
+    save_figure(figure, setting.out / 'landmarks_relocalisation.png')
+
+
+def unmapped(setting: Setting) -> None:
+    """Print the outcomes in regions that were never mapped, and draw them."""
+    colours = {'wrong': VERMILLION, 'ambiguous': GREY, 'not here': GREEN}
+    print(f'{"world":26}{"seen":>6}' + ''.join(f'{name:>11}' for name in colours) + f'{"ms":>7}')
+    cases = [*UNMAPPED_CASES, *(f'{name}, other half' for name in UNMAPPED_PLANS)]
+    shares = []
+    for case in cases:
+        run = (
+            partial(unmapped_run, case) if case in UNMAPPED_CASES
+            else partial(unmapped_plan_run, case.partition(',')[0])
+        )  # fmt: skip
+        rows = [row for rows in pooled(run, setting.seeds) for row in rows]
+        share = [sum(row.outcome == name for row in rows) / len(rows) for name in colours]
+        shares.append(share)
+        print(f'{case:26}{mean(row.observed for row in rows):6.1f}'
+              + ''.join(f'{value:11.1%}' for value in share)
+              + f'{mean(row.ms for row in rows):7.1f}')  # fmt: skip
+    print('required: not here in 99 %; the halves of a floor plan share rooms of equal shape')
+    figure = new_figure(7.0, 3.2)
+    panel = figure.subplots()
+    left = np.zeros(len(cases))
+    for (outcome, colour), share in zip(colours.items(), np.array(shares).T, strict=True):
+        panel.barh(cases, share, left=left, color=colour, label=outcome)
+        left += share
+    panel.invert_yaxis()
+    panel.set_xlabel('share of the kidnaps to a region never mapped')
+    panel.legend(fontsize=8, loc='lower left')
+    save_figure(figure, setting.out / 'landmarks_unmapped.png')
+
+
+EFFORTS: tuple[Bound | None, ...] = ('exhaustive', 'printed', 'correct', None)
+EFFORT_NAMES = 'exhaustive', 'JCBB as printed', 'JCBB', 'random sampling'
+
+
+@dataclass(frozen=True)
+class Effort:
+    """Effort of one search.
+
+    Attributes:
+        nodes: pairs that were tested.
+        ms: time without the preparation of the map.
+        pairs: size of the largest set of pairs.
+    """
+
+    nodes: int
+    ms: float
+    pairs: int
+
+
+def effort_run(job: tuple[int, int, int]) -> list[Effort]:
+    """Search one map in all ways; return the efforts in the order of ``EFFORTS``."""
+    seed, observation_count, feature_count = job
+    rng = generator(seed)
+    scale = math.sqrt(feature_count / NORMAL.count)
+    size_m = NORMAL.size_m[0] * scale, NORMAL.size_m[1] * scale
+    world = scattered_bars(rng, replace(NORMAL, count=feature_count, size_m=size_m))
+    pose = Pose(0.5 * size_m[0], 0.5 * size_m[1], 1.0)
+    distances_m = np.hypot(world.bars[:, 0] - pose.x_m, world.bars[:, 1] - pose.y_m)
+    near = LandmarkWorld(world.bars[np.argsort(distances_m)[:observation_count]], size_m)
+    sensor = LandmarkSensor(min_range_m=0.0, max_range_m=math.hypot(*size_m))
+    driven = Drive(world, sensor, Vehicle(), pose, [])
+    local = LocalMap(map_parameters(driven))
+    local.observe(replace(observe(near, pose, sensor, rng), identifiers=None))
+    seen = local.features()
+    features = roughly_mapped(world.bars, rng)
+    known = KnownFeatures(features)
+    efforts = []
+    for bound in EFFORTS:
+        began = time.perf_counter()
+        if bound is None:
+            found = relocalise(seen, known, SEARCH, seed)
+            nodes = found.search_nodes
+            pairs = max((len(place.pairs) for place in found.places), default=0)
+        else:
+            searched = search_jointly_compatible(seen, features, bound=bound, max_nodes=MAX_NODES)
+            nodes, pairs = searched.nodes, len(searched.pairs)
+        efforts.append(Effort(nodes, 1e3 * (time.perf_counter() - began), pairs))
+    return efforts
+
+
+def effort(setting: Setting) -> None:
+    """Print nodes and time of all searches, and draw them."""
+    print('paper: claims that JCBB is faster than exhaustive search and random sampling faster '
+          'than JCBB; no figures')  # fmt: skip
+    print(f'median of {len(setting.seeds)} worlds; ">": aborted after {MAX_NODES} joint tests; '
+          'pairs: mean size of the set')  # fmt: skip
+    print(f'{"seen":>4}{"map":>5}' + ''.join(f'{name:>28}' for name in EFFORT_NAMES))
+    print(' ' * 9 + f'{"nodes":>12}{"ms":>9}{"pairs":>7}' * len(EFFORTS))
+    table: dict[tuple[int, int], list[tuple[float, float]]] = {}
+    for feature_count in FEATURE_COUNTS:
+        for observation_count in OBSERVATION_COUNTS:
+            jobs = [(seed, observation_count, feature_count) for seed in setting.seeds]
+            effort_run(jobs[0])  # compiles
+            found = [effort_run(job) for job in jobs]
+            line, row = f'{observation_count:4}{feature_count:5}', []
+            for way in range(len(EFFORTS)):
+                nodes = statistics.median(run[way].nodes for run in found)
+                ms = statistics.median(run[way].ms for run in found)
+                is_aborted = EFFORTS[way] is not None and nodes >= MAX_NODES
+                line += f'{">" * is_aborted + format(nodes, ".0f"):>12}{ms:9.2f}'
+                line += f'{mean(run[way].pairs for run in found):7.1f}'
+                row.append((nodes, ms))
+            table[observation_count, feature_count] = row
+            print(line, flush=True)
+    print('required: random sampling under 20 ms at 15 observations and 200 features')
+    figure = new_figure(9.0, 3.6)
+    panels = figure.subplots(1, 2)
+    middle_count, middle_features = 15, 200
+    for way, (name, colour) in enumerate(
+        zip(EFFORT_NAMES, (GREY, VERMILLION, BLUE, GREEN), strict=True)
+    ):
+        panels[0].plot(
+            OBSERVATION_COUNTS,
+            [table[count, middle_features][way][1] for count in OBSERVATION_COUNTS],
+            marker='o', markersize=4, color=colour, label=name,
+        )  # fmt: skip
+        panels[1].plot(
+            FEATURE_COUNTS, [table[middle_count, count][way][1] for count in FEATURE_COUNTS],
+            marker='o', markersize=4, color=colour, label=name,
+        )  # fmt: skip
+    for panel, label in zip(
+        panels,
+        (f'observations ({middle_features} features)', f'features ({middle_count} observations)'),
+        strict=True,
+    ):
+        panel.set_xlabel(label)
+        panel.set_ylabel('ms')
+        panel.set_yscale('log')
+        panel.grid(color=PALE_GREY, linewidth=0.5)
+    panels[0].legend(fontsize=8)
+    save_figure(figure, setting.out / 'landmarks_effort.png')
+
+
 EXPERIMENTS: dict[str, tuple[Callable[[Setting], None], int]] = {
     'mapping': (mapping, 50),
     'memory': (memory, 20),
     'memory-relocalisation': (memory_relocalisation, 20),
+    'relocalisation': (relocalisation, 20),
+    'unmapped': (unmapped, 20),
+    'effort': (effort, 5),
 }
 """Experiments with their number of seeds."""
 
