@@ -401,7 +401,7 @@ def memory(setting: Setting) -> None:
     for (name, column), colour in zip(
         columns.items(), (BLUE, VERMILLION, GREEN, BLACK), strict=True
     ):
-        panel = panels[name != 'time']
+        panel = panels[int(name != 'time')]
         panel.errorbar(
             sizes, [mean(value) for value in column],
             [statistics.pstdev(value) for value in column],

@@ -248,7 +248,7 @@ class Relocation:
 
 def relocations(
     log: Log, positions: dict[int, NDArray[np.float64]], parameters: LandmarkMapParameters,
-    search: RelocalisationParameters,
+    search: RelocalisationParameters, local_parameters: LandmarkMapParameters,
 ) -> Iterator[Relocation]:
     """Cut the drive again and again, and relocalise without barcodes after each cut."""
     built = StochasticMap(parameters)
@@ -258,7 +258,7 @@ def relocations(
         if time_s >= cut_s:
             yield relocation(
                 log, built.features(), alignment(built.features(), positions),
-                parameters, search, cut_s + CUT_S,
+                local_parameters, search, cut_s + CUT_S,
             )  # fmt: skip
             cut_s = next(cuts, math.inf)
         if isinstance(step, Motion):

@@ -423,10 +423,12 @@ def test_moved_origin_keeps_what_the_robot_sees() -> None:
 
 
 def test_seen_features_have_the_covariance_of_their_errors() -> None:
-    """The Jacobian agrees with differences of the transform, at the first estimates."""
+    """The Jacobian agrees with differences of the transform, where both are linearised."""
     built, _ = mapped(5, 6)
-    x = built.state()['first_values']
-    x[2] = built.pose.heading_rad
+    state = built.state()
+    state['first_values'] = state['values']
+    built.restore(state)
+    x = np.concatenate((built.pose, built.features().values))
     offsets = built.features().offsets
 
     def seen(x: NDArray[np.float64]) -> NDArray[np.float64]:
