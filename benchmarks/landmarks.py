@@ -757,7 +757,7 @@ def unmapped(setting: Setting) -> None:
         left += share
     panel.invert_yaxis()
     panel.set_xlabel('share of the kidnaps to a region never mapped')
-    panel.legend(fontsize=8, loc='lower left')
+    panel.legend(fontsize=8, loc='lower center', bbox_to_anchor=(0.5, 1.0), ncol=3)
     save_figure(figure, setting.out / 'landmarks_unmapped.png')
 
 
