@@ -43,6 +43,7 @@ from ratslam_ros.results.plots import (
     GREY,
     PALE_GREY,
     VERMILLION,
+    add_legend_below,
     equal_axes,
     new_figure,
     save_figure,
@@ -354,7 +355,7 @@ def mapping(setting: Setting) -> None:
     for panel, case in zip(axes, ('normal', 'normal, 3 observations'), strict=True):
         draw_mapped(panel, mapped(MAPPING_CASES[case](setting.seeds[0])))
         panel.set_title(case)
-    axes[0].legend(loc='upper right', fontsize=7)
+    add_legend_below(figure, axes[0])
     save_figure(figure, setting.out / 'landmarks_mapping.png')
 
 
@@ -398,12 +399,12 @@ def memory(setting: Setting) -> None:
     sizes = [limit or round(mean(run[-1][0].count for run in found)) for limit in LIMITS]
     figure = new_figure(9.0, 3.6)
     panels = figure.subplots(1, 2)
-    for (name, column), colour in zip(
-        columns.items(), (BLUE, VERMILLION, GREEN, BLACK), strict=True
+    for (name, column), colour, beside in zip(
+        columns.items(), (BLUE, VERMILLION, GREEN, BLACK), (0.0, -1.5, 0.0, 1.5), strict=True
     ):
         panel = panels[int(name != 'time')]
         panel.errorbar(
-            sizes, [mean(value) for value in column],
+            [size + beside for size in sizes], [mean(value) for value in column],
             [statistics.pstdev(value) for value in column],
             color=colour, marker='o', markersize=4, capsize=3, label=name,
         )  # fmt: skip
@@ -415,9 +416,11 @@ def memory(setting: Setting) -> None:
     save_figure(figure, setting.out / 'landmarks_memory.png')
     figure = new_figure(10.0, 4.4)
     driven = crowded_drive(setting.seeds[0])
-    for panel, limit in zip(figure.subplots(1, 3), (40, 80, 0), strict=True):
+    maps = figure.subplots(1, 3)
+    for panel, limit in zip(maps, (40, 80, 0), strict=True):
         draw_mapped(panel, mapped(driven, limit, setting.seeds[0]))
         panel.set_title(f'limit of {limit} landmarks' if limit else 'no limit')
+    add_legend_below(figure, maps[0])
     save_figure(figure, setting.out / 'landmarks_memory_maps.png')
 
 
@@ -537,10 +540,12 @@ def memory_relocalisation(setting: Setting) -> None:
     driven = crowded_drive(seed, replace(NORMAL, count=count))
     found = memory_relocalisation_run(count, seed)
     figure = new_figure(8.6, 5.6)
-    for panel, limit in zip(figure.subplots(1, 2), KIDNAP_LIMITS, strict=True):
+    panels = figure.subplots(1, 2)
+    for panel, limit in zip(panels, KIDNAP_LIMITS, strict=True):
         draw_mapped(panel, mapped(driven, limit, seed))
         draw_kidnappings(panel, found[limit])
         panel.set_title(f'limit of {limit} landmarks' if limit else 'no limit')
+    add_legend_below(figure, panels[1])
     save_figure(figure, setting.out / 'landmarks_memory_relocalisation.png')
 
 
@@ -561,9 +566,13 @@ def outcomes(rows: Sequence[Kidnapping]) -> str:
 
 def draw_kidnappings(axes: Axes, rows: Sequence[Kidnapping]) -> None:
     """Draw true poses as crosses and found ones as discs, with their headings."""
+    axes.plot([], [], 'o', color=GREEN, label='found, right')
+    if any(row.outcome == 'wrong' for row in rows):
+        axes.plot([], [], 'o', color=VERMILLION, label='found, wrong')
+    true = np.array([row.true_pose[:2] for row in rows])
+    axes.plot(*true.T, 'x', color=BLACK, markersize=7, zorder=7, label='carried to')
     for row in rows:
         is_right = row.outcome == 'right'
-        axes.plot(row.true_pose.x_m, row.true_pose.y_m, 'x', color=BLACK, markersize=7, zorder=7)
         if row.pose is not None:
             x_m, y_m, heading_rad = row.pose
             colour = GREEN if is_right else VERMILLION

@@ -31,7 +31,7 @@ from ratslam_ros.simulator.landmarks import LandmarkSensor, drive, lap, scattere
 P = LandmarkMapParameters()
 START = Pose(0.0, 0.0, 0.0)
 SEEDS = st.integers(0, 2**32 - 1)
-quick = settings(max_examples=25, deadline=None)
+quick = settings(max_examples=15, deadline=None)
 
 
 @dataclass
