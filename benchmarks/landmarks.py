@@ -693,7 +693,7 @@ def kidnapped_often(
 def warm_up_search(known: KnownFeatures) -> None:
     """Load the compiled functions, so that they do not count."""
     few = Features(
-        np.arange(4), BAR_SIZE * np.arange(5), known.geometry.values[:4].ravel(), np.eye(16)
+        np.arange(4), BAR_SIZE * np.arange(5), known.geometry.values[:4].ravel(), 0.01 * np.eye(16)
     )
     relocalise(few, known, SEARCH, 0)
 
@@ -766,7 +766,7 @@ def unmapped(setting: Setting) -> None:
         left += share
     panel.invert_yaxis()
     panel.set_xlabel('share of the kidnaps to a region never mapped')
-    panel.legend(fontsize=8, loc='lower left')
+    panel.legend(fontsize=8, loc='lower center', bbox_to_anchor=(0.5, 1.0), ncol=3)
     save_figure(figure, setting.out / 'landmarks_unmapped.png')
 
 
@@ -808,7 +808,7 @@ def effort_run(job: tuple[int, int, int]) -> list[Effort]:
     known = KnownFeatures(features)
     efforts = []
     for bound in EFFORTS:
-        began = time.perf_counter()
+        began = time.process_time()
         if bound is None:
             found = relocalise(seen, known, SEARCH, seed)
             nodes = found.search_nodes
@@ -816,7 +816,7 @@ def effort_run(job: tuple[int, int, int]) -> list[Effort]:
         else:
             searched = search_jointly_compatible(seen, features, bound=bound, max_nodes=MAX_NODES)
             nodes, pairs = searched.nodes, len(searched.pairs)
-        efforts.append(Effort(nodes, 1e3 * (time.perf_counter() - began), pairs))
+        efforts.append(Effort(nodes, 1e3 * (time.process_time() - began), pairs))
     return efforts
 
 
@@ -853,20 +853,18 @@ def effort(setting: Setting) -> None:
     ):
         panels[0].plot(
             OBSERVATION_COUNTS,
-            [table[count, middle_features][way][1] for count in OBSERVATION_COUNTS],
+            [table[count, middle_features][way][0] for count in OBSERVATION_COUNTS],
             marker='o', markersize=4, color=colour, label=name,
         )  # fmt: skip
         panels[1].plot(
             FEATURE_COUNTS, [table[middle_count, count][way][1] for count in FEATURE_COUNTS],
             marker='o', markersize=4, color=colour, label=name,
         )  # fmt: skip
-    for panel, label in zip(
-        panels,
-        (f'observations ({middle_features} features)', f'features ({middle_count} observations)'),
-        strict=True,
-    ):
-        panel.set_xlabel(label)
-        panel.set_ylabel('ms')
+    panels[0].set_xlabel(f'observations ({middle_features} features)')
+    panels[0].set_ylabel(f'nodes (aborted at {MAX_NODES})')
+    panels[1].set_xlabel(f'features ({middle_count} observations)')
+    panels[1].set_ylabel('CPU time [ms]')
+    for panel in panels:
         panel.set_yscale('log')
         panel.grid(color=PALE_GREY, linewidth=0.5)
     panels[0].legend(fontsize=8)
