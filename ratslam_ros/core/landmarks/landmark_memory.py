@@ -98,7 +98,7 @@ class LandmarkMemory:
             nearest_first = new[np.argsort(seen.range_m[new], kind='stable')]
             refused[nearest_first[max(self._p.lm_max - len(self), 0) :]] = True
         observed = self.map.observe(_selected(seen, ~refused))
-        for identifier in observed.updated.tolist():
+        for identifier in [*observed.updated.tolist(), *observed.repeated.tolist()]:
             self._freshness.observe(identifier)
         for identifier in observed.added.tolist():
             self._freshness.add(identifier)

@@ -155,3 +155,15 @@ def test_unusable_observations_leave_the_memory_unchanged() -> None:
     after = memory.state()
     assert after['map']['triangle'].tobytes() == before['map']['triangle'].tobytes()
     assert after['freshness']['now_ns'] == before['freshness']['now_ns']
+
+
+def test_landmarks_seen_again_from_the_same_place_stay_fresh() -> None:
+    """They do not improve the map, as their errors may be the same, but they are remembered."""
+    memory = LandmarkMemory(parameters(30, lm_repeat_m=0.3, forget_share=1.0))
+    corridor = Corridor(memory, 20, 4)
+    corridor.drive(4)
+    memory.observe(corridor.observations(), 60 * S)
+    seen = set(corridor.observations().identifiers.tolist())  # type: ignore[union-attr]
+    freshness = memory.state()['freshness']
+    fresh = dict(zip(freshness['items'].tolist(), freshness['observed_ns'].tolist(), strict=True))
+    assert seen and all(fresh[name] == freshness['now_ns'] for name in seen)
