@@ -152,6 +152,21 @@ class Agreement:
         share: float = max(support, 0) / views
         return share * share * share * share
 
+    def is_confirmed(self, template_id: int, component: int = 0) -> bool:
+        """Return whether another hypothesis agrees with that of the latest view.
+
+        Args:
+            template_id: template of the view.
+            component: component of the hypotheses.
+        """
+        if self._views == 0.0:
+            return True
+        latest = self._latest_of(template_id, component)
+        return latest is not None and (
+            self._support(Place(*self._places[latest].tolist()), component)
+            >= MIN_NEARBY_VIEWS_COUNT
+        )
+
     def mean(self, template_id: int, keep: float, component: int = 0) -> Place:
         """Return the weighted mean of the hypotheses that agree with the latest view.
 

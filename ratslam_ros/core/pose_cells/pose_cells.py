@@ -185,16 +185,22 @@ class PoseCells:
             is_located: False if the odometry has been missing for so long that the robot may be
                 anywhere. Such a view has no effect.
         """
+        is_again = match.template_id == self._last_view[0]
         self._last_view = match.template_id, match.relative_rad * self._torus.planes_per_rad
         source_id = self._experiences.current_id
         action: Action = 'none'
+        recognised_id = NO_EXPERIENCE
         if match.template_id != NO_TEMPLATE and is_located:
             action = self._observe(match.related_count)
+            if self._p.exp_view_links and self._evidence.is_confirmed:
+                recognised_id = self._experiences.first_of(match.template_id, self._component)
         target_id = self._experiences.current_id
         correction = None
         if self.calibration is not None:
             if action != 'none':
                 self.calibration.visit(target_id, match.relative_rad, action == 'create')
+            if recognised_id not in (NO_EXPERIENCE, target_id) and not is_again:
+                self.calibration.visit(recognised_id, match.relative_rad, created=False)
             correction = self.calibration.correction
         is_at_none = target_id == NO_EXPERIENCE
         place = self.peak if is_at_none else self._experiences.label(target_id)
@@ -204,7 +210,7 @@ class PoseCells:
             relative_rad, relative_m = self._relative_to(located.place)
         return MapAction(
             action, source_id, target_id, match.template_id, relative_rad, place, correction,
-            relative_m,
+            relative_m, recognised_id, self.lengths.scale_m if self._p.exp_view_links else 0.0,
         )  # fmt: skip
 
     def active_experiences(self) -> list[tuple[int, float]]:

@@ -98,6 +98,8 @@ class VisualEvidence:
         self._unlocated: list[tuple[int, int]] = []
         self._messages = 0
         self._last_template = NO_TEMPLATE
+        self.is_confirmed = False
+        """Whether the latest view was recognised and another recognition agrees with it."""
         self.recent: deque[Unwrapped] = deque(maxlen=RECENT_RECOGNITIONS_COUNT)
         """Unwrapped positions at which the latest recognised templates were first seen."""
 
@@ -220,6 +222,7 @@ class VisualEvidence:
 
     def _recall(self, seen: Observation, learn: bool) -> Injection | None:
         p = self._p
+        self.is_confirmed = False
         key = seen.template_id, seen.component
         known = self._associations.get(key)
         if known is None:
@@ -250,6 +253,7 @@ class VisualEvidence:
             seen.template_id, place, seen.peak, self._distance(known, place, seen),
             seen.component,
         )  # fmt: skip
+        self.is_confirmed = self._agreement.is_confirmed(seen.template_id, seen.component)
         if energy > 0.0 and p.pc_vt_agree_views > 0.0 and p.pc_vt_agree_mean > 0.0:
             place = self._agreement.mean(seen.template_id, p.pc_vt_agree_mean, seen.component)
         return Injection(place, energy) if energy > 0.0 else None
