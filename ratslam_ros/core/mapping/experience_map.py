@@ -24,6 +24,7 @@ from ratslam_ros.core.mapping.link_learning import (
     count_time_out,
     least_confident,
 )
+from ratslam_ros.core.mapping.link_weights import first_share
 from ratslam_ros.core.mapping.links import Link, outgoing_from, with_capacity
 from ratslam_ros.core.mapping.loop_closure_gate import (
     LoopClosureGate,
@@ -94,6 +95,7 @@ class ExperienceMap(ExperienceGraph):
         self._duration_s = 0.0
         self._travelled_m = 0.0
         self._odometer_m = self._scan_checked_m = 0.0
+        self._recognised_at_m = 0.0
         self._optimiser = PoseGraphOptimiser(parameters)
 
     @property
@@ -141,7 +143,12 @@ class ExperienceMap(ExperienceGraph):
 
     def state(self) -> State:
         """Return the whole map and the robot's pose on it, for ``restore``."""
-        scale_m = self._optimiser.view_spacing_m
+        weighted: State = {}
+        if self._optimiser.view_spacing_m > 0.0:  # otherwise as in earlier versions
+            weighted = {
+                'view_spacing_m': self._optimiser.view_spacing_m,
+                'recognised_at_m': self._recognised_at_m,
+            }
         return {
             'poses': self.poses,
             'labels': [[template, *place] for template, place in self._labels],
@@ -157,7 +164,7 @@ class ExperienceMap(ExperienceGraph):
             'relaxation': self._optimiser.relaxation_state(),
             'planning_work': self._optimiser.planning_work,
             'jumps': self.gate.state(),
-            **({'view_spacing_m': scale_m} if scale_m > 0.0 else {}),
+            **weighted,
         }
 
     def restore(self, state: State) -> None:
@@ -166,6 +173,7 @@ class ExperienceMap(ExperienceGraph):
         self._created_at_m = np.zeros(len(self._poses))
         self._created_at_m[: len(state['poses'])] = state['made_m']
         self._odometer_m = self._scan_checked_m = state['odometer_m']
+        self._recognised_at_m = state.get('recognised_at_m', 0.0)
         self._labels = [(t, Place(x, y, theta)) for t, x, y, theta in state['labels']]
         self._links.restore(state)
         self._components.restore(state, len(self))
@@ -418,8 +426,15 @@ class ExperienceMap(ExperienceGraph):
             or self._is_apart(target) or self._links.row(current, target) is not None
         ):
             return
+        place, here = self.pose_of(target), self.pose
+        distance_m = math.hypot(place.x_m - here.x_m, place.y_m - here.y_m)
+        driven_m = self._odometer_m - self._recognised_at_m
+        share = first_share(distance_m, driven_m, action.view_spacing_m)
+        if first_share(distance_m, 0.0, action.view_spacing_m) > 0.5:
+            self._recognised_at_m = self._odometer_m
         offset = Pose(0.0, 0.0, action.relative_rad)
         self._connect(current, target, offset, '', is_leaf=False, recognised=True)
+        self._links.shares[-1] = share
 
     def _connect(
         self, source: int, target: int, target_offset: Pose, behaviour: str, is_leaf: bool,

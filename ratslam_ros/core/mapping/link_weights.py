@@ -8,9 +8,10 @@ expressed in view spacings, the only scale of the scene that is known without ca
 can be recognised within about a spacing of the place where it was learned.
 
 Recognitions can be false. Their residuals have the robust kernel of Geman and McClure (1985), by
-iteratively reweighted least squares. All recognitions start with their full weight, and each
-relaxation reduces it for those that contradict the others. A loop is thus closed whatever the
-drift, and reopened if the rest of the map contradicts it.
+iteratively reweighted least squares: each relaxation is followed by new weights for the residuals
+that remain. A new recognition starts with the weight that its residual has if the odometry since
+the last recognition may have drifted. A loop is thus closed in spite of the drift, and reopened if
+the rest of the map contradicts it.
 """
 
 from __future__ import annotations
@@ -38,6 +39,34 @@ VIEW_STD, VIEW_STD_RAD = 0.3, 0.15
 
 KERNEL_STDS = 2.0
 """Residual, in standard deviations, at which the weight of a recognition is a quarter."""
+
+
+DRIFT = 0.1
+"""Standard deviation of the robot's position on the map, per metre since the last recognition."""
+
+
+def first_share(distance_m: float, driven_m: float, view_spacing_m: float) -> float:
+    """Return the share of its full weight that a new recognition starts with.
+
+    Args:
+        distance_m: distance between the robot on the map and the recognised place.
+        driven_m: distance driven since the last recognition.
+        view_spacing_m: view spacing.
+    """
+    view_m, drift_m = VIEW_STD * view_spacing_m, DRIFT * driven_m
+    squared = distance_m * distance_m / (view_m * view_m + drift_m * drift_m)
+    return geman_mcclure(squared)
+
+
+@compiled
+def geman_mcclure(squared: float) -> float:
+    """Return the weight of a residual, 0 to 1.
+
+    Args:
+        squared: square of the residual in standard deviations.
+    """
+    share = 1.0 / (1.0 + squared / (KERNEL_STDS * KERNEL_STDS))
+    return share * share
 
 
 @compiled
@@ -91,8 +120,7 @@ def reweigh(
         y = (poses[j, 1] - poses[i, 1] - shapes[link, 0] * math.sin(direction)) / view_spacing_m
         turn = wrap(poses[j, 2] - poses[i, 2] - shapes[link, 2]) / VIEW_STD_RAD
         squared = (x * x + y * y) / (VIEW_STD * VIEW_STD) + turn * turn
-        share = 1.0 / (1.0 + squared / (KERNEL_STDS * KERNEL_STDS))
-        share *= share
+        share = geman_mcclure(squared)
         largest = max(largest, abs(share - shares[link]))
         shares[link] = share
     return largest
