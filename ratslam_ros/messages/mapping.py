@@ -121,6 +121,7 @@ def encode_action(stamp_ns: int, sequence: int, action: MapAction, memory_ns: in
         fields['relative_x_m'], fields['relative_y_m'] = action.relative_m
     if action.view_spacing_m > 0.0:
         fields['recognised_id'] = action.recognised_id
+        fields['agreement'] = action.agreement
         fields['view_spacing_m'] = action.view_spacing_m
     if action.correction is not None:
         fields['correction'] = action.correction._asdict()
@@ -157,16 +158,20 @@ def decode_action(payload: str) -> tuple[int, int, MapAction, int]:
     position = {key: fields.get(key, 0.0) for key in ('relative_x_m', 'relative_y_m')}
     check_types(position, name, dict.fromkeys(position, float))
     fields.setdefault('recognised_id', NO_EXPERIENCE)
+    fields.setdefault('agreement', 0.0)
     fields.setdefault('view_spacing_m', 0.0)
-    check_types(fields, name, {'recognised_id': int, 'view_spacing_m': float})
+    check_types(
+        fields, name, {'recognised_id': int, 'agreement': float, 'view_spacing_m': float}
+    )
     check_range(name, 'recognised_id', fields['recognised_id'], NO_EXPERIENCE, MAX_ID)
+    check_range(name, 'agreement', fields['agreement'], 0.0, 1.0)
     check_range(name, 'view_spacing_m', fields['view_spacing_m'], 0.0, MAX_SPACING_M)
     action = MapAction(
         kind, fields['source_id'], fields['target_id'], fields['template_id'],
         fields['relative_rad'], Place(fields['pc_x'], fields['pc_y'], fields['pc_theta']),
         _decode_correction(name, fields.get('correction')),
         (position['relative_x_m'], position['relative_y_m']),
-        fields['recognised_id'], fields['view_spacing_m'],
+        fields['recognised_id'], fields['agreement'], fields['view_spacing_m'],
     )  # fmt: skip
     return decode_stamp(fields['stamp']), fields['sequence'], action, fields['memory']
 

@@ -24,7 +24,7 @@ from ratslam_ros.core.mapping.link_learning import (
     count_time_out,
     least_confident,
 )
-from ratslam_ros.core.mapping.link_weights import first_share
+from ratslam_ros.core.mapping.link_weights import reach_m
 from ratslam_ros.core.mapping.links import Link, outgoing_from, with_capacity
 from ratslam_ros.core.mapping.loop_closure_gate import (
     LoopClosureGate,
@@ -418,7 +418,8 @@ class ExperienceMap(ExperienceGraph):
     def _recognise(self, action: MapAction) -> None:
         """Link the current experience to the one that the view was recognised as.
 
-        Nothing happens if they are linked already, or are in different components.
+        Nothing happens if they are linked already, or are in different components, or if too few
+        recognitions agree for the distance between the two.
         """
         current, target = self.current_id, action.recognised_id
         if (
@@ -428,13 +429,14 @@ class ExperienceMap(ExperienceGraph):
             return
         place, here = self.pose_of(target), self.pose
         distance_m = math.hypot(place.x_m - here.x_m, place.y_m - here.y_m)
+        spacing_m = action.view_spacing_m
         driven_m = self._odometer_m - self._recognised_at_m
-        share = first_share(distance_m, driven_m, action.view_spacing_m)
-        if first_share(distance_m, 0.0, action.view_spacing_m) > 0.5:
+        if distance_m > reach_m(driven_m, action.agreement, spacing_m):
+            return
+        if distance_m < reach_m(0.0, 0.0, spacing_m):
             self._recognised_at_m = self._odometer_m
         offset = Pose(0.0, 0.0, action.relative_rad)
         self._connect(current, target, offset, '', is_leaf=False, recognised=True)
-        self._links.shares[-1] = share
 
     def _connect(
         self, source: int, target: int, target_offset: Pose, behaviour: str, is_leaf: bool,

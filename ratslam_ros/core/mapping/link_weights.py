@@ -9,9 +9,8 @@ can be recognised within about a spacing of the place where it was learned.
 
 Recognitions can be false. Their residuals have the robust kernel of Geman and McClure (1985), by
 iteratively reweighted least squares: each relaxation is followed by new weights for the residuals
-that remain. A new recognition starts with the weight that its residual has if the odometry since
-the last recognition may have drifted. A loop is thus closed in spite of the drift, and reopened if
-the rest of the map contradicts it.
+that remain. A new recognition starts with its full weight. A loop is thus closed in spite of the
+drift, and reopened if the rest of the map contradicts it.
 """
 
 from __future__ import annotations
@@ -41,21 +40,26 @@ KERNEL_STDS = 2.0
 """Residual, in standard deviations, at which the weight of a recognition is a quarter."""
 
 
-DRIFT = 0.1
-"""Standard deviation of the robot's position on the map, per metre since the last recognition."""
+NEAR_SPACINGS, MAX_DRIFT = 10.0, 0.3
+"""Error of the robot's position on the map that all agreeing recognitions together may correct:
+view spacings, and share of the distance driven since the last recognition."""
 
 
-def first_share(distance_m: float, driven_m: float, view_spacing_m: float) -> float:
-    """Return the share of its full weight that a new recognition starts with.
+def reach_m(driven_m: float, agreement: float, view_spacing_m: float) -> float:
+    """Return the largest distance of a recognised place from the robot on the map.
+
+    It is proportional to the number of recognitions that agree, at least two view spacings, and
+    not limited if their number is the one required anywhere.
 
     Args:
-        distance_m: distance between the robot on the map and the recognised place.
         driven_m: distance driven since the last recognition.
+        agreement: share of the required number of recognitions that agree.
         view_spacing_m: view spacing.
     """
-    view_m, drift_m = VIEW_STD * view_spacing_m, DRIFT * driven_m
-    squared = distance_m * distance_m / (view_m * view_m + drift_m * drift_m)
-    return geman_mcclure(squared)
+    if agreement >= 1.0:
+        return math.inf
+    far_m = max(NEAR_SPACINGS * view_spacing_m, MAX_DRIFT * driven_m)
+    return max(agreement * far_m, 2.0 * view_spacing_m)
 
 
 @compiled

@@ -28,10 +28,6 @@ MAX_HYPOTHESES_COUNT = 64
 MIN_NEARBY_VIEWS_COUNT = 2.0
 """Minimum number of agreeing views for a hypothesis close to the current pose estimate."""
 
-MAX_DRIFT = 0.3
-"""Largest drift of the estimate, as a share of the distance travelled since it agreed with a
-recognition. Places within it count as near."""
-
 TURN_WEIGHT_CELLS_PER_PLANE = 0.25
 """Travelled distance that a turn by one heading plane counts as. The weight is low because many
 views while turning in one ambiguous corner are not independent, and not zero because a robot that
@@ -62,7 +58,6 @@ class Agreement:
         self._slot = 0
         self._slot_start = 0.0
         self._travelled = 0.0
-        self._confirmed_at = 0.0
         # Arrays of the hypotheses, oldest first: place now, travelled distance at the recognition,
         # recognised template, slot and component of the place.
         self._places = np.empty((MAX_HYPOTHESES_COUNT, 3))
@@ -149,40 +144,36 @@ class Agreement:
         radius, scale = self._lengths.agree
         if estimate is not None and self._torus.distance(hypothesis, estimate, scale) > radius:
             support -= self._support(estimate, component)
-        views = self._required(distance, self._lengths.near.limit)
-        if distance < self._lengths.near.limit:
+        views = self._views
+        near = self._lengths.near.limit
+        if distance < near:
+            views = max(views * distance / near, min(views, MIN_NEARBY_VIEWS_COUNT))
             support = min(support, int(2 * views))
         share: float = max(support, 0) / views
         return share * share * share * share
 
-    def is_confirmed(self, template_id: int, distance: float, component: int = 0) -> bool:
-        """Return whether as many hypotheses agree with that of the latest view as it requires.
+    def share(self, template_id: int, component: int = 0) -> float:
+        """Return how many hypotheses agree with that of the latest view, itself included.
 
-        Unlike in ``weigh``, hypotheses that agree with the present estimate do not count against
-        it: the estimate may have drifted.
+        Unlike in ``weigh``, those that agree with the present estimate do not count against it.
 
         Args:
             template_id: template of the view.
-            distance, component: as for ``weigh``.
+            component: component of the hypotheses.
+
+        Returns:
+            Their share of the required number, at most 1; 0 if there are fewer than
+            MIN_NEARBY_VIEWS_COUNT.
         """
         if self._views == 0.0:
-            return True
+            return 1.0
         latest = self._latest_of(template_id, component)
         if latest is None:
-            return False
+            return 0.0
         support = self._support(Place(*self._places[latest].tolist()), component)
-        drift = MAX_DRIFT * (self._travelled - self._confirmed_at)
-        is_confirmed = support >= self._required(distance, max(self._lengths.near.limit, drift))
-        if is_confirmed and distance <= self._lengths.agree.limit:
-            self._confirmed_at = self._travelled
-        return is_confirmed
-
-    def _required(self, distance: float, near: float) -> float:
-        """Return the number of agreeing views for a place at a distance from the estimate."""
-        views = self._views
-        if distance < near:
-            return max(views * distance / near, min(views, MIN_NEARBY_VIEWS_COUNT))
-        return views
+        if support < min(self._views, MIN_NEARBY_VIEWS_COUNT):
+            return 0.0
+        return min(support / self._views, 1.0)
 
     def mean(self, template_id: int, keep: float, component: int = 0) -> Place:
         """Return the weighted mean of the hypotheses that agree with the latest view.

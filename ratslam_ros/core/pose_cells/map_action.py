@@ -34,6 +34,7 @@ class MapAction:
         correction: correction of the odometry with later stamps; None to leave it as it is.
         relative_m: position of the robot in the frame of the target.
         recognised_id: experience that the view was recognised as, whichever is current; -1 if none.
+        agreement: share of the required number of recognitions that agree with it, 0 to 1.
         view_spacing_m: scale of the weights of the links; with 0 all have the same weight.
     """
 
@@ -46,6 +47,7 @@ class MapAction:
     correction: TurnCorrection | None = None
     relative_m: tuple[float, float] = (0.0, 0.0)
     recognised_id: int = NO_EXPERIENCE
+    agreement: float = 0.0
     view_spacing_m: float = 0.0
 
     @property

@@ -98,8 +98,9 @@ class VisualEvidence:
         self._unlocated: list[tuple[int, int]] = []
         self._messages = 0
         self._last_template = NO_TEMPLATE
-        self.is_confirmed = False
-        """Whether the latest view was recognised, and as many others agree with it as required."""
+        self.agreement = 0.0
+        """Share of the required recognitions that agree with the latest view, see
+        ``Agreement.share``; 0 if it was not recognised."""
         self.recent: deque[Unwrapped] = deque(maxlen=RECENT_RECOGNITIONS_COUNT)
         """Unwrapped positions at which the latest recognised templates were first seen."""
 
@@ -222,7 +223,7 @@ class VisualEvidence:
 
     def _recall(self, seen: Observation, learn: bool) -> Injection | None:
         p = self._p
-        self.is_confirmed = False
+        self.agreement = 0.0
         key = seen.template_id, seen.component
         known = self._associations.get(key)
         if known is None:
@@ -249,13 +250,11 @@ class VisualEvidence:
         place = Place(known.place.x, known.place.y, known.place.theta + seen.turn_planes)
         loss = math.exp(min(1.2 * known.decay, 10.0))  # above e^3.4 the energy is negative
         energy = p.pc_vt_inject_energy / 30.0 * (30.0 - loss)
-        distance = self._distance(known, place, seen)
         energy *= self._agreement.weigh(
-            seen.template_id, place, seen.peak, distance, seen.component
-        )
-        self.is_confirmed = self._agreement.is_confirmed(
-            seen.template_id, distance, seen.component
-        )
+            seen.template_id, place, seen.peak, self._distance(known, place, seen),
+            seen.component,
+        )  # fmt: skip
+        self.agreement = self._agreement.share(seen.template_id, seen.component)
         if energy > 0.0 and p.pc_vt_agree_views > 0.0 and p.pc_vt_agree_mean > 0.0:
             place = self._agreement.mean(seen.template_id, p.pc_vt_agree_mean, seen.component)
         return Injection(place, energy) if energy > 0.0 else None
