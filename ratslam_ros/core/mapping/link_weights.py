@@ -27,7 +27,7 @@ Reals = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
-ODOMETRY_STD = 0.15
+ODOMETRY_STD = 0.2
 """Standard deviation of the position after one view spacing of odometry, in view spacings."""
 
 LEAST_ODOMETRY_STD = 0.02
