@@ -24,6 +24,9 @@ MAX_CHANGE = 0.01
 """Change of the weight of a recognition, as a share of its full weight, below which the map has
 converged."""
 
+FALSE_SHARE = 0.01
+"""Share of its full weight below which a recognition is false."""
+
 PLANNING_STEPS_PER_LINK = 12
 """Estimated planning steps per link, used until the first plan has been made."""
 
@@ -100,6 +103,8 @@ class PoseGraphOptimiser:
         """Relax with the present weights, then adapt those of the recognitions.
 
         This is one iteration of reweighted least squares; the next one follows at a later action.
+        When the weights have converged, recognitions that the map contradicts are deleted: routes
+        must not use them.
         """
         recognised, shares, scale_m = links.recognised, links.shares, self.view_spacing_m
         weights = link_weights(links.shapes, recognised, shares, scale_m)
@@ -108,6 +113,10 @@ class PoseGraphOptimiser:
         self._planning_work = plan.work
         change = reweigh(poses, links.ends, links.shapes, recognised, shares, scale_m)
         self.is_settled = change < MAX_CHANGE
+        if self.is_settled:
+            false = np.flatnonzero(recognised & (shares < FALSE_SHARE))
+            if len(false) > 0:
+                links.delete(false.tolist())
 
     def discard_budget(self) -> None:
         """Set the saved budget to zero."""

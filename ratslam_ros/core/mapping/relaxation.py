@@ -4,12 +4,13 @@
 
 The fixed point of equation (7) of Milford, Wyeth and Prasser (2006) is a linear least-squares
 problem: first the headings, then the positions given the headings. Both have the same matrix, the
-Laplacian of the graph, in which links may have weights. It is solved by eliminating experiences in the order of their degree. This
-is the star-mesh transform of resistor networks: a node is removed, and its neighbours are linked
-by weights that represent the paths through it. All terms are positive, so there is no
-cancellation, and the order is fixed, so the result is the same on every run. Routes are chains
-with few crossings, so elimination adds few links and its cost is linear in the number of links.
-Iterative sweeps, in contrast, need a number of sweeps that is quadratic in the length of a loop.
+Laplacian of the graph, in which links may have weights. It is solved by eliminating experiences in
+the order of their degree. This is the star-mesh transform of resistor networks: a node is removed,
+and its neighbours are linked by weights that represent the paths through it. All terms are
+positive, so there is no cancellation, and the order is fixed, so the result is the same on every
+run. Routes are chains with few crossings, so elimination adds few links and its cost is linear in
+the number of links. Iterative sweeps, in contrast, need a number of sweeps that is quadratic in
+the length of a loop.
 """
 
 from __future__ import annotations

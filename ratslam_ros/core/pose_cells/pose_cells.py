@@ -200,7 +200,9 @@ class PoseCells:
         if self.calibration is not None:
             if action != 'none':
                 self.calibration.visit(target_id, match.relative_rad, action == 'create')
-            if recognised_id not in (NO_EXPERIENCE, target_id) and agreement == 1.0 and not is_again:
+            # Look-alikes rarely agree as often as the correction of the odometry requires.
+            is_certain = agreement == 1.0 and recognised_id not in (NO_EXPERIENCE, target_id)
+            if is_certain and not is_again:
                 self.calibration.visit(recognised_id, match.relative_rad, created=False)
             correction = self.calibration.correction
         is_at_none = target_id == NO_EXPERIENCE
