@@ -162,8 +162,7 @@ class Agreement:
             component: component of the hypotheses.
 
         Returns:
-            Their share of the required number, at most 1; 0 if there are fewer than
-            MIN_NEARBY_VIEWS_COUNT.
+            Their share of the required number, at most 1; 0 if the template has no hypothesis.
         """
         if self._views == 0.0:
             return 1.0
@@ -171,8 +170,6 @@ class Agreement:
         if latest is None:
             return 0.0
         support = self._support(Place(*self._places[latest].tolist()), component)
-        if support < min(self._views, MIN_NEARBY_VIEWS_COUNT):
-            return 0.0
         return min(support / self._views, 1.0)
 
     def mean(self, template_id: int, keep: float, component: int = 0) -> Place:
