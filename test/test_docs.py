@@ -162,10 +162,10 @@ def test_pages_and_sections_named_in_sources_exist():
 def test_cited_papers_are_in_reference_list():
     text = (ROOT / 'docs/algorithm.md').read_text('utf-8')
     entries = set(re.findall(r'^\d+\. (\w+).*?\((\d{4})\)', text, re.MULTILINE))
-    name = r'[A-Z][a-z]+'
+    name = r'(?:[A-Z][a-z]+)+'
     citations = (
         rf'(?<!, )\b({name})(?:, {name})*(?: and {name}| et al\.)\s\(?((?:19|20)\d\d)\b',
-        rf'(?<!and )(?<!, )({name})\s\(((?:19|20)\d\d)\)',
+        rf'(?<!and )(?<!, )\b({name})\s\(((?:19|20)\d\d)\)',
     )
     cited = {
         paper

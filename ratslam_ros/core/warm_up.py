@@ -97,6 +97,10 @@ def _experience_map(config: Config) -> ExperienceMap:
     experience_map.correct_turns(UNCORRECTED, UNCORRECTED)
     experience_map.unlearn_blocked('wait', 0.0)
     experience_map.apply(MapAction('create', 0, 2, 3, 0.0, Place(0.0, 0.0, 0.0)))
+    place = Place(0.0, 0.0, 0.0)
+    experience_map.apply(
+        MapAction('none', 2, 2, 0, 0.0, place, recognised_id=0, agreement=1.0, view_spacing_m=1.0)
+    )
     links = experience_map.link_ends, experience_map.link_durations_s
     has_detour(*links, 0, len(experience_map))
     return experience_map

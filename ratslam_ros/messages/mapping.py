@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.common.turn_correction import TurnCorrection
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
-from ratslam_ros.core.pose_cells.map_action import MapAction
+from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.core.vision.local_view import FIXED_THRESHOLD, ViewMatch
 from ratslam_ros.messages.json_schema import (
@@ -32,6 +32,7 @@ from ratslam_ros.messages.json_schema import (
 MAX_COUNT = 2**63 - 1
 """Largest accepted sequence number and stamp of a memory: 64-bit integers."""
 MAX_PLACE_CELLS = 100_000.0
+MAX_SPACING_M = 1e9
 MAX_GAIN, MAX_TURN_PER_M_RAD = 1000.0, 1000.0
 """Largest accepted corrections of odometry."""
 
@@ -131,6 +132,10 @@ def encode_action(stamp_ns: int, sequence: int, action: MapAction, memory_ns: in
     }
     if action.relative_m != (0.0, 0.0):
         fields['relative_x_m'], fields['relative_y_m'] = action.relative_m
+    if action.view_spacing_m > 0.0:
+        fields['recognised_id'] = action.recognised_id
+        fields['agreement'] = action.agreement
+        fields['view_spacing_m'] = action.view_spacing_m
     if action.correction is not None:
         fields['correction'] = action.correction._asdict()
     return encode_json(fields)
@@ -165,11 +170,21 @@ def decode_action(payload: str) -> tuple[int, int, MapAction, int]:
         check_range(name, key, fields[key], low, high)
     position = {key: fields.get(key, 0.0) for key in ('relative_x_m', 'relative_y_m')}
     check_types(position, name, dict.fromkeys(position, float))
+    fields.setdefault('recognised_id', NO_EXPERIENCE)
+    fields.setdefault('agreement', 0.0)
+    fields.setdefault('view_spacing_m', 0.0)
+    check_types(
+        fields, name, {'recognised_id': int, 'agreement': float, 'view_spacing_m': float}
+    )
+    check_range(name, 'recognised_id', fields['recognised_id'], NO_EXPERIENCE, MAX_ID)
+    check_range(name, 'agreement', fields['agreement'], 0.0, 1.0)
+    check_range(name, 'view_spacing_m', fields['view_spacing_m'], 0.0, MAX_SPACING_M)
     action = MapAction(
         kind, fields['source_id'], fields['target_id'], fields['template_id'],
         fields['relative_rad'], Place(fields['pc_x'], fields['pc_y'], fields['pc_theta']),
         _decode_correction(name, fields.get('correction')),
         (position['relative_x_m'], position['relative_y_m']),
+        fields['recognised_id'], fields['agreement'], fields['view_spacing_m'],
     )  # fmt: skip
     return decode_stamp(fields['stamp']), fields['sequence'], action, fields['memory']
 

@@ -142,6 +142,7 @@ class _Run:
         self._offset, self._dead_reckoning = array('d'), array('d')
         self._newest: list[int] = []
         self._loop_closures = 0
+        self._recognised_id = NO_EXPERIENCE
 
     def feed(self, event: Event, image: NDArray[np.uint8] | None) -> None:
         """Process one event; unusable scans and templates are skipped."""
@@ -177,6 +178,10 @@ class _Run:
                 self._newest = [*self._newest[1 - NEWEST_EXPERIENCES_COUNT:], action.target_id]
             elif action.action != 'none' and not step.rejected:
                 self._loop_closures += action.target_id not in self._newest
+            if action.recognised_id != self._recognised_id:
+                self._recognised_id = action.recognised_id
+                known = (NO_EXPERIENCE, *self._newest)
+                self._loop_closures += action.recognised_id not in known
 
     def finish(self) -> Trial:
         """Process all held messages and return the result."""

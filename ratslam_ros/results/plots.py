@@ -306,12 +306,12 @@ def _closures(folder: Path, graph: _Graph) -> set[tuple[int, int]]:
     """Return the links that led to an experience that was not among the newest at that time.
 
     If the experience changes between two rows of frames.csv, and not to a new one, a link was
-    created or traversed.
+    created or traversed. Links that were never driven are recognitions.
     """
     path = folder / 'frames.csv'
     if not path.exists():
         return {link for link in graph.links if abs(link[0] - link[1]) > NEWEST_EXPERIENCES_COUNT}
-    closures = set()
+    closures, driven = set(), set()
     last, count = -1, 0
     for *_, experience, _ in _rows(path):
         if experience >= count:
@@ -321,8 +321,10 @@ def _closures(folder: Path, graph: _Graph) -> set[tuple[int, int]]:
             and experience not in (last, *range(count - NEWEST_EXPERIENCES_COUNT, count))
         ):
             closures.add((last, experience))
+        driven.add((last, experience))
         last = experience
-    return closures
+    recognised = {(i, j) for i, j in graph.links if i - j > NEWEST_EXPERIENCES_COUNT} - driven
+    return closures | recognised
 
 
 def _rows(path: Path) -> Iterator[tuple[int, int, int, float, int, float]]:

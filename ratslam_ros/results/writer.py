@@ -62,6 +62,7 @@ class Results:
         self._current_id = NO_EXPERIENCE
         self._places = _Places()
         self.loop_closures = 0
+        self._recognised_id = NO_EXPERIENCE
         self.without_view = 0
         """Number of frames with template -1: images that could not be decoded or used."""
         self._last_view_ns = 0
@@ -123,6 +124,9 @@ class Results:
             is_closure = action.action != 'create' and action.target_id not in self._newest
             self.loop_closures += is_closure
             self._current_id = action.target_id
+        if action.recognised_id != self._recognised_id:
+            self._recognised_id = action.recognised_id
+            self.loop_closures += action.recognised_id not in (NO_EXPERIENCE, *self._newest)
         self._frames.write(
             f'{step.stamp_ns},{match.template_id},{int(match.is_new)},{match.error!r},'
             f'{match.relative_rad!r},{self._current_id}'

@@ -250,6 +250,23 @@ def test_correction_of_an_action_round_trips_bit_identically() -> None:
     assert decode_action(payload) == (START_NS, 8, action, 7)
 
 
+def test_recognition_of_an_action_round_trips_bit_identically() -> None:
+    action = replace(ACTION, recognised_id=2, agreement=2.0 / 7.0, view_spacing_m=1.0 / 3.0)
+    payload = encode_action(START_NS, 8, action, 7)
+    recognition = ['recognised_id', 'agreement', 'view_spacing_m']
+    assert list(json.loads(payload)) == [*ACTION_KEYS, *recognition]
+    assert decode_action(payload) == (START_NS, 8, action, 7)
+
+
+@pytest.mark.parametrize('changed', [
+    {'recognised_id': -2}, {'recognised_id': 1.5}, {'agreement': 1.5}, {'agreement': '1'},
+    {'view_spacing_m': -1.0}, {'view_spacing_m': 1e300},
+])  # fmt: skip
+def test_invalid_recognition_is_refused(changed: dict[str, Any]) -> None:
+    with pytest.raises(MalformedMessage, match='pose_cells/action: '):
+        decode_action(action_text(**changed))
+
+
 @pytest.mark.parametrize('correction', [
     1.0, {'gain': 1.0}, {'gain': 0.0, 'per_m_rad': 0.0}, {'gain': 1.0, 'per_m_rad': 1e9},
     {'gain': '1', 'per_m_rad': 0.0},

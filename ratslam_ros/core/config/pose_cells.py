@@ -126,6 +126,15 @@ class PoseCellsParameters(Forgetting, OdometryInput):
         'the papers.',
         'links to recognised places are imprecise', 'leave off to compare with OpenRatSLAM',
     )  # fmt: skip
+    exp_view_links: bool = parameter(
+        False, '', 0, 1,
+        'Each recognised view links the current experience to the one of its template, and the '
+        'robot creates experiences on known paths as well, exp_delta_pc_threshold apart. Links '
+        'are weighted by their precision, and recognitions that contradict the others have little '
+        'weight. Not in the papers.',
+        'the map should be as precise as possible',
+        'the map must not grow on known paths, or a robot follows routes on it',
+    )  # fmt: skip
     exp_current_by: str = parameter(
         'delta', '', 0, 0,
         'Selection of the current experience among those of the recognised template. delta: the '

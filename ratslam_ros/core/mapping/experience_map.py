@@ -24,6 +24,7 @@ from ratslam_ros.core.mapping.link_learning import (
     count_time_out,
     least_confident,
 )
+from ratslam_ros.core.mapping.link_weights import reach_m
 from ratslam_ros.core.mapping.links import Link, outgoing_from, with_capacity
 from ratslam_ros.core.mapping.loop_closure_gate import (
     LoopClosureGate,
@@ -94,6 +95,7 @@ class ExperienceMap(ExperienceGraph):
         self._duration_s = 0.0
         self._travelled_m = 0.0
         self._odometer_m = self._scan_checked_m = 0.0
+        self._recognised_at_m = 0.0
         self._optimiser = PoseGraphOptimiser(parameters)
 
     @property
@@ -141,6 +143,12 @@ class ExperienceMap(ExperienceGraph):
 
     def state(self) -> State:
         """Return the whole map and the robot's pose on it, for ``restore``."""
+        weighted: State = {}
+        if self._optimiser.view_spacing_m > 0.0:  # otherwise as in earlier versions
+            weighted = {
+                'view_spacing_m': self._optimiser.view_spacing_m,
+                'recognised_at_m': self._recognised_at_m,
+            }
         return {
             'poses': self.poses,
             'labels': [[template, *place] for template, place in self._labels],
@@ -156,6 +164,7 @@ class ExperienceMap(ExperienceGraph):
             'relaxation': self._optimiser.relaxation_state(),
             'planning_work': self._optimiser.planning_work,
             'jumps': self.gate.state(),
+            **weighted,
         }
 
     def restore(self, state: State) -> None:
@@ -164,6 +173,7 @@ class ExperienceMap(ExperienceGraph):
         self._created_at_m = np.zeros(len(self._poses))
         self._created_at_m[: len(state['poses'])] = state['made_m']
         self._odometer_m = self._scan_checked_m = state['odometer_m']
+        self._recognised_at_m = state.get('recognised_at_m', 0.0)
         self._labels = [(t, Place(x, y, theta)) for t, x, y, theta in state['labels']]
         self._links.restore(state)
         self._components.restore(state, len(self))
@@ -232,7 +242,10 @@ class ExperienceMap(ExperienceGraph):
             return MapUpdate()  # an undecodable image leaves the map as it is
         if not self.mapping and (action.action == 'create' or action.target_id >= len(self)):
             return MapUpdate()
+        if action.view_spacing_m > 0.0:
+            self._optimiser.view_spacing_m = action.view_spacing_m
         if action.action == 'none':
+            self._recognise(action)
             self._relax()
             return MapUpdate()
         # After a rejected closure the current experience of the pose cells differs from that of
@@ -271,10 +284,14 @@ class ExperienceMap(ExperienceGraph):
         returned = was_rejecting and source == action.target_id
         if source != NO_EXPERIENCE and self.mapping and not relocated and not returned:
             is_leaf = action.action == 'create'
-            self._connect(source, action.target_id, target_offset, behaviour, is_leaf)
+            recognised = action.view_spacing_m > 0.0 and not is_leaf
+            self._connect(
+                source, action.target_id, target_offset, behaviour, is_leaf, recognised
+            )
         self.current_id = action.target_id
         self.offset = target_offset
         self._duration_s = self._travelled_m = 0.0
+        self._recognise(action)
         self._record_scan_confirmation(scan_match)
         self._relax()
         return MapUpdate(pruned)
@@ -398,9 +415,33 @@ class ExperienceMap(ExperienceGraph):
             self._unlearn(blocked)
         return len(blocked)
 
+    def _recognise(self, action: MapAction) -> None:
+        """Link the current experience to the one that the view was recognised as.
+
+        Nothing happens if they are linked already, or are in different components, or if too few
+        recognitions agree for the distance between the two.
+        """
+        current, target = self.current_id, action.recognised_id
+        if (
+            not 0 <= target < len(self) or current in (NO_EXPERIENCE, target) or not self.mapping
+            or self._is_apart(target) or self._links.row(current, target) is not None
+        ):
+            return
+        place, here = self.pose_of(target), self.pose
+        distance_m = math.hypot(place.x_m - here.x_m, place.y_m - here.y_m)
+        spacing_m = action.view_spacing_m
+        driven_m = self._odometer_m - self._recognised_at_m
+        if distance_m > reach_m(driven_m, action.agreement, spacing_m):
+            return
+        if distance_m < reach_m(0.0, 0.0, spacing_m):
+            self._recognised_at_m = self._odometer_m
+        offset = Pose(0.0, 0.0, action.relative_rad)
+        self._connect(current, target, offset, '', is_leaf=False, recognised=True)
+
     def _connect(
-        self, source: int, target: int, target_offset: Pose, behaviour: str, is_leaf: bool
-    ) -> None:
+        self, source: int, target: int, target_offset: Pose, behaviour: str, is_leaf: bool,
+        recognised: bool = False,
+    ) -> None:  # fmt: skip
         """Add the link of a transition, or average it with the link that exists.
 
         Then unlearn links from the same source that the behaviour does not drive any more.
@@ -411,11 +452,12 @@ class ExperienceMap(ExperienceGraph):
             behaviour: name of the behaviour that made the transition, '' if unknown.
             is_leaf: whether the target is new. Then this link alone determines its pose, and
                 nothing has to be relaxed.
+            recognised: whether the link is a recognition.
         """
         x_m, y_m, facing_rad = composed(self.offset, inverse(target_offset))
         link = Link(
             source, target, math.hypot(x_m, y_m), math.atan2(y_m, x_m), facing_rad,
-            self._duration_s, behaviour, 1,
+            self._duration_s, behaviour, 1, recognised,
         )  # fmt: skip
         row = self._links.row(source, target)
         if row is None:

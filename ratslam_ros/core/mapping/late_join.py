@@ -9,7 +9,7 @@ from dataclasses import replace
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.id_map import DenseIdMap
-from ratslam_ros.core.pose_cells.map_action import MapAction
+from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
 
 
 class LateJoin:
@@ -66,6 +66,11 @@ class LateJoin:
             self.missed += sequence - self._next
         self._next = sequence + 1
         self._ids.set_memory(memory_ns)
+        recognised = action.recognised_id
+        if recognised != NO_EXPERIENCE:
+            known = self._ids.has(recognised)
+            recognised = self._ids.own_id(recognised) if known else NO_EXPERIENCE
+            action = replace(action, recognised_id=recognised)
         kind = action.action
         if kind == 'none':
             return action

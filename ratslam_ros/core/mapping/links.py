@@ -25,6 +25,7 @@ class Link:
 
     The target is at ``distance_m`` in the direction ``heading_rad`` of the source's frame, and
     its own heading there is ``facing_rad``. ``count``: number of times the transition was made.
+    ``recognised``: the source was recognised as the place of the target; the link is not driven.
     """
 
     source_id: int
@@ -35,6 +36,7 @@ class Link:
     duration_s: float
     behaviour: str
     count: int
+    recognised: bool = False
 
     @property
     def relative_pose(self) -> Pose:
@@ -65,6 +67,8 @@ class Links:
         self._shapes = np.empty((64, 3), np.float64)
         self._durations_s = np.empty(64, np.float64)
         self._failures = np.empty((64, 2), np.int64)
+        self._recognised = np.zeros(64, np.bool_)
+        self._shares = np.ones(64)
         self.notes: list[tuple[str, int]] = []
         """Behaviour and count of each link, by row."""
         # Deleting links changes rows but not serial numbers, which ascend with the rows.
@@ -83,7 +87,10 @@ class Links:
         source, target = self._ends[row].tolist()
         distance, heading, facing = self._shapes[row].tolist()
         duration = float(self._durations_s[row])
-        return Link(source, target, distance, heading, facing, duration, *self.notes[row])
+        return Link(
+            source, target, distance, heading, facing, duration, *self.notes[row],
+            bool(self._recognised[row]),
+        )  # fmt: skip
 
     # Views, valid until the next link is added or deleted
 
@@ -106,6 +113,16 @@ class Links:
     def failures(self) -> NDArray[np.int64]:
         """(links, 2) numbers of failed attempts; columns: see ``link_learning``."""
         return self._failures[: len(self)]
+
+    @property
+    def recognised(self) -> NDArray[np.bool_]:
+        """(links,) whether a link is a recognition."""
+        return self._recognised[: len(self)]
+
+    @property
+    def shares(self) -> NDArray[np.float64]:
+        """(links,) share of its full weight that a recognition has, see ``link_weights``."""
+        return self._shares[: len(self)]
 
     def row(self, source: int, target: int) -> int | None:
         """Return the row of a link, None if there is no such link."""
@@ -140,10 +157,13 @@ class Links:
             self._durations_s = with_capacity(self._durations_s, 2 * row)
             self._failures = with_capacity(self._failures, 2 * row)
             self._serials = with_capacity(self._serials, 2 * row)
+            self._recognised = with_capacity(self._recognised, 2 * row)
+            self._shares = with_capacity(self._shares, 2 * row)
         self._ends[row] = link.source_id, link.target_id
         self._shapes[row] = link.distance_m, link.heading_rad, link.facing_rad
         self._durations_s[row] = link.duration_s
         self._failures[row] = 0
+        self._recognised[row], self._shares[row] = link.recognised, 1.0
         self._serial[link.source_id, link.target_id] = self._next_serial
         self._serials[row] = self._next_serial
         self._next_serial += 1
@@ -178,6 +198,9 @@ class Links:
             del self._serial[source, target]
         gone = np.zeros(len(self), np.bool_)
         gone[rows] = True
+        kept = len(self) - int(gone.sum())
+        for column in (self._recognised, self._shares):
+            column[:kept] = column[: len(self)][~gone]
         _move_up(
             gone, self._ends, self._shapes, self._durations_s, self._failures, self._serials
         )
@@ -214,6 +237,9 @@ class Links:
 
     def state(self) -> State:
         """Return all links and their failure counts, for ``restore``."""
+        recognitions: State = {}
+        if self.recognised.any():  # otherwise as in earlier versions
+            recognitions = {'recognised': self.recognised.copy(), 'shares': self.shares.copy()}
         return {
             'ends': self.ends.copy(),
             'shapes': self.shapes.copy(),
@@ -222,6 +248,7 @@ class Links:
                 for duration, note in zip(self.durations_s.tolist(), self.notes, strict=True)
             ],
             'failures': self.failures.copy(),
+            **recognitions,
         }
 
     def restore(self, state: State) -> None:
@@ -232,6 +259,8 @@ class Links:
         self.notes = [(name, count) for _, name, count in state['notes']]
         links = len(self)
         self._failures = with_capacity(state['failures'])
+        self._recognised = with_capacity(state.get('recognised', np.zeros(links, np.bool_)))
+        self._shares = with_capacity(state.get('shares', np.ones(links)))
         self._serial = {(i, j): row for row, (i, j) in enumerate(state['ends'].tolist())}
         self._serials = with_capacity(np.arange(links))
         self._next_serial = links
@@ -258,6 +287,7 @@ def concatenated(first: Link, second: Link) -> Link:
         first.duration_s + second.duration_s,
         first.behaviour if first.behaviour == second.behaviour else '',
         min(first.count, second.count),
+        first.recognised or second.recognised,
     )
 
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import ExperienceMapParameters
+from ratslam_ros.core.mapping.link_weights import link_weights, reweigh
 from ratslam_ros.core.mapping.links import Links
 from ratslam_ros.core.mapping.relaxation import Relaxation, sweep
 
@@ -18,6 +19,13 @@ LINKS_PER_ACTION = 2000
 Unused budget is saved for the next change of the graph. Larger maps are relaxed once in several
 actions, so that the mean cost of an action is independent of the size of the map.
 """
+
+MAX_CHANGE = 0.01
+"""Change of the weight of a recognition, as a share of its full weight, below which the map has
+converged."""
+
+FALSE_SHARE = 0.01
+"""Share of its full weight below which a recognition is false."""
 
 PLANNING_STEPS_PER_LINK = 12
 """Estimated planning steps per link, used until the first plan has been made."""
@@ -35,6 +43,8 @@ class PoseGraphOptimiser:
         self._planning_work = 0
         self._plan_holds = False
         self._saved_steps = 0
+        self.view_spacing_m = 0.0
+        """Scale of the weights of all links; with 0 all links have the same weight."""
         self.is_settled = True
         """Whether the poses are the optimum for the present links."""
 
@@ -79,12 +89,34 @@ class PoseGraphOptimiser:
 
         Arguments as for ``step``.
         """
+        if self.view_spacing_m > 0.0:
+            self._settle_weighted(poses[:count], links)
+            return
         if self._plan is None or not self._plan_holds:
             self._plan = Relaxation(links.ends, count)
             self._planning_work = self._plan.work
             self._plan_holds = True
         self._plan.relax(poses[:count], links.ends, links.shapes)
         self.is_settled = True
+
+    def _settle_weighted(self, poses: NDArray[np.float64], links: Links) -> None:
+        """Relax with the present weights, then adapt those of the recognitions.
+
+        This is one iteration of reweighted least squares; the next one follows at a later action.
+        When the weights have converged, recognitions that the map contradicts are deleted: routes
+        must not use them.
+        """
+        recognised, shares, scale_m = links.recognised, links.shares, self.view_spacing_m
+        weights = link_weights(links.shapes, recognised, shares, scale_m)
+        plan = Relaxation(links.ends, len(poses), weights)
+        plan.relax(poses, links.ends, links.shapes, weights)
+        self._planning_work = plan.work
+        change = reweigh(poses, links.ends, links.shapes, recognised, shares, scale_m)
+        self.is_settled = change < MAX_CHANGE
+        if self.is_settled:
+            false = np.flatnonzero(recognised & (shares < FALSE_SHARE))
+            if len(false) > 0:
+                links.delete(false.tolist())
 
     def discard_budget(self) -> None:
         """Set the saved budget to zero."""
@@ -113,3 +145,4 @@ class PoseGraphOptimiser:
         if planned > 0 and self._plan_holds:
             self._plan = Relaxation(state['ends'][:planned], count)
         self._planning_work = state['planning_work']
+        self.view_spacing_m = state.get('view_spacing_m', 0.0)

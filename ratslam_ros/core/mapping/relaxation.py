@@ -4,12 +4,13 @@
 
 The fixed point of equation (7) of Milford, Wyeth and Prasser (2006) is a linear least-squares
 problem: first the headings, then the positions given the headings. Both have the same matrix, the
-Laplacian of the graph. It is solved by eliminating experiences in the order of their degree. This
-is the star-mesh transform of resistor networks: a node is removed, and its neighbours are linked
-by weights that represent the paths through it. All terms are positive, so there is no
-cancellation, and the order is fixed, so the result is the same on every run. Routes are chains
-with few crossings, so elimination adds few links and its cost is linear in the number of links.
-Iterative sweeps, in contrast, need a number of sweeps that is quadratic in the length of a loop.
+Laplacian of the graph, in which links may have weights. It is solved by eliminating experiences in
+the order of their degree. This is the star-mesh transform of resistor networks: a node is removed,
+and its neighbours are linked by weights that represent the paths through it. All terms are
+positive, so there is no cancellation, and the order is fixed, so the result is the same on every
+run. Routes are chains with few crossings, so elimination adds few links and its cost is linear in
+the number of links. Iterative sweeps, in contrast, need a number of sweeps that is quadratic in
+the length of a loop.
 """
 
 from __future__ import annotations
@@ -59,15 +60,19 @@ class Relaxation:
     The experience with the lowest id of each connected component is held fixed.
     """
 
-    def __init__(self, ends: Indices, count: int) -> None:
+    def __init__(self, ends: Indices, count: int, weights: Reals | None = None) -> None:
         """Plan the elimination.
 
         Args:
             ends: (links, 2) source and target.
             count: number of experiences.
+            weights: (links,) weights above 0; None: all are 1.
         """
         held = _lowest_of_component(ends, count)
-        plan, mesh, (sources, targets, weights), work = _eliminate(ends, count, held, MAX_DEGREE)
+        weights = np.ones(len(ends)) if weights is None else weights
+        plan, mesh, (sources, targets, weights), work = _eliminate(
+            ends, weights, count, held, MAX_DEGREE
+        )
         self._plan = Elimination(*plan)
         self._held = held
         self.links = len(ends)
@@ -79,7 +84,9 @@ class Relaxation:
         if len(mesh) > 0:
             self._mesh_solve = _factorised(mesh, held, sources, targets, weights)
 
-    def relax(self, poses: Reals, ends: Indices, shapes: Reals) -> None:
+    def relax(
+        self, poses: Reals, ends: Indices, shapes: Reals, weights: Reals | None = None
+    ) -> None:
         """Move all experiences to the fixed point.
 
         The heading residuals of the present poses are wrapped to ±half a turn.
@@ -89,22 +96,24 @@ class Relaxation:
             ends: (links, 2) source and target. The planned links, followed by the links that were
                 added since; each of those has a target that was new.
             shapes: (links, 3) distance in m, heading and facing in rad.
+            weights: (links,) weights, those of the plan for the planned links; None: all are 1.
         """
+        weights = np.ones(len(ends)) if weights is None else weights
         correction = np.zeros((len(poses), 1))
-        _heading_residuals(poses, ends, shapes, correction)
-        self._solve(ends, correction)
+        _heading_residuals(poses, ends, shapes, weights, correction)
+        self._solve(ends, weights, correction)
         _rotate(poses, correction)
         correction = np.zeros((len(poses), 2))
-        _position_residuals(poses, ends, shapes, correction)
-        self._solve(ends, correction)
+        _position_residuals(poses, ends, shapes, weights, correction)
+        self._solve(ends, weights, correction)
         poses[:, :2] += correction
 
-    def _solve(self, ends: Indices, correction: Reals) -> None:
+    def _solve(self, ends: Indices, weights: Reals, correction: Reals) -> None:
         """Solve for the displacements.
 
         Args:
-            ends: (links, 2) as for ``relax``.
-            correction: (n, k) sums of the residuals; replaced by the displacements.
+            ends, weights: as for ``relax``.
+            correction: (n, k) weighted sums of the residuals; replaced by the displacements.
         """
         tail = ends[self.links :]
         held = np.ones(len(correction), np.bool_)
@@ -114,7 +123,7 @@ class Relaxation:
         correction[held] = 0.0
         if self._mesh_solve is not None:
             correction[self._mesh] = self._mesh_solve(correction[self._mesh])
-        _substitute_back(*self._plan, tail, correction)
+        _substitute_back(*self._plan, tail, weights[self.links :], correction)
 
 
 def _factorised(
@@ -165,7 +174,7 @@ def _lowest_of_component(ends: Indices, count: int) -> NDArray[np.bool_]:
 
 @compiled
 def _eliminate(
-    ends: Indices, count: int, held: NDArray[np.bool_], mesh_degree: int
+    ends: Indices, link_weights: Reals, count: int, held: NDArray[np.bool_], mesh_degree: int
 ) -> tuple[
     tuple[Indices, Indices, Indices, Reals, Reals], Indices, tuple[Indices, Indices, Reals], int
 ]:
@@ -193,10 +202,10 @@ def _eliminate(
             while at >= 0 and other[at] != j:
                 at = after[at]
             if at >= 0:
-                weight[at] += 1.0
+                weight[at] += link_weights[link]
                 continue
             other[used] = j
-            weight[used] = 1.0
+            weight[used] = link_weights[link]
             after[used] = head[i]
             head[i] = used
             degree[i] += 1
@@ -335,12 +344,14 @@ def _eliminate(
 
 
 @compiled
-def _heading_residuals(poses: Reals, ends: Indices, shapes: Reals, correction: Reals) -> None:
-    """Sum the heading residuals of the links at each experience, (n, 1)."""
+def _heading_residuals(
+    poses: Reals, ends: Indices, shapes: Reals, weights: Reals, correction: Reals
+) -> None:
+    """Sum the weighted heading residuals of the links at each experience, (n, 1)."""
     for link in range(ends.shape[0]):
         i = ends[link, 0]
         j = ends[link, 1]
-        error = wrap(poses[j, 2] - poses[i, 2] - shapes[link, 2])
+        error = weights[link] * wrap(poses[j, 2] - poses[i, 2] - shapes[link, 2])
         correction[i, 0] += error
         correction[j, 0] -= error
 
@@ -353,14 +364,18 @@ def _rotate(poses: Reals, correction: Reals) -> None:
 
 
 @compiled
-def _position_residuals(poses: Reals, ends: Indices, shapes: Reals, correction: Reals) -> None:
-    """Sum the position residuals of the links at each experience, (n, 2)."""
+def _position_residuals(
+    poses: Reals, ends: Indices, shapes: Reals, weights: Reals, correction: Reals
+) -> None:
+    """Sum the weighted position residuals of the links at each experience, (n, 2)."""
     for link in range(ends.shape[0]):
         i = ends[link, 0]
         j = ends[link, 1]
         direction = poses[i, 2] + shapes[link, 1]
         error_x = poses[j, 0] - poses[i, 0] - shapes[link, 0] * math.cos(direction)
         error_y = poses[j, 1] - poses[i, 1] - shapes[link, 0] * math.sin(direction)
+        error_x *= weights[link]
+        error_y *= weights[link]
         correction[i, 0] += error_x
         correction[i, 1] += error_y
         correction[j, 0] -= error_x
@@ -385,7 +400,7 @@ def _eliminate_forward(
 @compiled
 def _substitute_back(
     order: Indices, starts: Indices, neighbours: Indices, shares: Reals, weights: Reals,
-    tail: Indices, correction: Reals,
+    tail: Indices, tail_weights: Reals, correction: Reals,
 ) -> None:  # fmt: skip
     """Back substitution: compute each displacement from those of its neighbours."""
     for axis in range(correction.shape[1]):
@@ -395,7 +410,8 @@ def _substitute_back(
                 moved += shares[at] * correction[neighbours[at], axis]
             correction[order[step], axis] = moved
         for link in range(tail.shape[0]):
-            correction[tail[link, 1], axis] += correction[tail[link, 0], axis]
+            displaced = correction[tail[link, 1], axis] / tail_weights[link]
+            correction[tail[link, 1], axis] = displaced + correction[tail[link, 0], axis]
 
 
 @compiled

@@ -152,6 +152,26 @@ class Agreement:
         share: float = max(support, 0) / views
         return share * share * share * share
 
+    def share(self, template_id: int, component: int = 0) -> float:
+        """Return how many hypotheses agree with that of the latest view, itself included.
+
+        Unlike in ``weigh``, those that agree with the present estimate do not count against it.
+
+        Args:
+            template_id: template of the view.
+            component: component of the hypotheses.
+
+        Returns:
+            Their share of the required number, at most 1; 0 if the template has no hypothesis.
+        """
+        if self._views == 0.0:
+            return 1.0
+        latest = self._latest_of(template_id, component)
+        if latest is None:
+            return 0.0
+        support = self._support(Place(*self._places[latest].tolist()), component)
+        return min(support / self._views, 1.0)
+
     def mean(self, template_id: int, keep: float, component: int = 0) -> Place:
         """Return the weighted mean of the hypotheses that agree with the latest view.
 

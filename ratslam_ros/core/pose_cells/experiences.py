@@ -195,6 +195,8 @@ class Experiences:
             there = self._nearest(seen, joined & set(self._of_template.get(seen.template_id, ())))
             if there is not None:
                 return self._visit(there)
+        if self._p.exp_view_links and learn:
+            return self._decide_by_motion(seen)
         if self._p.exp_current_by == 'activity':
             return self._decide_by_activity(seen, recent, learn)
         candidates = self._of_template.get(seen.template_id)
@@ -210,6 +212,23 @@ class Experiences:
             i for i in candidates if i != self.current_id and self._is_plausible(i, seen, recent)
         ])  # fmt: skip
         return self._create(seen, learn) if nearest is None else self._visit(nearest)
+
+    def first_of(self, template_id: int, component: int) -> int:
+        """Return the first experience of a template in a component, -1 if there is none."""
+        for i in self._of_template.get(template_id, ()):
+            if self._components[i] == component:
+                return i
+        return NO_EXPERIENCE
+
+    def _decide_by_motion(self, seen: Observation) -> Action:
+        """Create an experience for a new template, and where the robot has moved on."""
+        is_new = self.first_of(seen.template_id, seen.component) == NO_EXPERIENCE
+        if not is_new and self.current_id != NO_EXPERIENCE:
+            threshold, scale = self._lengths.delta
+            cells = math.hypot(*self._since_current[:2]) / self._lengths.cell_m
+            if cells * scale < threshold:
+                return 'none'
+        return self._create(seen, learn=True)
 
     def _nearest(self, seen: Observation, candidates: Collection[int]) -> int | None:
         """Return the nearest candidate closer than ``exp_delta_pc_threshold``, if any."""

@@ -230,6 +230,13 @@ class Lengths:
         return self._reach(self.parameters.exp_delta_pc_threshold, DELTA_SPACINGS)
 
     @property
+    def scale_m(self) -> float:
+        """View spacing in m; if it is not estimated, the one that ``delta`` would follow from."""
+        if self.spacing_m > 0.0 or self.is_automatic:
+            return self.spacing_m
+        return self.parameters.exp_delta_pc_threshold * self.cell_m / DELTA_SPACINGS
+
+    @property
     def agree(self) -> Reach:
         """Largest distance between hypotheses that agree."""
         spacings = FIRST_AGREE_SPACINGS

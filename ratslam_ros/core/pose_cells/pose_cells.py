@@ -194,16 +194,25 @@ class PoseCells:
         if match.removed:
             self.forget(match.removed)
         self._experiences.advance(stamp_ns)
+        is_again = match.template_id == self._last_view[0]
         self._last_view = match.template_id, match.relative_rad * self._torus.planes_per_rad
         source_id = self._experiences.current_id
         action: Action = 'none'
+        recognised_id, agreement = NO_EXPERIENCE, 0.0
         if match.template_id != NO_TEMPLATE and is_located:
             action = self._observe(match.related_count)
+            if self._p.exp_view_links and self._evidence.agreement > 0.0:
+                recognised_id = self._experiences.first_of(match.template_id, self._component)
+                agreement = self._evidence.agreement
         target_id = self._experiences.current_id
         correction = None
         if self.calibration is not None:
             if action != 'none':
                 self.calibration.visit(target_id, match.relative_rad, action == 'create')
+            # Look-alikes rarely agree as often as the correction of the odometry requires.
+            is_certain = agreement == 1.0 and recognised_id not in (NO_EXPERIENCE, target_id)
+            if is_certain and not is_again:
+                self.calibration.visit(recognised_id, match.relative_rad, created=False)
             correction = self.calibration.correction
         is_at_none = target_id == NO_EXPERIENCE
         place = self.peak if is_at_none else self._experiences.label(target_id)
@@ -213,7 +222,8 @@ class PoseCells:
             relative_rad, relative_m = self._relative_to(located.place)
         return MapAction(
             action, source_id, target_id, match.template_id, relative_rad, place, correction,
-            relative_m,
+            relative_m, recognised_id, agreement,
+            self.lengths.scale_m if self._p.exp_view_links else 0.0,
         )  # fmt: skip
 
     def forget(self, template_ids: Collection[int] | None = None) -> None:

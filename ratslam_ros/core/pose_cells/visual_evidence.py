@@ -99,6 +99,9 @@ class VisualEvidence:
         self._unlocated: list[tuple[int, int]] = []
         self._messages = 0
         self._last_template = NO_TEMPLATE
+        self.agreement = 0.0
+        """Share of the required recognitions that agree with the latest view, see
+        ``Agreement.share``; 0 if it was not recognised."""
         self.recent: deque[Unwrapped] = deque(maxlen=RECENT_RECOGNITIONS_COUNT)
         """Unwrapped positions at which the latest recognised templates were first seen."""
 
@@ -241,6 +244,7 @@ class VisualEvidence:
 
     def _recall(self, seen: Observation, learn: bool) -> Injection | None:
         p = self._p
+        self.agreement = 0.0
         key = seen.template_id, seen.component
         known = self._associations.get(key)
         if known is None:
@@ -271,6 +275,7 @@ class VisualEvidence:
             seen.template_id, place, seen.peak, self._distance(known, place, seen),
             seen.component,
         )  # fmt: skip
+        self.agreement = self._agreement.share(seen.template_id, seen.component)
         if energy > 0.0 and p.pc_vt_agree_views > 0.0 and p.pc_vt_agree_mean > 0.0:
             place = self._agreement.mean(seen.template_id, p.pc_vt_agree_mean, seen.component)
         return Injection(place, energy) if energy > 0.0 else None

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 from helpers import ahead, circles_of_actions
@@ -70,6 +71,17 @@ def test_late_map_creates_unknown_experiences() -> None:
     assert joining.first_sequence == joining.missed == 7
     assert [link.source_id for link in graph.links()] == [0, 1, 2, 3, 4]
     assert all(link.distance_m == pytest.approx(STEP_M) for link in graph.links())
+
+
+def test_recognition_of_an_unknown_experience_is_dropped() -> None:
+    graph, joining = new_map()
+    drive(graph, joining, [(5, action('create', 4, 5)), (6, action('create', 5, 6))])
+    recognitions = [
+        replace(action('none', 6, 6), recognised_id=known, agreement=1.0, view_spacing_m=1.0)
+        for known in (2, 5)
+    ]
+    translated = [joining.translate(one, 7 + n, MEMORY_NS) for n, one in enumerate(recognitions)]
+    assert [one and one.recognised_id for one in translated] == [-1, 0]
 
 
 def test_late_map_ignores_action_none() -> None:

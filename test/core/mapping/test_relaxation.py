@@ -58,6 +58,27 @@ def test_relaxed_poses_match_dense_least_squares(
     assert (np.abs(poses[:, 2]) <= math.pi).all()
 
 
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 10**6), st.integers(2, 25), st.integers(0, 40), st.sampled_from([0, 2, 8]))
+def test_weighted_links_match_repeated_links(
+    seed: int, count: int, extra: int, max_degree: int
+) -> None:
+    """A link of weight 3 has the effect of three equal links; also if its target is a leaf."""
+    poses, ends, shapes = random_graph(seed, count, extra)
+    ends = np.concatenate([ends, [(0, count)]])
+    shapes = np.concatenate([shapes, np.ones((1, 3))])
+    poses = np.concatenate([poses, np.zeros((1, 3))])
+    weights = np.random.default_rng(seed).integers(1, 4, len(ends))
+    expected = dense_fixed_point(poses, ends.repeat(weights, 0), shapes.repeat(weights, 0))
+    before, relaxation.MAX_DEGREE = relaxation.MAX_DEGREE, max_degree
+    try:
+        plan = Relaxation(ends[:-1], count, weights[:-1].astype(float))
+    finally:
+        relaxation.MAX_DEGREE = before
+    plan.relax(poses, ends, shapes, weights.astype(float))
+    assert max_difference(poses, expected) < 1e-8
+
+
 @pytest.mark.parametrize('count', [500, 2000])
 def test_relaxed_residuals_balance_at_each_experience(count: int) -> None:
     """Equation (7), within rounding errors relative to the size of the map."""

@@ -40,6 +40,20 @@ def test_agreeing_views_while_driving_increase_weight() -> None:
     assert weights == pytest.approx([((n + 1) / 3) ** 4 for n in range(6)])
 
 
+def test_share_counts_agreeing_views_whatever_the_estimate() -> None:
+    hypotheses = agreement(views=4.0)
+    shares = []
+    for n in range(6):
+        hypotheses.weigh(n, ahead(HERE, 2.0 * n), THERE)
+        shares.append(hypotheses.share(n))
+        hypotheses.integrate(2.0, 0.0)
+    assert shares == [0.25, 0.5, 0.75, 1.0, 1.0, 1.0]
+    hypotheses.weigh(9, Place(25.0, 5.0, 9.0), THERE)
+    assert hypotheses.share(9) == 0.25
+    assert hypotheses.share(3) == 0.0  # not the latest view
+    assert agreement(views=0.0).share(3) == 1.0
+
+
 def test_many_views_from_one_place_count_once() -> None:
     hypotheses = agreement()
     weights = []

@@ -158,6 +158,43 @@ def test_place_offset_is_the_position_relative_to_the_experience() -> None:
     assert all(a.relative_m == (0.0, 0.0) for a in without)
 
 
+def test_recognised_views_are_linked_wherever_the_robot_creates_experiences() -> None:
+    pose_cells = PoseCells(automatic(exp_view_links=True))
+    drive(pose_cells, 0, PER_LAP)
+    actions = drive(pose_cells, PER_LAP, 3 * PER_LAP)
+    created = [a for a in actions if a.action == 'create']
+    assert {a.action for a in actions} == {'create', 'none'}
+    assert len(created) < 4 * PER_LAP + 2  # half a view spacing apart
+    recognised = [a for a in actions if a.recognised_id >= 0]
+    assert len(recognised) > 0.7 * len(actions)  # the ten newest templates are not recognised
+    places = {(a.template_id, a.recognised_id) for a in recognised}
+    assert len(places) == len({template for template, _ in places})
+    assert max(a.agreement for a in recognised) == 1.0
+    assert actions[-1].view_spacing_m == pose_cells.lengths.spacing_m
+    pose_cells.mapping = False
+    located = drive(pose_cells, 0, PER_LAP)
+    assert 'create' not in {a.action for a in located}
+    assert {'link', 'set'} & {a.action for a in located}
+
+
+@pytest.mark.parametrize('scale', [0.03, 40.0])
+def test_scaled_world_gives_same_recognitions(scale: float) -> None:
+    recognitions = [
+        [
+            (a.action, a.recognised_id, a.agreement)
+            for a in drive(PoseCells(automatic(exp_view_links=True)), 0, 3 * PER_LAP, view_m)
+        ]
+        for view_m in (1.0, scale)
+    ]
+    assert recognitions[0] == recognitions[1]
+
+
+def test_explicit_lengths_scale_the_weights_by_the_threshold() -> None:
+    explicit = PoseCellsParameters(pc_cell_x_size=0.5, exp_delta_pc_threshold=1.0)
+    assert Lengths(explicit).scale_m == 1.0
+    assert Lengths(automatic()).scale_m == 0.0
+
+
 def test_goal_memory_rejects_an_automatic_cell_size() -> None:
     with pytest.raises(UnusableParameter, match='pc_cell_x_size is -1'):
         GoalMemory(GoalMemoryParameters(), automatic())
