@@ -13,6 +13,7 @@ from ratslam_ros.core.config.experience_map import ExperienceMapParameters
 from ratslam_ros.core.config.goal_follower import GoalFollowerParameters
 from ratslam_ros.core.config.goal_memory import GoalMemoryParameters
 from ratslam_ros.core.config.goal_recall import GoalRecallParameters
+from ratslam_ros.core.config.line_extraction import LineExtractionParameters
 from ratslam_ros.core.config.local_view import LocalViewParameters
 from ratslam_ros.core.config.parameter import Section, Value
 from ratslam_ros.core.config.pose_cells import PoseCellsParameters
@@ -34,6 +35,7 @@ class Config:
     experience_map: ExperienceMapParameters = field(default_factory=ExperienceMapParameters)
     goal_recall: GoalRecallParameters = field(default_factory=GoalRecallParameters)
     goal_follower: GoalFollowerParameters = field(default_factory=GoalFollowerParameters)
+    line_extraction: LineExtractionParameters = field(default_factory=LineExtractionParameters)
 
     def __post_init__(self) -> None:
         for name in SHARED:
@@ -91,6 +93,7 @@ SECTIONS: dict[str, type[Section]] = {
     'experience_map': ExperienceMapParameters,
     'goal_recall': GoalRecallParameters,
     'goal_follower': GoalFollowerParameters,
+    'line_extraction': LineExtractionParameters,
 }
 """Class of each section, in the order of config.yaml."""
 
@@ -121,8 +124,10 @@ def _targets(key: str) -> list[tuple[str, str]]:
     section, _, name = key.partition('.')
     if section not in SECTIONS:
         guess = section_of(name or section)
-        hint = f'did you mean {guess}.{name or section}?' if guess else (
-            f'the sections are {", ".join(SECTIONS)}'
+        hint = (
+            f'did you mean {guess}.{name or section}?'
+            if guess
+            else (f'the sections are {", ".join(SECTIONS)}')
         )
         raise UnusableParameter(f'{key!r} names no parameter; expected section.name: {hint}')
     if key == 'pose_cells.pc_dim_xy':
@@ -131,8 +136,10 @@ def _targets(key: str) -> list[tuple[str, str]]:
     if name not in known:
         elsewhere = section_of(name)
         close = difflib.get_close_matches(name, known, 3, 0.5) or known
-        hint = f'did you mean {elsewhere}.{name}?' if elsewhere else (
-            f'the nearest known: {", ".join(close)}'
+        hint = (
+            f'did you mean {elsewhere}.{name}?'
+            if elsewhere
+            else (f'the nearest known: {", ".join(close)}')
         )
         raise UnusableParameter(f'{section} has no parameter {name!r}; {hint}')
     return [(section, name)]
