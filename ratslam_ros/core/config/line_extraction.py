@@ -25,7 +25,7 @@ class LineExtractionParameters(Section):
         'the walls are straight and the laser is fast',
     )  # fmt: skip
     le_min_length_m: float = parameter(
-        0.4, 'm', 0.05, 100.0, 'Length of the shortest wall.',
+        0.5, 'm', 0.05, 100.0, 'Length of the shortest wall. A person is 0.5 m wide.',
         'furniture and people become landmarks', 'too few walls and corners are found',
     )  # fmt: skip
     le_max_range_m: float = parameter(

@@ -43,6 +43,10 @@ MIN_STEP_M = 0.1
 MAX_OCCLUDED_M = 1.0
 """Longest occluded part of a wall."""
 
+MAX_CORNER_GAP_M = 0.3
+"""Largest distance between a corner and the nearest points on its walls. Beyond it, the corner is
+where the walls would meet if they continued."""
+
 MIN_TURN_RAD = math.radians(30.0)
 """Smallest angle between the walls of a corner."""
 
@@ -461,6 +465,7 @@ def find_ends(
         if (not is_seam or is_full) and walls > 1:
             last, first = spans[wall, 1], spans[following, 0] + (n if is_seam else 0)
             if first - last <= 3:
+                at_last = at[wall, 1].copy()
                 found = _corner(lines[wall], lines[following], at[wall, 1])
                 if found:
                     x, y = at[wall, 1]
@@ -468,11 +473,15 @@ def find_ends(
                     step = abs(wrap(angles[1] - angles[0]))
                     after = wrap(bearing - angles[last % n])
                     ahead = wrap(angles[first % n] - bearing)
-                    if after >= -step and ahead >= -step:
+                    gap = max(
+                        math.hypot(x - at_last[0], y - at_last[1]),
+                        math.hypot(x - at[following, 0, 0], y - at[following, 0, 1]),
+                    )
+                    if after >= -step and ahead >= -step and gap <= MAX_CORNER_GAP_M:
                         kinds[wall, 1] = kinds[following, 0] = CORNER
                         at[following, 0] = at[wall, 1].copy()
                         continue
-                _meet(angles[last % n], lines[wall], at[wall, 1])
+                at[wall, 1] = at_last
     for wall in range(walls):
         for side in range(2):
             if kinds[wall, side] == UNKNOWN:
