@@ -124,10 +124,8 @@ def _targets(key: str) -> list[tuple[str, str]]:
     section, _, name = key.partition('.')
     if section not in SECTIONS:
         guess = section_of(name or section)
-        hint = (
-            f'did you mean {guess}.{name or section}?'
-            if guess
-            else (f'the sections are {", ".join(SECTIONS)}')
+        hint = f'did you mean {guess}.{name or section}?' if guess else (
+            f'the sections are {", ".join(SECTIONS)}'
         )
         raise UnusableParameter(f'{key!r} names no parameter; expected section.name: {hint}')
     if key == 'pose_cells.pc_dim_xy':
@@ -136,10 +134,8 @@ def _targets(key: str) -> list[tuple[str, str]]:
     if name not in known:
         elsewhere = section_of(name)
         close = difflib.get_close_matches(name, known, 3, 0.5) or known
-        hint = (
-            f'did you mean {elsewhere}.{name}?'
-            if elsewhere
-            else (f'the nearest known: {", ".join(close)}')
+        hint = f'did you mean {elsewhere}.{name}?' if elsewhere else (
+            f'the nearest known: {", ".join(close)}'
         )
         raise UnusableParameter(f'{section} has no parameter {name!r}; {hint}')
     return [(section, name)]
