@@ -75,7 +75,7 @@ class LocalMap:
         observed = self._map.observe(
             Observations(
                 observations.range_m, observations.bearing_rad, observations.direction_rad,
-                observations.length_m, names,
+                observations.length_m, names, observations.variances,
             )
         )  # fmt: skip
         used = observed.added, observed.updated, observed.repeated
