@@ -592,18 +592,9 @@ def landmarks_of(
             values[d], values[d + 1] = at[wall, side]
             _position_jacobian(lines, kinds, at, wall, side, jacobian, d, 1.0)
             variances[d] = variances[d + 1] = wall_sd * wall_sd
-            f, size = f + 1, 2
-            if kind == WALL:
-                size = 4
-                values[d + 2] = wrap(math.atan2(lines[wall, 1], lines[wall, 0]) + 0.5 * math.pi)
-                _direction_jacobian(lines, wall, jacobian[d + 2], 1.0)
-                variances[d + 2] = direction_variance
-                values[d + 3] = length
-                _length_jacobian(lines, kinds, at, wall, jacobian, d)
-                variances[d + 3] = 2.0 * wall_sd * wall_sd
-            elif kind == CORNER:
-                size = 4
-                first = math.atan2(lines[wall, 1], lines[wall, 0])
+            first = math.atan2(lines[wall, 1], lines[wall, 0])
+            variances[d + 3] = wall_sd * wall_sd
+            if kind == CORNER:
                 turn = wrap(math.atan2(lines[following, 1], lines[following, 0]) - first)
                 # The normals point away from the robot; the corner opens the other way.
                 values[d + 2] = wrap(first + 0.5 * turn + math.pi)
@@ -615,8 +606,17 @@ def landmarks_of(
                 )
                 other_variance = 2.0 * (wall_sd / other) * (wall_sd / other)
                 variances[d + 2] = 0.25 * (direction_variance + other_variance)
-                variances[d + 3] = wall_sd * wall_sd
-            d += size
+            else:
+                # From the start along the wall; an edge at the end looks back along the wall.
+                quarters = -0.5 if kind == EDGE and side == 1 else 0.5
+                values[d + 2] = wrap(first + quarters * math.pi)
+                _direction_jacobian(lines, wall, jacobian[d + 2], 1.0)
+                variances[d + 2] = direction_variance
+            if kind == WALL:
+                values[d + 3] = length
+                _length_jacobian(lines, kinds, at, wall, jacobian, d)
+                variances[d + 3] = 2.0 * wall_sd * wall_sd
+            f, d = f + 1, d + 4
     offsets[f] = d
     covariance = _joint_covariance(jacobian[:d], covariances, sds)
     for i in range(d):
