@@ -301,7 +301,11 @@ def find_walls(
                         ranges, u, v, owner, walls, i, j, sd, wall_sd, lines[walls],
                         covariances[walls],
                     )  # fmt: skip
-                    if mean <= MAX_MEAN_CHI2:
+                    length = math.hypot(
+                        ranges[i] * u[i] - ranges[j - 1] * u[j - 1],
+                        ranges[i] * v[i] - ranges[j - 1] * v[j - 1],
+                    )
+                    if mean <= MAX_MEAN_CHI2 and length >= min_length_m:
                         spans[walls, 0], spans[walls, 1] = i, j - 1
                         walls += 1
                     else:
@@ -312,18 +316,7 @@ def find_walls(
     walls = _join_occluded(
         ranges, u, v, owner, is_full, sd, wall_sd, spans, lines, covariances, walls
     )
-    kept = 0
-    for wall in range(walls):
-        i, j = spans[wall, 0] % n, spans[wall, 1] % n
-        length = math.hypot(
-            ranges[i] * u[i] - ranges[j] * u[j], ranges[i] * v[i] - ranges[j] * v[j]
-        )
-        if length >= min_length_m:
-            spans[kept], lines[kept], covariances[kept] = (
-                spans[wall].copy(), lines[wall].copy(), covariances[wall].copy()
-            )  # fmt: skip
-            kept += 1
-    return spans[:kept].copy(), lines[:kept].copy(), covariances[:kept].copy()
+    return spans[:walls].copy(), lines[:walls].copy(), covariances[:walls].copy()
 
 
 @compiled
