@@ -3,8 +3,9 @@
 """Data association while mapping: nearest neighbours that are jointly compatible.
 
 Individual tests accept neighbours of the right landmark if the pose is uncertain. Joint ones do
-not, because an error of the pose moves all landmarks alike (Neira and Tardos 2001). Without a
-search: pairs are accepted in the order of their distance, each given those before it.
+not, because an error of the pose moves all landmarks alike (Neira and Tardos 2001). Instead of
+their full search, pairs are accepted in the order of their distance, each given those before it,
+and every pair is tried as the first one until all landmarks that could have a partner have one.
 """
 
 from __future__ import annotations
@@ -18,6 +19,9 @@ from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.compiled import compiled
 from ratslam_ros.core.landmarks.features import BAR_SIZE, POINT_SIZE, Features
 from ratslam_ros.core.landmarks.stochastic_map_kernels import survival
+
+MAX_STARTS = 50
+"""Largest number of pairs that are tried as the first one."""
 
 
 def jointly_nearest(
@@ -48,8 +52,9 @@ def _associate(
     squared, pairs = np.zeros(n * count), np.zeros(n * count, np.int64)
     factor, solved = np.zeros((BAR_SIZE, BAR_SIZE)), np.zeros(BAR_SIZE)
     rows, known_rows = np.zeros(BAR_SIZE * n, np.int64), np.zeros(BAR_SIZE * n, np.int64)
-    found = 0
+    found = possible = 0
     for o in range(n):
+        before = found
         for f in range(count):
             rows[0], known_rows[0] = offsets[o], known_offsets[f]
             m = _size(offsets, known_offsets, o, f)
@@ -60,23 +65,32 @@ def _associate(
             if survival(distance, m) >= outlier_probability:
                 squared[found], pairs[found] = distance, o * count + f
                 found += 1
-    matches, is_taken = np.full(n, -1), np.zeros(count, np.bool_)
+        possible += found > before
+    order = np.argsort(squared[:found], kind='mergesort')
+    best, best_count, best_squared = np.full(n, -1), 0, 0.0
     factor, solved = np.zeros((BAR_SIZE * n, BAR_SIZE * n)), np.zeros(BAR_SIZE * n)
-    size = 0
-    for k in np.argsort(squared[:found], kind='mergesort'):
-        o, f = pairs[k] // count, pairs[k] % count
-        if matches[o] >= 0 or is_taken[f]:
-            continue
-        rows[size], known_rows[size] = offsets[o], known_offsets[f]
-        m = _size(offsets, known_offsets, o, f)
-        distance = _extend(
-            size, m, values, covariance, known_values, known_covariance, rows, known_rows,
-            factor, solved,
-        )  # fmt: skip
-        if survival(distance, m) >= outlier_probability:
-            matches[o], is_taken[f] = f, True
-            size += m
-    return matches
+    for start in range(min(found, MAX_STARTS)):
+        matches, is_taken = np.full(n, -1), np.zeros(count, np.bool_)
+        size, accepted, total = 0, 0, 0.0
+        for turn in range(found + 1):
+            k = order[start] if turn == 0 else order[turn - 1]
+            o, f = pairs[k] // count, pairs[k] % count
+            if matches[o] >= 0 or is_taken[f]:
+                continue
+            rows[size], known_rows[size] = offsets[o], known_offsets[f]
+            m = _size(offsets, known_offsets, o, f)
+            distance = _extend(
+                size, m, values, covariance, known_values, known_covariance, rows, known_rows,
+                factor, solved,
+            )  # fmt: skip
+            if survival(distance, m) >= outlier_probability:
+                matches[o], is_taken[f] = f, True
+                size, accepted, total = size + m, accepted + 1, total + distance
+        if accepted > best_count or (accepted == best_count and total < best_squared):
+            best, best_count, best_squared = matches, accepted, total
+        if best_count == possible:
+            break
+    return best
 
 
 @compiled
