@@ -149,7 +149,7 @@ def _landmark_map(config: Config) -> None:
     from ratslam_ros.core.landmarks.laser_map import LaserMap
 
     # A square room of 4 m: its corners are confirmed, added, seen again, and found when lost.
-    angles = np.linspace(-np.pi, np.pi, 73)[:-1]
+    angles = np.radians(np.arange(-180.0, 180.0))
     ranges_m = 2.0 / np.maximum(np.abs(np.cos(angles)), np.abs(np.sin(angles)))
     scan = Scan(0, -np.pi, float(angles[1] - angles[0]), ranges_m)
     laser_map = LaserMap(config.landmark_map, replace(config.line_extraction, le_interval_m=0.0))
@@ -157,7 +157,10 @@ def _landmark_map(config: Config) -> None:
         laser_map.integrate(Motion(1.0, 1e-3, 0.0))
         laser_map.scan(scan)
     laser_map.lose()
-    laser_map.scan(scan)
+    for _ in range(2):
+        laser_map.integrate(Motion(1.0, 1e-3, 0.0))
+        laser_map.scan(scan)
+    laser_map.memory.map.features()
 
 
 _MAPPING: dict[str, Callable[[Config], object]] = {

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Walls, corners and edges from laser scans, by split and merge.
 
-Nguyen, Martinelli, Tomatis and Siegwart (2007), "A comparison of line extraction algorithms using
-2D range data for indoor mobile robotics"; splits by a likelihood ratio, and weighted fits.
+Nguyen et al. (2007), "A comparison of line extraction algorithms using 2D range data for indoor
+mobile robotics"; here with splits by a likelihood ratio, and weighted fits.
 """
 
 from __future__ import annotations

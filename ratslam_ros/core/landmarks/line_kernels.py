@@ -188,8 +188,7 @@ def _fit(
 ) -> float:  # fmt: skip
     """Fit the line of a wall, with weights by incidence; return its mean squared residual.
 
-    Siegwart and Nourbakhsh (2004) call this a weighted fit: a wall that is rough by ``wall_sd``
-    changes the range most where the beam grazes it.
+    A wall that is rough by ``wall_sd`` changes the range most where the beam grazes it.
     """
     n = len(ranges)
     a, b, cost, count = 0.0, 0.0, 0.0, 0
@@ -256,8 +255,8 @@ def find_walls(
 ) -> tuple[Indices, Array, Array]:
     """Return the walls of a scan by split and merge.
 
-    Nguyen, Martinelli, Tomatis and Siegwart (2007), "A comparison of line extraction algorithms
-    using 2D range data for indoor mobile robotics".
+    Nguyen et al. (2007), "A comparison of line extraction algorithms using 2D range data for
+    indoor mobile robotics".
 
     Args:
         ranges, angles: (n,) as ``ordered_beams`` returns them.
