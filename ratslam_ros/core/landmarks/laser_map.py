@@ -41,6 +41,9 @@ position differ by 45 degrees or more."""
 CANDIDATE_TRAVEL_M = 2.0
 """Travel after which a candidate that is not seen again is dropped."""
 
+LEAST_PROBABILITY = 1e-9
+"""Smallest probability of a correct pair that is accepted."""
+
 _COLUMNS = 5
 """Of a candidate: x, y, direction, number of scans, travel at the last one."""
 
@@ -127,7 +130,9 @@ class LaserMap:
 
     def _update(self, stamp_ns: int, seen: Features) -> None:
         known = self.memory.map.seen_from_robot()
-        matches = jointly_nearest(seen, known, self._p.lm_outlier_probability)
+        # Without a limit (0), any two landmarks would be a pair.
+        probability = max(self._p.lm_outlier_probability, LEAST_PROBABILITY)
+        matches = jointly_nearest(seen, known, probability)
         names = np.where(matches >= 0, np.append(known.identifiers, -1)[matches], -1)
         if self.mapping:
             self._confirm(seen, known, names)
