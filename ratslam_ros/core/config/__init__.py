@@ -13,6 +13,7 @@ from ratslam_ros.core.config.goal_memory import GoalMemoryParameters
 from ratslam_ros.core.config.goal_recall import GoalRecallParameters
 from ratslam_ros.core.config.inputs import WHOLE, LiveInput
 from ratslam_ros.core.config.landmark_map import LandmarkMapParameters
+from ratslam_ros.core.config.line_extraction import LineExtractionParameters
 from ratslam_ros.core.config.local_view import LocalViewParameters
 from ratslam_ros.core.config.parameter import (
     AUTOMATIC,
@@ -27,7 +28,7 @@ from ratslam_ros.core.config.visual_odometry import VisualOdometryParameters
 __all__ = [
     'AUTOMATIC', 'LEAST_EXP_MAX', 'SECTIONS', 'SETTABLE', 'SHARED', 'WHOLE', 'Config',
     'ExperienceMapParameters', 'GoalFollowerParameters', 'GoalMemoryParameters',
-    'GoalRecallParameters', 'LandmarkMapParameters', 'LiveInput', 'LocalViewParameters',
-    'ParameterInfo', 'PoseCellsParameters', 'Section', 'Value', 'VisualOdometryParameters',
-    'parameter', 'section_of',
+    'GoalRecallParameters', 'LandmarkMapParameters', 'LineExtractionParameters', 'LiveInput',
+    'LocalViewParameters', 'ParameterInfo', 'PoseCellsParameters', 'Section', 'Value',
+    'VisualOdometryParameters', 'parameter', 'section_of',
 ]
