@@ -182,11 +182,13 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
             self._numbering.was_used(match.template_id)
         ):
             self._numbering.restart()
+            self._core.forget()
             self._report_missing(
                 'local_view has gone back to an earlier memory: its ids mean other views now, so '
                 'places seen before will not be recognised; load or reset all nodes together'
             )
         if self._numbering.set_memory(template.memory_ns):
+            self._core.forget()
             self._report_missing(
                 'local_view has started with an empty memory: places seen before will not be '
                 'recognised; to start over, call pose_cells/reset and experience_map/reset too'

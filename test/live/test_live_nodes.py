@@ -207,6 +207,24 @@ def test_single_process_in_lockstep_under_load_gives_same_map(
     assert live.stop() == {'single_process': 0}
 
 
+def test_live_nodes_with_limits_forget_as_replay_does(bag: Path, tmp_path: Path) -> None:
+    """Every lap has more places than the limits allow."""
+    settings = {
+        **SMALL, 'local_view.vt_max': 20, 'local_view.forget_after_s': 2.0,
+        'pose_cells.exp_max': 20, 'pose_cells.exp_forget': 'freshness',
+        'pose_cells.forget_after_s': 2.0,
+    }  # fmt: skip
+    expected = offline(bag, tmp_path / 'limited', settings)
+    summary = json.loads((tmp_path / 'limited' / 'summary.json').read_text())
+    assert summary['templates'] > 40  # numbers are not reused
+    assert len(json.loads(expected)['experiences']) == 20
+    with Live(tmp_path / 'live', settings) as live:
+        live.start('single_process')
+        live.run('play', str(bag), '--rate', '0', '--lockstep', '--quiet')
+        assert live.settled_map(expected) == expected, live.logs()
+        assert live.stop() == {'single_process': 0}
+
+
 def test_camera_alone_gives_same_map_live_and_offline(
     live: Live, bag: Path, tmp_path: Path
 ) -> None:

@@ -52,13 +52,13 @@ def refused(payload: str) -> str:
 @given(
     st.integers(0, 2**31 * 10**9 - 1), st.integers(-1, 10**6), st.booleans(), st.floats(-1.0, 1.0),
     st.floats(-3.14, 3.14), st.integers(0, 2**62), st.just(-1.0) | st.floats(0.0, 1.0),
-    st.integers(0, 1000),
+    st.integers(0, 1000), st.lists(st.integers(0, 10**6), max_size=3).map(tuple),
 )  # fmt: skip
 def test_template_round_trips_bit_identically(
     stamp_ns: int, number: int, is_new: bool, error: float, relative: float, memory: int,
-    threshold: float, related: int,
+    threshold: float, related: int, removed: tuple[int, ...],
 ) -> None:  # fmt: skip
-    match = ViewMatch(number, is_new, error, relative, threshold, related)
+    match = ViewMatch(number, is_new, error, relative, threshold, related, removed)
     payload = encode_template(stamp_ns, match, memory)
     assert decode_template(payload) == (stamp_ns, match, memory)
     assert encode_template(*decode_template(payload)) == payload
@@ -105,7 +105,8 @@ def test_template_without_a_key_is_refused(key: str) -> None:
     ('stamp', {'sec': 1, 'nanosec': 10**9}), ('stamp', {'sec': 1, 'nanosec': -1}),
     ('stamp', {'sec': '1', 'nanosec': 0}), ('stamp', {'sec': 10**30, 'nanosec': 0}),
     ('stamp', {'sec': -1, 'nanosec': 0}), ('stamp', {'sec': 2**31, 'nanosec': 0}),
-    ('memory', 2**63), ('memory', -1),
+    ('memory', 2**63), ('memory', -1), ('removed', 3), ('removed', None), ('removed', [-1]),
+    ('removed', [1.5]), ('removed', [True]), ('removed', [2**31]), ('removed', {'1': 2}),
 ], ids=lambda value: str(value)[:30])  # fmt: skip
 def test_template_with_invalid_value_is_refused(key: str, value: Any) -> None:
     assert key.split('_')[0] in refused(template_text(5, 3, **{key: value}))

@@ -324,6 +324,9 @@ def test_earlier_start_or_restart_of_local_view_is_detected(world: MakeWorld) ->
     made.send('odom', odometry(START_NS + 20, 1.0))
     made.until(lambda: len(received) == 2)
     assert decode_action(received[1].data)[2].template_id == 58
+    # The old numbers cannot be seen again, so that restarts do not accumulate associations.
+    associated = made.nodes[0]._memory_state()['core']['memories']
+    assert [template_id for template_id, *_ in associated] == [58]
     assert 'empty memory' in made.diagnostics()['pose_cells']['message']
 
 

@@ -22,7 +22,9 @@ item is removed in any case:
 3. If there is no old item, or if the recent ones already fill more than half of the memory, remove
    the fading item that was not observed for the longest time. A decay time that is long compared
    to the limit therefore does not replace the map of old regions by that of the recent ones.
-4. If nothing fades either, remove the item that was not observed for the longest time.
+4. If nothing fades either, remove a random item. The one that was not observed for the longest
+   time would be the worst choice on a route that is repeated and longer than the memory: it would
+   always be the one that the robot is about to see again.
 """
 
 from __future__ import annotations
@@ -151,9 +153,10 @@ class Freshness:
         recent_count = n - np.count_nonzero(is_old)
         if len(old) > 0 and (len(fading) == 0 or 2 * recent_count <= n):
             visits = self._visits[old]
-            rows = old[visits == visits.min()]
-            return int(self._items[rows[int(self._draw() * len(rows))]])
-        return self._longest_unseen(fading if len(fading) > 0 else np.flatnonzero(selectable))
+            return self._random(old[visits == visits.min()])
+        if len(fading) > 0:
+            return self._longest_unseen(fading)
+        return self._random(np.flatnonzero(selectable))
 
     def state(self) -> State:
         """Return all items, the time and the number of draws, for ``restore``."""
@@ -178,6 +181,9 @@ class Freshness:
 
     def _longest_unseen(self, rows: NDArray[np.int64]) -> int:
         return int(self._items[rows[np.argmin(self._observed_ns[rows])]])
+
+    def _random(self, rows: NDArray[np.int64]) -> int:
+        return int(self._items[rows[int(self._draw() * len(rows))]])
 
     @property
     def _columns(self) -> tuple[NDArray[np.int64 | np.bool_], ...]:

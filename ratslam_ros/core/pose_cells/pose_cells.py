@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,7 +115,9 @@ class PoseCells:
         saved = {key: state[key] for key in _STATE_KEYS if key in state}
         if self.lengths.is_automatic:
             saved['lengths'] = self.lengths.state()
-        if self._gap_count or self.lengths.is_automatic:  # otherwise as in earlier versions
+        has_removed = evidence['components']['made'] != len(evidence['memories'])
+        if self._gap_count or self.lengths.is_automatic or has_removed:
+            # Otherwise as in earlier versions.
             saved['components'] = {
                 'current': self._component, 'gaps': self._gap_count,
                 **evidence['components'], 'experiences': experiences['components'],
@@ -189,8 +192,7 @@ class PoseCells:
             stamp_ns: stamp of the message; used if ``exp_forget`` is freshness.
         """
         if match.removed:
-            self._evidence.forget(match.removed, self._component)
-            self._experiences.forget_templates(match.removed)
+            self.forget(match.removed)
         self._experiences.advance(stamp_ns)
         self._last_view = match.template_id, match.relative_rad * self._torus.planes_per_rad
         source_id = self._experiences.current_id
@@ -213,6 +215,12 @@ class PoseCells:
             action, source_id, target_id, match.template_id, relative_rad, place, correction,
             relative_m,
         )  # fmt: skip
+
+    def forget(self, template_ids: Collection[int] | None = None) -> None:
+        """Remove the associations of templates that will not be seen again; None: of all."""
+        gone = self._evidence.template_ids if template_ids is None else template_ids
+        self._evidence.forget(gone, self._component)
+        self._experiences.forget_templates(gone)
 
     def active_experiences(self) -> list[tuple[int, float]]:
         """Return the experiences of the last view's template near the peak, most active first.

@@ -178,6 +178,11 @@ class VisualEvidence:
         self._agreement.discard(component)
         self.recent.clear()
 
+    @property
+    def template_ids(self) -> list[int]:
+        """Templates that have a place; one with several places is repeated."""
+        return [template_id for template_id, _ in self._associations]
+
     def forget(self, template_ids: Collection[int], component: int) -> None:
         """Remove the places of templates, and components in which no template is left.
 

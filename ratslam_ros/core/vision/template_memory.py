@@ -238,8 +238,8 @@ class TemplateMemory:
 
     def remove(self, template_id: int) -> None:
         """Remove a template; the template in the last slot takes its slot."""
+        slot, last = self._slot_of(template_id), self._count - 1
         rank = bisect_left(self._ids, template_id)
-        slot, last = self._slots[rank], self._count - 1
         del self._ids[rank], self._slots[rank]
         last_id = self._id_of_slot.pop()
         self._count = last
@@ -250,12 +250,11 @@ class TemplateMemory:
 
     def _copy(self, source: int, target: int) -> None:
         """Copy the pixels and blocks of one slot to another."""
-        (from_chunk, i), (to_chunk, j) = (divmod(s, self._per_chunk) for s in (source, target))
-        for layer, kind in ((self._fine, 0), (self._coarse, 1)):
-            pixels, size = self._chunks[from_chunk][kind], layer.stride
-            self._chunks[to_chunk][kind][j * size : (j + 1) * size] = (
-                pixels[i * size : (i + 1) * size]
-            )  # fmt: skip
+        (number, i), (other, j) = (divmod(slot, self._per_chunk) for slot in (source, target))
+        chunk, to = self._chunks[number], self._chunks[other]
+        fine, coarse = self._fine.stride, self._coarse.stride
+        to.pixels[j * fine : (j + 1) * fine] = chunk.pixels[i * fine : (i + 1) * fine]
+        to.blocks[j * coarse : (j + 1) * coarse] = chunk.blocks[i * coarse : (i + 1) * coarse]
 
     def _slot_of(self, template_id: int) -> int:
         rank = bisect_left(self._ids, template_id)

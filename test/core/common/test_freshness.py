@@ -77,8 +77,9 @@ class Model:
             fewest = min(item.visits for item in old)
             old = [item for item in old if item.visits == fewest]
             return old[int(self.draw() * len(old))].name
-        rest = fading or may_go
-        return min(rest, key=lambda item: item.observed_s).name if rest else None
+        if fading:
+            return min(fading, key=lambda item: item.observed_s).name
+        return may_go[int(self.draw() * len(may_go))].name if may_go else None
 
 
 @settings(max_examples=30, deadline=None)
@@ -168,6 +169,22 @@ def test_long_decay_time_leaves_room_for_old_regions() -> None:
 
 def test_if_everything_fades_the_latest_items_are_kept() -> None:
     assert sorted(explored(50, 1.0).items.tolist()) == list(range(1950, 2000))
+
+
+def test_part_of_a_repeated_route_longer_than_the_memory_is_kept() -> None:
+    """The items that were not observed for the longest time are the next ones on the route."""
+    memory, hits = Freshness(0.5, 1000.0, 3), 0
+    for step in range(800):
+        memory.advance(step * S)
+        name = step % 80
+        hits += name in memory
+        if name in memory:
+            memory.observe(name)
+            continue
+        if len(memory) == 40:
+            memory.remove(memory.candidate() or 0)
+        memory.add(name)
+    assert hits > 160  # of 320 possible ones
 
 
 def test_robust_item_outlives_items_seen_once() -> None:

@@ -181,17 +181,27 @@ LIMIT = 30
 Done = tuple[Motion, MapAction]
 
 
-def limited(limit: int = LIMIT) -> PoseCells:
-    return PoseCells(PoseCellsParameters(exp_max=limit, exp_delta_pc_threshold=1.0))
+POLICIES = 'visits', 'freshness'
 
 
-def wander(pose_cells: PoseCells, rng: random.Random, steps: int) -> list[Done]:
+def limited(policy: str = 'visits') -> PoseCells:
+    return PoseCells(
+        PoseCellsParameters(
+            exp_max=LIMIT, exp_delta_pc_threshold=1.0, exp_forget=policy, forget_after_s=5.0
+        )
+    )
+
+
+def wander(
+    pose_cells: PoseCells, rng: random.Random, steps: int, first_ns: int = 0
+) -> list[Done]:
     """Drive at random in a world of few views, in which most places are new nevertheless."""
     done = []
-    for _ in range(steps):
+    for step in range(steps):
         motion = Motion(0.5, rng.uniform(0.2, 1.5), rng.uniform(-0.6, 0.6))
         pose_cells.integrate(motion)
-        done.append((motion, pose_cells.view(seen(rng.randrange(25)))))
+        match = seen(rng.randrange(25))
+        done.append((motion, pose_cells.view(match, stamp_ns=first_ns + step * 500_000_000)))
     return done
 
 
@@ -205,9 +215,10 @@ def new_map(**changes: Any) -> ExperienceMap:
     return ExperienceMap(ExperienceMapParameters(exp_initial_em_deg=0.0, **changes))
 
 
-def test_long_drive_never_exceeds_limit() -> None:
+@pytest.mark.parametrize('policy', POLICIES)
+def test_long_drive_never_exceeds_limit(policy: str) -> None:
     rng = random.Random(1)
-    pose_cells, graph = limited(), new_map()
+    pose_cells, graph = limited(policy), new_map()
     replaced = 0
     for motion, action in wander(pose_cells, rng, 600):
         known, before = len(graph), graph.labels[:]
@@ -303,21 +314,49 @@ def test_localisation_only_prunes_nothing() -> None:
     assert pose_cells.state()['experiences'] == before
 
 
-def test_restored_pose_cells_prune_identically(tmp_path: Path) -> None:
+@pytest.mark.parametrize('policy', POLICIES)
+def test_restored_pose_cells_prune_identically(policy: str, tmp_path: Path) -> None:
     rng = random.Random(3)
-    pose_cells = limited()
+    pose_cells = limited(policy)
     wander(pose_cells, rng, 150)
     save(tmp_path / 'pose_cells', 'pose_cells', pose_cells.state())
-    other = limited()
+    other = limited(policy)
     other.restore(load(tmp_path / 'pose_cells', 'pose_cells'))
     after = rng.getstate()
     actions = []
     for one in (pose_cells, other):
         rng.setstate(after)
-        actions.append([action for _, action in wander(one, rng, 150)])
+        actions.append([action for _, action in wander(one, rng, 150, 75 * 10**9)])
     assert sum(a.action == 'create' for a in actions[1]) > 50
     assert {a.target_id for a in actions[1]} <= set(range(LIMIT))
     assert actions[0] == actions[1]
+
+
+def test_freshness_keeps_recent_experiences_and_thins_old_ones() -> None:
+    """Drive a spiral of new views, 264 m long, of which half can be kept."""
+    p = PoseCellsParameters(exp_max=330, exp_forget='freshness', forget_after_s=100.0)
+    pose_cells = PoseCells(p)
+    for view in range(660):
+        pose_cells.integrate(turning(0.01))
+        pose_cells.integrate(ahead(0.4))
+        pose_cells.view(seen(view), stamp_ns=view * 10**9)
+    kept = np.array([template_id for template_id, *_ in pose_cells.state()['experiences']])
+    assert len(kept) == 330
+    assert np.isin(np.arange(560, 660), kept).all()
+    for first in range(0, 540, 60):
+        assert 20 <= np.count_nonzero((kept >= first) & (kept < first + 60)) < 40
+
+
+def test_freshness_starts_with_a_memory_saved_by_visits() -> None:
+    rng = random.Random(4)
+    by_visits, by_freshness = limited(), limited('freshness')
+    wander(by_visits, rng, 100)
+    by_freshness.restore(by_visits.state())
+    assert len(by_freshness) == LIMIT
+    actions = [action for _, action in wander(by_freshness, rng, 100)]
+    assert sum(action.action == 'create' for action in actions) > 20
+    assert len(by_freshness) == LIMIT
+    limited().restore(by_freshness.state())  # and back
 
 
 # Experience map

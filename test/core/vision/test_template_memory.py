@@ -126,6 +126,40 @@ def test_search_near_ties_matches_exhaustive_search(s: Shape) -> None:
     check(views.astype(np.uint8), np.stack([base, 255 - base, views[7]]).astype(np.uint8), s)
 
 
+@pytest.mark.parametrize('s', [*SHAPES[:5], SHAPES[12], SHAPES[13]], ids=str)
+def test_search_after_removals_matches_exhaustive_search(s: Shape) -> None:
+    """Templates are removed and added in small chunks; a dictionary is the reference."""
+    rng = np.random.default_rng(8)
+    memory, known = s.memory(np.empty((0, s.height, s.width), np.uint8)), dict[int, Any]()
+    memory._per_chunk = 7
+    for n in range(90):
+        view = rng.integers(0, 256, (s.height, s.width), np.uint8)
+        if len(known) > 25 or (known and n % 5 == 4):
+            removed = list(known)[int(rng.integers(len(known)))]
+            memory.remove(removed)
+            del known[removed]
+            for use in (memory.view, memory.remove):
+                with pytest.raises(KeyError):
+                    use(removed)
+        known[memory.append(view)] = view
+        assert list(known)[-1] == n  # ids are never reused
+        search = memory.search(view // 2)
+        sads, offsets = all_sads(np.stack(list(known.values())), view // 2, s)
+        for count in (len(known), len(known) // 2):
+            found = search.best(count)
+            if count > 0:
+                at, place = divmod(int(sads[:count].argmin()), len(offsets))
+                assert found == (list(known)[at], offsets[place], int(sads[at, place]))
+        assert [search.sad(i) for i in known] == sads.min(1).tolist()
+        assert [memory.nth_id(rank) for rank in range(len(known))] == list(known)
+    assert len(memory) == len(known) < 30
+    assert len(memory._chunks) == 4  # memory of removed templates is used again
+    assert sorted(memory.ids.tolist()) == list(known)
+    for template_id, kept in zip(memory.ids.tolist(), memory.views(), strict=True):
+        assert np.array_equal(kept, known[template_id])
+        assert np.array_equal(memory.view(template_id), kept)
+
+
 @pytest.mark.parametrize('s', SHAPES[:6], ids=str)
 def test_search_constant_views_matches_exhaustive_search(s: Shape) -> None:
     grey = np.array([90, 100, 110, 100, 0, 255, 105], np.uint8)
