@@ -67,9 +67,8 @@ class StochasticMap:
 
     The Jacobians are computed at the first estimates: landmarks where they were added, the pose
     where it was predicted. A filter with Jacobians at the latest estimates gains information on
-    the absolute heading, which observations cannot provide, and becomes overconfident (Huang,
-    Mourikis and Roumeliotis 2010, "Observability-based rules for designing consistent EKF SLAM
-    estimators", section 5.1).
+    the absolute heading, which observations cannot provide, and becomes overconfident
+    (Huang, Mourikis and Roumeliotis 2010).
 
     A landmark that was first seen as a point remains a point; directions and lengths of later
     observations are not used. An observation without them updates the position of a bar.
