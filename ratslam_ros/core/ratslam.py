@@ -27,7 +27,14 @@ from ratslam_ros.core.mapping.mapping_step import adopt_correction, apply_action
 from ratslam_ros.core.mapping.scan_matching import ScanMatcher
 from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
-from ratslam_ros.core.vision.local_view import UNDECODABLE, LocalView, ViewMatch, ViewMatcher
+from ratslam_ros.core.vision.local_view import (
+    UNDECODABLE,
+    LocalView,
+    ViewMatch,
+    ViewMatcher,
+    delayed_ns,
+    uses_odometry,
+)
 from ratslam_ros.core.vision.visual_odometry import VisualOdometry
 from ratslam_ros.errors import UnusableParameter
 
@@ -114,6 +121,10 @@ class RatSLAM:
             config.pose_cells.turn_correction,
         )
         self._images: StampOrder[NDArray[np.uint8] | None] = StampOrder(('image',), 0)
+        self._views: StampOrder[NDArray[np.uint8] | Odometry | None] | None = None
+        if uses_odometry(config.local_view) and isinstance(self.local_view, LocalView):
+            lateness_ns = round(config.local_view.max_lateness_s * 1e9)
+            self._views = StampOrder(('odometry', 'image'), lateness_ns)
         self._refused = 0
         self._has_matched = False
         self._watch = stopwatch
@@ -141,7 +152,12 @@ class RatSLAM:
         if not self._motion.accepts(odometry):
             self._refused += 1
             return []
-        return self._process(self.order.push('odometry', odometry.stamp_ns, odometry))
+        steps: list[Step] = []
+        if self._views is not None:
+            steps = self._match_images(
+                self._views.push('odometry', delayed_ns(odometry.stamp_ns), odometry)
+            )
+        return steps + self._process(self.order.push('odometry', odometry.stamp_ns, odometry))
 
     def template(self, stamp_ns: int, match: ViewMatch) -> list[Step]:
         """Process one template message; return the steps of all messages that it released."""
@@ -158,7 +174,10 @@ class RatSLAM:
 
     def finish(self) -> list[Step]:
         """Process all messages that are still held."""
-        return self._process_images(self._images.flush()) + self._process(self.order.flush())
+        steps = self._process_images(self._images.flush())
+        if self._views is not None:
+            steps += self._match_images(self._views.flush())
+        return steps + self._process(self.order.flush())
 
     # Outputs
 
@@ -188,19 +207,36 @@ class RatSLAM:
         return [step for stamp_ns, _, image in images for step in self._see(stamp_ns, image)]
 
     def _see(self, stamp_ns: int, image: NDArray[np.uint8] | None) -> list[Step]:
-        match, odometry = UNDECODABLE, None
+        odometry = None
+        if image is not None and self.visual_odometry is not None:
+            with self._tolerating_odd_sizes(), self._watch('visual_odometry'):
+                odometry = self.visual_odometry.estimate(stamp_ns, image)
+        steps = [] if odometry is None else self.odometry(odometry.as_received())
+        if self._views is None:
+            return steps + self._match(stamp_ns, image)
+        return steps + self._match_images(self._views.push('image', stamp_ns, image))
+
+    def _match_images(
+        self, released: Iterable[Released[NDArray[np.uint8] | Odometry | None]]
+    ) -> list[Step]:
+        steps: list[Step] = []
+        for stamp_ns, _, item in released:
+            if not isinstance(item, Odometry):
+                steps += self._match(stamp_ns, item)
+            elif isinstance(self.local_view, LocalView):
+                self.local_view.follow(item)
+        return steps
+
+    def _match(self, stamp_ns: int, image: NDArray[np.uint8] | None) -> list[Step]:
+        match = UNDECODABLE
         if image is not None:
-            if self.visual_odometry is not None:
-                with self._tolerating_odd_sizes(), self._watch('visual_odometry'):
-                    odometry = self.visual_odometry.estimate(stamp_ns, image)
             with self._tolerating_odd_sizes(), self._watch('local_view'):
                 if isinstance(self.local_view, LocalView):
                     match = self.local_view.match(image, stamp_ns)
                 else:
                     match = self.local_view.match(image)
                 self._has_matched = True
-        steps = [] if odometry is None else self.odometry(odometry.as_received())
-        return steps + self.template(stamp_ns, match)
+        return self.template(stamp_ns, match)
 
     @contextmanager
     def _tolerating_odd_sizes(self) -> Iterator[None]:

@@ -19,6 +19,9 @@ from ratslam_ros.core.common.odometry import Odometry, Twist
 from ratslam_ros.core.common.pose import Pose, heading_of, quaternion_of
 from ratslam_ros.messages.json_schema import NS_PER_S
 
+UNKNOWN_SCALE_VARIANCE = 1e6
+"""Variance of a forward speed in arbitrary units, in (m/s)^2."""
+
 
 def stamp_ns(header: Header) -> int:
     """Return a header's stamp in ns; 0, which is no stamp, if it has 10^9 nanoseconds or more."""
@@ -44,6 +47,7 @@ def odometry_of(message: OdometryMessage) -> Odometry:
         stamp_ns(message.header),
         Twist(float(twist.linear.x), float(twist.angular.z)),
         planar_pose(message.pose.pose),
+        scale_known=bool(message.twist.covariance[0] < UNKNOWN_SCALE_VARIANCE),
     )
 
 

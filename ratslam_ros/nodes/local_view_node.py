@@ -7,17 +7,27 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from nav_msgs.msg import Odometry as OdometryMessage
 from numpy.typing import NDArray
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
+from ratslam_ros.core.common.odometry import Odometry
+from ratslam_ros.core.common.stamp_order import StampOrder
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.id_map import MIN_MEMORY_NS, NO_MEMORY_NS
-from ratslam_ros.core.vision.local_view import FIXED_THRESHOLD, UNDECODABLE, LocalView, ViewMatch
+from ratslam_ros.core.vision.local_view import (
+    FIXED_THRESHOLD,
+    UNDECODABLE,
+    LocalView,
+    ViewMatch,
+    delayed_ns,
+    uses_odometry,
+)
 from ratslam_ros.descriptors import encoder_of
 from ratslam_ros.messages.mapping import encode_template
-from ratslam_ros.nodes.convert import grey_image
+from ratslam_ros.nodes.convert import grey_image, odometry_of
 from ratslam_ros.nodes.image_node import ImageNode
 from ratslam_ros.nodes.qos import RESULT, VIEW
 from ratslam_ros.nodes.run import run
@@ -42,6 +52,8 @@ class LocalViewNode(ImageNode):
             self.destroy_node()  # the caller gets no node that it could destroy
             raise
         self._reset_state()
+        if uses_odometry(self._section):
+            self._add_input('odometry', {'odom': OdometryMessage}, self._on_odometry)
         self._subscribe_to_images()
 
     def _reset_state(self) -> None:
@@ -62,6 +74,25 @@ class LocalViewNode(ImageNode):
         self._memory_ns = int(state['memory_ns'])
         self._core = core
         self._core.mapping = self._mapping
+
+    def _new_order(self) -> StampOrder[Any]:
+        if uses_odometry(self._section):
+            return StampOrder(('odometry', 'image'), round(self._section.max_lateness_s * 1e9))
+        return StampOrder(('image',), 0)
+
+    def _on_odometry(self, message: OdometryMessage) -> None:
+        odometry = odometry_of(message)
+        with self._lock:
+            self._push('odometry', delayed_ns(odometry.stamp_ns), odometry)
+
+    def _on_relocated(self) -> None:
+        self._core.relocated()
+
+    def _process_item(self, stamp_ns: int, stream: str, item: Any) -> None:
+        if isinstance(item, Odometry):
+            self._core.follow(item)
+        else:
+            super()._process_item(stamp_ns, stream, item)
 
     def _process_image(self, stamp_ns: int, image: NDArray[np.uint8], frame_id: str) -> None:
         with self._diagnostics.times('local_view'):

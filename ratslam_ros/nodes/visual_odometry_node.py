@@ -19,16 +19,16 @@ from tf2_msgs.msg import TFMessage
 from ratslam_ros.core.common.odometry import Odometry
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.vision.visual_odometry import VisualOdometry, field_of_view_deg
-from ratslam_ros.nodes.convert import header_of, pose_message, transform
+from ratslam_ros.nodes.convert import UNKNOWN_SCALE_VARIANCE, header_of, pose_message, transform
 from ratslam_ros.nodes.image_node import ImageNode, Message
 from ratslam_ros.nodes.inputs import publisher_count
 from ratslam_ros.nodes.qos import RESULT, STATE
 from ratslam_ros.nodes.run import run
 
-TWIST_VARIANCES = (0.05, 1e-9, 1e-9, 1e-9, 1e-9, 0.01)
+TWIST_VARIANCES = (UNKNOWN_SCALE_VARIANCE, 1e-9, 1e-9, 1e-9, 1e-9, 0.01)
 """Variances of the linear, (m/s)^2, and angular, (rad/s)^2, velocity along x, y and z.
 
-The speed is measured poorly and the turn rate better; the motion is planar."""
+The speed is in arbitrary units, and the motion is planar."""
 PER_METRE_M2, PER_RADIAN_RAD2 = 0.1, 0.02
 """Growth of the variances of position and heading, per metre driven and per radian turned."""
 CAMERA_INFO_WAIT_S = 2.0

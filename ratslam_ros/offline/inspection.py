@@ -19,9 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry
-from ratslam_ros.core.config import AUTOMATIC, WHOLE, Config, LocalViewParameters, Value
+from ratslam_ros.core.config import WHOLE, Config, LocalViewParameters, Value
 from ratslam_ros.core.vision.image_window import Window
 from ratslam_ros.core.vision.intensity import crop_window
+from ratslam_ros.core.vision.local_view import uses_odometry
+from ratslam_ros.core.vision.match_threshold import RELATED_RATIO
 from ratslam_ros.core.vision.structure import structure
 from ratslam_ros.event_inputs import odometry_from_event
 from ratslam_ros.offline.look_alikes import look_alike_ratio
@@ -96,7 +98,8 @@ def inspect(
     config = config.with_values(_allowed({**odometry, **images}, fixed))
     motion = calibrate_motion(recording, selection, config, start_s, part_s)
     config = config.with_values(_allowed(motion.settings, fixed))
-    if found.images and config.local_view.vt_match_threshold == AUTOMATIC:
+    # While driving, only odometry of known scale shows which places look alike.
+    if found.images and uses_odometry(config.local_view) and selection.odom_topic is None:
         ratio, text = _look_alikes(recording, selection, config, start_s, part_s)
         config = config.with_values(_allowed(ratio, fixed))
         images_line += f'; {text}'
@@ -160,8 +163,11 @@ def _look_alikes(
 ) -> tuple[dict[str, Value], str]:
     """Return the ratio of the match threshold, lowered if places look alike, and a reason."""
     found = look_alike_ratio(recording, selection, config, start_s, part_s)
-    if found is None or found >= config.local_view.vt_match_ratio:
-        return {}, 'no places look alike' if found else 'look-alikes cannot be measured'
+    if found is None or found >= RELATED_RATIO:
+        settings: dict[str, Value] = {'local_view.vt_match_ratio': RELATED_RATIO}
+        return settings, 'look-alikes cannot be measured' if found is None else (
+            'no places look alike'
+        )
     return {'local_view.vt_match_ratio': round(found, 3)}, (
         f'places look alike: vt_match_ratio {found:.3f} keeps 98% of them apart'
     )

@@ -209,10 +209,22 @@ def test_look_alikes_tighten_the_automatic_threshold(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, found: float | None, ratio: float, text: str
 ) -> None:
     monkeypatch.setattr(module, 'look_alike_ratio', lambda *arguments: found)
-    automatic = SMALL.with_values({'local_view.vt_match_threshold': -1})
-    inspection = inspected(tmp_path / 'a', config=automatic)
-    assert inspection.config.local_view.vt_match_ratio == ratio
-    assert text in inspection.lines[2]
-    kept = inspected(tmp_path / 'b', 'local_view.vt_match_ratio', config=automatic)
-    assert kept.config.local_view.vt_match_ratio == 0.655
-    assert 'look' not in inspected(tmp_path / 'c', config=SMALL).lines[2]
+    automatic = SMALL.with_values(
+        {'local_view.vt_match_threshold': -1, 'local_view.vt_match_ratio': -1}
+    )
+
+    def inspection(config: Config, *fixed: str, visual_odometry: bool = True) -> Inspection:
+        with open_recording(bag) as recording:
+            selection = recording.select(visual_odometry=visual_odometry)
+            return inspect(recording, selection, config, fixed)
+
+    bag = write_bag(tmp_path / 'bag', drive())
+    chosen = inspection(automatic)
+    assert chosen.config.local_view.vt_match_ratio == ratio
+    assert text in chosen.lines[2]
+    for unchanged in (
+        inspection(automatic, 'local_view.vt_match_ratio'),
+        inspection(automatic, visual_odometry=False),  # wheels show it while driving
+    ):
+        assert unchanged.config.local_view.vt_match_ratio == -1
+    assert 'look' not in inspection(SMALL).lines[2]

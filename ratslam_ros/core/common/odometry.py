@@ -33,11 +33,14 @@ class Odometry:
     """One odometry message.
 
     ``twist`` applies to the interval that ends at ``stamp_ns``; ``pose`` is in the odometry frame.
+    ``scale_known``: False for odometry from images, whose speed is in arbitrary units and whose
+    turns depend on the field of view.
     """
 
     stamp_ns: int
     twist: Twist
     pose: Pose
+    scale_known: bool = True
 
     def as_received(self) -> Odometry:
         """Return this message as a subscriber receives it, its heading converted by quaternion.

@@ -80,13 +80,13 @@ class OdometryInput(Memory):
     )  # fmt: skip
     odom_rotation_gain: float = parameter(
         1.0, '', 0.05, 20.0,
-        'Factor for the turns that odometry measures. Set it for pose_cells and experience_map.',
+        'Factor for the turns that odometry measures. Set it for all nodes that use odometry.',
         'the robot turns further than the odometry measures',
         'the robot turns less far than the odometry measures')  # fmt: skip
     odom_turn_per_m: float = parameter(
         0.0, 'rad/m', -1.0, 1.0,
         'Turn that is added to every metre of odometry, counter-clockwise, as for wheels of '
-        'unequal diameter. Set it for pose_cells and experience_map.',
+        'unequal diameter. Set it for all nodes that use odometry.',
         'by odometry, a straight path bends to the right',
         'by odometry, a straight path bends to the left')  # fmt: skip
     max_odom_gap_s: float = parameter(

@@ -7,7 +7,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ratslam_ros.core.config.forgetting import Forgetting
-from ratslam_ros.core.config.inputs import CROP_MAX, WHOLE, ImageInput, Memory
+from ratslam_ros.core.config.inputs import CROP_MAX, WHOLE, ImageInput, OdometryInput
 from ratslam_ros.core.config.parameter import parameter
 from ratslam_ros.errors import UnusableParameter
 
@@ -16,7 +16,7 @@ LEAST_VT_MAX = 20
 
 
 @dataclass(frozen=True)
-class LocalViewParameters(Forgetting, ImageInput, Memory):
+class LocalViewParameters(Forgetting, ImageInput, OdometryInput):
     """Place recognition: reduction of images to templates, and matching of templates."""
 
     image_crop_x_min: int = parameter(
@@ -54,10 +54,12 @@ class LocalViewParameters(Forgetting, ImageInput, Memory):
         'different places are confused', automatic=True)  # fmt: skip
     vt_match_ratio: float = parameter(
         0.655, 'share of the difference between unrelated views', 0.0, 1.0,
-        'If vt_match_threshold is automatic: largest difference of a match. The inspection before '
-        'a replay lowers it for environments with places that look alike.',
+        'If vt_match_threshold is automatic: largest difference of a match. Automatic: lower in '
+        'environments with places that look alike, as odometry shows; odometry from a camera '
+        'with an unknown field of view cannot.',
         'known places are not recognised',
-        'places that look alike, or neighbouring places, are confused')  # fmt: skip
+        'places that look alike, or neighbouring places, are confused',
+        automatic=True)  # fmt: skip
     vt_shift_match: int = parameter(
         5, 'template px', 0, 511,
         'Largest horizontal shift tried to either side (forward camera).',

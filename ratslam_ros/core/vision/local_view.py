@@ -15,11 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.angles import wrap
+from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import AUTOMATIC, LocalViewParameters
 from ratslam_ros.core.vision.built_in import INTENSITY, built_in_encoder
 from ratslam_ros.core.vision.encoder import Encoder, Image, View
 from ratslam_ros.core.vision.image_window import cropped
+from ratslam_ros.core.vision.look_alikes import LookAlikes
 from ratslam_ros.core.vision.match_threshold import MatchThreshold
 from ratslam_ros.core.vision.structure import structure
 from ratslam_ros.core.vision.template_memory import Match, Search, TemplateMemory
@@ -60,6 +62,22 @@ UNDECODABLE = ViewMatch(NO_TEMPLATE, False, -1.0, 0.0)
 """Result for an image that could not be decoded, or has too little structure to be recognised."""
 
 
+ODOMETRY_DELAY_NS = 1_000_000_000
+"""Delay of the odometry that a local view follows. Odometry of a later stamp than the image is
+therefore at hand, and no image waits for it. Displacements are the same."""
+
+
+def delayed_ns(stamp_ns: int) -> int:
+    """Return where an odometry message is among the stamps of the images."""
+    return stamp_ns + ODOMETRY_DELAY_NS
+
+
+def uses_odometry(parameters: LocalViewParameters) -> bool:
+    """Return whether a local view with these parameters follows the robot by odometry."""
+    p = parameters
+    return p.vt_match_threshold == AUTOMATIC and p.vt_match_ratio == AUTOMATIC
+
+
 class ViewMatcher(Protocol):
     """What RatSLAM needs of a local view; a class of your own with this method can replace it."""
 
@@ -91,6 +109,8 @@ class LocalView:
         self._memory = TemplateMemory(self._layout)
         self._freshness = p.freshness() if p.vt_max > 0 else None
         self._threshold = MatchThreshold(p, self._memory.full_sum, self._layout.typical)
+        self._look_alikes = LookAlikes(self._layout) if uses_odometry(p) else None
+        self._motion = MotionFromOdometry(p.odom_source, p.max_odom_gap_s, p.turn_correction)
 
     def __len__(self) -> int:
         return len(self._memory)
@@ -129,6 +149,26 @@ class LocalView:
             return None
         return self._encoder.encode(image)
 
+    def follow(self, odometry: Odometry) -> None:
+        """Follow the robot, to learn how much different places look alike.
+
+        Without effect unless ``uses_odometry``. Messages are merged with the images in the order
+        of ``delayed_ns``.
+        """
+        if self._look_alikes is None or not self._motion.accepts(odometry):
+            return
+        if not odometry.scale_known:
+            return  # With an unknown field of view, closed loops seem to lead away.
+        motion = self._motion.update(odometry)
+        if motion is not None:
+            self._look_alikes.move(motion)
+
+    def relocated(self) -> None:
+        """Continue after the robot may have been moved unobserved."""
+        self._motion.restart()
+        if self._look_alikes is not None:
+            self._look_alikes.relocated()
+
     def match(self, image: Image, stamp_ns: int = 0) -> ViewMatch:
         """Recognise an image, or learn it as a new template.
 
@@ -145,6 +185,7 @@ class LocalView:
             return UNDECODABLE
         if self._freshness is not None:
             self._freshness.advance(stamp_ns)
+        self._learn_look_alikes(view)
         search = self._memory.search(view)
         first_recent = self._first_recent(search)
         recognised, min_sad = self._best(search, first_recent)
@@ -152,6 +193,9 @@ class LocalView:
         threshold = self._threshold.value if self._threshold.is_automatic else FIXED_THRESHOLD
         is_automatic = self._p.vt_recent_templates == AUTOMATIC
         related_count = len(self) - first_recent if is_automatic else 0
+        if recognised is not None and self._look_alikes is not None:
+            is_elsewhere = self._look_alikes.contradicts(recognised.template_id)
+            recognised = None if is_elsewhere else recognised
         if recognised is not None:
             if self._freshness is not None:
                 self._freshness.observe(recognised.template_id)
@@ -169,6 +213,10 @@ class LocalView:
         for template_id in removed:
             self._memory.remove(template_id)
         new_id = self.learn(view)
+        if self._look_alikes is not None:
+            for template_id in removed:
+                self._look_alikes.forget(template_id)
+            self._look_alikes.learned(new_id)
         return ViewMatch(new_id, True, error, 0.0, threshold, related_count, removed)
 
     def _to_remove(self) -> tuple[int, ...]:
@@ -184,6 +232,12 @@ class LocalView:
                 self._freshness.remove(template_id)
                 removed.append(template_id)
         return tuple(removed)
+
+    def _learn_look_alikes(self, view: View) -> None:
+        if self._look_alikes is None or not self.mapping:
+            return
+        self._look_alikes.see(view)
+        self._threshold.use_ratio(self._look_alikes.ratio)
 
     def _first_recent(self, search: Search) -> int:
         """Return the number of templates older than the stretch the robot is just learning.
@@ -229,6 +283,8 @@ class LocalView:
             state['template_ids'], state['next_id'] = self.template_ids, self._memory.next_id
         if self._freshness is not None:
             state['freshness'] = self._freshness.state()
+        if self._look_alikes is not None:
+            state['look_alikes'] = self._look_alikes.state()
         return state
 
     def restore(self, state: State) -> None:
@@ -263,6 +319,9 @@ class LocalView:
                 self._freshness.add(template_id)
         if 'threshold' in state:
             self._threshold.restore(state['threshold'], len(self))
+        if self._look_alikes is not None and 'look_alikes' in state:
+            self._look_alikes.restore(state['look_alikes'])
+            self._threshold.use_ratio(self._look_alikes.ratio)
 
     def best_match(self, view: View) -> Match | None:
         """Return the best match regardless of the threshold, or None if there are no templates.

@@ -53,17 +53,19 @@ class MatchThreshold:
                 threshold starts with.
         """
         self._recent = parameters.vt_recent_threshold
-        self._ratio = parameters.vt_match_ratio
+        fixed = parameters.vt_match_ratio
+        self._ratio = RELATED_RATIO if fixed == AUTOMATIC else fixed
         self._full_sum = full_sum
         self.is_automatic = parameters.vt_match_threshold == AUTOMATIC
         """Whether the threshold is estimated from the views."""
         self._threshold = parameters.vt_match_threshold
         self._prior = math.floor(typical * full_sum)
         self._samples: list[int] = []
+        self._template_count = 0
         self.related_limit = 0
         """Largest SAD of views between which the scene has changed only in part."""
         if self.is_automatic:
-            self._estimate(0)
+            self._estimate()
 
     @property
     def value(self) -> float:
@@ -80,6 +82,12 @@ class MatchThreshold:
         """Largest SAD of a match with one of the newest templates."""
         return math.floor(self._recent * (self._threshold * self._full_sum))
 
+    def use_ratio(self, ratio: float) -> None:
+        """Limit an automatic threshold to this share of the median between unrelated views."""
+        if ratio != self._ratio:
+            self._ratio = ratio
+            self._estimate()
+
     def state(self) -> State:
         """Return the samples, for ``restore``."""
         return {'samples': np.array(self._samples, np.int64)}
@@ -87,8 +95,9 @@ class MatchThreshold:
     def restore(self, state: State, template_count: int) -> None:
         """Restore the samples that ``state`` returned."""
         self._samples = [int(sample) for sample in state['samples']]
+        self._template_count = template_count
         if self.is_automatic:
-            self._estimate(template_count)
+            self._estimate()
 
     def learn(
         self, template_id: int, template_count: int, unrelated: int, sad_of: Callable[[int], int]
@@ -109,14 +118,15 @@ class MatchThreshold:
             sad_of(((2 * k + template_id % 2) * unrelated) // (2 * count)) for k in range(count)
         ]
         del self._samples[:-MAX_SAMPLE_COUNT]
-        self._estimate(template_count)
+        self._template_count = template_count
+        self._estimate()
 
-    def _estimate(self, template_count: int) -> None:
+    def _estimate(self) -> None:
         missing = max(PRIOR_SAMPLE_COUNT - len(self._samples), 0)
         ordered = sorted([*self._samples, *[self._prior] * missing])
         median = ordered[len(ordered) // 2]
         spread = ordered[int(_ABOVE_MEDIAN * len(ordered))] / max(median, 1) - 1.0
-        ratio = _ratio_of_chance(FALSE_MATCH_RATE / max(template_count, 1), spread)
+        ratio = _ratio_of_chance(FALSE_MATCH_RATE / max(self._template_count, 1), spread)
         self.related_limit = math.floor(RELATED_RATIO * median)
         self._threshold = min(self._ratio, ratio) * median / self._full_sum
 

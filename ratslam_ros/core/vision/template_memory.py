@@ -356,6 +356,21 @@ class Search:
         number, row = divmod(m._slot_of(template_id), m._per_chunk)
         return self._refine(m._chunks[number], row, row + 1, MAX_SAD)[2]
 
+    def nearest(self, among: NDArray[np.bool_]) -> int | None:
+        """Return the smallest SAD of some templates, None if there are none.
+
+        Args:
+            among: (n,) whether each template counts.
+        """
+        size = self._memory._per_chunk
+        edges = np.flatnonzero(np.diff(among, prepend=False, append=False))
+        bound = MAX_SAD
+        for first, last in edges.reshape(-1, 2):
+            for number in range(first // size, -(-last // size)):
+                begin, end = max(first - number * size, 0), min(last - number * size, size)
+                bound = self._refine(self._memory._chunks[number], begin, end, bound)[2]
+        return bound if len(edges) else None
+
     def _chunks(self, count: int) -> list[tuple[int, _Chunk, int]]:
         """Return index, chunk, and number of its templates among the oldest ``count``."""
         size = self._memory._per_chunk

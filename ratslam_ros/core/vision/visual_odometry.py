@@ -78,7 +78,7 @@ class VisualOdometry:
         twist = Twist(min(speed_mps, p.vtrans_max), offset_px * rad_per_px / dt_s)
         motion = Motion(dt_s, twist.linear_x_mps * dt_s, twist.angular_z_radps * dt_s)
         self._pose = moved(self._pose, motion)
-        return Odometry(stamp_ns, twist, self._pose)
+        return Odometry(stamp_ns, twist, self._pose, scale_known=False)
 
     def set_field_of_view(self, camera_fov_deg: float) -> None:
         """Set the field of view, in degrees, used from the next image on."""

@@ -1,0 +1,215 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Similarity of views of different places, known to be different by odometry.
+
+An environment may contain places that look alike, such as offices with the same furniture. Images
+alone cannot show this: a view that matches an old one is a revisit or a look-alike. Over a path
+that leads away from its start, odometry can: its errors are small compared to the displacement.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ratslam_ros.core.common.odometry import Motion, moved
+from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.common.state import State
+from ratslam_ros.core.vision.encoder import Layout, View
+from ratslam_ros.core.vision.match_threshold import RELATED_RATIO
+from ratslam_ros.core.vision.template_memory import Search, TemplateMemory
+
+SAMPLE_PERIOD_S = 0.2
+"""Shortest time between two views that are compared, at first."""
+
+MAX_VIEW_COUNT = 900
+"""Number of compared views. When it is reached, every second one is dropped, and the period is
+doubled, so that the views are evenly spaced in time."""
+
+DIRECTNESS = 0.4
+"""Smallest ratio of displacement to path at which odometry shows that two places differ. A return
+to the same place would need an odometry error of this share of the path."""
+
+UNRELATED_LAGS = 3.0
+"""Smallest displacement between unrelated views, in distances after which the view has changed."""
+
+LOOK_ALIKE_RATE = 0.02
+"""Share of the views that may match one of an unrelated place."""
+
+_SAMPLES_PER_VIEW, _MAX_SAMPLE_COUNT = 8, 1024
+"""Differences to earlier views whose median is that between unrelated views, as few are related:
+number for each view, and number of latest ones that are kept."""
+
+
+class _Place(NamedTuple):
+    """Position by odometry, distance driven before, and number of odometry gaps before."""
+
+    x_m: float
+    y_m: float
+    path_m: float
+    part: float
+
+
+class _Sample(NamedTuple):
+    """A compared view, and what it resembles.
+
+    changed_m: distance driven since the latest view that is unrelated. nearest: smallest
+    difference to a view of another place, relative to the median between unrelated views. Both
+    are NaN if there is no such view.
+    """
+
+    place: _Place
+    changed_m: float
+    nearest: float
+
+
+class LookAlikes:
+    """Estimate of how similar views of different places can be, while driving."""
+
+    def __init__(self, layout: Layout) -> None:
+        """Prepare the estimate for views of a layout."""
+        self._layout = layout
+        self._memory = TemplateMemory(layout)
+        self._samples: list[_Sample] = []
+        self._differences: list[int] = []
+        self._templates: dict[int, _Place] = {}
+        self._pose = Pose(0.0, 0.0, 0.0)
+        self._path_m, self._part, self._time_s = 0.0, 0, 0.0
+        self._period_s, self._due_s = SAMPLE_PERIOD_S, 0.0
+        self._lag_m = math.inf
+        self.ratio = RELATED_RATIO
+        """Difference that few views fall below to a view of another place, relative to the median
+        between unrelated views; at most that of related views."""
+        self.evidence_count = 0
+        """Number of views for which there are views of places known to be different."""
+
+    @property
+    def is_due(self) -> bool:
+        """Whether the next view will be compared: the robot has moved, and time has passed."""
+        has_moved = self._path_m > (self._samples[-1].place.path_m if self._samples else 0.0)
+        return has_moved and self._time_s >= self._due_s
+
+    def move(self, motion: Motion) -> None:
+        """Follow the robot."""
+        self._time_s += motion.dt_s
+        self._pose = moved(self._pose, motion)
+        self._path_m += abs(motion.distance_m)
+        self._part += not motion.is_known
+
+    def relocated(self) -> None:
+        """Continue after the robot may have been moved unobserved."""
+        self._part += 1
+
+    def see(self, view: View) -> None:
+        """Compare a view with the earlier ones, if it is due."""
+        if not self.is_due:
+            return
+        self._due_s = self._time_s + self._period_s
+        changed_m, nearest = math.nan, math.nan
+        if self._samples:
+            search = self._memory.search(view)
+            median = self._median(search)
+            changed_m = self._changed_m(search, median)
+            nearest = self._nearest(search, median)
+        self._memory.append(view)
+        self._samples.append(_Sample(self._place, changed_m, nearest))
+        if len(self._samples) >= MAX_VIEW_COUNT:
+            self._thin()
+        self._estimate()
+
+    def learned(self, template_id: int) -> None:
+        """Remember where a template is learned."""
+        self._templates[template_id] = self._place
+
+    def forget(self, template_id: int) -> None:
+        """Forget where a template was learned."""
+        self._templates.pop(template_id, None)
+
+    def contradicts(self, template_id: int) -> bool:
+        """Return whether odometry shows that the robot is not where a template was learned."""
+        place = self._templates.get(template_id)
+        if place is None:
+            return False
+        return bool(self._are_apart(np.array([place], np.float64))[0])
+
+    def state(self) -> State:
+        """Return the estimate and what it is based on, for ``restore``."""
+        samples = [(*s.place, s.changed_m, s.nearest) for s in self._samples]
+        return {
+            'views': self._memory.views(),
+            'samples': np.array(samples, np.float64).reshape(-1, 6),
+            'differences': np.array(self._differences, np.int64),
+            'template_ids': np.array(list(self._templates), np.int64),
+            'templates': np.array(list(self._templates.values()), np.float64).reshape(-1, 4),
+            'now': np.array(
+                [*self._pose, self._path_m, self._part, self._time_s, self._period_s, self._due_s]
+            ),
+        }
+
+    def restore(self, state: State) -> None:
+        """Restore what ``state`` returned; the robot may have been carried since."""
+        self._memory = TemplateMemory(self._layout)
+        for view in state['views']:
+            self._memory.append(view)
+        rows = [tuple(map(float, row)) for row in state['samples']]
+        self._samples = [_Sample(_Place(*row[:4]), *row[4:]) for row in rows]
+        self._differences = [int(value) for value in state['differences']]
+        self._templates = {
+            int(name): _Place(*map(float, row))
+            for name, row in zip(state['template_ids'], state['templates'], strict=True)
+        }
+        x_m, y_m, heading_rad, path_m, part, time_s, period_s, due_s = map(float, state['now'])
+        self._pose, self._path_m, self._part = Pose(x_m, y_m, heading_rad), path_m, int(part)
+        self._time_s, self._period_s, self._due_s = time_s, period_s, due_s
+        self._estimate()
+        self.relocated()
+
+    @property
+    def _place(self) -> _Place:
+        return _Place(self._pose.x_m, self._pose.y_m, self._path_m, float(self._part))
+
+    def _are_apart(self, places: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Return for (n, 4) places whether odometry shows that the robot is elsewhere."""
+        x_m, y_m, path_m, part = places.T
+        dx_m, dy_m = x_m - self._pose.x_m, y_m - self._pose.y_m
+        driven_m = self._path_m - path_m
+        least_m = np.maximum(DIRECTNESS * driven_m, UNRELATED_LAGS * self._lag_m)
+        apart: NDArray[np.bool_] = dx_m * dx_m + dy_m * dy_m > least_m * least_m
+        return apart & (part == self._part)
+
+    def _median(self, search: Search) -> float:
+        count = len(self._samples)
+        number = min(_SAMPLES_PER_VIEW, count)
+        self._differences += [search.sad(k * count // number) for k in range(number)]
+        del self._differences[:-_MAX_SAMPLE_COUNT]
+        return float(sorted(self._differences)[len(self._differences) // 2])
+
+    def _changed_m(self, search: Search, median: float) -> float:
+        for earlier in range(len(self._samples) - 1, -1, -1):
+            if search.sad(earlier) > RELATED_RATIO * median:
+                return self._path_m - self._samples[earlier].place.path_m
+        return math.nan
+
+    def _nearest(self, search: Search, median: float) -> float:
+        places = np.array([sample.place for sample in self._samples], np.float64)
+        nearest = search.nearest(self._are_apart(places))
+        return math.nan if nearest is None or median <= 0.0 else nearest / median
+
+    def _thin(self) -> None:
+        memory = TemplateMemory(self._layout)
+        for kept in range(0, len(self._samples), 2):
+            memory.append(self._memory.view(kept))
+        self._memory, self._samples = memory, self._samples[::2]
+        self._period_s *= 2.0
+
+    def _estimate(self) -> None:
+        lags_m = sorted(s.changed_m for s in self._samples if math.isfinite(s.changed_m))
+        if lags_m:
+            self._lag_m = lags_m[len(lags_m) // 2]
+        nearest = sorted(s.nearest for s in self._samples if math.isfinite(s.nearest))
+        self.evidence_count = len(nearest)
+        if nearest:
+            self.ratio = min(nearest[int(LOOK_ALIKE_RATE * len(nearest))], RELATED_RATIO)
