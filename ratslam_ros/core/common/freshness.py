@@ -29,6 +29,8 @@ item is removed in any case:
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -41,6 +43,17 @@ _MIN_CAPACITY = 64
 _NS_PER_S = 1_000_000_000
 _MAX_NS = 2**62
 _MASK = 2**64 - 1
+
+
+class _Parameters(Protocol):
+    """Parameters of a memory that forgets; see ``core.config.forgetting``."""
+
+    @property
+    def forget_share(self) -> float: ...
+    @property
+    def forget_after_s(self) -> float: ...
+    @property
+    def forget_robust_visits(self) -> int: ...
 
 
 class Freshness:
@@ -76,6 +89,12 @@ class Freshness:
         self._observed_ns = np.empty(_MIN_CAPACITY, np.int64)
         self._visits = np.empty(_MIN_CAPACITY, np.int64)
         self._fades = np.empty(_MIN_CAPACITY, np.bool_)
+
+    @classmethod
+    def of(cls, parameters: _Parameters, seed: int = 0) -> Freshness:
+        """Create an empty memory with the parameters of a configuration."""
+        p = parameters
+        return cls(p.forget_share, p.forget_after_s, p.forget_robust_visits, seed)
 
     def __len__(self) -> int:
         return len(self._rows)

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ratslam_ros.core.common.freshness import Freshness
 from ratslam_ros.core.config.parameter import Section, parameter
 
 
@@ -34,7 +33,3 @@ class Forgetting(Section):
         'the environment changes, so that many items are outdated',
         'places on frequent routes are forgotten',
     )  # fmt: skip
-
-    def freshness(self, seed: int = 0) -> Freshness:
-        """Return a memory of freshness values with these parameters and no items."""
-        return Freshness(self.forget_share, self.forget_after_s, self.forget_robust_visits, seed)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ratslam_ros.core.common.freshness import Freshness
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import LandmarkMapParameters
@@ -62,7 +63,7 @@ class LandmarkMemory:
         self._p = parameters
         self.map = StochasticMap(parameters, pose)
         """The map; add and remove landmarks through this class only."""
-        self._freshness = parameters.freshness(seed)
+        self._freshness = Freshness.of(parameters, seed)
 
     def __len__(self) -> int:
         """Return the number of landmarks."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Set
 
+from ratslam_ros.core.common.freshness import Freshness
 from ratslam_ros.core.common.odometry import Motion, moved
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.state import State
@@ -51,7 +52,7 @@ class Experiences:
         self._visits = VisitHistory()
         self._distances = DistanceGraph()
         has_freshness = parameters.exp_max > 0 and parameters.exp_forget == 'freshness'
-        self._freshness = parameters.freshness() if has_freshness else None
+        self._freshness = Freshness.of(parameters) if has_freshness else None
         self._since_current = Pose(0.0, 0.0, 0.0)
 
     def __len__(self) -> int:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.angles import wrap
+from ratslam_ros.core.common.freshness import Freshness
 from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import AUTOMATIC, LocalViewParameters
@@ -107,7 +108,7 @@ class LocalView:
         self._encoder = built_in_encoder(p) if encoder is None else encoder
         self._layout = self._encoder.layout
         self._memory = TemplateMemory(self._layout)
-        self._freshness = p.freshness() if p.vt_max > 0 else None
+        self._freshness = Freshness.of(p) if p.vt_max > 0 else None
         self._threshold = MatchThreshold(p, self._memory.full_sum, self._layout.typical)
         self._look_alikes = LookAlikes(self._layout) if uses_odometry(p) else None
         self._motion = MotionFromOdometry(p.odom_source, p.max_odom_gap_s, p.turn_correction)
