@@ -24,8 +24,9 @@ from ratslam_ros.core.config import Config
 from ratslam_ros.core.goal_memory.goal_memory import GoalMemory
 from ratslam_ros.core.mapping.experience_map import ExperienceMap, PrunedExperience
 from ratslam_ros.core.mapping.mapping_step import adopt_correction, apply_action
+from ratslam_ros.core.mapping.relocator import Relocator
 from ratslam_ros.core.mapping.scan_matching import ScanMatcher
-from ratslam_ros.core.pose_cells.map_action import MapAction
+from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.vision.local_view import UNDECODABLE, LocalView, ViewMatch, ViewMatcher
 from ratslam_ros.core.vision.visual_odometry import VisualOdometry
@@ -56,7 +57,8 @@ class ViewStep:
     """Result of one template message.
 
     ``pruned``: the experience that made room for a new one. ``rejected``: the loop-closure gate
-    rejected the action, and the map is unchanged.
+    rejected the action, and the map is unchanged. ``relocated_to``: experience to which scans have
+    relocated the robot after the action, -1 if they have not.
     """
 
     stamp_ns: int
@@ -64,6 +66,7 @@ class ViewStep:
     action: MapAction
     pruned: PrunedExperience | None = None
     rejected: bool = False
+    relocated_to: int = NO_EXPERIENCE
 
 
 Step = OdometryStep | ViewStep
@@ -103,6 +106,10 @@ class RatSLAM:
         if config.goal_memory.goal_memory:
             self.goal_memory = GoalMemory(config.goal_memory, config.pose_cells)
         self.scan_matcher = ScanMatcher() if config.experience_map.exp_align_scans else None
+        self.relocator: Relocator | None = None
+        """Relocation by scans, if ``exp_relocate`` is not `views` and there is a laser."""
+        if self.scan_matcher is not None and config.experience_map.exp_relocate != 'views':
+            self.relocator = Relocator(self.experience_map, self.scan_matcher)
         self.dead_reckoning = self.experience_map.origin
         """Pose by odometry alone, in the map frame."""
         streams = STREAMS if self.scan_matcher is None else STREAMS_WITH_SCANS
@@ -244,6 +251,9 @@ class RatSLAM:
         with self._watch('experience_map'):
             adopt_correction(self._motion, self.experience_map, action)
             update = apply_action(
-                self.experience_map, self.scan_matcher, stamp_ns, action, self.behaviour
+                self.experience_map, self.scan_matcher, stamp_ns, action, self.behaviour,
+                self.relocator,
             )
-        return ViewStep(stamp_ns, match, action, update.pruned, update.rejected)
+        return ViewStep(
+            stamp_ns, match, action, update.pruned, update.rejected, update.relocated_to
+        )

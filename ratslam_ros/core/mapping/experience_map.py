@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -66,10 +66,13 @@ class MapUpdate:
 
     ``pruned``: the experience that made room for a new one. ``rejected``: the loop-closure gate
     rejected the transition, and neither the links nor the current experience have changed.
+    ``relocated_to``: experience to which scans have relocated the robot after the action, -1 if
+    they have not.
     """
 
     pruned: PrunedExperience | None = None
     rejected: bool = False
+    relocated_to: int = NO_EXPERIENCE
 
 
 class ExperienceMap(ExperienceGraph):
@@ -278,6 +281,23 @@ class ExperienceMap(ExperienceGraph):
         self._record_scan_confirmation(scan_match)
         self._relax()
         return MapUpdate(pruned)
+
+    def relocate(self, target_id: int, target_offset: Pose, views: Sequence[Pose] = ()) -> bool:
+        """Move the robot to another place that was proven by scans; return whether it is accepted.
+
+        No link is made, because the robot did not drive there.
+
+        Args:
+            target_id: experience that becomes the current one.
+            target_offset: pose of the robot in its frame.
+            views: poses of the robot on the map according to recognised views.
+        """
+        claimed = composed(self.pose_of(target_id), target_offset)
+        if not self.gate.offer_proven(claimed, views):
+            return False
+        self.current_id, self.offset = target_id, target_offset
+        self._duration_s = self._travelled_m = 0.0
+        return True
 
     # Components
 

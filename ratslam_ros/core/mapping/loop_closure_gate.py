@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -33,6 +34,9 @@ SPOT_SPACING_M = 0.3
 
 AGREEMENT_M = 1.0
 """Largest distance between the robot positions that two agreeing closures imply, in m."""
+
+CONTRADICTING_VIEW_COUNT = 2
+"""Number of views of other places that contradict a relocation that scans have proven."""
 
 LONG_KNOWN_M = 60.0
 """Distance to be driven after an experience was created before it can confirm the robot's pose.
@@ -130,6 +134,25 @@ class LoopClosureGate:
             return False
         self.relocation_count += 1
         self.accepts_next = False
+        self._spots.clear()
+        return True
+
+    def offer_proven(self, claimed: Pose, views: Sequence[Pose]) -> bool:
+        """Return whether a relocation that scans have proven is accepted: views may contradict it.
+
+        Args:
+            claimed: pose of the robot on the map according to the scans.
+            views: poses according to the views recognised since the robot is lost, carried along
+                by odometry. A single view is no evidence.
+        """
+        agreeing = sum(math.dist(view[:2], claimed[:2]) < AGREEMENT_M for view in views)
+        contradicting = len(views) - agreeing
+        if contradicting >= CONTRADICTING_VIEW_COUNT and contradicting > agreeing:
+            self.rejected_count += 1
+            return False
+        self.relocation_count += 1
+        self.accepts_next = False
+        self.rejecting = True  # until the pose cells arrive there as well
         self._spots.clear()
         return True
 

@@ -70,6 +70,8 @@ class ScanMatcher:
         self._references: dict[int, NDArray[np.float32]] = {}
         self._variance_m2 = self._variance_before_m2 = math.inf
         """Largest position variance of the robot on the map, now and before the last action."""
+        self.restarts = 0
+        """Number of times the buffers were cleared."""
 
     def scan(self, scan: Scan) -> None:
         """Buffer one scan; a stamp that jumps back clears the buffers."""
@@ -92,9 +94,28 @@ class ScanMatcher:
 
     def restart(self) -> None:
         """Clear the buffers after the robot was carried; the scans of experiences are kept."""
+        self.restarts += 1
         self._scans.clear()
         self._track.clear()
         self._variance_m2 = self._variance_before_m2 = math.inf
+
+    def reference(self, experience_id: int) -> NDArray[np.float32] | None:
+        """Return the (n, 2) points in m of an experience's scan, in its frame; None if unknown."""
+        return self._references.get(experience_id)
+
+    def observed(self, stamp_ns: int) -> tuple[NDArray[np.float64], Pose] | None:
+        """Return the last scan and the pose of the robot by odometry at a stamp.
+
+        Returns:
+            (n, 2) points in m in the robot's frame at the stamp, and its pose; None if there is no
+            scan, or no odometry that covers it.
+        """
+        points, pose = self._points_at(stamp_ns), self._pose_at(stamp_ns)
+        return None if points is None or pose is None else (points, pose)
+
+    def relocated(self) -> None:
+        """Set the variance after the robot was relocated by its scan."""
+        self._variance_m2 = self._variance_before_m2 = MAP_SD_M**2
 
     def undo_last(self) -> None:
         """Restore the variance from before the last action, which the map rejected."""
@@ -124,7 +145,7 @@ class ScanMatcher:
             there = None
             self._references.pop(action.target_id, None)
             if points is not None:
-                self._references[action.target_id] = _transformed(points, view).astype(np.float32)
+                self._references[action.target_id] = transformed(points, view).astype(np.float32)
         self._variance_before_m2 = self._variance_m2
         if points is None:
             if action.action != 'create':
@@ -224,7 +245,7 @@ class ScanMatcher:
             return None
         points = scan[1]
         near = points[np.hypot(points[:, 0], points[:, 1]) < MAX_RANGE_M]
-        return _transformed(near, composed(inverse(now), then))
+        return transformed(near, composed(inverse(now), then))
 
     def _pose_at(self, stamp_ns: int) -> Pose | None:
         """Return the odometry pose at a stamp, interpolated between messages; None if unknown."""
@@ -240,7 +261,7 @@ class ScanMatcher:
         return None
 
 
-def _transformed(points: NDArray[np.float64], pose: Pose) -> NDArray[np.float64]:
+def transformed(points: NDArray[np.float64], pose: Pose) -> NDArray[np.float64]:
     """Transform (n, 2) points from the frame of a pose into the parent frame of that pose."""
     c, s = math.cos(pose.heading_rad), math.sin(pose.heading_rad)
     x, y = points.T
