@@ -201,7 +201,10 @@ class RatSLAM:
                 with self._tolerating_odd_sizes(), self._watch('visual_odometry'):
                     odometry = self.visual_odometry.estimate(stamp_ns, image)
             with self._tolerating_odd_sizes(), self._watch('local_view'):
-                match = self.local_view.match(image)
+                if isinstance(self.local_view, LocalView):
+                    match = self.local_view.match(image, stamp_ns)
+                else:
+                    match = self.local_view.match(image)
                 self._has_matched = True
         steps = [] if odometry is None else self.odometry(odometry.as_received())
         return steps + self.template(stamp_ns, match)
@@ -247,7 +250,7 @@ class RatSLAM:
 
     def _act(self, stamp_ns: int, match: ViewMatch) -> ViewStep:
         with self._watch('pose_cells_view'):
-            action = self.pose_cells.view(match, self._motion.reaches(stamp_ns))
+            action = self.pose_cells.view(match, self._motion.reaches(stamp_ns), stamp_ns)
         with self._watch('experience_map'):
             adopt_correction(self._motion, self.experience_map, action)
             update = apply_action(

@@ -57,6 +57,8 @@ def encode_template(stamp_ns: int, match: ViewMatch, memory_ns: int) -> str:
         fields['threshold'] = match.threshold
     if match.related_count:
         fields['related'] = match.related_count
+    if match.removed:
+        fields['removed'] = match.removed
     return encode_json(fields)
 
 
@@ -86,9 +88,20 @@ def decode_template(payload: str) -> tuple[int, ViewMatch, int]:
     check_range('local_view/template', 'threshold', fields['threshold'], FIXED_THRESHOLD, 1.0)
     match = ViewMatch(
         fields['id'], fields['is_new'], fields['error'], fields['relative_rad'],
-        fields['threshold'], fields['related'],
+        fields['threshold'], fields['related'], _decode_removed(fields.get('removed', [])),
     )  # fmt: skip
     return decode_stamp(fields['stamp']), match, fields['memory']
+
+
+def _decode_removed(ids: Any) -> tuple[int, ...]:
+    """Return the ids of removed templates."""
+    name = 'local_view/template'
+    if not isinstance(ids, list):
+        raise MalformedMessage(f'{name}: removed is {ids!r}; expected an array of ids')
+    for template_id in ids:
+        check_types({'removed': template_id}, name, {'removed': int})
+        check_range(name, 'removed', template_id, 0, MAX_ID)
+    return tuple(ids)
 
 
 def encode_action(stamp_ns: int, sequence: int, action: MapAction, memory_ns: int) -> str:

@@ -65,7 +65,7 @@ class LocalViewNode(ImageNode):
 
     def _process_image(self, stamp_ns: int, image: NDArray[np.uint8], frame_id: str) -> None:
         with self._diagnostics.times('local_view'):
-            match = self._core.match(image)
+            match = self._core.match(image, stamp_ns)
         if match.is_new and self._memory_ns == NO_MEMORY_NS:
             self._memory_ns = max(stamp_ns, MIN_MEMORY_NS)
         self._publish(stamp_ns, match)

@@ -150,8 +150,9 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
         self._check_memory(stamp_ns, template)
         number = self._numbering.own_id(template.match.template_id)
         with self._diagnostics.times('pose_cells_view'):
-            match = replace(template.match, template_id=number)
-            action = self._core.view(match, self._motion.reaches(stamp_ns))
+            removed = tuple(self._numbering.own_id(i) for i in template.match.removed)
+            match = replace(template.match, template_id=number, removed=removed)
+            action = self._core.view(match, self._motion.reaches(stamp_ns), stamp_ns)
         if action.correction is not None and action.correction != self._motion.correction:
             self._motion.correction = action.correction
             self._report_correction(action.correction)

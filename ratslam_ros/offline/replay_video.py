@@ -53,7 +53,9 @@ class ReplayVideo:
         assert isinstance(local_view, LocalView)
         self._video.write(
             image,
-            local_view.picture(local_view.template(template_id)) if template_id >= 0 else None,
+            # A held step may be of a template that has been removed since.
+            local_view.picture(local_view.template(template_id))
+            if template_id in local_view else None,
             self._slam.pose_cells.activity(),
             self._slam.experience_map.poses[:, :2],
             self._slam.experience_map.pose,

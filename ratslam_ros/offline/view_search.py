@@ -135,7 +135,7 @@ class ViewSearch:
 
     def _matches(self, p: LocalViewParameters) -> tuple[Errors, Errors]:
         """Return error and correctness of the best match of each frame, NaN if there is none."""
-        memory = LocalView(replace(p, vt_match_threshold=1.0, vt_recent_templates=0),
+        memory = LocalView(replace(p, vt_match_threshold=1.0, vt_recent_templates=0, vt_max=0),
                            encoder_of(p))
         memory.mapping = False
         same = np.full(len(self._few), np.nan, np.float32)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.common.pose import Pose
 
-_SPACING_M = 0.05
+PATH_SPACING_M = 0.05
 """Spacing of path points."""
 
 _SEARCH_POINTS_COUNT = 20
@@ -53,7 +53,7 @@ class Driver:
         path = rounded_path(tour, options.corner_radius_m)
         self._path, self._limit_mps = _wander(path, rng, options)
         self._index = 0
-        self._rests = _rests(len(self._path) * _SPACING_M, rng, options)
+        self._rests = _rests(len(self._path) * PATH_SPACING_M, rng, options)
         self._rest_left_s = 0.0
 
     @property
@@ -71,17 +71,18 @@ class Driver:
         """Return the speed in m/s and turn rate in rad/s for the coming ``duration_s``."""
         options = self._options
         self._advance(pose)
-        along_m = self._index * _SPACING_M
+        along_m = self._index * PATH_SPACING_M
         if self._rests and along_m >= self._rests[0][0]:
             self._rest_left_s = self._rests.pop(0)[1]
         if self._rest_left_s > 0.0 or self.finished:
             self._rest_left_s -= duration_s
             return 0.0, 0.0
-        ahead = min(self._index + round(options.look_ahead_m / _SPACING_M), len(self._path) - 1)
+        ahead = self._index + round(options.look_ahead_m / PATH_SPACING_M)
+        ahead = min(ahead, len(self._path) - 1)
         dx_m, dy_m = self._path[ahead] - (pose.x_m, pose.y_m)
         bearing_rad = math.remainder(math.atan2(dy_m, dx_m) - pose.heading_rad, math.tau)
         # Curvature of the arc through the look-ahead point.
-        curvature = 2.0 * math.sin(bearing_rad) / max(math.hypot(dx_m, dy_m), _SPACING_M)
+        curvature = 2.0 * math.sin(bearing_rad) / max(math.hypot(dx_m, dy_m), PATH_SPACING_M)
         speed_mps = float(self._limit_mps[self._index])
         return speed_mps, speed_mps * curvature
 
@@ -127,7 +128,7 @@ def rounded_path(
 
 def _resample(points: NDArray[np.float64]) -> NDArray[np.float64]:
     along_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
-    even_m = np.arange(0.0, along_m[-1], _SPACING_M)
+    even_m = np.arange(0.0, along_m[-1], PATH_SPACING_M)
     return np.stack([np.interp(even_m, along_m, points[:, axis]) for axis in (0, 1)], axis=1)
 
 
@@ -138,8 +139,8 @@ def _wander(
     tangent = np.gradient(path, axis=0)
     tangent /= np.hypot(*tangent.T)[:, None]
     heading_rad = np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
-    curvature = np.gradient(heading_rad) / _SPACING_M
-    along_m = np.arange(len(path)) * _SPACING_M
+    curvature = np.gradient(heading_rad) / PATH_SPACING_M
+    along_m = np.arange(len(path)) * PATH_SPACING_M
     offset_m = np.zeros(len(path))
     # Random wavelengths, so that the offset differs from lap to lap.
     for length_m in rng.uniform(6.0, 20.0, 4):
@@ -151,7 +152,7 @@ def _wander(
     limit_mps[-1] = 0.05
     # Braking distance: v^2 = v_next^2 + 2 a d, from the end backwards.
     for i in range(len(limit_mps) - 2, -1, -1):
-        reachable = math.sqrt(limit_mps[i + 1] ** 2 + 2 * options.slow_down_mps2 * _SPACING_M)
+        reachable = math.sqrt(limit_mps[i + 1] ** 2 + 2 * options.slow_down_mps2 * PATH_SPACING_M)
         limit_mps[i] = min(limit_mps[i], reachable)
     return lane, limit_mps
 

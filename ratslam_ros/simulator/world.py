@@ -129,7 +129,7 @@ def build_world(
     house_style = _house_style_sides(plan, rng, options)
     panel = np.zeros((*plan.solid.shape, 4), np.int16)
     panel_u_m = np.zeros((*plan.solid.shape, 4), np.float32)
-    for side, wall in _walls(plan.solid):
+    for side, wall in wall_stretches(plan.solid):
         panel_of = _panels_along(len(wall) * plan.cell_m, library, rng)
         for index, (row, column) in enumerate(wall):
             start_m = index * plan.cell_m
@@ -141,7 +141,7 @@ def build_world(
     return World(plan, library, panel, panel_u_m, _lighting(plan, rng, options))
 
 
-def _walls(solid: NDArray[np.bool_]) -> list[tuple[int, list[tuple[int, int]]]]:
+def wall_stretches(solid: NDArray[np.bool_]) -> list[tuple[int, list[tuple[int, int]]]]:
     """Return the straight stretches of wall: side, and cells from left to right as seen."""
     n_y, n_x = solid.shape
     walls: list[tuple[int, list[tuple[int, int]]]] = []

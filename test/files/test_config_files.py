@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ratslam_ros.core.config import LEAST_EXP_MAX, SECTIONS, Config
+from ratslam_ros.core.config.local_view import LEAST_VT_MAX
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.files.config import (
     AUTO,
@@ -58,10 +59,11 @@ PARAMETERS = {
     for section, cls in SECTIONS.items()
     for name, info, default in cls.parameters()
 }
-# 0 for no limit; smaller limits than LEAST_EXP_MAX are rejected.
-PARAMETERS['pose_cells.exp_max'] = PARAMETERS['pose_cells.exp_max'].filter(
-    lambda count: not 0 < count < LEAST_EXP_MAX
-)
+# 0 for no limit; very small limits are rejected.
+for _name, _least in (('pose_cells.exp_max', LEAST_EXP_MAX), ('local_view.vt_max', LEAST_VT_MAX)):
+    PARAMETERS[_name] = PARAMETERS[_name].filter(
+        lambda count, least=_least: not 0 < count < least
+    )
 
 
 @settings(max_examples=60)

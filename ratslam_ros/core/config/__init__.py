@@ -12,6 +12,8 @@ from ratslam_ros.core.config.goal_follower import GoalFollowerParameters
 from ratslam_ros.core.config.goal_memory import GoalMemoryParameters
 from ratslam_ros.core.config.goal_recall import GoalRecallParameters
 from ratslam_ros.core.config.inputs import WHOLE, LiveInput
+from ratslam_ros.core.config.landmark_map import LandmarkMapParameters
+from ratslam_ros.core.config.line_extraction import LineExtractionParameters
 from ratslam_ros.core.config.local_view import LocalViewParameters
 from ratslam_ros.core.config.parameter import (
     AUTOMATIC,
@@ -26,7 +28,7 @@ from ratslam_ros.core.config.visual_odometry import VisualOdometryParameters
 __all__ = [
     'AUTOMATIC', 'LEAST_EXP_MAX', 'SECTIONS', 'SETTABLE', 'SHARED', 'WHOLE', 'Config',
     'ExperienceMapParameters', 'GoalFollowerParameters', 'GoalMemoryParameters',
-    'GoalRecallParameters', 'LiveInput', 'LocalViewParameters', 'ParameterInfo',
-    'PoseCellsParameters', 'Section', 'Value', 'VisualOdometryParameters', 'parameter',
-    'section_of',
+    'GoalRecallParameters', 'LandmarkMapParameters', 'LineExtractionParameters', 'LiveInput',
+    'LocalViewParameters', 'ParameterInfo', 'PoseCellsParameters', 'Section', 'Value',
+    'VisualOdometryParameters', 'parameter', 'section_of',
 ]

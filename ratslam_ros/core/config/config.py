@@ -13,6 +13,8 @@ from ratslam_ros.core.config.experience_map import ExperienceMapParameters
 from ratslam_ros.core.config.goal_follower import GoalFollowerParameters
 from ratslam_ros.core.config.goal_memory import GoalMemoryParameters
 from ratslam_ros.core.config.goal_recall import GoalRecallParameters
+from ratslam_ros.core.config.landmark_map import LandmarkMapParameters
+from ratslam_ros.core.config.line_extraction import LineExtractionParameters
 from ratslam_ros.core.config.local_view import LocalViewParameters
 from ratslam_ros.core.config.parameter import Section, Value
 from ratslam_ros.core.config.pose_cells import PoseCellsParameters
@@ -34,6 +36,8 @@ class Config:
     experience_map: ExperienceMapParameters = field(default_factory=ExperienceMapParameters)
     goal_recall: GoalRecallParameters = field(default_factory=GoalRecallParameters)
     goal_follower: GoalFollowerParameters = field(default_factory=GoalFollowerParameters)
+    landmark_map: LandmarkMapParameters = field(default_factory=LandmarkMapParameters)
+    line_extraction: LineExtractionParameters = field(default_factory=LineExtractionParameters)
 
     def __post_init__(self) -> None:
         for name in SHARED:
@@ -91,6 +95,8 @@ SECTIONS: dict[str, type[Section]] = {
     'experience_map': ExperienceMapParameters,
     'goal_recall': GoalRecallParameters,
     'goal_follower': GoalFollowerParameters,
+    'landmark_map': LandmarkMapParameters,
+    'line_extraction': LineExtractionParameters,
 }
 """Class of each section, in the order of config.yaml."""
 

@@ -6,13 +6,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from ratslam_ros.core.config.forgetting import Forgetting
 from ratslam_ros.core.config.inputs import CROP_MAX, WHOLE, ImageInput, Memory
 from ratslam_ros.core.config.parameter import parameter
 from ratslam_ros.errors import UnusableParameter
 
+LEAST_VT_MAX = 20
+"""Smallest limit of the number of templates."""
+
 
 @dataclass(frozen=True)
-class LocalViewParameters(ImageInput, Memory):
+class LocalViewParameters(Forgetting, ImageInput, Memory):
     """Place recognition: reduction of images to templates, and matching of templates."""
 
     image_crop_x_min: int = parameter(
@@ -86,6 +90,14 @@ class LocalViewParameters(ImageInput, Memory):
         'Stricter threshold for the newest templates, by which a new stretch is learned in finer '
         'steps.',
         'too many templates are learned', 'one template covers too long a stretch')  # fmt: skip
+    vt_max: int = parameter(
+        0, 'templates; 0: any number', 0, 100_000_000,
+        'Limit of the number of templates. At the limit, each new template replaces one that is '
+        'selected by its freshness (forget_share, forget_after_s and forget_robust_visits). A '
+        'view of a removed template is learned again under a new number.',
+        'places are forgotten that are still needed',
+        'the templates take too much memory, or matching is too slow',
+    )  # fmt: skip
     vt_normalisation: float = parameter(
         0.0, 'mean brightness; 0: off', 0.0, 1.0, 'Scale every view to this mean brightness.',
         'the brightness of the whole image varies', 'bright parts saturate at white',
@@ -118,6 +130,11 @@ class LocalViewParameters(ImageInput, Memory):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if 0 < self.vt_max < LEAST_VT_MAX:
+            raise UnusableParameter(
+                f'vt_max is {self.vt_max}; expected 0 (any number) or at least {LEAST_VT_MAX}, so '
+                'that the templates of the present place are kept'
+            )
         if not self.vt_panoramic and 2 * self.vt_shift_match >= self.template_x_size:
             raise UnusableParameter(
                 f'vt_shift_match is {self.vt_shift_match}; expected less than half of '

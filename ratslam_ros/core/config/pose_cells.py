@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from ratslam_ros.core.config.forgetting import Forgetting
 from ratslam_ros.core.config.inputs import OdometryInput
 from ratslam_ros.core.config.parameter import parameter
 from ratslam_ros.errors import UnusableParameter
@@ -15,7 +16,7 @@ LEAST_EXP_MAX = 20
 
 
 @dataclass(frozen=True)
-class PoseCellsParameters(OdometryInput):
+class PoseCellsParameters(Forgetting, OdometryInput):
     """The continuous attractor network that estimates the pose, and its correction by views."""
 
     odom_calibration: bool = parameter(
@@ -151,11 +152,20 @@ class PoseCellsParameters(OdometryInput):
         'the map is too coarse', 'there are too many experiences')  # fmt: skip
     exp_max: int = parameter(
         0, 'experiences; 0: any number', 0, 100_000_000,
-        'Limit of the number of experiences. At the limit, each new experience replaces the least '
-        'often visited one; of several, the one whose last visit is the oldest. Experiences whose '
-        'removal would leave a large gap are kept.',
+        'Limit of the number of experiences. At the limit, each new experience replaces one that '
+        'is selected by exp_forget. Experiences whose removal would leave a large gap are kept.',
         'places are forgotten that are still needed',
         'the map takes too much memory or computing time',
+    )  # fmt: skip
+    exp_forget: str = parameter(
+        'visits', '', 0, 0,
+        'Selection of the experience to remove at the limit exp_max. visits: the least often '
+        'visited one; of several, the one whose last visit is the oldest. freshness: a faded one '
+        '(forget_share, forget_after_s and forget_robust_visits), so that recent regions stay '
+        'dense and old ones become sparse.',
+        'set to freshness if the robot explores new regions with a small exp_max',
+        'leave at visits if the robot stays in one environment',
+        choices=('visits', 'freshness'),
     )  # fmt: skip
 
     def __post_init__(self) -> None:

@@ -50,6 +50,8 @@ class Experiences:
         self._transitions = _Transitions()
         self._visits = VisitHistory()
         self._distances = DistanceGraph()
+        has_freshness = parameters.exp_max > 0 and parameters.exp_forget == 'freshness'
+        self._freshness = parameters.freshness() if has_freshness else None
         self._since_current = Pose(0.0, 0.0, 0.0)
 
     def __len__(self) -> int:
@@ -75,6 +77,7 @@ class Experiences:
             'since_current': list(self._since_current),
             'components': self._components.copy(),
             'places': [list(one.place) for one in self._located],
+            **({} if self._freshness is None else {'freshness': self._freshness.state()}),
         }
 
     def restore(self, state: State) -> None:
@@ -105,6 +108,21 @@ class Experiences:
                     )
                     self._distances.connect(source, target, cells * self._lengths.cell_m)
         self._since_current = Pose(*state['since_current'])
+        if self._freshness is not None and 'freshness' in state:
+            self._freshness.restore(state['freshness'])
+        elif self._freshness is not None:  # saved without freshness
+            for number in range(len(self)):
+                self._freshness.add(number)
+
+    def advance(self, stamp_ns: int) -> None:
+        """Set the time at which experiences are visited; it never goes back."""
+        if self._freshness is not None:
+            self._freshness.advance(stamp_ns)
+
+    def forget_templates(self, template_ids: Collection[int]) -> None:
+        """Remove the associations of templates; their experiences stay, as places on the map."""
+        for template_id in template_ids:
+            self._of_template.pop(template_id, None)
 
     def rescale(self, factor: float) -> None:
         """Multiply all places by a factor; labels stay, because the map has received them."""
@@ -171,6 +189,8 @@ class Experiences:
         Returns:
             The action for the experience map.
         """
+        if self._freshness is not None and self.current_id != NO_EXPERIENCE:
+            self._freshness.observe(self.current_id)  # the robot is still there
         if joined:
             there = self._nearest(seen, joined & set(self._of_template.get(seen.template_id, ())))
             if there is not None:
@@ -258,7 +278,7 @@ class Experiences:
         place = Place(peak.x, peak.y, (peak.theta - seen.turn_planes) % self._p.pc_dim_th)
         new_id = len(self._experiences)
         if 0 < self._p.exp_max <= new_id:
-            new_id = self._visits.prune_candidate(self._distances)
+            new_id = self._prune_candidate()
             self._prune(new_id)
             self._experiences[new_id] = seen.template_id, place
             self._located[new_id] = Located(place, seen.unwrapped)
@@ -269,20 +289,34 @@ class Experiences:
             self._components.append(seen.component)
         self._of_template.setdefault(seen.template_id, []).append(new_id)
         self._visits.create(new_id)
+        if self._freshness is not None:
+            self._freshness.add(new_id)
         self._change_to(new_id)
         return 'create'
+
+    def _prune_candidate(self) -> int:
+        if self._freshness is None:
+            return self._visits.prune_candidate(self._distances)
+        may_go = self._visits.may_go(self._distances)
+        candidate = self._freshness.candidate(may_go[self._freshness.items])
+        assert candidate is not None  # at least one may go
+        self._freshness.remove(candidate)
+        return candidate
 
     def _prune(self, experience_id: int) -> None:
         """Remove an experience so that its id can be reused; its template stays associated."""
         template_id, _ = self._experiences[experience_id]
-        self._of_template[template_id].remove(experience_id)
-        if not self._of_template[template_id]:
-            del self._of_template[template_id]
+        others = self._of_template.pop(template_id, [experience_id])  # none if it is forgotten
+        others.remove(experience_id)
+        if others:
+            self._of_template[template_id] = others
         self._transitions.remove(experience_id)
         self._distances.remove(experience_id)
 
     def _visit(self, target_id: int) -> Action:
         self._visits.visit(target_id)
+        if self._freshness is not None:
+            self._freshness.observe(target_id)
         return 'link' if self._change_to(target_id) else 'set'
 
     def _change_to(self, target_id: int) -> bool:

@@ -27,7 +27,7 @@ from ratslam_ros.errors import UnusableInput
 _STATE_KEYS = (
     'dims', 'packets', 'memories', 'unrolled', 'messages', 'last_template', 'experiences',
     'transitions', 'visits', 'gaps', 'current', 'since_current', 'stepped', 'agreement',
-    'calibration',
+    'calibration', 'freshness',
 )  # fmt: skip
 """Order of the keys in memory files."""
 
@@ -175,8 +175,10 @@ class PoseCells:
         if self.calibration is not None:
             self.calibration.integrate(motion)
 
-    def view(self, match: ViewMatch, is_located: bool = True) -> MapAction:
+    def view(self, match: ViewMatch, is_located: bool = True, stamp_ns: int = 0) -> MapAction:
         """Process one template message: learn it or inject its activity, then choose the action.
+
+        The associations of templates that local view has removed are removed first.
 
         At most one action other than ``none`` is returned per odometry message.
 
@@ -184,7 +186,12 @@ class PoseCells:
             match: the template.
             is_located: False if the odometry has been missing for so long that the robot may be
                 anywhere. Such a view has no effect.
+            stamp_ns: stamp of the message; used if ``exp_forget`` is freshness.
         """
+        if match.removed:
+            self._evidence.forget(match.removed, self._component)
+            self._experiences.forget_templates(match.removed)
+        self._experiences.advance(stamp_ns)
         self._last_view = match.template_id, match.relative_rad * self._torus.planes_per_rad
         source_id = self._experiences.current_id
         action: Action = 'none'

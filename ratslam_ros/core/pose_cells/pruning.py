@@ -50,22 +50,35 @@ class VisitHistory:
         self._counts[experience_id] += 1
         self._last[experience_id] = self._now
 
-    def prune_candidate(self, distances: DistanceGraph) -> int:
-        """Select the experience to prune; more than ``RECENT_VISITS_COUNT`` + 1 must exist.
+    def may_go(self, distances: DistanceGraph) -> NDArray[np.bool_]:
+        """Return which experiences may be pruned, at least one.
 
-        Milford (2008), section IV: of the experiences visited once, the one visited longest ago;
-        if there is none, of those visited least often, the one visited longest ago. Experience 0,
-        the origin of the map, is kept, as are those of the last ``RECENT_VISITS_COUNT`` visits,
-        which include the current one. Candidates that would leave a gap longer than ``MAX_GAP_M``
-        are kept if there are others; otherwise those that would leave one longer than
-        ``GAP_RATIO`` times the smallest gap.
+        More than ``RECENT_VISITS_COUNT`` + 1 must exist. Experience 0, the origin of the map, is
+        kept, as are those of the last ``RECENT_VISITS_COUNT`` visits, which include the current
+        one. Candidates that would leave a gap longer than ``MAX_GAP_M`` are kept if there are
+        others; otherwise those that would leave one longer than ``GAP_RATIO`` times the smallest
+        gap.
+
+        Returns:
+            (n,) for all experiences.
         """
-        counts, last = self._counts[: self._size], self._last[: self._size]
-        may_go = last <= self._now - RECENT_VISITS_COUNT
+        may_go = self._last[: self._size] <= self._now - RECENT_VISITS_COUNT
         may_go[0] = False
         gaps_m = distances.gaps_after_removal_m(self._size)
         shortest_m = gaps_m[may_go].min()
-        may_go &= gaps_m <= (MAX_GAP_M if shortest_m <= MAX_GAP_M else GAP_RATIO * shortest_m)
+        return may_go & (
+            gaps_m <= (MAX_GAP_M if shortest_m <= MAX_GAP_M else GAP_RATIO * shortest_m)
+        )
+
+    def prune_candidate(self, distances: DistanceGraph) -> int:
+        """Select the experience to prune.
+
+        Milford (2008), section IV: of the experiences visited once, the one visited longest ago;
+        if there is none, of those visited least often, the one visited longest ago. ``may_go``
+        excludes some.
+        """
+        counts, last = self._counts[: self._size], self._last[: self._size]
+        may_go = self.may_go(distances)
         fewest = counts[may_go].min()
         candidates = np.flatnonzero(may_go & (counts == fewest))
         return int(candidates[np.argmin(last[candidates])])

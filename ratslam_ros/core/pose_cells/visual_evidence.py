@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -176,6 +177,21 @@ class VisualEvidence:
         self._components.remove(component)
         self._agreement.discard(component)
         self.recent.clear()
+
+    def forget(self, template_ids: Collection[int], component: int) -> None:
+        """Remove the places of templates, and components in which no template is left.
+
+        Args:
+            template_ids: the templates, which will not be seen again.
+            component: component that the robot is in, which is kept.
+        """
+        removed = set(template_ids)
+        for key in [(i, number) for i in removed for number in self._components]:
+            self._associations.pop(key, None)
+        self._unlocated = [key for key in self._unlocated if key[0] not in removed]
+        if len(self._components) > 1:
+            used = {number for _, number in self._associations} | {component}
+            self._components = [number for number in self._components if number in used]
 
     def is_known(self, template_id: int) -> bool:
         """Return whether a template has a place."""

@@ -52,6 +52,8 @@ class ViewMatch:
     related_count: int = 0
     """Number of newest templates that show the same scene as the view, apart from gradual changes;
     0 if ``vt_recent_templates`` is not automatic."""
+    removed: tuple[int, ...] = ()
+    """Ids of the templates that were removed to make room for this one; they are not reused."""
 
 
 UNDECODABLE = ViewMatch(NO_TEMPLATE, False, -1.0, 0.0)
@@ -87,6 +89,7 @@ class LocalView:
         self._encoder = built_in_encoder(p) if encoder is None else encoder
         self._layout = self._encoder.layout
         self._memory = TemplateMemory(self._layout)
+        self._freshness = p.freshness() if p.vt_max > 0 else None
         self._threshold = MatchThreshold(p, self._memory.full_sum, self._layout.typical)
 
     def __len__(self) -> int:
@@ -94,8 +97,17 @@ class LocalView:
 
     @property
     def templates(self) -> NDArray[np.uint8]:
-        """Copy of all templates: (n, height, width) uint8."""
+        """Copy of all templates, in the order of ``template_ids``: (n, height, width) uint8."""
         return self._memory.views()
+
+    @property
+    def template_ids(self) -> NDArray[np.int64]:
+        """(n,) ids of ``templates``: 0 to n - 1 as long as none was removed."""
+        return self._memory.ids
+
+    def __contains__(self, template_id: int) -> bool:
+        """Return whether a template is known; an id may be that of a removed one."""
+        return template_id in self._memory
 
     def template(self, template_id: int) -> View:
         """Return a copy of one template: (height, width) uint8."""
@@ -117,11 +129,12 @@ class LocalView:
             return None
         return self._encoder.encode(image)
 
-    def match(self, image: Image) -> ViewMatch:
+    def match(self, image: Image, stamp_ns: int = 0) -> ViewMatch:
         """Recognise an image, or learn it as a new template.
 
         Args:
             image: (H, W) uint8, greyscale.
+            stamp_ns: stamp of the image; used if ``vt_max`` limits the number of templates.
 
         Raises:
             UnusableParameter: the crop or template size does not fit the image.
@@ -130,6 +143,8 @@ class LocalView:
         if view is None:
             self.low_texture += 1
             return UNDECODABLE
+        if self._freshness is not None:
+            self._freshness.advance(stamp_ns)
         search = self._memory.search(view)
         first_recent = self._first_recent(search)
         recognised, min_sad = self._best(search, first_recent)
@@ -138,17 +153,40 @@ class LocalView:
         is_automatic = self._p.vt_recent_templates == AUTOMATIC
         related_count = len(self) - first_recent if is_automatic else 0
         if recognised is not None:
+            if self._freshness is not None:
+                self._freshness.observe(recognised.template_id)
             relative_rad = self._relative_rad(recognised.offset)
             return ViewMatch(
                 recognised.template_id, False, error, relative_rad, threshold, related_count
             )
         if not self.mapping:
             return ViewMatch(NO_TEMPLATE, False, error, 0.0, threshold, related_count)
-        self._threshold.learn(len(self), first_recent, search.sad)
-        return ViewMatch(self.learn(view), True, error, 0.0, threshold, related_count)
+        removed = self._to_remove()
+        self._threshold.learn(
+            self._memory.next_id, len(self) - len(removed) + 1, first_recent,
+            lambda rank: search.sad(self._memory.nth_id(rank)),
+        )  # fmt: skip
+        for template_id in removed:
+            self._memory.remove(template_id)
+        new_id = self.learn(view)
+        return ViewMatch(new_id, True, error, 0.0, threshold, related_count, removed)
+
+    def _to_remove(self) -> tuple[int, ...]:
+        """Select the templates to remove, so that ``vt_max`` leaves room for a new one.
+
+        Usually this is a single one, but there are more after a larger memory was loaded.
+        """
+        removed: list[int] = []
+        if self._freshness is not None:
+            while len(self._freshness) >= self._p.vt_max:
+                template_id = self._freshness.candidate()
+                assert template_id is not None  # every template may be removed
+                self._freshness.remove(template_id)
+                removed.append(template_id)
+        return tuple(removed)
 
     def _first_recent(self, search: Search) -> int:
-        """Return the id of the first template that shows the stretch the robot is just learning.
+        """Return the number of templates older than the stretch the robot is just learning.
 
         Automatically, these are the newest templates back to the first one that is unrelated to
         the view: since then, the scene has been changing gradually.
@@ -157,7 +195,7 @@ class LocalView:
         if newest != AUTOMATIC:
             return max(count - newest, 0)
         limit = self._threshold.related_limit
-        while count > 0 and search.sad(count - 1) <= limit:
+        while count > 0 and search.sad(self._memory.nth_id(count - 1)) <= limit:
             count -= 1
         return count
 
@@ -167,7 +205,7 @@ class LocalView:
         best = search.best(limit=None if self._p.vt_exact_error else limit)
         if best is None:
             return None, None
-        if best.template_id < first_recent:
+        if best.template_id < self._memory.nth_id(first_recent):
             return best if best.sad <= limit else None, best.sad
         if best.sad <= self._threshold.recent_limit:
             return best, best.sad
@@ -175,7 +213,10 @@ class LocalView:
 
     def learn(self, view: View) -> int:
         """Add a view, (height, width) uint8, as a template; return its id."""
-        return self._memory.append(view)
+        template_id = self._memory.append(view)
+        if self._freshness is not None:
+            self._freshness.add(template_id)
+        return template_id
 
     def state(self) -> State:
         """Return everything learned, for ``restore``."""
@@ -184,6 +225,10 @@ class LocalView:
             state['descriptor'] = self._p.vt_descriptor
         if self._threshold.is_automatic:
             state['threshold'] = self._threshold.state()
+        if self._memory.next_id != len(self):
+            state['template_ids'], state['next_id'] = self.template_ids, self._memory.next_id
+        if self._freshness is not None:
+            state['freshness'] = self._freshness.state()
         return state
 
     def restore(self, state: State) -> None:
@@ -207,15 +252,22 @@ class LocalView:
                 f'{size} of uint8: template_y_size and template_x_size '
                 'must equal those of the run that saved them'
             )
-        for view in templates:
-            self.learn(view)
+        ids = state.get('template_ids', np.arange(len(templates))).tolist()
+        for template_id, view in zip(ids, templates, strict=True):
+            self._memory.append(view, template_id)
+        self._memory.next_id = int(state.get('next_id', len(templates)))
+        if self._freshness is not None and 'freshness' in state:
+            self._freshness.restore(state['freshness'])
+        elif self._freshness is not None:  # saved without a limit
+            for template_id in ids:
+                self._freshness.add(template_id)
         if 'threshold' in state:
             self._threshold.restore(state['threshold'], len(self))
 
     def best_match(self, view: View) -> Match | None:
         """Return the best match regardless of the threshold, or None if there are no templates.
 
-        Ties go to the lowest template id, then to the lowest offset.
+        Ties go to the template stored first, then to the lowest offset.
         """
         return self._memory.search(view).best()
 

@@ -90,13 +90,16 @@ class MatchThreshold:
         if self.is_automatic:
             self._estimate(template_count)
 
-    def learn(self, template_id: int, unrelated: int, sad_of: Callable[[int], int]) -> None:
+    def learn(
+        self, template_id: int, template_count: int, unrelated: int, sad_of: Callable[[int], int]
+    ) -> None:
         """Sample differences of a new template, and update an automatic threshold.
 
         Args:
             template_id: id of the new template.
+            template_count: number of templates, the new one included.
             unrelated: number of oldest templates that are unrelated to it.
-            sad_of: function from the id of a template to its SAD.
+            sad_of: function from the number of a template, the oldest first, to its SAD.
         """
         if not self.is_automatic:
             return
@@ -106,7 +109,7 @@ class MatchThreshold:
             sad_of(((2 * k + template_id % 2) * unrelated) // (2 * count)) for k in range(count)
         ]
         del self._samples[:-MAX_SAMPLE_COUNT]
-        self._estimate(template_id + 1)
+        self._estimate(template_count)
 
     def _estimate(self, template_count: int) -> None:
         missing = max(PRIOR_SAMPLE_COUNT - len(self._samples), 0)

@@ -9,11 +9,14 @@ quarter of the cost, and only templates whose bound is below the best SAD are co
 pixel. The result equals that of an exhaustive search.
 
 Templates are stored in chunks of memory that are never moved, so that the cost of learning one
-does not depend on the number of templates, and little memory is allocated in advance.
+does not depend on the number of templates, and little memory is allocated in advance. Ids count
+from 0 and are never reused. If a template is removed, the last one takes its slot.
 """
 
 from __future__ import annotations
 
+from array import array
+from bisect import bisect_left
 from typing import NamedTuple
 
 import numpy as np
@@ -149,9 +152,27 @@ class TemplateMemory:
         self._chunks: list[_Chunk] = []
         self._per_chunk = max(CHUNK_BYTES // (self._fine.stride + self._coarse.stride), 1)
         self._count = 0
+        self._id_of_slot = array('q')
+        # All ids in ascending order, and their slots.
+        self._ids, self._slots = array('q'), array('q')
+        self.next_id = 0
+        """Id of the next new template."""
 
     def __len__(self) -> int:
         return self._count
+
+    def __contains__(self, template_id: int) -> bool:
+        rank = bisect_left(self._ids, template_id)
+        return rank < self._count and self._ids[rank] == template_id
+
+    @property
+    def ids(self) -> Indices:
+        """(n,) ids of ``views``."""
+        return np.array(self._id_of_slot, np.int64)
+
+    def nth_id(self, rank: int) -> int:
+        """Return the id of the template before which ``rank`` of the present ones were learned."""
+        return self._ids[rank] if rank < self._count else self.next_id
 
     @property
     def nbytes(self) -> int:
@@ -160,7 +181,10 @@ class TemplateMemory:
 
     def view(self, template_id: int) -> Bytes:
         """Return a copy of one template: (height, width) uint8."""
-        chunk, row = divmod(template_id, self._per_chunk)
+        return self._view_at(self._slot_of(template_id))
+
+    def _view_at(self, slot: int) -> Bytes:
+        chunk, row = divmod(slot, self._per_chunk)
         at = row * self._fine.stride
         size = self._vertical_count * self._pixels_per_offset
         pixels = self._chunks[chunk].pixels[at : at + size]
@@ -171,14 +195,21 @@ class TemplateMemory:
         return out
 
     def views(self) -> Bytes:
-        """Return a copy of all templates: (n, height, width) uint8."""
+        """Return a copy of all templates, in the order of ``ids``: (n, height, width) uint8."""
         out = np.empty((self._count, self._height, self._width), np.uint8)
-        for template_id in range(self._count):
-            out[template_id] = self.view(template_id)
+        for slot in range(self._count):
+            out[slot] = self._view_at(slot)
         return out
 
-    def append(self, view: Bytes) -> int:
-        """Add a view, (height, width) uint8, as a template and return its id."""
+    def append(self, view: Bytes, template_id: int | None = None) -> int:
+        """Add a view, (height, width) uint8, as a template and return its id.
+
+        Args:
+            view: the view.
+            template_id: an id that is not in use, to restore a memory; None: the next one.
+        """
+        template_id = self.next_id if template_id is None else template_id
+        self.next_id = max(self.next_id, template_id + 1)
         number, row = divmod(self._count, self._per_chunk)
         if number == len(self._chunks):
             n = self._per_chunk
@@ -198,11 +229,45 @@ class TemplateMemory:
             _blocks(
                 columns, self._edges, self._signs, self._divisor, chunk.blocks[at : at + coarse]
             )
+        rank = bisect_left(self._ids, template_id)
+        self._ids.insert(rank, template_id)
+        self._slots.insert(rank, self._count)
+        self._id_of_slot.append(template_id)
         self._count += 1
-        return self._count - 1
+        return template_id
+
+    def remove(self, template_id: int) -> None:
+        """Remove a template; the template in the last slot takes its slot."""
+        rank = bisect_left(self._ids, template_id)
+        slot, last = self._slots[rank], self._count - 1
+        del self._ids[rank], self._slots[rank]
+        last_id = self._id_of_slot.pop()
+        self._count = last
+        if slot != last:
+            self._copy(last, slot)
+            self._id_of_slot[slot] = last_id
+            self._slots[bisect_left(self._ids, last_id)] = slot
+
+    def _copy(self, source: int, target: int) -> None:
+        """Copy the pixels and blocks of one slot to another."""
+        (from_chunk, i), (to_chunk, j) = (divmod(s, self._per_chunk) for s in (source, target))
+        for layer, kind in ((self._fine, 0), (self._coarse, 1)):
+            pixels, size = self._chunks[from_chunk][kind], layer.stride
+            self._chunks[to_chunk][kind][j * size : (j + 1) * size] = (
+                pixels[i * size : (i + 1) * size]
+            )  # fmt: skip
+
+    def _slot_of(self, template_id: int) -> int:
+        rank = bisect_left(self._ids, template_id)
+        if rank == self._count or self._ids[rank] != template_id:
+            raise KeyError(f'template {template_id} is not stored')
+        return self._slots[rank]
 
     def search(self, view: Bytes) -> Search:
-        """Start a search for a view, (height, width) uint8; valid until a view is added."""
+        """Start a search for a view, (height, width) uint8.
+
+        It is valid until a template is added or removed.
+        """
         columns = self._columns_from(view, self._top)
         if self._panoramic:  # Two periods, so that every rotation is contiguous.
             columns = np.concatenate([columns, columns])
@@ -243,34 +308,54 @@ class Search:
     def best(self, count: int | None = None, limit: int | None = None) -> Match | None:
         """Return the best match, or None if there is none.
 
-        Ties go to the lowest template id, then to the lowest vertical and horizontal offset.
+        Ties go to the template stored first, which has the lowest id as long as none was removed,
+        then to the lowest vertical and horizontal offset.
 
         Args:
             count: search only the oldest ``count`` templates; None: all.
             limit: largest SAD of a match; a limit makes the search faster.
         """
         m = self._memory
-        count = len(m) if count is None else count
+        if count is not None and count < len(m):
+            return self._best_of_oldest(count, limit)
         bound = MAX_SAD if limit is None else limit + 1
-        if self._likely < count:
+        likely = divmod(self._likely, m._per_chunk)
+        if len(m) > 0 and m._chunks[likely[0]].bounds[likely[1]] < MAX_SAD:
             # Evaluating the most promising template first excludes most others. The bound is one
             # above its SAD, so that an equally good template with a lower id is still found.
-            number, row = divmod(self._likely, m._per_chunk)
+            number, row = likely
             found = self._refine(m._chunks[number], row, row + 1, bound)
             bound = min(bound, found[2] + 1)
         best: Match | None = None
-        for number, chunk, learned in self._chunks(count):
+        for number, chunk, learned in self._chunks(len(m)):
             row, place, found_sad = self._refine(chunk, 0, learned, bound)
             if row >= 0:
                 bound = found_sad
-                template_id = number * m._per_chunk + row
+                template_id = m._id_of_slot[number * m._per_chunk + row]
                 best = Match(template_id, int(m._offsets[place]), found_sad)
+        return best
+
+    def _best_of_oldest(self, count: int, limit: int | None) -> Match | None:
+        """Search the oldest ``count`` templates, by excluding the others through their bounds."""
+        m = self._memory
+        numbers, rows = np.divmod(np.array(m._slots[count:], np.int64), m._per_chunk)
+        excluded = [
+            (m._chunks[number].bounds, rows[numbers == number])
+            for number in np.unique(numbers).tolist()
+        ]
+        kept = [bounds[rows] for bounds, rows in excluded]
+        for bounds, rows in excluded:
+            bounds[rows] = MAX_SAD
+        best = self.best(None, limit)
+        for (bounds, rows), values in zip(excluded, kept, strict=True):
+            bounds[rows] = values
         return best
 
     def sad(self, template_id: int) -> int:
         """Return the smallest SAD of one template over all offsets."""
-        number, row = divmod(template_id, self._memory._per_chunk)
-        return self._refine(self._memory._chunks[number], row, row + 1, MAX_SAD)[2]
+        m = self._memory
+        number, row = divmod(m._slot_of(template_id), m._per_chunk)
+        return self._refine(m._chunks[number], row, row + 1, MAX_SAD)[2]
 
     def _chunks(self, count: int) -> list[tuple[int, _Chunk, int]]:
         """Return index, chunk, and number of its templates among the oldest ``count``."""

@@ -114,7 +114,9 @@ def test_threshold_decreases_as_the_memory_grows() -> None:
     threshold = MatchThreshold(parameters(), 10_000, 0.1)
     values = []
     for template_id in range(2000):
-        threshold.learn(template_id, template_id, lambda _: int(differences(1)[0]))
+        threshold.learn(
+            template_id, template_id + 1, template_id, lambda _: int(differences(1)[0])
+        )
         values.append(threshold.value)
     assert values[-1] < values[200] < 0.2
     # 2000 comparisons with unrelated templates stay above it, apart from one view in a hundred.
@@ -128,7 +130,7 @@ def test_related_pairs_among_the_samples_do_not_lower_the_threshold() -> None:
         threshold = MatchThreshold(parameters(), 10_000, 0.1)
         for template_id in range(400):
             threshold.learn(
-                template_id, template_id,
+                template_id, template_id + 1, template_id,
                 lambda _: int(rng.normal(300 if rng.random() < share else 3000, 150)),
             )  # fmt: skip
         return threshold.value

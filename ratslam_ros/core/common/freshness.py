@@ -1,0 +1,199 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Freshness: select the item to forget when a memory has reached its limit.
+
+The policy follows section IV of the memory paper (docs/algorithm.md, "Forgetting"). A random share
+of the items fades: such an item has a freshness that is 1 when it is observed and falls to 0 over
+a decay time. An item with a freshness of 0 may be removed, but only to make room at the limit.
+Items that do not fade stay, so that regions not seen for long become sparse and recent ones stay
+dense.
+
+All items decay alike, so their order and the time at which they pass a threshold are the same for
+every monotone decay: the threshold is 0, and the decay time is the only parameter.
+
+The paper leaves open what happens if the limit is reached and no item may be removed. A new item
+is where the robot is now, and refusing it would leave the robot without a map there. Therefore an
+item is removed in any case:
+
+1. Of the items whose freshness is 0, remove the one that was not observed for the longest time.
+2. If there is none, remove one of the old items: those that do not fade and were not observed for
+   a decay time. Of the old items with the fewest visits, choose one at random, which thins all old
+   regions alike.
+3. If there is no old item, or if the recent ones already fill more than half of the memory, remove
+   the fading item that was not observed for the longest time. A decay time that is long compared
+   to the limit therefore does not replace the map of old regions by that of the recent ones.
+4. If nothing fades either, remove the item that was not observed for the longest time.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ratslam_ros.core.common.state import State
+
+REVISIT_SHARE = 0.1
+"""An observation counts as another visit after an absence of this share of the decay time."""
+
+_MIN_CAPACITY = 64
+_NS_PER_S = 1_000_000_000
+_MAX_NS = 2**62
+_MASK = 2**64 - 1
+
+
+class Freshness:
+    """Freshness, visits and last observation of items, which are named by integers.
+
+    Time is measured by the stamps passed to ``advance``. It does not go back: after a jump back of
+    the stamps it continues from where it was. Random draws depend on the seed and on the number of
+    draws made before, which is part of the state.
+    """
+
+    def __init__(self, share: float, decay_s: float, robust_visits: int, seed: int = 0) -> None:
+        """Create an empty memory.
+
+        Args:
+            share: probability that a new item fades: p_f of the paper.
+            decay_s: time after the last observation at which the freshness reaches 0.
+            robust_visits: number of visits, the creation included, after which an item does not
+                fade any more.
+            seed: seed of the random draws.
+        """
+        self._share = share
+        self._decay_ns = max(round(decay_s * _NS_PER_S), 1)
+        self._revisit_ns = round(REVISIT_SHARE * self._decay_ns)
+        self._robust_visits = robust_visits
+        self._seed = seed
+        self._draws = 0
+        self._now_ns = 0
+        self._stamp_ns = 0
+        self.forced = 0
+        """Number of selections at which no faded item could be selected."""
+        self._rows: dict[int, int] = {}
+        self._items = np.empty(_MIN_CAPACITY, np.int64)
+        self._observed_ns = np.empty(_MIN_CAPACITY, np.int64)
+        self._visits = np.empty(_MIN_CAPACITY, np.int64)
+        self._fades = np.empty(_MIN_CAPACITY, np.bool_)
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def __contains__(self, item: int) -> bool:
+        return item in self._rows
+
+    @property
+    def items(self) -> NDArray[np.int64]:
+        """(n,) all items, in the order of the arrays returned and expected; do not modify."""
+        return self._items[: len(self)]
+
+    @property
+    def freshness(self) -> NDArray[np.float64]:
+        """(n,) from 1 (observed now) to 0 (may be removed); 1 for items that do not fade."""
+        n = len(self)
+        faded = (self._now_ns - self._observed_ns[:n]) / self._decay_ns
+        return np.where(self._fades[:n], np.maximum(1.0 - faded, 0.0), 1.0)
+
+    def advance(self, stamp_ns: int) -> None:
+        """Advance the time to a stamp; it stands still before the first item and in jumps back."""
+        if self._rows:
+            elapsed_ns = max(stamp_ns - self._stamp_ns, 0)
+            self._now_ns = min(self._now_ns + elapsed_ns, _MAX_NS)
+        self._stamp_ns = stamp_ns
+
+    def add(self, item: int) -> None:
+        """Add an item that is observed for the first time; it fades with the given probability."""
+        row = len(self)
+        if row == len(self._items):
+            self._allocate(2 * row)
+        self._rows[item] = row
+        self._items[row] = item
+        self._observed_ns[row] = self._now_ns
+        self._visits[row] = 1
+        self._fades[row] = self._draw() < self._share and self._robust_visits > 1
+
+    def observe(self, item: int) -> None:
+        """Restore the freshness of an item, and count a visit if the item was absent before."""
+        row = self._rows[item]
+        self._visits[row] += self._now_ns - self._observed_ns[row] >= self._revisit_ns
+        self._observed_ns[row] = self._now_ns
+        if self._visits[row] >= self._robust_visits:
+            self._fades[row] = False
+
+    def remove(self, item: int) -> None:
+        """Remove an item; the last one takes its place in the arrays."""
+        row, last = self._rows.pop(item), len(self)
+        if row != last:
+            for column in self._columns:
+                column[row] = column[last]
+            self._rows[int(self._items[row])] = row
+
+    def candidate(self, allowed: NDArray[np.bool_] | None = None) -> int | None:
+        """Select the item to remove at the limit; the module describes the policy.
+
+        Args:
+            allowed: (n,) which of ``items`` may be selected; None: all.
+
+        Returns:
+            The item; None if no item is allowed.
+        """
+        n = len(self)
+        selectable = np.ones(n, np.bool_) if allowed is None else allowed
+        if not selectable.any():
+            return None
+        observed_ns = self._observed_ns[:n]
+        is_old = self._now_ns - observed_ns >= self._decay_ns
+        fading = np.flatnonzero(selectable & self._fades[:n])
+        faded = fading[is_old[fading]]
+        if len(faded) > 0:
+            return self._longest_unseen(faded)
+        self.forced += 1
+        old = np.flatnonzero(selectable & is_old)
+        recent_count = n - np.count_nonzero(is_old)
+        if len(old) > 0 and (len(fading) == 0 or 2 * recent_count <= n):
+            visits = self._visits[old]
+            rows = old[visits == visits.min()]
+            return int(self._items[rows[int(self._draw() * len(rows))]])
+        return self._longest_unseen(fading if len(fading) > 0 else np.flatnonzero(selectable))
+
+    def state(self) -> State:
+        """Return all items, the time and the number of draws, for ``restore``."""
+        n = len(self)
+        return {
+            'draws': self._draws, 'now_ns': self._now_ns, 'stamp_ns': self._stamp_ns,
+            'forced': self.forced, 'items': self._items[:n].copy(),
+            'observed_ns': self._observed_ns[:n].copy(), 'visits': self._visits[:n].copy(),
+            'fades': self._fades[:n].astype(np.uint8),
+        }  # fmt: skip
+
+    def restore(self, state: State) -> None:
+        """Replace everything by what ``state`` returned."""
+        self._draws, self._now_ns = int(state['draws']), int(state['now_ns'])
+        self._stamp_ns, self.forced = int(state['stamp_ns']), int(state['forced'])
+        items = state['items']
+        n = len(items)
+        self._rows = {int(item): row for row, item in enumerate(items)}
+        self._allocate(n)
+        self._items[:n], self._observed_ns[:n] = items, state['observed_ns']
+        self._visits[:n], self._fades[:n] = state['visits'], state['fades'] != 0
+
+    def _longest_unseen(self, rows: NDArray[np.int64]) -> int:
+        return int(self._items[rows[np.argmin(self._observed_ns[rows])]])
+
+    @property
+    def _columns(self) -> tuple[NDArray[np.int64 | np.bool_], ...]:
+        return self._items, self._observed_ns, self._visits, self._fades
+
+    def _allocate(self, capacity: int) -> None:
+        size = max(capacity, _MIN_CAPACITY)
+        self._items = np.resize(self._items, size)
+        self._observed_ns = np.resize(self._observed_ns, size)
+        self._visits = np.resize(self._visits, size)
+        self._fades = np.resize(self._fades, size)
+
+    def _draw(self) -> float:
+        """Return the next random number, from 0 to below 1: SplitMix64, Steele et al. (2014)."""
+        self._draws += 1
+        z = (self._seed + self._draws * 0x9E3779B97F4A7C15) & _MASK
+        z = ((z ^ (z >> 30)) * 0xBF58476D1CE4E5B9) & _MASK
+        z = ((z ^ (z >> 27)) * 0x94D049BB133111EB) & _MASK
+        return ((z ^ (z >> 31)) >> 11) * 2.0**-53

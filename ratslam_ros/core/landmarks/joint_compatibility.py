@@ -1,0 +1,198 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Joint compatibility branch and bound (JCBB): the largest set of jointly compatible pairs.
+
+The search assigns the observations one after another, each to a feature or to none. A set of pairs
+is continued only if it passes the joint test. Three searches are available:
+
+- ``'correct'``: a branch is pruned unless pairs(H) + remaining observations > pairs(B), for the
+  present set H and the best set B (Neira and Tardós 2001).
+- ``'printed'``: as printed in the memory paper, section III.B. An observation is left out only if
+  no feature fits it and pairs(H) > pairs(B). This prunes branches that would still win; it exists
+  for comparison.
+- ``'exhaustive'``: no pruning apart from the joint test.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ratslam_ros.core.common.compiled import compiled
+from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.landmarks.compatibility import (
+    Fit,
+    Geometry,
+    add_pair,
+    chi_square_limits,
+    empty_fit,
+    freedom,
+    geometry_of,
+    unary_compatible,
+)
+from ratslam_ros.core.landmarks.features import BAR_SIZE, Features
+
+Bound = Literal['correct', 'printed', 'exhaustive']
+
+_BOUNDS: dict[Bound, int] = {'correct': 0, 'printed': 1, 'exhaustive': 2}
+
+
+@dataclass(frozen=True)
+class JointlyCompatible:
+    """The result of a search.
+
+    Attributes:
+        pairs: (k, 2) indices of the observed and the known feature.
+        pose: pose of the robot that fits the pairs; None if they do not determine it.
+        distance2: squared Mahalanobis distance of the pairs.
+        freedom: its degrees of freedom.
+        nodes: number of joint tests.
+        is_complete: False if the limit of nodes was reached.
+    """
+
+    pairs: NDArray[np.int64]
+    pose: Pose | None
+    distance2: float
+    freedom: int
+    nodes: int
+    is_complete: bool
+
+
+def search_jointly_compatible(
+    seen: Features,
+    known: Features,
+    level: float = 0.99,
+    bound: Bound = 'correct',
+    max_nodes: int = 10_000_000,
+) -> JointlyCompatible:
+    """Return the largest set of jointly compatible pairs, without random sampling.
+
+    Args:
+        seen: observed features, in the robot's frame.
+        known: features of the map.
+        level: level of the chi-square tests.
+        bound: the search, see the module.
+        max_nodes: number of joint tests after which the best set so far is returned.
+    """
+    observed, mapped = geometry_of(seen), geometry_of(known)
+    n = len(seen)
+    limits = chi_square_limits(level, BAR_SIZE * n + 1)
+    unary = unary_compatible(observed, mapped, limits[1])
+    starts = np.concatenate(([0], np.cumsum(unary.sum(axis=1)))).astype(np.int64)
+    fit, best = empty_fit(n), empty_fit(n)
+    count, nodes = search(
+        observed, mapped, fit, 0, np.arange(n), starts, np.nonzero(unary)[1], limits,
+        np.zeros(len(known), np.bool_), _BOUNDS[bound], 0, max_nodes, best,
+    )  # fmt: skip
+    distance2 = _replay(observed, mapped, fit, best.seen[:count], best.known[:count])
+    determined = bool(fit.poses[count, 3])
+    return JointlyCompatible(
+        np.stack((best.seen[:count], best.known[:count]), axis=1),
+        Pose(*(float(value) for value in fit.fitted[count])) if determined else None,
+        float(distance2), int(freedom(fit, count)), int(nodes), nodes < max_nodes,
+    )  # fmt: skip
+
+
+@compiled
+def _replay(
+    seen: Geometry, known: Geometry, fit: Fit, i: NDArray[np.int64], j: NDArray[np.int64]
+) -> float:
+    distance2 = 0.0
+    for level in range(len(i)):
+        distance2 = add_pair(seen, known, fit, level, i[level], j[level])
+    return distance2
+
+
+@compiled
+def search(
+    seen: Geometry,
+    known: Geometry,
+    fit: Fit,
+    level: int,
+    order: NDArray[np.int64],
+    starts: NDArray[np.int64],
+    features: NDArray[np.int64],
+    limits: NDArray[np.float64],
+    used: NDArray[np.bool_],
+    bound: int,
+    least: int,
+    max_nodes: int,
+    best: Fit,
+) -> tuple[int, int]:
+    """Extend the first ``level`` pairs of a fit to the largest set; return its size and the nodes.
+
+    Args:
+        seen, known: the features.
+        fit: the joint test; its first ``level`` pairs stay.
+        level: number of given pairs.
+        order: (k,) observations to assign, in this order.
+        starts: (k + 1,) places of the candidates of each observation within ``features``.
+        features: candidates, known features that pass the unary test, best first.
+        limits: chi-square quantiles by degrees of freedom.
+        used: (n_known,) features of the given pairs; restored on return.
+        bound: 0 correct, 1 as printed, 2 exhaustive.
+        least: sets with at most this many pairs are not of interest.
+        max_nodes: largest number of joint tests.
+        best: receives the best set in ``seen`` and ``known``; unchanged if the size is ``least``.
+    """
+    count = len(order)
+    place = np.zeros(count + 1, np.int64)
+    took = np.full(count + 1, -1, np.int64)
+    was_mapped = np.zeros(count + 1, np.bool_)
+    depth, nodes, most = 0, 0, least
+    place[0] = starts[0]
+    while depth >= 0:
+        if depth == count:
+            if level > most:
+                most = level
+                for k in range(level):
+                    best.seen[k], best.known[k] = fit.seen[k], fit.known[k]
+        else:
+            remaining = count - depth - 1
+            descends = False
+            # Another pair of this observation may win only if all others together exceed B.
+            if bound != 0 or level + 1 + remaining > most:
+                while place[depth] < starts[depth + 1] and nodes < max_nodes:
+                    j = features[place[depth]]
+                    place[depth] += 1
+                    if used[j]:
+                        continue
+                    nodes += 1
+                    distance2 = add_pair(seen, known, fit, level, order[depth], j)
+                    if distance2 <= limits[freedom(fit, level + 1)]:
+                        used[j] = True
+                        took[depth] = j
+                        was_mapped[depth] = True
+                        level += 1
+                        descends = True
+                        break
+            else:
+                place[depth] = starts[depth + 1]
+            if not descends and place[depth] <= starts[depth + 1]:
+                place[depth] = starts[depth + 1] + 1  # The branch without a pair is next.
+                took[depth] = -1
+                if bound == 0:
+                    descends = level + remaining > most
+                elif bound == 1:
+                    descends = not was_mapped[depth] and level > most
+                    # Without a pair, no set is better than the empty one.
+                    descends = descends or (not was_mapped[depth] and level == 0 and most == 0)
+                else:
+                    descends = True
+                descends = descends and nodes < max_nodes
+            if descends:
+                depth += 1
+                took[depth] = -1
+                if depth < count:
+                    place[depth] = starts[depth]
+                    was_mapped[depth] = False
+                continue
+        depth -= 1
+        if depth >= 0 and took[depth] >= 0:
+            used[took[depth]] = False
+            took[depth] = -1
+            level -= 1
+    return most, nodes

@@ -1,0 +1,528 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Compiled loops of relocalisation: sampling of observations, verification, and evidence.
+
+`relocalisation.py` describes the method.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ratslam_ros.core.common.angles import wrap
+from ratslam_ros.core.common.compiled import compiled
+from ratslam_ros.core.landmarks.compatibility import (
+    VARIANCE_FLOOR,
+    Fit,
+    Geometry,
+    add_pair,
+    binary_compatible,
+    empty_fit,
+    freedom,
+    pose_covariance,
+)
+from ratslam_ros.core.landmarks.features import BAR_SIZE
+from ratslam_ros.core.landmarks.joint_compatibility import search
+
+_MAX_PLACES = 100
+"""Places that are compared; further ones replace the least probable."""
+
+_MAX_NODES = 5000
+"""Joint tests that verify one hypothesis; then the largest set so far is used."""
+
+_LOG_TWO_PI = math.log(2.0 * math.pi)
+
+
+class Grid(NamedTuple):
+    """Known features by cells of the plane."""
+
+    left_m: float
+    bottom_m: float
+    cell_m: float
+    columns: int
+    rows: int
+    starts: NDArray[np.int64]
+    items: NDArray[np.int64]
+
+
+class Neighbours(NamedTuple):
+    """Known features by their distance from each other, and the largest variances."""
+
+    order: NDArray[np.int64]
+    """(n, n) features by increasing distance from feature a, in row a."""
+    distances: NDArray[np.float64]
+    """(n, n) the distances."""
+    distance_variance: float
+    """Largest variance of a distance."""
+    position_variance: float
+    """Largest sum of the variances of x and y of a feature."""
+
+
+def grid_of(values: NDArray[np.float64]) -> Grid:
+    """Sort features into cells that hold about one each."""
+    n = len(values)
+    if n == 0:
+        return Grid(0.0, 0.0, 1.0, 1, 1, np.zeros(2, np.int64), np.zeros(0, np.int64))
+    low, high = values[:, :2].min(axis=0), values[:, :2].max(axis=0)
+    width, height = float(high[0] - low[0]), float(high[1] - low[1])
+    cell = max(math.sqrt(width * height / n), max(width, height) / n, 1e-3)
+    columns, rows = int(width / cell) + 1, int(height / cell) + 1
+    cells = ((values[:, 1] - low[1]) / cell).astype(np.int64) * columns + (
+        (values[:, 0] - low[0]) / cell
+    ).astype(np.int64)
+    counts = np.bincount(cells, minlength=columns * rows)
+    starts = np.concatenate(([0], np.cumsum(counts))).astype(np.int64)
+    return Grid(
+        float(low[0]), float(low[1]), cell, columns, rows, starts,
+        np.argsort(cells, kind='stable'),
+    )  # fmt: skip
+
+
+@compiled
+def _mixed(seed: int, counter: int) -> np.uint64:
+    """Return pseudo-random bits (splitmix64, Steele, Lea and Flood 2014)."""
+    bits = np.uint64(seed) + np.uint64(counter) * np.uint64(0x9E3779B97F4A7C15)
+    bits = (bits ^ (bits >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    bits = (bits ^ (bits >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return bits ^ (bits >> np.uint64(31))
+
+
+@compiled
+def draw(items: NDArray[np.int64], k: int, seed: int, counter: int) -> None:
+    """Exchange item k with a random one of those from k on (Fisher-Yates)."""
+    other = k + np.int64(_mixed(seed, counter) % np.uint64(len(items) - k))
+    items[k], items[other] = items[other], items[k]
+
+
+@compiled
+def _log_choose(n: int, k: int) -> float:
+    return math.lgamma(n + 1.0) - math.lgamma(k + 1.0) - math.lgamma(n - k + 1.0)
+
+
+@compiled
+def _box(grid: Grid, x: float, y: float, radius: float) -> tuple[int, int, int, int]:
+    """Return the first and last column and row of the cells around a position."""
+    left = math.floor((x - radius - grid.left_m) / grid.cell_m)
+    right = math.floor((x + radius - grid.left_m) / grid.cell_m)
+    bottom = math.floor((y - radius - grid.bottom_m) / grid.cell_m)
+    top = math.floor((y + radius - grid.bottom_m) / grid.cell_m)
+    return (
+        int(max(left, 0)), int(min(right, grid.columns - 1)),
+        int(max(bottom, 0)), int(min(top, grid.rows - 1)),
+    )  # fmt: skip
+
+
+@compiled
+def _log_position_density(seen: Geometry) -> tuple[float, NDArray[np.float64]]:
+    """Return the largest range, and the log density of each position elsewhere.
+
+    The density is a mixture in equal parts of a uniform disc around the robot, and of positions
+    at the ends of bars that are seen as well: corners and walls meet, on the map or elsewhere. For
+    several bars, the best one counts. Each observation is described given those before it.
+    """
+    n = len(seen.sizes)
+    largest2, mean2 = 0.0, 0.0
+    for i in range(n):
+        range2 = seen.values[i, 0] * seen.values[i, 0] + seen.values[i, 1] * seen.values[i, 1]
+        largest2 = max(largest2, range2)
+        mean2 += range2 / n
+    # Features spread uniformly over a disc of radius R have a mean square range of R^2 / 2.
+    disc = 1.0 / max(2.0 * math.pi * mean2, 1e-6)
+    log_density = np.empty(n)
+    for i in range(n):
+        at_end = 0.0
+        for k in range(i):
+            at_end = max(at_end, _end_density(seen, i, k, False))
+            if seen.sizes[k] == BAR_SIZE:
+                at_end = max(at_end, _end_density(seen, i, k, True))
+            if seen.sizes[i] == BAR_SIZE:
+                at_end = max(at_end, _end_density(seen, k, i, True))
+        log_density[i] = math.log(0.5 * disc + 0.5 * at_end)
+    return math.sqrt(largest2), log_density
+
+
+@compiled
+def _end_density(seen: Geometry, i: int, bar: int, far: bool) -> float:
+    """Return the density of the distance between a feature and the start or end of a bar, at 0.
+
+    Both are independent in this approximation.
+    """
+    a, b = seen.offsets[i], seen.offsets[bar]
+    dx, dy = seen.values[i, 0] - seen.values[bar, 0], seen.values[i, 1] - seen.values[bar, 1]
+    xx = seen.covariance[a, a] + seen.covariance[b, b] + VARIANCE_FLOOR
+    xy = seen.covariance[a, a + 1] + seen.covariance[b, b + 1]
+    yy = seen.covariance[a + 1, a + 1] + seen.covariance[b + 1, b + 1] + VARIANCE_FLOOR
+    if far:
+        length = seen.values[bar, 3]
+        c, s = math.cos(seen.values[bar, 2]), math.sin(seen.values[bar, 2])
+        dx, dy = dx - length * c, dy - length * s
+        along = seen.covariance[b + 3, b + 3]
+        across = length * length * seen.covariance[b + 2, b + 2]
+        xx += c * c * along + s * s * across
+        xy += c * s * (along - across)
+        yy += s * s * along + c * c * across
+    determinant = max(xx * yy - xy * xy, 1e-300)
+    exponent = 0.5 * (yy * dx * dx - 2.0 * xy * dx * dy + xx * dy * dy) / determinant
+    return math.exp(-exponent) / (2.0 * math.pi * math.sqrt(determinant))
+
+
+@compiled
+def _log_evidence(
+    seen: Geometry,
+    known: Geometry,
+    fit: Fit,
+    level: int,
+    distance2: float,
+    grid: Grid,
+    range_m: float,
+    log_position: NDArray[np.float64],
+    log_prior: float,
+) -> float:
+    """Return the logarithm of the evidence of the first ``level`` pairs of a fit (see module)."""
+    sums = fit.sums[level]
+    a, b, c, d, e, f = sums[0], sums[1], sums[2], sums[3], sums[4], sums[5]
+    information = a * (d * f - e * e) - b * (b * f - c * e) + c * (b * e - c * d)
+    value = log_prior + 1.5 * _LOG_TWO_PI - 0.5 * math.log(max(information, 1e-300))
+    value -= 0.5 * (distance2 + sums[10] + fit.rows[level] * _LOG_TWO_PI)
+    bars = 0
+    for j in range(len(known.sizes)):
+        bars += 1 if known.sizes[j] == BAR_SIZE else 0
+    heading = fit.fitted[level, 2]
+    for k in range(level):
+        i = fit.seen[k]
+        value -= log_position[i]
+        if seen.sizes[i] != BAR_SIZE:
+            continue
+        # Density of the direction and length of this observation among the features of the map.
+        o = seen.offsets[i]
+        density = 0.0
+        for j in range(len(known.sizes)):
+            if known.sizes[j] != BAR_SIZE:
+                continue
+            q = known.offsets[j]
+            turn = wrap(seen.values[i, 2] + heading - known.values[j, 2])
+            longer = seen.values[i, 3] - known.values[j, 3]
+            turn2 = seen.covariance[o + 2, o + 2] + known.covariance[q + 2, q + 2] + 1e-8
+            longer2 = seen.covariance[o + 3, o + 3] + known.covariance[q + 3, q + 3] + 1e-8
+            exponent = 0.5 * (turn * turn / turn2 + longer * longer / longer2)
+            if exponent < 40.0:
+                density += math.exp(-exponent) / math.sqrt(turn2 * longer2)
+        value -= math.log(max(density, 1e-12) / bars) - _LOG_TWO_PI
+    n = len(seen.sizes)
+    x, y = fit.fitted[level, 0], fit.fitted[level, 1]
+    left, right, bottom, top = _box(grid, x, y, range_m)
+    visible = 0
+    for row in range(bottom, top + 1):
+        for item in range(
+            grid.starts[row * grid.columns + left], grid.starts[row * grid.columns + right + 1]
+        ):
+            j = grid.items[item]
+            dx, dy = known.values[j, 0] - x, known.values[j, 1] - y
+            visible += 1 if dx * dx + dy * dy <= range_m * range_m else 0
+    visible = max(visible, level)
+    value -= math.log(min(n, visible) + 1.0) + _log_choose(n, level)
+    return value - math.lgamma(visible + 1.0) + math.lgamma(visible - level + 1.0)
+
+
+@compiled
+def _is_same_place(
+    pose: NDArray[np.float64],
+    covariance: NDArray[np.float64],
+    other: NDArray[np.float64],
+    covariance2: NDArray[np.float64],
+    limit: float,
+) -> bool:
+    """Return whether two poses differ by no more than their covariances explain."""
+    a, b, c = (
+        covariance[0, 0] + covariance2[0, 0], covariance[0, 1] + covariance2[0, 1],
+        covariance[0, 2] + covariance2[0, 2],
+    )  # fmt: skip
+    d, e, f = (
+        covariance[1, 1] + covariance2[1, 1], covariance[1, 2] + covariance2[1, 2],
+        covariance[2, 2] + covariance2[2, 2],
+    )  # fmt: skip
+    dx, dy, turn = pose[0] - other[0], pose[1] - other[1], wrap(pose[2] - other[2])
+    xx, xy, xt = d * f - e * e, c * e - b * f, b * e - c * d
+    yy, yt, tt = a * f - c * c, b * c - a * e, a * d - b * b
+    scale = 1.0 / max(a * xx + b * xy + c * xt, 1e-300)
+    distance2 = xx * dx * dx + yy * dy * dy + tt * turn * turn
+    distance2 += 2.0 * (xy * dx * dy + xt * dx * turn + yt * dy * turn)
+    return distance2 * scale <= limit
+
+
+@compiled
+def _candidates(
+    seen: Geometry,
+    known: Geometry,
+    unary: NDArray[np.bool_],
+    grid: Grid,
+    limits: NDArray[np.float64],
+    fit: Fit,
+    level: int,
+    variance: float,
+    used: NDArray[np.bool_],
+    is_drawn: NDArray[np.bool_],
+    least: int,
+    order: NDArray[np.int64],
+    starts: NDArray[np.int64],
+    features: NDArray[np.int64],
+    distances2: NDArray[np.float64],
+) -> tuple[int, int]:
+    """Find the features that fit each other observation at the pose of a hypothesis.
+
+    Args:
+        variance: largest position variance of a known feature.
+        least: number of pairs that must be possible; the search ends as soon as it is not.
+        order, starts, features, distances2: receive the observations with candidates, and these,
+            by increasing distance.
+
+    Returns:
+        the number of observations with candidates, -1 if there are too few; joint tests.
+    """
+    n = len(seen.sizes)
+    count, filled, tests = 0, 0, 0
+    starts[0] = 0
+    covariance = pose_covariance(fit, level)
+    x, y, heading = fit.fitted[level, 0], fit.fitted[level, 1], fit.fitted[level, 2]
+    c, s = math.cos(heading), math.sin(heading)
+    for i in range(n):
+        if is_drawn[i]:
+            continue
+        # The bound counts observations that can still get a candidate.
+        rest = 0
+        for k in range(i, n):
+            rest += 0 if is_drawn[k] else 1
+        if level + count + rest < least:
+            return -1, tests
+        sx, sy = seen.values[i, 0], seen.values[i, 1]
+        px, py = x + c * sx - s * sy, y + s * sx + c * sy
+        o = seen.offsets[i]
+        spread = 2.0 * (covariance[0, 0] + covariance[1, 1])
+        spread += 2.0 * covariance[2, 2] * (sx * sx + sy * sy) + variance
+        spread += seen.covariance[o, o] + seen.covariance[o + 1, o + 1]
+        radius = math.sqrt(limits[2] * spread)
+        left, right, bottom, top = _box(grid, px, py, radius)
+        for row in range(bottom, top + 1):
+            if left > right:
+                break
+            for item in range(
+                grid.starts[row * grid.columns + left],
+                grid.starts[row * grid.columns + right + 1],
+            ):
+                j = grid.items[item]
+                if not unary[i, j] or used[j] or filled == len(features):
+                    continue
+                dx, dy = known.values[j, 0] - px, known.values[j, 1] - py
+                if dx * dx + dy * dy > radius * radius:
+                    continue
+                tests += 1
+                distance2 = add_pair(seen, known, fit, level, i, j)
+                if distance2 > limits[freedom(fit, level + 1)]:
+                    continue
+                place = filled
+                while place > starts[count] and distances2[place - 1] > distance2:
+                    distances2[place], features[place] = distances2[place - 1], features[place - 1]
+                    place -= 1
+                distances2[place], features[place] = distance2, j
+                filled += 1
+        if filled > starts[count]:
+            order[count] = i
+            count += 1
+            starts[count] = filled
+    return count, tests
+
+
+@compiled
+def search_places(
+    seen: Geometry,
+    known: Geometry,
+    unary: NDArray[np.bool_],
+    near: Neighbours,
+    grid: Grid,
+    limits: NDArray[np.float64],
+    sample: int,
+    least: int,
+    max_draws: int,
+    error: float,
+    seed: int,
+) -> tuple[
+    int, NDArray[np.int64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], int,
+    int, float,
+]:  # fmt: skip
+    """Draw observations, find the places that explain them, and verify these.
+
+    Returns:
+        number of places; (places, n) known feature of each observation or -1; logarithm of their
+        evidence; (places, 3) poses; (places, 3, 3) covariances; draws; nodes; probability that a
+        competing place was missed.
+    """
+    n, total = len(seen.sizes), len(known.sizes)
+    assigned = np.full((_MAX_PLACES, n), -1, np.int64)
+    evidence = np.full(_MAX_PLACES, -math.inf)
+    poses, covariances = np.zeros((_MAX_PLACES, 3)), np.zeros((_MAX_PLACES, 3, 3))
+    count = 0
+    fit, best = empty_fit(n), empty_fit(n)
+    drawn = np.arange(n)
+    is_drawn = np.zeros(n, np.bool_)
+    used = np.zeros(total, np.bool_)
+    features = np.zeros(sample, np.int64)
+    place, end = np.zeros(sample, np.int64), np.zeros(sample, np.int64)
+    order, starts = np.zeros(n, np.int64), np.zeros(n + 1, np.int64)
+    candidates, distances2 = np.zeros(64 * n, np.int64), np.zeros(64 * n)
+
+    range_m, log_position = _log_position_density(seen)
+    width = grid.columns * grid.cell_m + 2.0 * range_m
+    height = grid.rows * grid.cell_m + 2.0 * range_m
+    log_prior = -math.log(width * height * 2.0 * math.pi)
+    nodes, draws, missed = 0, 0, 1.0
+    needed = least
+    most_pairs, most_evidence = 0, -math.inf
+    while draws < max_draws:
+        for k in range(sample):
+            draw(drawn, k, seed, draws * sample + k)
+            is_drawn[drawn[k]] = True
+        depth = 0
+        place[0], end[0] = 0, total
+        while depth >= 0:
+            if place[depth] == end[depth]:
+                depth -= 1
+                if depth >= 0:
+                    used[features[depth]] = False
+                continue
+            j = place[depth] if depth == 0 else near.order[features[0], place[depth]]
+            place[depth] += 1
+            i = drawn[depth]
+            if used[j] or not unary[i, j]:
+                continue
+            nodes += 1
+            fits = True
+            for k in range(depth):
+                if not binary_compatible(seen, known, drawn[k], features[k], i, j, limits[1]):
+                    fits = False
+                    break
+            if not fits:
+                continue
+            features[depth] = j
+            if depth + 1 < sample:
+                used[j] = True
+                depth += 1
+                # The features at about the same distance from the first one.
+                distance = seen.distances[drawn[0], drawn[depth]]
+                tolerance = math.sqrt(
+                    limits[1]
+                    * (seen.distance_variances[drawn[0], drawn[depth]] + near.distance_variance)
+                )
+                row = near.distances[features[0]]
+                place[depth] = np.searchsorted(row, distance - tolerance)
+                end[depth] = max(np.searchsorted(row, distance + tolerance), place[depth])
+                continue
+            is_new = True
+            for known_place in range(count):
+                same = True
+                for k in range(sample):
+                    same = same and assigned[known_place, drawn[k]] == features[k]
+                if same:
+                    is_new = False
+                    break
+            if not is_new:
+                continue
+            distance2 = 0.0
+            for k in range(sample):
+                distance2 = add_pair(seen, known, fit, k, drawn[k], features[k])
+            if freedom(fit, sample) == 0 or distance2 > limits[freedom(fit, sample)]:
+                continue
+            used[j] = True
+            with_candidates, tests = _candidates(
+                seen,
+                known,
+                unary,
+                grid,
+                limits,
+                fit,
+                sample,
+                near.position_variance,
+                used,
+                is_drawn,
+                needed,
+                order,
+                starts,
+                candidates,
+                distances2,
+            )
+            nodes += tests
+            pairs = 0
+            if with_candidates >= 0 and sample + with_candidates >= needed:
+                for k in range(sample):
+                    best.seen[k], best.known[k] = fit.seen[k], fit.known[k]
+                pairs, tests = search(
+                    seen,
+                    known,
+                    fit,
+                    sample,
+                    order[:with_candidates],
+                    starts[: with_candidates + 1],
+                    candidates,
+                    limits,
+                    used,
+                    0,
+                    max(needed - 1, sample - 1),
+                    _MAX_NODES,
+                    best,
+                )
+                nodes += tests
+                if pairs < needed:
+                    pairs = 0
+            used[j] = False
+            if pairs == 0:
+                continue
+            for k in range(pairs):
+                distance2 = add_pair(seen, known, fit, k, best.seen[k], best.known[k])
+            value = _log_evidence(
+                seen, known, fit, pairs, distance2, grid, range_m, log_position, log_prior
+            )
+            covariance = pose_covariance(fit, pairs)
+            target = -1
+            for other in range(count):
+                if _is_same_place(
+                    fit.fitted[pairs], covariance, poses[other], covariances[other], limits[3]
+                ):
+                    target = other
+                    break
+            if target < 0 and count < _MAX_PLACES:
+                target = count
+                count += 1
+            elif target < 0:
+                target = 0
+                for other in range(count):
+                    if evidence[other] < evidence[target]:
+                        target = other
+            if value <= evidence[target]:
+                continue
+            evidence[target] = value
+            poses[target] = fit.fitted[pairs]
+            covariances[target] = covariance
+            assigned[target] = -1
+            for k in range(pairs):
+                assigned[target, fit.seen[k]] = fit.known[k]
+            if value > most_evidence:
+                most_evidence, most_pairs = value, pairs
+        for k in range(sample):
+            is_drawn[drawn[k]] = False
+        draws += 1
+        if most_evidence > -math.log(error):
+            # Evidence of a pair of the best place, apart from what finding a pose costs. A place
+            # that competes may lack the pairs that make up twice the required ratio.
+            each = (most_evidence - log_prior) / most_pairs
+            lacking = math.floor(-2.0 * math.log(error) / each)
+            needed = max(least, most_pairs - lacking)
+        hit = 0.0
+        if needed >= sample:
+            hit = math.exp(_log_choose(needed, sample) - _log_choose(n, sample))
+        missed = (1.0 - hit) ** draws
+        if missed <= error:
+            break
+    return count, assigned, evidence, poses, covariances, draws, nodes, missed

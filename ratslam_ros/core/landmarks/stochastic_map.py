@@ -1,0 +1,398 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Stochastic map: pose and landmarks with their joint covariance, by an extended Kalman filter.
+
+Smith, Self and Cheeseman (1990), "Estimating uncertain spatial relationships in robotics". The
+landmarks are recognised by their identifiers.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ratslam_ros.core.common.angles import wrap
+from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.common.state import State
+from ratslam_ros.core.config import LandmarkMapParameters
+from ratslam_ros.core.landmarks import stochastic_map_kernels as kernels
+from ratslam_ros.core.landmarks.features import (
+    BAR_SIZE,
+    POINT_SIZE,
+    Features,
+    Observations,
+    UnusableObservations,
+    checked_observations,
+)
+from ratslam_ros.core.landmarks.stochastic_map_kernels import POSE_SIZE
+from ratslam_ros.errors import UnusableInput
+
+MAX_MOTION = 1e9
+"""Motions with a larger distance in m or turn in rad are rejected."""
+
+_ORIGIN = Pose(0.0, 0.0, 0.0)
+_NO_COVARIANCE = np.zeros((POSE_SIZE, POSE_SIZE))
+
+
+@dataclass(frozen=True, slots=True)
+class Observed:
+    """Result of the observations of one moment.
+
+    Attributes:
+        added: identifiers of the landmarks that are new in the map.
+        updated: identifiers of the known landmarks that updated the map.
+        repeated: identifiers of known landmarks that were seen from nearly the same place before
+            (``lm_repeat_m``) and did not update the map.
+        rejected: identifiers of outliers, and of landmarks at the very place of the robot.
+        squared: (n,) squared Mahalanobis distances of the innovations, outliers included; NaN
+            for new and repeated landmarks. They follow a chi-square distribution if the noise is
+            as assumed.
+        degrees: (n,) degrees of freedom of the innovations, 2 or 4.
+    """
+
+    added: NDArray[np.int64]
+    updated: NDArray[np.int64]
+    repeated: NDArray[np.int64]
+    rejected: NDArray[np.int64]
+    squared: NDArray[np.float64]
+    degrees: NDArray[np.int64]
+
+
+class StochasticMap:
+    """Pose of a robot and landmarks around it, estimated by an extended Kalman filter.
+
+    The Jacobians are computed at the first estimates: landmarks where they were added, the pose
+    where it was predicted. A filter with Jacobians at the latest estimates gains information on
+    the absolute heading, which observations cannot provide, and becomes overconfident (Huang,
+    Mourikis and Roumeliotis 2010, "Observability-based rules for designing consistent EKF SLAM
+    estimators", section 5.1).
+
+    A landmark that was first seen as a point remains a point; directions and lengths of later
+    observations are not used. An observation without them updates the position of a bar.
+    """
+
+    def __init__(
+        self, parameters: LandmarkMapParameters, pose: Pose = _ORIGIN,
+        covariance: NDArray[np.float64] = _NO_COVARIANCE,
+    ) -> None:  # fmt: skip
+        """Start at a pose, which is known exactly unless a (3, 3) covariance is given.
+
+        Raises:
+            UnusableInput: the pose is not finite, or the covariance is invalid.
+        """
+        self._p = parameters
+        self._variances = np.array([
+            parameters.lm_range_sd_m**2, parameters.lm_bearing_sd_rad**2,
+            parameters.lm_direction_sd_rad**2, parameters.lm_length_sd_m**2,
+        ])  # fmt: skip
+        self._x = np.zeros(POSE_SIZE)
+        self._first = np.zeros(POSE_SIZE)
+        self._triangle = np.zeros(_triangle_size(POSE_SIZE))
+        self._offsets = np.array([POSE_SIZE], np.int64)
+        self._identifiers = np.zeros(0, np.int64)
+        self._index: dict[int, int] = {}
+        self._travelled_m = 0.0
+        self._updated_at_m = np.zeros(0)
+        self.outlier_count = 0
+        """Number of observations that were rejected as outliers."""
+        self.move_to(pose, covariance)
+
+    def __len__(self) -> int:
+        """Return the number of landmarks."""
+        return len(self._identifiers)
+
+    @property
+    def pose(self) -> Pose:
+        """Estimated pose of the robot."""
+        return Pose(float(self._x[0]), float(self._x[1]), float(self._x[2]))
+
+    @property
+    def pose_covariance(self) -> NDArray[np.float64]:
+        """(3, 3) covariance of x and y in m and of the heading in rad."""
+        covariance = np.zeros((POSE_SIZE, POSE_SIZE))
+        kernels.fill_dense(self._triangle, 0, covariance)
+        return covariance
+
+    @property
+    def identifiers(self) -> NDArray[np.int64]:
+        """(n,) identifiers of the landmarks, in the order in which they were added."""
+        return self._identifiers.copy()
+
+    @property
+    def covariance(self) -> NDArray[np.float64]:
+        """(d, d) joint covariance of the pose and all values of the landmarks."""
+        covariance = np.zeros((self._size, self._size))
+        kernels.fill_dense(self._triangle, 0, covariance)
+        return covariance
+
+    def predict(self, forward_m: float, left_m: float, turn_rad: float) -> None:
+        """Move the robot by odometry.
+
+        Noise of the position grows with the distance, and noise of the heading with the distance
+        and the angle. On a straight way the result is independent of the number of steps.
+
+        Args:
+            forward_m, left_m: displacement in the frame of the robot before the motion.
+            turn_rad: change of the heading, counter-clockwise.
+
+        Raises:
+            UnusableInput: a value is not finite, or implausibly large.
+        """
+        motion = forward_m, left_m, turn_rad
+        if not all(abs(value) <= MAX_MOTION for value in motion):
+            raise UnusableInput(f'the motion is {motion}; expected finite m, m and rad')
+        p = self._p
+        kernels.predict(
+            self._x, self._first, self._triangle, self._size, float(forward_m), float(left_m),
+            float(turn_rad), p.lm_odom_position_sd_m**2, p.lm_odom_drift_sd_rad**2,
+            p.lm_odom_turn_sd_rad**2,
+        )  # fmt: skip
+        self._travelled_m += math.hypot(forward_m, left_m) + abs(turn_rad)
+
+    def observe(self, observations: Observations) -> Observed:
+        """Update the map by the landmarks that are seen at one moment, and add the unknown ones.
+
+        Known landmarks come first, so that new ones are added at the corrected pose.
+
+        Args:
+            observations: landmarks with identifiers.
+
+        Raises:
+            UnusableObservations: values are invalid, or identifiers are missing; the map is
+                unchanged.
+        """
+        seen, z, sizes = _values(observations)
+        if seen.identifiers is None:
+            raise UnusableObservations('identifiers are missing; expected one per landmark')
+        n = len(seen)
+        starts, degrees = np.full(n, -1, np.int64), sizes.copy()
+        is_repeated = np.zeros(n, np.bool_)
+        latest_m = self._travelled_m - self._p.lm_repeat_m
+        for o, identifier in enumerate(seen.identifiers.tolist()):
+            index = self._index.get(identifier)
+            if index is not None:
+                starts[o], end = self._offsets[index : index + 2]
+                degrees[o] = min(sizes[o], end - starts[o])
+                is_repeated[o] = self._updated_at_m[index] > latest_m
+        results, squared = np.zeros(n, np.int8), np.zeros(n)
+        kernels.observe(
+            self._x, self._first, self._triangle, self._offsets, starts, is_repeated, z,
+            degrees, self._variances, self._p.lm_outlier_probability, results, squared,
+        )  # fmt: skip
+        updated = seen.identifiers[results == kernels.UPDATED]
+        self._updated_at_m[[self._index[name] for name in updated.tolist()]] = self._travelled_m
+        new = np.flatnonzero(results == kernels.NEW)
+        self._add(seen.identifiers[new], z[new], sizes[new])
+        rejected = seen.identifiers[results == kernels.REJECTED]
+        self.outlier_count += len(rejected)
+        return Observed(
+            seen.identifiers[new], updated, seen.identifiers[is_repeated], rejected, squared,
+            degrees,
+        )  # fmt: skip
+
+    def nearest(self, observations: Observations) -> NDArray[np.int64]:
+        """Return the index of the nearest landmark for each observation, -1 without one.
+
+        A pair has the same type and passes the chi-square test. The nearest pairs are formed
+        first, and no landmark is used twice. Identifiers are not used.
+
+        Raises:
+            UnusableObservations: values are invalid.
+        """
+        _, z, sizes = _values(observations)
+        return kernels.associate(
+            self._x, self._first, self._triangle, self._offsets, z, sizes, self._variances,
+            self._p.lm_outlier_probability,
+        )  # fmt: skip
+
+    def remove(self, identifiers: Iterable[int]) -> None:
+        """Delete landmarks with their rows and columns of the covariance.
+
+        The others are unchanged: this is the marginal distribution.
+
+        Raises:
+            KeyError: a landmark is not on the map, which is unchanged then.
+        """
+        removed = {self._index[int(identifier)] for identifier in identifiers}
+        indices = [index for index in range(len(self)) if index not in removed]
+        sizes = np.diff(self._offsets)[indices]
+        kept = [np.arange(POSE_SIZE)]
+        kept += [np.arange(self._offsets[i], self._offsets[i + 1]) for i in indices]
+        kernels.remove(self._x, self._first, self._triangle, np.concatenate(kept))
+        self._updated_at_m = self._updated_at_m[indices]
+        self._set_features(
+            self._identifiers[indices],
+            np.concatenate(([POSE_SIZE], POSE_SIZE + np.cumsum(sizes))).astype(np.int64),
+        )
+
+    def features(self) -> Features:
+        """Return the landmarks in the frame of the map."""
+        covariance = np.zeros((self._size - POSE_SIZE, self._size - POSE_SIZE))
+        kernels.fill_dense(self._triangle, POSE_SIZE, covariance)
+        return Features(
+            self.identifiers, self._offsets - POSE_SIZE, self._x[POSE_SIZE : self._size].copy(),
+            covariance,
+        )  # fmt: skip
+
+    def seen_from_robot(self) -> Features:
+        """Return the landmarks in the frame of the robot.
+
+        Their covariance includes that of the pose and its correlation with the landmarks.
+        """
+        values = np.zeros(self._size - POSE_SIZE)
+        covariance = np.zeros((len(values), len(values)))
+        kernels.to_robot_frame(
+            self._x, self._first, self._triangle, self._offsets, values, covariance
+        )
+        return Features(self.identifiers, self._offsets - POSE_SIZE, values, covariance)
+
+    def move_to(self, pose: Pose, covariance: NDArray[np.float64]) -> None:
+        """Set the pose and its covariance, as after a relocalisation.
+
+        The new pose is uncorrelated with the landmarks. If it was computed from them, pass a wide
+        covariance and then ``observe`` the landmarks that it was computed from.
+
+        Args:
+            pose: the new pose.
+            covariance: (3, 3) of x and y in m and of the heading in rad.
+
+        Raises:
+            UnusableInput: the pose is not finite, or the covariance is not finite, symmetric and
+                positive semi-definite.
+        """
+        block = np.asarray(covariance, np.float64)
+        if not all(abs(value) <= MAX_MOTION for value in pose):
+            raise UnusableInput(f'the pose is {tuple(pose)}; expected finite m, m and rad')
+        if block.shape != _NO_COVARIANCE.shape or not _is_covariance(block):
+            raise UnusableInput(
+                f'the covariance of the pose is {block.tolist()}; expected a symmetric positive '
+                'semi-definite 3x3 matrix'
+            )
+        self._x[:POSE_SIZE] = pose.x_m, pose.y_m, wrap(float(pose.heading_rad))
+        self._first[:POSE_SIZE] = self._x[:POSE_SIZE]
+        for i in range(POSE_SIZE):
+            self._triangle[_triangle_size(i) : _triangle_size(i + 1)] = block[i, : i + 1]
+        for i in range(POSE_SIZE, self._size):
+            self._triangle[_triangle_size(i) : _triangle_size(i) + POSE_SIZE] = 0.0
+
+    def move_origin(self) -> None:
+        """Make the robot's pose the origin of the map, with no uncertainty.
+
+        The uncertainty of the pose passes to the landmarks, as in robocentric mapping
+        (Castellanos et al. 2007).
+        """
+        seen = self.seen_from_robot()
+        self.move_to(_ORIGIN, _NO_COVARIANCE)
+        self._x[POSE_SIZE : self._size] = seen.values
+        self._first[: self._size] = self._x[: self._size]
+        for i, row in enumerate(seen.covariance):
+            start = _triangle_size(POSE_SIZE + i) + POSE_SIZE
+            self._triangle[start : start + i + 1] = row[: i + 1]
+
+    def state(self) -> State:
+        """Return the complete state."""
+        return {
+            'values': self._x[: self._size].copy(),
+            'first_values': self._first[: self._size].copy(),
+            'triangle': self._triangle[: _triangle_size(self._size)].copy(),
+            'identifiers': self.identifiers,
+            'offsets': self._offsets.copy(),
+            'travelled_m': self._travelled_m,
+            'updated_at_m': self._updated_at_m.copy(),
+            'outlier_count': self.outlier_count,
+        }
+
+    def restore(self, state: State) -> None:
+        """Restore the state that ``state`` returned."""
+        self._x = np.array(state['values'], np.float64)
+        self._first = np.array(state['first_values'], np.float64)
+        self._triangle = np.array(state['triangle'], np.float64)
+        self._set_features(
+            np.array(state['identifiers'], np.int64), np.array(state['offsets'], np.int64)
+        )
+        self._travelled_m = float(state['travelled_m'])
+        self._updated_at_m = np.array(state['updated_at_m'], np.float64)
+        self.outlier_count = int(state['outlier_count'])
+
+    @property
+    def _size(self) -> int:
+        """Number of values of the state."""
+        return int(self._offsets[-1])
+
+    def _set_features(self, identifiers: NDArray[np.int64], offsets: NDArray[np.int64]) -> None:
+        self._identifiers, self._offsets = identifiers, offsets
+        self._index = {identifier: i for i, identifier in enumerate(identifiers.tolist())}
+
+    def _add(
+        self, identifiers: NDArray[np.int64], z: NDArray[np.float64], sizes: NDArray[np.int64]
+    ) -> None:
+        if len(identifiers) == 0:
+            return
+        d = self._size
+        self._reserve(d + int(sizes.sum()))
+        for row, size in zip(z, sizes.tolist(), strict=True):
+            kernels.add(self._x, self._first, self._triangle, d, row, size, self._variances)
+            d += size
+        self._set_features(
+            np.concatenate((self._identifiers, identifiers)),
+            np.concatenate((self._offsets, self._size + np.cumsum(sizes))),
+        )
+        added_at_m = np.full(len(identifiers), self._travelled_m)
+        self._updated_at_m = np.concatenate((self._updated_at_m, added_at_m))
+
+    def _reserve(self, size: int) -> None:
+        """Enlarge the arrays to hold at least ``size`` values, geometrically."""
+        if size <= len(self._x):
+            return
+        capacity = size + size // 4
+        x, first = np.zeros(capacity), np.zeros(capacity)
+        triangle = np.zeros(_triangle_size(capacity))
+        x[: len(self._x)] = self._x
+        first[: len(self._x)] = self._first
+        triangle[: len(self._triangle)] = self._triangle
+        self._x, self._first, self._triangle = x, first, triangle
+
+
+def _values(
+    observations: Observations,
+) -> tuple[Observations, NDArray[np.float64], NDArray[np.int64]]:
+    """Return valid observations, their (n, 4) values, and how many of these they have.
+
+    They are validated here, because a dataclass may hold anything.
+    """
+    seen = checked_observations(
+        observations.range_m, observations.bearing_rad, observations.direction_rad,
+        observations.length_m, observations.identifiers,
+    )  # fmt: skip
+    z = np.stack((seen.range_m, seen.bearing_rad, seen.direction_rad, seen.length_m), axis=1)
+    sizes = np.where(np.isnan(seen.length_m), POINT_SIZE, BAR_SIZE)
+    return seen, z, sizes.astype(np.int64)
+
+
+def _triangle_size(n: int) -> int:
+    """Return the number of elements of n rows of the triangle."""
+    return n * (n + 1) // 2
+
+
+def _is_covariance(block: NDArray[np.float64]) -> bool:
+    """Return whether a 3x3 matrix is symmetric and positive semi-definite, up to rounding."""
+    (a, b, c), (b2, d, e), (c2, e2, f) = block.tolist()
+    values = a, b, c, d, e, f, b2, c2, e2
+    if not all(math.isfinite(value) for value in values):
+        return False
+    tolerance = 1e-9
+    if any(abs(u - v) > tolerance * max(abs(u), abs(v)) for u, v in ((b, b2), (c, c2), (e, e2))):
+        return False
+    # All principal minors of a positive semi-definite matrix are non-negative.
+    minors = a * d - b * b, a * f - c * c, d * f - e * e
+    scales = a * d, a * f, d * f
+    determinant = a * minors[2] - b * (b * f - c * e) + c * (b * e - c * d)
+    return (
+        min(a, d, f) >= 0.0
+        and all(m >= -tolerance * s for m, s in zip(minors, scales, strict=True))
+        and determinant >= -tolerance * a * d * f
+    )

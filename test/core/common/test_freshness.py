@@ -1,0 +1,216 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Freshness: the policy equals a simple model, survives a restore, and bounds a memory."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ratslam_ros.core.common.freshness import Freshness
+
+S = 1_000_000_000
+DECAY_S = 10
+
+
+def split_mix(seed: int) -> Iterator[int]:
+    """Yield the 64-bit numbers of SplitMix64."""
+    state = seed
+    while True:
+        state = (state + 0x9E3779B97F4A7C15) % 2**64
+        z = state
+        z = (z ^ (z >> 30)) * 0xBF58476D1CE4E5B9 % 2**64
+        z = (z ^ (z >> 27)) * 0x94D049BB133111EB % 2**64
+        yield z ^ (z >> 31)
+
+
+@dataclass
+class Item:
+    name: int
+    fades: bool
+    observed_s: int
+    visits: int = 1
+
+
+class Model:
+    """The policy in words: a list of items, searched in full."""
+
+    def __init__(self, share: float, robust_visits: int, seed: int) -> None:
+        self.items: list[Item] = []
+        self.now_s = 0
+        self.share, self.robust_visits = share, robust_visits
+        self.numbers = split_mix(seed)
+
+    def draw(self) -> float:
+        return (next(self.numbers) >> 11) / 2**53
+
+    def add(self, name: int) -> None:
+        fades = self.draw() < self.share and self.robust_visits > 1
+        self.items.append(Item(name, fades, self.now_s))
+
+    def observe(self, name: int) -> None:
+        (item,) = (item for item in self.items if item.name == name)
+        if self.now_s - item.observed_s >= DECAY_S / 10:
+            item.visits += 1
+        item.observed_s = self.now_s
+        item.fades &= item.visits < self.robust_visits
+
+    def remove(self, name: int) -> None:
+        row = [item.name for item in self.items].index(name)
+        self.items[row] = self.items[-1]
+        self.items.pop()
+
+    def candidate(self, allowed: list[bool]) -> int | None:
+        may_go = [item for item, free in zip(self.items, allowed, strict=True) if free]
+        old = [item for item in may_go if self.now_s - item.observed_s >= DECAY_S]
+        if faded := [item for item in old if item.fades]:
+            return min(faded, key=lambda item: item.observed_s).name
+        fading = [item for item in may_go if item.fades]
+        recent = [item for item in self.items if self.now_s - item.observed_s < DECAY_S]
+        if old and (not fading or len(recent) <= len(self.items) / 2):
+            fewest = min(item.visits for item in old)
+            old = [item for item in old if item.visits == fewest]
+            return old[int(self.draw() * len(old))].name
+        rest = fading or may_go
+        return min(rest, key=lambda item: item.observed_s).name if rest else None
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.sampled_from((0.0, 0.3, 0.7, 1.0)), st.integers(1, 4), st.integers(0, 2**64 - 1))
+def test_freshness_equals_simple_model(share: float, robust_visits: int, seed: int) -> None:
+    rng = random.Random(seed)
+    script = [
+        (rng.choice(('wait', 'add', 'add', 'observe', 'forget')), rng.randrange(2**20))
+        for _ in range(200)
+    ]
+    model = Model(share, robust_visits, seed)
+    memory = Freshness(share, DECAY_S, robust_visits, seed)
+    memory.advance(10**18)
+    for number, (kind, choice) in enumerate(script):
+        n = len(model.items)
+        if kind == 'wait':
+            model.now_s += choice % 3 if n else 0
+            memory.advance(10**18 + model.now_s * S)
+        elif kind == 'add':
+            model.add(number)
+            memory.add(number)
+        elif kind == 'observe' and n > 0:
+            name = model.items[choice % n].name
+            model.observe(name)
+            memory.observe(name)
+        elif kind == 'forget':
+            allowed = [bool(choice >> i % 20 & 1) for i in range(n)]
+            name_or_none = model.candidate(allowed)
+            assert memory.candidate(np.array(allowed, np.bool_)) == name_or_none
+            if name_or_none is not None:
+                model.remove(name_or_none)
+                memory.remove(name_or_none)
+        if choice % 7 == 0:  # a restored memory continues alike
+            saved = memory.state()
+            memory = Freshness(share, DECAY_S, robust_visits, seed)
+            memory.restore(saved)
+        assert memory.items.tolist() == [item.name for item in model.items]
+        assert all(item.name in memory for item in model.items)
+        assert memory.freshness == pytest.approx([
+            max(0.0, 1.0 - (model.now_s - item.observed_s) / DECAY_S) if item.fades else 1.0
+            for item in model.items
+        ])  # fmt: skip
+
+
+def test_draws_are_those_of_split_mix_64() -> None:
+    """The published sequence of the seed 1234567."""
+    memory = Freshness(0.5, DECAY_S, 3, seed=1234567)
+    expected = [6457827717110365317, 3203168211198807973, 9817491932198370423]
+    assert [memory._draw() for _ in expected] == [(n >> 11) / 2**53 for n in expected]
+
+
+def explored(limit: int, share: float, count: int = 2000, step_s: int = 1) -> Freshness:
+    """Return the memory of a robot that observes one new item in each step, within a limit."""
+    memory = Freshness(share, 100.0, 3)
+    for name in range(count):
+        memory.advance(name * step_s * S)
+        if len(memory) == limit:
+            chosen = memory.candidate()
+            assert chosen is not None
+            memory.remove(chosen)
+        memory.add(name)
+        assert len(memory) <= limit
+    return memory
+
+
+def test_old_regions_become_sparse_and_recent_ones_stay_dense() -> None:
+    kept = explored(400, 0.5).items
+    assert np.isin(np.arange(1900, 2000), kept).all()  # the last decay time
+    old, older, oldest = (np.count_nonzero((kept >= at) & (kept < at + 500)) for at in (
+        1400, 900, 400))  # fmt: skip
+    assert 250 > old > older > oldest > 10  # the general shape of every region is kept
+
+
+def test_without_a_full_memory_nothing_is_forced() -> None:
+    memory = explored(1200, 0.5)
+    assert memory.forced == 0
+    assert len(memory) == 1200
+
+
+def test_long_decay_time_leaves_room_for_old_regions() -> None:
+    """In the decay time, more items are created than the memory holds."""
+    kept = explored(80, 0.5).items
+    assert np.count_nonzero(kept < 1900) >= 20
+    assert np.count_nonzero(kept >= 1900) >= 40
+    assert 1999 in kept
+
+
+def test_if_everything_fades_the_latest_items_are_kept() -> None:
+    assert sorted(explored(50, 1.0).items.tolist()) == list(range(1950, 2000))
+
+
+def test_robust_item_outlives_items_seen_once() -> None:
+    memory = Freshness(1.0, 100.0, 3)
+    memory.add(-1)
+    for name in range(500):
+        memory.advance(name * S)
+        if name in (20, 40):
+            memory.observe(-1)
+        if len(memory) == 30:
+            memory.remove(memory.candidate() or 0)
+        memory.add(name)
+    assert -1 in memory
+
+
+def test_observations_without_absence_are_one_visit() -> None:
+    memory = Freshness(1.0, 100.0, 3)
+    memory.add(0)
+    for stamp_s in range(50):
+        memory.advance(stamp_s * S)
+        memory.observe(0)
+    memory.add(1)
+    memory.advance(200 * S)
+    assert memory.freshness.tolist() == [0.0, 0.0]  # not robust: seen all the time, once
+
+
+@pytest.mark.parametrize('stamps_s', [(500, 510, 0, 5), (0, 5, 1000, 900, 910)])
+def test_time_does_not_go_back_with_the_stamps(stamps_s: tuple[int, ...]) -> None:
+    memory = Freshness(1.0, 2000.0, 3)
+    memory.add(0)
+    memory.advance(stamps_s[0] * S)
+    expected, last = 0, stamps_s[0]
+    memory.observe(0)
+    for stamp_s in stamps_s[1:]:
+        expected += max(stamp_s - last, 0)
+        last = stamp_s
+        memory.advance(stamp_s * S)
+        assert memory.freshness == pytest.approx([1.0 - expected / 2000.0])
+
+
+def test_no_item_is_selected_if_none_is_allowed() -> None:
+    memory = Freshness(0.5, 1.0, 3)
+    assert memory.candidate() is None
+    memory.add(4)
+    assert memory.candidate(np.zeros(1, np.bool_)) is None
+    assert memory.candidate() == 4

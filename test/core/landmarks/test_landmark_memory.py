@@ -1,0 +1,157 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Landmark memory: bounded, sparse where the robot was long ago, and otherwise the same map."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.config import LandmarkMapParameters
+from ratslam_ros.core.landmarks.features import Observations, UnusableObservations
+from ratslam_ros.core.landmarks.landmark_memory import LandmarkMemory, Remembered
+from ratslam_ros.core.landmarks.stochastic_map import StochasticMap
+
+S = 1_000_000_000
+STEP_M, VIEW_M = 0.5, 4.0
+
+
+def parameters(lm_max: int, **values: float) -> LandmarkMapParameters:
+    return LandmarkMapParameters(lm_max=lm_max, forget_after_s=40.0, **values)  # type: ignore[arg-type]
+
+
+class Corridor:
+    """A robot that drives along a corridor with a point landmark every metre on either side."""
+
+    def __init__(self, memory: LandmarkMemory | StochasticMap, length_m: int, seed: int) -> None:
+        self.memory = memory
+        self.rng = np.random.default_rng(seed)
+        at = np.repeat(np.arange(length_m, dtype=float), 2)
+        self.places = np.stack((at, np.where(np.arange(len(at)) % 2 == 0, 1.5, -1.5)), axis=1)
+        self.x_m = 0.0
+        self.results: list[Remembered] = []
+        self.largest = 0
+
+    def observations(self) -> Observations:
+        away = self.places - (self.x_m, 0.0)
+        ranges, bearings = np.hypot(*away.T), np.arctan2(away[:, 1], away[:, 0])
+        names = np.flatnonzero(ranges < VIEW_M)
+        noise = self.rng.normal(0.0, 1.0, (2, len(names)))
+        nothing = np.full(len(names), np.nan)
+        return Observations(
+            np.abs(ranges[names] + 0.1 * noise[0]), bearings[names] + 0.0175 * noise[1],
+            nothing, nothing, names,
+        )  # fmt: skip
+
+    def drive(self, steps: int) -> None:
+        """Drive straight on, one step a second."""
+        for _ in range(steps):
+            self.x_m += STEP_M
+            forward_m = STEP_M + 0.05 * math.sqrt(STEP_M) * self.rng.normal()
+            turn_rad = 0.02 * math.sqrt(STEP_M) * self.rng.normal()
+            stamp_ns = round(self.x_m / STEP_M * S)
+            if isinstance(self.memory, LandmarkMemory):
+                self.memory.map.predict(forward_m, 0.0, turn_rad)
+                self.results.append(self.memory.observe(self.observations(), stamp_ns))
+            else:
+                self.memory.predict(forward_m, 0.0, turn_rad)
+                self.memory.observe(self.observations())
+            self.largest = max(self.largest, len(self.memory))
+
+
+def identifiers(memory: LandmarkMemory) -> NDArray[np.int64]:
+    return memory.map.identifiers
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(1, 60), st.integers(0, 10**6))
+def test_memory_never_exceeds_its_limit(limit: int, seed: int) -> None:
+    corridor = Corridor(LandmarkMemory(parameters(limit), seed=seed), 60, seed)
+    corridor.drive(80)
+    assert corridor.largest <= limit
+    for result in corridor.results:
+        assert not set(result.removed) & set(result.observed.updated.tolist())
+        assert not set(result.refused) & set(result.observed.added.tolist())
+
+
+def test_old_stretches_become_sparse_and_the_recent_one_stays_dense() -> None:
+    memory = LandmarkMemory(parameters(120))
+    corridor = Corridor(memory, 120, 1)
+    corridor.drive(220)
+    metres = identifiers(memory) // 2
+    recent = metres >= 92  # seen within the last 40 s
+    assert np.count_nonzero(recent) == 44  # all
+    for low in (0, 28, 56):  # two thirds or less of 56
+        assert 5 <= np.count_nonzero((metres >= low) & (metres < low + 28)) <= 37
+    assert sum(len(result.removed) for result in corridor.results) > 80
+    assert not any(result.refused for result in corridor.results)
+
+
+def test_limit_that_is_not_reached_changes_nothing() -> None:
+    limited, unlimited = LandmarkMemory(parameters(100)), StochasticMap(parameters(0))
+    Corridor(limited, 30, 2).drive(40)
+    Corridor(unlimited, 30, 2).drive(40)
+    assert limited.map.covariance.tobytes() == unlimited.covariance.tobytes()
+    assert limited.map.pose == unlimited.pose
+
+
+def test_landmarks_in_view_stay_and_the_farthest_new_ones_are_refused() -> None:
+    memory = LandmarkMemory(parameters(3))
+    ranges = np.array([3.0, 1.0, 2.0, 4.0, 0.5])
+    nothing = np.full(5, np.nan)
+    bearings = np.linspace(-1.0, 1.0, 5)
+    near = Observations(ranges, bearings, nothing, nothing, np.arange(5))
+    result = memory.observe(near, 0)
+    assert identifiers(memory).tolist() == [1, 2, 4]
+    assert (result.removed, result.refused) == ((), (0, 3))
+    again = memory.observe(near, 100 * S)
+    assert (again.removed, again.refused) == ((), (0, 3))
+    assert again.observed.updated.tolist() == [1, 2, 4]
+
+
+def test_map_stays_accurate_within_a_limit() -> None:
+    """The estimate is consistent: forgetting marginalises, it does not distort."""
+    normalised = []
+    for seed in range(8):
+        memory = LandmarkMemory(parameters(40), seed=seed)
+        corridor = Corridor(memory, 60, seed)
+        corridor.drive(100)
+        features = memory.map.features()
+        away = (features.positions_m - corridor.places[features.identifiers]).reshape(-1)
+        normalised.append(away @ np.linalg.solve(features.covariance, away) / len(away))
+    assert 0.6 < np.mean(normalised) < 1.4
+
+
+def test_restored_memory_continues_alike() -> None:
+    one, other = LandmarkMemory(parameters(30)), LandmarkMemory(parameters(30))
+    corridor = Corridor(one, 60, 3)
+    corridor.drive(50)
+    other.restore(one.state())
+    rng = corridor.rng.bit_generator.state
+    corridor.drive(50)
+    copy = Corridor(other, 60, 3)
+    copy.x_m, copy.rng.bit_generator.state = 25.0, rng
+    copy.drive(50)
+    assert identifiers(one).tolist() == identifiers(other).tolist()
+    assert one.map.covariance.tobytes() == other.map.covariance.tobytes()
+    assert one.forced == other.forced
+
+
+def test_unusable_observations_leave_the_memory_unchanged() -> None:
+    memory = LandmarkMemory(parameters(30), Pose(1.0, 2.0, 3.0))
+    Corridor(memory, 20, 4).drive(10)
+    before = memory.state()
+    ok = np.ones(40)
+    nothing = np.full(40, np.nan)
+    for ranges, names in ((-ok, np.arange(100, 140)), (ok, None), (nothing, np.arange(40))):
+        with pytest.raises(UnusableObservations):
+            memory.observe(Observations(ranges, ok, nothing, nothing, names), 100 * S)
+    after = memory.state()
+    assert after['map']['triangle'].tobytes() == before['map']['triangle'].tobytes()
+    assert after['freshness']['now_ns'] == before['freshness']['now_ns']
