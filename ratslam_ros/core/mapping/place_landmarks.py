@@ -35,6 +35,10 @@ POSITION_SD_M, DIRECTION_SD_RAD, LENGTH_SD_M = 0.06, 0.06, 0.05
 the laser, of the extraction, and of nearby experiences relative to each other."""
 
 
+Shape = tuple[float, float, float, float]
+"""x, y in m, direction in rad, length in m; the last two are NaN for points."""
+
+
 class PlaceLandmarks:
     """The landmarks that experiences observed."""
 
@@ -56,19 +60,20 @@ class PlaceLandmarks:
         Args:
             experience_id: the experience, which is new.
             offset: pose of the robot in the frame of the experience.
-            seen: (n, 4) x, y in m, direction in rad and length in m, in the robot's frame.
+            seen: (n, 4) x, y in m, direction in rad and length in m, in the robot's frame; the
+                last two are NaN for points.
             poses: (m, 3) poses of all experiences.
         """
         own = Pose(*poses[experience_id].tolist())
         known = self._on_map(poses)
         for x_m, y_m, direction_rad, length_m in seen.tolist():
-            shape = composed(offset, Pose(x_m, y_m, direction_rad))
-            x, y, direction = composed(own, shape)
-            same = int(_nearest_same(known, x, y, direction, length_m))
+            shape = moved_landmark(offset, (x_m, y_m, direction_rad, length_m))
+            x, y, direction, _ = moved_landmark(own, shape)
+            same = nearest_same(known, (x, y, direction, length_m))
             if same >= 0:
                 self._visits[same] += 1
             else:
-                self._insert(experience_id, (*shape, length_m))
+                self._insert(experience_id, shape)
 
     def remove_owned(self, experience_ids: Collection[int]) -> None:
         """Remove the landmarks that some experiences observed first."""
@@ -83,8 +88,7 @@ class PlaceLandmarks:
             pose: of the pruned experience in the frame of the stand-in.
         """
         for row in np.flatnonzero(self._owners == experience_id).tolist():
-            x, y, direction, length = self._shapes[row].tolist()
-            self._shapes[row] = (*composed(pose, Pose(x, y, direction)), length)
+            self._shapes[row] = moved_landmark(pose, tuple(self._shapes[row].tolist()))
             self._owners[row] = stand_in_id
         self._keep(self._owners >= 0)
 
@@ -115,7 +119,7 @@ class PlaceLandmarks:
         self._shapes = np.array(state['shapes'], np.float64).reshape(-1, BAR_SIZE)
         self._visits = np.array(state['visits'], np.int64)
 
-    def _insert(self, experience_id: int, shape: tuple[float, float, float, float]) -> None:
+    def _insert(self, experience_id: int, shape: Shape) -> None:
         if len(self) < MAX_LANDMARK_COUNT:
             self._owners = np.append(self._owners, experience_id)
             self._shapes = np.concatenate([self._shapes, [shape]])
@@ -135,25 +139,35 @@ class PlaceLandmarks:
 
 
 def features_of(shapes: NDArray[np.float64], variances: NDArray[np.float64]) -> Features:
-    """Return bars with independent errors.
+    """Return bars and points with independent errors.
 
     Args:
-        shapes: (n, 4) x, y in m, direction in rad, length in m.
+        shapes: (n, 4) x, y in m, direction in rad, length in m; the last two are NaN for points.
         variances: (n, 4) of these.
     """
-    n = len(shapes)
+    used = ~np.isnan(shapes)
+    offsets = np.concatenate(([0], np.cumsum(used.sum(axis=1)))).astype(np.int64)
     return Features(
-        np.arange(n), np.arange(0, BAR_SIZE * n + 1, BAR_SIZE), shapes.reshape(-1),
-        np.diag(variances.reshape(-1)),
-    )  # fmt: skip
+        np.arange(len(shapes)), offsets, shapes[used], np.diag(variances[used])
+    )
 
 
-def is_same(a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:
-    """Return whether two observations, in one frame, may be of one landmark."""
-    return (
-        math.hypot(a[0] - b[0], a[1] - b[1]) <= SAME_M
-        and abs(wrap(float(a[2] - b[2]))) <= SAME_RAD and abs(a[3] - b[3]) <= SAME_LENGTH_M
-    )  # fmt: skip
+def moved_landmark(base: Pose, shape: Shape) -> Shape:
+    """Return a landmark that is given in the frame of a pose in the parent frame of the pose."""
+    x, y, direction, length = shape
+    at = composed(base, Pose(x, y, 0.0 if math.isnan(direction) else direction))
+    return at.x_m, at.y_m, at.heading_rad if length == length else math.nan, length
+
+
+def nearest_same(known: NDArray[np.float64], shape: Shape) -> int:
+    """Return the row of the nearest landmark that may be the same, -1 if there is none.
+
+    Args:
+        known: (n, 4) landmarks.
+        shape: an observation in the same frame.
+    """
+    x, y, direction, length = shape
+    return int(_nearest_same(known, x, y, direction, length))
 
 
 @compiled
@@ -163,7 +177,9 @@ def _placed(shapes: NDArray[np.float64], poses: NDArray[np.float64]) -> NDArray[
         c, s = math.cos(poses[i, 2]), math.sin(poses[i, 2])
         placed[i, 0] = poses[i, 0] + c * shapes[i, 0] - s * shapes[i, 1]
         placed[i, 1] = poses[i, 1] + s * shapes[i, 0] + c * shapes[i, 1]
-        placed[i, 2] = wrap(poses[i, 2] + shapes[i, 2])
+        placed[i, 2] = math.nan
+        if shapes[i, 3] == shapes[i, 3]:
+            placed[i, 2] = wrap(poses[i, 2] + shapes[i, 2])
         placed[i, 3] = shapes[i, 3]
     return placed
 
@@ -176,8 +192,12 @@ def _nearest_same(
     nearest, least = -1, SAME_M
     for i in range(len(known)):
         away = math.hypot(known[i, 0] - x, known[i, 1] - y)
-        if away <= least and abs(wrap(known[i, 2] - direction)) <= SAME_RAD and (
-            abs(known[i, 3] - length) <= SAME_LENGTH_M
+        is_point = math.isnan(known[i, 3])
+        if away > least or is_point != math.isnan(length):
+            continue
+        if is_point or (
+            abs(wrap(known[i, 2] - direction)) <= SAME_RAD
+            and abs(known[i, 3] - length) <= SAME_LENGTH_M
         ):
             nearest, least = i, away
     return nearest

@@ -11,6 +11,7 @@ candidate. Not in the papers.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections import deque
 from collections.abc import Collection, Iterator, Sequence
@@ -23,9 +24,10 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.state import State
+from ratslam_ros.core.config.line_extraction import LineExtractionParameters
 from ratslam_ros.core.config.relocalisation import RelocalisationParameters
-from ratslam_ros.core.landmarks.features import Features
-from ratslam_ros.core.landmarks.l2_corners import landmarks_of
+from ratslam_ros.core.landmarks.features import BAR_SIZE, Features
+from ratslam_ros.core.landmarks.line_extraction import extract_landmarks
 from ratslam_ros.core.landmarks.relocalisation import KnownFeatures, relocalise
 from ratslam_ros.core.mapping.experience_map import ExperienceMap, MapUpdate
 from ratslam_ros.core.mapping.icp import align
@@ -35,12 +37,15 @@ from ratslam_ros.core.mapping.place_landmarks import (
     POSITION_SD_M,
     PlaceLandmarks,
     features_of,
-    is_same,
+    moved_landmark,
+    nearest_same,
 )
 from ratslam_ros.core.mapping.scan_agreement import NO_BEAMS, Agreement, PlaceGrid
 from ratslam_ros.core.mapping.scan_matching import (
     DRIFT_M2_PER_M,
+    MAX_RANGE_M,
     VIEW_SD_M,
+    Observed,
     ScanMatcher,
     transformed,
 )
@@ -81,12 +86,19 @@ ambiguous."""
 COMPARED_COUNT = 12
 """Largest number of keyframes that a candidate is compared with."""
 
+TURN_M_PER_RAD, LEAST_EVIDENCE_M = 0.3, 1.0
+"""Distance that turning by one rad counts as, and least distance after which a place is proven."""
+
 PAIRS_COUNT = 3
 """Smallest number of landmarks that are matched."""
 
-SEARCH = RelocalisationParameters(reloc_pairs=PAIRS_COUNT, reloc_sample=2, reloc_error=0.02, reloc_unmapped=0.001
+SEARCH = RelocalisationParameters(reloc_pairs=PAIRS_COUNT, reloc_sample=2, reloc_error=0.02, reloc_unmapped=0.001,
+    reloc_share=0.3,
 )
 """The scans decide, so that candidates may be doubtful."""
+
+EXTRACTION = LineExtractionParameters(le_max_range_m=MAX_RANGE_M, le_min_length_m=0.25)
+"""Corners of short walls count: a person is taken for a landmark once, but not twice."""
 
 PRIOR_SD_M = 0.2
 """Standard deviation of the candidates' positions before their scans are aligned."""
@@ -152,6 +164,7 @@ class Relocator:
         self._doubted: set[int] = set()
         self._views: deque[tuple[Pose, Pose]] = deque(maxlen=8)
         self._searched = 0
+        self._evidence = 0.0
 
     @property
     def is_lost(self) -> bool:
@@ -198,7 +211,7 @@ class Relocator:
                 self._doubted.add(action.target_id)
         if observed is None:
             return None
-        points, odometry = observed
+        points, odometry = observed.points, observed.odometry
         self._record_view(action, update, odometry)
         last = self._keyframes[-1].odometry if self._keyframes else None
         is_keyframe = last is None or (
@@ -207,13 +220,17 @@ class Relocator:
         )
         if not is_keyframe and not is_created:
             return None
-        seen = landmarks_of(points)
+        seen = _corners(observed)
         if is_created and not self.is_lost and self._contradicting == 0:
             self.landmarks.add(
                 action.target_id, self._map.offset, seen, self._map.poses
             )
         if not is_keyframe:
             return None
+        if last is not None:
+            self._evidence += math.dist(last[:2], odometry[:2]) + TURN_M_PER_RAD * abs(
+                wrap(odometry.heading_rad - last.heading_rad)
+            )
         self._keyframes.append(_Keyframe(odometry, self._map.odometer_m, points, seen))
         self._judge()
         self._trim()
@@ -276,6 +293,7 @@ class Relocator:
         self._doubted = {i for i, at in self._created.items() if at >= since_m}
         self.landmarks.remove_owned(self._doubted)
         self._views.clear()
+        self._evidence = 0.0
         self._relocations = self._map.gate.relocation_count
         self._searched = 0
 
@@ -327,6 +345,8 @@ class Relocator:
                 'too little', f'{len(seen)} landmarks were seen twice in the last metres; expected '
                 f'at least {PAIRS_COUNT}: drive on',
             )  # fmt: skip
+        if self._evidence < LEAST_EVIDENCE_M:
+            return Relocation('too little', 'the robot has hardly moved: drive on')
         places = relocalise(
             seen, self._known_features(excluded), SEARCH, self.counts['requested']
         ).places
@@ -375,36 +395,32 @@ class Relocator:
     def _seen(self) -> Features:
         """Return the landmarks of the keyframes in the robot's frame."""
         now, odometer_m = self._keyframes[-1].odometry, self._map.odometer_m
-        means: list[NDArray[np.float64]] = []
+        means = np.empty((0, BAR_SIZE))
         counts: list[int] = []
         last_m: list[float] = []
         for frame in self._keyframes:
             to_now = composed(inverse(now), frame.odometry)
-            for row in frame.landmarks:
-                x, y, direction = composed(to_now, Pose(row[0], row[1], row[2]))
-                one = np.array([x, y, direction, row[3]])
-                same = [k for k, mean in enumerate(means) if is_same(mean, one)]
-                if not same:
-                    means.append(one)
+            for row in frame.landmarks.tolist():
+                shape = moved_landmark(to_now, tuple(row))
+                k = nearest_same(means, shape)
+                if k < 0:
+                    means = np.concatenate([means, [shape]])
                     counts.append(1)
                     last_m.append(frame.odometer_m)
                     continue
-                k = min(same, key=lambda k: math.dist(means[k][:2], one[:2]))
                 counts[k] += 1
-                change = one - means[k]
-                change[2] = wrap(float(change[2]))
-                means[k] = means[k] + change / counts[k]
-                means[k][2] = wrap(float(means[k][2]))
                 last_m[k] = frame.odometer_m
+                change = np.array(shape) - means[k]
+                change[2] = wrap(float(change[2]))
+                means[k] += change / counts[k]
         kept = [k for k, count in enumerate(counts) if count >= 2]
-        shapes = np.array([means[k] for k in kept]).reshape(-1, 4)
         variances = np.tile(
             np.array([POSITION_SD_M, POSITION_SD_M, DIRECTION_SD_RAD, LENGTH_SD_M]) ** 2,
             (len(kept), 1),
         )
         for row, k in enumerate(kept):
             variances[row, :2] += DRIFT_M2_PER_M * (odometer_m - last_m[k])
-        return features_of(shapes, variances)
+        return features_of(means[kept], variances)
 
     def _known_features(self, excluded: Collection[int]) -> KnownFeatures:
         """Return the map's landmarks; the index is kept until the map moves."""
@@ -543,6 +559,19 @@ class Relocator:
         order: list[int] = near[np.argsort(away_m[near], kind='stable')].tolist()
         here = graph.component_of(NO_EXPERIENCE)
         return [i for i in order if graph.component_of(i) == here]
+
+
+def _corners(observed: Observed) -> NDArray[np.float64]:
+    """Return the corners and the ends of walls in a scan, (n, 4), as for ``PlaceLandmarks.add``.
+
+    Whole walls are left out, because they repeat their ends.
+    """
+    found = extract_landmarks(observed.scan, EXTRACTION).without_walls
+    rows = np.full((len(found), BAR_SIZE), math.nan)
+    for row, (start, end) in zip(rows, itertools.pairwise(found.offsets.tolist()), strict=True):
+        row[: end - start] = found.values[start:end]
+        row[:] = moved_landmark(observed.scan_pose, tuple(row.tolist()))
+    return rows
 
 
 def _is_same_place(a: Pose, b: Pose) -> bool:

@@ -60,11 +60,25 @@ class ScanMatch(NamedTuple):
     fits there. None without a scan."""
 
 
+class Observed(NamedTuple):
+    """The last scan before a stamp.
+
+    ``points``: (n, 2) m, in the robot's frame at the stamp. ``odometry``: pose of the robot by
+    odometry at the stamp. ``scan_pose``: pose of the robot at the stamp of the scan, in the frame
+    of the robot at the stamp.
+    """
+
+    points: NDArray[np.float64]
+    odometry: Pose
+    scan: Scan
+    scan_pose: Pose
+
+
 class ScanMatcher:
     """Stores the scan of each experience, and aligns later scans with it."""
 
     def __init__(self) -> None:
-        self._scans: deque[tuple[int, NDArray[np.float64]]] = deque()
+        self._scans: deque[tuple[int, NDArray[np.float64], Scan]] = deque()
         self._track: deque[tuple[int, Pose]] = deque()
         self._odometry_pose = Pose(0.0, 0.0, 0.0)
         self._references: dict[int, NDArray[np.float32]] = {}
@@ -77,7 +91,7 @@ class ScanMatcher:
         """Buffer one scan; a stamp that jumps back clears the buffers."""
         if self._scans and scan.stamp_ns < self._scans[-1][0]:
             self.restart()
-        self._scans.append((scan.stamp_ns, points_of(scan)))
+        self._scans.append((scan.stamp_ns, points_of(scan), scan))
         while self._scans[-1][0] - self._scans[0][0] > BUFFER_NS:
             self._scans.popleft()
 
@@ -103,15 +117,15 @@ class ScanMatcher:
         """Return the (n, 2) points in m of an experience's scan, in its frame; None if unknown."""
         return self._references.get(experience_id)
 
-    def observed(self, stamp_ns: int) -> tuple[NDArray[np.float64], Pose] | None:
-        """Return the last scan and the pose of the robot by odometry at a stamp.
-
-        Returns:
-            (n, 2) points in m in the robot's frame at the stamp, and its pose; None if there is no
-            scan, or no odometry that covers it.
-        """
+    def observed(self, stamp_ns: int) -> Observed | None:
+        """Return the last scan at or before a stamp; None if it is too old or has no odometry."""
         points, pose = self._points_at(stamp_ns), self._pose_at(stamp_ns)
-        return None if points is None or pose is None else (points, pose)
+        scan = self._scan_at(stamp_ns)
+        if points is None or pose is None or scan is None:
+            return None
+        then = self._pose_at(scan[0])
+        assert then is not None  # there are points
+        return Observed(points, pose, scan[2], composed(inverse(pose), then))
 
     def relocated(self) -> None:
         """Set the variance after the robot was relocated by its scan."""
@@ -237,8 +251,8 @@ class ScanMatcher:
 
         None if that scan is too old, or if no odometry covers it.
         """
-        scan = next((s for s in reversed(self._scans) if s[0] <= stamp_ns), None)
-        if scan is None or stamp_ns - scan[0] > MAX_SCAN_AGE_NS:
+        scan = self._scan_at(stamp_ns)
+        if scan is None:
             return None
         then, now = self._pose_at(scan[0]), self._pose_at(stamp_ns)
         if then is None or now is None:
@@ -246,6 +260,11 @@ class ScanMatcher:
         points = scan[1]
         near = points[np.hypot(points[:, 0], points[:, 1]) < MAX_RANGE_M]
         return transformed(near, composed(inverse(now), then))
+
+    def _scan_at(self, stamp_ns: int) -> tuple[int, NDArray[np.float64], Scan] | None:
+        """Return the last buffered scan at or before a stamp, None if it is too old."""
+        scan = next((s for s in reversed(self._scans) if s[0] <= stamp_ns), None)
+        return None if scan is None or stamp_ns - scan[0] > MAX_SCAN_AGE_NS else scan
 
     def _pose_at(self, stamp_ns: int) -> Pose | None:
         """Return the odometry pose at a stamp, interpolated between messages; None if unknown."""
