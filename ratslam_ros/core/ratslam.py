@@ -27,6 +27,7 @@ from ratslam_ros.core.mapping.mapping_step import adopt_correction, apply_action
 from ratslam_ros.core.mapping.relocator import Relocator
 from ratslam_ros.core.mapping.scan_matching import ScanMatcher
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
+from ratslam_ros.core.pose_cells.map_relocation import MapRelocations
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.vision.local_view import UNDECODABLE, LocalView, ViewMatch, ViewMatcher
 from ratslam_ros.core.vision.visual_odometry import VisualOdometry
@@ -121,6 +122,8 @@ class RatSLAM:
             config.pose_cells.turn_correction,
         )
         self._images: StampOrder[NDArray[np.uint8] | None] = StampOrder(('image',), 0)
+        self._relocations = MapRelocations()
+        self._views = 0
         self._refused = 0
         self._has_matched = False
         self._watch = stopwatch
@@ -249,6 +252,11 @@ class RatSLAM:
         )  # fmt: skip
 
     def _act(self, stamp_ns: int, match: ViewMatch) -> ViewStep:
+        relocation = self._relocations.due(self._views)
+        if relocation is not None and self.pose_cells.relocate(relocation) and (
+            self.goal_memory is not None
+        ):
+            self.goal_memory.relocated()
         with self._watch('pose_cells_view'):
             action = self.pose_cells.view(match, self._motion.reaches(stamp_ns), stamp_ns)
         with self._watch('experience_map'):
@@ -257,6 +265,11 @@ class RatSLAM:
                 self.experience_map, self.scan_matcher, stamp_ns, action, self.behaviour,
                 self.relocator,
             )
+        self._relocations.answer(self._views, update.relocation)
+        self._views += 1
+        relocated_to = NO_EXPERIENCE
+        if update.relocation is not None:
+            relocated_to = update.relocation.experience_id
         return ViewStep(
-            stamp_ns, match, action, update.pruned, update.rejected, update.relocated_to
+            stamp_ns, match, action, update.pruned, update.rejected, relocated_to
         )

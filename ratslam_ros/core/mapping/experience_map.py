@@ -33,6 +33,7 @@ from ratslam_ros.core.mapping.loop_closure_gate import (
 from ratslam_ros.core.mapping.optimiser import PoseGraphOptimiser
 from ratslam_ros.core.mapping.scan_matching import ScanMatch
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
+from ratslam_ros.core.pose_cells.map_relocation import MapRelocation
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
 from ratslam_ros.errors import UnusableInput
@@ -66,13 +67,12 @@ class MapUpdate:
 
     ``pruned``: the experience that made room for a new one. ``rejected``: the loop-closure gate
     rejected the transition, and neither the links nor the current experience have changed.
-    ``relocated_to``: experience to which scans have relocated the robot after the action, -1 if
-    they have not.
+    ``relocation``: where scans have relocated the robot after the action, None if they have not.
     """
 
     pruned: PrunedExperience | None = None
     rejected: bool = False
-    relocated_to: int = NO_EXPERIENCE
+    relocation: MapRelocation | None = None
 
 
 class ExperienceMap(ExperienceGraph):
@@ -285,7 +285,8 @@ class ExperienceMap(ExperienceGraph):
     def relocate(self, target_id: int, target_offset: Pose, views: Sequence[Pose] = ()) -> bool:
         """Move the robot to another place that was proven by scans; return whether it is accepted.
 
-        No link is made, because the robot did not drive there.
+        No link is made, because the robot did not drive there. If the place is in another
+        component, the components are joined as by a recognised view.
 
         Args:
             target_id: experience that becomes the current one.
@@ -295,6 +296,11 @@ class ExperienceMap(ExperienceGraph):
         claimed = composed(self.pose_of(target_id), target_offset)
         if not self.gate.offer_proven(claimed, views):
             return False
+        if self._is_apart(target_id):
+            source = self.current_id
+            self._rejoin(target_id, target_offset)
+            if source != NO_EXPERIENCE and self.mapping:
+                self._connect(source, target_id, target_offset, '', False)
         self.current_id, self.offset = target_id, target_offset
         self._duration_s = self._travelled_m = 0.0
         return True

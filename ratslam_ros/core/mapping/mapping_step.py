@@ -53,7 +53,5 @@ def apply_action(
     if update.rejected and scan_matcher is not None:
         scan_matcher.undo_last()
     if relocator is not None:
-        relocation = relocator.step(stamp_ns, action, update)
-        if relocation is not None and relocation.outcome == 'found':
-            update = replace(update, relocated_to=relocation.experience_id)
+        update = replace(update, relocation=relocator.step(stamp_ns, action, update))
     return update

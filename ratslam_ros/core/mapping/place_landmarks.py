@@ -30,9 +30,9 @@ MIN_VISIT_COUNT = 2
 SAME_M, SAME_RAD, SAME_LENGTH_M = 0.3, 0.4, 0.3
 """Largest differences of position, direction and length between observations of one landmark."""
 
-POSITION_SD_M, DIRECTION_SD_RAD, LENGTH_SD_M = 0.06, 0.06, 0.05
-"""Standard deviations of a landmark on the map, relative to others within the range of a scan: of
-the laser, of the extraction, and of nearby experiences relative to each other."""
+VARIANCES = np.array([0.06, 0.06, 0.06, 0.05]) ** 2
+"""Variances of x, y in m^2, direction in rad^2 and length in m^2 of a landmark relative to others
+within the range of a scan: of the laser, the extraction, and nearby experiences on the map."""
 
 
 Shape = tuple[float, float, float, float]
@@ -65,7 +65,7 @@ class PlaceLandmarks:
             poses: (m, 3) poses of all experiences.
         """
         own = Pose(*poses[experience_id].tolist())
-        known = self._on_map(poses)
+        known = self._placed(poses)
         for x_m, y_m, direction_rad, length_m in seen.tolist():
             shape = moved_landmark(offset, (x_m, y_m, direction_rad, length_m))
             x, y, direction, _ = moved_landmark(own, shape)
@@ -92,19 +92,17 @@ class PlaceLandmarks:
             self._owners[row] = stand_in_id
         self._keep(self._owners >= 0)
 
-    def features(
+    def on_map(
         self, poses: NDArray[np.float64], excluded: Collection[int] = ()
-    ) -> Features:
-        """Return the landmarks in the frame of the map, with independent errors.
+    ) -> NDArray[np.float64]:
+        """Return the (n, 4) landmarks in the frame of the map that several experiences observed.
 
         Args:
             poses: (m, 3) poses of all experiences.
             excluded: experiences whose landmarks are left out.
         """
         unused = np.isin(self._owners, np.array(sorted(excluded), np.int64))
-        rows = np.flatnonzero((self._visits >= MIN_VISIT_COUNT) & ~unused)
-        variances = np.array([POSITION_SD_M, POSITION_SD_M, DIRECTION_SD_RAD, LENGTH_SD_M]) ** 2
-        return features_of(self._on_map(poses)[rows], np.tile(variances, (len(rows), 1)))
+        return self._placed(poses)[(self._visits >= MIN_VISIT_COUNT) & ~unused]
 
     def state(self) -> State:
         """Return all landmarks, for ``restore``."""
@@ -132,7 +130,7 @@ class PlaceLandmarks:
         self._owners, self._shapes = self._owners[rows], self._shapes[rows]
         self._visits = self._visits[rows]
 
-    def _on_map(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _placed(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the (n, 4) landmarks in the frame of the map."""
         placed: NDArray[np.float64] = _placed(self._shapes, poses[self._owners])
         return placed
@@ -156,7 +154,7 @@ def moved_landmark(base: Pose, shape: Shape) -> Shape:
     """Return a landmark that is given in the frame of a pose in the parent frame of the pose."""
     x, y, direction, length = shape
     at = composed(base, Pose(x, y, 0.0 if math.isnan(direction) else direction))
-    return at.x_m, at.y_m, at.heading_rad if length == length else math.nan, length
+    return at.x_m, at.y_m, at.heading_rad if not math.isnan(length) else math.nan, length
 
 
 def nearest_same(known: NDArray[np.float64], shape: Shape) -> int:
@@ -178,7 +176,7 @@ def _placed(shapes: NDArray[np.float64], poses: NDArray[np.float64]) -> NDArray[
         placed[i, 0] = poses[i, 0] + c * shapes[i, 0] - s * shapes[i, 1]
         placed[i, 1] = poses[i, 1] + s * shapes[i, 0] + c * shapes[i, 1]
         placed[i, 2] = math.nan
-        if shapes[i, 3] == shapes[i, 3]:
+        if not math.isnan(shapes[i, 3]):
             placed[i, 2] = wrap(poses[i, 2] + shapes[i, 2])
         placed[i, 3] = shapes[i, 3]
     return placed
