@@ -3,8 +3,8 @@
 """Navigation experiments in simulation: goals, an obstacle, goal memory, loop closure and more.
 
     python benchmarks/navigation.py goals [--seeds 10] [--first 1] [--noise 1] [--plan NAME]
-    python benchmarks/navigation.py obstacle | goal_memory | loop | kidnapped | undisturbed | pruning
-    python benchmarks/navigation.py alignment
+    python benchmarks/navigation.py obstacle | goal_memory | loop | pruning | alignment
+    python benchmarks/navigation.py kidnapped | undisturbed [--relocate views both]
 
 Each experiment prints a table with one row per seed, means and worst values, and draws its
 pictures into --out. Controllers use image, scan and odometry only; trials are judged by the true

@@ -265,7 +265,9 @@ class ExperienceMap(ExperienceGraph):
                 self.gate.reject_by_scan(self.pose)
             else:
                 claimed = composed(self.pose_of(action.target_id), target_offset)
-                relocated = self.gate.record_closure(self.pose, claimed)
+                has_scan = scan_match is not None and scan_match.fits is not None
+                by_views = self._p.exp_relocate != 'landmarks' or not has_scan
+                relocated = self.gate.record_closure(self.pose, claimed, by_views)
             if not relocated:
                 self._relax()
                 return MapUpdate(rejected=True)

@@ -115,12 +115,13 @@ class LoopClosureGate:
         self.rejecting = self.accepts_next = False
         self._record(Spot(here.x_m, here.y_m))
 
-    def record_closure(self, here: Pose, claimed: Pose) -> bool:
+    def record_closure(self, here: Pose, claimed: Pose, by_views: bool = True) -> bool:
         """Record a closure that exceeds the drift, and return whether it is accepted.
 
         Args:
             here: pose of the robot on the map before the closure.
             claimed: pose of the robot on the map according to the closure.
+            by_views: whether views can relocate the robot; if not, every closure is rejected.
         """
         self._record(Spot(here.x_m, here.y_m, here, claimed))
         agreeing = sum(
@@ -128,7 +129,8 @@ class LoopClosureGate:
             < AGREEMENT_M
             for _, _, there, claim in self._spots if there is not None and claim is not None
         )  # fmt: skip
-        self.rejecting = agreeing < REQUIRED_COUNT and not self.accepts_next
+        enough = agreeing >= REQUIRED_COUNT or self.accepts_next
+        self.rejecting = not (enough and by_views)
         if self.rejecting:
             self.rejected_count += 1
             return False

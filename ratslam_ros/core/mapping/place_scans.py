@@ -27,10 +27,10 @@ VISIT_M, VISIT_COUNT = 30.0, 3
 """Distance driven between two visits to a place, and number of visits that are distinguished."""
 
 KNOWN_SHARE = 0.5
-"""Share of the beams that must end where stored scans saw something for an agreement to count."""
+"""Smallest share of beams that end where stored scans saw something, for the rest to count."""
 
 PROVEN_SHARE = 0.9
-"""Share of matching beams that proves a pose: 0.9 to 1 at the right one, if nothing has changed."""
+"""Smallest share of matching beams that proves a pose: 0.9 to 1 at the right one."""
 
 
 class PlaceScans:
@@ -111,7 +111,7 @@ class PlaceScans:
         ]  # fmt: skip
 
     def _visits(self, poses: Sequence[Pose]) -> Iterator[list[int]]:
-        """Return the experiences with scans around poses: all of them, then those of each visit."""
+        """Return the experiences around poses that have scans: all, then those of each visit."""
         graph = self._map
         rank: dict[int, int] = {}
         for pose in dict.fromkeys(poses):

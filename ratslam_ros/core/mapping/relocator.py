@@ -14,7 +14,6 @@ from __future__ import annotations
 import itertools
 import math
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -267,9 +266,8 @@ class Relocator:
     @property
     def _is_searching(self) -> bool:
         gate = self._map.gate
-        return self.is_lost or self._agreeing == 0 and (
-            gate.rejecting or gate.accepts_next or self._is_apart
-        )
+        is_doubted = gate.rejecting or gate.accepts_next or self._is_apart
+        return self.is_lost or (is_doubted and self._agreeing == 0)
 
     @property
     def _is_apart(self) -> bool:
@@ -362,8 +360,8 @@ class Relocator:
         seen = self._seen()
         if len(seen) < PAIRS_COUNT:
             return Relocation(
-                'too little', f'{len(seen)} landmarks were seen twice in the last metres; expected '
-                f'at least {PAIRS_COUNT}: drive on',
+                'too little', f'{len(seen)} landmarks were seen twice in the last metres; '
+                f'expected at least {PAIRS_COUNT}: drive on',
             )  # fmt: skip
         if self._evidence_m < LEAST_EVIDENCE_M:
             return Relocation('too little', 'the robot has hardly moved: drive on')
@@ -384,7 +382,7 @@ class Relocator:
             elif found[1].share >= DOUBTFUL_SHARE:
                 doubtful += 1
         if not proven:
-            return Relocation('rejected', f'the scans contradict all of {len(places)} candidates')
+            return Relocation('rejected', f'the scans contradict all {len(places)} candidates')
         if len(proven) + doubtful > 1:
             return Relocation('ambiguous', f'{len(proven) + doubtful} places look alike')
         return self._offer(*proven[0])

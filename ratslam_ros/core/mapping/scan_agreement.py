@@ -109,8 +109,8 @@ def _mark_free(
         length = math.hypot(d_x, d_y)
         for k in range(int((length - CLEARANCE_M) / (0.5 * CELL_M))):
             part = k * 0.5 * CELL_M / length
-            column = int(math.floor((x + part * d_x - left_m) / CELL_M))
-            row = int(math.floor((y + part * d_y - bottom_m) / CELL_M))
+            column = math.floor((x + part * d_x - left_m) / CELL_M)
+            row = math.floor((y + part * d_y - bottom_m) / CELL_M)
             if 0 <= column < side and 0 <= row < side:
                 cells[row, column] = _FREE
 
@@ -123,8 +123,8 @@ def _mark_occupied(
     side = len(cells)
     c, s = math.cos(heading), math.sin(heading)
     for i in range(len(points)):
-        column = int(math.floor((x + c * points[i, 0] - s * points[i, 1] - left_m) / CELL_M))
-        row = int(math.floor((y + s * points[i, 0] + c * points[i, 1] - bottom_m) / CELL_M))
+        column = math.floor((x + c * points[i, 0] - s * points[i, 1] - left_m) / CELL_M)
+        row = math.floor((y + s * points[i, 0] + c * points[i, 1] - bottom_m) / CELL_M)
         if 0 <= column < side and 0 <= row < side:
             cells[row, column] = _OCCUPIED
 
@@ -145,16 +145,16 @@ def _compared(
         crosses = False
         for k in range(int((length - CLEARANCE_M) / (0.5 * CELL_M))):
             part = k * 0.5 * CELL_M / length
-            column = int(math.floor((x + part * d_x - left_m) / CELL_M))
-            row = int(math.floor((y + part * d_y - bottom_m) / CELL_M))
+            column = math.floor((x + part * d_x - left_m) / CELL_M)
+            row = math.floor((y + part * d_y - bottom_m) / CELL_M)
             if 0 <= column < side and 0 <= row < side and cells[row, column] == _OCCUPIED:
                 crosses = True
                 break
         if crosses:
             contradicting += 1
             continue
-        column = int(math.floor((x + d_x - left_m) / CELL_M))
-        row = int(math.floor((y + d_y - bottom_m) / CELL_M))
+        column = math.floor((x + d_x - left_m) / CELL_M)
+        row = math.floor((y + d_y - bottom_m) / CELL_M)
         if not (0 <= column < side and 0 <= row < side):
             continue
         if _is_near_occupied(cells, row, column):
