@@ -69,16 +69,17 @@ def lap() -> list[tuple[float, float]]:
 
 
 def samples(laps: int, carried_to: Pose | None = None, steps: int = 0) -> list[Sample]:
-    """Drive some laps; then carry the robot, and drive straight on.
+    """Drive some laps; then carry the robot to where all views are new, and drive straight on.
 
     Args:
-        laps: number of laps. A view is new in the first one and known in the others.
+        laps: number of laps; each view lasts for two steps.
         carried_to: pose that the robot is carried to; None: it continues.
         steps: number of steps after that, along the lap or, if it was carried, straight on.
     """
     around = lap()
     motions = around * laps + (around if carried_to is None else [(STEP_M, 0.0)] * 200)[:steps]
     pose, at_ns, found = START, START_NS, []
+    known: set[int] = set()
     for n, (distance_m, turn_rad) in enumerate([(0.0, 0.0), *motions]):
         if n == laps * len(around) + 1 and carried_to is not None:
             pose = carried_to
@@ -86,7 +87,8 @@ def samples(laps: int, carried_to: Pose | None = None, steps: int = 0) -> list[S
         at_ns += STEP_NS
         is_carried = n > laps * len(around) and carried_to is not None
         view = (n if is_carried else n % len(around)) // 2
-        match = seen(view, is_new=is_carried or n < len(around))
+        match = seen(view, is_new=view not in known)
+        known.add(view)
         odometry = twist(at_ns, distance_m / 0.25, turn_rad / 0.25)
         found.append(Sample(at_ns, pose, odometry, scan_in(FLOOR, pose, at_ns, beams=181), match))
     return found

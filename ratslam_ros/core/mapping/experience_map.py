@@ -97,6 +97,7 @@ class ExperienceMap(ExperienceGraph):
         self._duration_s = 0.0
         self._travelled_m = 0.0
         self._odometer_m = self._scan_checked_m = 0.0
+        self._was_relocated = False
         self._optimiser = PoseGraphOptimiser(parameters)
 
     @property
@@ -238,11 +239,12 @@ class ExperienceMap(ExperienceGraph):
         if action.action == 'none':
             self._relax()
             return MapUpdate()
-        # After a rejected closure the current experience of the pose cells differs from that of
-        # the map, so the robot did not come from the action's source.
+        # After a rejected closure, or before they adopt a relocation, the current experience of
+        # the pose cells differs from that of the map: the robot did not come from the action's
+        # source.
         was_rejecting = self.gate.rejecting
         source = action.source_id
-        if was_rejecting or self.current_id == NO_EXPERIENCE:
+        if was_rejecting or self._was_relocated or self.current_id == NO_EXPERIENCE:
             source = self.current_id
         target_offset = action.relative_pose
         if scan_match is not None:
@@ -303,6 +305,7 @@ class ExperienceMap(ExperienceGraph):
             self._rejoin(target_id, target_offset)
             if source != NO_EXPERIENCE and self.mapping:
                 self._connect(source, target_id, target_offset, '', False)
+        self._was_relocated = True
         self.current_id, self.offset = target_id, target_offset
         self._duration_s = self._travelled_m = 0.0
         return True
