@@ -39,7 +39,13 @@ from town import resident_mb
 from views import QUERIES, Kind, kinds
 
 from ratslam_ros.core.common.odometry import Motion
-from ratslam_ros.core.config import ExperienceMapParameters, PoseCellsParameters
+from ratslam_ros.core.config import (
+    ExperienceMapParameters,
+    LandmarkMapParameters,
+    PoseCellsParameters,
+)
+from ratslam_ros.core.landmarks.features import checked_observations
+from ratslam_ros.core.landmarks.stochastic_map import StochasticMap
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.relaxation import sweep
 from ratslam_ros.core.pose_cells.map_action import MapAction
@@ -418,6 +424,27 @@ def route_rows(curve: Curve) -> Iterator[Row]:
                       [statistics.mean(replan_ms)], f'worst {max(replan_ms):.1f}')  # fmt: skip
 
 
+# Stochastic map
+
+
+def stochastic_map() -> Iterator[Row]:
+    """Measure the observation of one known bar, for two sizes of the map."""
+    for count, target in ((80, 0.2), (500, 5.0)):
+        rng = np.random.default_rng(0)
+        built = StochasticMap(LandmarkMapParameters())
+        values = np.column_stack((
+            rng.uniform(1.0, 10.0, count), rng.uniform(-3.0, 3.0, count),
+            rng.uniform(-3.0, 3.0, count), rng.uniform(0.0, 2.0, count),
+        ))  # fmt: skip
+        names = np.arange(count)
+        built.observe(checked_observations(*values.T, names))
+        single = [checked_observations(*values[k : k + 1].T, names[k : k + 1]) for k in names]
+        order = iter(rng.integers(count, size=10**6).tolist())
+        times_ms = timed_ms(lambda b=built, s=single, o=order: b.observe(s[next(o)]), 300)
+        yield Row('stochastic map of bars: one observation', str(count), 'none', target, times_ms,
+                  f'{4 * count + 3} values')  # fmt: skip
+
+
 # Visual odometry, start-up, compilation
 
 
@@ -511,7 +538,7 @@ def main() -> None:
     for part in (
         pose_cells(curves[0]), local_view(curves[1], options.quick, options.data),
         loop_closure(curves[3], options.quick), settled_action(curves[2]), route_rows(curves[4]),
-        visual_odometry(curves[5]), starts(3 if options.quick else 5),
+        stochastic_map(), visual_odometry(curves[5]), starts(3 if options.quick else 5),
     ):  # fmt: skip
         for row in part:
             lines.append(row.text(reference.lap()))

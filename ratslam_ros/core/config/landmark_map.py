@@ -50,9 +50,9 @@ class LandmarkMapParameters(Forgetting):
         'the sensor is less accurate', 'the sensor is more accurate',
     )  # fmt: skip
     lm_outlier_probability: float = parameter(
-        0.001, '', 0.0, 0.5,
+        0.001, '', 1e-12, 0.5,
         'Probability that a correct observation of a known landmark is rejected as an outlier, '
-        'by a chi-square test of its innovation. 0: none is rejected.',
+        'by a chi-square test of its innovation.',
         'wrong observations distort the map', 'correct observations are rejected',
     )  # fmt: skip
     lm_repeat_m: float = parameter(

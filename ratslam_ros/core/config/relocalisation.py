@@ -37,6 +37,12 @@ class RelocalisationParameters(Section):
         'places are ambiguous because few of the observed landmarks are on the map',
         'the search takes too long',
     )  # fmt: skip
+    reloc_nodes: int = parameter(
+        500_000, 'pairs', 1000, 1_000_000_000,
+        'Largest number of pairs that are tested, about 0.5 s. If a search ends by it, its result '
+        'is not `found`, because a competing place may have been missed.',
+        'places of a large map of points are not found', 'the search takes too long',
+    )  # fmt: skip
     reloc_share: float = parameter(
         0.5, 'of the observations', 0.01, 1.0,
         'Least share of the observations that match the map at a place that is reported.',

@@ -178,8 +178,6 @@ def search(
                     descends = level + remaining > most
                 elif bound == 1:
                     descends = not was_mapped[depth] and level > most
-                    # Without a pair, no set is better than the empty one.
-                    descends = descends or (not was_mapped[depth] and level == 0 and most == 0)
                 else:
                     descends = True
                 descends = descends and nodes < max_nodes

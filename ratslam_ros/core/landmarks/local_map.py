@@ -16,13 +16,15 @@ from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import LandmarkMapParameters
 from ratslam_ros.core.landmarks.features import Features, Observations
 from ratslam_ros.core.landmarks.stochastic_map import StochasticMap
+from ratslam_ros.core.landmarks.stochastic_map_kernels import DOUBTFUL, UNKNOWN
 
 
 class LocalMap:
     """Landmarks that were seen within the last metre of travel (``lm_local_m``).
 
     Each observation is associated with the nearest landmark of the local map that passes the
-    chi-square test, and becomes a new landmark if there is none. Nearest neighbours suffice here,
+    chi-square test, and becomes a new landmark if there is none; observations that are probably
+    outliers are not used, so that they do not become landmarks. Nearest neighbours suffice here,
     because the odometry since the last moment is much more accurate than the sensor; landmarks
     closer to each other than the sensor's noise may be exchanged, at an error of that size. With
     each moment's observations as separate landmarks, a landmark that was seen ten times would
@@ -68,18 +70,20 @@ class LocalMap:
         """
         matches = self._map.nearest(observations)
         self._map.move_origin()
-        unknown = np.flatnonzero(matches < 0)
-        names = self._map.identifiers[matches] if len(self._map) else matches
+        names = matches.copy()
+        names[matches >= 0] = self._map.identifiers[matches[matches >= 0]]
+        unknown = np.flatnonzero(matches == UNKNOWN)
         names[unknown] = self._next_identifier + np.arange(len(unknown))
         self._next_identifier += len(unknown)
+        used = matches != DOUBTFUL
         observed = self._map.observe(
             Observations(
-                observations.range_m, observations.bearing_rad, observations.direction_rad,
-                observations.length_m, names,
+                observations.range_m[used], observations.bearing_rad[used],
+                observations.direction_rad[used], observations.length_m[used], names[used],
             )
         )  # fmt: skip
-        used = observed.added, observed.updated, observed.repeated
-        for name in np.concatenate(used).tolist():
+        present = observed.added, observed.updated, observed.repeated
+        for name in np.concatenate(present).tolist():
             self._seen_at_m[name] = self._travelled_m
 
     def features(self) -> Features:

@@ -347,6 +347,7 @@ def search_places(
     sample: int,
     least: int,
     max_draws: int,
+    max_nodes: int,
     error: float,
     seed: int,
 ) -> tuple[
@@ -387,7 +388,7 @@ def search_places(
             is_drawn[drawn[k]] = True
         depth = 0
         place[0], end[0] = 0, total
-        while depth >= 0:
+        while depth >= 0 and nodes < max_nodes:
             if place[depth] == end[depth]:
                 depth -= 1
                 if depth >= 0:
@@ -512,6 +513,8 @@ def search_places(
                 most_evidence, most_pairs = value, pairs
         for k in range(sample):
             is_drawn[drawn[k]] = False
+        if depth >= 0:
+            break  # Too many nodes: this draw is incomplete and does not count.
         draws += 1
         if most_evidence > -math.log(error):
             # Evidence of a pair of the best place, apart from what finding a pose costs. A place

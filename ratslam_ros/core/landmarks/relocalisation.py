@@ -151,7 +151,7 @@ def relocalise(
     count, assigned, evidence, poses, covariances, draws, nodes, missed = search_places(
         observed, index.geometry, unary, index.neighbours, index.grid, limits,
         min(parameters.reloc_sample, least), least, parameters.reloc_draws,
-        parameters.reloc_error, seed & (2**63 - 1),
+        parameters.reloc_nodes, parameters.reloc_error, seed & (2**63 - 1),
     )  # fmt: skip
     outcome, probabilities = _judged(
         [float(value) for value in evidence[:count]], parameters.reloc_unmapped,

@@ -67,9 +67,8 @@ class StochasticMap:
 
     The Jacobians are computed at the first estimates: landmarks where they were added, the pose
     where it was predicted. A filter with Jacobians at the latest estimates gains information on
-    the absolute heading, which observations cannot provide, and becomes overconfident (Huang,
-    Mourikis and Roumeliotis 2010, "Observability-based rules for designing consistent EKF SLAM
-    estimators", section 5.1).
+    the absolute heading, which observations cannot provide, and becomes overconfident
+    (Huang, Mourikis and Roumeliotis 2010).
 
     A landmark that was first seen as a point remains a point; directions and lengths of later
     observations are not used. An observation without them updates the position of a bar.
@@ -195,10 +194,11 @@ class StochasticMap:
         )  # fmt: skip
 
     def nearest(self, observations: Observations) -> NDArray[np.int64]:
-        """Return the index of the nearest landmark for each observation, -1 without one.
+        """Return the index of the nearest landmark for each observation.
 
         A pair has the same type and passes the chi-square test. The nearest pairs are formed
-        first, and no landmark is used twice. Identifiers are not used.
+        first, and no landmark is used twice. Without a landmark the result is -1 for an unknown
+        one, and -2 if the observation may be an outlier of a known one. Identifiers are not used.
 
         Raises:
             UnusableObservations: values are invalid.

@@ -27,6 +27,9 @@ LEAST_DISTANCE_M = 1e-3
 UPDATED, REJECTED, NEW, REPEATED = 0, 1, 2, 3
 """Results of one observation."""
 
+UNKNOWN, DOUBTFUL = -1, -2
+"""Associations of observations without a feature: of a new landmark, or not to be used."""
+
 _COLUMNS = POSE_SIZE + BAR_SIZE
 """Values that one observation depends on: the pose and one feature."""
 
@@ -221,10 +224,12 @@ def _correct(
                 c[a, i] -= 0.5 * s[a, b] * k[b, i]
     for i in range(d):
         row = p[i * (i + 1) // 2 : (i + 1) * (i + 2) // 2]
-        for a in range(m):
-            k_i, a_i = k[a, i], c[a, i]
+        for a in range(0, m, 2):  # Two at a time, as m is even: half the passes over the row.
+            k_0, a_0, k_1, a_1 = k[a, i], c[a, i], k[a + 1, i], c[a + 1, i]
             for j in range(i + 1):
-                row[j] -= k_i * c[a, j] + a_i * k[a, j]
+                row[j] -= (k_0 * c[a, j] + a_0 * k[a, j]) + (
+                    k_1 * c[a + 1, j] + a_1 * k[a + 1, j]
+                )
 
 
 @compiled
@@ -405,10 +410,12 @@ def associate(
     offsets: NDArray[np.int64], z: NDArray[np.float64], sizes: NDArray[np.int64],
     variances: NDArray[np.float64], outlier_probability: float,
 ) -> NDArray[np.int64]:
-    """Return the index of the feature of each observation, -1 without one.
+    """Return the index of the feature of each observation, UNKNOWN or DOUBTFUL without one.
 
     Of all pairs of the same type that pass the chi-square test, the nearest one is taken first;
-    no feature and no observation is used twice. Arguments as for ``observe``.
+    no feature and no observation is used twice. An observation without a feature is doubtful if
+    it may be an outlier of a feature that no other observation matches: a pair that fails at the
+    given probability, but passes at its square. Arguments as for ``observe``.
     """
     n, count = len(z), len(offsets) - 1
     squared = np.zeros(n * count)
@@ -422,13 +429,19 @@ def associate(
             if not _linearise(x, first, offsets[f], sizes[o], z[o], h, innovation):
                 continue
             distance = _squared_distance(p, offsets[f], sizes[o], h, innovation, variances)
-            if survival(distance, sizes[o]) >= outlier_probability:
+            if survival(distance, sizes[o]) >= outlier_probability * outlier_probability:
                 squared[found], pairs[found] = distance, o * count + f
                 found += 1
-    matches = np.full(n, -1)
+    matches = np.full(n, UNKNOWN)
     is_taken = np.zeros(count, np.bool_)
-    for k in np.argsort(squared[:found], kind='mergesort'):
+    order = np.argsort(squared[:found], kind='mergesort')
+    for k in order:
         o, f = pairs[k] // count, pairs[k] % count
-        if matches[o] < 0 and not is_taken[f]:
+        passes = survival(squared[k], sizes[o]) >= outlier_probability
+        if passes and matches[o] == UNKNOWN and not is_taken[f]:
             matches[o], is_taken[f] = f, True
+    for k in order:
+        o, f = pairs[k] // count, pairs[k] % count
+        if matches[o] == UNKNOWN and not is_taken[f]:
+            matches[o] = DOUBTFUL
     return matches

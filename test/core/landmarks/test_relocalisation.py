@@ -156,6 +156,17 @@ def test_too_few_draws_do_not_exclude_competitors() -> None:
     assert hurried.outcome != 'found'
 
 
+def test_vague_observations_end_search_without_result() -> None:
+    """With errors of metres, nearly every set of features is compatible."""
+    rng = np.random.default_rng(2)
+    rows = world(rng, 60, 25.0)
+    vague = features(moved(rows[:4], (1.0, 2.0, 3.0)), 4.0 * np.eye(sum(map(len, rows[:4]))))
+    parameters = RelocalisationParameters(reloc_nodes=20_000)
+    result = relocalise(vague, mapped(rng, rows), parameters, 0)
+    assert result.outcome != 'found' and result.draws == 0 and result.missed == 1.0
+    assert 20_000 <= result.search_nodes < 40_000
+
+
 def test_thousand_features_are_searched() -> None:
     rng = np.random.default_rng(21)
     rows = world(rng, 1000, 100.0, 1.0)

@@ -1,0 +1,902 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Experiments of the memory paper in simulation: landmark mapping, memory and relocalisation.
+
+    python benchmarks/landmarks.py mapping [--seeds 50] [--first 1] [--out results/landmarks]
+    python benchmarks/landmarks.py memory | memory-relocalisation
+    python benchmarks/landmarks.py relocalisation | unmapped | effort
+
+Each experiment prints a table beside the results of the paper and draws its plots into --out. They
+are described in docs/landmarks.md. One seed runs per core.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import statistics
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ratslam_ros.core.common.angles import wrap
+from ratslam_ros.core.common.pose import Pose, composed
+from ratslam_ros.core.config import LandmarkMapParameters
+from ratslam_ros.core.config.relocalisation import RelocalisationParameters
+from ratslam_ros.core.landmarks.features import BAR_SIZE, MAX_OBSERVATION_COUNT, Features
+from ratslam_ros.core.landmarks.joint_compatibility import Bound, search_jointly_compatible
+from ratslam_ros.core.landmarks.landmark_memory import LandmarkMemory
+from ratslam_ros.core.landmarks.local_map import LocalMap
+from ratslam_ros.core.landmarks.relocalisation import KnownFeatures, relocalise
+from ratslam_ros.results.plots import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    PALE_GREY,
+    VERMILLION,
+    add_legend_below,
+    equal_axes,
+    new_figure,
+    save_figure,
+)
+from ratslam_ros.simulator.floor_plan import load_floor_plan
+from ratslam_ros.simulator.landmarks import (
+    DISTINCT,
+    NORMAL,
+    BarOptions,
+    LandmarkSensor,
+    LandmarkWorld,
+    Step,
+    Vehicle,
+    drive,
+    floor_plan_landmarks,
+    lap,
+    observe,
+    random_pose,
+    scattered_bars,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Job = TypeVar('Job')
+Row = TypeVar('Row')
+
+FLOORS = Path(__file__).parent / 'floors'
+
+SENSOR = LandmarkSensor()
+"""Sensor with the noise at which relocalisation is required to succeed."""
+
+SPEED_MPS = 1.0
+"""Constant speed of the vehicle, by which freshness decays."""
+
+MARGIN_M = 12.5
+"""Distance of the vehicle's rectangular path from the edge of the world."""
+
+OFFICE_TOUR = 'EBCFDAE'
+"""Places of the office that the vehicle passes."""
+
+OFFICE_VEHICLE = Vehicle(step_m=0.5, look_ahead_m=0.7)
+"""Vehicle in the office, where corridors are 2.1 m wide."""
+
+LIMITS = (20, 30, 40, 60, 80, 120, 160, 0)
+"""Limits of the number of landmarks; 0: none."""
+
+CROWDED = replace(NORMAL, count=200)
+"""World of the memory experiments, with many more landmarks than the limits."""
+
+FEW = 10
+"""Observations per step in the memory experiments."""
+
+FORGET_AFTER_S = 15.0
+"""Decay time of the freshness: an eighth of a lap, in which the vehicle passes a region."""
+
+
+KIDNAP_WORLDS = (100, 150, 200)
+"""Numbers of landmarks in the worlds of memory-relocalisation."""
+
+KIDNAP_LIMITS = (80, 0)
+"""Limits of memory-relocalisation, as in figure 4 of the paper; 0: none."""
+
+KIDNAPS_COUNT = 10
+"""Kidnappings per seed."""
+
+SPARSE_SEARCH = RelocalisationParameters(reloc_share=0.15, reloc_draws=5000)
+"""Search of a map that may have forgotten most of the landmarks in view."""
+
+RIGHT_M, RIGHT_RAD = 1.0, math.radians(10.0)
+"""Largest errors of a relocalisation that counts as right."""
+
+
+ALL = MAX_OBSERVATION_COUNT
+"""Number of observations that does not limit them."""
+
+RELOCALISATION_CASES: dict[str, tuple[BarOptions, float, int]] = {
+    'distinct': (DISTINCT, 1.0, ALL),
+    'distinct, twice the noise': (DISTINCT, 2.0, ALL),
+    'normal': (NORMAL, 1.0, ALL),
+    'normal, twice the noise': (NORMAL, 2.0, ALL),
+    'normal, only 5 seen': (NORMAL, 1.0, 5),
+    'twice the noise, 5 seen': (NORMAL, 2.0, 5),
+    'normal, only 4 seen': (NORMAL, 1.0, 4),
+    'twice the noise, 4 seen': (NORMAL, 2.0, 4),
+}
+"""Worlds of table 1, the factor of the sensor's noise, and the limit of the observations."""
+
+UNMAPPED_CASES: dict[str, tuple[BarOptions, float]] = {
+    case: (options, noise)
+    for case, (options, noise, count) in RELOCALISATION_CASES.items() if count == ALL
+}  # fmt: skip
+"""Worlds of which another one is mapped, with the factor of the noise."""
+
+UNMAPPED_PLANS = ('house', 'school', 'hall')
+"""Floor plans of which the western half is mapped; the robot is in the eastern half."""
+
+ENTRY_M = 6.0
+"""Distance from the mapped half beyond which the robot is in a region never mapped."""
+
+PLAN_SD = np.array([0.05, 0.05, 0.01, 0.05])
+"""Standard deviations of x, y, direction and length of landmarks that are mapped without a drive,
+in the experiments on floor plans and on the search effort."""
+
+OBSERVATION_COUNTS, FEATURE_COUNTS = (4, 8, 12, 15, 20), (20, 50, 100, 200, 500)
+"""Sizes of the searches."""
+
+SEARCH = RelocalisationParameters()
+"""Search with the default parameters."""
+
+OUTCOME_HEADING = (
+    f'{"right":>8}{"wrong":>7}{"ambiguous":>11}{"not here":>10}{"x [m]":>16}{"y [m]":>16}{"ms":>7}'
+)
+"""Names of the columns of ``outcomes``."""
+
+MAX_NODES = 50_000
+"""Joint tests after which a search without random sampling is aborted."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """Options that all experiments share.
+
+    Attributes:
+        out: folder of the plots.
+        seeds: seeds of worlds and drives.
+    """
+
+    out: Path
+    seeds: Sequence[int]
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A vehicle's drive through a world, and what its sensors measure."""
+
+    world: LandmarkWorld
+    sensor: LandmarkSensor
+    vehicle: Vehicle
+    start: Pose
+    steps: list[Step]
+
+
+@dataclass(frozen=True)
+class Mapped:
+    """A drive with the map made from it.
+
+    Attributes:
+        drive: the drive.
+        memory: the map.
+        path: (steps, 3) estimated poses.
+        ms: CPU time per step.
+    """
+
+    drive: Drive
+    memory: LandmarkMemory
+    path: NDArray[np.float64]
+    ms: float
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """Errors of the landmarks of a map.
+
+    Attributes:
+        count: number of landmarks.
+        within: share of the coordinates (x, y, direction, length) within 2 standard deviations.
+        nees: normalised estimation error squared of all coordinates together, per degree of
+            freedom; 1 on average if the covariance is right.
+        rms_m: root mean square of the position errors.
+        sd_m: root mean square of the standard deviations of the positions.
+        pose_rms_m: root mean square of the errors of the vehicle's position.
+    """
+
+    count: int
+    within: float
+    nees: float
+    rms_m: float
+    sd_m: float
+    pose_rms_m: float
+
+
+def generator(seed: int) -> np.random.Generator:
+    """Return a generator of random numbers."""
+    return np.random.Generator(np.random.PCG64(seed))
+
+
+def scattered_drive(
+    seed: int, options: BarOptions = NORMAL, sensor: LandmarkSensor = SENSOR,
+    laps: float = 1.0,
+) -> Drive:  # fmt: skip
+    """Drive through scattered bars along a rectangle."""
+    rng, vehicle = generator(seed), Vehicle()
+    world = scattered_bars(rng, options)
+    return Drive(
+        world, sensor, vehicle, *drive(world, lap(world, MARGIN_M, laps), sensor, rng, vehicle)
+    )
+
+
+def office_drive(seed: int, sensor: LandmarkSensor = SENSOR) -> Drive:
+    """Drive round both loops of the simulated office."""
+    plan = load_floor_plan('office')
+    world, vehicle = floor_plan_landmarks(plan), OFFICE_VEHICLE
+    tour = [plan.places[name] for name in OFFICE_TOUR]
+    return Drive(world, sensor, vehicle, *drive(world, tour, sensor, generator(seed), vehicle))
+
+
+def map_parameters(driven: Drive, limit: int = 0) -> LandmarkMapParameters:
+    """Return parameters of a map with the true standard deviations of the noise."""
+    sensor, vehicle = driven.sensor, driven.vehicle
+    return LandmarkMapParameters(
+        lm_odom_position_sd_m=vehicle.position_sd_m,
+        lm_odom_drift_sd_rad=vehicle.drift_sd_rad,
+        lm_odom_turn_sd_rad=vehicle.turn_sd_rad,
+        lm_range_sd_m=sensor.range_sd_m,
+        lm_bearing_sd_rad=sensor.bearing_sd_rad,
+        lm_direction_sd_rad=sensor.direction_sd_rad,
+        lm_length_sd_m=sensor.length_sd_m,
+        lm_max=limit,
+        forget_after_s=FORGET_AFTER_S,
+    )
+
+
+def mapped(driven: Drive, limit: int = 0, seed: int = 0) -> Mapped:
+    """Map a drive, with identifiers, in the frame of the world.
+
+    Args:
+        driven: the drive.
+        limit: limit of the number of landmarks; 0: none.
+        seed: of the random choice of the landmarks that fade.
+    """
+    memory = LandmarkMemory(map_parameters(driven, limit), driven.start, seed)
+    path = np.zeros((len(driven.steps), 3))
+    step_ns = round(driven.vehicle.step_m / SPEED_MPS * 1e9)
+    began = time.process_time()
+    for index, step in enumerate(driven.steps):
+        memory.map.predict(*step.motion)
+        memory.observe(step.observations, index * step_ns)
+        path[index] = memory.map.pose
+    ms = 1e3 * (time.process_time() - began) / len(driven.steps)
+    return Mapped(driven, memory, path, ms)
+
+
+def errors(world: LandmarkWorld, features: Features) -> NDArray[np.float64]:
+    """Return the (n, 4) errors of x, y, direction and length."""
+    found = features.values.reshape(-1, BAR_SIZE) - world.bars[features.identifiers]
+    found[:, 2] = [wrap(angle) for angle in found[:, 2].tolist()]
+    return found
+
+
+def accuracy(result: Mapped) -> Accuracy:
+    """Compare a map with the world."""
+    features = result.memory.map.features()
+    error = errors(result.drive.world, features)
+    variance = np.diag(features.covariance).reshape(-1, BAR_SIZE)
+    flat = error.ravel()
+    true = np.array([step.pose for step in result.drive.steps])
+    return Accuracy(
+        count=len(features),
+        within=float(np.mean(error**2 <= 4.0 * variance)),
+        nees=float(flat @ np.linalg.solve(features.covariance, flat)) / len(flat),
+        rms_m=rms(error[:, :2]),
+        sd_m=math.sqrt(float(variance[:, :2].sum(axis=1).mean())),
+        pose_rms_m=rms(result.path[:, :2] - true[:, :2]),
+    )
+
+
+def rms(offsets_m: NDArray[np.float64]) -> float:
+    """Return the root of the mean squared length of (n, 2) offsets."""
+    return math.sqrt(float((offsets_m**2).sum(axis=1).mean()))
+
+
+MAPPING_CASES: dict[str, Callable[[int], Drive]] = {
+    'normal': scattered_drive,
+    'normal, 3 observations': partial(
+        scattered_drive, sensor=replace(SENSOR, max_count=3)
+    ),
+    'normal, twice the noise': partial(
+        scattered_drive, sensor=SENSOR.with_noise(2.0)
+    ),
+    'distinct': partial(scattered_drive, options=DISTINCT),
+    'office, 2 loops': office_drive,
+}  # fmt: skip
+"""Worlds and sensors of the mapping experiment."""
+
+
+def mapping_run(case: str, seed: int) -> Accuracy:
+    """Map one world."""
+    return accuracy(mapped(MAPPING_CASES[case](seed)))
+
+
+def mapping(setting: Setting) -> None:
+    """Print the table of the mapping experiment, and draw figure 1."""
+    print('paper: the first-pass map is within 2 standard deviations of the correct map')
+    print(f'{"world":24}{"landmarks":>10}{"within 2 SD":>13}{"NEES/dof":>10}{"least":>7}'
+          f'{"most":>7}{"RMS [m]":>9}{"SD [m]":>8}{"vehicle [m]":>13}')  # fmt: skip
+    for case in MAPPING_CASES:
+        found = pooled(partial(mapping_run, case), setting.seeds)
+        nees = [row.nees for row in found]
+        print(
+            f'{case:24}{mean(row.count for row in found):10.1f}'
+            f'{mean(row.within for row in found):13.1%}{mean(nees):10.2f}{min(nees):7.2f}'
+            f'{max(nees):7.2f}{mean(row.rms_m for row in found):9.2f}'
+            f'{mean(row.sd_m for row in found):8.2f}{mean(row.pose_rms_m for row in found):13.2f}'
+        )
+    print('required: at least 93 % within 2 SD; mean NEES per degree of freedom 0.8 to 1.3')
+    figure = new_figure(8.6, 5.6)
+    axes = figure.subplots(1, 2)
+    for panel, case in zip(axes, ('normal', 'normal, 3 observations'), strict=True):
+        draw_mapped(panel, mapped(MAPPING_CASES[case](setting.seeds[0])))
+        panel.set_title(case)
+    add_legend_below(figure, axes[0])
+    save_figure(figure, setting.out / 'landmarks_mapping.png')
+
+
+def memory_run(seed: int) -> list[tuple[Accuracy, float]]:
+    """Map one crowded world at all limits; return the accuracies and ms per step."""
+    driven = crowded_drive(seed)
+    warm_up(driven)
+    results = [mapped(driven, limit, seed) for limit in LIMITS]
+    return [(accuracy(result), result.ms) for result in results]
+
+
+def crowded_drive(seed: int, options: BarOptions = CROWDED) -> Drive:
+    """Drive two laps through a world with many more landmarks than the limits."""
+    sensor = replace(SENSOR, max_count=FEW)
+    return scattered_drive(seed, options, sensor, laps=2.0)
+
+
+def memory(setting: Setting) -> None:
+    """Print time and error at all limits, and draw figures 2 and 3."""
+    print('paper: with a limit the mapping is faster, with larger variances and errors')
+    print(f'{"limit":>6}{"landmarks":>11}{"ms per step":>18}{"RMS error [m]":>18}'
+          f'{"SD [m]":>18}{"vehicle [m]":>18}{"within 2 SD":>13}')  # fmt: skip
+    found = pooled(memory_run, setting.seeds)
+    columns: dict[str, list[list[float]]] = {
+        'time': [], 'error of the landmarks': [], 'their estimated SD': [],
+        'error of the vehicle': [],
+    }  # fmt: skip
+    for index, limit in enumerate(LIMITS):
+        rows = [run[index][0] for run in found]
+        values = (
+            [run[index][1] for run in found], [row.rms_m for row in rows],
+            [row.sd_m for row in rows], [row.pose_rms_m for row in rows],
+        )  # fmt: skip
+        for column, value in zip(columns.values(), values, strict=True):
+            column.append(value)
+        print(
+            f'{limit or "none":>6}{mean(row.count for row in rows):11.1f}'
+            + ''.join(f'{spread(value):>18}' for value in values)
+            + f'{mean(row.within for row in rows):13.1%}'
+        )
+    sizes = [limit or round(mean(run[-1][0].count for run in found)) for limit in LIMITS]
+    figure = new_figure(9.0, 3.6)
+    panels = figure.subplots(1, 2)
+    for (name, column), colour, beside in zip(
+        columns.items(), (BLUE, VERMILLION, GREEN, BLACK), (0.0, -1.5, 0.0, 1.5), strict=True
+    ):
+        panel = panels[int(name != 'time')]
+        panel.errorbar(
+            [size + beside for size in sizes], [mean(value) for value in column],
+            [statistics.pstdev(value) for value in column],
+            color=colour, marker='o', markersize=4, capsize=3, label=name,
+        )  # fmt: skip
+    for panel, label in zip(panels, ('CPU time per step [ms]', 'position [m]'), strict=True):
+        panel.set(xlabel='limit of the number of landmarks (last: none)', ylabel=label)
+        panel.set_ylim(bottom=0.0)
+        panel.grid(color=PALE_GREY, linewidth=0.5)
+    panels[1].legend(fontsize=8)
+    save_figure(figure, setting.out / 'landmarks_memory.png')
+    figure = new_figure(10.0, 4.4)
+    driven = crowded_drive(setting.seeds[0])
+    maps = figure.subplots(1, 3)
+    for panel, limit in zip(maps, (40, 80, 0), strict=True):
+        draw_mapped(panel, mapped(driven, limit, setting.seeds[0]))
+        panel.set_title(f'limit of {limit} landmarks' if limit else 'no limit')
+    add_legend_below(figure, maps[0])
+    save_figure(figure, setting.out / 'landmarks_memory_maps.png')
+
+
+@dataclass(frozen=True)
+class Kidnapping:
+    """Relocalisation of a robot that was carried to an unknown pose.
+
+    Attributes:
+        outcome: `right`, `wrong`, `ambiguous` or `not here`.
+        error: x and y in m and heading in rad of the pose that was found, else NaN.
+        pose: the pose that was found in the frame of the world, or None.
+        true_pose: the pose to which it was carried.
+        observed: number of observations.
+        nodes: number of search nodes.
+        ms: time of the search.
+    """
+
+    outcome: str
+    error: tuple[float, float, float]
+    pose: Pose | None
+    true_pose: Pose
+    observed: int
+    nodes: int
+    ms: float
+
+
+def kidnapped(
+    result: Mapped, known: KnownFeatures, world_from_map: Pose, pose: Pose,
+    rng: np.random.Generator, search: RelocalisationParameters, sensor: LandmarkSensor = SENSOR,
+) -> Kidnapping:  # fmt: skip
+    """Carry the robot to a pose, and relocalise it by the observations of one moment.
+
+    Args:
+        result: drive with its map.
+        known: the map.
+        world_from_map: pose of the map's frame in that of the world.
+        pose: true pose.
+        rng: generator for the noise of the sensor, and for the seed of the search.
+        search: parameters of the search.
+        sensor: sensor; its identifiers are not used.
+    """
+    observations = observe(result.drive.world, pose, sensor, rng)
+    local = LocalMap(map_parameters(replace(result.drive, sensor=sensor)))
+    local.observe(replace(observations, identifiers=None))
+    seed = int(rng.integers(2**31))
+    began = time.process_time()
+    answer = relocalise(local.features(), known, search, seed)
+    ms = 1e3 * (time.process_time() - began)
+    outcome, error, found = answer.outcome, (math.nan,) * 3, None
+    if outcome == 'found':
+        found = composed(world_from_map, answer.places[0].pose)
+        turn_rad = wrap(found.heading_rad - pose.heading_rad)
+        error = found.x_m - pose.x_m, found.y_m - pose.y_m, turn_rad
+        is_right = math.hypot(*error[:2]) <= RIGHT_M and abs(turn_rad) <= RIGHT_RAD
+        outcome = 'right' if is_right else 'wrong'
+    return Kidnapping(outcome, error, found, pose, len(observations), answer.search_nodes, ms)
+
+
+def map_frame(result: Mapped) -> Pose:
+    """Return the pose of a map's frame in the world, by rigid alignment of the landmarks.
+
+    The map drifts while it is made; relocalisation cannot correct this.
+    """
+    features = result.memory.map.features()
+    found, true = features.positions_m, result.drive.world.bars[features.identifiers, :2]
+    a, b = found - found.mean(axis=0), true - true.mean(axis=0)
+    turn_rad = math.atan2(
+        float((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum()), float((a * b).sum())
+    )
+    centre = composed(Pose(0.0, 0.0, turn_rad), Pose(*found.mean(axis=0).tolist(), 0.0))
+    x_m, y_m = true.mean(axis=0).tolist()
+    return Pose(x_m - centre.x_m, y_m - centre.y_m, turn_rad)
+
+
+def warm_up(driven: Drive) -> None:
+    """Compile all loops, so that the compilation is not part of the times."""
+    result = mapped(replace(driven, steps=driven.steps[:5]), LIMITS[0])
+    known = KnownFeatures(result.memory.map.features())
+    kidnapped(result, known, map_frame(result), driven.start, generator(0), SPARSE_SEARCH)
+
+
+def memory_relocalisation_run(count: int, seed: int) -> dict[int, list[Kidnapping]]:
+    """Kidnap the robot in one world, with maps of different limits.
+
+    Args:
+        count: number of landmarks in the world.
+        seed: of the world, the drive and the kidnappings.
+    """
+    driven = crowded_drive(seed, replace(NORMAL, count=count))
+    warm_up(driven)
+    found = {}
+    for limit in KIDNAP_LIMITS:
+        result, rng = mapped(driven, limit, seed), generator(1000 + seed)
+        known, frame = KnownFeatures(result.memory.map.features()), map_frame(result)
+        found[limit] = [
+            kidnapped(
+                result, known, frame, random_pose(driven.world, rng, MARGIN_M / 2), rng,
+                SPARSE_SEARCH,
+            )
+            for _ in range(KIDNAPS_COUNT)
+        ]  # fmt: skip
+    return found
+
+
+def memory_relocalisation(setting: Setting) -> None:
+    """Print the outcomes with and without a limit, and draw figure 4."""
+    print('paper: the relocalisation succeeds with a limit of 80')
+    print(f'{"world":>5}{"limit":>7}{"right":>8}{"wrong":>7}{"ambiguous":>11}{"not here":>10}'
+          f'{"x [m]":>16}{"y [m]":>16}{"ms":>7}')  # fmt: skip
+    for count in KIDNAP_WORLDS:
+        runs = pooled(partial(memory_relocalisation_run, count), setting.seeds)
+        for limit in KIDNAP_LIMITS:
+            rows = [row for run in runs for row in run[limit]]
+            print(f'{count:5}{limit or "none":>7}' + outcomes(rows))
+    print('required: with a limit of 80, right within 5 percentage points of no limit')
+    count, seed = KIDNAP_WORLDS[-1], setting.seeds[0]
+    driven = crowded_drive(seed, replace(NORMAL, count=count))
+    found = memory_relocalisation_run(count, seed)
+    figure = new_figure(8.6, 5.6)
+    panels = figure.subplots(1, 2)
+    for panel, limit in zip(panels, KIDNAP_LIMITS, strict=True):
+        draw_mapped(panel, mapped(driven, limit, seed))
+        draw_kidnappings(panel, found[limit])
+        panel.set_title(f'limit of {limit} landmarks' if limit else 'no limit')
+    add_legend_below(figure, panels[1])
+    save_figure(figure, setting.out / 'landmarks_memory_relocalisation.png')
+
+
+def outcomes(rows: Sequence[Kidnapping]) -> str:
+    """Return the shares of the outcomes, the errors and the time as columns of a table."""
+    share = {
+        name: sum(row.outcome == name for row in rows) / len(rows)
+        for name in ('right', 'wrong', 'ambiguous', 'not here')
+    }
+    found = [row.error for row in rows if row.pose is not None]
+    x_m, y_m = ([row[axis] for row in found] or [math.nan] for axis in (0, 1))
+    return (
+        f'{share["right"]:8.1%}{share["wrong"]:7.1%}{share["ambiguous"]:11.1%}'
+        f'{share["not here"]:10.1%}{spread(x_m):>16}{spread(y_m):>16}'
+        f'{mean(row.ms for row in rows):7.1f}'
+    )
+
+
+def draw_kidnappings(axes: Axes, rows: Sequence[Kidnapping]) -> None:
+    """Draw true poses as crosses and found ones as discs, with their headings."""
+    axes.plot([], [], 'o', color=GREEN, label='found, right')
+    if any(row.outcome == 'wrong' for row in rows):
+        axes.plot([], [], 'o', color=VERMILLION, label='found, wrong')
+    true = np.array([row.true_pose[:2] for row in rows])
+    axes.plot(*true.T, 'x', color=BLACK, markersize=7, zorder=7, label='carried to')
+    for row in rows:
+        is_right = row.outcome == 'right'
+        if row.pose is not None:
+            x_m, y_m, heading_rad = row.pose
+            colour = GREEN if is_right else VERMILLION
+            axes.plot(x_m, y_m, 'o', color=colour, markersize=7, zorder=6)
+            axes.plot(
+                [x_m, x_m + 2.5 * math.cos(heading_rad)], [y_m, y_m + 2.5 * math.sin(heading_rad)],
+                color=colour, linewidth=2.0, zorder=6,
+            )  # fmt: skip
+
+
+def draw_mapped(axes: Axes, result: Mapped) -> None:
+    """Draw a map as in figures 1 and 3 of the paper."""
+    from matplotlib.collections import LineCollection, PatchCollection
+    from matplotlib.patches import Circle
+
+    world = result.drive.world
+    x, y, direction, length = world.bars.T
+    ends = np.stack((x + length * np.cos(direction), y + length * np.sin(direction)), axis=1)
+    axes.add_collection(
+        LineCollection(
+            np.stack((world.bars[:, :2], ends), axis=1), colors=GREY, linewidths=0.8, zorder=2
+        )
+    )
+    axes.plot(x, y, linestyle='', marker='*', color=BLACK, markersize=4, label='landmark')
+    features = result.memory.map.features()
+    radii_m = []
+    for start in features.offsets[:-1]:
+        block = features.covariance[start : start + 2, start : start + 2]
+        radii_m.append(2.0 * math.sqrt(float(np.linalg.eigvalsh(block)[-1])))
+    circles = [
+        Circle((float(at[0]), float(at[1])), radius_m)
+        for at, radius_m in zip(features.positions_m, radii_m, strict=True)
+    ]
+    axes.add_collection(
+        PatchCollection(circles, facecolor='none', edgecolor=VERMILLION, linewidth=0.9, zorder=4)
+    )
+    axes.plot([], [], linestyle='', marker='o', markerfacecolor='none', color=VERMILLION,
+              label='estimate, 2 SD')  # fmt: skip
+    steps = result.drive.steps
+    axes.plot(*np.array([step.planned[:2] for step in steps]).T, '--', color=GREY, linewidth=1.0,
+              label='planned', zorder=5)  # fmt: skip
+    axes.plot(*np.array([step.pose[:2] for step in steps]).T, color=GREEN, linewidth=1.2,
+              label='driven', zorder=3)  # fmt: skip
+    axes.plot(*result.path[:, :2].T, color=BLUE, linewidth=1.0, label='estimated', zorder=3)
+    equal_axes(axes)
+
+
+def mean(values: Sequence[float] | object) -> float:
+    """Return the mean."""
+    return statistics.fmean(values)  # type: ignore[arg-type]
+
+
+def spread(values: Sequence[float]) -> str:
+    """Return mean and standard deviation as a text."""
+    return f'{mean(values):.2f} +- {statistics.pstdev(values):.2f}'
+
+
+def pooled(run: Callable[[Job], Row], jobs: Sequence[Job]) -> list[Row]:
+    """Run jobs in parallel on all cores; return their rows in order."""
+    with ProcessPoolExecutor(min(os.cpu_count() or 1, len(jobs))) as pool:
+        return list(pool.map(run, jobs))
+
+
+def relocalisation_run(case: str, seed: int) -> list[Kidnapping]:
+    """Map one world, and carry the robot to random places of it."""
+    options, noise, count = RELOCALISATION_CASES[case]
+    result = mapped(scattered_drive(seed, options, SENSOR.with_noise(noise)))
+    known, frame = KnownFeatures(result.memory.map.features()), map_frame(result)
+    sensor = replace(result.drive.sensor, max_count=count)
+    result = replace(result, drive=replace(result.drive, sensor=sensor))
+    return kidnapped_often(result, known, frame, 1000 + seed)
+
+
+def unmapped_run(case: str, seed: int) -> list[Kidnapping]:
+    """Map one world, and carry the robot to another one that looks like it."""
+    options, noise = UNMAPPED_CASES[case]
+    result = mapped(scattered_drive(seed, options, SENSOR.with_noise(noise)))
+    known, frame = KnownFeatures(result.memory.map.features()), map_frame(result)
+    other = scattered_bars(generator(2000 + seed), options)
+    elsewhere = replace(result, drive=replace(result.drive, world=other))
+    return kidnapped_often(elsewhere, known, frame, 1000 + seed)
+
+
+def unmapped_plan_run(name: str, seed: int) -> list[Kidnapping]:
+    """Map the western half of a floor plan, and carry the robot to the other half."""
+    world = floor_plan_landmarks(load_floor_plan(str(FLOORS / f'{name}.txt')))
+    middle_m = 0.5 * world.size_m[0]
+    bars = world.bars[world.bars[:, 0] < middle_m]
+    known = KnownFeatures(roughly_mapped(bars, generator(seed)))
+    driven = Drive(world, replace(SENSOR, min_range_m=0.1), Vehicle(), Pose(0.0, 0.0, 0.0), [])
+    result = Mapped(driven, LandmarkMemory(map_parameters(driven)), np.zeros((0, 3)), 0.0)
+    return kidnapped_often(
+        result, known, Pose(0.0, 0.0, 0.0), 1000 + seed, 0.0, middle_m + ENTRY_M
+    )
+
+
+def kidnapped_often(
+    result: Mapped,
+    known: KnownFeatures,
+    frame: Pose,
+    seed: int,
+    margin_m: float = 0.5 * MARGIN_M,
+    beyond_m: float = -math.inf,
+) -> list[Kidnapping]:
+    """Carry the robot to random poses with an x of more than ``beyond_m``."""
+    rng = generator(seed)
+    warm_up_search(known)
+    found: list[Kidnapping] = []
+    while len(found) < KIDNAPS_COUNT:
+        pose = random_pose(result.drive.world, rng, margin_m)
+        if pose.x_m > beyond_m:
+            found.append(
+                kidnapped(result, known, frame, pose, rng, SEARCH, result.drive.sensor)
+            )
+    return found
+
+
+def warm_up_search(known: KnownFeatures) -> None:
+    """Load the compiled functions, so that they do not count."""
+    few = Features(
+        np.arange(4), BAR_SIZE * np.arange(5), known.geometry.values[:4].ravel(), 0.01 * np.eye(16)
+    )
+    relocalise(few, known, SEARCH, 0)
+
+
+def roughly_mapped(bars: NDArray[np.float64], rng: np.random.Generator) -> Features:
+    """Return a map of bars with independent errors."""
+    n = len(bars)
+    return Features(
+        np.arange(n), BAR_SIZE * np.arange(n + 1),
+        (bars + PLAN_SD * rng.standard_normal(bars.shape)).ravel(),
+        np.diag(np.tile(PLAN_SD**2, n)),
+    )  # fmt: skip
+
+
+def relocalisation(setting: Setting) -> None:
+    """Print table 1, and draw the errors."""
+    print('paper: normal x -1.30 +- 20.73, y -0.58 +- 26.74; distinct x -0.12 +- 0.41, '
+          'y 0.09 +- 0.39')  # fmt: skip
+    print(f'{"world":26}{"seen":>6}{OUTCOME_HEADING}')
+    figure = new_figure(8.0, 4.2)
+    panels = figure.subplots(1, 2)
+    for case in RELOCALISATION_CASES:
+        runs = pooled(partial(relocalisation_run, case), setting.seeds)
+        rows = [row for run in runs for row in run]
+        print(f'{case:26}{mean(row.observed for row in rows):6.1f}{outcomes(rows)}')
+        if RELOCALISATION_CASES[case][2] < FEW:
+            continue
+        errors_m = np.array([row.error[:2] for row in rows if row.pose is not None]).reshape(-1, 2)
+        is_noisy = 'twice' in case
+        panels[int(case.startswith('normal'))].plot(
+            *errors_m.T, linestyle='', marker='x' if is_noisy else '.',
+            color=VERMILLION if is_noisy else BLUE, markersize=4,
+            label=f'{len(errors_m)} of {len(rows)} found' + ', twice the noise' * is_noisy,
+        )  # fmt: skip
+    print('required: distinct: right at least 98 %, SD at most 0.2 m, wrong 0; normal: right at '
+          'least 60 %, wrong at most 1 %')  # fmt: skip
+    for panel, name in zip(panels, ('distinct', 'normal'), strict=True):
+        panel.set_title(name)
+        panel.set_xlabel('error of x [m]')
+        panel.set_ylabel('error of y [m]')
+        panel.grid(color=PALE_GREY, linewidth=0.5)
+        panel.legend(fontsize=8)
+        panel.set_aspect('equal', 'datalim')
+    save_figure(figure, setting.out / 'landmarks_relocalisation.png')
+
+
+def unmapped(setting: Setting) -> None:
+    """Print the outcomes in regions that were never mapped, and draw them."""
+    colours = {'wrong': VERMILLION, 'ambiguous': GREY, 'not here': GREEN}
+    print(f'{"world":26}{"seen":>6}' + ''.join(f'{name:>11}' for name in colours) + f'{"ms":>7}')
+    cases = [*UNMAPPED_CASES, *(f'{name}, other half' for name in UNMAPPED_PLANS)]
+    shares = []
+    for case in cases:
+        run = (
+            partial(unmapped_run, case) if case in UNMAPPED_CASES
+            else partial(unmapped_plan_run, case.partition(',')[0])
+        )  # fmt: skip
+        rows = [row for rows in pooled(run, setting.seeds) for row in rows]
+        share = [sum(row.outcome == name for row in rows) / len(rows) for name in colours]
+        shares.append(share)
+        print(f'{case:26}{mean(row.observed for row in rows):6.1f}'
+              + ''.join(f'{value:11.1%}' for value in share)
+              + f'{mean(row.ms for row in rows):7.1f}')  # fmt: skip
+    print('required: not here in 99 %; the halves of a floor plan share rooms of equal shape')
+    figure = new_figure(7.0, 3.2)
+    panel = figure.subplots()
+    left = np.zeros(len(cases))
+    for (outcome, colour), share in zip(colours.items(), np.array(shares).T, strict=True):
+        panel.barh(cases, share, left=left, color=colour, label=outcome)
+        left += share
+    panel.invert_yaxis()
+    panel.set_xlabel('share of the kidnaps to a region never mapped')
+    panel.legend(fontsize=8, loc='lower center', bbox_to_anchor=(0.5, 1.0), ncol=3)
+    save_figure(figure, setting.out / 'landmarks_unmapped.png')
+
+
+EFFORTS: tuple[Bound | None, ...] = ('exhaustive', 'printed', 'correct', None)
+EFFORT_NAMES = 'exhaustive', 'JCBB as printed', 'JCBB', 'random sampling'
+
+
+@dataclass(frozen=True)
+class Effort:
+    """Effort of one search.
+
+    Attributes:
+        nodes: pairs that were tested.
+        ms: time without the preparation of the map.
+        pairs: size of the largest set of pairs.
+    """
+
+    nodes: int
+    ms: float
+    pairs: int
+
+
+def effort_run(job: tuple[int, int, int]) -> list[Effort]:
+    """Search one map in all ways; return the efforts in the order of ``EFFORTS``."""
+    seed, observation_count, feature_count = job
+    rng = generator(seed)
+    scale = math.sqrt(feature_count / NORMAL.count)
+    size_m = NORMAL.size_m[0] * scale, NORMAL.size_m[1] * scale
+    world = scattered_bars(rng, replace(NORMAL, count=feature_count, size_m=size_m))
+    pose = Pose(0.5 * size_m[0], 0.5 * size_m[1], 1.0)
+    distances_m = np.hypot(world.bars[:, 0] - pose.x_m, world.bars[:, 1] - pose.y_m)
+    near = LandmarkWorld(world.bars[np.argsort(distances_m)[:observation_count]], size_m)
+    sensor = LandmarkSensor(min_range_m=0.0, max_range_m=math.hypot(*size_m))
+    driven = Drive(world, sensor, Vehicle(), pose, [])
+    local = LocalMap(map_parameters(driven))
+    local.observe(replace(observe(near, pose, sensor, rng), identifiers=None))
+    seen = local.features()
+    features = roughly_mapped(world.bars, rng)
+    known = KnownFeatures(features)
+    efforts = []
+    for bound in EFFORTS:
+        began = time.process_time()
+        if bound is None:
+            found = relocalise(seen, known, SEARCH, seed)
+            nodes = found.search_nodes
+            pairs = max((len(place.pairs) for place in found.places), default=0)
+        else:
+            searched = search_jointly_compatible(seen, features, bound=bound, max_nodes=MAX_NODES)
+            nodes, pairs = searched.nodes, len(searched.pairs)
+        efforts.append(Effort(nodes, 1e3 * (time.process_time() - began), pairs))
+    return efforts
+
+
+def effort(setting: Setting) -> None:
+    """Print nodes and time of all searches, and draw them."""
+    print('paper: claims that JCBB is faster than exhaustive search and random sampling faster '
+          'than JCBB; no figures')  # fmt: skip
+    print(f'median of {len(setting.seeds)} worlds; ">": aborted after {MAX_NODES} joint tests; '
+          'pairs: mean size of the set')  # fmt: skip
+    print(f'{"seen":>4}{"map":>5}' + ''.join(f'{name:>28}' for name in EFFORT_NAMES))
+    print(' ' * 9 + f'{"nodes":>12}{"ms":>9}{"pairs":>7}' * len(EFFORTS))
+    table: dict[tuple[int, int], list[tuple[float, float]]] = {}
+    for feature_count in FEATURE_COUNTS:
+        for observation_count in OBSERVATION_COUNTS:
+            jobs = [(seed, observation_count, feature_count) for seed in setting.seeds]
+            effort_run(jobs[0])  # compiles
+            found = [effort_run(job) for job in jobs]
+            line, row = f'{observation_count:4}{feature_count:5}', []
+            for way in range(len(EFFORTS)):
+                nodes = statistics.median(run[way].nodes for run in found)
+                ms = statistics.median(run[way].ms for run in found)
+                is_aborted = EFFORTS[way] is not None and nodes >= MAX_NODES
+                line += f'{">" * is_aborted + format(nodes, ".0f"):>12}{ms:9.2f}'
+                line += f'{mean(run[way].pairs for run in found):7.1f}'
+                row.append((nodes, ms))
+            table[observation_count, feature_count] = row
+            print(line, flush=True)
+    print('required: random sampling under 20 ms at 15 observations and 200 features')
+    figure = new_figure(9.0, 3.6)
+    panels = figure.subplots(1, 2)
+    middle_count, middle_features = 15, 200
+    for way, (name, colour) in enumerate(
+        zip(EFFORT_NAMES, (GREY, VERMILLION, BLUE, GREEN), strict=True)
+    ):
+        panels[0].plot(
+            OBSERVATION_COUNTS,
+            [table[count, middle_features][way][0] for count in OBSERVATION_COUNTS],
+            marker='o', markersize=4, color=colour, label=name,
+        )  # fmt: skip
+        panels[1].plot(
+            FEATURE_COUNTS, [table[middle_count, count][way][1] for count in FEATURE_COUNTS],
+            marker='o', markersize=4, color=colour, label=name,
+        )  # fmt: skip
+    panels[0].set_xlabel(f'observations ({middle_features} features)')
+    panels[0].set_ylabel(f'nodes (aborted at {MAX_NODES})')
+    panels[1].set_xlabel(f'features ({middle_count} observations)')
+    panels[1].set_ylabel('CPU time [ms]')
+    for panel in panels:
+        panel.set_yscale('log')
+        panel.grid(color=PALE_GREY, linewidth=0.5)
+    panels[0].legend(fontsize=8)
+    save_figure(figure, setting.out / 'landmarks_effort.png')
+
+
+EXPERIMENTS: dict[str, tuple[Callable[[Setting], None], int]] = {
+    'mapping': (mapping, 50),
+    'memory': (memory, 20),
+    'memory-relocalisation': (memory_relocalisation, 20),
+    'relocalisation': (relocalisation, 20),
+    'unmapped': (unmapped, 20),
+    'effort': (effort, 5),
+}
+"""Experiments with their number of seeds."""
+
+
+def main() -> None:
+    """Run one experiment."""
+    parser = argparse.ArgumentParser(description=(__doc__ or '').partition('\n')[0])
+    parser.add_argument('experiment', choices=EXPERIMENTS)
+    parser.add_argument('--seeds', type=int, help="number of seeds (default: the experiment's)")
+    parser.add_argument('--first', type=int, default=1, help='first seed (default: 1)')
+    parser.add_argument('--out', type=Path, default=Path('results/landmarks'))
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    experiment, count = EXPERIMENTS[options.experiment]
+    began = time.perf_counter()
+    first, count = options.first, options.seeds or count
+    experiment(Setting(options.out, range(first, first + count)))
+    print(f'{time.perf_counter() - began:.0f} s')
+
+
+if __name__ == '__main__':
+    main()

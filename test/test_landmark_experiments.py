@@ -1,0 +1,91 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The functions of benchmarks/landmarks.py, on few seeds."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+import sys
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from ratslam_ros.core.common.pose import Pose, composed, inverse
+
+
+@pytest.fixture(scope='module')
+def bench() -> ModuleType:
+    path = Path(__file__).parents[1] / 'benchmarks/landmarks.py'
+    spec = importlib.util.spec_from_file_location('benchmarks_landmarks', path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize('case', ['normal', 'normal, 3 observations', 'office, 2 loops'])
+def test_map_is_consistent(bench: ModuleType, case: str) -> None:
+    found = [bench.mapping_run(case, seed) for seed in (1, 2, 3)]
+    # The errors of one map are correlated, so the mean over few maps varies widely.
+    assert np.mean([row.within for row in found]) >= 0.85
+    assert 0.8 <= np.mean([row.nees for row in found]) <= 1.3
+    assert all(row.count > 60 and row.rms_m < 2.0 for row in found)
+
+
+def test_wrong_noise_shows_in_nees(bench: ModuleType) -> None:
+    driven = bench.scattered_drive(1)
+    noisy = bench.scattered_drive(1, sensor=driven.sensor.with_noise(2.0))
+    # Mapped with half the noise that the observations have.
+    assert bench.accuracy(bench.mapped(replace(noisy, sensor=driven.sensor))).nees > 2.0
+
+
+def test_limited_memory_is_smaller_and_less_accurate(bench: ModuleType) -> None:
+    driven = bench.crowded_drive(1)
+    few, everything = (bench.accuracy(bench.mapped(driven, limit)) for limit in (20, 0))
+    assert (few.count, everything.count > 150) == (20, True)
+    assert few.sd_m > everything.sd_m and few.rms_m > everything.rms_m
+
+
+def test_limited_memory_keeps_sparse_map_of_old_regions(bench: ModuleType) -> None:
+    result = bench.mapped(bench.crowded_drive(1), 80, 1)
+    north = result.memory.map.features().positions_m[:, 1] > 40.0
+    assert 8 <= np.count_nonzero(north) <= 30  # of about 70, not seen since half a lap
+
+
+def test_kidnapped_robot_is_found(bench: ModuleType) -> None:
+    for rows in bench.memory_relocalisation_run(100, 1).values():
+        assert len(rows) == bench.KIDNAPS_COUNT
+        assert sum(row.outcome == 'right' for row in rows) >= len(rows) - 1
+        assert not any(row.outcome == 'wrong' for row in rows)
+
+
+def test_map_frame_is_found_by_alignment(bench: ModuleType) -> None:
+    result = bench.mapped(bench.scattered_drive(1))
+    frame = bench.map_frame(result)
+    assert math.hypot(frame.x_m, frame.y_m) < 3.0
+    moved = replace(result, memory=bench.LandmarkMemory(bench.map_parameters(result.drive)))
+    offset = Pose(3.0, -2.0, 0.7)
+    start = composed(inverse(offset), result.drive.start)
+    moved.memory.map.move_to(start, np.zeros((3, 3)))
+    for index, step in enumerate(result.drive.steps):
+        moved.memory.map.predict(*step.motion)
+        moved.memory.observe(step.observations, index)
+    assert bench.map_frame(moved) == pytest.approx(composed(frame, offset), abs=1e-6)
+
+
+def test_plots_are_drawn(bench: ModuleType, tmp_path: Path) -> None:
+    result = bench.mapped(bench.scattered_drive(1), 30)
+    figure = bench.new_figure(4.0, 4.0)
+    axes = figure.subplots()
+    bench.draw_mapped(axes, result)
+    found = bench.Kidnapping('right', (0.0, 0.0, 0.0), Pose(1.0, 2.0, 0.0), Pose(1, 2, 0), 5, 9, 1)
+    lost = replace(found, outcome='ambiguous', pose=None, error=(math.nan,) * 3)
+    bench.draw_kidnappings(axes, [found, lost])
+    assert len(axes.lines) >= 6
+    assert bench.save_figure(figure, tmp_path / 'plot.png').stat().st_size > 5000
+    assert '50.0%' in bench.outcomes([found, lost])
