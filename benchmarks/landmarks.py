@@ -4,7 +4,7 @@
 
     python benchmarks/landmarks.py mapping [--seeds 50] [--first 1] [--out results/landmarks]
     python benchmarks/landmarks.py memory | memory-relocalisation
-    python benchmarks/landmarks.py relocalisation | unmapped | effort
+    python benchmarks/landmarks.py relocalisation | unmapped | effort | laser
 
 Each experiment prints a table beside the results of the paper and draws its plots into --out. They
 are described in docs/landmarks.md. One seed runs per core.
@@ -26,14 +26,23 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from ratslam_ros.core.common.angles import wrap
-from ratslam_ros.core.common.pose import Pose, composed
-from ratslam_ros.core.config import LandmarkMapParameters
+from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry, Twist, moved
+from ratslam_ros.core.common.pose import Pose, composed, inverse
+from ratslam_ros.core.common.scan import Scan
+from ratslam_ros.core.config import (
+    GoalFollowerParameters,
+    LandmarkMapParameters,
+    LineExtractionParameters,
+)
 from ratslam_ros.core.config.relocalisation import RelocalisationParameters
+from ratslam_ros.core.driving.exploration import Exploration
 from ratslam_ros.core.landmarks.features import BAR_SIZE, MAX_OBSERVATION_COUNT, Features
 from ratslam_ros.core.landmarks.joint_compatibility import Bound, search_jointly_compatible
 from ratslam_ros.core.landmarks.landmark_memory import LandmarkMemory
+from ratslam_ros.core.landmarks.laser_map import LaserMap
 from ratslam_ros.core.landmarks.local_map import LocalMap
 from ratslam_ros.core.landmarks.relocalisation import KnownFeatures, relocalise
 from ratslam_ros.results.plots import (
@@ -48,7 +57,8 @@ from ratslam_ros.results.plots import (
     new_figure,
     save_figure,
 )
-from ratslam_ros.simulator.floor_plan import load_floor_plan
+from ratslam_ros.simulator.config import SimulatorParameters, parse_start
+from ratslam_ros.simulator.floor_plan import FloorPlan, load_floor_plan
 from ratslam_ros.simulator.landmarks import (
     DISTINCT,
     NORMAL,
@@ -64,6 +74,8 @@ from ratslam_ros.simulator.landmarks import (
     random_pose,
     scattered_bars,
 )
+from ratslam_ros.simulator.samples import OdometrySample, ScanSample
+from ratslam_ros.simulator.simulation import Simulator
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -871,6 +883,138 @@ def effort(setting: Setting) -> None:
     save_figure(figure, setting.out / 'landmarks_effort.png')
 
 
+LASER_FLOORS = ('house', 'hall', 'school')
+"""Plans in benchmarks/floors/ of the experiment laser."""
+
+LASER_S = 300.0
+"""Simulated time that the robot explores in the experiment laser."""
+
+
+@dataclass(frozen=True)
+class LaserRun:
+    """Result of mapping one floor with a laser.
+
+    Attributes:
+        driven_m: way of the robot.
+        landmarks: landmarks on the map.
+        false: landmarks more than 0.5 m from every corner of the plan, after alignment.
+        landmark_m: root mean square error of the others, after alignment.
+        robot_m, dead_m: root mean square error of the pose and of dead reckoning, not aligned.
+        nees: mean normalised squared error of the pose per degree of freedom.
+        scan_ms: mean time of a used scan.
+    """
+
+    driven_m: float
+    landmarks: int
+    false: int
+    landmark_m: float
+    robot_m: float
+    dead_m: float
+    nees: float
+    scan_ms: float
+
+
+def laser_run(job: tuple[str, int, int]) -> LaserRun:
+    """Explore a floor with people and map it from odometry and scans."""
+    name, people, seed = job
+    floor = Path(__file__).parent / 'floors' / f'{name}.txt'
+    given = SimulatorParameters(plan=str(floor), seed=seed, people=people)
+    plan = load_floor_plan(str(floor), None)
+    start = parse_start('any', plan)
+    simulator = Simulator(plan, start, seed, replace(given.options(), camera=None), (), people)
+    exploration = Exploration(GoalFollowerParameters(), np.random.Generator(np.random.PCG64(seed)))
+    laser_map = LaserMap(LandmarkMapParameters(), LineExtractionParameters())
+    motions = MotionFromOdometry('twist')
+    dead_reckoning = odometry_pose = Pose(0.0, 0.0, 0.0)
+    options = simulator.options.laser
+    assert options is not None  # by default
+    squared: list[tuple[float, float]] = []
+    nees, times_s = [], []
+    while simulator.elapsed_s < LASER_S:
+        truth = composed(inverse(start), simulator.truth)
+        for sample in simulator.step():
+            if isinstance(sample, OdometrySample):
+                reading = sample.odometry
+                odometry_pose = reading.pose
+                twist = Twist(reading.speed_mps, reading.turn_rate_radps)
+                motion = motions.update(Odometry(sample.stamp_ns, twist, reading.pose))
+                if motion is not None:
+                    laser_map.integrate(motion)
+                    dead_reckoning = moved(dead_reckoning, motion)
+            elif isinstance(sample, ScanSample):
+                ranges_m = sample.ranges_m.astype(np.float64)
+                scan = Scan(sample.stamp_ns, options.first_rad, options.step_rad, ranges_m)
+                began = time.perf_counter()
+                is_used = laser_map.scan(scan)
+                took_s = time.perf_counter() - began
+                command = exploration.command(scan, odometry_pose)
+                simulator.command(command.speed_mps, command.turn_rate_radps)
+                squared.append(tuple(
+                    (pose.x_m - truth.x_m) ** 2 + (pose.y_m - truth.y_m) ** 2
+                    for pose in (laser_map.pose, dead_reckoning)
+                ))  # fmt: skip
+                if is_used and laser_map.scan_count > 50:  # later than compiling
+                    times_s.append(took_s)
+                    error = np.subtract(laser_map.pose, truth)
+                    error[2] = wrap(float(error[2]))
+                    covariance = laser_map.memory.map.pose_covariance
+                    nees.append(float(error @ np.linalg.solve(covariance, error)) / 3.0)
+    distances_m = landmark_distances_m(plan, start, laser_map.memory.map.features())
+    is_false = distances_m > FALSE_M
+    robot_m, dead_m = np.sqrt(np.mean(squared, axis=0)).tolist()
+    return LaserRun(
+        simulator.odometer_m, len(laser_map), int(is_false.sum()),
+        math.sqrt(float(np.mean(distances_m[~is_false] ** 2))), robot_m, dead_m, mean(nees), 1e3 * mean(times_s),
+    )  # fmt: skip
+
+
+FALSE_M = 0.5
+"""Distance from every corner of the plan beyond which a landmark is false."""
+
+
+def landmark_distances_m(
+    plan: FloorPlan, start: Pose, features: Features
+) -> NDArray[np.float64]:
+    """Return the distance of each landmark from the nearest corner, after rigid alignment."""
+    solid = plan.solid.astype(np.int64)
+    around = solid[1:, 1:] + solid[1:, :-1] + solid[:-1, 1:] + solid[:-1, :-1]
+    corners = (np.argwhere(around % 2 == 1)[:, ::-1] + 1) * plan.cell_m
+    c, s = math.cos(start.heading_rad), math.sin(start.heading_rad)
+    positions = features.positions_m @ np.array([[c, s], [-s, c]]) + (start.x_m, start.y_m)
+    tree = cKDTree(corners)
+    for _ in range(20):  # Iterative closest points.
+        distances, nearest = tree.query(positions)
+        near = distances <= FALSE_M
+        a, b = positions[near], corners[nearest[near]]
+        p, q = a - a.mean(axis=0), b - b.mean(axis=0)
+        turn = math.atan2(
+            float(np.sum(p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0])), float(np.sum(p * q))
+        )
+        c, s = math.cos(turn), math.sin(turn)
+        positions = (positions - a.mean(axis=0)) @ np.array([[c, s], [-s, c]]) + b.mean(axis=0)
+    found: NDArray[np.float64] = tree.query(positions)[0]
+    return found
+
+
+def laser(setting: Setting) -> None:
+    """Print the drift of the landmark map from a simulated laser on three floors."""
+    print(f'{LASER_S / 60:g} min of exploration; RMS errors in m, mean of {len(setting.seeds)} '
+          'seeds (worst)')  # fmt: skip
+    print(f'{"floor":8}{"people":>7}{"way m":>7}{"landmarks":>10}{"false":>7}{"landmark":>15}'
+          f'{"robot":>15}{"odometry":>15}{"NEES":>6}{"ms/scan":>8}')  # fmt: skip
+    for name in LASER_FLOORS:
+        for people in (0, 6):
+            found = pooled(laser_run, [(name, people, seed) for seed in setting.seeds])
+            line = f'{name:8}{people:7}{mean(run.driven_m for run in found):7.0f}'
+            line += f'{mean(run.landmarks for run in found):10.0f}'
+            line += f'{sum(run.false for run in found):7}'
+            for key in ('landmark_m', 'robot_m', 'dead_m'):
+                values = [getattr(run, key) for run in found]
+                line += f'{mean(values):8.2f} ({max(values):.2f})'
+            line += f'{mean(run.nees for run in found):6.1f}'
+            print(f'{line}{mean(run.scan_ms for run in found):8.1f}', flush=True)
+
+
 EXPERIMENTS: dict[str, tuple[Callable[[Setting], None], int]] = {
     'mapping': (mapping, 50),
     'memory': (memory, 20),
@@ -878,6 +1022,7 @@ EXPERIMENTS: dict[str, tuple[Callable[[Setting], None], int]] = {
     'relocalisation': (relocalisation, 20),
     'unmapped': (unmapped, 20),
     'effort': (effort, 5),
+    'laser': (laser, 4),
 }
 """Experiments with their number of seeds."""
 

@@ -45,6 +45,9 @@ ARGUMENTS = [
         'goal_follower', default_value='false', choices=YES_OR_NO,
         description='drive to goals by a laser scan; false if Nav2 or another node drives'),
     DeclareLaunchArgument(
+        'landmarks', default_value='false', choices=YES_OR_NO,
+        description='map corners and edges of walls by a laser scan (landmark_map)'),
+    DeclareLaunchArgument(
         'image_topic', default_value='image',
         description="the camera's topic, raw or .../compressed; each is derived from the other"),
     DeclareLaunchArgument(
@@ -52,7 +55,8 @@ ARGUMENTS = [
         description='topic of the odometry, nav_msgs/Odometry'),
     DeclareLaunchArgument(
         'scan_topic', default_value='scan',
-        description='topic of the laser, sensor_msgs/LaserScan; for driving and exp_align_scans'),
+        description='topic of the laser, sensor_msgs/LaserScan; for driving, landmarks and '
+        'exp_align_scans'),
     DeclareLaunchArgument(
         'cmd_vel_topic', default_value='cmd_vel',
         description='topic of the motors, geometry_msgs/Twist; for goal_follower'),
@@ -104,7 +108,7 @@ def _start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
         )
         for name, arguments in nodes(
             *(given(name) == 'true'
-              for name in ('visual_odometry', 'single_process', 'goal_follower'))
+              for name in ('visual_odometry', 'single_process', 'goal_follower', 'landmarks'))
         ).items()
     ]
     remove_folder = OnShutdown(on_shutdown=lambda event, context: shutil.rmtree(folder, True))

@@ -39,6 +39,8 @@ def add_live(commands: Commands) -> None:
     launch.add_argument('--single-process', action='store_true', help='all nodes in one process')
     launch.add_argument('--goal-follower', action='store_true',
                         help='drive to goals: publish cmd_vel, computed from a laser scan')
+    launch.add_argument('--landmarks', action='store_true',
+                        help='map corners and edges of walls by a laser scan (landmark_map)')
     launch.add_argument('--use-sim-time', action='store_true',
                         help='take the time from /clock, which ratslam play --clock publishes')
     launch.add_argument('--namespace', default='', metavar='NS')
@@ -115,6 +117,7 @@ def _launch(options: argparse.Namespace) -> int:
             visual_odometry=options.visual_odometry,
             single_process=options.single_process,
             goal_follower=options.goal_follower,
+            landmarks=options.landmarks,
             use_sim_time=options.use_sim_time,
             namespace=options.namespace,
             image_topic=options.image_topic,

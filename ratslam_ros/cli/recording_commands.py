@@ -53,7 +53,10 @@ def add_replay(commands: Commands) -> None:
                         help='without --config: do not inspect the recording before the replay')
     add_topics(replay)
     replay.add_argument('--scan-topic', metavar='T',
-                        help='laser topic, read if experience_map.exp_align_scans is set')
+                        help='laser topic, read if experience_map.exp_align_scans is set or '
+                             'with --landmarks')
+    replay.add_argument('--landmarks', action='store_true',
+                        help='also map corners and edges of walls: landmarks.json')
     replay.add_argument('--visual-odometry', action='store_true',
                         help='estimate odometry from the camera, even if there is an odometry '
                              'topic')
@@ -100,7 +103,7 @@ def _replay(options: argparse.Namespace) -> int:
     with open_recording(options.recording, images_rate_hz=options.images_rate) as recording:
         selection = recording.select(
             options.image_topic, options.odom_topic, options.visual_odometry,
-            options.scan_topic, config.experience_map.exp_align_scans,
+            options.scan_topic, config.experience_map.exp_align_scans or options.landmarks,
         )  # fmt: skip
         if not options.quiet:
             for notice in selection.notices:
@@ -111,7 +114,10 @@ def _replay(options: argparse.Namespace) -> int:
         folder = results_folder(options, recording.name)
         outcome = replay(
             recording, selection, config, folder,
-            ReplayOptions(options.start, options.duration, options.video, not options.quiet),
+            ReplayOptions(
+                options.start, options.duration, options.video, not options.quiet,
+                options.landmarks,
+            ),
         )  # fmt: skip
         print_warnings(recording.warnings)
         print_warnings(_empty_map_warnings(outcome.summary))

@@ -144,6 +144,25 @@ def _goal_follower(config: Config) -> None:
         follow.command(scan, np.array([[0.0, 0.0], [1.0, 0.0]]))
 
 
+def _landmark_map(config: Config) -> None:
+    from ratslam_ros.core.common.scan import Scan
+    from ratslam_ros.core.landmarks.laser_map import LaserMap
+
+    # A square room of 4 m: its corners are confirmed, added, seen again, and found when lost.
+    angles = np.radians(np.arange(-180.0, 180.0))
+    ranges_m = 2.0 / np.maximum(np.abs(np.cos(angles)), np.abs(np.sin(angles)))
+    scan = Scan(0, -np.pi, float(angles[1] - angles[0]), ranges_m)
+    laser_map = LaserMap(config.landmark_map, replace(config.line_extraction, le_interval_m=0.0))
+    for _ in range(6):
+        laser_map.integrate(Motion(1.0, 1e-3, 0.0))
+        laser_map.scan(scan)
+    laser_map.lose()
+    for _ in range(2):
+        laser_map.integrate(Motion(1.0, 1e-3, 0.0))
+        laser_map.scan(scan)
+    laser_map.memory.map.features()
+
+
 _MAPPING: dict[str, Callable[[Config], object]] = {
     'visual_odometry': _visual_odometry,
     'local_view': _local_view,
@@ -155,5 +174,6 @@ _MAPPING: dict[str, Callable[[Config], object]] = {
 _PARTS = {
     **_MAPPING, 'goal_recall': _goal_recall, 'goal_memory': _goal_memory,
     'goal_follower': _goal_follower, 'scan_alignment': _scan_alignment,
+    'landmark_map': _landmark_map, 'line_extraction': _landmark_map,
 }  # fmt: skip
 """Functions that warm up each part by name."""

@@ -57,6 +57,11 @@ def goal_follower() -> int:
     return _main('goal_follower')
 
 
+def landmark_map() -> int:
+    """Run landmark_map."""
+    return _main('landmark_map')
+
+
 def simulator() -> int:
     """Run simulator."""
     return _main('simulator')

@@ -37,6 +37,7 @@ class LaunchOptions:
     visual_odometry: bool = False
     single_process: bool = False
     goal_follower: bool = False
+    landmarks: bool = False
     use_sim_time: bool = False
     namespace: str = ''
     image_topic: str = ''
@@ -47,20 +48,23 @@ class LaunchOptions:
 
 
 def nodes(
-    visual_odometry: bool, single_process: bool, goal_follower: bool = False
+    visual_odometry: bool, single_process: bool, goal_follower: bool = False,
+    landmarks: bool = False,
 ) -> dict[str, list[str]]:
     """Return the nodes to start, with the arguments that only they have.
 
     Without visual_odometry the robot publishes the odometry. goal_follower is always a process of
-    its own, so that no other node can delay a stop of the robot.
+    its own, so that no other node can delay a stop of the robot. So is landmark_map, which does
+    not depend on the others.
     """
-    follower = ['goal_follower'] if goal_follower else []
+    own = ['goal_follower'] if goal_follower else []
+    own += ['landmark_map'] if landmarks else []
     if single_process:
         mapping = {'single_process': ['--visual-odometry'] if visual_odometry else []}
-        return {**mapping, **{node: [] for node in follower}}
+        return {**mapping, **{node: [] for node in own}}
     first = ['visual_odometry'] if visual_odometry else []
     mappers = [*first, 'local_view', 'pose_cells', 'experience_map']
-    return {node: [] for node in [*mappers, *follower]}
+    return {node: [] for node in [*mappers, *own]}
 
 
 def remappings(
@@ -109,7 +113,8 @@ def launch(config: Config, options: LaunchOptions) -> int:
         command = [sys.executable, '-m', 'ratslam_ros', 'run']
         common = ['--ros-args', *ros_arguments(options, parameters)]
         started = nodes(
-            options.visual_odometry, options.single_process, options.goal_follower
+            options.visual_odometry, options.single_process, options.goal_follower,
+            options.landmarks,
         )
         return supervise({name: [*command, name, *own, *common] for name, own in started.items()})
 

@@ -21,6 +21,7 @@ NODES = {
     'pose_cells': 'pose_cells_node',
     'experience_map': 'experience_map_node',
     'goal_follower': 'goal_follower_node',
+    'landmark_map': 'landmark_map_node',
     'simulator': 'simulator_node',
     'single_process': 'single_process',
 }

@@ -4,10 +4,13 @@
 
 from __future__ import annotations
 
+import math
+
 from geometry_msgs.msg import Point
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
+from ratslam_ros.core.landmarks.features import BAR_SIZE, Features
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.nodes.convert import header_of
 
@@ -19,6 +22,10 @@ SEPARATE = (
 )  # fmt: skip
 """Colours of the experiences of components that are not joined with the first one, in turn."""
 CURRENT = ColorRGBA(r=0.9, g=0.3, b=0.1, a=1.0)
+LANDMARKS = ColorRGBA(r=0.0, g=0.62, b=0.45, a=1.0)
+
+SHORTEST_BAR_M = 0.3
+"""Length of the lines that show the directions of corners."""
 
 
 def markers_of(experience_map: ExperienceMap, stamp_ns: int, frame_id: str) -> MarkerArray:
@@ -40,6 +47,21 @@ def markers_of(experience_map: ExperienceMap, stamp_ns: int, frame_id: str) -> M
     for marker in markers:
         marker.header = header_of(stamp_ns, frame_id)
     return MarkerArray(markers=markers)
+
+
+def landmark_markers(features: Features, stamp_ns: int, frame_id: str) -> MarkerArray:
+    """Return markers of bars: their positions as spheres, and a line along each."""
+    corners = _marker(0, 'landmarks', Marker.SPHERE_LIST, 0.12, LANDMARKS)
+    bars = _marker(1, 'directions', Marker.LINE_LIST, 0.03, LANDMARKS)
+    for x, y, direction, length in features.values.reshape(-1, BAR_SIZE).tolist():
+        shown_m = max(length, SHORTEST_BAR_M)
+        ends = (x, y), (x + shown_m * math.cos(direction), y + shown_m * math.sin(direction))
+        points = [Point(x=a, y=b, z=0.0) for a, b in ends]
+        corners.points.append(points[0])
+        bars.points.extend(points)
+    for marker in (corners, bars):
+        marker.header = header_of(stamp_ns, frame_id)
+    return MarkerArray(markers=[corners, bars])
 
 
 def _marker(number: int, namespace: str, kind: int, size_m: float, color: ColorRGBA) -> Marker:

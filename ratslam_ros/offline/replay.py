@@ -22,9 +22,11 @@ from ratslam_ros.core.ratslam import RatSLAM, Step
 from ratslam_ros.core.vision.local_view import LocalView
 from ratslam_ros.core.vision.visual_odometry import field_of_view_deg
 from ratslam_ros.descriptors import encoder_of
+from ratslam_ros.errors import UnusableInput
 from ratslam_ros.event_inputs import odometry_from_event, scan_from_event
 from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.messages.mapping import decode_template
+from ratslam_ros.offline.landmark_mapping import LandmarkMapping
 from ratslam_ros.offline.replay_video import ReplayVideo
 from ratslam_ros.recordings import (
     Event,
@@ -50,12 +52,14 @@ class ReplayOptions:
 
     start_s: skipped seconds at the start. duration_s: limit on the duration, None for the rest.
     video: file for a video of the growing map, None for none. progress: show a progress bar.
+    landmarks: build the map of the node landmark_map, too.
     """
 
     start_s: float = 0.0
     duration_s: float | None = None
     video: Path | None = None
     progress: bool = True
+    landmarks: bool = False
 
 
 @dataclass(frozen=True)
@@ -151,6 +155,14 @@ class _Run:
             stopwatch=self.times,
             local_view=self._local_view,
         )
+        self._landmarks: LandmarkMapping | None = None
+        if options.landmarks:
+            if visual_odometry or selection.scan_topic is None:
+                raise UnusableInput(
+                    'landmarks need recorded odometry and scans, but the recording has no '
+                    f'{"odometry" if visual_odometry else "scans"}: leave out --landmarks'
+                )
+            self._landmarks = LandmarkMapping(config)
         self.results: Results | None = None
         """Opened at the first result, so that errors before it leave no files behind."""
         self.video: ReplayVideo | None = None
@@ -173,7 +185,10 @@ class _Run:
         """
         self.span.add(event.log_ns)
         if isinstance(event, OdometryEvent):
-            self._write(self.slam.odometry(odometry_from_event(event)))
+            odometry = odometry_from_event(event)
+            self._write(self.slam.odometry(odometry))
+            if self._landmarks is not None:
+                self._landmarks.odometry(odometry)
         elif isinstance(event, ImageEvent):
             if self.video is not None:
                 self.video.add_image(event)
@@ -185,6 +200,8 @@ class _Run:
                 self._count_unusable('scan', error)
             else:
                 self._write(self.slam.scan(scan))
+                if self._landmarks is not None:
+                    self._landmarks.scan(scan)
         else:
             try:
                 stamp_ns, match, _ = decode_template(event.payload)
@@ -235,6 +252,9 @@ class _Run:
         calibration = self.slam.pose_cells.calibration
         if calibration is not None:
             summary['odom_calibration'] = calibration.summary()
+        if self._landmarks is not None:
+            results.write('landmarks.json', self._landmarks.finish())
+            summary['landmarks'] = len(self._landmarks.laser_map)
         results.finish(self.slam.experience_map, self.config, summary)
         self.results = results
         return summary

@@ -176,6 +176,10 @@ class Results:
         _replace(self.folder / 'config.yaml', to_yaml(config))
         _replace(self.folder / 'summary.json', json.dumps(summary, indent=2) + '\n')
 
+    def write(self, name: str, text: str) -> None:
+        """Write a further file of this run."""
+        _replace(self.folder / name, text)
+
     def discard(self) -> None:
         """Remove the files of this run."""
         self._offsets.close()

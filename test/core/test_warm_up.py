@@ -152,6 +152,23 @@ assert modules == set(sys.modules)
 
 ALL = VISUAL_ODOMETRY + LOCAL_VIEW + POSE_CELLS + EXPERIENCE_MAP
 
+LANDMARK_MAP = """
+from ratslam_ros.core.common.scan import Scan
+from ratslam_ros.core.landmarks.laser_map import LaserMap
+
+laser_map = LaserMap(config.landmark_map, config.line_extraction)
+angles = np.radians(np.arange(-90.0, 91.0))
+for n in range(40):
+    laser_map.integrate(Motion(0.1, 0.05, 0.2))
+    heading = angles + 0.2 * n
+    ranges = 2.0 / np.maximum(np.abs(np.cos(heading)), np.abs(np.sin(heading)) * 0.7)
+    ranges[50 + n] = np.inf
+    laser_map.scan(Scan(n * 10**8, float(angles[0]), float(angles[1] - angles[0]), ranges))
+    if n == 30:
+        laser_map.lose()
+assert len(laser_map) > 0
+"""
+
 
 @pytest.mark.parametrize(
     ('parts', 'code'),
@@ -163,6 +180,7 @@ ALL = VISUAL_ODOMETRY + LOCAL_VIEW + POSE_CELLS + EXPERIENCE_MAP
         ('experience_map goal_recall', GOAL_RECALL),
         ('pose_cells goal_memory', GOAL_MEMORY),
         ('goal_follower', GOAL_FOLLOWER),
+        ('landmark_map', LANDMARK_MAP),
         ('', ALL),
     ],
 )

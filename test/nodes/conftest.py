@@ -116,7 +116,7 @@ class World:
 def warm() -> None:
     """Compile before the time limit of any test runs, as nodes do before they are ready."""
     warm_up()
-    warm_up('goal_recall', 'goal_follower')
+    warm_up('goal_recall', 'goal_follower', 'landmark_map')
 
 
 @pytest.fixture

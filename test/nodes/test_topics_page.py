@@ -20,6 +20,7 @@ ROS_SERVICES = (
 def node_classes() -> list[Any]:
     from ratslam_ros.nodes.experience_map_node import ExperienceMapNode
     from ratslam_ros.nodes.goal_follower_node import GoalFollowerNode
+    from ratslam_ros.nodes.landmark_map_node import LandmarkMapNode
     from ratslam_ros.nodes.local_view_node import LocalViewNode
     from ratslam_ros.nodes.pose_cells_node import PoseCellsNode
     from ratslam_ros.nodes.simulator_node import SimulatorNode
@@ -27,7 +28,7 @@ def node_classes() -> list[Any]:
 
     return [
         VisualOdometryNode, LocalViewNode, PoseCellsNode, ExperienceMapNode, GoalFollowerNode,
-        SimulatorNode,
+        SimulatorNode, LandmarkMapNode,
     ]
 
 

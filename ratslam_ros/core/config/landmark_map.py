@@ -7,11 +7,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ratslam_ros.core.config.forgetting import Forgetting
+from ratslam_ros.core.config.inputs import OdometryInput
 from ratslam_ros.core.config.parameter import parameter
 
 
 @dataclass(frozen=True)
-class LandmarkMapParameters(Forgetting):
+class LandmarkMapParameters(Forgetting, OdometryInput):
     """Stochastic mapping of landmarks by an extended Kalman filter (Smith et al. 1990)."""
 
     lm_odom_position_sd_m: float = parameter(
@@ -76,4 +77,25 @@ class LandmarkMapParameters(Forgetting):
         '(forget_share, forget_after_s and forget_robust_visits) before new ones are added.',
         'landmarks are forgotten that are still needed',
         'updates, whose time is quadratic in the number of landmarks, take too long',
+    )  # fmt: skip
+    map_frame: str = parameter(
+        'landmark_map', '', 0, 0, 'Live only: frame of the landmarks.',
+        'set to a unique name for each robot that shares a TF tree',
+        'leave as it is for a single robot',
+    )  # fmt: skip
+    odom_frame: str = parameter(
+        'odom', '', 0, 0, 'Live only: frame of the odometry; odom_frame -> map_frame is on /tf.',
+        "set to the name of the robot's odometry frame",
+        'leave as it is if no other node uses another name',
+    )  # fmt: skip
+    publish_tf: bool = parameter(
+        True, '', 0, 1, 'Live only: publish odom_frame -> map_frame on /tf.',
+        'RViz should show the landmarks with the robot',
+        'another node connects the frame of the landmarks',
+    )  # fmt: skip
+    map_period_s: float = parameter(
+        1.0, 's', 0.0, 3600.0,
+        'Live only: minimum time between two messages with all landmarks; the latest are always '
+        'sent.',
+        'many landmarks take too much network bandwidth', 'the map should be shown sooner',
     )  # fmt: skip

@@ -32,3 +32,9 @@ class LineExtractionParameters(Section):
         10.0, 'm', 0.5, 50.0, 'Ranges beyond it are ignored.',
         'too few walls and corners are found', 'distant landmarks are inaccurate',
     )  # fmt: skip
+    le_interval_m: float = parameter(
+        0.2, 'm', 0.0, 100.0,
+        'Travel between two scans whose landmarks enter the map, where a turn of 1 rad counts as '
+        '1 m. Scans of one place repeat the errors of the walls and add no information.',
+        'the map takes too much computing time', 'a fast laser should be used fully',
+    )  # fmt: skip

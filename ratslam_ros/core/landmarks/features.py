@@ -36,6 +36,8 @@ class Observations:
 
     All arrays have length n. A landmark without direction and length (NaN) is a point.
     Identifiers name the landmarks; None if the sensor does not recognise them.
+    ``variances`` is (n, 4), of range, bearing, direction and length in m^2 and rad^2; None if the
+    noise is the same for all landmarks and a parameter of the map.
     """
 
     range_m: NDArray[np.float64]
@@ -43,6 +45,7 @@ class Observations:
     direction_rad: NDArray[np.float64]
     length_m: NDArray[np.float64]
     identifiers: NDArray[np.int64] | None = None
+    variances: NDArray[np.float64] | None = None
 
     def __len__(self) -> int:
         """Return the number of observations."""
@@ -103,6 +106,7 @@ def checked_observations(
     direction_rad: NDArray[np.float64] | None = None,
     length_m: NDArray[np.float64] | None = None,
     identifiers: NDArray[np.int64] | None = None,
+    variances: NDArray[np.float64] | None = None,
 ) -> Observations:
     """Validate observations and return them; without directions and lengths they are points.
 
@@ -112,6 +116,8 @@ def checked_observations(
         direction_rad: (n,) directions of the bars relative to the robot's heading, or NaN.
         length_m: (n,) lengths of the bars, not negative, or NaN.
         identifiers: (n,) names, each at most once.
+        variances: (n, 4) of range, bearing, direction and length, positive; those of direction
+            and length of a point are not used.
 
     Raises:
         UnusableObservations: a value is invalid, or the arrays differ in length.
@@ -145,4 +151,14 @@ def checked_observations(
     names = None if identifiers is None else np.asarray(identifiers, np.int64)
     if names is not None and len(np.unique(names)) != n:
         raise UnusableObservations('an identifier appears twice')
-    return Observations(ranges, bearings, directions, lengths, names)
+    if variances is not None:
+        variances = np.asarray(variances, np.float64)
+        if variances.shape != (n, BAR_SIZE):
+            raise UnusableObservations(
+                f'variances has shape {variances.shape}; expected ({n}, {BAR_SIZE})'
+            )
+        is_used = np.ones((n, BAR_SIZE), np.bool_)
+        is_used[np.isnan(lengths), POINT_SIZE:] = False
+        if not (np.isfinite(variances) & (variances > 0.0))[is_used].all():
+            raise UnusableObservations('a variance is not finite and positive')
+    return Observations(ranges, bearings, directions, lengths, names, variances)

@@ -85,7 +85,7 @@ class LandmarkMemory:
         """
         o = observations
         seen = checked_observations(
-            o.range_m, o.bearing_rad, o.direction_rad, o.length_m, o.identifiers
+            o.range_m, o.bearing_rad, o.direction_rad, o.length_m, o.identifiers, o.variances
         )
         if seen.identifiers is None:
             raise UnusableObservations('identifiers are missing; expected one per landmark')
@@ -134,4 +134,5 @@ def _selected(seen: Observations, rows: NDArray[np.bool_]) -> Observations:
     return Observations(
         seen.range_m[rows], seen.bearing_rad[rows], seen.direction_rad[rows], seen.length_m[rows],
         None if seen.identifiers is None else seen.identifiers[rows],
+        None if seen.variances is None else seen.variances[rows],
     )  # fmt: skip

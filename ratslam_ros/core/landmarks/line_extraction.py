@@ -2,12 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Walls, corners and edges from laser scans, by split and merge.
 
-Nguyen, Martinelli, Tomatis and Siegwart (2007), "A comparison of line extraction algorithms using
-2D range data for indoor mobile robotics"; splits by a likelihood ratio, and weighted fits.
+Nguyen et al. (2007), "A comparison of line extraction algorithms using 2D range data for indoor
+mobile robotics"; here with splits by a likelihood ratio, and weighted fits.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -17,20 +18,26 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.config.line_extraction import LineExtractionParameters
 from ratslam_ros.core.landmarks import line_kernels as kernels
-from ratslam_ros.core.landmarks.features import Features
+from ratslam_ros.core.landmarks.features import BAR_SIZE, Features, Observations
 from ratslam_ros.core.landmarks.line_kernels import CORNER, EDGE, UNKNOWN, WALL
 
-__all__ = ['CORNER', 'EDGE', 'UNKNOWN', 'WALL', 'LaserLandmarks', 'extract_landmarks']
+__all__ = [
+    'CORNER', 'EDGE', 'UNKNOWN', 'WALL', 'LaserLandmarks', 'extract_landmarks', 'observations_of',
+]
 
 
 @dataclass(frozen=True)
 class LaserLandmarks:
-    """Landmarks of one scan, in the robot's frame.
+    """Landmarks of one scan, in the robot's frame; all are bars.
 
-    A corner is a bar of length 0 whose direction bisects the free space. An edge is the end of a
-    wall with free space behind it: a point. A wall with two real ends is a bar from its start to
-    its end, counter-clockwise as seen by the robot, so that the robot is on its left. A part of a
-    wall whose ends are hidden or out of range is no landmark.
+    A corner has the length 0, and its direction bisects the free space. An edge is the end of a
+    wall with free space behind it. It has the length 0, and its direction is that from the edge
+    along the wall. A wall with two real ends extends from its start to its end, counter-clockwise
+    as seen by the robot, so that the robot is on its left. A part of a wall whose ends are hidden
+    or out of range is no landmark.
+
+    An edge may be a corner whose other wall is out of sight. From a place that shows both walls,
+    it is another landmark at the same position, with another direction.
 
     A complete wall repeats its ends, which are landmarks of their own. The joint covariance
     includes this; use ``without_walls`` where landmarks are taken as independent.
@@ -55,6 +62,32 @@ class LaserLandmarks:
     def without_walls(self) -> Features:
         """Corners and edges, which contain all information about where walls end."""
         return self.features.selected(np.flatnonzero(self.kinds != WALL))
+
+
+def observations_of(features: Features) -> Observations:
+    """Return features in the robot's frame as observations with variances of their own.
+
+    Correlations are dropped: the noise of range, bearing, direction and length is taken as
+    independent.
+    """
+    starts = features.offsets[:-1]
+    x, y = features.positions_m[:, 0], features.positions_m[:, 1]
+    squared = x * x + y * y
+    variance = np.diagonal(features.covariance)
+    xx, yy, xy = variance[starts], variance[starts + 1], features.covariance[starts, starts + 1]
+    range_m, n = np.sqrt(squared), len(features)
+    direction_rad, length_m = np.full(n, np.nan), np.full(n, np.nan)
+    variances = np.ones((n, BAR_SIZE))
+    variances[:, 0] = (x * x * xx + 2.0 * x * y * xy + y * y * yy) / squared
+    variances[:, 1] = (y * y * xx - 2.0 * x * y * xy + x * x * yy) / (squared * squared)
+    bars = np.flatnonzero(features.are_bars)
+    at = starts[bars] + 2
+    direction_rad[bars], length_m[bars] = features.values[at], features.values[at + 1]
+    variances[bars, 2], variances[bars, 3] = variance[at], variance[at + 1]
+    bearing_rad = np.array([math.atan2(b, a) for a, b in zip(x.tolist(), y.tolist(), strict=True)])
+    return Observations(
+        range_m, bearing_rad, direction_rad, length_m, features.identifiers, variances
+    )
 
 
 def extract_landmarks(scan: Scan, parameters: LineExtractionParameters) -> LaserLandmarks:

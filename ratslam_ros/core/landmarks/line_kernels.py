@@ -188,8 +188,7 @@ def _fit(
 ) -> float:  # fmt: skip
     """Fit the line of a wall, with weights by incidence; return its mean squared residual.
 
-    Siegwart and Nourbakhsh (2004) call this a weighted fit: a wall that is rough by ``wall_sd``
-    changes the range most where the beam grazes it.
+    A wall that is rough by ``wall_sd`` changes the range most where the beam grazes it.
     """
     n = len(ranges)
     a, b, cost, count = 0.0, 0.0, 0.0, 0
@@ -256,8 +255,8 @@ def find_walls(
 ) -> tuple[Indices, Array, Array]:
     """Return the walls of a scan by split and merge.
 
-    Nguyen, Martinelli, Tomatis and Siegwart (2007), "A comparison of line extraction algorithms
-    using 2D range data for indoor mobile robotics".
+    Nguyen et al. (2007), "A comparison of line extraction algorithms using 2D range data for
+    indoor mobile robotics".
 
     Args:
         ranges, angles: (n,) as ``ordered_beams`` returns them.
@@ -301,7 +300,11 @@ def find_walls(
                         ranges, u, v, owner, walls, i, j, sd, wall_sd, lines[walls],
                         covariances[walls],
                     )  # fmt: skip
-                    if mean <= MAX_MEAN_CHI2:
+                    length = math.hypot(
+                        ranges[i] * u[i] - ranges[j - 1] * u[j - 1],
+                        ranges[i] * v[i] - ranges[j - 1] * v[j - 1],
+                    )
+                    if mean <= MAX_MEAN_CHI2 and length >= min_length_m:
                         spans[walls, 0], spans[walls, 1] = i, j - 1
                         walls += 1
                     else:
@@ -312,18 +315,7 @@ def find_walls(
     walls = _join_occluded(
         ranges, u, v, owner, is_full, sd, wall_sd, spans, lines, covariances, walls
     )
-    kept = 0
-    for wall in range(walls):
-        i, j = spans[wall, 0] % n, spans[wall, 1] % n
-        length = math.hypot(
-            ranges[i] * u[i] - ranges[j] * u[j], ranges[i] * v[i] - ranges[j] * v[j]
-        )
-        if length >= min_length_m:
-            spans[kept], lines[kept], covariances[kept] = (
-                spans[wall].copy(), lines[wall].copy(), covariances[wall].copy()
-            )  # fmt: skip
-            kept += 1
-    return spans[:kept].copy(), lines[:kept].copy(), covariances[:kept].copy()
+    return spans[:walls].copy(), lines[:walls].copy(), covariances[:walls].copy()
 
 
 @compiled
@@ -592,18 +584,9 @@ def landmarks_of(
             values[d], values[d + 1] = at[wall, side]
             _position_jacobian(lines, kinds, at, wall, side, jacobian, d, 1.0)
             variances[d] = variances[d + 1] = wall_sd * wall_sd
-            f, size = f + 1, 2
-            if kind == WALL:
-                size = 4
-                values[d + 2] = wrap(math.atan2(lines[wall, 1], lines[wall, 0]) + 0.5 * math.pi)
-                _direction_jacobian(lines, wall, jacobian[d + 2], 1.0)
-                variances[d + 2] = direction_variance
-                values[d + 3] = length
-                _length_jacobian(lines, kinds, at, wall, jacobian, d)
-                variances[d + 3] = 2.0 * wall_sd * wall_sd
-            elif kind == CORNER:
-                size = 4
-                first = math.atan2(lines[wall, 1], lines[wall, 0])
+            first = math.atan2(lines[wall, 1], lines[wall, 0])
+            variances[d + 3] = wall_sd * wall_sd
+            if kind == CORNER:
                 turn = wrap(math.atan2(lines[following, 1], lines[following, 0]) - first)
                 # The normals point away from the robot; the corner opens the other way.
                 values[d + 2] = wrap(first + 0.5 * turn + math.pi)
@@ -615,8 +598,17 @@ def landmarks_of(
                 )
                 other_variance = 2.0 * (wall_sd / other) * (wall_sd / other)
                 variances[d + 2] = 0.25 * (direction_variance + other_variance)
-                variances[d + 3] = wall_sd * wall_sd
-            d += size
+            else:
+                # From the start along the wall; an edge at the end looks back along the wall.
+                quarters = -0.5 if kind == EDGE and side == 1 else 0.5
+                values[d + 2] = wrap(first + quarters * math.pi)
+                _direction_jacobian(lines, wall, jacobian[d + 2], 1.0)
+                variances[d + 2] = direction_variance
+            if kind == WALL:
+                values[d + 3] = length
+                _length_jacobian(lines, kinds, at, wall, jacobian, d)
+                variances[d + 3] = 2.0 * wall_sd * wall_sd
+            f, d = f + 1, d + 4
     offsets[f] = d
     covariance = _joint_covariance(jacobian[:d], covariances, sds)
     for i in range(d):

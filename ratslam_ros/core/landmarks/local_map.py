@@ -80,6 +80,7 @@ class LocalMap:
             Observations(
                 observations.range_m[used], observations.bearing_rad[used],
                 observations.direction_rad[used], observations.length_m[used], names[used],
+                None if observations.variances is None else observations.variances[used],
             )
         )  # fmt: skip
         present = observed.added, observed.updated, observed.repeated

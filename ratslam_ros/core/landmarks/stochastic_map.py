@@ -165,6 +165,7 @@ class StochasticMap:
                 unchanged.
         """
         seen, z, sizes = _values(observations)
+        variances = self._variances_of(seen)
         if seen.identifiers is None:
             raise UnusableObservations('identifiers are missing; expected one per landmark')
         n = len(seen)
@@ -180,12 +181,12 @@ class StochasticMap:
         results, squared = np.zeros(n, np.int8), np.zeros(n)
         kernels.observe(
             self._x, self._first, self._triangle, self._offsets, starts, is_repeated, z,
-            degrees, self._variances, self._p.lm_outlier_probability, results, squared,
+            degrees, variances, self._p.lm_outlier_probability, results, squared,
         )  # fmt: skip
         updated = seen.identifiers[results == kernels.UPDATED]
         self._updated_at_m[[self._index[name] for name in updated.tolist()]] = self._travelled_m
         new = np.flatnonzero(results == kernels.NEW)
-        self._add(seen.identifiers[new], z[new], sizes[new])
+        self._add(seen.identifiers[new], z[new], sizes[new], variances[new])
         rejected = seen.identifiers[results == kernels.REJECTED]
         self.outlier_count += len(rejected)
         return Observed(
@@ -203,10 +204,10 @@ class StochasticMap:
         Raises:
             UnusableObservations: values are invalid.
         """
-        _, z, sizes = _values(observations)
+        seen, z, sizes = _values(observations)
         return kernels.associate(
-            self._x, self._first, self._triangle, self._offsets, z, sizes, self._variances,
-            self._p.lm_outlier_probability,
+            self._x, self._first, self._triangle, self._offsets, z, sizes,
+            self._variances_of(seen), self._p.lm_outlier_probability,
         )  # fmt: skip
 
     def remove(self, identifiers: Iterable[int]) -> None:
@@ -323,19 +324,26 @@ class StochasticMap:
         """Number of values of the state."""
         return int(self._offsets[-1])
 
+    def _variances_of(self, seen: Observations) -> NDArray[np.float64]:
+        """Return the (n, 4) variances of observations, by default those of the parameters."""
+        if seen.variances is not None:
+            return seen.variances
+        return np.repeat(self._variances[np.newaxis], len(seen), axis=0)
+
     def _set_features(self, identifiers: NDArray[np.int64], offsets: NDArray[np.int64]) -> None:
         self._identifiers, self._offsets = identifiers, offsets
         self._index = {identifier: i for i, identifier in enumerate(identifiers.tolist())}
 
     def _add(
-        self, identifiers: NDArray[np.int64], z: NDArray[np.float64], sizes: NDArray[np.int64]
-    ) -> None:
+        self, identifiers: NDArray[np.int64], z: NDArray[np.float64], sizes: NDArray[np.int64],
+        variances: NDArray[np.float64],
+    ) -> None:  # fmt: skip
         if len(identifiers) == 0:
             return
         d = self._size
         self._reserve(d + int(sizes.sum()))
-        for row, size in zip(z, sizes.tolist(), strict=True):
-            kernels.add(self._x, self._first, self._triangle, d, row, size, self._variances)
+        for row, size, noise in zip(z, sizes.tolist(), variances, strict=True):
+            kernels.add(self._x, self._first, self._triangle, d, row, size, noise)
             d += size
         self._set_features(
             np.concatenate((self._identifiers, identifiers)),
@@ -366,7 +374,7 @@ def _values(
     """
     seen = checked_observations(
         observations.range_m, observations.bearing_rad, observations.direction_rad,
-        observations.length_m, observations.identifiers,
+        observations.length_m, observations.identifiers, observations.variances,
     )  # fmt: skip
     z = np.stack((seen.range_m, seen.bearing_rad, seen.direction_rad, seen.length_m), axis=1)
     sizes = np.where(np.isnan(seen.length_m), POINT_SIZE, BAR_SIZE)

@@ -253,7 +253,7 @@ def observe(
         is_repeated: (n,) True for observations that are not used.
         z: (n, 4) range, bearing, direction and length.
         sizes: (n,) number of values to compare, 2 or 4.
-        variances: (4,) of range, bearing, direction and length.
+        variances: (n, 4) of range, bearing, direction and length.
         outlier_probability: observations whose innovations are less probable are rejected.
         results: (n,) output: UPDATED, REJECTED, NEW or REPEATED.
         squared: (n,) output: squared Mahalanobis distances of the innovations; NaN without one.
@@ -273,7 +273,7 @@ def observe(
         results[o] = REJECTED
         if _linearise(before, first, starts[o], sizes[o], z[o], h[o], innovations[o]):
             squared[o] = _squared_distance(
-                p, starts[o], sizes[o], h[o], innovations[o], variances
+                p, starts[o], sizes[o], h[o], innovations[o], variances[o]
             )
             if survival(squared[o], sizes[o]) >= outlier_probability:
                 results[o] = UPDATED
@@ -287,7 +287,7 @@ def observe(
             for b in range(POSE_SIZE + sizes[o]):
                 i = _column(starts[o], b)
                 innovation[a] -= h[o, a, b] * (x[i] - before[i])
-        _correct(x, p, d, starts[o], sizes[o], h[o], innovation, variances, c, k)
+        _correct(x, p, d, starts[o], sizes[o], h[o], innovation, variances[o], c, k)
     x[2] = wrap(x[2])
     for f in range(len(offsets) - 1):
         if offsets[f + 1] - offsets[f] == BAR_SIZE:
@@ -428,7 +428,9 @@ def associate(
                 continue
             if not _linearise(x, first, offsets[f], sizes[o], z[o], h, innovation):
                 continue
-            distance = _squared_distance(p, offsets[f], sizes[o], h, innovation, variances)
+            distance = _squared_distance(
+                p, offsets[f], sizes[o], h, innovation, variances[o]
+            )
             if survival(distance, sizes[o]) >= outlier_probability * outlier_probability:
                 squared[found], pairs[found] = distance, o * count + f
                 found += 1

@@ -1,0 +1,172 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Node of the landmark map: odom, scan -> landmark_map/map, markers and TF."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Any
+
+from nav_msgs.msg import Odometry as OdometryMessage
+from sensor_msgs.msg import LaserScan
+from std_msgs.msg import String
+from tf2_msgs.msg import TFMessage
+from visualization_msgs.msg import MarkerArray
+
+from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry
+from ratslam_ros.core.common.pose import Pose, composed, inverse
+from ratslam_ros.core.common.scan import Scan
+from ratslam_ros.core.common.state import State
+from ratslam_ros.core.config import Config
+from ratslam_ros.core.landmarks.laser_map import STREAMS, LaserMap
+from ratslam_ros.messages.landmarks import encode_landmarks
+from ratslam_ros.nodes.convert import odometry_of, transform
+from ratslam_ros.nodes.markers import landmark_markers
+from ratslam_ros.nodes.node import FLUSH_CHECK_PERIOD_S, RatslamNode
+from ratslam_ros.nodes.qos import LATCHED, STATE
+from ratslam_ros.nodes.run import run
+from ratslam_ros.nodes.scans import accepted_scan
+
+MAX_MAP_LOAD_RATIO = 0.1
+"""Largest share of a core for sending the map: a large map is sent at a longer period."""
+
+
+class LandmarkMapNode(RatslamNode[Odometry | Scan]):
+    """Maps corners and edges of walls by a laser, independently of the experience map."""
+
+    SECTION = 'landmark_map'
+    PARTS = ('line_extraction',)
+    MAPS = True
+
+    def __init__(self, initial: Config = Config()) -> None:
+        super().__init__(STREAMS, initial)
+        self._map_publisher = self.create_publisher(String, 'landmark_map/map', LATCHED)
+        self._markers = self.create_publisher(MarkerArray, 'landmark_map/markers', LATCHED)
+        self._tf = self.create_publisher(TFMessage, '/tf', STATE)
+        self._next_map_s = 0.0
+        self._sent = False
+        self._viewers = 0
+        self._reset_state()
+        self._add_input('odometry', {'odom': OdometryMessage}, self._on_odometry)
+        self._add_input('scan', {'scan': LaserScan}, self._on_scan)
+        self.create_timer(FLUSH_CHECK_PERIOD_S, self._on_timer, clock=self._steady)
+
+    def _reset_state(self) -> None:
+        self._core = LaserMap(self._section, self.config.line_extraction)
+        self._core.mapping = self._mapping
+        self._motion = MotionFromOdometry(
+            self._section.odom_source, self._section.max_odom_gap_s,
+            self._section.turn_correction,
+        )
+        self._scan_ns = 0
+        self._changed = self._sent  # subscribers that have the old map get the empty one
+
+    def _on_relocated(self) -> None:
+        self._motion.restart()
+        self._core.lose()
+
+    def _set_mapping(self, mapping: bool) -> None:
+        self._core.mapping = mapping
+
+    def _memory_state(self) -> State:
+        return {'scan_ns': self._scan_ns, 'core': self._core.state()}
+
+    def _restore(self, state: State) -> None:
+        core = LaserMap(self._section, self.config.line_extraction)
+        core.restore(state['core'])
+        core.lose()
+        self._scan_ns = int(state['scan_ns'])
+        self._core = core
+        self._core.mapping = self._mapping
+        self._motion.restart()
+        self._changed = True
+
+    def close(self) -> None:
+        """Process the messages that are still held, and publish the last map."""
+        super().close()
+        self._send_map()
+
+    def _on_odometry(self, message: OdometryMessage) -> None:
+        odometry = odometry_of(message)
+        if not self._motion.accepts(odometry):
+            self._refuse('odometry', f'{self._section.odom_source} is not finite: {odometry}')
+            return
+        self._push('odometry', odometry.stamp_ns, odometry)
+        if not self._paused:
+            self._publish_tf(odometry)
+
+    def _on_scan(self, message: LaserScan) -> None:
+        scan = accepted_scan(message, self._refuse)
+        if scan is not None:
+            self._push('scan', scan.stamp_ns, scan)
+
+    def _process_item(self, stamp_ns: int, stream: str, item: Odometry | Scan) -> None:
+        if isinstance(item, Odometry):
+            motion = self._motion.update(item)
+            if motion is not None:
+                self._core.integrate(motion)
+            return
+        with self._diagnostics.times('landmark_map'):
+            is_used = self._core.scan(item)
+        if is_used:
+            self._scan_ns = stamp_ns
+            self._changed = True
+
+    def _publish_tf(self, odometry: Odometry) -> None:
+        """Publish odom_frame -> map_frame, so that the map is shown where the robot sees it."""
+        p = self._section
+        if odometry.stamp_ns != self._order.newest_of('odometry'):
+            return  # refused, late, or not confirmed by the stamp order
+        if p.publish_tf and not self._core.is_lost and all(map(math.isfinite, odometry.pose)):
+            held = (o for o in self._order.waiting('odometry') if isinstance(o, Odometry))
+            ahead = self._motion.ahead(held, Pose(0.0, 0.0, 0.0))
+            pose = composed(self._core.pose, ahead)
+            self._tf.publish(TFMessage(transforms=[
+                transform(
+                    odometry.stamp_ns, p.odom_frame, p.map_frame,
+                    composed(odometry.pose, inverse(pose)),
+                )
+            ]))  # fmt: skip
+
+    def _on_timer(self) -> None:
+        self._flush()
+        if self._changed and time.monotonic() >= self._next_map_s:
+            self._send_map()
+        viewers = self._markers.get_subscription_count()
+        if viewers > self._viewers and self._sent:
+            self._send_markers()
+        self._viewers = viewers
+
+    def _send_map(self) -> None:
+        """Publish the whole map if it has changed since the last time."""
+        if not self._changed:
+            return
+        self._changed, self._sent = False, True
+        start_s = time.monotonic()
+        text = encode_landmarks(self._scan_ns, self._core, self._section.map_frame)
+        self._map_publisher.publish(String(data=text))
+        if self._viewers > 0:
+            self._send_markers()
+        took_s = time.monotonic() - start_s
+        self._next_map_s = start_s + max(self._section.map_period_s, took_s / MAX_MAP_LOAD_RATIO)
+
+    def _send_markers(self) -> None:
+        features = self._core.memory.map.features()
+        self._markers.publish(
+            landmark_markers(features, self._scan_ns, self._section.map_frame)
+        )
+
+    def _diagnostic_values(self) -> dict[str, Any]:
+        return {
+            'landmarks': len(self._core),
+            'scans_used': self._core.scan_count,
+            'outliers': self._core.memory.map.outlier_count,
+            'is_lost': self._core.is_lost,
+            'relocated': self._core.relocated_count,
+        }
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node until it is interrupted."""
+    return run(LandmarkMapNode, args=args)
