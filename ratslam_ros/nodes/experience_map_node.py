@@ -95,7 +95,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
     @classmethod
     def warm_up(cls) -> None:
         """Compile or load from the cache all functions that processing a message needs."""
-        warm_up(cls.SECTION, 'scan_alignment')
+        warm_up(cls.SECTION, 'scan_alignment', 'relocation')
 
     @property
     def _relocates(self) -> bool:

@@ -221,7 +221,7 @@ class Relocator:
                 moved_m = 0.0
             else:
                 return
-        landmarks = _landmarks_of(observed)
+        landmarks = landmarks_of(observed)
         if is_new and not self.is_lost and self._contradicting == 0:
             self.landmarks.add(
                 self._map.current_id, self._map.offset, landmarks, self._map.poses
@@ -465,7 +465,7 @@ def _are_close(a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:
     return a.shape == b.shape and float(np.abs(a[:, :2] - b[:, :2]).max(initial=0.0)) < 0.02
 
 
-def _landmarks_of(observed: Observed) -> NDArray[np.float64]:
+def landmarks_of(observed: Observed) -> NDArray[np.float64]:
     """Return the corners and ends of walls in a scan, (n, 4), as for ``PlaceLandmarks.add``.
 
     Whole walls are left out, because they repeat their ends.
