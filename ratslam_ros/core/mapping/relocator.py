@@ -49,24 +49,25 @@ from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
 from ratslam_ros.core.pose_cells.map_relocation import MapRelocation
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
 
-KEYFRAME_M, KEYFRAME_RAD = 0.15, math.radians(15.0)
+KEYFRAME_M, KEYFRAME_RAD = 0.1, math.radians(15.0)
 """Motion between two keyframes: the scans that are compared and searched."""
 
-MAX_KEYFRAME_COUNT, COMPARED_COUNT = 40, 12
-"""Largest number of keyframes of a search, which is 6 m or nearly two turns on the spot, and of
-those that a candidate is compared with."""
+MAX_KEYFRAME_COUNT, COMPARED_COUNT = 50, 12
+"""Largest number of keyframes of a search, which is 5 m or two turns on the spot, and of those
+that a candidate is compared with."""
 
-SEARCH_INTERVAL = 2
+SEARCH_INTERVAL = 3
 """Number of keyframes between two searches."""
 
 RECENT_M = 1.5
-"""Distance driven for which keyframes are kept while nothing is searched, and for which a new
-experience is not compared with the scans: it would confirm any pose."""
+"""Distance driven for which keyframes are kept while nothing is searched, for which a new
+experience is not compared with the scans, as it would confirm any pose, and after which a
+contradiction that nothing has refuted makes the robot lost."""
 
 CONTRADICTING_SHARE, CONTRADICTING_COUNT = 0.6, 4
-"""Share of matching beams below which a keyframe contradicts a pose, and number of consecutive
-keyframes that make the robot lost. At wrong places of a floor with corridors, the share is 0.05
-to 0.75 with a median of 0.2."""
+"""Share of matching beams below which a keyframe contradicts a pose, and number of such keyframes
+that make the robot lost. At wrong places of a floor with corridors, the share is 0.05 to 0.75 with
+a median of 0.2."""
 
 DOUBTFUL_SHARE = 0.75
 """Share of matching beams of another candidate above which a place is ambiguous."""
@@ -154,7 +155,8 @@ class Relocator:
         self._doubted: set[int] = set()
         self._lost_m: float | None = None
         self._relocations = 0
-        self._agreeing = self._contradicting = self._searched = 0
+        self._agreeing = self._contradicting = self._doubt_count = self._searched = 0
+        self._doubt_m = 0.0
         self._evidence_m = 0.0
         self._relocated_to = NO_EXPERIENCE
 
@@ -277,9 +279,11 @@ class Relocator:
     def _compare(self) -> None:
         """Compare the newest keyframe with what is expected at the robot's pose on the map."""
         graph, scans = self._map, self._scans
-        self._created = {
-            i: at_m for i, at_m in self._created.items() if at_m > graph.odometer_m - RECENT_M
-        }
+        kept_m = graph.odometer_m - RECENT_M
+        if self._contradicting:
+            self._doubt_count += 1
+            kept_m = min(kept_m, self._doubt_m)
+        self._created = {i: at_m for i, at_m in self._created.items() if at_m > kept_m}
         scans.component = graph.component_of(NO_EXPERIENCE)
         scans.excluded = self._misplaced | self._doubted
         if not self.is_lost:
@@ -287,25 +291,29 @@ class Relocator:
         pose, points = graph.pose, self._keyframes[-1].points
         agreement = scans.agreement([pose], [points])
         was_agreeing, self._agreeing = self._agreeing, 0
-        if agreement.known_share < KNOWN_SHARE:
-            return
         if is_proven(agreement):
             self._contradicting, self._agreeing = 0, was_agreeing + 1
             if self._agreeing >= CONTRADICTING_COUNT:
                 self._end()
-        elif agreement.share < CONTRADICTING_SHARE:
+        elif agreement.known_share >= KNOWN_SHARE and agreement.share < CONTRADICTING_SHARE:
             if scans.aligned(pose, points, VIEW_SD_M) is not None:
                 self._contradicting = 0  # the map has drifted
-                return
-            self._contradicting += 1
-            if not self.is_lost and self._contradicting >= CONTRADICTING_COUNT:
-                self._begin()
+            elif self._contradicting:
+                self._contradicting += 1
+            else:
+                self._contradicting = self._doubt_count = 1
+                self._doubt_m = self._keyframes[-1].odometer_m
+        if self._contradicting and not self.is_lost and (
+            self._contradicting >= CONTRADICTING_COUNT
+            or graph.odometer_m - self._doubt_m > RECENT_M
+        ):
+            self._begin()
 
     def _begin(self) -> None:
-        """Treat the robot as lost since the first of the contradicting keyframes."""
-        while len(self._keyframes) > self._contradicting:
+        """Treat the robot as lost since the first contradicting keyframe."""
+        while len(self._keyframes) > self._doubt_count:
             self._keyframes.popleft()
-        since_m = self._lost_m = self._keyframes[0].odometer_m
+        since_m = self._lost_m = self._doubt_m
         self._doubted = {i for i, at_m in self._created.items() if at_m >= since_m}
         self.landmarks.remove_owned(self._doubted)
         self._relocations = self._map.gate.relocation_count
@@ -322,8 +330,9 @@ class Relocator:
 
     def _discard_old(self) -> None:
         frames, odometer_m = self._keyframes, self._map.odometer_m
+        is_kept = self._is_searching or self._contradicting > 0
         while len(frames) > MAX_KEYFRAME_COUNT or (
-            not self._is_searching and frames[0].odometer_m < odometer_m - RECENT_M
+            not is_kept and frames[0].odometer_m < odometer_m - RECENT_M
         ):
             frames.popleft()
         if self._lost_m is not None and odometer_m - self._lost_m > MAX_LOST_M:
