@@ -80,6 +80,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         self._behaviours = Behaviours(self, self._refuse)
         self._answers: Any = None
         if self._relocates:
+            warm_up('relocation')  # takes long if nothing is cached, so only if it is used
             self._answers = self.create_publisher(String, 'experience_map/relocation', RESULT)
         self.create_service(Trigger, 'experience_map/relocate', self._on_relocate)
         self._next_map_s = 0.0
@@ -95,7 +96,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
     @classmethod
     def warm_up(cls) -> None:
         """Compile or load from the cache all functions that processing a message needs."""
-        warm_up(cls.SECTION, 'scan_alignment', 'relocation')
+        warm_up(cls.SECTION, 'scan_alignment')
 
     @property
     def _relocates(self) -> bool:
