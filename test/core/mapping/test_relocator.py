@@ -7,6 +7,7 @@ from __future__ import annotations
 import copy
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ NORTH = Pose(9.5, 9.4, math.pi + 0.2)
 """Beside the path, and turned."""
 
 MAPPED = LAP_STEPS + 1
+GAP_NS = 10 * 10**9
 
 
 @pytest.fixture(scope='module')
@@ -153,6 +155,26 @@ def test_loaded_map_locates_a_carried_robot(mapped: Drive) -> None:
     given = carried(NORTH, 24)
     drive.feed(given)
     assert relocator_of(drive).counts['found'] == 1
+    assert drive.error(given[-1].truth)[0] < 0.1
+
+
+def test_component_after_a_gap_is_joined_by_scans() -> None:
+    """The motion of the robot during the gap is unknown, and all views are new."""
+    gaps = {f'{section}__max_odom_gap_s': 2.0 for section in ('pose_cells', 'experience_map')}
+    drive = Drive(config(**gaps))
+    drive.feed(samples(1))
+    given = carried(NORTH, 24)
+    drive.feed([
+        sample._replace(
+            stamp_ns=sample.stamp_ns + GAP_NS,
+            odometry=replace(sample.odometry, stamp_ns=sample.stamp_ns + GAP_NS),
+            scan=replace(sample.scan, stamp_ns=sample.stamp_ns + GAP_NS),
+        )
+        for sample in given
+    ])  # fmt: skip
+    graph = drive.slam.experience_map
+    assert drive.slam.pose_cells.gap_count == 1
+    assert graph.component_count == 1
     assert drive.error(given[-1].truth)[0] < 0.1
 
 
