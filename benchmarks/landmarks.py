@@ -897,8 +897,8 @@ class LaserRun:
     Attributes:
         driven_m: way of the robot.
         landmarks: landmarks on the map.
-        false: landmarks more than 0.5 m from every corner of the plan, after alignment.
-        landmark_m: root mean square error of the others, after alignment.
+        false: landmarks that were no corner of the plan when they were added.
+        landmark_m: root mean square error of the others, after rigid alignment.
         robot_m, dead_m: root mean square error of the pose and of dead reckoning, not aligned.
         nees: mean normalised squared error of the pose per degree of freedom.
         scan_ms: mean time of a used scan.
@@ -928,6 +928,9 @@ def laser_run(job: tuple[str, int, int]) -> LaserRun:
     dead_reckoning = odometry_pose = Pose(0.0, 0.0, 0.0)
     options = simulator.options.laser
     assert options is not None  # by default
+    corners = plan_corners(plan, start)
+    tree = cKDTree(corners)
+    corner_of: dict[int, int] = {}  # -1: none
     squared: list[tuple[float, float]] = []
     nees, times_s = [], []
     while simulator.elapsed_s < LASER_S:
@@ -953,47 +956,63 @@ def laser_run(job: tuple[str, int, int]) -> LaserRun:
                     (pose.x_m - truth.x_m) ** 2 + (pose.y_m - truth.y_m) ** 2
                     for pose in (laser_map.pose, dead_reckoning)
                 ))  # fmt: skip
-                if is_used and laser_map.scan_count > 50:  # later than compiling
+                if not is_used:
+                    continue
+                features = laser_map.memory.map.features()
+                names = features.identifiers.tolist()
+                new = [i for i, name in enumerate(names) if name not in corner_of]
+                seen = in_frame(laser_map.pose, features.positions_m[new])
+                distances_m, nearest = tree.query(out_of_frame(truth, seen))
+                for i, distance_m, corner in zip(new, distances_m, nearest, strict=True):
+                    corner_of[names[i]] = int(corner) if distance_m <= FALSE_M else -1
+                if laser_map.scan_count > 50:  # later than compiling
                     times_s.append(took_s)
                     error = np.subtract(laser_map.pose, truth)
                     error[2] = wrap(float(error[2]))
                     covariance = laser_map.memory.map.pose_covariance
                     nees.append(float(error @ np.linalg.solve(covariance, error)) / 3.0)
-    distances_m = landmark_distances_m(plan, start, laser_map.memory.map.features())
-    is_false = distances_m > FALSE_M
+    features = laser_map.memory.map.features()
+    matched = np.array([corner_of[name] for name in features.identifiers.tolist()])
+    is_real = matched >= 0
     robot_m, dead_m = np.sqrt(np.mean(squared, axis=0)).tolist()
     return LaserRun(
-        simulator.odometer_m, len(laser_map), int(is_false.sum()),
-        math.sqrt(float(np.mean(distances_m[~is_false] ** 2))), robot_m, dead_m, mean(nees), 1e3 * mean(times_s),
+        simulator.odometer_m, len(laser_map), int((~is_real).sum()),
+        aligned_rms(features.positions_m[is_real], corners[matched[is_real]]), robot_m, dead_m,
+        mean(nees), 1e3 * mean(times_s),
     )  # fmt: skip
 
 
 FALSE_M = 0.5
-"""Distance from every corner of the plan beyond which a landmark is false."""
+"""Distance from every corner of the plan beyond which a landmark is false when it is added."""
 
 
-def landmark_distances_m(
-    plan: FloorPlan, start: Pose, features: Features
-) -> NDArray[np.float64]:
-    """Return the distance of each landmark from the nearest corner, after rigid alignment."""
+def plan_corners(plan: FloorPlan, start: Pose) -> NDArray[np.float64]:
+    """Return the (n, 2) positions of all corners of a plan, in the frame of the start."""
     solid = plan.solid.astype(np.int64)
     around = solid[1:, 1:] + solid[1:, :-1] + solid[:-1, 1:] + solid[:-1, :-1]
     corners = (np.argwhere(around % 2 == 1)[:, ::-1] + 1) * plan.cell_m
-    c, s = math.cos(start.heading_rad), math.sin(start.heading_rad)
-    positions = features.positions_m @ np.array([[c, s], [-s, c]]) + (start.x_m, start.y_m)
-    tree = cKDTree(corners)
-    for _ in range(20):  # Iterative closest points.
-        distances, nearest = tree.query(positions)
-        near = distances <= FALSE_M
-        a, b = positions[near], corners[nearest[near]]
-        p, q = a - a.mean(axis=0), b - b.mean(axis=0)
-        turn = math.atan2(
-            float(np.sum(p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0])), float(np.sum(p * q))
-        )
-        c, s = math.cos(turn), math.sin(turn)
-        positions = (positions - a.mean(axis=0)) @ np.array([[c, s], [-s, c]]) + b.mean(axis=0)
-    found: NDArray[np.float64] = tree.query(positions)[0]
-    return found
+    return in_frame(start, corners)
+
+
+def in_frame(pose: Pose, positions_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (n, 2) positions in the frame of a pose."""
+    c, s = math.cos(pose.heading_rad), math.sin(pose.heading_rad)
+    moved_m: NDArray[np.float64] = (positions_m - pose[:2]) @ np.array([[c, -s], [s, c]])
+    return moved_m
+
+
+def out_of_frame(pose: Pose, positions_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (n, 2) positions, given in the frame of a pose, in the frame of the pose itself."""
+    c, s = math.cos(pose.heading_rad), math.sin(pose.heading_rad)
+    moved_m: NDArray[np.float64] = positions_m @ np.array([[c, s], [-s, c]]) + pose[:2]
+    return moved_m
+
+
+def aligned_rms(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    """Return the root mean square distance of (n, 2) positions after rigid alignment."""
+    p, q = a - a.mean(axis=0), b - b.mean(axis=0)
+    turn = math.atan2(float(np.sum(p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0])), float(np.sum(p * q)))
+    return math.sqrt(float(np.mean((out_of_frame(Pose(0, 0, turn), p) - q) ** 2)) * 2.0)
 
 
 def laser(setting: Setting) -> None:

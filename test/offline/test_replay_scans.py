@@ -355,3 +355,19 @@ def test_invalid_scan_is_rejected(
 ) -> None:
     with pytest.raises(UnusableScan, match=message):
         checked_scan(0, *numbers, ranges)
+
+
+def test_landmarks_are_mapped_beside_the_map(bag: Path, blind: Path, tmp_path: Path) -> None:
+    words = ['replay', str(bag), *WORDS, '--quiet', '--landmarks', '--out', str(tmp_path)]
+    assert main(words) == 0
+    landmarks = json.loads((tmp_path / 'landmarks.json').read_text())
+    assert len(landmarks['landmarks']) >= 4 and not landmarks['pose']['is_lost']
+    assert json.loads((tmp_path / 'summary.json').read_text())['landmarks'] >= 4
+    assert bytes_of(tmp_path) == bytes_of(blind)
+
+
+def test_landmarks_without_scans_are_refused(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / 'rounds', list(drive(()))[:40])
+    with open_recording(bag) as recording, pytest.raises(UnusableInput, match='no scans'):
+        options = ReplayOptions(progress=False, landmarks=True)
+        replay(recording, recording.select(scans=True), WITHOUT, tmp_path / 'out', options)

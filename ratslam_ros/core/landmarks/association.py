@@ -5,7 +5,8 @@
 Individual tests accept neighbours of the right landmark if the pose is uncertain. Joint ones do
 not, because an error of the pose moves all landmarks alike (Neira and Tardos 2001). Instead of
 their full search, pairs are accepted in the order of their distance, each given those before it,
-and every pair is tried as the first one until all landmarks that could have a partner have one.
+and every pair is tried as the first one. The result is what all sets with the most pairs have in
+common, because rows of equal shelves may fit in two ways.
 """
 
 from __future__ import annotations
@@ -67,11 +68,11 @@ def _associate(
                 found += 1
         possible += found > before
     order = np.argsort(squared[:found], kind='mergesort')
-    best, best_count, best_squared = np.full(n, -1), 0, 0.0
+    best, best_count = np.full(n, -1), 0
     factor, solved = np.zeros((BAR_SIZE * n, BAR_SIZE * n)), np.zeros(BAR_SIZE * n)
     for start in range(min(found, MAX_STARTS)):
         matches, is_taken = np.full(n, -1), np.zeros(count, np.bool_)
-        size, accepted, total = 0, 0, 0.0
+        size, accepted = 0, 0
         for turn in range(found + 1):
             k = order[start] if turn == 0 else order[turn - 1]
             o, f = pairs[k] // count, pairs[k] % count
@@ -85,10 +86,15 @@ def _associate(
             )  # fmt: skip
             if survival(distance, m) >= outlier_probability:
                 matches[o], is_taken[f] = f, True
-                size, accepted, total = size + m, accepted + 1, total + distance
-        if accepted > best_count or (accepted == best_count and total < best_squared):
-            best, best_count, best_squared = matches, accepted, total
-        if best_count == possible:
+                size, accepted = size + m, accepted + 1
+        if accepted > best_count:
+            best, best_count = matches, accepted
+        elif accepted == best_count:
+            # Two explanations that are equally good: keep what they have in common.
+            for o in range(n):
+                if matches[o] != best[o]:
+                    best[o] = -1
+        if best_count == possible == found:
             break
     return best
 

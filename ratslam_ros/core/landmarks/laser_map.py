@@ -41,6 +41,13 @@ position differ by 45 degrees or more."""
 CANDIDATE_TRAVEL_M = 2.0
 """Travel after which a candidate that is not seen again is dropped."""
 
+LOOSE_SD_M, PROVING_COUNT = 0.3, 5
+"""Uncertainty of a landmark's place, as the robot sees it, beyond which a pair needs others that
+agree, and the number of such pairs. With fewer, two equal shelves are taken for one."""
+
+LEAST_PROBABILITY = 1e-9
+"""Smallest probability of a correct pair that is accepted."""
+
 _COLUMNS = 5
 """Of a candidate: x, y, direction, number of scans, travel at the last one."""
 
@@ -127,7 +134,10 @@ class LaserMap:
 
     def _update(self, stamp_ns: int, seen: Features) -> None:
         known = self.memory.map.seen_from_robot()
-        matches = jointly_nearest(seen, known, self._p.lm_outlier_probability)
+        # Without a limit (0), any two landmarks would be a pair.
+        probability = max(self._p.lm_outlier_probability, LEAST_PROBABILITY)
+        matches = jointly_nearest(seen, known, probability)
+        matches = _proven(matches, known)
         names = np.where(matches >= 0, np.append(known.identifiers, -1)[matches], -1)
         if self.mapping:
             self._confirm(seen, known, names)
@@ -185,6 +195,20 @@ class LaserMap:
         self._next_scan_m = float(state['next_scan_m'])
         self._next_identifier = int(state['next_identifier'])
         self._candidates = np.array(state['candidates'], np.float64).reshape(-1, _COLUMNS)
+
+
+def _proven(matches: NDArray[np.int64], known: Features) -> NDArray[np.int64]:
+    """Drop pairs with a landmark of uncertain place, unless enough of them agree.
+
+    After a long way, the landmark that is expected somewhere may be another one that looks alike.
+    """
+    starts = known.offsets[:-1]
+    variances = np.diagonal(known.covariance)
+    is_loose = variances[starts] + variances[starts + 1] > LOOSE_SD_M * LOOSE_SD_M
+    loose = np.append(is_loose, False)[matches]
+    if 0 < np.count_nonzero(loose) < PROVING_COUNT:
+        return np.where(loose, -1, matches)
+    return matches
 
 
 def _bars(features: Features) -> list[list[float]]:

@@ -31,8 +31,8 @@ MIN_BEAMS = 6
 """Fewest beams on a wall. A person beyond 3 m covers fewer with each side."""
 
 BREAK_INCIDENCE_RAD = math.radians(8.0)
-"""Smallest angle between a beam and a wall at which neighbouring points are connected; Borges and
-Aldon (2004), "Line extraction in 2D range images for mobile robotics", adaptive breakpoints."""
+"""Smallest angle between a beam and a wall at which neighbouring points are connected: adaptive
+breakpoints, Borges and Aldon (2004), "Line extraction in 2D range images for mobile robotics"."""
 
 SIGNIFICANT_SD = 4.0
 """Distance from a line, in standard deviations, beyond which a point is off the line."""
