@@ -677,16 +677,14 @@ def kidnapped_line(name: str, row: Sequence[Carry]) -> str:
             f'{mean(ways):13.1f}  {max(ways, default=math.nan):5.1f}')  # fmt: skip
 
 
-# Relocation of a robot that nobody carries
+# Relocation of a robot that is not carried
 
 
 def undisturbed_run(setting: Setting, job: tuple[str, int, str]) -> str:
     """Explore a floor for an hour; return the relocations and the map's error."""
     plan, seed, relocate = job
-    began = time.perf_counter()
     loop = setting.loop(seed, plan, experience_map__exp_relocate=relocate)
     loop.explore(setting.explore_s(60.0))
-    took_s = time.perf_counter() - began
     log, relocator = loop.log, loop.ratslam.relocator
     by_scans = set(log.relocations_ns)
     jumps_m = [
@@ -696,12 +694,12 @@ def undisturbed_run(setting: Setting, job: tuple[str, int, str]) -> str:
     searches = 0 if relocator is None else relocator.counts['requested']
     return (f'{Path(plan).stem:>16}  {seed:4d}  {relocate:>12}  {searches:8d}  '
             f'{len(jumps_m):5d}  {sum(jump_m > RIGHT_M for jump_m in jumps_m):5d}  '
-            f'{map_error_m(loop):7.2f}  {took_s:8.0f}')  # fmt: skip
+            f'{map_error_m(loop):7.2f}')  # fmt: skip
 
 
 def undisturbed(setting: Setting, seeds: Sequence[int]) -> None:
     """Print the relocations of robots that are not carried."""
-    print('           floor  seed  exp_relocate  searches  found  wrong  map [m]  time [s]')
+    print('           floor  seed  exp_relocate  searches  found  wrong  map [m]')
     floors = [str(Path(__file__).parent / 'floors' / f'{name}.txt') for name in FLOORS]
     jobs = [
         (plan, seed, relocate) for plan in ('university_floor', *floors) for seed in seeds
