@@ -3,7 +3,8 @@
 """Navigation experiments in simulation: goals, an obstacle, goal memory, loop closure and more.
 
     python benchmarks/navigation.py goals [--seeds 10] [--first 1] [--noise 1] [--plan NAME]
-    python benchmarks/navigation.py obstacle | goal_memory | loop | kidnapped | pruning | alignment
+    python benchmarks/navigation.py obstacle | goal_memory | loop | pruning | alignment
+    python benchmarks/navigation.py kidnapped | undisturbed [--relocate views both]
 
 Each experiment prints a table with one row per seed, means and worst values, and draws its
 pictures into --out. Controllers use image, scan and odometry only; trials are judged by the true
@@ -37,7 +38,7 @@ from ratslam_ros.core.config.parameter import Value
 from ratslam_ros.core.driving.steering import Command
 from ratslam_ros.core.navigation.route_following import RECOVERY_M
 from ratslam_ros.core.navigation.route_planner import RoutePlanner
-from ratslam_ros.errors import UnreachableGoal
+from ratslam_ros.errors import UnreachableGoal, UnusableInput
 from ratslam_ros.files.config import load_config
 from ratslam_ros.results.evaluation import figures, fit
 from ratslam_ros.results.goal_memory_plots import draw_temporal_array
@@ -72,6 +73,20 @@ CELLS: dict[str, dict[str, Value]] = {
 """Pose cells in the goal memory experiment."""
 
 
+RELOCATE = 'views', 'both'
+"""Values of exp_relocate that the kidnapped experiment compares."""
+
+FLOORS = 'hall', 'house', 'school'
+"""Floor plans beside this file."""
+
+CARRIES_COUNT, CARRY_OFFSET_M = 5, 0.5
+"""Number of times that a robot is carried, and distance of the place from its path."""
+
+RIGHT_M, MAX_LOST_S, SETTLING_S = 1.0, 180.0, 5.0
+"""Distance within which a place is right, time after which a carried robot has failed to recover,
+and time for which it explores after it has recovered."""
+
+
 @dataclass(frozen=True)
 class Setting:
     """Options that all experiments share."""
@@ -82,6 +97,7 @@ class Setting:
     out: Path
     minutes: float
     values: tuple[str, ...] = ()
+    relocate: tuple[str, ...] = RELOCATE
 
     def loop(self, seed: int, plan: str = '', **values: Value) -> ClosedLoop:
         """Return a robot at its start.
@@ -582,48 +598,114 @@ def alignment(setting: Setting, seeds: Sequence[int]) -> None:
 # Kidnapped robot
 
 
-def kidnapped_run(setting: Setting, seed: int) -> list[tuple[bool, float, float]]:
-    """Carry the robot to places where it has been, and measure the time to relocalisation."""
-    loop = setting.loop(seed, 'university_floor')
+class Carry(NamedTuple):
+    """One carried robot: whether it recovered, after what time and way, and wrong places.
+
+    ``wrong``: number of times that a place more than ``RIGHT_M`` away became current.
+    """
+
+    recovered: bool
+    time_s: float
+    way_m: float
+    wrong: int
+
+
+def kidnapped_run(setting: Setting, job: tuple[int, str]) -> list[Carry]:
+    """Carry the robot to places near its path, and measure the time to relocalisation."""
+    seed, relocate = job
+    loop = setting.loop(seed, 'university_floor', experience_map__exp_relocate=relocate)
     loop.explore(setting.explore_s(30.0))
     rng = np.random.Generator(np.random.PCG64(seed))
     driven = loop.log.truths()
     found = []
-    for _ in range(5):
-        truth = loop.simulator.truth
-        away = np.hypot(driven[:, 0] - truth.x_m, driven[:, 1] - truth.y_m) > 8.0
-        x_m, y_m, heading_rad = driven[rng.choice(np.flatnonzero(away))].tolist()
-        loop.simulator.carry(Pose(x_m, y_m, heading_rad))
+    for _ in range(CARRIES_COUNT):
+        carry_away(loop, driven, rng)
         began_s, began_m = loop.now_s, loop.simulator.odometer_m
         before, count = len(loop.log.jump_m), len(loop.experience_map)
 
         def located(before: int = before, count: int = count, began_s: float = began_s) -> bool:
             recent = loop.log.jump_m[before:]
-            right = loop.experience_map.current_id < count and recent and recent[-1] < 1.0
-            return bool(right) or loop.now_s > began_s + 180.0
+            right = loop.experience_map.current_id < count and recent and recent[-1] < RIGHT_M
+            return bool(right) or loop.now_s > began_s + MAX_LOST_S
 
         loop.exploration.restart()
         loop.run(loop.exploring, located)
-        took_s = loop.now_s - began_s
-        found.append((took_s < 180.0, took_s, loop.simulator.odometer_m - began_m))
+        took_s, way_m = loop.now_s - began_s, loop.simulator.odometer_m - began_m
+        loop.explore(SETTLING_S)  # a place that is left again at once was wrong
+        wrong = sum(jump_m > RIGHT_M for jump_m in loop.log.jump_m[before:])
+        found.append(Carry(took_s < MAX_LOST_S, took_s, way_m, wrong))
     return found
+
+
+def carry_away(
+    loop: ClosedLoop, driven: NDArray[np.float64], rng: np.random.Generator
+) -> None:
+    """Carry the robot at least 8 m away, 0.5 m off a pose where it was, to a random heading."""
+    truth = loop.simulator.truth
+    away = np.hypot(driven[:, 0] - truth.x_m, driven[:, 1] - truth.y_m) > 8.0
+    while True:
+        x_m, y_m, _ = driven[rng.choice(np.flatnonzero(away))].tolist()
+        towards_rad, heading_rad = rng.uniform(-math.pi, math.pi, 2).tolist()
+        x_m += CARRY_OFFSET_M * math.cos(towards_rad)
+        y_m += CARRY_OFFSET_M * math.sin(towards_rad)
+        try:
+            loop.simulator.carry(Pose(x_m, y_m, heading_rad))
+        except UnusableInput:
+            continue  # too close to a wall
+        return
 
 
 def kidnapped(setting: Setting, seeds: Sequence[int]) -> None:
     """Print the times and distances to relocalisation."""
-    print('seed  recovered  time [s]: mean  worst   way [m]: mean  worst')
-    rows = pooled(partial(kidnapped_run, setting), list(seeds))
-    for seed, row in zip(seeds, rows, strict=True):
-        print(kidnapped_line(f'{seed:4d}', row))
-    print(kidnapped_line(' all', [one for row in rows for one in row]))
+    print('exp_relocate  seed  recovered  wrong  time [s]: mean   95 %  worst  '
+          'way [m]: mean  worst')  # fmt: skip
+    for relocate in setting.relocate:
+        jobs = [(seed, relocate) for seed in seeds]
+        rows = pooled(partial(kidnapped_run, setting), jobs)
+        for seed, row in zip(seeds, rows, strict=True):
+            print(kidnapped_line(f'{relocate:>12}  {seed:4d}', row))
+        print(kidnapped_line(f'{relocate:>12}   all', [one for row in rows for one in row]))
 
 
-def kidnapped_line(name: str, row: Sequence[tuple[bool, float, float]]) -> str:
+def kidnapped_line(name: str, row: Sequence[Carry]) -> str:
     """Return a row of the table."""
-    times, ways = [s for ok, s, _ in row if ok], [m for ok, _, m in row if ok]
-    return (f'{name}  {len(times):4d} of {len(row):2d}  {mean(times):14.1f}  '
-            f'{max(times, default=math.nan):5.1f}  {mean(ways):14.1f}  '
-            f'{max(ways, default=math.nan):5.1f}')  # fmt: skip
+    times = [one.time_s for one in row if one.recovered]
+    ways = [one.way_m for one in row if one.recovered]
+    most = float(np.quantile(times, 0.95)) if times else math.nan
+    return (f'{name}  {len(times):3d} of {len(row):2d}  {sum(one.wrong for one in row):5d}  '
+            f'{mean(times):14.1f}  {most:5.1f}  {max(times, default=math.nan):5.1f}  '
+            f'{mean(ways):13.1f}  {max(ways, default=math.nan):5.1f}')  # fmt: skip
+
+
+# Relocation of a robot that is not carried
+
+
+def undisturbed_run(setting: Setting, job: tuple[str, int, str]) -> str:
+    """Explore a floor for an hour; return the relocations and the map's error."""
+    plan, seed, relocate = job
+    loop = setting.loop(seed, plan, experience_map__exp_relocate=relocate)
+    loop.explore(setting.explore_s(60.0))
+    log, relocator = loop.log, loop.ratslam.relocator
+    by_scans = set(log.relocations_ns)
+    jumps_m = [
+        jump_m for stamp_ns, jump_m in zip(log.closures_ns, log.jump_m, strict=True)
+        if stamp_ns in by_scans
+    ]  # fmt: skip
+    searches = 0 if relocator is None else relocator.counts['requested']
+    return (f'{Path(plan).stem:>16}  {seed:4d}  {relocate:>12}  {searches:8d}  '
+            f'{len(jumps_m):5d}  {sum(jump_m > RIGHT_M for jump_m in jumps_m):5d}  '
+            f'{map_error_m(loop):7.2f}')  # fmt: skip
+
+
+def undisturbed(setting: Setting, seeds: Sequence[int]) -> None:
+    """Print the relocations of robots that are not carried."""
+    print('           floor  seed  exp_relocate  searches  found  wrong  map [m]')
+    floors = [str(Path(__file__).parent / 'floors' / f'{name}.txt') for name in FLOORS]
+    jobs = [
+        (plan, seed, relocate) for plan in ('university_floor', *floors) for seed in seeds
+        for relocate in setting.relocate
+    ]  # fmt: skip
+    print('\n'.join(pooled(partial(undisturbed_run, setting), jobs)))
 
 
 # Pruning
@@ -669,7 +751,8 @@ def pooled(run: Callable[[Job], Row], jobs: Sequence[Job]) -> list[Row]:
 
 EXPERIMENTS = {
     'goals': goals, 'obstacle': obstacle, 'goal_memory': goal_memory, 'loop': loop,
-    'kidnapped': kidnapped, 'pruning': pruning, 'alignment': alignment,
+    'kidnapped': kidnapped, 'undisturbed': undisturbed, 'pruning': pruning,
+    'alignment': alignment,
 }  # fmt: skip
 
 
@@ -686,12 +769,16 @@ def main() -> None:
         '--minutes', type=float, default=0.0, help="exploration time instead of the experiment's"
     )
     parser.add_argument('--set', action='append', default=[], metavar='SECTION.NAME=VALUE')
+    parser.add_argument(
+        '--relocate', nargs='+', default=list(RELOCATE), choices=('views', 'landmarks', 'both'),
+        help='values of exp_relocate in kidnapped and undisturbed (default: views both)',
+    )
     parser.add_argument('--out', type=Path, default=Path('results/navigation'))
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     setting = Setting(
         options.plan, options.noise, options.people, options.out, options.minutes,
-        tuple(options.set),
+        tuple(options.set), tuple(options.relocate),
     )  # fmt: skip
     began = time.perf_counter()
     EXPERIMENTS[options.experiment](

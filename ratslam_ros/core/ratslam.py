@@ -24,8 +24,10 @@ from ratslam_ros.core.config import Config
 from ratslam_ros.core.goal_memory.goal_memory import GoalMemory
 from ratslam_ros.core.mapping.experience_map import ExperienceMap, PrunedExperience
 from ratslam_ros.core.mapping.mapping_step import adopt_correction, apply_action
+from ratslam_ros.core.mapping.relocator import Relocator
 from ratslam_ros.core.mapping.scan_matching import ScanMatcher
-from ratslam_ros.core.pose_cells.map_action import MapAction
+from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
+from ratslam_ros.core.pose_cells.map_relocation import MapRelocations
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.vision.local_view import (
     UNDECODABLE,
@@ -63,7 +65,8 @@ class ViewStep:
     """Result of one template message.
 
     ``pruned``: the experience that made room for a new one. ``rejected``: the loop-closure gate
-    rejected the action, and the map is unchanged.
+    rejected the action, and the map is unchanged. ``relocated_to``: experience to which scans have
+    relocated the robot after the action, -1 if they have not.
     """
 
     stamp_ns: int
@@ -71,6 +74,7 @@ class ViewStep:
     action: MapAction
     pruned: PrunedExperience | None = None
     rejected: bool = False
+    relocated_to: int = NO_EXPERIENCE
 
 
 Step = OdometryStep | ViewStep
@@ -110,6 +114,10 @@ class RatSLAM:
         if config.goal_memory.goal_memory:
             self.goal_memory = GoalMemory(config.goal_memory, config.pose_cells)
         self.scan_matcher = ScanMatcher() if config.experience_map.exp_align_scans else None
+        self.relocator: Relocator | None = None
+        """Relocation by scans, if ``exp_relocate`` is not `views` and there is a laser."""
+        if self.scan_matcher is not None and config.experience_map.exp_relocate != 'views':
+            self.relocator = Relocator(self.experience_map, self.scan_matcher)
         self.dead_reckoning = self.experience_map.origin
         """Pose by odometry alone, in the map frame."""
         streams = STREAMS if self.scan_matcher is None else STREAMS_WITH_SCANS
@@ -125,6 +133,8 @@ class RatSLAM:
         if uses_odometry(config.local_view) and isinstance(self.local_view, LocalView):
             lateness_ns = round(config.local_view.max_lateness_s * 1e9)
             self._views = StampOrder(('odometry', 'image'), lateness_ns)
+        self._relocations = MapRelocations()
+        self._view_count = 0
         self._refused = 0
         self._has_matched = False
         self._watch = stopwatch
@@ -278,11 +288,24 @@ class RatSLAM:
         )  # fmt: skip
 
     def _act(self, stamp_ns: int, match: ViewMatch) -> ViewStep:
+        relocation = self._relocations.due(self._view_count)
+        if relocation is not None and self.pose_cells.relocate(relocation) and (
+            self.goal_memory is not None
+        ):
+            self.goal_memory.relocated()
         with self._watch('pose_cells_view'):
             action = self.pose_cells.view(match, self._motion.reaches(stamp_ns), stamp_ns)
         with self._watch('experience_map'):
             adopt_correction(self._motion, self.experience_map, action)
             update = apply_action(
-                self.experience_map, self.scan_matcher, stamp_ns, action, self.behaviour
+                self.experience_map, self.scan_matcher, stamp_ns, action, self.behaviour,
+                self.relocator,
             )
-        return ViewStep(stamp_ns, match, action, update.pruned, update.rejected)
+        self._relocations.answer(self._view_count, update.relocation)
+        self._view_count += 1
+        relocated_to = NO_EXPERIENCE
+        if update.relocation is not None:
+            relocated_to = update.relocation.experience_id
+        return ViewStep(
+            stamp_ns, match, action, update.pruned, update.rejected, relocated_to
+        )

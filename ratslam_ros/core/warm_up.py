@@ -14,10 +14,12 @@ from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.odometry import Motion, MotionFromOdometry, Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.rotation_gain import estimate_correction
+from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.common.turn_correction import UNCORRECTED
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.link_learning import has_detour
+from ratslam_ros.core.mapping.mapping_step import apply_action
 from ratslam_ros.core.pose_cells.map_action import Action, MapAction
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.pose_cells.torus import Place
@@ -40,7 +42,8 @@ def warm_up(*parts: str) -> None:
 
     Args:
         parts: names of the parameter sections of the parts that will run; ``'scan_alignment'``
-            stands for scan matching. By default, all parts that build a map, without navigation.
+            stands for scan matching, ``'relocation'`` for relocation by scans. By default, all
+            parts that build a map, without navigation.
     """
     config = Config().with_values(_SMALL_CONFIG)
     wrap(0.0)  # Used by all parts.
@@ -114,6 +117,39 @@ def _scan_alignment(config: Config) -> None:
     align(corner, corner, Pose(0.0, 0.0, 0.0), VIEW_SD_M)
 
 
+def _relocation(config: Config) -> None:
+    from ratslam_ros.core.landmarks.relocalisation import relocalise
+    from ratslam_ros.core.mapping.place_landmarks import VARIANCES, features_of
+    from ratslam_ros.core.mapping.relocator import WHEN_LOST, Relocator, landmarks_of
+    from ratslam_ros.core.mapping.scan_matching import ScanMatcher
+
+    experience_map, matcher = _experience_map(config), ScanMatcher()
+    relocator = Relocator(experience_map, matcher)
+    for n in range(8):  # Each experience sees the corners of the room, and is compared.
+        stamp_ns = n * 10**8
+        matcher.integrate(stamp_ns, _MOTION)
+        matcher.scan(_room_scan(stamp_ns))
+        experience_map.integrate(_MOTION)
+        action = MapAction(
+            'create', experience_map.current_id, len(experience_map), 9 + n, 0.0,
+            Place(0.0, 0.0, 0.0),
+        )  # fmt: skip
+        apply_action(experience_map, matcher, stamp_ns, action, relocator=relocator)
+    relocator.search()
+    observed = matcher.observed(stamp_ns)
+    assert observed is not None
+    rows = landmarks_of(observed)
+    features = features_of(rows, np.tile(VARIANCES, (len(rows), 1)))
+    relocalise(features, features, WHEN_LOST, 0)
+
+
+def _room_scan(stamp_ns: int) -> Scan:
+    """Return the scan of a square room of 4 m."""
+    angles = np.radians(np.arange(-180.0, 180.0))
+    ranges_m = 2.0 / np.maximum(np.abs(np.cos(angles)), np.abs(np.sin(angles)))
+    return Scan(stamp_ns, -np.pi, float(angles[1] - angles[0]), ranges_m)
+
+
 def _goal_recall(config: Config) -> None:
     from ratslam_ros.core.navigation.navigator import Navigator  # Imports SciPy.
 
@@ -139,7 +175,6 @@ def _goal_memory(config: Config) -> None:
 
 
 def _goal_follower(config: Config) -> None:
-    from ratslam_ros.core.common.scan import Scan
     from ratslam_ros.core.driving.goal_follower import GoalFollower
 
     follow = GoalFollower(config.goal_follower)
@@ -149,13 +184,10 @@ def _goal_follower(config: Config) -> None:
 
 
 def _landmark_map(config: Config) -> None:
-    from ratslam_ros.core.common.scan import Scan
     from ratslam_ros.core.landmarks.laser_map import LaserMap
 
-    # A square room of 4 m: its corners are confirmed, added, seen again, and found when lost.
-    angles = np.radians(np.arange(-180.0, 180.0))
-    ranges_m = 2.0 / np.maximum(np.abs(np.cos(angles)), np.abs(np.sin(angles)))
-    scan = Scan(0, -np.pi, float(angles[1] - angles[0]), ranges_m)
+    # The corners of the room are confirmed, added, seen again, and found when lost.
+    scan = _room_scan(0)
     laser_map = LaserMap(config.landmark_map, replace(config.line_extraction, le_interval_m=0.0))
     for _ in range(6):
         laser_map.integrate(Motion(1.0, 1e-3, 0.0))
@@ -178,6 +210,7 @@ _MAPPING: dict[str, Callable[[Config], object]] = {
 _PARTS = {
     **_MAPPING, 'goal_recall': _goal_recall, 'goal_memory': _goal_memory,
     'goal_follower': _goal_follower, 'scan_alignment': _scan_alignment,
+    'relocation': _relocation,
     'landmark_map': _landmark_map, 'line_extraction': _landmark_map,
 }  # fmt: skip
 """Functions that warm up each part by name."""

@@ -12,9 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.turn_correction import TurnCorrection
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
+from ratslam_ros.core.pose_cells.map_relocation import MapRelocation
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.core.vision.local_view import FIXED_THRESHOLD, ViewMatch
 from ratslam_ros.messages.json_schema import (
@@ -187,6 +189,63 @@ def decode_action(payload: str) -> tuple[int, int, MapAction, int]:
         fields['recognised_id'], fields['agreement'], fields['view_spacing_m'],
     )  # fmt: skip
     return decode_stamp(fields['stamp']), fields['sequence'], action, fields['memory']
+
+
+def encode_relocation(
+    stamp_ns: int, sequence: int, relocation: MapRelocation | None, memory_ns: int
+) -> str:
+    """Return the payload of ``experience_map/relocation``, the map's answer to an action.
+
+    Args:
+        stamp_ns: stamp of the action.
+        sequence: number of the action.
+        relocation: where scans have relocated the robot after the action, with the ids of the
+            pose cells; None if they have not.
+        memory_ns: the ``memory`` of the action.
+    """
+    fields: dict[str, Any] = {
+        'schema_version': SCHEMA_VERSION, 'stamp': encode_stamp(stamp_ns), 'sequence': sequence,
+        'memory': memory_ns,
+    }  # fmt: skip
+    if relocation is not None:
+        x_m, y_m, heading_rad = relocation.offset
+        fields['relocation'] = {
+            'experience_id': relocation.experience_id, 'template_id': relocation.template_id,
+            'relative_x_m': x_m, 'relative_y_m': y_m, 'relative_rad': heading_rad,
+        }  # fmt: skip
+    return encode_json(fields)
+
+
+def decode_relocation(payload: str) -> tuple[int, MapRelocation | None, int]:
+    """Return (sequence, relocation, memory_ns) of an ``experience_map/relocation`` payload.
+
+    Raises:
+        MalformedMessage: the payload does not match the schema.
+    """
+    name = 'experience_map/relocation'
+    fields = decode_fields(payload, name, {'stamp': dict, 'sequence': int, 'memory': int})
+    for key in ('sequence', 'memory'):
+        check_range(name, key, fields[key], 0, MAX_COUNT)
+    decode_stamp(fields['stamp'])
+    place = fields.get('relocation')
+    if place is None:
+        return fields['sequence'], None, fields['memory']
+    if not isinstance(place, dict):
+        raise MalformedMessage(f'{name}: relocation is {place!r}; expected an object')
+    check_types(place, name, {
+        'experience_id': int, 'template_id': int, 'relative_x_m': float, 'relative_y_m': float,
+        'relative_rad': float,
+    })  # fmt: skip
+    for key, low, high in (
+        ('experience_id', 0, MAX_ID), ('template_id', 0, MAX_ID),
+        ('relative_rad', -math.pi, math.pi),
+    ):  # fmt: skip
+        check_range(name, key, place[key], low, high)
+    relocation = MapRelocation(
+        place['experience_id'], place['template_id'],
+        Pose(place['relative_x_m'], place['relative_y_m'], place['relative_rad']),
+    )  # fmt: skip
+    return fields['sequence'], relocation, fields['memory']
 
 
 def _decode_correction(name: str, fields: Any) -> TurnCorrection | None:

@@ -13,6 +13,7 @@ from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry as OdometryMessage
 from sensor_msgs.msg import LaserScan
 from std_msgs.msg import String
+from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
@@ -25,18 +26,24 @@ from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.late_join import LateJoin
 from ratslam_ros.core.mapping.mapping_step import adopt_correction, apply_action
+from ratslam_ros.core.mapping.relocator import Relocator
 from ratslam_ros.core.mapping.scan_matching import ScanMatcher
 from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.messages.json_schema import MalformedMessage
-from ratslam_ros.messages.mapping import MapText, decode_action, encode_map
+from ratslam_ros.messages.mapping import (
+    MapText,
+    decode_action,
+    encode_map,
+    encode_relocation,
+)
 from ratslam_ros.nodes.behaviours import Behaviours
 from ratslam_ros.nodes.convert import header_of, odometry_of, pose_message, transform
 from ratslam_ros.nodes.goal_navigation import GoalNavigation
 from ratslam_ros.nodes.markers import markers_of
 from ratslam_ros.nodes.node import FLUSH_CHECK_PERIOD_S, RatslamNode
-from ratslam_ros.nodes.qos import LATCHED, STATE
+from ratslam_ros.nodes.qos import LATCHED, RESULT, STATE
 from ratslam_ros.nodes.run import run
 from ratslam_ros.nodes.scans import accepted_scan
 
@@ -71,6 +78,11 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         self._tf = self.create_publisher(TFMessage, '/tf', STATE)
         self._goals = GoalNavigation(self, self._diagnostics, lambda: self.config, self._refuse)
         self._behaviours = Behaviours(self, self._refuse)
+        self._answers: Any = None
+        if self._relocates:
+            warm_up('relocation')  # takes long if nothing is cached, so only if it is used
+            self._answers = self.create_publisher(String, 'experience_map/relocation', RESULT)
+        self.create_service(Trigger, 'experience_map/relocate', self._on_relocate)
         self._next_map_s = 0.0
         self._sent = False
         self._viewers = self._pose_ns = 0
@@ -86,12 +98,19 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         """Compile or load from the cache all functions that processing a message needs."""
         warm_up(cls.SECTION, 'scan_alignment')
 
+    @property
+    def _relocates(self) -> bool:
+        """Whether scans relocate the robot."""
+        section = self._section
+        return bool(section.exp_align_scans and section.exp_relocate != 'views')
+
     def _reset_state(self) -> None:
         self._core = ExperienceMap(self._section)
         self._core.mapping = self._mapping
         self._map_text = MapText()
         self._late_join = LateJoin(self._core)
         self._scans = ScanMatcher()
+        self._relocator = Relocator(self._core, self._scans) if self._relocates else None
         self._motion = MotionFromOdometry(
             self._section.odom_source, self._section.max_odom_gap_s,
             self._section.turn_correction,
@@ -121,6 +140,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
             'correction': list(self._motion.correction),
             'goals': self._goals.memory_state(),
             'scans': self._scans.state(),
+            **({} if self._relocator is None else {'relocator': self._relocator.state()}),
         }
 
     def _restore(self, state: State) -> None:
@@ -132,9 +152,13 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         action_ns = int(state['action_ns'])
         scans = ScanMatcher()
         scans.restore(state['scans'])
+        relocator = Relocator(core, scans) if self._relocates else None
+        if relocator is not None and 'relocator' in state:
+            relocator.restore(state['relocator'])
         self._goals.use_map(core, state['goals'])
         self._action_ns = action_ns
         self._core, self._late_join, self._scans = core, late_join, scans
+        self._relocator = relocator
         self._motion.correction = TurnCorrection(
             *state.get('correction', self._section.turn_correction)
         )
@@ -195,8 +219,15 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         with self._diagnostics.times('experience_map'):
             adopt_correction(self._motion, self._core, item.action)
             action = late_join.translate(item.action, item.sequence, item.memory_ns)
+            relocation = None
             if action is not None:
-                apply_action(self._core, self._scans, stamp_ns, action, behaviour)
+                relocation = apply_action(
+                    self._core, self._scans, stamp_ns, action, behaviour, self._relocator
+                ).relocation
+        if self._answers is not None:
+            self._answers.publish(String(data=encode_relocation(
+                stamp_ns, item.sequence, late_join.peer_relocation(relocation), item.memory_ns
+            )))  # fmt: skip
         if item.action.template_id != NO_TEMPLATE:
             self._action_ns = stamp_ns
             self._changed = True
@@ -238,6 +269,23 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         if self._diagnostics.missing.get('action') != text:
             self._diagnostics.missing['action'] = text
             self.get_logger().warning(text)
+
+    def _on_relocate(self, request: Any, response: Any) -> Any:
+        """Search for the robot's place by what the laser has seen in the last metres."""
+        if self._relocator is None:
+            return self._answer(
+                response, False, 'landmarks are off: set exp_align_scans, and exp_relocate to both'
+            )
+        with self._lock:
+            result = self._relocator.search(is_lost=True)
+            x_m, y_m, heading_rad = self._core.pose
+        if result.outcome not in ('found', 'here'):
+            return self._answer(response, False, f'{result.outcome}: {result.reason}')
+        self._republish_pose()
+        return self._answer(
+            response, True, f'{result.reason}; the robot is at ({x_m:.2f}, {y_m:.2f}), heading '
+            f'{math.degrees(heading_rad):.0f} degrees',
+        )  # fmt: skip
 
     # The robot's pose
 
@@ -314,6 +362,9 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
             'experience': self._core.current_id,
             'jumps_refused': self._core.gate.rejected_count,
             'carried': self._core.gate.relocation_count,
+            **({} if self._relocator is None else {
+                f'relocations_{name}': count for name, count in self._relocator.counts.items()
+            }),
             **self._goals.diagnostic_values(),
         }
 

@@ -98,7 +98,7 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
     def close(self) -> None:
         """Process the messages that are still held."""
         with self._lock:
-            self._process(self._order.flush())
+            self._process_held()
 
     # Implemented by subclasses
 
@@ -150,12 +150,16 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
         for stamp_ns, stream, item in released:
             self._process_item(stamp_ns, stream, item)
 
+    def _process_held(self) -> None:
+        """Process all messages that are held."""
+        self._process(self._order.flush())
+
     def _flush(self) -> None:
         """Process the held messages if all inputs have been silent for flush_after_s."""
         silent = all(one.silent_s() >= self._section.flush_after_s for one in self._inputs)
         if silent and self._order.held:
             with self._lock:
-                self._process(self._order.flush())
+                self._process_held()
                 self._count_dropped('its inputs', self._order.newest_ns or 0)
 
     def _handle_jump_back(self, stream: str, stamp_ns: int) -> None:
@@ -171,7 +175,7 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
             self.get_logger().warning(
                 f'the stamps of {stream} have jumped back: keeping the memory (on_jump_back)'
             )
-            self._process(self._order.flush())
+            self._process_held()
             self._on_relocated()
         self._process(self._order.restart())
 
@@ -225,7 +229,7 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
     def _on_pause(self, request: Any, response: Any) -> Any:
         with self._lock:
             if request.data and not self._paused:
-                self._process(self._order.flush())
+                self._process_held()
             elif self._paused and not request.data:
                 self._on_relocated()
             self._paused = bool(request.data)
@@ -242,7 +246,7 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
     def _on_save(self, request: Any, response: Any) -> Any:
         try:
             with self._lock:
-                self._process(self._order.flush())
+                self._process_held()
                 memory_files.save(self._memory_path, self.SECTION, self._memory_state())
         except RatslamError as error:
             return self._answer(response, False, str(error))

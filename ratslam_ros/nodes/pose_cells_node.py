@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,14 +19,20 @@ from ratslam_ros.core.common.state import State
 from ratslam_ros.core.common.turn_correction import TurnCorrection
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.id_map import MIN_MEMORY_NS, NO_MEMORY_NS, IdMap
+from ratslam_ros.core.pose_cells.map_relocation import MapRelocations
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE, ViewMatch
 from ratslam_ros.messages.json_schema import MalformedMessage
-from ratslam_ros.messages.mapping import decode_template, encode_action, encode_active
+from ratslam_ros.messages.mapping import (
+    decode_relocation,
+    decode_template,
+    encode_action,
+    encode_active,
+)
 from ratslam_ros.nodes.convert import grey_image, odometry_of
 from ratslam_ros.nodes.goal_seeking import GoalSeeking
 from ratslam_ros.nodes.node import FLUSH_CHECK_PERIOD_S, RatslamNode
-from ratslam_ros.nodes.qos import RESULT, VIEW
+from ratslam_ros.nodes.qos import INPUT, RESULT, VIEW
 from ratslam_ros.nodes.run import run
 
 LOGGED_GAIN_CHANGE = 0.02
@@ -61,6 +68,9 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
             self._goals = GoalSeeking(self, self._diagnostics, self.config)
         self._reset_state()
         self._add_input('odometry', {'odom': OdometryMessage}, self._on_odometry)
+        self.create_subscription(
+            String, 'experience_map/relocation', self._on_relocation, INPUT
+        )
         self._add_input('template', {'local_view/template': String}, self._on_template)
         self.create_timer(FLUSH_CHECK_PERIOD_S, self._flush, clock=self._steady)
 
@@ -82,6 +92,8 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
         self._numbering = IdMap()
         self._memory_ns = NO_MEMORY_NS
         self._sequence = 0
+        self._relocations = MapRelocations()
+        self._waiting: deque[tuple[int, Odometry | Template]] = deque()
 
     def _on_relocated(self) -> None:
         self._motion.restart()
@@ -112,6 +124,8 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
         if self._goals is not None:
             self._goals.use_pose_cells(core, state.get('goal_memory'))
         self._memory_ns, self._sequence = memory_ns, sequence
+        self._relocations = MapRelocations()
+        self._waiting.clear()
         self._core, self._numbering = core, numbering
         if core.calibration is not None:
             self._motion.correction = core.calibration.correction
@@ -134,7 +148,45 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
             return
         self._push('template', stamp_ns, Template(match, memory_ns))
 
+    def _on_relocation(self, message: String) -> None:
+        """Receive the answer of the map to an action, which may relocate the robot."""
+        try:
+            sequence, relocation, memory_ns = decode_relocation(message.data)
+        except MalformedMessage as error:
+            self._refuse('relocation', str(error))
+            return
+        if memory_ns in (NO_MEMORY_NS, self._memory_ns):
+            self._relocations.answer(sequence, relocation)
+            self._process_waiting()
+
+    def _process_held(self) -> None:
+        super()._process_held()
+        while self._waiting:
+            self._process_next(*self._waiting.popleft())
+
     def _process_item(self, stamp_ns: int, stream: str, item: Odometry | Template) -> None:
+        self._waiting.append((stamp_ns, item))
+        self._process_waiting()
+
+    def _process_waiting(self) -> None:
+        """Process messages up to the next template for which the map has to answer first.
+
+        As for the inputs, it is not waited for longer than ``max_lateness_s``.
+        """
+        while self._waiting:
+            stamp_ns, item = self._waiting[0]
+            waited_ns = self._waiting[-1][0] - stamp_ns
+            if isinstance(item, Template) and self._relocations.is_awaited(self._sequence):
+                if waited_ns <= round(self._section.max_lateness_s * 1e9):
+                    return
+                self._diagnostics.drop(
+                    'missed', 'experience_map does not answer: its relocations may be adopted '
+                    'later than in a replay',
+                )  # fmt: skip
+            self._waiting.popleft()
+            self._process_next(stamp_ns, item)
+
+    def _process_next(self, stamp_ns: int, item: Odometry | Template) -> None:
         if isinstance(item, Odometry):
             motion = self._motion.update(item)
             if motion is not None:
@@ -148,6 +200,11 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
 
     def _process_template(self, stamp_ns: int, template: Template) -> None:
         self._check_memory(stamp_ns, template)
+        relocation = self._relocations.due(self._sequence)
+        if relocation is not None and self._core.relocate(relocation) and (
+            self._goals is not None
+        ):
+            self._goals.relocated()
         number = self._numbering.own_id(template.match.template_id)
         with self._diagnostics.times('pose_cells_view'):
             removed = tuple(self._numbering.own_id(i) for i in template.match.removed)

@@ -23,6 +23,7 @@ from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation.goals import Target
 from ratslam_ros.core.navigation.navigator import GoalTask, Navigator
 from ratslam_ros.core.navigation.route_following import Guidance
+from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.core.ratslam import RatSLAM, Step, ViewStep
 from ratslam_ros.simulator.samples import ImageSample, OdometrySample, ScanSample
@@ -54,6 +55,8 @@ class Log:
     """Stamps of loop closures: an experience that is not among the newest became current."""
     jump_m: list[float] = field(default_factory=list)
     """True distance of the robot from the experience at each loop closure."""
+    relocations_ns: list[int] = field(default_factory=list)
+    """Stamps of those closures that were relocations by scans."""
     truth_of: dict[int, Pose] = field(default_factory=dict)
     """Id of an experience -> true pose of the experience when it was created."""
 
@@ -197,12 +200,18 @@ class ClosedLoop:
             if action.action == 'create':
                 heading_rad = wrap(truth.heading_rad - action.relative_rad)
                 self.log.truth_of[action.target_id] = truth._replace(heading_rad=heading_rad)
-            elif action.action == 'none' or step.rejected:
-                continue
-            elif action.target_id < len(self.experience_map) - NEWEST_COUNT:
-                self.log.closures_ns.append(step.stamp_ns)
-                target = self.log.truth_of[action.target_id]
-                self.log.jump_m.append(math.hypot(target.x_m - truth.x_m, target.y_m - truth.y_m))
+            elif action.action != 'none' and not step.rejected and (
+                action.target_id < len(self.experience_map) - NEWEST_COUNT
+            ):
+                self._note_closure(step.stamp_ns, truth, action.target_id)
+            if step.relocated_to != NO_EXPERIENCE:
+                self.log.relocations_ns.append(step.stamp_ns)
+                self._note_closure(step.stamp_ns, truth, step.relocated_to)
+
+    def _note_closure(self, stamp_ns: int, truth: Pose, target_id: int) -> None:
+        target = self.log.truth_of[target_id]
+        self.log.closures_ns.append(stamp_ns)
+        self.log.jump_m.append(math.hypot(target.x_m - truth.x_m, target.y_m - truth.y_m))
 
 
 def scan_from_sample(sample: ScanSample, simulator: Simulator) -> Scan:

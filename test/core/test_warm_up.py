@@ -169,6 +169,14 @@ for n in range(40):
 assert len(laser_map) > 0
 """
 
+RELOCATION = """
+sys.path.insert(0, 'test')
+from kidnapped_drive import Drive, config, samples
+drive = Drive(config())
+drive.feed(samples(1, Pose(9.5, 9.4, np.pi + 0.2), 16))
+assert drive.slam.relocator.counts['found'] == 1
+"""
+
 
 @pytest.mark.parametrize(
     ('parts', 'code'),
@@ -181,6 +189,7 @@ assert len(laser_map) > 0
         ('pose_cells goal_memory', GOAL_MEMORY),
         ('goal_follower', GOAL_FOLLOWER),
         ('landmark_map', LANDMARK_MAP),
+        ('pose_cells experience_map scan_alignment relocation', RELOCATION),
         ('', ALL),
     ],
 )

@@ -80,14 +80,20 @@ def test_examples_are_valid_payloads() -> None:
     )
     from ratslam_ros.messages.mapping import (
         decode_action,
+        decode_relocation,
         decode_template,
         encode_action,
+        encode_relocation,
         encode_template,
     )
 
-    template, action, goal, name, status, behaviour = re.findall(r'```json\n(.*?)\n```', PAGE)
+    template, action, relocation, goal, name, status, behaviour = re.findall(
+        r'```json\n(.*?)\n```', PAGE
+    )
     assert encode_template(*decode_template(template)) == template
     assert encode_action(*decode_action(action)) == action
+    stamp_ns = decode_action(action)[0]
+    assert encode_relocation(stamp_ns, *decode_relocation(relocation)) == relocation
     assert encode_behaviour(decode_behaviour(behaviour)) == behaviour
     targets = ('kitchen', 17, Position(1.5, -2.0))
     assert decode_goal(goal) == GoalRequest(targets, append=True, timeout_s=120.0)

@@ -46,6 +46,15 @@ class ExperienceMapParameters(OdometryInput):
         'places are recognised but loops are not closed',
         'places that look alike are confused',
     )  # fmt: skip
+    exp_relocate: str = parameter(
+        'views', '', 0, 0,
+        'What relocates a robot that was carried: views, consistent closures along two metres; '
+        'landmarks, the corners that the laser sees, proven by the scans; or both. landmarks and '
+        'both need a laser and exp_align_scans. Not in the papers.',
+        'set to both if the robot has a laser and is moved by hand',
+        'set to views if the surroundings are crowded or change a lot',
+        choices=('views', 'landmarks', 'both'),
+    )  # fmt: skip
     exp_confidence_threshold: float = parameter(
         0.25, 'share of the tries', 0.0, 1.0,
         'A link is removed when its confidence, the share of tries that made its transition, '

@@ -55,6 +55,12 @@ class RelocalisationParameters(Section):
         'missed another place that matches as well.',
         'too few places are found', 'wrong places are found',
     )  # fmt: skip
+    reloc_unmapped: float = parameter(
+        0.5, 'probability', 1e-9, 0.999,
+        'Prior probability that the robot is at no place of the map.',
+        'wrong places are found in unmapped regions',
+        'places are not found, and other evidence decides whether they are right',
+    )  # fmt: skip
     reloc_observations: int = parameter(
         40, 'observations', 2, 1000,
         'Largest number of observations that are used; more are thinned out at random.',

@@ -154,8 +154,9 @@ def relocalise(
         parameters.reloc_nodes, parameters.reloc_error, seed & (2**63 - 1),
     )  # fmt: skip
     outcome, probabilities = _judged(
-        [float(value) for value in evidence[:count]], parameters.reloc_error, float(missed)
-    )
+        [float(value) for value in evidence[:count]], parameters.reloc_unmapped,
+        parameters.reloc_error, float(missed),
+    )  # fmt: skip
     by_probability = sorted(range(count), key=lambda place: -probabilities[place])
     if outcome == 'not here':
         by_probability = []
@@ -171,11 +172,14 @@ def relocalise(
     return Relocalisation(outcome, places, int(draws), int(nodes), float(missed))
 
 
-def _judged(log_evidence: list[float], error: float, missed: float) -> tuple[Outcome, list[float]]:
+def _judged(
+    log_evidence: list[float], unmapped: float, error: float, missed: float
+) -> tuple[Outcome, list[float]]:
     """Return the outcome, and the probability of each place."""
-    peak = max([0.0, *log_evidence])
+    log_elsewhere = math.log(unmapped / (1.0 - unmapped))
+    peak = max([log_elsewhere, *log_evidence])
     weights = [math.exp(value - peak) for value in log_evidence]
-    elsewhere = math.exp(-peak)
+    elsewhere = math.exp(log_elsewhere - peak)
     total = elsewhere + sum(weights)
     probabilities = [weight / total for weight in weights]
     if elsewhere > error * total:

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -34,6 +34,7 @@ from ratslam_ros.core.mapping.loop_closure_gate import (
 from ratslam_ros.core.mapping.optimiser import PoseGraphOptimiser
 from ratslam_ros.core.mapping.scan_matching import ScanMatch
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
+from ratslam_ros.core.pose_cells.map_relocation import MapRelocation
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
 from ratslam_ros.errors import UnusableInput
@@ -67,10 +68,12 @@ class MapUpdate:
 
     ``pruned``: the experience that made room for a new one. ``rejected``: the loop-closure gate
     rejected the transition, and neither the links nor the current experience have changed.
+    ``relocation``: where scans have relocated the robot after the action, None if they have not.
     """
 
     pruned: PrunedExperience | None = None
     rejected: bool = False
+    relocation: MapRelocation | None = None
 
 
 class ExperienceMap(ExperienceGraph):
@@ -96,6 +99,7 @@ class ExperienceMap(ExperienceGraph):
         self._travelled_m = 0.0
         self._odometer_m = self._scan_checked_m = 0.0
         self._recognised_at_m = 0.0
+        self._was_relocated = False
         self._optimiser = PoseGraphOptimiser(parameters)
 
     @property
@@ -248,11 +252,12 @@ class ExperienceMap(ExperienceGraph):
             self._recognise(action)
             self._relax()
             return MapUpdate()
-        # After a rejected closure the current experience of the pose cells differs from that of
-        # the map, so the robot did not come from the action's source.
+        # After a rejected closure, or before they adopt a relocation, the current experience of
+        # the pose cells differs from that of the map: the robot did not come from the action's
+        # source.
         was_rejecting = self.gate.rejecting
         source = action.source_id
-        if was_rejecting or self.current_id == NO_EXPERIENCE:
+        if was_rejecting or self._was_relocated or self.current_id == NO_EXPERIENCE:
             source = self.current_id
         target_offset = action.relative_pose
         if scan_match is not None:
@@ -275,7 +280,9 @@ class ExperienceMap(ExperienceGraph):
                 self.gate.reject_by_scan(self.pose)
             else:
                 claimed = composed(self.pose_of(action.target_id), target_offset)
-                relocated = self.gate.record_closure(self.pose, claimed)
+                has_scan = scan_match is not None and scan_match.fits is not None
+                by_views = self._p.exp_relocate != 'landmarks' or not has_scan
+                relocated = self.gate.record_closure(self.pose, claimed, by_views)
             if not relocated:
                 self._relax()
                 return MapUpdate(rejected=True)
@@ -295,6 +302,30 @@ class ExperienceMap(ExperienceGraph):
         self._record_scan_confirmation(scan_match)
         self._relax()
         return MapUpdate(pruned)
+
+    def relocate(self, target_id: int, target_offset: Pose, views: Sequence[Pose] = ()) -> bool:
+        """Move the robot to another place that was proven by scans; return whether it is accepted.
+
+        No link is made, because the robot did not drive there. If the place is in another
+        component, the components are joined as by a recognised view.
+
+        Args:
+            target_id: experience that becomes the current one.
+            target_offset: pose of the robot in its frame.
+            views: poses of the robot on the map according to recognised views.
+        """
+        claimed = composed(self.pose_of(target_id), target_offset)
+        if not self.gate.offer_proven(claimed, views):
+            return False
+        if self._is_apart(target_id):
+            source = self.current_id
+            self._rejoin(target_id, target_offset)
+            if source != NO_EXPERIENCE and self.mapping:
+                self._connect(source, target_id, target_offset, '', False)
+        self._was_relocated = True
+        self.current_id, self.offset = target_id, target_offset
+        self._duration_s = self._travelled_m = 0.0
+        return True
 
     # Components
 

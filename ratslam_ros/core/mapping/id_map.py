@@ -108,6 +108,10 @@ class DenseIdMap(IdMap):
         """Return whether an id of the present memory has an own id."""
         return peer_id in self._own_ids
 
+    def peer_id(self, own_id: int) -> int | None:
+        """Return the id of the present memory that has an own id, None if there is none."""
+        return next((peer for peer, own in self._own_ids.items() if own == own_id), None)
+
     def own_id(self, peer_id: int) -> int:
         """Return the own id for an id of the present memory; assign the next one if it has none.
 

@@ -10,6 +10,7 @@ from ratslam_ros.core.common.state import State
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.id_map import DenseIdMap
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
+from ratslam_ros.core.pose_cells.map_relocation import MapRelocation
 
 
 class LateJoin:
@@ -42,6 +43,16 @@ class LateJoin:
         self.missed, self.restarts = state['missed'], state['forgotten']
         self._next, self.first_sequence = state['next'], state['first_sequence']
         self._ids.restore(state['numbering'])
+
+    def peer_relocation(self, relocation: MapRelocation | None) -> MapRelocation | None:
+        """Return a relocation with the ids of the pose cells; None if they do not know its place.
+
+        The template is that of the experience, whose id needs no translation.
+        """
+        if relocation is None:
+            return None
+        peer_id = self._ids.peer_id(relocation.experience_id)
+        return None if peer_id is None else relocation._replace(experience_id=peer_id)
 
     def translate(self, action: MapAction, sequence: int, memory_ns: int) -> MapAction | None:
         """Return the action with the ids of the map; None if the map must not execute it.

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -33,6 +34,9 @@ SPOT_SPACING_M = 0.3
 
 AGREEMENT_M = 1.0
 """Largest distance between the robot positions that two agreeing closures imply, in m."""
+
+CONTRADICTING_VIEW_COUNT = 2
+"""Number of views of other places that contradict a relocation that scans have proven."""
 
 LONG_KNOWN_M = 60.0
 """Distance to be driven after an experience was created before it can confirm the robot's pose.
@@ -111,12 +115,13 @@ class LoopClosureGate:
         self.rejecting = self.accepts_next = False
         self._record(Spot(here.x_m, here.y_m))
 
-    def record_closure(self, here: Pose, claimed: Pose) -> bool:
+    def record_closure(self, here: Pose, claimed: Pose, by_views: bool = True) -> bool:
         """Record a closure that exceeds the drift, and return whether it is accepted.
 
         Args:
             here: pose of the robot on the map before the closure.
             claimed: pose of the robot on the map according to the closure.
+            by_views: whether views can relocate the robot; if not, every closure is rejected.
         """
         self._record(Spot(here.x_m, here.y_m, here, claimed))
         agreeing = sum(
@@ -124,12 +129,32 @@ class LoopClosureGate:
             < AGREEMENT_M
             for _, _, there, claim in self._spots if there is not None and claim is not None
         )  # fmt: skip
-        self.rejecting = agreeing < REQUIRED_COUNT and not self.accepts_next
+        enough = agreeing >= REQUIRED_COUNT or self.accepts_next
+        self.rejecting = not (enough and by_views)
         if self.rejecting:
             self.rejected_count += 1
             return False
         self.relocation_count += 1
         self.accepts_next = False
+        self._spots.clear()
+        return True
+
+    def offer_proven(self, claimed: Pose, views: Sequence[Pose]) -> bool:
+        """Return whether a relocation that scans have proven is accepted: views may contradict it.
+
+        Args:
+            claimed: pose of the robot on the map according to the scans.
+            views: poses according to the views recognised since the robot is lost, carried along
+                by odometry. A single view is no evidence.
+        """
+        agreeing = sum(math.dist(view[:2], claimed[:2]) < AGREEMENT_M for view in views)
+        contradicting = len(views) - agreeing
+        if contradicting >= CONTRADICTING_VIEW_COUNT and contradicting > agreeing:
+            self.rejected_count += 1
+            return False
+        self.relocation_count += 1
+        self.accepts_next = False
+        self.rejecting = True  # until the pose cells arrive there as well
         self._spots.clear()
         return True
 

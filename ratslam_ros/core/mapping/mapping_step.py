@@ -4,8 +4,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from ratslam_ros.core.common.odometry import MotionFromOdometry
 from ratslam_ros.core.mapping.experience_map import ExperienceMap, MapUpdate
+from ratslam_ros.core.mapping.relocator import Relocator
 from ratslam_ros.core.mapping.scan_matching import ScanMatcher
 from ratslam_ros.core.pose_cells.map_action import MapAction
 
@@ -22,7 +25,7 @@ def adopt_correction(
 
 def apply_action(
     experience_map: ExperienceMap, scan_matcher: ScanMatcher | None, stamp_ns: int,
-    action: MapAction, behaviour: str = '',
+    action: MapAction, behaviour: str = '', relocator: Relocator | None = None,
 ) -> MapUpdate:  # fmt: skip
     """Locate the robot by its scan if there is a laser, then apply one action to the map.
 
@@ -34,6 +37,7 @@ def apply_action(
         stamp_ns: stamp of the action.
         action: the action, with the ids of the map.
         behaviour: name of the behaviour that was active, '' if unknown.
+        relocator: relocates the robot by its scans; None to relocate it by views only.
 
     Returns:
         The changes of the map. If the action was rejected, the position variance of the scan
@@ -48,4 +52,6 @@ def apply_action(
     update = experience_map.apply(action, behaviour, scan_match)
     if update.rejected and scan_matcher is not None:
         scan_matcher.undo_last()
+    if relocator is not None:
+        update = replace(update, relocation=relocator.step(stamp_ns, action, update))
     return update

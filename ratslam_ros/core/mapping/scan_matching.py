@@ -60,22 +60,38 @@ class ScanMatch(NamedTuple):
     fits there. None without a scan."""
 
 
+class Observed(NamedTuple):
+    """The last scan before a stamp.
+
+    ``points``: (n, 2) m, in the robot's frame at the stamp. ``odometry``: pose of the robot by
+    odometry at the stamp. ``scan_pose``: pose of the robot at the stamp of the scan, in the frame
+    of the robot at the stamp.
+    """
+
+    points: NDArray[np.float64]
+    odometry: Pose
+    scan: Scan
+    scan_pose: Pose
+
+
 class ScanMatcher:
     """Stores the scan of each experience, and aligns later scans with it."""
 
     def __init__(self) -> None:
-        self._scans: deque[tuple[int, NDArray[np.float64]]] = deque()
+        self._scans: deque[tuple[int, NDArray[np.float64], Scan]] = deque()
         self._track: deque[tuple[int, Pose]] = deque()
         self._odometry_pose = Pose(0.0, 0.0, 0.0)
         self._references: dict[int, NDArray[np.float32]] = {}
         self._variance_m2 = self._variance_before_m2 = math.inf
         """Largest position variance of the robot on the map, now and before the last action."""
+        self.restarts = 0
+        """Number of times the buffers were cleared."""
 
     def scan(self, scan: Scan) -> None:
         """Buffer one scan; a stamp that jumps back clears the buffers."""
         if self._scans and scan.stamp_ns < self._scans[-1][0]:
             self.restart()
-        self._scans.append((scan.stamp_ns, points_of(scan)))
+        self._scans.append((scan.stamp_ns, points_of(scan), scan))
         while self._scans[-1][0] - self._scans[0][0] > BUFFER_NS:
             self._scans.popleft()
 
@@ -92,9 +108,28 @@ class ScanMatcher:
 
     def restart(self) -> None:
         """Clear the buffers after the robot was carried; the scans of experiences are kept."""
+        self.restarts += 1
         self._scans.clear()
         self._track.clear()
         self._variance_m2 = self._variance_before_m2 = math.inf
+
+    def reference(self, experience_id: int) -> NDArray[np.float32] | None:
+        """Return the (n, 2) points in m of an experience's scan, in its frame; None if unknown."""
+        return self._references.get(experience_id)
+
+    def observed(self, stamp_ns: int) -> Observed | None:
+        """Return the last scan at or before a stamp; None if it is too old or has no odometry."""
+        points, pose = self._points_at(stamp_ns), self._pose_at(stamp_ns)
+        scan = self._scan_at(stamp_ns)
+        if points is None or pose is None or scan is None:
+            return None
+        then = self._pose_at(scan[0])
+        assert then is not None  # there are points
+        return Observed(points, pose, scan[2], composed(inverse(pose), then))
+
+    def relocated(self) -> None:
+        """Set the variance after the robot was relocated by its scan."""
+        self._variance_m2 = self._variance_before_m2 = MAP_SD_M**2
 
     def undo_last(self) -> None:
         """Restore the variance from before the last action, which the map rejected."""
@@ -124,7 +159,7 @@ class ScanMatcher:
             there = None
             self._references.pop(action.target_id, None)
             if points is not None:
-                self._references[action.target_id] = _transformed(points, view).astype(np.float32)
+                self._references[action.target_id] = transformed(points, view).astype(np.float32)
         self._variance_before_m2 = self._variance_m2
         if points is None:
             if action.action != 'create':
@@ -216,15 +251,20 @@ class ScanMatcher:
 
         None if that scan is too old, or if no odometry covers it.
         """
-        scan = next((s for s in reversed(self._scans) if s[0] <= stamp_ns), None)
-        if scan is None or stamp_ns - scan[0] > MAX_SCAN_AGE_NS:
+        scan = self._scan_at(stamp_ns)
+        if scan is None:
             return None
         then, now = self._pose_at(scan[0]), self._pose_at(stamp_ns)
         if then is None or now is None:
             return None
         points = scan[1]
         near = points[np.hypot(points[:, 0], points[:, 1]) < MAX_RANGE_M]
-        return _transformed(near, composed(inverse(now), then))
+        return transformed(near, composed(inverse(now), then))
+
+    def _scan_at(self, stamp_ns: int) -> tuple[int, NDArray[np.float64], Scan] | None:
+        """Return the last buffered scan at or before a stamp, None if it is too old."""
+        scan = next((s for s in reversed(self._scans) if s[0] <= stamp_ns), None)
+        return None if scan is None or stamp_ns - scan[0] > MAX_SCAN_AGE_NS else scan
 
     def _pose_at(self, stamp_ns: int) -> Pose | None:
         """Return the odometry pose at a stamp, interpolated between messages; None if unknown."""
@@ -240,7 +280,7 @@ class ScanMatcher:
         return None
 
 
-def _transformed(points: NDArray[np.float64], pose: Pose) -> NDArray[np.float64]:
+def transformed(points: NDArray[np.float64], pose: Pose) -> NDArray[np.float64]:
     """Transform (n, 2) points from the frame of a pose into the parent frame of that pose."""
     c, s = math.cos(pose.heading_rad), math.sin(pose.heading_rad)
     x, y = points.T

@@ -135,6 +135,19 @@ class Experiences:
         """Add a motion to the displacement since the current experience."""
         self._since_current = moved(self._since_current, motion)
 
+    def has(self, experience_id: int, template_id: int, component: int) -> bool:
+        """Return whether there is an experience of this id, template and component."""
+        return (
+            experience_id < len(self)
+            and self._experiences[experience_id][0] == template_id
+            and self._components[experience_id] == component
+        )
+
+    def relocate(self, experience_id: int, offset: Pose) -> None:
+        """Make an experience current without a transition; ``offset``: the robot in its frame."""
+        self.current_id = experience_id
+        self._since_current = offset
+
     def separate(self) -> None:
         """Leave the current experience: the motion since then is unknown."""
         self.current_id = NO_EXPERIENCE

@@ -5,19 +5,22 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Collection
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.angles import wrap
-from ratslam_ros.core.common.odometry import Motion
+from ratslam_ros.core.common.odometry import Motion, moved
+from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import PoseCellsParameters
 from ratslam_ros.core.pose_cells.attractor import Network, Packet, kernel
 from ratslam_ros.core.pose_cells.experiences import Experiences
 from ratslam_ros.core.pose_cells.lengths import Lengths
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, Action, MapAction
+from ratslam_ros.core.pose_cells.map_relocation import ADOPTION_DELAY, MapRelocation
 from ratslam_ros.core.pose_cells.odometry_calibration import OdometryCalibration
 from ratslam_ros.core.pose_cells.registration import Located, Registration
 from ratslam_ros.core.pose_cells.torus import Place, Torus
@@ -66,6 +69,8 @@ class PoseCells:
         self._last_view = NO_TEMPLATE, 0.0
         self._stepped = False
         self._component = self._gap_count = 0
+        self._odometry = Pose(0.0, 0.0, 0.0)
+        self._at_views: deque[Pose] = deque(maxlen=ADOPTION_DELAY)
 
     def __len__(self) -> int:
         """Return the number of experiences."""
@@ -159,6 +164,7 @@ class PoseCells:
         if not motion.is_known:
             self._separate()
             return
+        self._odometry = moved(self._odometry, motion)
         self.lengths.integrate(motion.distance_m)
         chord = motion.chord_m / self.lengths.cell_m
         turn = motion.turn_rad * self._torus.planes_per_rad
@@ -195,6 +201,7 @@ class PoseCells:
             self.forget(match.removed)
         self._experiences.advance(stamp_ns)
         is_again = match.template_id == self._last_view[0]
+        self._at_views.append(self._odometry)
         self._last_view = match.template_id, match.relative_rad * self._torus.planes_per_rad
         source_id = self._experiences.current_id
         action: Action = 'none'
@@ -231,6 +238,36 @@ class PoseCells:
         gone = self._evidence.template_ids if template_ids is None else template_ids
         self._evidence.forget(gone, self._component)
         self._experiences.forget_templates(gone)
+
+    def relocate(self, relocation: MapRelocation) -> bool:
+        """Adopt a relocation by the map, ``ADOPTION_DELAY`` views after it.
+
+        The activity moves to the robot's pose in the frame of the experience, carried along by the
+        odometry since then, and the experience becomes the current one.
+
+        Returns:
+            False if the experience was pruned since, or if the odometry had a gap.
+        """
+        number, template_id, then = relocation
+        if len(self._at_views) < ADOPTION_DELAY or not self.lengths.is_cell_known or (
+            not self._experiences.has(number, template_id, self._component)
+        ):
+            return False
+        offset = composed(then, composed(inverse(self._at_views[0]), self._odometry))
+        torus, (place, unwrapped) = self._torus, self._experiences.located(number)
+        heading_rad = place.theta / torus.planes_per_rad
+        x, y, _ = composed(Pose(0.0, 0.0, heading_rad), offset)
+        x, y = x / self.lengths.cell_m, y / self.lengths.cell_m
+        self._packets = self._network.inject(
+            [], (place.theta + offset.heading_rad * torus.planes_per_rad) % torus.n_theta,
+            (place.y + y) % torus.n_y, (place.x + x) % torus.n_x, 1.0,
+        )  # fmt: skip
+        self.peak = self._decoded()
+        self._unwrapped = unwrapped[0] + x, unwrapped[1] + y
+        self._experiences.relocate(number, offset)
+        if self.calibration is not None:
+            self.calibration.restart()
+        return True
 
     def active_experiences(self) -> list[tuple[int, float]]:
         """Return the experiences of the last view's template near the peak, most active first.
@@ -299,6 +336,7 @@ class PoseCells:
 
     def _separate(self) -> None:
         """Begin a new component: the pose relative to all known places is unknown."""
+        self._at_views.clear()
         self._gap_count += 1
         self._component = self._gap_count
         self.lengths.interrupt()

@@ -156,6 +156,35 @@ def test_dense_closures_are_accepted_after_the_same_distance() -> None:
     assert here.x_m == pytest.approx((REQUIRED_COUNT - 1) * SPOT_SPACING_M, abs=0.35)
 
 
+PROVEN = Pose(9.0, 2.0, 0.5)
+ELSEWHERE = Pose(3.0, 2.0, 0.5)
+
+
+@pytest.mark.parametrize(('views', 'accepted'), [
+    ([], True), ([ELSEWHERE], True), ([PROVEN], True), ([ELSEWHERE] * 2, False),
+    ([ELSEWHERE, ELSEWHERE, PROVEN], False), ([ELSEWHERE, PROVEN] * 2, True),
+])  # fmt: skip
+def test_proven_place_is_accepted_unless_views_contradict(
+    views: list[Pose], accepted: bool
+) -> None:
+    gate = LoopClosureGate()
+    gate.restart()
+    assert gate.offer_proven(PROVEN, views) == accepted
+    assert gate.relocation_count == accepted
+    assert gate.rejected_count == (not accepted)
+    assert gate.rejecting == accepted  # until the pose cells are there as well
+    assert gate.accepts_next == (not accepted)
+
+
+def test_views_do_not_relocate_if_only_landmarks_may() -> None:
+    gate = LoopClosureGate()
+    gate.restart()
+    for n in range(20):
+        here = Pose(0.4 * n, 0.0, 0.0)
+        assert not gate.record_closure(here, composed(Pose(9.0, 0.0, 0.0), here), by_views=False)
+    assert gate.rejecting
+
+
 # Closures on the map
 
 
@@ -213,6 +242,21 @@ def test_return_after_rejection_adds_no_link() -> None:
     assert graph.current_id == 12
     assert graph.link_count == 12
     assert graph.offset == ORIGIN
+
+
+def test_relocated_robot_links_from_its_place_without_link_to_it() -> None:
+    graph = corridor(0.05)
+    assert graph.relocate(3, Pose(0.2, 0.1, 0.0))
+    assert graph.current_id == 3
+    assert graph.pose[:2] == pytest.approx((3.2, 0.1))
+    assert graph.link_count == 12
+    graph.integrate(ahead(0.5))
+    arrive(graph, 13, source=12)  # the pose cells are still at the old place
+    graph.integrate(ahead(0.5))
+    arrive(graph, 14, source=3)  # they have adopted the relocation
+    ends = [(link.source_id, link.target_id) for link in graph.links()[-2:]]
+    assert ends == [(3, 13), (13, 14)]
+    assert graph.pose_of(14)[:2] == pytest.approx((4.2, 0.1))
 
 
 def test_disabled_gate_accepts_every_closure() -> None:

@@ -1,0 +1,201 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Landmarks of the map, each stored relative to the experience that observed it first.
+
+They follow the experiences when the map is corrected or pruned. A landmark that is observed again
+is counted, not stored again, so that their number is that of the corners of the environment and
+not that of the experiences.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ratslam_ros.core.common.angles import wrap
+from ratslam_ros.core.common.compiled import compiled
+from ratslam_ros.core.common.pose import Pose, composed
+from ratslam_ros.core.common.state import State
+from ratslam_ros.core.landmarks.features import BAR_SIZE, Features
+
+MAX_LANDMARK_COUNT = 4000
+"""Largest number of landmarks; at the limit, a new one replaces the one observed least often."""
+
+MIN_VISIT_COUNT = 2
+"""Number of experiences that must have observed a landmark before it is used: people walk away."""
+
+SAME_M, SAME_RAD, SAME_LENGTH_M = 0.3, 0.4, 0.3
+"""Largest differences of position, direction and length between observations of one landmark."""
+
+VARIANCES = np.array([0.06, 0.06, 0.06, 0.05]) ** 2
+"""Variances of x, y in m^2, direction in rad^2 and length in m^2 of a landmark relative to others
+within the range of a scan: of the laser, the extraction, and nearby experiences on the map."""
+
+
+Shape = tuple[float, float, float, float]
+"""x, y in m, direction in rad, length in m; the last two are NaN for points."""
+
+
+class PlaceLandmarks:
+    """The landmarks that experiences observed."""
+
+    def __init__(self) -> None:
+        self._owners = np.zeros(0, np.int64)
+        self._shapes = np.zeros((0, BAR_SIZE))
+        self._visits = np.zeros(0, np.int64)
+
+    def __len__(self) -> int:
+        """Return the number of landmarks."""
+        return len(self._owners)
+
+    def add(
+        self, experience_id: int, offset: Pose, seen: NDArray[np.float64],
+        poses: NDArray[np.float64],
+    ) -> None:  # fmt: skip
+        """Add what an experience observes; landmarks that are known already are counted.
+
+        Args:
+            experience_id: the experience, which is new.
+            offset: pose of the robot in the frame of the experience.
+            seen: (n, 4) x, y in m, direction in rad and length in m, in the robot's frame; the
+                last two are NaN for points.
+            poses: (m, 3) poses of all experiences.
+        """
+        own = Pose(*poses[experience_id].tolist())
+        known = self._placed(poses)
+        for x_m, y_m, direction_rad, length_m in seen.tolist():
+            shape = moved_landmark(offset, (x_m, y_m, direction_rad, length_m))
+            x, y, direction, _ = moved_landmark(own, shape)
+            same = nearest_same(known, (x, y, direction, length_m))
+            if same >= 0:
+                self._visits[same] += 1
+            else:
+                self._insert(experience_id, shape)
+
+    def remove_owned(self, experience_ids: Collection[int]) -> None:
+        """Remove the landmarks that some experiences observed first."""
+        self._keep(~np.isin(self._owners, np.array(sorted(experience_ids), np.int64)))
+
+    def hand_over(self, experience_id: int, stand_in_id: int, pose: Pose) -> None:
+        """Store the landmarks of an experience that is pruned with its stand-in.
+
+        Args:
+            experience_id: the pruned experience.
+            stand_in_id: the experience that represents it; -1: its landmarks are removed.
+            pose: of the pruned experience in the frame of the stand-in.
+        """
+        for row in np.flatnonzero(self._owners == experience_id).tolist():
+            self._shapes[row] = moved_landmark(pose, tuple(self._shapes[row].tolist()))
+            self._owners[row] = stand_in_id
+        self._keep(self._owners >= 0)
+
+    def on_map(
+        self, poses: NDArray[np.float64], excluded: Collection[int] = ()
+    ) -> NDArray[np.float64]:
+        """Return the (n, 4) landmarks in the frame of the map that several experiences observed.
+
+        Args:
+            poses: (m, 3) poses of all experiences.
+            excluded: experiences whose landmarks are left out.
+        """
+        unused = np.isin(self._owners, np.array(sorted(excluded), np.int64))
+        return self._placed(poses)[(self._visits >= MIN_VISIT_COUNT) & ~unused]
+
+    def state(self) -> State:
+        """Return all landmarks, for ``restore``."""
+        return {
+            'owners': self._owners.copy(), 'shapes': self._shapes.copy(),
+            'visits': self._visits.copy(),
+        }  # fmt: skip
+
+    def restore(self, state: State) -> None:
+        """Restore what ``state`` returned."""
+        self._owners = np.array(state['owners'], np.int64)
+        self._shapes = np.array(state['shapes'], np.float64).reshape(-1, BAR_SIZE)
+        self._visits = np.array(state['visits'], np.int64)
+
+    def _insert(self, experience_id: int, shape: Shape) -> None:
+        if len(self) < MAX_LANDMARK_COUNT:
+            self._owners = np.append(self._owners, experience_id)
+            self._shapes = np.concatenate([self._shapes, [shape]])
+            self._visits = np.append(self._visits, 1)
+        else:
+            row = int(self._visits.argmin())
+            self._owners[row], self._shapes[row], self._visits[row] = experience_id, shape, 1
+
+    def _keep(self, rows: NDArray[np.bool_]) -> None:
+        self._owners, self._shapes = self._owners[rows], self._shapes[rows]
+        self._visits = self._visits[rows]
+
+    def _placed(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the (n, 4) landmarks in the frame of the map."""
+        placed: NDArray[np.float64] = _placed(self._shapes, poses[self._owners])
+        return placed
+
+
+def features_of(shapes: NDArray[np.float64], variances: NDArray[np.float64]) -> Features:
+    """Return bars and points with independent errors.
+
+    Args:
+        shapes: (n, 4) x, y in m, direction in rad, length in m; the last two are NaN for points.
+        variances: (n, 4) of these.
+    """
+    used = ~np.isnan(shapes)
+    offsets = np.concatenate(([0], np.cumsum(used.sum(axis=1)))).astype(np.int64)
+    return Features(
+        np.arange(len(shapes)), offsets, shapes[used], np.diag(variances[used])
+    )
+
+
+def moved_landmark(base: Pose, shape: Shape) -> Shape:
+    """Return a landmark that is given in the frame of a pose in the parent frame of the pose."""
+    x, y, direction, length = shape
+    at = composed(base, Pose(x, y, 0.0 if math.isnan(direction) else direction))
+    return at.x_m, at.y_m, at.heading_rad if not math.isnan(length) else math.nan, length
+
+
+def nearest_same(known: NDArray[np.float64], shape: Shape) -> int:
+    """Return the row of the nearest landmark that may be the same, -1 if there is none.
+
+    Args:
+        known: (n, 4) landmarks.
+        shape: an observation in the same frame.
+    """
+    x, y, direction, length = shape
+    return int(_nearest_same(known, x, y, direction, length))
+
+
+@compiled
+def _placed(shapes: NDArray[np.float64], poses: NDArray[np.float64]) -> NDArray[np.float64]:
+    placed = np.empty_like(shapes)
+    for i in range(len(shapes)):
+        c, s = math.cos(poses[i, 2]), math.sin(poses[i, 2])
+        placed[i, 0] = poses[i, 0] + c * shapes[i, 0] - s * shapes[i, 1]
+        placed[i, 1] = poses[i, 1] + s * shapes[i, 0] + c * shapes[i, 1]
+        placed[i, 2] = math.nan
+        if not math.isnan(shapes[i, 3]):
+            placed[i, 2] = wrap(poses[i, 2] + shapes[i, 2])
+        placed[i, 3] = shapes[i, 3]
+    return placed
+
+
+@compiled
+def _nearest_same(
+    known: NDArray[np.float64], x: float, y: float, direction: float, length: float
+) -> int:
+    """Return the row of the nearest landmark that may be the same, -1 if there is none."""
+    nearest, least = -1, SAME_M
+    for i in range(len(known)):
+        away = math.hypot(known[i, 0] - x, known[i, 1] - y)
+        is_point = math.isnan(known[i, 3])
+        if away > least or is_point != math.isnan(length):
+            continue
+        if is_point or (
+            abs(wrap(known[i, 2] - direction)) <= SAME_RAD
+            and abs(known[i, 3] - length) <= SAME_LENGTH_M
+        ):
+            nearest, least = i, away
+    return nearest

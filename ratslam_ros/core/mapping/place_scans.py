@@ -1,0 +1,167 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Stored scans around a pose: alignment of a new scan with them, and agreement."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ratslam_ros.core.common.angles import wrap
+from ratslam_ros.core.common.pose import Pose, composed, inverse
+from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.mapping.icp import align
+from ratslam_ros.core.mapping.scan_agreement import NO_BEAMS, Agreement, PlaceGrid
+from ratslam_ros.core.mapping.scan_matching import ScanMatcher, transformed
+
+AROUND_M, AROUND_COUNT = 2.5, 8
+"""Distance and number of the experiences whose scans are expected at a pose."""
+
+SPREAD_M, SPREAD_RAD = 0.4, 0.5
+"""Two of these experiences differ by one of these at least."""
+
+VISIT_M, VISIT_COUNT = 30.0, 3
+"""Distance driven between two visits to a place, and number of visits that are distinguished."""
+
+KNOWN_SHARE = 0.5
+"""Smallest share of beams that end where stored scans saw something, for the rest to count."""
+
+PROVEN_SHARE = 0.9
+"""Smallest share of matching beams that proves a pose: 0.9 to 1 at the right one."""
+
+
+class PlaceScans:
+    """Scans of the experiences of one component of the map, by place."""
+
+    def __init__(self, experience_map: ExperienceMap, scan_matcher: ScanMatcher) -> None:
+        self._map, self._matcher = experience_map, scan_matcher
+        self.component = 0
+        """Component of the map whose experiences are used."""
+        self.excluded: Collection[int] = ()
+        """Experiences that are not used."""
+
+    def aligned(
+        self, pose: Pose, points: NDArray[np.float64], sd_m: float
+    ) -> tuple[Pose, Agreement] | None:
+        """Align a scan with the stored ones around a pose.
+
+        Args:
+            pose: expected pose of the robot on the map.
+            points: (n, 2) m, in the robot's frame.
+            sd_m: standard deviation of the expected position.
+
+        Returns:
+            The pose and the agreement of the scan there; None if no alignment is proven.
+        """
+        for around in self._visits([pose]):
+            scans = self._scans(around)
+            origin = scans[0][0]
+            reference = np.concatenate([
+                transformed(scan.astype(np.float64), composed(inverse(origin), at))
+                for at, scan in scans
+            ])  # fmt: skip
+            found = align(reference, points, composed(inverse(origin), pose), sd_m)
+            if found is None:
+                continue
+            at = composed(origin, found.pose)
+            agreement = PlaceGrid(scans, at.x_m, at.y_m).agreement(points, at)
+            if is_proven(agreement):
+                return at, agreement
+        return None
+
+    def agreement(
+        self, poses: Sequence[Pose], scans: Sequence[NDArray[np.float64]]
+    ) -> Agreement:
+        """Compare scans along a path of a few metres with the stored ones.
+
+        If the place was visited several times, the visit that agrees best counts, because their
+        scans differ by the drift of the map.
+
+        Args:
+            poses: poses of the robot on the map.
+            scans: (n, 2) m, points of each scan in the robot's frame.
+        """
+        best = NO_BEAMS
+        middle = poses[len(poses) // 2]
+        for around in self._visits([poses[-1], middle, poses[0]]):
+            grid = PlaceGrid(self._scans(around), middle.x_m, middle.y_m)
+            total = NO_BEAMS
+            for pose, points in zip(poses, scans, strict=True):
+                total = total.plus(grid.agreement(points, pose))
+            is_known = total.known_share >= KNOWN_SHARE
+            if best == NO_BEAMS or (is_known and (
+                best.known_share < KNOWN_SHARE or total.share > best.share
+            )):  # fmt: skip
+                best = total
+            if is_proven(best):
+                break
+        return best
+
+    def nearest(self, pose: Pose, most_m: float) -> int | None:
+        """Return the nearest experience within a distance of a pose, None if there is none."""
+        return next(iter(self._by_distance(pose, most_m)), None)
+
+    def _scans(self, experience_ids: Sequence[int]) -> list[tuple[Pose, NDArray[np.float32]]]:
+        return [
+            (self._map.pose_of(i), scan) for i in experience_ids
+            if (scan := self._matcher.reference(i)) is not None
+        ]  # fmt: skip
+
+    def _visits(self, poses: Sequence[Pose]) -> Iterator[list[int]]:
+        """Return the experiences around poses that have scans: all, then those of each visit."""
+        graph = self._map
+        rank: dict[int, int] = {}
+        for pose in dict.fromkeys(poses):
+            for i in self._by_distance(pose, AROUND_M):
+                if self._matcher.reference(i) is not None:
+                    rank.setdefault(i, len(rank))
+        if not rank:
+            return
+        most = AROUND_COUNT * len(set(poses))
+        yield self._spread(list(rank), most)
+        visits: list[list[int]] = []
+        last_m = -math.inf
+        for i in sorted(rank, key=graph.created_at_m):
+            if graph.created_at_m(i) - last_m > VISIT_M:
+                visits.append([])
+            visits[-1].append(i)
+            last_m = graph.created_at_m(i)
+        if len(visits) > 1:
+            visits.sort(key=lambda visit: min(map(rank.__getitem__, visit)))
+            for visit in visits[:VISIT_COUNT]:
+                yield self._spread(sorted(visit, key=rank.__getitem__), most)
+
+    def _spread(self, experience_ids: Sequence[int], most: int) -> list[int]:
+        """Return the first experiences of a list, without those close to others before them."""
+        chosen: dict[int, Pose] = {}
+        for i in experience_ids:
+            pose = self._map.pose_of(i)
+            if all(
+                math.dist(pose[:2], other[:2]) > SPREAD_M
+                or abs(wrap(pose.heading_rad - other.heading_rad)) > SPREAD_RAD
+                for other in chosen.values()
+            ):
+                chosen[i] = pose
+                if len(chosen) == most:
+                    break
+        return list(chosen)
+
+    def _by_distance(self, pose: Pose, most_m: float) -> list[int]:
+        """Return the experiences near a pose, the nearest first."""
+        graph = self._map
+        poses = graph.poses
+        away_m = np.hypot(poses[:, 0] - pose.x_m, poses[:, 1] - pose.y_m)
+        near = np.flatnonzero(away_m < most_m)
+        order: list[int] = near[np.argsort(away_m[near], kind='stable')].tolist()
+        return [
+            i for i in order
+            if i not in self.excluded and graph.component_of(i) == self.component
+        ]  # fmt: skip
+
+
+def is_proven(agreement: Agreement) -> bool:
+    """Return whether scans prove a pose."""
+    return agreement.share >= PROVEN_SHARE and agreement.known_share >= KNOWN_SHARE

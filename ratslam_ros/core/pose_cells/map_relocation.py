@@ -1,0 +1,54 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Relocations of the experience map, which the pose cells adopt a fixed number of views later.
+
+The map relocates the robot after an action, and so after the view that the action resulted from.
+Pose cells and map are separate processes. If the pose cells adopted a relocation when it arrived,
+their state would depend on the time of arrival. They adopt it before the view that follows
+``ADOPTION_DELAY`` views later, and process that view only once the map has answered.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from ratslam_ros.core.common.pose import Pose
+
+ADOPTION_DELAY = 4
+"""Number of views between an action after which the map relocated the robot, and the view before
+which the pose cells adopt it. A second at the rate of the papers' cameras, in which the map has
+answered."""
+
+
+class MapRelocation(NamedTuple):
+    """A relocation by the map: an experience with its template, and the robot in its frame."""
+
+    experience_id: int
+    template_id: int
+    offset: Pose
+
+
+class MapRelocations:
+    """Answers of the map to actions, by the number of the action."""
+
+    def __init__(self) -> None:
+        self._last: int | None = None
+        self._relocations: dict[int, MapRelocation] = {}
+
+    def answer(self, sequence: int, relocation: MapRelocation | None) -> None:
+        """Record the answer of the map to an action; None if it did not relocate the robot."""
+        self._last = sequence
+        if relocation is not None:
+            self._relocations[sequence] = relocation
+
+    def is_awaited(self, sequence: int) -> bool:
+        """Return whether a view must wait for the map; False if the map has never answered.
+
+        Args:
+            sequence: number of the action that the view will result in.
+        """
+        return self._last is not None and self._last < sequence - ADOPTION_DELAY
+
+    def due(self, sequence: int) -> MapRelocation | None:
+        """Return the relocation to adopt before the view with a number, if any."""
+        return self._relocations.pop(sequence - ADOPTION_DELAY, None)
