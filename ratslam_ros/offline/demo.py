@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ratslam_ros.core.config import Config
+from ratslam_ros.core.config import AUTOMATIC, Config
+from ratslam_ros.core.vision.match_threshold import RELATED_RATIO
 from ratslam_ros.descriptors import encoder_of
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.offline.inspection import inspect
@@ -169,7 +170,22 @@ def _look_alike_share(
                 views.append(view)
                 stamps_ns.append(event.stamp_ns)
     nearest = np.searchsorted(run.truth_stamp_ns, stamps_ns).clip(max=len(run.truth_pose) - 1)
+    seen, poses = np.array(views), run.truth_pose[nearest]
+    threshold = config.local_view.vt_match_threshold
+    if threshold == AUTOMATIC:
+        # While driving, odometry lowers the threshold so that few look-alikes match; these are
+        # the views that would match by the images alone.
+        threshold = RELATED_RATIO * _unrelated_difference(seen, poses)
     return measure_aliasing(
-        np.array(views), run.truth_pose[nearest], config.local_view.vt_match_threshold,
-        encoder.layout.shift_x, LOOK_ALIKE_DISTANCE_M,
-    ).look_alike_share  # fmt: skip
+        seen, poses, threshold, encoder.layout.shift_x, LOOK_ALIKE_DISTANCE_M
+    ).look_alike_share
+
+
+def _unrelated_difference(views: NDArray[np.uint8], poses: NDArray[np.float64]) -> float:
+    """Return the median difference, 0 to 1, of views half a run apart at different places."""
+    half = len(views) // 2
+    away_m = np.hypot(*(poses[:half, :2] - poses[half : 2 * half, :2]).T)
+    one, other = (v[away_m > LOOK_ALIKE_DISTANCE_M].astype(np.int16) for v in (
+        views[:half], views[half : 2 * half]
+    ))  # fmt: skip
+    return float(np.median(np.abs(one - other).mean(axis=(1, 2)))) / 255.0
