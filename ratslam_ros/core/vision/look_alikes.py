@@ -53,17 +53,10 @@ class _Place(NamedTuple):
     part: float
 
 
-class _Sample(NamedTuple):
-    """A compared view, and what it resembles.
-
-    changed_m: distance driven since the latest view that is unrelated. nearest: smallest
-    difference to a view of another place, relative to the median between unrelated views. Both
-    are NaN if there is no such view.
-    """
-
-    place: _Place
-    changed_m: float
-    nearest: float
+_PLACE, _CHANGED_M, _NEAREST = slice(0, 4), 4, 5
+"""Columns of the table of compared views: the place; the distance driven since the latest view
+that is unrelated; and the smallest difference to a view of another place, relative to the median
+between unrelated views. The last two are NaN if there is no such view."""
 
 
 class LookAlikes:
@@ -73,11 +66,13 @@ class LookAlikes:
         """Prepare the estimate for views of a layout."""
         self._layout = layout
         self._memory = TemplateMemory(layout)
-        self._samples: list[_Sample] = []
+        self._table = np.empty((MAX_VIEW_COUNT, _NEAREST + 1))
+        self._count = 0
         self._differences: list[int] = []
         self._templates: dict[int, _Place] = {}
         self._pose = Pose(0.0, 0.0, 0.0)
         self._path_m, self._part, self._time_s = 0.0, 0, 0.0
+        self._seen_at_m = 0.0
         self._period_s, self._due_s = SAMPLE_PERIOD_S, 0.0
         self._lag_m = math.inf
         self.ratio = RELATED_RATIO
@@ -89,8 +84,7 @@ class LookAlikes:
     @property
     def is_due(self) -> bool:
         """Whether the next view will be compared: the robot has moved, and time has passed."""
-        has_moved = self._path_m > (self._samples[-1].place.path_m if self._samples else 0.0)
-        return has_moved and self._time_s >= self._due_s
+        return self._path_m > self._seen_at_m and self._time_s >= self._due_s
 
     def move(self, motion: Motion) -> None:
         """Follow the robot."""
@@ -108,15 +102,17 @@ class LookAlikes:
         if not self.is_due:
             return
         self._due_s = self._time_s + self._period_s
+        self._seen_at_m = self._path_m
         changed_m, nearest = math.nan, math.nan
-        if self._samples:
+        if self._count:
             search = self._memory.search(view)
             median = self._median(search)
             changed_m = self._changed_m(search, median)
             nearest = self._nearest(search, median)
         self._memory.append(view)
-        self._samples.append(_Sample(self._place, changed_m, nearest))
-        if len(self._samples) >= MAX_VIEW_COUNT:
+        self._table[self._count] = *self._place, changed_m, nearest
+        self._count += 1
+        if self._count == MAX_VIEW_COUNT:
             self._thin()
         self._estimate()
 
@@ -131,16 +127,17 @@ class LookAlikes:
     def contradicts(self, template_id: int) -> bool:
         """Return whether odometry shows that the robot is not where a template was learned."""
         place = self._templates.get(template_id)
-        if place is None:
+        if place is None or place.part != self._part:
             return False
-        return bool(self._are_apart(np.array([place], np.float64))[0])
+        dx_m, dy_m = place.x_m - self._pose.x_m, place.y_m - self._pose.y_m
+        least_m = max(DIRECTNESS * (self._path_m - place.path_m), UNRELATED_LAGS * self._lag_m)
+        return dx_m * dx_m + dy_m * dy_m > least_m * least_m
 
     def state(self) -> State:
         """Return the estimate and what it is based on, for ``restore``."""
-        samples = [(*s.place, s.changed_m, s.nearest) for s in self._samples]
         return {
             'views': self._memory.views(),
-            'samples': np.array(samples, np.float64).reshape(-1, 6),
+            'samples': self._table[: self._count].copy(),
             'differences': np.array(self._differences, np.int64),
             'template_ids': np.array(list(self._templates), np.int64),
             'templates': np.array(list(self._templates.values()), np.float64).reshape(-1, 4),
@@ -154,8 +151,9 @@ class LookAlikes:
         self._memory = TemplateMemory(self._layout)
         for view in state['views']:
             self._memory.append(view)
-        rows = [tuple(map(float, row)) for row in state['samples']]
-        self._samples = [_Sample(_Place(*row[:4]), *row[4:]) for row in rows]
+        self._count = len(state['samples'])
+        self._table[: self._count] = state['samples']
+        self._seen_at_m = float(self._table[self._count - 1, 2]) if self._count else 0.0
         self._differences = [int(value) for value in state['differences']]
         self._templates = {
             int(name): _Place(*map(float, row))
@@ -181,35 +179,43 @@ class LookAlikes:
         return apart & (part == self._part)
 
     def _median(self, search: Search) -> float:
-        count = len(self._samples)
+        count = self._count
         number = min(_SAMPLES_PER_VIEW, count)
         self._differences += [search.sad(k * count // number) for k in range(number)]
         del self._differences[:-_MAX_SAMPLE_COUNT]
         return float(sorted(self._differences)[len(self._differences) // 2])
 
     def _changed_m(self, search: Search, median: float) -> float:
-        for earlier in range(len(self._samples) - 1, -1, -1):
+        for earlier in range(self._count - 1, -1, -1):
             if search.sad(earlier) > RELATED_RATIO * median:
-                return self._path_m - self._samples[earlier].place.path_m
+                return self._path_m - float(self._table[earlier, 2])
         return math.nan
 
     def _nearest(self, search: Search, median: float) -> float:
-        places = np.array([sample.place for sample in self._samples], np.float64)
-        nearest = search.nearest(self._are_apart(places))
+        nearest = search.nearest(self._are_apart(self._table[: self._count, _PLACE]))
         return math.nan if nearest is None or median <= 0.0 else nearest / median
 
     def _thin(self) -> None:
         memory = TemplateMemory(self._layout)
-        for kept in range(0, len(self._samples), 2):
+        for kept in range(0, self._count, 2):
             memory.append(self._memory.view(kept))
-        self._memory, self._samples = memory, self._samples[::2]
+        rows = self._table[: self._count : 2].copy()
+        self._memory, self._count = memory, len(rows)
+        self._table[: self._count] = rows
         self._period_s *= 2.0
 
     def _estimate(self) -> None:
-        lags_m = sorted(s.changed_m for s in self._samples if math.isfinite(s.changed_m))
-        if lags_m:
-            self._lag_m = lags_m[len(lags_m) // 2]
-        nearest = sorted(s.nearest for s in self._samples if math.isfinite(s.nearest))
+        lags_m = _sorted(self._table[: self._count, _CHANGED_M])
+        if len(lags_m):
+            self._lag_m = float(lags_m[len(lags_m) // 2])
+        nearest = _sorted(self._table[: self._count, _NEAREST])
         self.evidence_count = len(nearest)
-        if nearest:
-            self.ratio = min(nearest[int(LOOK_ALIKE_RATE * len(nearest))], RELATED_RATIO)
+        if len(nearest):
+            found = float(nearest[int(LOOK_ALIKE_RATE * len(nearest))])
+            self.ratio = min(found, RELATED_RATIO)
+
+
+def _sorted(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the values that are not NaN, in order."""
+    ordered: NDArray[np.float64] = np.sort(values[~np.isnan(values)])
+    return ordered
