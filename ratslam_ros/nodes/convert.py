@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import array
+from collections.abc import Callable
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
-from ratslam_ros.core.common.odometry import Odometry, Twist
+from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry, Twist
 from ratslam_ros.core.common.pose import Pose, heading_of, quaternion_of
 from ratslam_ros.messages.json_schema import NS_PER_S
 
@@ -49,6 +50,23 @@ def odometry_of(message: OdometryMessage) -> Odometry:
         planar_pose(message.pose.pose),
         scale_known=bool(message.twist.covariance[0] < UNKNOWN_SCALE_VARIANCE),
     )
+
+
+def accepted_odometry(
+    message: OdometryMessage, motion: MotionFromOdometry, refuse: Callable[[str, str], None]
+) -> Odometry | None:
+    """Convert an odometry message; return None if the used part is not finite or implausible.
+
+    Args:
+        message: the odometry.
+        motion: conversion to motions, which knows the used part.
+        refuse: called with the stream and the reason if the message is unusable.
+    """
+    odometry = odometry_of(message)
+    if motion.accepts(odometry):
+        return odometry
+    refuse('odometry', f'{motion.source} is not finite: {odometry}')
+    return None
 
 
 def planar_pose(message: PoseMessage) -> Pose:

@@ -39,7 +39,7 @@ from ratslam_ros.messages.mapping import (
     encode_relocation,
 )
 from ratslam_ros.nodes.behaviours import Behaviours
-from ratslam_ros.nodes.convert import header_of, odometry_of, pose_message, transform
+from ratslam_ros.nodes.convert import accepted_odometry, header_of, pose_message, transform
 from ratslam_ros.nodes.goal_navigation import GoalNavigation
 from ratslam_ros.nodes.markers import markers_of
 from ratslam_ros.nodes.node import FLUSH_CHECK_PERIOD_S, RatslamNode
@@ -175,9 +175,8 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
     # Inputs
 
     def _on_odometry(self, message: OdometryMessage) -> None:
-        odometry = odometry_of(message)
-        if not self._motion.accepts(odometry):
-            self._refuse('odometry', f'{self._section.odom_source} is not finite: {odometry}')
+        odometry = accepted_odometry(message, self._motion, self._refuse)
+        if odometry is None:
             return
         self._push('odometry', odometry.stamp_ns, odometry)
         if not self._paused:

@@ -21,7 +21,7 @@ from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.landmarks.laser_map import STREAMS, LaserMap
 from ratslam_ros.messages.landmarks import encode_landmarks
-from ratslam_ros.nodes.convert import odometry_of, transform
+from ratslam_ros.nodes.convert import accepted_odometry, transform
 from ratslam_ros.nodes.markers import landmark_markers
 from ratslam_ros.nodes.node import FLUSH_CHECK_PERIOD_S, RatslamNode
 from ratslam_ros.nodes.qos import LATCHED, STATE
@@ -88,9 +88,8 @@ class LandmarkMapNode(RatslamNode[Odometry | Scan]):
         self._send_map()
 
     def _on_odometry(self, message: OdometryMessage) -> None:
-        odometry = odometry_of(message)
-        if not self._motion.accepts(odometry):
-            self._refuse('odometry', f'{self._section.odom_source} is not finite: {odometry}')
+        odometry = accepted_odometry(message, self._motion, self._refuse)
+        if odometry is None:
             return
         self._push('odometry', odometry.stamp_ns, odometry)
         if not self._paused:

@@ -29,7 +29,7 @@ from ratslam_ros.messages.mapping import (
     encode_action,
     encode_active,
 )
-from ratslam_ros.nodes.convert import grey_image, odometry_of
+from ratslam_ros.nodes.convert import accepted_odometry, grey_image
 from ratslam_ros.nodes.goal_seeking import GoalSeeking
 from ratslam_ros.nodes.node import FLUSH_CHECK_PERIOD_S, RatslamNode
 from ratslam_ros.nodes.qos import INPUT, RESULT, VIEW
@@ -134,9 +134,8 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
         self._motion.restart()
 
     def _on_odometry(self, message: OdometryMessage) -> None:
-        odometry = odometry_of(message)
-        if not self._motion.accepts(odometry):
-            self._refuse('odometry', f'{self._section.odom_source} is not finite: {odometry}')
+        odometry = accepted_odometry(message, self._motion, self._refuse)
+        if odometry is None:
             return
         self._push('odometry', odometry.stamp_ns, odometry)
 

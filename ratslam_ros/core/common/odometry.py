@@ -83,6 +83,8 @@ class MotionFromOdometry:
         self, odom_source: str, max_gap_s: float = MAX_GAP_NS * 1e-9,
         correction: TurnCorrection = UNCORRECTED,
     ) -> None:  # fmt: skip
+        self.source = odom_source
+        """Part of the messages that is used: 'twist' or 'pose'."""
         self._from_pose = odom_source == 'pose'
         self._max_gap_ns = round(max_gap_s * 1e9)
         self.correction = correction

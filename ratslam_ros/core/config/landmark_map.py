@@ -32,7 +32,7 @@ class LandmarkMapParameters(Forgetting, OdometryInput):
         0.05, 'rad', 0.0, 3.0,
         "Standard deviation of the odometry's heading after a turn of 1 rad. The variance is "
         'proportional to the angle.',
-        'the wheels slip in turns', 'a gyroscope measures the heading',
+        'the heading by odometry is wrong after turns', 'a gyroscope measures the heading',
     )  # fmt: skip
     lm_range_sd_m: float = parameter(
         0.1, 'm', 1e-6, 10.0, 'Standard deviation of the range of an observed landmark.',
