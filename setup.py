@@ -34,6 +34,8 @@ NODES = [
 ONNX = ['onnxruntime>=1.17']  # for vt_descriptor: model.onnx
 TEST = ['hypothesis>=6.90', 'pytest>=7.4']  # the versions of Ubuntu 24.04 suffice
 STUDY = ['optuna>=4.0']  # for ratslam study
+# For ratslam view. Not later versions untested: the access check is added to the server's handshake.
+VIEW = ['viser>=1.1,<1.2']
 
 setup(
     name=NAME,
@@ -79,10 +81,11 @@ setup(
         'onnx': ONNX,
         'test': TEST,  # by this name colcon knows that pytest runs the tests
         'dev': [
-            *TEST, *ONNX, *STUDY, 'mypy>=1.8', 'networkx>=3.0', 'pytest-xdist>=3.5',
-            'ruff>=0.4', 'types-PyYAML', 'types-tqdm',
+            *TEST, *ONNX, *STUDY, *VIEW, 'mypy>=1.8', 'networkx>=3.0', 'pytest-xdist>=3.5',
+            'ruff>=0.4', 'selenium>=4.20', 'types-PyYAML', 'types-tqdm',
         ],
         'study': STUDY,
+        'view': VIEW,
         'examples': ['networkx>=3.0'],
     },
     entry_points={

@@ -1,0 +1,254 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Changes of the experience map, for programs that follow it without reading it whole."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
+
+Ids = NDArray[np.int64]
+Reals = NDArray[np.float64]
+
+
+def _no_ids() -> Ids:
+    return np.empty(0, np.int64)
+
+
+@dataclass(frozen=True, slots=True)
+class ExperienceRows:
+    """Experiences that are new, have moved or have been replaced; a row for each.
+
+    Attributes:
+        ids: (n,) ids.
+        template_ids: (n,) templates.
+        poses: (n, 3) x, y in m and heading in rad on the map.
+        components: (n,) components of the map; all are 0 unless the odometry had gaps.
+    """
+
+    ids: Ids = field(default_factory=_no_ids)
+    template_ids: Ids = field(default_factory=_no_ids)
+    poses: Reals = field(default_factory=lambda: np.empty((0, 3)))
+    components: Ids = field(default_factory=_no_ids)
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+
+@dataclass(frozen=True, slots=True)
+class LinkRows:
+    """Links that are new or have changed; a row for each.
+
+    Attributes:
+        ends: (n, 2) source and target.
+        shapes: (n, 3) distance in m, heading and facing in rad, see ``Link``.
+        durations_s: (n,) duration in s.
+        confidences: (n,) confidence, from 0 to 1.
+        counts: (n,) number of times that the transition was made.
+        recognised: (n,) whether the source was recognised as the place of the target.
+        behaviours: name of the behaviour of each, '' if unknown.
+    """
+
+    ends: Ids = field(default_factory=lambda: np.empty((0, 2), np.int64))
+    shapes: Reals = field(default_factory=lambda: np.empty((0, 3)))
+    durations_s: Reals = field(default_factory=lambda: np.empty(0))
+    confidences: Reals = field(default_factory=lambda: np.empty(0))
+    counts: Ids = field(default_factory=_no_ids)
+    recognised: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, np.bool_))
+    behaviours: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.ends)
+
+
+@dataclass(frozen=True, slots=True)
+class MapChange:
+    """What has changed on the map since the last change.
+
+    Attributes:
+        stamp_ns: stamp of the last applied action.
+        experience_count: number of experiences that the map has; ids are below it.
+        current_id: the current experience, -1 if there is none.
+        is_restart: whether everything known before is void.
+        experiences, links: what is new or different.
+        removed_links: (n, 2) source and target of deleted links.
+        pending: number of experiences and links that differ but are not included yet.
+    """
+
+    stamp_ns: int
+    experience_count: int
+    current_id: int
+    is_restart: bool = False
+    experiences: ExperienceRows = field(default_factory=ExperienceRows)
+    links: LinkRows = field(default_factory=LinkRows)
+    removed_links: Ids = field(default_factory=lambda: np.empty((0, 2), np.int64))
+    pending: int = 0
+
+    def __len__(self) -> int:
+        return len(self.experiences) + len(self.links) + len(self.removed_links)
+
+
+class MapMirror:
+    """The map as the changes describe it.
+
+    Links keep their row until they are removed; a free row has the ends -1, and is used again.
+    ``experience_versions`` and ``link_versions`` tell what has changed since a ``version``.
+    """
+
+    def __init__(self) -> None:
+        self.version = 0
+        """Counter that grows with every change."""
+        self.restarts = 0
+        """Number of times that everything known became void."""
+        self.current_id = NO_EXPERIENCE
+        """The current experience, -1 if there is none."""
+        self.pending = 0
+        """Number of experiences and links that are known to differ."""
+        self._clear()
+
+    def _clear(self) -> None:
+        self._count = 0
+        self._template_ids = np.empty(0, np.int64)
+        self._poses = np.empty((0, 3))
+        self._components = np.empty(0, np.int64)
+        self._versions = np.empty(0, np.int64)
+        self._rows: dict[tuple[int, int], int] = {}
+        self._free: list[int] = []
+        self._link_count = 0
+        self._links = LinkRows()
+        self._behaviours: list[str] = []
+        self._link_versions = np.empty(0, np.int64)
+
+    def __len__(self) -> int:
+        return self._count
+
+    @property
+    def template_ids(self) -> Ids:
+        """(n,) template of every experience, -1 if it has not been received yet."""
+        return self._template_ids[: self._count]
+
+    @property
+    def poses(self) -> Reals:
+        """(n, 3) pose of every experience; not finite if it has not been received yet."""
+        return self._poses[: self._count]
+
+    @property
+    def components(self) -> Ids:
+        """(n,) component of every experience."""
+        return self._components[: self._count]
+
+    @property
+    def experience_versions(self) -> Ids:
+        """(n,) value of ``version`` at the last change of every experience."""
+        return self._versions[: self._count]
+
+    @property
+    def link_count(self) -> int:
+        """Number of links."""
+        return len(self._rows)
+
+    @property
+    def link_rows(self) -> LinkRows:
+        """All rows of links, free ones included; views that the next change may alter."""
+        n, rows = self._link_count, self._links
+        return LinkRows(
+            rows.ends[:n], rows.shapes[:n], rows.durations_s[:n], rows.confidences[:n],
+            rows.counts[:n], rows.recognised[:n], tuple(self._behaviours),
+        )  # fmt: skip
+
+    @property
+    def link_versions(self) -> Ids:
+        """(rows,) value of ``version`` at the last change of every row of links."""
+        return self._link_versions[: self._link_count]
+
+    def link_row(self, source_id: int, target_id: int) -> int | None:
+        """Return the row of a link, None if there is no such link."""
+        return self._rows.get((source_id, target_id))
+
+    def apply(self, change: MapChange) -> None:
+        """Apply a change; changes must be applied in order and without gaps."""
+        self.version += 1
+        if change.is_restart:
+            self._clear()
+            self.restarts += 1
+        self.current_id, self.pending = change.current_id, change.pending
+        self._resize(change.experience_count)
+        rows = change.experiences
+        self._template_ids[rows.ids] = rows.template_ids
+        self._poses[rows.ids] = rows.poses
+        self._components[rows.ids] = rows.components
+        self._versions[rows.ids] = self.version
+        for source, target in change.removed_links.tolist():
+            row = self._rows.pop((source, target), None)
+            if row is not None:
+                self._links.ends[row] = -1
+                self._link_versions[row] = self.version
+                self._free.append(row)
+        self._set_links(change.links)
+
+    def complete(self, stamp_ns: int) -> MapChange:
+        """Return the change that makes an empty mirror equal to this one."""
+        used = np.flatnonzero(self._links.ends[: self._link_count, 0] >= 0)
+        every = self.link_rows
+        return MapChange(
+            stamp_ns, self._count, self.current_id, True,
+            ExperienceRows(
+                np.arange(self._count), self.template_ids.copy(), self.poses.copy(),
+                self.components.copy(),
+            ),
+            LinkRows(
+                every.ends[used], every.shapes[used], every.durations_s[used],
+                every.confidences[used], every.counts[used], every.recognised[used],
+                tuple(every.behaviours[row] for row in used.tolist()),
+            ),
+            pending=self.pending,
+        )  # fmt: skip
+
+    def _resize(self, count: int) -> None:
+        room = len(self._template_ids)
+        if count > room:
+            more = max(count, 2 * room) - room
+            self._template_ids = np.append(self._template_ids, np.full(more, -1))
+            self._poses = np.append(self._poses, np.full((more, 3), np.nan), axis=0)
+            self._components = np.append(self._components, np.zeros(more, np.int64))
+            self._versions = np.append(self._versions, np.full(more, self.version))
+        self._count = count
+
+    def _set_links(self, links: LinkRows) -> None:
+        if not len(links):
+            return
+        rows = np.empty(len(links), np.int64)
+        for k, ends in enumerate(map(tuple, links.ends.tolist())):
+            row = self._rows.get(ends)
+            if row is None:
+                row = self._free.pop() if self._free else self._new_row()
+                self._rows[ends] = row
+            rows[k] = row
+            self._behaviours[row] = links.behaviours[k]
+        mine = self._links
+        mine.ends[rows], mine.shapes[rows] = links.ends, links.shapes
+        mine.durations_s[rows], mine.confidences[rows] = links.durations_s, links.confidences
+        mine.counts[rows], mine.recognised[rows] = links.counts, links.recognised
+        self._link_versions[rows] = self.version
+
+    def _new_row(self) -> int:
+        row = self._link_count
+        if row == len(self._links.ends):
+            more = max(64, row)
+            old = self._links
+            self._links = LinkRows(
+                np.append(old.ends, np.full((more, 2), -1), axis=0),
+                np.append(old.shapes, np.zeros((more, 3)), axis=0),
+                np.append(old.durations_s, np.zeros(more)),
+                np.append(old.confidences, np.zeros(more)),
+                np.append(old.counts, np.zeros(more, np.int64)),
+                np.append(old.recognised, np.zeros(more, np.bool_)),
+            )
+            self._link_versions = np.append(self._link_versions, np.zeros(more, np.int64))
+        self._link_count += 1
+        self._behaviours.append('')
+        return row

@@ -1,0 +1,157 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""State of a run at a moment: the sum of all records up to it."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ratslam_ros.core.mapping.map_changes import MapChange, MapMirror
+from ratslam_ros.history.records import (
+    CellsRecord,
+    ImageRecord,
+    MatchRecord,
+    PoseRecord,
+    Record,
+    RouteRecord,
+    ScanRecord,
+    StatusRecord,
+    ViewRecord,
+)
+
+NS_PER_S = 1_000_000_000
+
+RECENT_NS = 60 * NS_PER_S
+"""Time for which views are kept."""
+
+TRAIL_SPACING_M = 0.1
+"""Distance between two points of a trail."""
+
+TRAIL_LENGTH = 20_000
+"""Largest number of points of a trail; the oldest are removed."""
+
+
+class RunState:
+    """Everything that can be shown of a run at one moment."""
+
+    def __init__(self) -> None:
+        self.stamp_ns = 0
+        """Stamp of the last record, 0 before the first."""
+        self.map = MapMirror()
+        self.visits = Visits()
+        self.pose: PoseRecord | None = None
+        self.view: ViewRecord | None = None
+        self.cells: CellsRecord | None = None
+        self.image: ImageRecord | None = None
+        self.match: MatchRecord | None = None
+        self.scan: ScanRecord | None = None
+        self.route: RouteRecord | None = None
+        self.status: StatusRecord | None = None
+        self.recent: deque[ViewRecord] = deque()
+        """Views of the last minute."""
+        self.trail, self.dead_reckoning, self.truth = Trail(), Trail(), Trail()
+
+    def apply(self, record: Record) -> None:
+        """Add the next record."""
+        self.stamp_ns = max(self.stamp_ns, record.stamp_ns)
+        match record:
+            case MapChange():
+                self.map.apply(record)
+            case ViewRecord():
+                self._see(record)
+            case PoseRecord():
+                self._move(record)
+            case CellsRecord():
+                self.cells = record
+            case ImageRecord():
+                self.image = record
+            case MatchRecord():
+                self.match = record
+            case ScanRecord():
+                self.scan = record
+            case RouteRecord():
+                self.route = record
+            case StatusRecord():
+                self.status = record
+
+    def _see(self, view: ViewRecord) -> None:
+        self.view = view
+        self.recent.append(view)
+        while self.recent[0].stamp_ns < view.stamp_ns - RECENT_NS:
+            self.recent.popleft()
+        if view.target_id >= 0 and not view.reason:
+            self.visits.add(view)
+
+    def _move(self, record: PoseRecord) -> None:
+        self.pose = record
+        self.trail.add(record.pose[:2])
+        if record.dead_reckoning is not None:
+            self.dead_reckoning.add(record.dead_reckoning[:2])
+        if record.truth is not None:
+            self.truth.add(record.truth[:2])
+
+
+class Visits:
+    """When and how often every experience was visited, and how well its view matched."""
+
+    def __init__(self) -> None:
+        self.created_ns = np.empty(0, np.int64)
+        """(n,) stamp at which every experience was created, 0 if unknown."""
+        self.visited_ns = np.empty(0, np.int64)
+        """(n,) stamp of the last visit, 0 if there was none."""
+        self.counts = np.empty(0, np.int64)
+        """(n,) number of visits."""
+        self.errors = np.empty(0)
+        """(n,) match error at the last visit; -1 if there is none."""
+
+    def __len__(self) -> int:
+        return len(self.counts)
+
+    def add(self, view: ViewRecord) -> None:
+        """Count a visit of the target of the view's action."""
+        row = view.target_id
+        if row >= len(self):
+            more = max(row + 1, 2 * len(self)) - len(self)
+            self.created_ns = np.append(self.created_ns, np.zeros(more, np.int64))
+            self.visited_ns = np.append(self.visited_ns, np.zeros(more, np.int64))
+            self.counts = np.append(self.counts, np.zeros(more, np.int64))
+            self.errors = np.append(self.errors, np.full(more, -1.0))
+        if view.action == 'create':
+            self.created_ns[row] = view.stamp_ns
+            self.counts[row] = 0
+        if view.action in ('create', 'link', 'set'):
+            self.counts[row] += 1
+        self.visited_ns[row] = view.stamp_ns
+        self.errors[row] = view.error
+
+
+class Trail:
+    """Positions of the robot, with a point about every ``TRAIL_SPACING_M``."""
+
+    def __init__(self) -> None:
+        self._points = np.empty((0, 2))
+        self._count = 0
+        self.version = 0
+        """Counter that grows with every point."""
+
+    @property
+    def points_m(self) -> NDArray[np.float64]:
+        """(n, 2) positions in m, oldest first."""
+        return self._points[: self._count]
+
+    def add(self, position: tuple[float, float]) -> None:
+        """Add a position, unless it is near the last one."""
+        n = self._count
+        if n and np.hypot(*(self._points[n - 1] - position)) < TRAIL_SPACING_M:
+            return
+        if n == TRAIL_LENGTH:
+            n = TRAIL_LENGTH * 3 // 4
+            self._points[:n] = self._points[TRAIL_LENGTH - n : TRAIL_LENGTH]
+        elif n == len(self._points):
+            self._points = np.append(self._points, np.empty((max(64, n), 2)), axis=0)
+        self._points[n] = position
+        self._count = n + 1
+        self.version += 1
