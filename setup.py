@@ -34,7 +34,7 @@ NODES = [
 ONNX = ['onnxruntime>=1.17']  # for vt_descriptor: model.onnx
 TEST = ['hypothesis>=6.90', 'pytest>=7.4']  # the versions of Ubuntu 24.04 suffice
 STUDY = ['optuna>=4.0']  # for ratslam study
-# For ratslam view. Not later versions untested: the access check is added to the server's handshake.
+# For ratslam view. Pinned, because the access check hooks into its handshake.
 VIEW = ['viser>=1.1,<1.2']
 
 setup(
