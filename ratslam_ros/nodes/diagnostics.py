@@ -45,7 +45,7 @@ class Diagnostics:
         self._last_warning_s = -WARNING_SHOWN_S
 
     def warn(self, text: str) -> None:
-        """Show a warning, and log it unless one like it, but for numbers, was logged just before."""
+        """Show a warning; log it unless one that differs only in numbers was logged recently."""
         now_s = time.monotonic()
         self._last_warning, self._last_warning_s = text, now_s
         kind = _NUMBER.sub('#', text)

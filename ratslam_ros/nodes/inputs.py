@@ -53,7 +53,7 @@ class Input:
         self._counted_s = self.last_s = time.monotonic()
         self._is_reported = False
         self.state = 'waiting'
-        """`waiting` for the first message, `running`, `silent`, or `finished` (no publisher left)."""
+        """`waiting` for a first message, `running`, `silent`, or `finished`: no publisher."""
         for topic in topics:
             self._subscribe(topic, self._is_best_effort(topic))
 
