@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Compiling everything at once: all parts are covered, and a second time there is nothing to do."""
+"""Compiling everything at once: it covers all parts, and does nothing a second time."""
 
 from __future__ import annotations
 
