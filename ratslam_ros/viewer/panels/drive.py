@@ -17,6 +17,9 @@ from ratslam_ros.viewer.panels.selection import SelectionPanel
 
 NO_PLACES = 'no places yet'
 
+SHOWN_TASKS = 3
+"""Largest number of queued goals, and of ended ones, that are shown."""
+
 NOTHING = 'There is nothing to command here: this run offers no goals and no services.'
 
 
@@ -30,7 +33,7 @@ class DrivePanel:
         self.groups: dict[str, Any] = {}
         """Groups of buttons, by their labels."""
         if not actions - {'set_parameter', 'run_again'}:
-            gui.add_html(block(dim(getattr(desk.controls, 'reason', NOTHING))))
+            self.nothing = gui.add_html(block(dim(getattr(desk.controls, 'reason', NOTHING))))
         self.status = gui.add_html('')
         self.target = gui.add_html('', visible='go_to' in actions)
         self._group('Selected', {
@@ -166,23 +169,24 @@ def status_html(status: StatusRecord | None) -> str:
     if status is None:
         return ''
     try:
-        fields = decode_status(status.payload)
-    except MalformedMessage as error:
-        return block(dim(str(error)))
+        return block(strong('Goals'), table(_status_rows(decode_status(status.payload))))
+    except (MalformedMessage, LookupError, TypeError, ValueError) as error:
+        return block(dim(f'The status of the goals could not be read: {error}'))
+
+
+def _status_rows(fields: Mapping[str, Any]) -> list[tuple[str, str]]:
     goal, remaining_s = fields.get('goal'), fields.get('remaining_s')
-    rows = [('status', fields['status'])]
+    rows = [('status', str(fields['status']))]
     if fields['reason']:
-        rows.append(('reason', fields['reason']))
+        rows.append(('reason', str(fields['reason'])))
     if goal:
         rows.append(('goal', f'x {goal["x_m"]:.2f} m, y {goal["y_m"]:.2f} m'))
     if remaining_s is not None:
         rows.append(('remaining', f'{remaining_s:.0f} s'))
-    rows += [(f'{task["status"]}', str(task['goal'])) for task in fields['queue'][:4]]
-    rows += [
-        (f'{task["status"]}', f'{task["goal"]} {task["reason"]}'.strip())
-        for task in fields['outcomes'][-3:]
+    tasks = [*fields['queue'][:SHOWN_TASKS], *fields['outcomes'][-SHOWN_TASKS:]]
+    return rows + [
+        (str(task['status']), f'{task["goal"]} {task["reason"]}'.strip()) for task in tasks
     ]
-    return block(strong('Goals'), table(rows))
 
 
 def log_html(requests: Iterable[Request]) -> str:
