@@ -126,8 +126,9 @@ def test_error_curves_are_limited_and_end_at_newest_view(count: int) -> None:
 def test_texts_from_outside_cannot_be_html() -> None:
     evil = '<script>x</script>'
     for text in (
-        html.strong(evil), html.dim(evil), html.table([[evil]], [evil]), html.mark(evil, (0, 0, 0)),
-        html.legend([((0, 0, 0), evil)]), html.pictures([(None, evil)]),
+        html.strong(evil), html.dim(evil), html.table([[evil]], [evil]),
+        html.mark(evil, (0, 0, 0)), html.legend([((0, 0, 0), evil)]),
+        html.pictures([(None, evil)]),
         diagnostics_html({evil: ('WARN', evil)}), diagnostics_html({'node': (evil, '')}),
     ):  # fmt: skip
         assert '<script>' not in text and '&lt;script&gt;' in text

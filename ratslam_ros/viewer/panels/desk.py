@@ -148,7 +148,7 @@ def assign(handle: Any, value: Any) -> None:
     handle.value = value
 
 
-def offer(dropdown: Any, options: Sequence[str]) -> None:
-    """Set the options of a dropdown if they differ; viser sends every assignment."""
-    if dropdown.options != tuple(options):
-        dropdown.options = tuple(options)
+def offer(choice: Any, options: Sequence[str]) -> None:
+    """Set the options of a dropdown or a group of buttons; viser sends every assignment."""
+    if choice.options != tuple(options):
+        choice.options = tuple(options)

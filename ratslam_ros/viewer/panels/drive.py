@@ -36,34 +36,54 @@ class DrivePanel:
             self.nothing = gui.add_html(block(dim(getattr(desk.controls, 'reason', NOTHING))))
         self.status = gui.add_html('')
         self.target = gui.add_html('', visible='go_to' in actions)
-        self._group('Selected', {
-            GO_HERE: ('go_to', self.go_here),
-            THEN_HERE: ('go_to', lambda: self.go_here(then=True)),
-        }, 'Send the robot to the selected point, or there after the goals already sent.')
+        self._group(
+            'Selected',
+            {
+                GO_HERE: ('go_to', self.go_here),
+                THEN_HERE: ('go_to', lambda: self.go_here(then=True)),
+            },
+            'Send the robot to the selected point, or there after the goals already sent.',
+        )
         self.place = gui.add_dropdown(
-            'Place', (NO_PLACES,), visible='go_to_place' in actions,
+            'Place',
+            (NO_PLACES,),
+            visible='go_to_place' in actions,
             hint='Named places of this map.',
         )
-        self._group('', {
-            'Go to place': ('go_to_place', lambda: self._go_to_place(False)),
-            'Then to place': ('go_to_place', lambda: self._go_to_place(True)),
-        }, 'Send the robot to the chosen place, or there after the goals already sent.')
-        self._group('Goals', {
-            'Cancel all goals': ('cancel_goals', self.cancel),
-        }, 'The robot stops, and queued goals are dropped.')
+        self._group(
+            '',
+            {
+                'Go to place': ('go_to_place', lambda: self._go_to_place(False)),
+                'Then to place': ('go_to_place', lambda: self._go_to_place(True)),
+            },
+            'Send the robot to the chosen place, or there after the goals already sent.',
+        )
+        self._group(
+            'Goals',
+            {
+                'Cancel all goals': ('cancel_goals', self.cancel),
+            },
+            'The robot stops, and queued goals are dropped.',
+        )
         self._switch('Explore', 'explore', 'Drive to unknown parts of the surroundings.')
         self.name = gui.add_text(
-            'Name', '', visible='name_place' in actions,
+            'Name',
+            '',
+            visible='name_place' in actions,
             hint='Name for the place where the robot is now.',
         )
         self._group('', {'Name this place': ('name_place', self._name_place)}, 'Keep the name.')
         self._switch('Mapping', 'mapping', 'Off: the robot is localised, but learns nothing.')
         self._switch('Pause nodes', 'pause_nodes', 'While paused, nodes ignore their inputs.')
-        self._group('Map', {
-            'Save': ('save', lambda: self._request('save', 'save')),
-            'Load': ('load', lambda: self._confirm('Load', LOAD_WARNING, 'load')),
-            'Reset': ('reset', lambda: self._confirm('Reset', RESET_WARNING, 'reset')),
-        }, 'The memory of all nodes: write it to their folder, read it from there, or empty it.')
+        self._group(
+            'Map',
+            {
+                'Save': ('save', lambda: self._request('save', 'save')),
+                'Load': ('load', lambda: self._confirm('Load', LOAD_WARNING, 'load')),
+                'Reset': ('reset', lambda: self._confirm('Reset', RESET_WARNING, 'reset')),
+            },
+            'The memory of all nodes: write it to their folder, read it from there, or empty it.',
+        )
         self.log = gui.add_html('')
         self.diagnostics = gui.add_html('')
 
