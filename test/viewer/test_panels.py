@@ -124,6 +124,17 @@ def test_run_without_records_has_panels_too() -> None:
         assert page.panels.camera.match.visible
 
 
+def test_other_run_is_shown_without_old_selection(page: Page) -> None:
+    page.panels.selection.choose(FakePick('experience', 4))
+    run = FakeRun(60)
+    run.title, run.image_at = 'other', lambda stamp_ns: b'other'  # type: ignore[method-assign]
+    page.playback.use(run)
+    page.update()
+    assert page.panels.selection.pick is None
+    assert page.panels.camera.image._data == b'other'
+    assert 'other' in page.panels.time.text.content
+
+
 # Camera, match and pose cells.
 
 

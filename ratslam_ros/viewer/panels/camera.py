@@ -60,9 +60,13 @@ class CameraPanel:
             legend={'live': False},
             height=PLOT_HEIGHT_PX,
         )  # fmt: skip
-        self._shown_ns, self._drawn = -1, -PLOT_EVERY
-        self._plotted_ns = -1
+        self._drawn = -PLOT_EVERY
         self._match: MatchRecord | None = None
+        self.forget()
+
+    def forget(self) -> None:
+        """Draw everything again, because another run with the same stamps may be shown."""
+        self._shown_ns = self._plotted_ns = -1
 
     def update(self, state: RunState) -> None:
         """Show the image and the match of a moment."""

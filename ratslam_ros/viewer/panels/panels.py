@@ -38,6 +38,7 @@ class Panels:
         self, server: viser.ViserServer, playback: Playback, scene: Scene, source: RunSource,
         controls: Controls, post: Post, colourings: Sequence[str] = (),
     ) -> None:  # fmt: skip
+        self._source = source
         self.desk = desk = Desk(server, playback, scene, controls, post)
         gui = server.gui
         gui.set_panel_label('RatSLAM')
@@ -69,6 +70,10 @@ class Panels:
     def update(self, state: RunState) -> None:
         """Show a state; called by the loop after the scene has been updated."""
         self.desk.updates += 1
+        if self.desk.playback.source is not self._source:
+            self._source = self.desk.playback.source
+            self.selection.clear()
+            self.camera.forget()
         self.time.update(state)
         self.camera.update(state)
         self.cells.update(state)
