@@ -44,6 +44,7 @@ def test_playback_text_names_every_mode() -> None:
     playback = Playback(run)
     assert playback_text(playback)[1] == 'waiting for the first data'
     run.grow(9)
+    playback.tick(0.0)
     assert playback_text(playback)[1].startswith('live')
     playback.speed = 2.0
     playback.seek(BEGIN_NS)
@@ -53,6 +54,7 @@ def test_playback_text_names_every_mode() -> None:
     playback.seek(run.end_ns)
     assert playback_text(playback)[1] == 'paused at the end'
     run.is_growing = False
+    playback.tick(0.0)
     assert playback_text(playback)[1] == 'end of the run'
 
 

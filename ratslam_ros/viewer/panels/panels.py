@@ -95,7 +95,7 @@ class Panels:
             Shortcut('J', 'Previous view', lambda: playback.step(-1)),
             Shortcut('L', f'{MANY_VIEWS} views on', lambda: playback.step(MANY_VIEWS), 'shift'),
             Shortcut('J', f'{MANY_VIEWS} views back', lambda: playback.step(-MANY_VIEWS), 'shift'),
-            Shortcut('home', 'Begin', lambda: playback.seek(playback.source.begin_ns)),
+            Shortcut('home', 'Begin', lambda: playback.seek(playback.begin_ns)),
             Shortcut('end', 'End, or live', playback.follow),
             Shortcut('pageup', 'Faster', lambda: self.time.faster(1)),
             Shortcut('pagedown', 'Slower', lambda: self.time.faster(-1)),
