@@ -36,14 +36,7 @@ class DrivePanel:
             self.nothing = gui.add_html(block(dim(getattr(desk.controls, 'reason', NOTHING))))
         self.status = gui.add_html('')
         self.target = gui.add_html('', visible='go_to' in actions)
-        self._group(
-            'Selected',
-            {
-                GO_HERE: ('go_to', self.go_here),
-                THEN_HERE: ('go_to', lambda: self.go_here(then=True)),
-            },
-            'Send the robot to the selected point, or there after the goals already sent.',
-        )
+        self.add_go_buttons('Selected')
         self.place = gui.add_dropdown(
             'Place',
             (NO_PLACES,),
@@ -87,6 +80,15 @@ class DrivePanel:
         self.log = gui.add_html('')
         self.diagnostics = gui.add_html('')
 
+    def add_go_buttons(self, label: str, order: float | None = None) -> None:
+        """Add buttons that send the robot to what is selected."""
+        acts = {
+            GO_HERE: ('go_to', self.go_here),
+            THEN_HERE: ('go_to', lambda: self.go_here(then=True)),
+        }
+        hint = 'Send the robot to the selected point, or there after the goals already sent. (G)'
+        self._group(label, acts, hint, order)
+
     def update(self, state: RunState) -> None:
         """Show the goals, the answers and the diagnostics."""
         if state.status is not self._status:
@@ -111,13 +113,17 @@ class DrivePanel:
         return float(pick.point[0]), float(pick.point[1])
 
     def _group(
-        self, label: str, buttons: Mapping[str, tuple[str, Callable[[], None]]], hint: str
+        self,
+        label: str,
+        buttons: Mapping[str, tuple[str, Callable[[], None]]],
+        hint: str,
+        order: float | None = None,
     ) -> None:
         """Add those of the buttons whose action is offered."""
         actions = self._desk.controls.actions
         acts = {text: act for text, (action, act) in buttons.items() if action in actions}
         if acts:
-            group = self._desk.gui.add_button_group(label, tuple(acts), hint=hint)
+            group = self._desk.gui.add_button_group(label, tuple(acts), hint=hint, order=order)
             self._desk.on_press(group, acts)
             self.groups[label or next(iter(acts))] = group
 

@@ -55,10 +55,13 @@ class Panels:
         tabs = gui.add_tab_group()
         with tabs.add_tab('Map'):
             self.appearance = AppearancePanel(desk, colourings or (scene.colouring,))
-        with tabs.add_tab('Select'):
+        select = tabs.add_tab('Select')
+        with select:
             self.selection = SelectionPanel(desk)
         with tabs.add_tab('Drive'):
             self.drive = DrivePanel(desk, self.selection)
+        with select:
+            self.drive.add_go_buttons('Send robot', order=self.selection.text.order + 0.5)
         with tabs.add_tab('Parameters'):
             self.parameters = ParametersPanel(desk)
         shortcuts = self._shortcuts()

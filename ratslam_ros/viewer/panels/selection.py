@@ -39,24 +39,23 @@ class SelectionPanel:
         self.closure: ViewRecord | None = None
         """The selected loop closure."""
         self._state = RunState()
-        self.text = gui.add_html(block(dim(HINT)))
-        self.images = gui.add_html('', visible=False)
-        self.details = gui.add_html('', visible=False)
-        self.visits = gui.add_dropdown(
-            'Visits',
-            (NO_VISIT,),
-            visible=False,
-            hint='Times of its visits; choose one to go there.',
-        )
-        self.jump = gui.add_button(
-            'Go to this moment', visible=False, hint='Show the run as it was then.'
-        )
-        self.clear_button = gui.add_button('Clear selection', visible=False, color='gray')
         self.list = gui.add_dropdown(
-            'Loop closures', (NO_CLOSURE,),
+            'Loop closures', (NONE_YET,),
             hint='The last loop closures up to the shown moment, and those that were rejected. '
             'Choose one to see both images and why it was decided so.',
         )  # fmt: skip
+        self.text = gui.add_html(block(dim(HINT)))
+        self.details = gui.add_html('', visible=False)
+        self.visits = gui.add_dropdown(
+            'Visits', (NO_VISIT,), visible=False, hint='Times of its visits: choose one to see it.'
+        )  # fmt: skip
+        self.images = gui.add_html('', visible=False)
+        self.jump = gui.add_button(
+            'Go to this moment', visible=False, hint='Show the run as it was then.'
+        )
+        self.clear_button = gui.add_button(
+            'Clear selection', visible=False, color='gray', hint='Select nothing. (X)'
+        )
         self._visits: dict[str, ViewRecord] = {}
         self._closures: dict[str, ViewRecord] = {}
         self._next_refresh, self._listed_ns = 0, -1
@@ -98,11 +97,7 @@ class SelectionPanel:
             self._show_link(*pick.ends)
         else:
             x_m, y_m = pick.point[:2]
-            self.text.content = block(
-                strong('Ground'),
-                f'x {x_m:.2f} m, y {y_m:.2f} m',
-                dim('To send the robot there, see Drive.'),
-            )
+            self.text.content = block(strong('Ground'), f'x {x_m:.2f} m, y {y_m:.2f} m')
 
     def clear(self) -> None:
         """Select nothing."""
