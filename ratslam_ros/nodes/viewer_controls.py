@@ -123,9 +123,9 @@ class RosControls:
         if time.monotonic() - self._refreshed_s < REFRESH_S:
             return
         self._refreshed_s = time.monotonic()
-        self._ask(Trigger, 'experience_map/list_goals', Trigger.Request(), self._set_places)
+        self.ask(Trigger, 'experience_map/list_goals', Trigger.Request(), self._set_places)
         for name in self.present():
-            self._ask(
+            self.ask(
                 ListParameters, f'{name}/list_parameters', ListParameters.Request(),
                 functools.partial(self._read, name),
             )  # fmt: skip
@@ -136,7 +136,8 @@ class RosControls:
         offered = {name for name, _ in self._node.get_service_names_and_types()}
         return [name for name in NODES if resolve(f'{name}/reset') in offered]
 
-    def _ask(self, kind: Any, name: str, request: Any, then: Callable[[Any], None]) -> None:
+    def ask(self, kind: Any, name: str, request: Any, then: Callable[[Any], None]) -> None:
+        """Call a service if it is there, without waiting for the response."""
         client = self._client(kind, name)
         if client.service_is_ready():
             client.call_async(request).add_done_callback(lambda future: then(future.result()))
@@ -158,7 +159,7 @@ class RosControls:
             }
 
         request = GetParameters.Request(names=names)
-        self._ask(GetParameters, f'{node}/get_parameters', request, store)
+        self.ask(GetParameters, f'{node}/get_parameters', request, store)
 
     # Requests
 

@@ -90,6 +90,7 @@ class ViewerNode(Node):  # type: ignore[misc]
                 self.topics.unsubscribe()
         if is_wanted:
             self.controls.refresh()
+            self.topics.request_map()
             self._report(self.topics.missing(SILENCE_S))
 
     def _report(self, missing: list[str]) -> None:

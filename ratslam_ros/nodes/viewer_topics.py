@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import cv2
@@ -18,13 +19,15 @@ from nav_msgs.msg import Path
 from numpy.typing import NDArray
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
-from sensor_msgs.msg import CompressedImage, Image, LaserScan
+from sensor_msgs.msg import CompressedImage, Image, LaserScan, PointCloud2
 from std_msgs.msg import String
+from std_srvs.srv import Trigger
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import points_of
 from ratslam_ros.core.vision.local_view import FIXED_THRESHOLD, ViewMatch
 from ratslam_ros.history.records import (
+    CellsRecord,
     ImageRecord,
     MatchRecord,
     PoseRecord,
@@ -37,7 +40,14 @@ from ratslam_ros.history.records import (
 from ratslam_ros.images import UndecodableImage, image_of
 from ratslam_ros.messages.goals import decode_status
 from ratslam_ros.messages.json_schema import MalformedMessage
-from ratslam_ros.messages.mapping import decode_action, decode_template
+from ratslam_ros.messages.map_changes import (
+    CHANGES,
+    CLOSURES,
+    MapChangeFollower,
+    decode_closure,
+    decode_map_change,
+)
+from ratslam_ros.messages.mapping import decode_action, decode_packets, decode_template
 from ratslam_ros.nodes.convert import planar_pose, stamp_ns
 from ratslam_ros.nodes.inputs import publisher_count
 from ratslam_ros.nodes.match_pictures import separated
@@ -61,7 +71,10 @@ IMAGE_WIDTH_PX = 320
 JPEG_QUALITY = 75
 
 MAX_PENDING = 50
-"""Number of views of which a part has arrived: 5 s of images at 10 Hz."""
+"""Number of the last views that further messages may complete: 5 s of images at 10 Hz."""
+
+REQUEST_PERIOD_S = 1.0
+"""Time to wait for the whole map before it is requested, and requested again."""
 
 EXPECTED = 'experience_map/pose', 'local_view/template', 'pose_cells/action'
 """Topics without which a run cannot be shown."""
@@ -88,6 +101,13 @@ class ViewerTopics:
         self._truth: Pose | None = None
         self._templates: dict[int, ViewMatch] = {}
         self._pictures: dict[int, NDArray[np.uint8]] = {}
+        self._views: dict[int, ViewRecord] = {}
+        self._cells: PointCloud2 | None = None
+        self._follow_anew()
+
+    def _follow_anew(self) -> None:
+        self._follower = MapChangeFollower()
+        self._requested_s = time.monotonic()
 
     @property
     def is_subscribed(self) -> bool:
@@ -109,6 +129,10 @@ class ViewerTopics:
             (String, 'local_view/template', RESULT, self._on_template),
             (Image, 'local_view/matched', VIEW, self._on_matched),
             (String, 'pose_cells/action', RESULT, self._on_action),
+            (PointCloud2, 'pose_cells/cells', VIEW, self._on_cells),
+            (String, 'pose_cells/packets', VIEW, self._on_packets),
+            (String, CHANGES, STATE, self._on_changes),
+            (String, CLOSURES, STATE, self._on_closure),
             (Path, 'experience_map/route', LATCHED, self._on_route),
             (String, 'experience_map/status', LATCHED, self._on_status),
             (DiagnosticArray, '/diagnostics', STATE, self._controls.on_diagnostics),
@@ -166,8 +190,9 @@ class ViewerTopics:
     def _add(self, record: Record) -> None:
         if record.stamp_ns > 0 and self._run.add(record):
             self._node.get_logger().warning('the stamps have jumped back: a new run begins')
-            self._templates.clear()
-            self._pictures.clear()
+            for waiting in self._templates, self._pictures, self._views:
+                waiting.clear()
+            self._follow_anew()
 
     # Poses
 
@@ -228,9 +253,8 @@ class ViewerTopics:
             self.refused += 1
             return
         self._templates[stamp_ns] = match
-        for waiting in self._templates, self._pictures:
-            while len(waiting) > MAX_PENDING:
-                del waiting[next(iter(waiting))]
+        _forget(self._templates)
+        _forget(self._pictures)
         self._pair(stamp_ns)
 
     def _on_action(self, message: String) -> None:
@@ -245,15 +269,76 @@ class ViewerTopics:
             error, threshold, is_new = match.error, match.threshold, match.is_new
         if threshold == FIXED_THRESHOLD:
             threshold = float(self._controls.values['local_view.vt_match_threshold'])
+        view = self._views[stamp_ns] = ViewRecord(
+            stamp_ns, action.template_id, is_new, error, threshold, action.relative_rad,
+            action.action, action.source_id, action.target_id, action.place,
+            action.recognised_id, action.agreement,
+        )  # fmt: skip
+        _forget(self._views)
+        self._add(view)
+
+    def _on_closure(self, message: String) -> None:
+        try:
+            stamp_ns, _, event = decode_closure(message.data)
+        except MalformedMessage:
+            self.refused += 1
+            return
+        view = self._views.get(stamp_ns)
+        if view is None:
+            return
+        if event.outcome == 'relocated':
+            new = replace(view, relocated_to=event.target_id)
+        elif event.outcome == 'rejected':
+            new = replace(
+                view, source_id=event.source_id, target_id=event.target_id, reason=event.reason
+            )
+        else:
+            return  # the action says the same
+        self._views[stamp_ns] = new
+        if not self._run.replace_view(view, new):
+            self._add(new)
+
+    # The pose cells
+
+    def _on_cells(self, message: PointCloud2) -> None:
+        self._cells = message
+
+    def _on_packets(self, message: String) -> None:
+        """Add the activity; the cells of the same stamp are published before the packets."""
+        try:
+            stamp, dims, packets, injections = decode_packets(message.data)
+        except MalformedMessage:
+            self.refused += 1
+            return
+        if self._cells is None or stamp_ns(self._cells.header) != stamp:
+            return
+        points = np.frombuffer(self._cells.data, '<f4').reshape(-1, 4)
         self._add(
-            ViewRecord(
-                stamp_ns, action.template_id, is_new, error, threshold, action.relative_rad,
-                action.action, action.source_id, action.target_id, action.place,
-                action.recognised_id, action.agreement,
+            CellsRecord(
+                stamp, dims, points[:, :3].astype(np.int64), points[:, 3].astype(np.float64),
+                packets, injections,
             )
         )  # fmt: skip
 
     # The map and the goals
+
+    def _on_changes(self, message: String) -> None:
+        try:
+            change = decode_map_change(message.data)
+        except MalformedMessage:
+            self.refused += 1
+            return
+        if self._follower.accepts(change):
+            self._add(change.change)
+
+    def request_map(self) -> None:
+        """Request the whole map if changes have been lost."""
+        now_s = time.monotonic()
+        if self._follower.needs_all and now_s - self._requested_s > REQUEST_PERIOD_S:
+            self._requested_s = now_s
+            self._controls.ask(
+                Trigger, 'experience_map/send_all', Trigger.Request(), lambda _: None
+            )
 
     def _on_route(self, message: Path) -> None:
         points = [(pose.pose.position.x, pose.pose.position.y) for pose in message.poses]
@@ -275,6 +360,12 @@ class ViewerTopics:
 
     def _refuse(self, stream: str, reason: str) -> None:
         self.refused += 1
+
+
+def _forget(waiting: dict[int, Any]) -> None:
+    """Remove the oldest items above the limit."""
+    while len(waiting) > MAX_PENDING:
+        del waiting[next(iter(waiting))]
 
 
 def jpeg_of(pixels: NDArray[np.uint8]) -> bytes:

@@ -104,20 +104,14 @@ class LiveRun:
                 self._release(self._newest_ns - HOLD_NS)
             return begins
 
-    def held_view(self, stamp_ns: int) -> ViewRecord | None:
-        """Return the view of a stamp if it is still held."""
-        with self._lock:
-            for _, _, record in self._held:
-                if isinstance(record, ViewRecord) and record.stamp_ns == stamp_ns:
-                    return record
-        return None
-
-    def replace_view(self, old: ViewRecord, new: ViewRecord) -> None:
-        """Replace a view that is still held; does nothing if it is not."""
+    def replace_view(self, old: ViewRecord, new: ViewRecord) -> bool:
+        """Replace a view if it is still held; return whether it was."""
         with self._lock:
             for index, (stamp_ns, sequence, record) in enumerate(self._held):
                 if record is old:
                     self._held[index] = stamp_ns, sequence, new
+                    return True
+        return False
 
     def _release(self, until_ns: int) -> None:
         """Append the held records up to a stamp to the run."""

@@ -159,13 +159,12 @@ def test_jump_back_begins_a_new_run(run: LiveRun) -> None:
 
 def test_view_can_be_completed_while_it_is_held(run: LiveRun, clock: Clock) -> None:
     run.add(pose(0))
-    run.add(view(1))
-    held = run.held_view(START_NS + TENTH_NS)
-    assert held is not None
-    run.replace_view(held, view(1, reason='too far'))
+    held, complete = view(1), view(1, reason='too far')
+    run.add(held)
+    assert run.replace_view(held, complete)
     for k in range(1, 10):
         run.add(pose(k))
-    assert run.held_view(START_NS + TENTH_NS) is None
+    assert not run.replace_view(complete, held)
     assert [one.reason for one in run.closures(run.end_ns)] == ['too far']
 
 
