@@ -325,9 +325,9 @@ def _no_answer(node: str) -> Answer:
 
 
 def _last_number(status: dict[str, Any]) -> int:
-    """Return the number of the newest goal in a status, 0 if there is none."""
+    """Return the number of the newest goal in a status, -1 if there is none."""
     tasks = [*status.get('queue', ()), *status.get('outcomes', ())]
-    return max((int(task['number']) for task in tasks), default=0)
+    return max((int(task['number']) for task in tasks), default=-1)
 
 
 def _all_values() -> dict[str, Value]:

@@ -154,7 +154,7 @@ def test_view_joins_template_action_and_rejection(viewer: Any) -> None:
 
     made = viewer()
     made.viewer.controls.values['local_view.vt_match_threshold'] = 0.125
-    made.send('local_view/template', string(template_text(0, 7, error=0.0625)))
+    made.send('local_view/template', string(template_text(START_NS, 7, error=0.0625)))
     made.until(lambda: made.viewer.topics._templates)
     made.send('pose_cells/action', action(0, 'link', 3, 4))
     event = ClosureEvent('rejected', 3, 4, 'too far')
@@ -218,7 +218,7 @@ def test_match_pictures_are_separated(viewer: Any) -> None:
     assert separated(np.zeros((10, 10), np.uint8)) is None
     made = viewer()
     made.send('local_view/matched', grey_image(START_NS, 'camera', joined(*pair)), VIEW)
-    made.send('local_view/template', string(template_text(0, 7)))
+    made.send('local_view/template', string(template_text(START_NS, 7)))
     made.until(lambda: state_of(made).match is not None)
     match = state_of(made).match
     assert match.template_id == 7
@@ -226,13 +226,16 @@ def test_match_pictures_are_separated(viewer: Any) -> None:
 
 
 def test_malformed_messages_are_counted_and_not_used(viewer: Any) -> None:
+    from ratslam_ros.nodes.qos import LATCHED
+
     made = viewer()
     topics = (
         'local_view/template', 'pose_cells/action', 'pose_cells/packets', 'experience_map/changes',
         'experience_map/closures', 'experience_map/status',
     )  # fmt: skip
     for topic in topics:
-        made.send(topic, string('{"schema_version":1}'))
+        qos = LATCHED if topic.endswith('status') else None
+        made.send(topic, string('{"schema_version":1}'), qos)
     made.until(lambda: made.viewer.topics.refused == len(topics))
     assert made.viewer.run.end_ns == 0
 
@@ -294,7 +297,7 @@ def test_goal_is_sent_and_its_status_answers(viewer: Any) -> None:
     made.until(lambda: state_of(made).route is not None and len(state_of(made).route.points_m))
     answer = requested(made, lambda: controls.go_to(500.0, 0.0))
     assert not answer.success
-    assert 'no experience within' in answer.message
+    assert '500.00 m away' in answer.message
     again = requested(made, lambda: controls.go_to(500.0, 0.0))
     assert again == answer
     answer = requested(made, lambda: controls.go_to_place('nowhere'))
@@ -317,7 +320,8 @@ def test_places_are_named_listed_and_driven_to(viewer: Any) -> None:
 def test_services_answer_for_all_nodes(viewer: Any, tmp_path: Any) -> None:
     made = with_map(viewer, '-p', f'memory_folder:={tmp_path}')
     controls = made.viewer.controls
-    assert requested(made, lambda: controls.pause_nodes(True)).message == 'experience_map is paused'
+    answer = requested(made, lambda: controls.pause_nodes(True))
+    assert answer.message == 'experience_map is paused'
     assert requested(made, lambda: controls.pause_nodes(False)).success
     assert 'localises only' in requested(made, lambda: controls.mapping(False)).message
     assert not list(tmp_path.iterdir())
@@ -338,7 +342,8 @@ def test_parameters_are_read_and_set(viewer: Any) -> None:
     made = with_map(viewer, '-p', 'map_period_s:=2.5')
     controls = made.viewer.controls
     made.until(lambda: controls.parameters['experience_map.map_period_s'] == 2.5)
-    assert requested(made, lambda: controls.set_parameter('experience_map.map_period_s', 3)).success
+    key = 'experience_map.map_period_s'
+    assert requested(made, lambda: controls.set_parameter(key, 3)).success
     assert made.nodes[1].config.experience_map.map_period_s == 3.0
     assert controls.parameters['experience_map.map_period_s'] == 3.0
     key = 'goal_recall.goal_tolerance_m'
