@@ -36,9 +36,6 @@ LOOPBACK = frozenset({'127.0.0.1', 'localhost', '::1'})
 MAX_MESSAGE_BYTES = 16 * 2**20
 """Largest message from a browser: a screenshot of 4K as PNG. Events are below 1 kB."""
 
-CLOSE_TIMEOUT_S = 0.5
-"""Time for a browser to answer that its connection ends; one that is stalled does not."""
-
 REFUSED_MESSAGES = frozenset({
     'FileTransferStartUpload',  # No panel takes files, and viser would keep them in memory.
     'FileTransferPart',
@@ -72,7 +69,8 @@ class ViewServer:
         _check_address(host, port)
         self.host = host
         self._token = secrets.token_urlsafe(24)
-        with _guarded(self._refusal, self._without_token):
+        self._connections = _Connections()
+        with _guarded(self._refusal, self._without_token, self._connections):
             self.viser = viser.ViserServer(host, port, label='RatSLAM', verbose=False)
         self.port = int(self.viser.get_port())
         if port not in (0, self.port):  # taken between the check and the start; viser went on
@@ -116,12 +114,9 @@ class ViewServer:
 
     def stop(self) -> None:
         """End all connections and free the port, within 2 s even if a browser is stalled."""
-        connections = self.viser._websock_server
-        loop = connections._background_event_loop
         with _quiet():
-            for connection in tuple(connections._live_connections.values()):
-                with suppress(RuntimeError):  # the loop has ended
-                    loop.call_soon_threadsafe(connection.transport.abort)
+            with suppress(RuntimeError):  # the loop has ended
+                self.viser._event_loop.call_soon_threadsafe(self._connections.abort)
             self.viser.stop()
 
     # Who may connect
@@ -176,8 +171,9 @@ class ViewServer:
 
 @contextmanager
 def _guarded(
-    refusal: Callable[[str, str, str | None, bool], str], path_of: Callable[[str], str]
-) -> Iterator[None]:
+    refusal: Callable[[str, str, str | None, bool], str], path_of: Callable[[str], str],
+    connections: _Connections,
+) -> Iterator[None]:  # fmt: skip
     """Have servers that are started in this context check who connects.
 
     Viser has no setting for this. It passes its own handler of requests, which serves the page, to
@@ -208,8 +204,8 @@ def _guarded(
             return response
 
         options |= {
-            'max_size': MAX_MESSAGE_BYTES, 'close_timeout': CLOSE_TIMEOUT_S,
-            'logger': _silent_logger(), 'create_connection': _filtered_connection(),
+            'max_size': MAX_MESSAGE_BYTES, 'logger': _silent_logger(),
+            'create_connection': _connection_class(connections),
         }  # fmt: skip
         return serve(handler, *address, process_request=process, **options)
 
@@ -217,7 +213,35 @@ def _guarded(
         yield
 
 
-def _filtered_connection() -> Any:
+class _Connections:
+    """All open connections, those on which a browser has not sent a request yet included.
+
+    Browsers open connections in advance, and the server would wait for their requests when it
+    stops. Used by the thread of the server.
+    """
+
+    def __init__(self) -> None:
+        self._open: set[Any] = set()
+        self._aborted = False
+
+    def add(self, transport: Any) -> None:
+        """Note an open connection."""
+        self._open.add(transport)
+        if self._aborted:
+            transport.abort()
+
+    def remove(self, transport: Any) -> None:
+        """Note a closed connection."""
+        self._open.discard(transport)
+
+    def abort(self) -> None:
+        """End all connections at once, and every later one."""
+        self._aborted = True
+        for transport in tuple(self._open):
+            transport.abort()
+
+
+def _connection_class(connections: _Connections) -> Any:
     """Return a class of connections that drop messages which viser must not receive."""
     import msgspec
     from viser._messages import Message
@@ -231,6 +255,14 @@ def _filtered_connection() -> Any:
     permitted = {kind.__name__ for kind in Message.get_subclasses()} - REFUSED_MESSAGES
 
     class Connection(ServerConnection):
+        def connection_made(self, transport: Any) -> None:
+            super().connection_made(transport)
+            connections.add(transport)
+
+        def connection_lost(self, exc: Exception | None) -> None:
+            connections.remove(self.transport)
+            super().connection_lost(exc)
+
         async def recv(self, decode: bool | None = None) -> Any:
             while True:
                 data = await super().recv(decode)
