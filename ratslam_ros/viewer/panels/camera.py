@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from html import escape
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +14,7 @@ from ratslam_ros.history.run_state import RunState
 from ratslam_ros.viewer.panels.desk import Desk
 from ratslam_ros.viewer.panels.html import BLUE, GREEN, ORANGE, RED, block, dim, mark, strong
 from ratslam_ros.viewer.panels.pictures import error_curves, match_picture
-from ratslam_ros.viewer.panels.texts import match_text
+from ratslam_ros.viewer.panels.texts import decision_text, match_text
 
 if TYPE_CHECKING:
     import viser
@@ -47,7 +48,7 @@ class CameraPanel:
             series=(
                 {'label': 'time'},
                 {'label': 'match error', 'stroke': _css(BLUE), 'width': 1.5},
-                {'label': 'threshold', 'stroke': _css(RED), 'width': 1.5, 'dash': [6, 4]},
+                {'label': 'threshold', 'stroke': _css(RED), 'width': 1.5, 'dash': (6, 4)},
                 {'label': 'new template', 'stroke': _css(ORANGE), 'width': 0,
                  'points': {'show': True, 'size': 6, 'fill': _css(ORANGE)}},
             ),
@@ -71,7 +72,9 @@ class CameraPanel:
         view = state.view
         if view is not None:
             symbol = mark('◆', ORANGE) if view.is_new else mark('●', GREEN)
-            self.text.content = block(f'{symbol} {strong(match_text(view))}')
+            self.text.content = block(
+                f'{symbol} {strong(match_text(view))}', escape(decision_text(view))
+            )
         else:
             self.text.content = block(dim('no view yet'))
         if state.match is not self._match:

@@ -7,6 +7,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
 from ratslam_ros.history.run_state import RunState
@@ -19,8 +20,16 @@ if TYPE_CHECKING:
 Post = Callable[[Callable[[], None]], None]
 """Has a function called by the loop, from any thread."""
 
-KEPT_ANSWERS = 8
-"""Number of answers that the log shows."""
+KEPT_REQUESTS = 8
+"""Number of requests that the log shows."""
+
+
+@dataclass
+class Request:
+    """A request to the controls; the answer is None until it comes."""
+
+    text: str
+    answer: Answer | None = None
 
 
 class Scene(Protocol):
@@ -63,8 +72,8 @@ class Desk:
     ) -> None:  # fmt: skip
         self.server, self.gui = server, server.gui
         self.playback, self.scene, self.controls, self.post = playback, scene, controls, post
-        self.answers: deque[tuple[str, Answer | None]] = deque(maxlen=KEPT_ANSWERS)
-        """Last requests, newest first; without an answer if it has not come yet."""
+        self.requests: deque[Request] = deque(maxlen=KEPT_REQUESTS)
+        """The last requests to the controls, newest first."""
         self.updates = 0
         """Number of updates; panels that need not follow every one count them."""
 
@@ -94,26 +103,30 @@ class Desk:
             call: sends the request and waits for its answer.
             then: called by the loop with the answer.
         """
-        entry: list[Answer | None] = [None]
-        self.answers.appendleft((request, None))
-
-        def answered() -> None:
-            answer = entry[0]
-            assert answer is not None
-            for place, (name, known) in enumerate(self.answers):
-                if name is request and known is None:
-                    self.answers[place] = (name, answer)
-                    break
-            else:
-                self.answers.appendleft((request, answer))
-            if then is not None:
-                then(answer)
+        entry = Request(request)
+        self.requests.appendleft(entry)
 
         def wait() -> None:
             try:
-                entry[0] = call()
+                answer = call()
             except Exception as error:
-                entry[0] = Answer(False, f'{type(error).__name__}: {error}')
-            self.post(answered)
+                answer = Answer(False, f'{type(error).__name__}: {error}')
+            self.post(lambda: answered(answer))
+
+        def answered(answer: Answer) -> None:
+            entry.answer = answer
+            if then is not None:
+                then(answer)
 
         threading.Thread(target=wait, name=f'request: {request}', daemon=True).start()
+
+
+def assign(handle: Any, value: Any) -> None:
+    """Set the value of an input; viser sends it if it differs."""
+    handle.value = value
+
+
+def offer(dropdown: Any, options: Sequence[str]) -> None:
+    """Set the options of a dropdown if they differ; viser sends every assignment."""
+    if dropdown.options != tuple(options):
+        dropdown.options = tuple(options)

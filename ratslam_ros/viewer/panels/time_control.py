@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from ratslam_ros.history.run_state import NS_PER_S, RunState
-from ratslam_ros.viewer.panels.desk import Desk
+from ratslam_ros.viewer.panels.desk import Desk, assign
 from ratslam_ros.viewer.panels.html import ORANGE, block, dim, mark, strong
 from ratslam_ros.viewer.panels.texts import playback_text, stamp_text, time_text
 
@@ -58,9 +58,9 @@ class TimeControl:
         )
         # Whole seconds, so that a growing run changes the scale once a second.
         self.scrubber.max = float(max(1, -(-(end_ns - begin_ns) // NS_PER_S)))
-        self.scrubber.value = round(at_s / SLIDER_STEP_S) * SLIDER_STEP_S
+        assign(self.scrubber, round(at_s / SLIDER_STEP_S) * SLIDER_STEP_S)
         self.play.label = 'Pause' if playback.playing else 'Play'
-        self.speed.value = _speed_text(min(SPEEDS, key=lambda s: abs(s - playback.speed)))
+        assign(self.speed, _speed_text(min(SPEEDS, key=lambda s: abs(s - playback.speed))))
         notices = [f'{mark("▲", ORANGE)} {dim(notice)}' for notice in source.notices]
         self.notices.visible, self.notices.content = bool(notices), block(*notices)
 
