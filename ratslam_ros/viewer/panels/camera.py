@@ -49,7 +49,7 @@ class CameraPanel:
                 {'label': 'time'},
                 {'label': 'match error', 'stroke': _css(BLUE), 'width': 1.5},
                 {'label': 'threshold', 'stroke': _css(RED), 'width': 1.5, 'dash': (6, 4)},
-                {'label': 'new template', 'stroke': _css(ORANGE), 'width': 0,
+                {'label': 'new template', 'stroke': _css(ORANGE), 'width': 0, 'auto': False,
                  'points': {'show': True, 'size': 6, 'fill': _css(ORANGE)}},
             ),
             scales={'x': {'time': False, 'range': (-60.0, 0.0)}, 'y': {'range': (0.0, None)}},

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -92,6 +92,10 @@ class Desk:
         """Have the loop act on every click of a button."""
         button.on_click(lambda _event: self.post(act))
 
+    def on_press(self, group: Any, acts: Mapping[str, Callable[[], None]]) -> None:
+        """Have the loop act on every button of a group that is pressed."""
+        group.on_click(lambda event: self.post(acts[event.target.value]))
+
     def ask(
         self, request: str, call: Callable[[], Answer],
         then: Callable[[Answer], None] | None = None,
@@ -119,6 +123,10 @@ class Desk:
                 then(answer)
 
         threading.Thread(target=wait, name=f'request: {request}', daemon=True).start()
+
+    def refuse(self, request: str, reason: str) -> None:
+        """Log a request that cannot be sent."""
+        self.requests.appendleft(Request(request, Answer(False, reason)))
 
 
 def assign(handle: Any, value: Any) -> None:

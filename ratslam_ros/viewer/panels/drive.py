@@ -14,7 +14,6 @@ from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.viewer.panels.desk import Desk, Request, offer
 from ratslam_ros.viewer.panels.html import GREEN, LEVELS, RED, block, dim, mark, strong, table
 from ratslam_ros.viewer.panels.selection import SelectionPanel
-from ratslam_ros.viewer.run_source import Answer
 
 NO_PLACES = 'no places yet'
 
@@ -28,15 +27,40 @@ class DrivePanel:
         self._desk, self._selection = desk, selection
         self._status: StatusRecord | None = None
         actions, gui = desk.controls.actions, desk.gui
-        self.buttons: dict[str, Any] = {}
-        """The buttons and inputs, by their labels."""
+        self.groups: dict[str, Any] = {}
+        """Groups of buttons, by their labels."""
         if not actions - {'set_parameter', 'run_again'}:
-            reason = getattr(desk.controls, 'reason', NOTHING)
-            self.nothing = gui.add_html(block(dim(reason)))
+            gui.add_html(block(dim(getattr(desk.controls, 'reason', NOTHING))))
         self.status = gui.add_html('')
-        self._add_goals()
-        self._add_places()
-        self._add_nodes()
+        self.target = gui.add_html('', visible='go_to' in actions)
+        self._group('Selected', {
+            GO_HERE: ('go_to', self.go_here),
+            THEN_HERE: ('go_to', lambda: self.go_here(then=True)),
+        }, 'Send the robot to the selected point, or there after the goals already sent.')
+        self.place = gui.add_dropdown(
+            'Place', (NO_PLACES,), visible='go_to_place' in actions,
+            hint='Named places of this map.',
+        )
+        self._group('', {
+            'Go to place': ('go_to_place', lambda: self._go_to_place(False)),
+            'Then to place': ('go_to_place', lambda: self._go_to_place(True)),
+        }, 'Send the robot to the chosen place, or there after the goals already sent.')
+        self._group('Goals', {
+            'Cancel all goals': ('cancel_goals', self.cancel),
+        }, 'The robot stops, and queued goals are dropped.')
+        self._switch('Explore', 'explore', 'Drive to unknown parts of the surroundings.')
+        self.name = gui.add_text(
+            'Name', '', visible='name_place' in actions,
+            hint='Name for the place where the robot is now.',
+        )
+        self._group('', {'Name this place': ('name_place', self._name_place)}, 'Keep the name.')
+        self._switch('Mapping', 'mapping', 'Off: the robot is localised, but learns nothing.')
+        self._switch('Pause nodes', 'pause_nodes', 'While paused, nodes ignore their inputs.')
+        self._group('Map', {
+            'Save': ('save', lambda: self._request('save', 'save')),
+            'Load': ('load', lambda: self._confirm('Load', LOAD_WARNING, 'load')),
+            'Reset': ('reset', lambda: self._confirm('Reset', RESET_WARNING, 'reset')),
+        }, 'The memory of all nodes: write it to their folder, read it from there, or empty it.')
         self.log = gui.add_html('')
         self.diagnostics = gui.add_html('')
 
@@ -46,11 +70,11 @@ class DrivePanel:
             self._status = state.status
             self.status.content = status_html(state.status)
         target = self._target()
-        for label in GO_HERE, THEN_HERE:
-            if label in self.buttons:
-                self.buttons[label].disabled = target is None
-        if 'Place' in self.buttons:
-            offer(self.buttons['Place'], tuple(self._desk.controls.places) or (NO_PLACES,))
+        self.target.content = block(
+            dim(CLICK_FIRST) if target is None
+            else f'{strong("Selected")} x {target[0]:.2f} m, y {target[1]:.2f} m'
+        )  # fmt: skip
+        offer(self.place, tuple(self._desk.controls.places) or (NO_PLACES,))
         self.log.content = log_html(self._desk.requests)
         self.diagnostics.content = diagnostics_html(self._desk.controls.diagnostics)
 
@@ -63,135 +87,67 @@ class DrivePanel:
             return tuple(poses[pick.id, :2].tolist()) if pick.id < len(poses) else None
         return float(pick.point[0]), float(pick.point[1])
 
-    def _button(self, label: str, act: Callable[[], None], hint: str, **more: Any) -> None:
-        button = self._desk.gui.add_button(label, hint=hint, **more)
-        self._desk.on_click(button, act)
-        self.buttons[label] = button
+    def _group(
+        self, label: str, buttons: Mapping[str, tuple[str, Callable[[], None]]], hint: str
+    ) -> None:
+        """Add those of the buttons whose action is offered."""
+        actions = self._desk.controls.actions
+        acts = {text: act for text, (action, act) in buttons.items() if action in actions}
+        if acts:
+            group = self._desk.gui.add_button_group(label, tuple(acts), hint=hint)
+            self._desk.on_press(group, acts)
+            self.groups[label or next(iter(acts))] = group
+
+    def _switch(self, label: str, name: str, hint: str) -> None:
+        """Add buttons for on and off; the run does not report which one holds."""
+        what = label.lower()
+        self._group(label, {
+            'On': (name, lambda: self._request(f'{what} on', name, True)),
+            'Off': (name, lambda: self._request(f'{what} off', name, False)),
+        }, hint)  # fmt: skip
 
     def _request(self, label: str, name: str, *values: Any) -> None:
         call = getattr(self._desk.controls, name)
         self._desk.ask(label, lambda: call(*values))
 
-    def _go(self, then: bool) -> None:
-        target = self._target()
-        if target is not None:
-            x_m, y_m = target
-            label = f'{"then " if then else ""}go to x {x_m:.2f} m, y {y_m:.2f} m'
-            self._request(label, 'go_to', x_m, y_m, then)
-
-    def _add_goals(self) -> None:
-        actions = self._desk.controls.actions
-        if not actions & {'go_to', 'cancel_goals', 'explore'}:
-            return
-        with self._desk.gui.add_folder('Goals'):
-            if 'go_to' in actions:
-                self._button(
-                    GO_HERE, lambda: self._go(False), disabled=True,
-                    hint='Send the robot to the selected point: click the map first. (G)',
-                )  # fmt: skip
-                self._button(
-                    THEN_HERE, lambda: self._go(True), disabled=True,
-                    hint='Queue the selected point after the goals already sent.',
-                )  # fmt: skip
-            if 'cancel_goals' in actions:
-                self._button(
-                    'Cancel all goals', lambda: self._request('cancel goals', 'cancel_goals'),
-                    hint='The robot stops; queued goals are dropped. (C)', color='red',
-                )  # fmt: skip
-            if 'explore' in actions:
-                self._switch(
-                    'Explore', 'explore', 'Drive to unknown parts of the surroundings by itself.'
-                )
-
-    def _add_places(self) -> None:
-        actions, gui = self._desk.controls.actions, self._desk.gui
-        if not actions & {'go_to_place', 'name_place'}:
-            return
-        with gui.add_folder('Places'):
-            if 'go_to_place' in actions:
-                self.buttons['Place'] = gui.add_dropdown(
-                    'Place', (NO_PLACES,), hint='Named places of this map.'
-                )
-                self._button('Go to place', lambda: self._go_to_place(False), 'Send the robot.')
-                self._button(
-                    'Then to place', lambda: self._go_to_place(True),
-                    hint='Queue this place after the goals already sent.',
-                )  # fmt: skip
-            if 'name_place' in actions:
-                self.buttons['Name'] = gui.add_text(
-                    'Name', '', hint='Name for the place where the robot is now.'
-                )
-                self._button('Name this place', self._name_place, 'Name where the robot is now.')
-
-    def _add_nodes(self) -> None:
-        actions = self._desk.controls.actions
-        if not actions & {'mapping', 'pause_nodes', 'save', 'load', 'reset'}:
-            return
-        with self._desk.gui.add_folder('Map and nodes'):
-            if 'mapping' in actions:
-                self._switch(
-                    'Mapping', 'mapping', 'Off: the robot is localised, but learns nothing.'
-                )
-            if 'pause_nodes' in actions:
-                self._switch(
-                    'Pause nodes', 'pause_nodes', 'While paused, all nodes ignore their inputs.'
-                )
-            if 'save' in actions:
-                self._button('Save map', lambda: self._request('save', 'save'), SAVE_HINT)
-            if 'load' in actions:
-                self._button(
-                    'Load map', lambda: self._confirm('Load map', LOAD_WARNING, 'load'),
-                    'Replace the map by the saved one.',
-                )  # fmt: skip
-            if 'reset' in actions:
-                self._button(
-                    'Reset map', lambda: self._confirm('Reset map', RESET_WARNING, 'reset'),
-                    'Forget everything.', color='red',
-                )  # fmt: skip
-
-    def _switch(self, label: str, name: str, hint: str) -> None:
-        """Add buttons for on and off; the run does not report which one holds."""
-        group = self._desk.gui.add_button_group(label, ('On', 'Off'), hint=hint)
-        self.buttons[label] = group
-
-        def pressed(_event: object) -> None:
-            on = group.value == 'On'
-            text = f'{label.lower()} {group.value.lower()}'
-            self._desk.post(lambda: self._request(text, name, on))
-
-        group.on_click(pressed)
-
     def _go_to_place(self, then: bool) -> None:
-        name = self.buttons['Place'].value
+        name = self.place.value
         if name != NO_PLACES:
             self._request(f'{"then " if then else ""}go to {name}', 'go_to_place', name, then)
 
     def _name_place(self) -> None:
-        name = self.buttons['Name'].value.strip()
+        name = self.name.value.strip()
         if name:
             self._request(f'name this place {name}', 'name_place', name)
         else:
-            answer = Answer(False, 'No name given: type one above the button.')
-            self._desk.ask('name this place', lambda: answer)
+            self._desk.refuse('name this place', 'type a name first')
 
     def _confirm(self, label: str, warning: str, name: str) -> None:
         """Ask for confirmation before something that cannot be undone."""
         gui = self._desk.gui
-        modal = gui.add_modal(label)
+        modal = gui.add_modal(f'{label}?')
         with modal:
             gui.add_html(block(dim(warning)))
-            self._button(f'{label} now', lambda: confirmed(True), warning, color='red')
-            self._button('Keep as it is', lambda: confirmed(False), 'Change nothing.')
+            group = gui.add_button_group('', (label, 'Keep as it is'))
 
-        def confirmed(yes: bool) -> None:
+        def confirmed() -> None:
             modal.close()
-            if yes:
-                self._request(label.lower(), name)
+            self._request(label.lower(), name)
 
-    def go_here(self) -> None:
+        self._desk.on_press(group, {label: confirmed, 'Keep as it is': modal.close})
+        self.confirmation = group
+
+    def go_here(self, then: bool = False) -> None:
         """Send the robot to the selected point, if that is offered."""
-        if 'go_to' in self._desk.controls.actions:
-            self._go(False)
+        if 'go_to' not in self._desk.controls.actions:
+            return
+        target = self._target()
+        if target is None:
+            self._desk.refuse('go here', CLICK_FIRST)
+            return
+        x_m, y_m = target
+        label = f'{"then " if then else ""}go to x {x_m:.2f} m, y {y_m:.2f} m'
+        self._request(label, 'go_to', x_m, y_m, then)
 
     def cancel(self) -> None:
         """Cancel all goals, if that is offered."""
@@ -199,8 +155,8 @@ class DrivePanel:
             self._request('cancel goals', 'cancel_goals')
 
 
+CLICK_FIRST = 'Click a point on the map to select it.'
 GO_HERE, THEN_HERE = 'Go here', 'Then here'
-SAVE_HINT = 'Write the memory of all nodes to their folder.'
 LOAD_WARNING = 'The present map is replaced by the saved one. What was not saved is lost.'
 RESET_WARNING = 'All nodes forget everything they have learned. What was not saved is lost.'
 

@@ -58,7 +58,7 @@ class Panels:
             self.selection = SelectionPanel(desk)
         with tabs.add_tab('Drive'):
             self.drive = DrivePanel(desk, self.selection)
-        with tabs.add_tab('Tune'):
+        with tabs.add_tab('Parameters'):
             self.parameters = ParametersPanel(desk)
         shortcuts = self._shortcuts()
         self.commands = add_shortcuts(desk, shortcuts)

@@ -164,7 +164,9 @@ class ParametersPanel:
         section, _, name = key.partition('.')
         info, default = declaration(key)
         one_section = self.section.value == section and not self.search.value
-        label, hint = name if one_section else key, hint_text(info, default)
+        # Names may be broken at underscores, because the column of labels is narrow.
+        label = (name if one_section else key).replace('_', '_\u200b')
+        hint = hint_text(info, default)
         handle: Any
         if isinstance(default, bool):
             handle = gui.add_checkbox(label, bool(value), hint=hint)

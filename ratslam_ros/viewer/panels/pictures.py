@@ -23,9 +23,6 @@ GAP_PX = 4
 UNMATCHED = 0.35
 """Brightness of the columns that have no counterpart."""
 
-NOT_NEW = -1.0
-"""Value below the plot; uPlot finds no range of a curve without finite values."""
-
 PLOT_POINTS = 300
 """Largest number of points of the error plot; the panel has about as many columns."""
 
@@ -72,8 +69,8 @@ def error_curves(views: Iterable[ViewRecord], now_ns: int) -> tuple[NDArray[np.f
     """Return the curves of the error plot.
 
     Returns:
-        x: time before now in s, negative; then the match error, not finite if it is unknown, the
-        threshold, and the error of views that became new templates, below 0 for all others.
+        x: time before now in s, negative; then the match error, the threshold, and the error of
+        views that became new templates. Values that do not exist are not finite.
     """
     views = list(views)
     stride = max(1, -(-len(views) // PLOT_POINTS))
@@ -86,4 +83,4 @@ def error_curves(views: Iterable[ViewRecord], now_ns: int) -> tuple[NDArray[np.f
     ).reshape(-1, 4)
     x, error, threshold, is_new = rows.T.copy()
     error[error < 0] = np.nan
-    return x, error, threshold, np.where(is_new == 1, error, NOT_NEW)
+    return x, error, threshold, np.where(is_new == 1, error, np.nan)

@@ -114,7 +114,7 @@ def cells_text(cells: CellsRecord) -> list[tuple[str, str]]:
         ]
     if len(cells.injections):
         rows.append(
-            ('injected', f'{float(cells.injections[:, 3].sum()):.3f} '
-             f'at {len(cells.injections)} places by the last view')
+            ('injected', f'{float(cells.injections[:, 3].sum()):.3f} by the last view; '
+             f'places: {len(cells.injections)}')
         )  # fmt: skip
     return rows

@@ -14,7 +14,8 @@ SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 
 SLIDER_STEP_S = 0.1
 
-BEGIN, BACK, NEXT, END = 'Begin', '◀ Step', 'Step ▶', 'End'
+BEGIN, BACK, PLAY, PAUSE, NEXT, END = 'Begin', '◀', 'Play', 'Pause', '▶', 'End'
+"""Buttons."""
 
 
 class TimeControl:
@@ -29,19 +30,24 @@ class TimeControl:
             hint='Time since the beginning of the run. Drag it to show any moment.',
         )  # fmt: skip
         self.buttons = gui.add_button_group(
-            'Go to', (BEGIN, BACK, NEXT, END),
-            hint='Begin, previous view, next view, and end of the run. While the run goes on, '
-            'End follows it live.',
+            'Playback', (BEGIN, BACK, PLAY, NEXT, END),
+            hint='Begin; previous view; play or pause; next view; end. While the run goes on, End '
+            'follows it live.',
         )  # fmt: skip
-        self.play = gui.add_button('Play', hint='Play or pause (space).')
         self.speed = gui.add_dropdown(
             'Speed', tuple(map(_speed_text, SPEEDS)), initial_value=_speed_text(1.0),
             hint='Speed of playing, relative to the recording.',
         )  # fmt: skip
         self.notices = gui.add_html('', visible=False)
         desk.on_change(self.scrubber, self._scrub)
-        self.buttons.on_click(self._go)
-        desk.on_click(self.play, playback.toggle)
+        desk.on_press(self.buttons, {
+            BEGIN: lambda: playback.seek(playback.source.begin_ns),
+            BACK: lambda: playback.step(-1),
+            PLAY: playback.toggle,
+            PAUSE: playback.toggle,
+            NEXT: lambda: playback.step(1),
+            END: playback.follow,
+        })  # fmt: skip
         desk.on_change(self.speed, self._set_speed)
 
     def update(self, state: RunState) -> None:
@@ -59,7 +65,8 @@ class TimeControl:
         # Whole seconds, so that a growing run changes the scale once a second.
         self.scrubber.max = float(max(1, -(-(end_ns - begin_ns) // NS_PER_S)))
         assign(self.scrubber, round(at_s / SLIDER_STEP_S) * SLIDER_STEP_S)
-        self.play.label = 'Pause' if playback.playing else 'Play'
+        play = PAUSE if playback.playing else PLAY
+        self.buttons.options = BEGIN, BACK, play, NEXT, END
         assign(self.speed, _speed_text(min(SPEEDS, key=lambda s: abs(s - playback.speed))))
         notices = [f'{mark("▲", ORANGE)} {dim(notice)}' for notice in source.notices]
         self.notices.visible, self.notices.content = bool(notices), block(*notices)
@@ -76,17 +83,6 @@ class TimeControl:
             playback.follow()
         else:
             playback.seek(playback.source.begin_ns + round(seconds * NS_PER_S))
-
-    def _go(self, event: object) -> None:
-        playback = self._desk.playback
-        self._desk.post(
-            {
-                BEGIN: lambda: playback.seek(playback.source.begin_ns),
-                BACK: lambda: playback.step(-1),
-                NEXT: lambda: playback.step(1),
-                END: playback.follow,
-            }[self.buttons.value]
-        )
 
     def _set_speed(self, text: str) -> None:
         self._desk.playback.speed = SPEEDS[tuple(map(_speed_text, SPEEDS)).index(text)]
