@@ -119,7 +119,7 @@ def export_html(
     for attempt in range(ATTEMPTS):
         html = record_html(
             source, count, duration_s, dark=dark, colouring=colouring,
-            progress=lambda part, attempt=attempt: report(1 - (1 - part) / 2**attempt),
+            progress=lambda part, attempt=attempt: report(1 - (1 - part / 2) / 2**attempt),
         )  # fmt: skip
         content = html.encode()
         if len(content) <= max_bytes or count <= MIN_FRAMES:
@@ -128,6 +128,7 @@ def export_html(
     part = path.with_name(path.name + '.part')
     part.write_bytes(content)
     part.replace(path)
+    report(1.0)
     return Exported(len(content), count)
 
 
@@ -199,7 +200,7 @@ class _Frames:
         self._closures = [
             view.stamp_ns for view in source.closures(source.end_ns) if not view.reason
         ]
-        self._image_ns = -1
+        self._jpeg = b''
         self._view_ns = -1
 
     def add(self, state: RunState, stamp_ns: int) -> None:
@@ -230,20 +231,20 @@ class _Frames:
 
     def _add_image(self, state: RunState, stamp_ns: int) -> None:
         image = state.image
-        if image is not None and image.stamp_ns != self._image_ns:
-            self._image_ns = image.stamp_ns
-            self._overlay.images.append(base64.b64encode(_small(image.jpeg)).decode())
-        elif image is None:
-            jpeg = self._source.image_at(stamp_ns)
-            if jpeg is not None:
-                self._overlay.images.append(base64.b64encode(_small(jpeg)).decode())
+        jpeg = self._source.image_at(stamp_ns) if image is None else image.jpeg
+        if jpeg is None or jpeg == self._jpeg:
+            return
+        self._jpeg = jpeg
+        small = _small(jpeg)
+        if small is not None:
+            self._overlay.images.append(base64.b64encode(small).decode())
 
 
-def _small(jpeg: bytes) -> bytes:
-    """Return an image at most as wide as it is shown."""
+def _small(jpeg: bytes) -> bytes | None:
+    """Return an image at most as wide as it is shown; None if it cannot be decoded."""
     pixels = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
     if pixels is None:
-        return jpeg
+        return None
     height, width = pixels.shape[:2]
     if width <= IMAGE_WIDTH_PX:
         return jpeg
