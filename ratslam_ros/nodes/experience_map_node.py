@@ -235,12 +235,12 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
             'differs from that of a replay', late_join.missed - missed,
         )  # fmt: skip
         if late_join.restarts > restarts:
-            self._report_missing(
+            self._diagnostics.note(
                 'pose_cells has started with an empty memory: the map is continued, but places '
                 'mapped before will not be recognised. To start over, call experience_map/reset'
             )
         elif item.sequence > 0 and item.sequence == late_join.first_sequence and not missed:
-            self._report_missing(
+            self._diagnostics.note(
                 f'this node started late: {item.sequence} actions of pose_cells were sent before '
                 'and are missing from the map. To start over, call reset on all nodes'
             )
@@ -263,11 +263,6 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
             f'odometry has a gap of {gap_s:.1f} s: the map continues in a separate component '
             'until a known place is recognised (max_odom_gap_s)'
         )
-
-    def _report_missing(self, text: str) -> None:
-        if self._diagnostics.missing.get('action') != text:
-            self._diagnostics.missing['action'] = text
-            self.get_logger().warning(text)
 
     def _on_relocate(self, request: Any, response: Any) -> Any:
         """Search for the robot's place by what the laser has seen in the last metres."""
