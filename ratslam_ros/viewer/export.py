@@ -11,19 +11,19 @@ from bisect import bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
-from viser import ViserServer
-from viser._messages import RunJavascriptMessage
 
 from ratslam_ros.history.run_state import NS_PER_S, RunState
 from ratslam_ros.viewer.panels.html import BLUE, ORANGE
 from ratslam_ros.viewer.panels.texts import decision_text, match_text, time_text
 from ratslam_ros.viewer.run_source import RunSource
-from ratslam_ros.viewer.scene import RunScene
 from ratslam_ros.viewer.server import ViewServer
+
+if TYPE_CHECKING:
+    from viser import ViserServer
 
 DURATION_S = 30.0
 """Time that the animation takes."""
@@ -162,6 +162,11 @@ def _record(
     colouring: str | None,
     progress: Progress | None,
 ) -> str:
+    # Only here, after the server has reported that viser is missing, if it is.
+    from viser._messages import RunJavascriptMessage
+
+    from ratslam_ros.viewer.scene import RunScene
+
     begin_ns, end_ns = source.begin_ns, source.end_ns
     stamps = [begin_ns + (end_ns - begin_ns) * k // (count - 1) for k in range(count - 1)]
     stamps.append(end_ns)
