@@ -216,7 +216,7 @@ def test_exported_page_plays_offline_in_browser(browser: Any, tmp_path: Path) ->
     assert browser.execute_script("return document.querySelector('#run img').naturalWidth") == 40
     until(lambda: blue_pixels(browser) > 50)
     everything = blue_pixels(browser)
-    assert '4 places' in show(0.15)
+    assert '3 places, 2 links' in show(0.15)
     until(lambda: blue_pixels(browser) < everything / 2)
     assert '20 places' in show(3.9)
     until(lambda: blue_pixels(browser) > everything / 2)
