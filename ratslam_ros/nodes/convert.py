@@ -13,7 +13,7 @@ from geometry_msgs.msg import Point, Quaternion, TransformStamped
 from geometry_msgs.msg import Pose as PoseMessage
 from nav_msgs.msg import Odometry as OdometryMessage
 from numpy.typing import NDArray
-from sensor_msgs.msg import Image
+from sensor_msgs.msg import Image, PointCloud2, PointField
 from std_msgs.msg import Header
 
 from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry, Twist
@@ -98,6 +98,27 @@ def grey_image(stamp_ns: int, frame_id: str, pixels: NDArray[np.uint8]) -> Image
     return Image(
         header=header_of(stamp_ns, frame_id), height=height, width=width, encoding='mono8',
         is_bigendian=0, step=width, data=array.array('B', pixels.tobytes()),
+    )  # fmt: skip
+
+
+def point_cloud(
+    stamp_ns: int, frame_id: str, points: NDArray[np.float64], value: str
+) -> PointCloud2:
+    """Return a cloud of points with the fields x, y, z and a value.
+
+    Args:
+        stamp_ns, frame_id: for the header.
+        points: (n, 4) x, y, z and value of each point.
+        value: name of the fourth field.
+    """
+    return PointCloud2(
+        header=header_of(stamp_ns, frame_id), height=1, width=len(points),
+        fields=[
+            PointField(name=name, offset=4 * n, datatype=PointField.FLOAT32, count=1)
+            for n, name in enumerate(('x', 'y', 'z', value))
+        ],
+        is_bigendian=False, point_step=16, row_step=16 * len(points),
+        data=array.array('B', points.astype('<f4').tobytes()), is_dense=True,
     )  # fmt: skip
 
 

@@ -23,7 +23,7 @@ from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.common.turn_correction import TurnCorrection
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.mapping.experience_map import ExperienceMap, MapUpdate
 from ratslam_ros.core.mapping.late_join import LateJoin
 from ratslam_ros.core.mapping.mapping_step import adopt_correction, apply_action
 from ratslam_ros.core.mapping.relocator import Relocator
@@ -41,6 +41,7 @@ from ratslam_ros.messages.mapping import (
 from ratslam_ros.nodes.behaviours import Behaviours
 from ratslam_ros.nodes.convert import accepted_odometry, header_of, pose_message, transform
 from ratslam_ros.nodes.goal_navigation import GoalNavigation
+from ratslam_ros.nodes.map_changes import MapChangePublisher
 from ratslam_ros.nodes.markers import markers_of
 from ratslam_ros.nodes.node import FLUSH_CHECK_PERIOD_S, RatslamNode
 from ratslam_ros.nodes.qos import LATCHED, RESULT, STATE
@@ -76,6 +77,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         self._markers = self.create_publisher(MarkerArray, 'experience_map/markers', LATCHED)
         self._pose_publisher = self.create_publisher(PoseStamped, 'experience_map/pose', STATE)
         self._tf = self.create_publisher(TFMessage, '/tf', STATE)
+        self._changes = MapChangePublisher(self, self._section.map_frame)
         self._goals = GoalNavigation(self, self._diagnostics, lambda: self.config, self._refuse)
         self._behaviours = Behaviours(self, self._refuse)
         self._answers: Any = None
@@ -198,6 +200,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         self._republish_pose()
         if self._changed and time.monotonic() >= self._next_map_s:
             self._send_map()
+        self._changes.update(self._core, self._action_ns)
 
     def _process_item(self, stamp_ns: int, stream: str, item: Odometry | Scan | Action) -> None:
         if isinstance(item, Scan):
@@ -218,15 +221,17 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         with self._diagnostics.times('experience_map'):
             adopt_correction(self._motion, self._core, item.action)
             action = late_join.translate(item.action, item.sequence, item.memory_ns)
-            relocation = None
+            update = MapUpdate()
             if action is not None:
-                relocation = apply_action(
+                update = apply_action(
                     self._core, self._scans, stamp_ns, action, behaviour, self._relocator
-                ).relocation
+                )
         if self._answers is not None:
+            relocation = late_join.peer_relocation(update.relocation)
             self._answers.publish(String(data=encode_relocation(
-                stamp_ns, item.sequence, late_join.peer_relocation(relocation), item.memory_ns
+                stamp_ns, item.sequence, relocation, item.memory_ns
             )))  # fmt: skip
+        self._changes.publish_closures(stamp_ns, item.sequence, update.events)
         if item.action.template_id != NO_TEMPLATE:
             self._action_ns = stamp_ns
             self._changed = True
@@ -326,6 +331,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         self._flush()
         if self._changed and time.monotonic() >= self._next_map_s:
             self._send_map()
+        self._changes.update(self._core, self._action_ns)
         viewers = self._markers.get_subscription_count()
         if viewers > self._viewers and self._sent:
             self._send_markers()
