@@ -32,7 +32,7 @@ RVIZ_TYPES = {
 }  # fmt: skip
 """Type that each display or tool of RViz with a topic needs."""
 
-RVIZ_OTHERS = {'Grid', 'TF', 'MoveCamera', 'Select', 'FocusCamera', 'Measure'}
+RVIZ_OTHERS = {'Grid', 'Axes', 'TF', 'MoveCamera', 'Select', 'FocusCamera', 'Measure'}
 """Displays and tools of RViz without a topic."""
 
 NOT_IN_RVIZ = {
