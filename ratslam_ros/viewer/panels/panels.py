@@ -38,7 +38,7 @@ class Panels:
         self, server: viser.ViserServer, playback: Playback, scene: Scene, source: RunSource,
         controls: Controls, post: Post, colourings: Sequence[str] = (),
     ) -> None:  # fmt: skip
-        self._desk = desk = Desk(server, playback, scene, controls, post)
+        self.desk = desk = Desk(server, playback, scene, controls, post)
         gui = server.gui
         gui.set_panel_label('RatSLAM')
         left = gui.add_panel()
@@ -68,7 +68,7 @@ class Panels:
 
     def update(self, state: RunState) -> None:
         """Show a state; called by the loop after the scene has been updated."""
-        self._desk.updates += 1
+        self.desk.updates += 1
         self.time.update(state)
         self.camera.update(state)
         self.cells.update(state)
@@ -78,7 +78,7 @@ class Panels:
         self.parameters.update(state)
 
     def _shortcuts(self) -> list[Shortcut]:
-        playback, appearance = self._desk.playback, self.appearance
+        playback, appearance = self.desk.playback, self.appearance
 
         def toggle_dark() -> None:
             assign(appearance.dark, not appearance.dark.value)

@@ -43,7 +43,9 @@ class SelectionPanel:
         self.images = gui.add_html('', visible=False)
         self.details = gui.add_html('', visible=False)
         self.visits = gui.add_dropdown(
-            'Visits', (NO_VISIT,), visible=False,
+            'Visits',
+            (NO_VISIT,),
+            visible=False,
             hint='Times of its visits; choose one to go there.',
         )
         self.jump = gui.add_button(
@@ -96,7 +98,8 @@ class SelectionPanel:
         else:
             x_m, y_m = pick.point[:2]
             self.text.content = block(
-                strong('Ground'), f'x {x_m:.2f} m, y {y_m:.2f} m',
+                strong('Ground'),
+                f'x {x_m:.2f} m, y {y_m:.2f} m',
                 dim('To send the robot there, see Drive.'),
             )
 
@@ -197,9 +200,7 @@ class SelectionPanel:
             f'{mark("■", RED)} rejected: {view.reason}' if view.reason
             else f'{mark("●", GREEN)} accepted'
         )  # fmt: skip
-        self.text.content = block(
-            strong(f'Loop closure {view.source_id} → {target}'), verdict
-        )
+        self.text.content = block(strong(f'Loop closure {view.source_id} → {target}'), verdict)
         first = source.visits(target, view.stamp_ns)[:1]
         learned_ns = first[0].stamp_ns if first else None
         self.images.content = block(

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from ratslam_ros.history.run_state import NS_PER_S, RunState
-from ratslam_ros.viewer.panels.desk import Desk, assign
+from ratslam_ros.viewer.panels.desk import Desk, assign, offer
 from ratslam_ros.viewer.panels.html import ORANGE, block, dim, mark, strong
 from ratslam_ros.viewer.panels.texts import playback_text, stamp_text, time_text
 
@@ -66,7 +66,7 @@ class TimeControl:
         self.scrubber.max = float(max(1, -(-(end_ns - begin_ns) // NS_PER_S)))
         assign(self.scrubber, round(at_s / SLIDER_STEP_S) * SLIDER_STEP_S)
         play = PAUSE if playback.playing else PLAY
-        self.buttons.options = BEGIN, BACK, play, NEXT, END
+        offer(self.buttons, (BEGIN, BACK, play, NEXT, END))
         assign(self.speed, _speed_text(min(SPEEDS, key=lambda s: abs(s - playback.speed))))
         notices = [f'{mark("▲", ORANGE)} {dim(notice)}' for notice in source.notices]
         self.notices.visible, self.notices.content = bool(notices), block(*notices)
