@@ -7,7 +7,6 @@ from __future__ import annotations
 import base64
 import json
 import math
-from bisect import bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -202,29 +201,35 @@ class _Frames:
         self._source, self._overlay = source, overlay
         self._begin_ns = source.begin_ns
         self._length = time_text((source.end_ns - source.begin_ns) / NS_PER_S, 0)
-        self._closures = [
-            view.stamp_ns for view in source.closures(source.end_ns) if not view.reason
-        ]
+        self._closed, self._closed_ns = 0, -1
         self._jpeg = b''
         self._view_ns = -1
 
     def add(self, state: RunState, stamp_ns: int) -> None:
         """Add the frame that shows a state."""
         overlay = self._overlay
+        self._count_closures(stamp_ns)
         self._add_views(state)
         self._add_image(state, stamp_ns)
         seconds = (stamp_ns - self._begin_ns) / NS_PER_S
-        closed = bisect_right(self._closures, stamp_ns)
         view = state.view
         overlay.frames.append({
             's': round(seconds, 3),
             'time': f'{time_text(seconds, 0)} of {self._length} (min:s)',
             'counts': f'{len(state.map)} places, {state.map.link_count} links, '
-                      f'{closed} loop closures',
+                      f'{self._closed} loop closures',
             'decision': '' if view is None else f'{match_text(view)}; {decision_text(view)}',
             'image': len(overlay.images) - 1,
             'views': len(overlay.views),
         })  # fmt: skip
+
+    def _count_closures(self, stamp_ns: int) -> None:
+        # A source lists only the latest closures, so they are counted frame by frame.
+        found = self._source.closures(stamp_ns)
+        self._closed += sum(
+            view.stamp_ns > self._closed_ns for view in found if not view.reason
+        )
+        self._closed_ns = stamp_ns
 
     def _add_views(self, state: RunState) -> None:
         for view in state.recent:
