@@ -116,10 +116,13 @@ def export_html(
     if source.end_ns <= source.begin_ns:
         count, duration_s = 1, 0.0
     for attempt in range(ATTEMPTS):
+
+        def attempted(part: float, left: float = 0.5**attempt) -> None:
+            report(1 - left * (1 - part / 2))
+
         html = record_html(
-            source, count, duration_s, dark=dark, colouring=colouring,
-            progress=lambda part, attempt=attempt: report(1 - (1 - part / 2) / 2**attempt),
-        )  # fmt: skip
+            source, count, duration_s, dark=dark, colouring=colouring, progress=attempted
+        )
         content = html.encode()
         if len(content) <= max_bytes or count <= MIN_FRAMES:
             break
@@ -266,8 +269,10 @@ def _small(jpeg: bytes) -> bytes | None:
 
 def _aim(viser_server: ViserServer, final: RunState) -> None:
     """Aim the camera so that everything of the final state is seen beside the overlay."""
-    points = [final.map.poses[:, :2], final.trail.points_m, final.dead_reckoning.points_m]
-    points = np.concatenate([*points, final.truth.points_m])
+    points = np.concatenate([
+        final.map.poses[:, :2], final.trail.points_m, final.dead_reckoning.points_m,
+        final.truth.points_m,
+    ])  # fmt: skip
     points = points[np.isfinite(points).all(axis=1)]
     low, high = (points.min(axis=0), points.max(axis=0)) if len(points) else (-ONE_M, ONE_M)
     centre = (low + high) / 2
