@@ -43,7 +43,7 @@ MARGIN = 0.9
 """Part of the limit that is aimed at, because the size is not quite proportional to the frames."""
 
 IMAGE_WIDTH_PX, JPEG_QUALITY = 320, 70
-"""Width and quality of the camera images; the page shows them 280 px wide."""
+"""Largest width of the camera images, and their quality; the page shows them 242 px wide."""
 
 FIELD_OF_VIEW, ELEVATION = math.radians(45), math.radians(60)
 """Vertical field of view of the camera, and its direction above the floor."""
@@ -219,8 +219,8 @@ class _Frames:
         overlay.frames.append({
             's': round(seconds, 3),
             'time': f'{time_text(seconds, 0)} of {self._length} (min:s)',
-            'counts': f'{len(state.map)} places, {state.map.link_count} links, '
-                      f'{self._closed} loop closures',
+            'counts': f'places: {len(state.map)} · links: {state.map.link_count} · '
+                      f'loop closures: {self._closed}',
             'decision': '' if view is None else f'{match_text(view)}; {decision_text(view)}',
             'image': len(overlay.images) - 1,
             'views': len(overlay.views),

@@ -51,8 +51,8 @@ def test_page_has_texts_images_and_errors_of_every_frame() -> None:
     assert data['title'] == 'test run' and len(data['frames']) == 30
     first, last = data['frames'][0], data['frames'][-1]
     assert first['time'].startswith('0:00 of 0:30') and last['time'].startswith('0:30 of 0:30')
-    assert first['counts'].startswith('1 places, 0 links, 0 loop closures')
-    assert last['counts'] == '20 places, 20 links, 1 loop closures'
+    assert first['counts'] == 'places: 1 · links: 0 · loop closures: 0'
+    assert last['counts'] == 'places: 20 · links: 20 · loop closures: 1'
     assert 'experience 0 created' in first['decision']
     assert last['views'] == len(data['views']) == 60
     assert sum(row[3] for row in data['views']) == 20
@@ -211,14 +211,14 @@ def test_exported_page_plays_offline_in_browser(browser: Any, tmp_path: Path) ->
 
     until(lambda: frame() > 2)  # it plays by itself
     text = show(3.9)
-    assert 'test run' in text and '20 places, 20 links, 1 loop closures' in text
-    assert 'Legend' in text and 'match error, last minute' in text
+    assert 'test run' in text and 'places: 20 · links: 20 · loop closures: 1' in text
+    assert 'Legend' in text and 'match error of the last minute' in text
     assert browser.execute_script("return document.querySelector('#run img').naturalWidth") == 40
     until(lambda: blue_pixels(browser) > 50)
     everything = blue_pixels(browser)
-    assert '3 places, 2 links' in show(0.15)
+    assert 'places: 3 · links: 2' in show(0.15)
     until(lambda: blue_pixels(browser) < everything / 2)
-    assert '20 places' in show(3.9)
+    assert 'places: 20' in show(3.9)
     until(lambda: blue_pixels(browser) > everything / 2)
     requested = requests(browser, page)
     assert page in requested
