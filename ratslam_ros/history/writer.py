@@ -15,7 +15,7 @@ import zstandard
 from ratslam_ros.core.mapping.map_changes import MapChange
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.history.checkpoints import encode_state
-from ratslam_ros.history.encoding import encode
+from ratslam_ros.history.encoding import decode, encode
 from ratslam_ros.history.records import (
     CellsRecord,
     ImageRecord,
@@ -140,7 +140,6 @@ class HistoryWriter:
         data = encode(record, self._now_ns)
         self._records.append(data)
         self._raw += len(data)
-        self._state.apply(record)
         if isinstance(record, ViewRecord):
             self._views.append(
                 (self._now_ns, self._segment, record.target_id, self._kind_of(record))
@@ -150,14 +149,17 @@ class HistoryWriter:
         """Write what has been added, so that readers see it."""
         if not self._records or self._file is None or self.error:
             return
-        packed = self._pack(b''.join(self._records))
+        raw = b''.join(self._records)
+        for _, record in decode(raw):  # rounded, as a reader gets them
+            self._state.apply(record)
+        packed = self._pack(raw)
         written = len(packed)
         file = self._file
         try:
             file.execute('BEGIN')
             file.execute(
                 'INSERT INTO segments VALUES (?, ?, ?, ?, ?, ?)',
-                (self._segment, self._first_ns, self._now_ns, len(self._records), self._raw,
+                (self._segment, self._first_ns, self._now_ns, len(self._records), len(raw),
                  packed),
             )  # fmt: skip
             file.executemany(
