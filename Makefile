@@ -20,6 +20,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 .DELETE_ON_ERROR:
 
 demo: $(RUN)
+	$(BIN)/ratslam warm-up mapping simulator
 	$(BIN)/ratslam demo
 	@echo "(the command is in $(BIN): source $(BIN)/activate)"
 

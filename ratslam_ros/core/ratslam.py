@@ -66,7 +66,8 @@ class ViewStep:
 
     ``pruned``: the experience that made room for a new one. ``rejected``: the loop-closure gate
     rejected the action, and the map is unchanged. ``relocated_to``: experience to which scans have
-    relocated the robot after the action, -1 if they have not.
+    relocated the robot after the action, -1 if they have not. ``reason``: why the gate rejected
+    the action, '' if it did not.
     """
 
     stamp_ns: int
@@ -75,6 +76,7 @@ class ViewStep:
     pruned: PrunedExperience | None = None
     rejected: bool = False
     relocated_to: int = NO_EXPERIENCE
+    reason: str = ''
 
 
 Step = OdometryStep | ViewStep
@@ -307,5 +309,6 @@ class RatSLAM:
         if update.relocation is not None:
             relocated_to = update.relocation.experience_id
         return ViewStep(
-            stamp_ns, match, action, update.pruned, update.rejected, relocated_to
+            stamp_ns, match, action, update.pruned, update.rejected, relocated_to,
+            update.reason,
         )

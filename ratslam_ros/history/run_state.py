@@ -40,6 +40,8 @@ class RunState:
     def __init__(self) -> None:
         self.stamp_ns = 0
         """Stamp of the last record, 0 before the first."""
+        self.position = 0, 0
+        """Place in the history it was read from: segment, and records of it that are included."""
         self.map = MapMirror()
         self.visits = Visits()
         self.pose: PoseRecord | None = None
@@ -141,6 +143,11 @@ class Trail:
     def points_m(self) -> NDArray[np.float64]:
         """(n, 2) positions in m, oldest first."""
         return self._points[: self._count]
+
+    def restore(self, points_m: NDArray[np.float64]) -> None:
+        """Replace all positions by (n, 2) points in m, oldest first."""
+        self._points, self._count = points_m.astype(np.float64), len(points_m)
+        self.version += 1
 
     def add(self, position: tuple[float, float]) -> None:
         """Add a position, unless it is near the last one."""

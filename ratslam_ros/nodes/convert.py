@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import array
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -13,7 +13,7 @@ from geometry_msgs.msg import Point, Quaternion, TransformStamped
 from geometry_msgs.msg import Pose as PoseMessage
 from nav_msgs.msg import Odometry as OdometryMessage
 from numpy.typing import NDArray
-from sensor_msgs.msg import Image
+from sensor_msgs.msg import Image, PointCloud2, PointField
 from std_msgs.msg import Header
 
 from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry, Twist
@@ -99,6 +99,40 @@ def grey_image(stamp_ns: int, frame_id: str, pixels: NDArray[np.uint8]) -> Image
         header=header_of(stamp_ns, frame_id), height=height, width=width, encoding='mono8',
         is_bigendian=0, step=width, data=array.array('B', pixels.tobytes()),
     )  # fmt: skip
+
+
+def point_cloud(
+    stamp_ns: int, frame_id: str, points: NDArray[np.float64], value: str
+) -> PointCloud2:
+    """Return a cloud of points with the fields x, y, z and a value.
+
+    Args:
+        stamp_ns, frame_id: for the header.
+        points: (n, 4) x, y, z and value of each point.
+        value: name of the fourth field.
+    """
+    return PointCloud2(
+        header=header_of(stamp_ns, frame_id), height=1, width=len(points),
+        fields=[
+            PointField(name=name, offset=4 * n, datatype=PointField.FLOAT32, count=1)
+            for n, name in enumerate(('x', 'y', 'z', value))
+        ],
+        is_bigendian=False, point_step=16, row_step=16 * len(points),
+        data=array.array('B', points.astype('<f4').tobytes()), is_dense=True,
+    )  # fmt: skip
+
+
+def serialised_text(parts: Sequence[bytes]) -> bytes:
+    """Return a std_msgs/String of joined ASCII texts in CDR, as publishers accept it.
+
+    The conversion of a message copies its text several times. Python joins more than 1 MB without
+    holding the interpreter lock. See the specification DDS-XTypes 1.3, section 7.4: the header of
+    little-endian CDR, the length with the final zero, the text, and padding to 4 bytes.
+    """
+    length = 1 + sum(map(len, parts))
+    return b''.join(
+        [b'\0\1\0\0', length.to_bytes(4, 'little'), *parts, bytes(1 + -length % 4)]
+    )
 
 
 def _orientation(pose: Pose) -> Quaternion:

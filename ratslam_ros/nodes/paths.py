@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import array
 import math
 from collections.abc import Sequence
 
@@ -12,10 +11,10 @@ import numpy as np
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
 from numpy.typing import NDArray
-from sensor_msgs.msg import PointCloud2, PointField
+from sensor_msgs.msg import PointCloud2
 
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.nodes.convert import header_of, pose_message, time_of
+from ratslam_ros.nodes.convert import header_of, point_cloud, pose_message, time_of
 
 MIN_STEP_M = 1e-6
 """Length below which a step of a route has no heading."""
@@ -64,15 +63,7 @@ def cloud_of(
         frame_id: the frame of the map.
     """
     is_finite = np.isfinite(seconds)
-    points = np.zeros((np.count_nonzero(is_finite), 4), np.dtype('<f4'))
+    points = np.zeros((np.count_nonzero(is_finite), 4))
     points[:, :2] = positions_m[is_finite]
     points[:, 3] = seconds[is_finite]
-    return PointCloud2(
-        header=header_of(stamp_ns, frame_id), height=1, width=len(points),
-        fields=[
-            PointField(name=name, offset=4 * n, datatype=PointField.FLOAT32, count=1)
-            for n, name in enumerate(('x', 'y', 'z', 'time'))
-        ],
-        is_bigendian=False, point_step=16, row_step=16 * len(points),
-        data=array.array('B', points.tobytes()), is_dense=True,
-    )  # fmt: skip
+    return point_cloud(stamp_ns, frame_id, points, 'time')

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from nav_msgs.msg import Odometry as OdometryMessage
-from sensor_msgs.msg import Image
+from sensor_msgs.msg import Image, PointCloud2
 from std_msgs.msg import String
 
 from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry
@@ -19,6 +19,7 @@ from ratslam_ros.core.common.state import State
 from ratslam_ros.core.common.turn_correction import TurnCorrection
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.id_map import MIN_MEMORY_NS, NO_MEMORY_NS, IdMap
+from ratslam_ros.core.pose_cells.active_cells import active_cells
 from ratslam_ros.core.pose_cells.map_relocation import MapRelocations
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE, ViewMatch
@@ -29,7 +30,8 @@ from ratslam_ros.messages.mapping import (
     encode_action,
     encode_active,
 )
-from ratslam_ros.nodes.convert import accepted_odometry, grey_image
+from ratslam_ros.messages.pose_cells import encode_packets
+from ratslam_ros.nodes.convert import accepted_odometry, grey_image, point_cloud
 from ratslam_ros.nodes.goal_seeking import GoalSeeking
 from ratslam_ros.nodes.node import FLUSH_CHECK_PERIOD_S, RatslamNode
 from ratslam_ros.nodes.qos import INPUT, RESULT, VIEW
@@ -39,7 +41,7 @@ LOGGED_GAIN_CHANGE = 0.02
 """Relative change of the rotation gain that is logged."""
 
 ACTIVITY_PERIOD_S = 0.1
-"""Shortest time between two images of the activity."""
+"""Shortest time between two messages with the activity."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +64,8 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
         self._publisher = self.create_publisher(String, 'pose_cells/action', RESULT)
         self._active = self.create_publisher(String, 'pose_cells/active_experiences', VIEW)
         self._activity = self.create_publisher(Image, 'pose_cells/activity', VIEW)
+        self._cells = self.create_publisher(PointCloud2, 'pose_cells/cells', VIEW)
+        self._packets = self.create_publisher(String, 'pose_cells/packets', VIEW)
         self._shown_s = 0.0
         self._goals: GoalSeeking | None = None
         if self.parts:
@@ -239,13 +243,13 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
         ):
             self._numbering.restart()
             self._core.forget()
-            self._report_missing(
+            self._diagnostics.note(
                 'local_view has gone back to an earlier memory: its ids mean other views now, so '
                 'places seen before will not be recognised; load or reset all nodes together'
             )
         if self._numbering.set_memory(template.memory_ns):
             self._core.forget()
-            self._report_missing(
+            self._diagnostics.note(
                 'local_view has started with an empty memory: places seen before will not be '
                 'recognised; to start over, call pose_cells/reset and experience_map/reset too'
             )
@@ -253,22 +257,32 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
             template.memory_ns < stamp_ns
         ):
             self._diagnostics.counts['missed'] += match.template_id + 1
-            self._report_missing(
+            self._diagnostics.note(
                 'this node started late: local_view had learned before; views learned then are '
                 'associated with pose cells when they are seen again. To start over, call reset '
                 'on all nodes'
             )
 
-    def _report_missing(self, text: str) -> None:
-        self._diagnostics.missing['template'] = text
-        self.get_logger().warning(text)
-
     def _publish_activity(self, stamp_ns: int) -> None:
-        """Publish the largest activity over all headings, with x to the right and y up."""
+        """Publish the activity to subscribers, at a limited rate.
+
+        The image is the largest activity over all headings, with x to the right and y up.
+        """
         now_s = time.monotonic()
         if now_s - self._shown_s < ACTIVITY_PERIOD_S:
             return
         self._shown_s = now_s
+        has_cells = self._cells.get_subscription_count() > 0
+        has_packets = self._packets.get_subscription_count() > 0
+        if has_cells or has_packets:
+            active = active_cells(self._core)
+            if has_cells:
+                points = np.column_stack([active.cells, active.activity])
+                self._cells.publish(point_cloud(stamp_ns, 'pose_cells', points, 'activity'))
+            if has_packets:
+                self._packets.publish(
+                    String(data=encode_packets(stamp_ns, self._core.dims, active))
+                )
         if self._activity.get_subscription_count() == 0:
             return
         plane = self._core.activity().max(axis=0)[::-1]

@@ -23,11 +23,11 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.common.compiled import compiled
 from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.landmarks.chi_square import chi_square_limits
 from ratslam_ros.core.landmarks.compatibility import (
     Fit,
     Geometry,
     add_pair,
-    chi_square_limits,
     empty_fit,
     freedom,
     geometry_of,

@@ -17,9 +17,16 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.config.line_extraction import LineExtractionParameters
-from ratslam_ros.core.landmarks import line_kernels as kernels
 from ratslam_ros.core.landmarks.features import BAR_SIZE, Features, Observations
-from ratslam_ros.core.landmarks.line_kernels import CORNER, EDGE, UNKNOWN, WALL
+from ratslam_ros.core.landmarks.line_kernels import find_walls, ordered_beams
+from ratslam_ros.core.landmarks.wall_end_kernels import (
+    CORNER,
+    EDGE,
+    UNKNOWN,
+    WALL,
+    find_ends,
+    landmarks_of,
+)
 
 __all__ = [
     'CORNER', 'EDGE', 'UNKNOWN', 'WALL', 'LaserLandmarks', 'extract_landmarks', 'observations_of',
@@ -98,15 +105,15 @@ def extract_landmarks(scan: Scan, parameters: LineExtractionParameters) -> Laser
         parameters: noise of the laser and of the walls.
     """
     p = parameters
-    ranges, angles, is_full = kernels.ordered_beams(
+    ranges, angles, is_full = ordered_beams(
         scan.ranges_m, float(scan.angle_min_rad), float(scan.angle_increment_rad), p.le_max_range_m
     )
     noise = p.le_range_sd_m, p.le_wall_sd_m
-    spans, lines, covariances = kernels.find_walls(
+    spans, lines, covariances = find_walls(
         ranges, angles, is_full, *noise, p.le_min_length_m
     )
-    ends, at, sds = kernels.find_ends(ranges, angles, is_full, *noise, spans, lines)
-    kinds, _, offsets, values, covariance = kernels.landmarks_of(
+    ends, at, sds = find_ends(ranges, angles, is_full, *noise, spans, lines)
+    kinds, _, offsets, values, covariance = landmarks_of(
         lines, covariances, ends, at, sds, p.le_wall_sd_m
     )
     features = Features(np.arange(len(kinds)), offsets, values, covariance)

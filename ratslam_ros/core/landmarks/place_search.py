@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Compiled loops of relocalisation: sampling of observations, verification, and evidence.
+"""Compiled loops of relocalisation: sampling of observations, and verification.
 
 `relocalisation.py` describes the method.
 """
@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.compiled import compiled
 from ratslam_ros.core.landmarks.compatibility import (
-    VARIANCE_FLOOR,
     Fit,
     Geometry,
     add_pair,
@@ -25,28 +24,20 @@ from ratslam_ros.core.landmarks.compatibility import (
     freedom,
     pose_covariance,
 )
-from ratslam_ros.core.landmarks.features import BAR_SIZE
 from ratslam_ros.core.landmarks.joint_compatibility import search
+from ratslam_ros.core.landmarks.place_evidence import (
+    Grid,
+    box,
+    log_choose,
+    log_evidence,
+    log_position_density,
+)
 
 _MAX_PLACES = 100
 """Places that are compared; further ones replace the least probable."""
 
 _MAX_NODES = 5000
 """Joint tests that verify one hypothesis; then the largest set so far is used."""
-
-_LOG_TWO_PI = math.log(2.0 * math.pi)
-
-
-class Grid(NamedTuple):
-    """Known features by cells of the plane."""
-
-    left_m: float
-    bottom_m: float
-    cell_m: float
-    columns: int
-    rows: int
-    starts: NDArray[np.int64]
-    items: NDArray[np.int64]
 
 
 class Neighbours(NamedTuple):
@@ -60,26 +51,6 @@ class Neighbours(NamedTuple):
     """Largest variance of a distance."""
     position_variance: float
     """Largest sum of the variances of x and y of a feature."""
-
-
-def grid_of(values: NDArray[np.float64]) -> Grid:
-    """Sort features into cells that hold about one each."""
-    n = len(values)
-    if n == 0:
-        return Grid(0.0, 0.0, 1.0, 1, 1, np.zeros(2, np.int64), np.zeros(0, np.int64))
-    low, high = values[:, :2].min(axis=0), values[:, :2].max(axis=0)
-    width, height = float(high[0] - low[0]), float(high[1] - low[1])
-    cell = max(math.sqrt(width * height / n), max(width, height) / n, 1e-3)
-    columns, rows = int(width / cell) + 1, int(height / cell) + 1
-    cells = ((values[:, 1] - low[1]) / cell).astype(np.int64) * columns + (
-        (values[:, 0] - low[0]) / cell
-    ).astype(np.int64)
-    counts = np.bincount(cells, minlength=columns * rows)
-    starts = np.concatenate(([0], np.cumsum(counts))).astype(np.int64)
-    return Grid(
-        float(low[0]), float(low[1]), cell, columns, rows, starts,
-        np.argsort(cells, kind='stable'),
-    )  # fmt: skip
 
 
 @compiled
@@ -96,136 +67,6 @@ def draw(items: NDArray[np.int64], k: int, seed: int, counter: int) -> None:
     """Exchange item k with a random one of those from k on (Fisher-Yates)."""
     other = k + np.int64(_mixed(seed, counter) % np.uint64(len(items) - k))
     items[k], items[other] = items[other], items[k]
-
-
-@compiled
-def _log_choose(n: int, k: int) -> float:
-    return math.lgamma(n + 1.0) - math.lgamma(k + 1.0) - math.lgamma(n - k + 1.0)
-
-
-@compiled
-def _box(grid: Grid, x: float, y: float, radius: float) -> tuple[int, int, int, int]:
-    """Return the first and last column and row of the cells around a position."""
-    left = math.floor((x - radius - grid.left_m) / grid.cell_m)
-    right = math.floor((x + radius - grid.left_m) / grid.cell_m)
-    bottom = math.floor((y - radius - grid.bottom_m) / grid.cell_m)
-    top = math.floor((y + radius - grid.bottom_m) / grid.cell_m)
-    return (
-        int(max(left, 0)), int(min(right, grid.columns - 1)),
-        int(max(bottom, 0)), int(min(top, grid.rows - 1)),
-    )  # fmt: skip
-
-
-@compiled
-def _log_position_density(seen: Geometry) -> tuple[float, NDArray[np.float64]]:
-    """Return the largest range, and the log density of each position elsewhere.
-
-    The density is a mixture in equal parts of a uniform disc around the robot, and of positions
-    at the ends of bars that are seen as well: corners and walls meet, on the map or elsewhere. For
-    several bars, the best one counts. Each observation is described given those before it.
-    """
-    n = len(seen.sizes)
-    largest2, mean2 = 0.0, 0.0
-    for i in range(n):
-        range2 = seen.values[i, 0] * seen.values[i, 0] + seen.values[i, 1] * seen.values[i, 1]
-        largest2 = max(largest2, range2)
-        mean2 += range2 / n
-    # Features spread uniformly over a disc of radius R have a mean square range of R^2 / 2.
-    disc = 1.0 / max(2.0 * math.pi * mean2, 1e-6)
-    log_density = np.empty(n)
-    for i in range(n):
-        at_end = 0.0
-        for k in range(i):
-            at_end = max(at_end, _end_density(seen, i, k, False))
-            if seen.sizes[k] == BAR_SIZE:
-                at_end = max(at_end, _end_density(seen, i, k, True))
-            if seen.sizes[i] == BAR_SIZE:
-                at_end = max(at_end, _end_density(seen, k, i, True))
-        log_density[i] = math.log(0.5 * disc + 0.5 * at_end)
-    return math.sqrt(largest2), log_density
-
-
-@compiled
-def _end_density(seen: Geometry, i: int, bar: int, far: bool) -> float:
-    """Return the density of the distance between a feature and the start or end of a bar, at 0.
-
-    Both are independent in this approximation.
-    """
-    a, b = seen.offsets[i], seen.offsets[bar]
-    dx, dy = seen.values[i, 0] - seen.values[bar, 0], seen.values[i, 1] - seen.values[bar, 1]
-    xx = seen.covariance[a, a] + seen.covariance[b, b] + VARIANCE_FLOOR
-    xy = seen.covariance[a, a + 1] + seen.covariance[b, b + 1]
-    yy = seen.covariance[a + 1, a + 1] + seen.covariance[b + 1, b + 1] + VARIANCE_FLOOR
-    if far:
-        length = seen.values[bar, 3]
-        c, s = math.cos(seen.values[bar, 2]), math.sin(seen.values[bar, 2])
-        dx, dy = dx - length * c, dy - length * s
-        along = seen.covariance[b + 3, b + 3]
-        across = length * length * seen.covariance[b + 2, b + 2]
-        xx += c * c * along + s * s * across
-        xy += c * s * (along - across)
-        yy += s * s * along + c * c * across
-    determinant = max(xx * yy - xy * xy, 1e-300)
-    exponent = 0.5 * (yy * dx * dx - 2.0 * xy * dx * dy + xx * dy * dy) / determinant
-    return math.exp(-exponent) / (2.0 * math.pi * math.sqrt(determinant))
-
-
-@compiled
-def _log_evidence(
-    seen: Geometry,
-    known: Geometry,
-    fit: Fit,
-    level: int,
-    distance2: float,
-    grid: Grid,
-    range_m: float,
-    log_position: NDArray[np.float64],
-    log_prior: float,
-) -> float:
-    """Return the logarithm of the evidence of the first ``level`` pairs of a fit (see module)."""
-    sums = fit.sums[level]
-    a, b, c, d, e, f = sums[0], sums[1], sums[2], sums[3], sums[4], sums[5]
-    information = a * (d * f - e * e) - b * (b * f - c * e) + c * (b * e - c * d)
-    value = log_prior + 1.5 * _LOG_TWO_PI - 0.5 * math.log(max(information, 1e-300))
-    value -= 0.5 * (distance2 + sums[10] + fit.rows[level] * _LOG_TWO_PI)
-    bars = 0
-    for j in range(len(known.sizes)):
-        bars += 1 if known.sizes[j] == BAR_SIZE else 0
-    heading = fit.fitted[level, 2]
-    for k in range(level):
-        i = fit.seen[k]
-        value -= log_position[i]
-        if seen.sizes[i] != BAR_SIZE:
-            continue
-        # Density of the direction and length of this observation among the features of the map.
-        o = seen.offsets[i]
-        density = 0.0
-        for j in range(len(known.sizes)):
-            if known.sizes[j] != BAR_SIZE:
-                continue
-            q = known.offsets[j]
-            turn = wrap(seen.values[i, 2] + heading - known.values[j, 2])
-            longer = seen.values[i, 3] - known.values[j, 3]
-            turn2 = seen.covariance[o + 2, o + 2] + known.covariance[q + 2, q + 2] + 1e-8
-            longer2 = seen.covariance[o + 3, o + 3] + known.covariance[q + 3, q + 3] + 1e-8
-            exponent = 0.5 * (turn * turn / turn2 + longer * longer / longer2)
-            if exponent < 40.0:
-                density += math.exp(-exponent) / math.sqrt(turn2 * longer2)
-        value -= math.log(max(density, 1e-12) / bars) - _LOG_TWO_PI
-    n = len(seen.sizes)
-    x, y = fit.fitted[level, 0], fit.fitted[level, 1]
-    left, right, bottom, top = _box(grid, x, y, range_m)
-    visible = 0
-    for row in range(bottom, top + 1):
-        for item in range(
-            grid.starts[row * grid.columns + left], grid.starts[row * grid.columns + right + 1]
-        ):
-            j = grid.items[item]
-            dx, dy = known.values[j, 0] - x, known.values[j, 1] - y
-            visible += 1 if dx * dx + dy * dy <= range_m * range_m else 0
-    visible = max(visible, level)
-    value -= math.log(min(n, visible) + 1.0) + _log_choose(n, level)
-    return value - math.lgamma(visible + 1.0) + math.lgamma(visible - level + 1.0)
 
 
 @compiled
@@ -305,7 +146,7 @@ def _candidates(
         spread += 2.0 * covariance[2, 2] * (sx * sx + sy * sy) + variance
         spread += seen.covariance[o, o] + seen.covariance[o + 1, o + 1]
         radius = math.sqrt(limits[2] * spread)
-        left, right, bottom, top = _box(grid, px, py, radius)
+        left, right, bottom, top = box(grid, px, py, radius)
         for row in range(bottom, top + 1):
             if left > right:
                 break
@@ -375,7 +216,7 @@ def search_places(
     order, starts = np.zeros(n, np.int64), np.zeros(n + 1, np.int64)
     candidates, distances2 = np.zeros(64 * n, np.int64), np.zeros(64 * n)
 
-    range_m, log_position = _log_position_density(seen)
+    range_m, log_position = log_position_density(seen)
     width = grid.columns * grid.cell_m + 2.0 * range_m
     height = grid.rows * grid.cell_m + 2.0 * range_m
     log_prior = -math.log(width * height * 2.0 * math.pi)
@@ -482,7 +323,7 @@ def search_places(
                 continue
             for k in range(pairs):
                 distance2 = add_pair(seen, known, fit, k, best.seen[k], best.known[k])
-            value = _log_evidence(
+            value = log_evidence(
                 seen, known, fit, pairs, distance2, grid, range_m, log_position, log_prior
             )
             covariance = pose_covariance(fit, pairs)
@@ -524,7 +365,7 @@ def search_places(
             needed = max(least, most_pairs - lacking)
         hit = 0.0
         if needed >= sample:
-            hit = math.exp(_log_choose(needed, sample) - _log_choose(n, sample))
+            hit = math.exp(log_choose(needed, sample) - log_choose(n, sample))
         missed = (1.0 - hit) ** draws
         if missed <= error:
             break

@@ -44,17 +44,17 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config.relocalisation import RelocalisationParameters
+from ratslam_ros.core.landmarks.chi_square import chi_square_limits
 from ratslam_ros.core.landmarks.compatibility import (
     Geometry,
-    chi_square_limits,
     geometry_of,
     unary_compatible,
 )
 from ratslam_ros.core.landmarks.features import BAR_SIZE, Features
+from ratslam_ros.core.landmarks.place_evidence import grid_of
 from ratslam_ros.core.landmarks.place_search import (
     Neighbours,
     draw,
-    grid_of,
     search_places,
 )
 

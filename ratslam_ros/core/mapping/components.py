@@ -20,6 +20,8 @@ class Components:
         """Component in which the robot is."""
         self.gap_count = 0
         """Number of components that were begun after the first one."""
+        self.merge_count = 0
+        """Counter that grows when components are merged."""
         self._of: list[int] = []
 
     def of(self, experience_id: int) -> int:
@@ -53,6 +55,7 @@ class Components:
 
     def merge(self, component: int, into: int) -> None:
         """Assign the experiences of one component, and the robot if it is there, to another."""
+        self.merge_count += 1
         self._of = [into if number == component else number for number in self._of]
         if self.current == component:
             self.current = into

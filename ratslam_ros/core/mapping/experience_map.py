@@ -27,8 +27,12 @@ from ratslam_ros.core.mapping.link_learning import (
 from ratslam_ros.core.mapping.link_weights import reach_m
 from ratslam_ros.core.mapping.links import Link, outgoing_from, with_capacity
 from ratslam_ros.core.mapping.loop_closure_gate import (
+    REQUIRED_COUNT,
+    ClosureEvent,
+    Excess,
     LoopClosureGate,
-    exceeds_drift,
+    Outcome,
+    drift_excess,
     long_known_experience,
 )
 from ratslam_ros.core.mapping.optimiser import PoseGraphOptimiser
@@ -66,14 +70,24 @@ class PrunedExperience(NamedTuple):
 class MapUpdate:
     """What one map action changed.
 
-    ``pruned``: the experience that made room for a new one. ``rejected``: the loop-closure gate
-    rejected the transition, and neither the links nor the current experience have changed.
-    ``relocation``: where scans have relocated the robot after the action, None if they have not.
+    ``pruned``: the experience that made room for a new one. ``events``: loop closures, rejections
+    and relocations. ``relocation``: where scans have relocated the robot after the action, None if
+    they have not.
     """
 
     pruned: PrunedExperience | None = None
-    rejected: bool = False
+    events: tuple[ClosureEvent, ...] = ()
     relocation: MapRelocation | None = None
+
+    @property
+    def rejected(self) -> bool:
+        """Whether the gate rejected the transition; links and current experience are as before."""
+        return self.reason != ''
+
+    @property
+    def reason(self) -> str:
+        """Why the loop-closure gate rejected the transition; '' if it did not."""
+        return next((one.reason for one in self.events if one.outcome == 'rejected'), '')
 
 
 class ExperienceMap(ExperienceGraph):
@@ -248,10 +262,11 @@ class ExperienceMap(ExperienceGraph):
             return MapUpdate()
         if action.view_spacing_m > 0.0:
             self._optimiser.view_spacing_m = action.view_spacing_m
+        events: tuple[ClosureEvent, ...] = ()
         if action.action == 'none':
-            self._recognise(action)
+            events += self._recognise(action)
             self._relax()
-            return MapUpdate()
+            return MapUpdate(events=events)
         # After a rejected closure, or before they adopt a relocation, the current experience of
         # the pose cells differs from that of the map: the robot did not come from the action's
         # source.
@@ -263,7 +278,7 @@ class ExperienceMap(ExperienceGraph):
         if scan_match is not None:
             self.offset = scan_match.from_current or self.offset
             target_offset = scan_match.from_target or target_offset
-        pruned, relocated = None, False
+        pruned, relocated, target = None, False, action.target_id
         if action.action == 'create':
             pose = self.pose
             self.gate.record_new_place(pose)
@@ -273,35 +288,45 @@ class ExperienceMap(ExperienceGraph):
                     source = self.current_id
             self._place(action, composed(pose, inverse(target_offset)), self._odometer_m)
         elif self._is_apart(action.target_id):
-            self._rejoin(action.target_id, target_offset)
+            self._rejoin(target, target_offset)
             self.gate.record_agreement(self.pose)
-        elif self._exceeds_drift(action.target_id, target_offset):
+            if source == NO_EXPERIENCE:
+                reason = 'recognised after a gap of the odometry'
+                events = (ClosureEvent('relocated', source, target, reason),)
+        elif (excess := self._excess(target, target_offset)) is not None:
+            reason = str(excess)
             if self._scan_confirms_pose(scan_match):
                 self.gate.reject_by_scan(self.pose)
+                reason += '; the scan confirms the present pose'
             else:
                 claimed = composed(self.pose_of(action.target_id), target_offset)
                 has_scan = scan_match is not None and scan_match.fits is not None
                 by_views = self._p.exp_relocate != 'landmarks' or not has_scan
                 relocated = self.gate.record_closure(self.pose, claimed, by_views)
+                reason += f'; {self.gate.agreeing_count} of {REQUIRED_COUNT} closures agree'
+            outcome: Outcome = 'relocated' if relocated else 'rejected'
+            events = (ClosureEvent(outcome, self.current_id, target, reason),)
             if not relocated:
                 self._relax()
-                return MapUpdate(rejected=True)
+                return MapUpdate(events=events)
         else:
             self.gate.record_agreement(self.pose)
         returned = was_rejecting and source == action.target_id
         if source != NO_EXPERIENCE and self.mapping and not relocated and not returned:
             is_leaf = action.action == 'create'
             recognised = action.view_spacing_m > 0.0 and not is_leaf
-            self._connect(
-                source, action.target_id, target_offset, behaviour, is_leaf, recognised
+            is_added = self._connect(
+                source, target, target_offset, behaviour, is_leaf, recognised
             )
-        self.current_id = action.target_id
+            if is_added and not is_leaf:
+                events += (ClosureEvent('closed', source, target),)
+        self.current_id = target
         self.offset = target_offset
         self._duration_s = self._travelled_m = 0.0
-        self._recognise(action)
+        events += self._recognise(action)
         self._record_scan_confirmation(scan_match)
         self._relax()
-        return MapUpdate(pruned)
+        return MapUpdate(pruned, events)
 
     def relocate(self, target_id: int, target_offset: Pose, views: Sequence[Pose] = ()) -> bool:
         """Move the robot to another place that was proven by scans; return whether it is accepted.
@@ -371,26 +396,27 @@ class ExperienceMap(ExperienceGraph):
 
     # Loop-closure gating
 
-    def _exceeds_drift(self, target: int, target_offset: Pose) -> bool:
-        """Return whether a transition displaces the robot more than the map can have drifted."""
+    def _excess(self, target: int, target_offset: Pose) -> Excess | None:
+        """Return by how much a transition displaces the robot if drift does not explain it."""
         p, source = self._p, self.current_id
         if p.exp_jump_drift == 0.0 or not self.mapping or source == NO_EXPERIENCE:
-            return False
+            return None
         if self._links.row(source, target) is not None and not self.gate.rejecting:
-            return False
-        if not self._displacement_exceeds_drift(target, target_offset):
-            return False
+            return None
+        excess = self._drift_excess(target, target_offset)
+        if excess is None:
+            return None
         optimiser = self._optimiser
         if optimiser.is_settled or not optimiser.is_enabled or p.exp_relaxation != 'solve':
-            return True
+            return excess
         # The poses may still contain the error of a loop closure that has not been relaxed.
         self.settle()
         optimiser.discard_budget()
-        return self._displacement_exceeds_drift(target, target_offset)
+        return self._drift_excess(target, target_offset)
 
-    def _displacement_exceeds_drift(self, target: int, target_offset: Pose) -> bool:
+    def _drift_excess(self, target: int, target_offset: Pose) -> Excess | None:
         claimed = composed(self.pose_of(target), target_offset)
-        return exceeds_drift(
+        return drift_excess(
             self.pose, claimed, self._p.exp_jump_drift, self.link_ends, self.link_shapes[:, 0],
             self.current_id, target, self._travelled_m,
         )  # fmt: skip
@@ -446,7 +472,7 @@ class ExperienceMap(ExperienceGraph):
             self._unlearn(blocked)
         return len(blocked)
 
-    def _recognise(self, action: MapAction) -> None:
+    def _recognise(self, action: MapAction) -> tuple[ClosureEvent, ...]:
         """Link the current experience to the one that the view was recognised as.
 
         Nothing happens if they are linked already, or are in different components, or if too few
@@ -457,22 +483,23 @@ class ExperienceMap(ExperienceGraph):
             not 0 <= target < len(self) or current in (NO_EXPERIENCE, target) or not self.mapping
             or self._is_apart(target) or self._links.row(current, target) is not None
         ):
-            return
+            return ()
         place, here = self.pose_of(target), self.pose
         distance_m = math.hypot(place.x_m - here.x_m, place.y_m - here.y_m)
         spacing_m = action.view_spacing_m
         driven_m = self._odometer_m - self._recognised_at_m
         if distance_m > reach_m(driven_m, action.agreement, spacing_m):
-            return
+            return ()
         if distance_m < reach_m(0.0, 0.0, spacing_m):
             self._recognised_at_m = self._odometer_m
         offset = Pose(0.0, 0.0, action.relative_rad)
         self._connect(current, target, offset, '', is_leaf=False, recognised=True)
+        return (ClosureEvent('closed', current, target),)
 
     def _connect(
         self, source: int, target: int, target_offset: Pose, behaviour: str, is_leaf: bool,
         recognised: bool = False,
-    ) -> None:  # fmt: skip
+    ) -> bool:  # fmt: skip
         """Add the link of a transition, or average it with the link that exists.
 
         Then unlearn links from the same source that the behaviour does not drive any more.
@@ -484,6 +511,9 @@ class ExperienceMap(ExperienceGraph):
             is_leaf: whether the target is new. Then this link alone determines its pose, and
                 nothing has to be relaxed.
             recognised: whether the link is a recognition.
+
+        Returns:
+            Whether the link is new.
         """
         x_m, y_m, facing_rad = composed(self.offset, inverse(target_offset))
         link = Link(
@@ -505,6 +535,7 @@ class ExperienceMap(ExperienceGraph):
                 if unlikely is None:
                     break
                 self._unlearn([unlikely])
+        return row is None
 
     def _unlearn(self, rows: list[int]) -> None:
         """Delete links that can no longer be driven, and record their ends."""

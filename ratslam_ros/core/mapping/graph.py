@@ -49,6 +49,7 @@ class ExperienceGraph:
         self._links = Links()
         self._components = Components()
         self._unlearned: set[tuple[int, int]] = set()
+        self._replacement_count = 0
 
     def __len__(self) -> int:
         return len(self._labels)
@@ -86,6 +87,11 @@ class ExperienceGraph:
             for i, (template, place) in enumerate(self._labels)
         ]
 
+    @property
+    def replacement_count(self) -> int:
+        """Counter that grows when an experience takes the id of a pruned one."""
+        return self._replacement_count
+
     def component_of(self, experience_id: int) -> int:
         """Return the component of an experience; for -1 that of the robot.
 
@@ -102,6 +108,11 @@ class ExperienceGraph:
     def component_count(self) -> int:
         """Number of components that have experiences."""
         return self._components.count
+
+    @property
+    def merge_count(self) -> int:
+        """Counter that grows when components are joined."""
+        return self._components.merge_count
 
     def neighbours(self, experience_id: int) -> list[int]:
         """Return the ids of the experiences one link away, in either direction, ascending.
@@ -122,6 +133,11 @@ class ExperienceGraph:
     def link_count(self) -> int:
         """Number of links."""
         return len(self._links)
+
+    @property
+    def link_table(self) -> Links:
+        """All links, with columns that have no property here; do not modify."""
+        return self._links
 
     @property
     def link_ends(self) -> NDArray[np.int64]:
@@ -191,6 +207,7 @@ class ExperienceGraph:
             self._poses[action.target_id] = pose
             self._created_at_m[action.target_id] = odometer_m
             self._labels[action.target_id] = label
+            self._replacement_count += 1
             return
         if n == len(self._poses):
             self._poses = np.concatenate([self._poses, np.empty_like(self._poses)])

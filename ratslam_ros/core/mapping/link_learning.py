@@ -110,6 +110,26 @@ def confidences(counts: Sequence[int], failures: NDArray[np.int64]) -> list[floa
     ]
 
 
+def link_confidences(
+    sources: NDArray[np.int64], behaviours: NDArray[np.int64], counts: NDArray[np.int64],
+    time_outs: NDArray[np.int64],
+) -> NDArray[np.float64]:  # fmt: skip
+    """Return the confidence of every link of a map, as ``confidences`` does for some of them.
+
+    Without a behaviour the other attempts are unknown, and only its own time-outs count against a
+    link.
+
+    Args:
+        sources: (links,) ids of the experiences where the links start.
+        behaviours: (links,) numbers of the behaviours, 0 if unknown.
+        counts: (links,) numbers of times each transition was made.
+        time_outs: (links,) numbers of time-outs in front of each link.
+    """
+    groups = sources * (1 + behaviours.max(initial=0)) + behaviours
+    totals = np.bincount(groups, counts)[groups]
+    return counts / (np.where(behaviours > 0, totals, counts) + time_outs)
+
+
 def unlearning_candidates(
     counts: Sequence[int], failures: NDArray[np.int64], p: ExperienceMapParameters
 ) -> list[int]:

@@ -124,6 +124,11 @@ class Links:
         """(links,) share of its full weight that a recognition has, see ``link_weights``."""
         return self._shares[: len(self)]
 
+    @property
+    def serials(self) -> NDArray[np.int64]:
+        """(links,) serial number, which ascends with the row and is not used again."""
+        return self._serials[: len(self)]
+
     def row(self, source: int, target: int) -> int | None:
         """Return the row of a link, None if there is no such link."""
         serial = self._serial.get((source, target))

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,6 +60,46 @@ class Spot(NamedTuple):
     claimed: Pose | None = None
 
 
+Outcome = Literal['closed', 'rejected', 'relocated']
+
+
+class Excess(NamedTuple):
+    """Displacement and rotation by a closure, and the largest ones that drift explains.
+
+    One of them is larger than allowed.
+    """
+
+    displacement_m: float
+    allowed_m: float
+    rotation_rad: float
+    allowed_rad: float
+
+    def __str__(self) -> str:
+        if self.rotation_rad > self.allowed_rad:
+            return (
+                f'turns the robot by {math.degrees(self.rotation_rad):.0f} degrees, but drift '
+                f'explains at most {math.degrees(self.allowed_rad):.0f}'
+            )
+        return (
+            f'moves the robot by {self.displacement_m:.1f} m, but drift explains at most '
+            f'{self.allowed_m:.1f} m'
+        )
+
+
+class ClosureEvent(NamedTuple):
+    """A loop closure, or its rejection, or a relocation of the robot.
+
+    ``outcome``: `closed`: a link connects two known experiences from now on; `rejected`: the
+    robot stays at the source; `relocated`: the robot is at the target, without a link. ``reason``
+    explains a rejection or relocation.
+    """
+
+    outcome: Outcome
+    source_id: int
+    target_id: int
+    reason: str = ''
+
+
 class LoopClosureGate:
     """Recent evidence for and against a relocation of the robot."""
 
@@ -73,6 +113,8 @@ class LoopClosureGate:
         """Number of rejected closures."""
         self.relocation_count = 0
         """Number of accepted relocations."""
+        self.agreeing_count = 0
+        """Number of recent closures that agreed with the last one, itself included."""
 
     def state(self) -> State:
         """Return the evidence, for ``restore``."""
@@ -124,12 +166,12 @@ class LoopClosureGate:
             by_views: whether views can relocate the robot; if not, every closure is rejected.
         """
         self._record(Spot(here.x_m, here.y_m, here, claimed))
-        agreeing = sum(
+        self.agreeing_count = sum(
             math.dist(composed(claim, composed(inverse(there), here))[:2], claimed[:2])
             < AGREEMENT_M
             for _, _, there, claim in self._spots if there is not None and claim is not None
         )  # fmt: skip
-        enough = agreeing >= REQUIRED_COUNT or self.accepts_next
+        enough = self.agreeing_count >= REQUIRED_COUNT or self.accepts_next
         self.rejecting = not (enough and by_views)
         if self.rejecting:
             self.rejected_count += 1
@@ -193,11 +235,11 @@ def long_known_experience(
     return int(near[away_m[near].argmin()]) if len(near) else None
 
 
-def exceeds_drift(
+def drift_excess(
     here: Pose, claimed: Pose, drift: float, ends: NDArray[np.int64],
     lengths_m: NDArray[np.float64], source_id: int, target_id: int, driven_m: float = 0.0,
-) -> bool:  # fmt: skip
-    """Return whether a transition displaces the robot further than the map can have drifted.
+) -> Excess | None:  # fmt: skip
+    """Return by how much a transition displaces the robot, None if the map can have drifted so.
 
     Args:
         here, claimed: poses on the map before and after the transition.
@@ -205,23 +247,30 @@ def exceeds_drift(
         ends: (links, 2) source and target.
         lengths_m: (links,) length of each link in m.
         source_id, target_id: experiences of the transition. If no links connect them, the result
-            is False, because the map contains no estimate of their relative pose.
+            is None, because the map contains no estimate of their relative pose.
         driven_m: distance driven since the source, in m.
     """
     away_m = math.dist(here[:2], claimed[:2])
     # A constant heading error of e rad displaces the end of a path by up to e m per m.
     turned_rad = abs(wrap(claimed.heading_rad - here.heading_rad))
-    if turned_rad > FREE_ROTATION_RAD + 2.0 * drift:
-        return _are_connected(ends, lengths_m, source_id, target_id, math.inf)
-    most_m = (away_m - FREE_DISPLACEMENT_M) / drift - driven_m
-    return most_m > 0.0 and _are_connected(ends, lengths_m, source_id, target_id, most_m)
+    allowed_rad = FREE_ROTATION_RAD + 2.0 * drift
+    most_m = math.inf
+    if turned_rad <= allowed_rad:
+        most_m = (away_m - FREE_DISPLACEMENT_M) / drift - driven_m
+    if most_m <= 0.0:
+        return None
+    path_m = _path_m(ends, lengths_m, source_id, target_id, most_m)
+    if not math.isfinite(path_m):
+        return None
+    allowed_m = FREE_DISPLACEMENT_M + drift * (driven_m + path_m)
+    return Excess(away_m, allowed_m, turned_rad, allowed_rad)
 
 
-def _are_connected(
+def _path_m(
     ends: NDArray[np.int64], lengths_m: NDArray[np.float64], source_id: int, target_id: int,
     most_m: float,
-) -> bool:  # fmt: skip
-    """Return whether links connect two experiences by a path of at most ``most_m``."""
+) -> float:  # fmt: skip
+    """Return the length of the shortest path between two experiences, inf above ``most_m``."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import dijkstra
 
@@ -229,4 +278,4 @@ def _are_connected(
     pairs = ends.T.astype(np.int32)  # SciPy before 1.15 requires 32-bit indices
     graph = coo_array((np.maximum(lengths_m, 1e-9), pairs), shape=(count, count)).tocsr()
     reached_m = dijkstra(graph, directed=False, indices=source_id, limit=most_m)
-    return bool(np.isfinite(reached_m[target_id]))
+    return float(reached_m[target_id])

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 from ratslam_ros.core.common.odometry import MotionFromOdometry
 from ratslam_ros.core.mapping.experience_map import ExperienceMap, MapUpdate
+from ratslam_ros.core.mapping.loop_closure_gate import ClosureEvent
 from ratslam_ros.core.mapping.relocator import Relocator
 from ratslam_ros.core.mapping.scan_matching import ScanMatcher
 from ratslam_ros.core.pose_cells.map_action import MapAction
@@ -53,5 +54,11 @@ def apply_action(
     if update.rejected and scan_matcher is not None:
         scan_matcher.undo_last()
     if relocator is not None:
-        update = replace(update, relocation=relocator.step(stamp_ns, action, update))
+        source = experience_map.current_id
+        relocation = relocator.step(stamp_ns, action, update)
+        if relocation is not None:
+            event = ClosureEvent(
+                'relocated', source, relocation.experience_id, 'scans have proven the place'
+            )
+            update = replace(update, relocation=relocation, events=(*update.events, event))
     return update

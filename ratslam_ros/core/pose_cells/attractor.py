@@ -152,13 +152,7 @@ class Network:
         shares: list[Cells] = []
         for packet in packets:
             # Bilinear interpolation of the plane equals the trilinear one of ``dense``, summed.
-            plane = packet.cells.sum(axis=0)
-            for axis, along in enumerate(packet.frame[1:]):
-                part = float(along) % 1.0
-                zero = np.zeros_like(plane.take([0], axis))
-                plane = np.concatenate([plane, zero], axis) * (1.0 - part) + part * (
-                    np.concatenate([zero, plane], axis)
-                )
+            plane = _resampled(packet.cells.sum(axis=0), packet.frame[1:])
             low_y, low_x = np.floor(packet.frame[1:]).astype(np.int64) + packet.box[1:3]
             y = (low_y + np.arange(plane.shape[0])) % n_y
             x = (low_x + np.arange(plane.shape[1])) % n_x
@@ -169,6 +163,31 @@ class Network:
         activity = np.zeros(len(found))
         np.add.at(activity, at, np.concatenate(shares))
         return found, activity
+
+    def active(self, packets: list[Packet]) -> tuple[NDArray[np.int64], Cells]:
+        """Resample all packets onto the lattice of the torus, without allocating the torus.
+
+        Returns:
+            (n, 3) theta, y and x of the active cells, ascending, and (n,) their activity.
+        """
+        cells: list[NDArray[np.int64]] = []
+        shares: list[Cells] = []
+        for packet in packets:
+            box = _resampled(packet.cells, packet.frame)
+            at = np.argwhere(box > 0.0)
+            low = np.floor(packet.frame).astype(np.int64) + packet.box[:3]
+            cells.append(np.ravel_multi_index(((low + at) % self.dims).T, tuple(self.dims)))
+            shares.append(box[tuple(at.T)])
+        found, rows = np.unique(np.concatenate(cells), return_inverse=True)
+        activity = np.zeros(len(found))
+        np.add.at(activity, rows, np.concatenate(shares))
+        return np.stack(np.unravel_index(found, tuple(self.dims)), axis=1), activity
+
+    def places(self, packets: list[Packet]) -> NDArray[np.float64]:
+        """Return theta, y and x of the peak of each packet, and its total activity, (m, 4)."""
+        return np.array(
+            [(*decode(*p, self.dims), mass(p.cells)) for p in packets], np.float64
+        ).reshape(-1, 4)
 
     def _within_reach(self, a: Packet, b: Packet) -> bool:
         for axis in range(3):
@@ -224,6 +243,20 @@ def kernel(width: int, deviation: float) -> Cells:
     steps = range(-radius, radius + 1)
     weights = [math.exp(-(k * k) / (2.0 * deviation * deviation)) for k in steps]
     return np.array(weights) / math.fsum(weights)
+
+
+def _resampled(cells: Cells, frame: NDArray[np.float64]) -> Cells:
+    """Interpolate activity linearly onto the lattice of the torus; each axis gains a cell.
+
+    The first cell of the result is that of the box, moved by the whole part of ``frame``.
+    """
+    for axis, along in enumerate(frame):
+        part = float(along) % 1.0
+        zero = np.zeros_like(cells.take([0], axis))
+        cells = np.concatenate([cells, zero], axis) * (1.0 - part) + part * (
+            np.concatenate([zero, cells], axis)
+        )
+    return cells
 
 
 def _slice(

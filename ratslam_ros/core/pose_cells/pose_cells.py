@@ -71,6 +71,7 @@ class PoseCells:
         self._component = self._gap_count = 0
         self._odometry = Pose(0.0, 0.0, 0.0)
         self._at_views: deque[Pose] = deque(maxlen=ADOPTION_DELAY)
+        self._injections: tuple[Injection, ...] = ()
 
     def __len__(self) -> int:
         """Return the number of experiences."""
@@ -97,6 +98,28 @@ class PoseCells:
             (n,) cell numbers y * n_x + x, ascending, and (n,) their activity, above 0.
         """
         return self._network.projected(self._packets)
+
+    @property
+    def dims(self) -> tuple[int, int, int]:
+        """Numbers of cells in x, y and theta."""
+        return self._torus.n_x, self._torus.n_y, self._torus.n_theta
+
+    @property
+    def injections(self) -> tuple[Injection, ...]:
+        """Activity that the last view has injected: place, in cells, and energy."""
+        return self._injections
+
+    def active(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Return the active cells and their activity.
+
+        Returns:
+            (n, 3) theta, y and x, ascending, and (n,) their activity, above 0.
+        """
+        return self._network.active(self._packets)
+
+    def packets(self) -> NDArray[np.float64]:
+        """Return theta, y and x of the peak of each packet, and its total activity, (m, 4)."""
+        return self._network.places(self._packets)
 
     def state(self) -> State:
         """Return the activity and everything learned, for ``restore``."""
@@ -204,6 +227,7 @@ class PoseCells:
         self._at_views.append(self._odometry)
         self._last_view = match.template_id, match.relative_rad * self._torus.planes_per_rad
         source_id = self._experiences.current_id
+        self._injections = ()
         action: Action = 'none'
         recognised_id, agreement = NO_EXPERIENCE, 0.0
         if match.template_id != NO_TEMPLATE and is_located:
@@ -318,6 +342,7 @@ class PoseCells:
         effect = self._evidence.observe(seen, self.mapping, is_first=self._stepped)
         if isinstance(effect, Injection):
             place, energy = effect
+            self._injections = (effect,)
             self._packets = self._network.inject(
                 self._packets, place.theta, place.y, place.x, energy
             )

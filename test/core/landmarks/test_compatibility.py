@@ -12,11 +12,11 @@ from landmark_worlds import features, in_frame, mapped, seen, world
 from scipy.optimize import least_squares
 from scipy.stats import chi2, kstest
 
+from ratslam_ros.core.landmarks.chi_square import chi_square_limits
 from ratslam_ros.core.landmarks.compatibility import (
     UnusableFeatures,
     add_pair,
     binary_compatible,
-    chi_square_limits,
     empty_fit,
     freedom,
     geometry_of,

@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from landmark_worlds import features, mapped, moved, seen, world
 
+from ratslam_ros.core.landmarks.chi_square import chi_square_limits
 from ratslam_ros.core.landmarks.compatibility import (
     add_pair,
-    chi_square_limits,
     empty_fit,
     freedom,
     geometry_of,

@@ -20,8 +20,9 @@ from ratslam_ros.core.mapping.loop_closure_gate import (
     LONG_KNOWN_M,
     REQUIRED_COUNT,
     SPOT_SPACING_M,
+    Excess,
     LoopClosureGate,
-    exceeds_drift,
+    drift_excess,
     long_known_experience,
 )
 from ratslam_ros.core.mapping.scan_matching import ScanMatch
@@ -32,9 +33,11 @@ CHAIN_ENDS = np.array([[n, n + 1] for n in range(100)])
 CHAIN_LENGTHS_M = np.ones(100)
 
 
-def exceeds(claimed: Pose, target: int, drift: float = 0.05, links: int = 100) -> bool:
-    """Return whether a closure from experience 0 to ``target``, as many m away, exceeds drift."""
-    return exceeds_drift(
+def exceeds(
+    claimed: Pose, target: int, drift: float = 0.05, links: int = 100
+) -> Excess | None:
+    """Return the excess of a closure from experience 0 to ``target``, as many m away."""
+    return drift_excess(
         ORIGIN, claimed, drift, CHAIN_ENDS[:links], CHAIN_LENGTHS_M[:links], 0, target
     )
 
