@@ -148,11 +148,11 @@ def supervise(commands: Mapping[str, Sequence[str]], grace_s: float = SHUTDOWN_T
 def _start(command: Sequence[str]) -> subprocess.Popen[bytes]:
     # In a session of its own, so that Ctrl-C in the terminal reaches it only through supervise.
     return subprocess.Popen(
-        command, stdin=subprocess.DEVNULL, start_new_session=True, preexec_fn=_end_with_parent()
+        command, stdin=subprocess.DEVNULL, start_new_session=True, preexec_fn=end_with_parent()
     )
 
 
-def _end_with_parent() -> Callable[[], object] | None:
+def end_with_parent() -> Callable[[], object] | None:
     """Return a function that makes a child end if this process is killed (Linux only)."""
     if sys.platform != 'linux':
         return None
