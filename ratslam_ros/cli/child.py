@@ -25,6 +25,7 @@ class Child:
         The child is ended by the kernel if the thread that started it ends.
         """
         # In a session of its own, so that Ctrl-C in the terminal reaches it only through `end`.
+        self._is_interrupted = False
         self._process = subprocess.Popen(
             [sys.executable, '-m', 'ratslam_ros', *words], stdin=subprocess.DEVNULL,
             stderr=subprocess.PIPE, text=True, errors='replace', start_new_session=True,
@@ -49,7 +50,11 @@ class Child:
         return self.lines[-1].removeprefix('ratslam: ') if self.lines else f'exit code {self.code}'
 
     def interrupt(self) -> None:
-        """Send SIGINT, upon which a replay writes its results."""
+        """Send SIGINT, upon which a replay writes its results, and print nothing more.
+
+        An interrupt within the compilation of the loops ends in a long traceback.
+        """
+        self._is_interrupted = True
         if self._process.poll() is None:
             self._process.send_signal(signal.SIGINT)
 
@@ -69,4 +74,5 @@ class Child:
         for line in self._process.stderr:
             if text := line.rstrip():
                 self.lines.append(text)
-                print_notice(text)
+                if not self._is_interrupted:
+                    print_notice(text)

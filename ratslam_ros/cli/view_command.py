@@ -5,11 +5,8 @@
 from __future__ import annotations
 
 import argparse
-import os
-import sys
 import threading
 import time
-import webbrowser
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -250,7 +247,15 @@ class _Session:
             if thread is not None:
                 thread.join(max(0.0, end_s - time.monotonic()))
             is_cut = self._replays is not None and self._replays.end(end_s - time.monotonic())
-        return INTERRUPTED if is_cut and code == DONE else code
+        if not is_cut:
+            return code
+        assert self._replays is not None
+        kept = (self._replays.folder / 'map.json').is_file()
+        print_notice(
+            f'interrupted: the results so far are in {self._replays.folder}' if kept
+            else 'interrupted: no results have been written'
+        )
+        return INTERRUPTED
 
     def _wait(self, app: ViewApp, signals: StopSignals) -> int:
         """Return when a signal comes, or a child fails before there is anything to show."""
@@ -284,6 +289,8 @@ class _Session:
                 self._controls.use(load_config(str(folder / 'config.yaml'))[0])
 
     def _announce(self) -> None:
+        from ratslam_ros.viewer.desktop import open_browser
+
         url = self._server.url
         print(f'view: {url} (Ctrl-C ends it)', flush=True)
         if self._server.is_public:
@@ -291,20 +298,8 @@ class _Session:
                 'warning: other machines can open the view; whoever has its address, which is '
                 'sent without encryption, controls the run'
             )
-        if self._options.browser and has_desktop():
-            threading.Thread(target=_open_browser, args=(url,), daemon=True).start()
-
-
-def has_desktop() -> bool:
-    """Return whether a browser can be opened for the user to see."""
-    if sys.platform in ('darwin', 'win32'):
-        return True
-    return bool(os.environ.get('DISPLAY') or os.environ.get('WAYLAND_DISPLAY'))
-
-
-def _open_browser(url: str) -> None:
-    if not webbrowser.open(url):
-        print_notice('no browser could be opened; open the address above')
+        if self._options.browser:
+            open_browser(url)
 
 
 def _server(options: argparse.Namespace) -> ViewServer:
