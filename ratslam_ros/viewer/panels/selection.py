@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from html import escape
 from typing import Any
 
 import numpy as np
@@ -197,7 +198,7 @@ class SelectionPanel:
         source, target = self._desk.playback.source, claimed_id(view)
         self.closure = view
         verdict = (
-            f'{mark("■", RED)} rejected: {view.reason}' if view.reason
+            f'{mark("■", RED)} rejected: {escape(view.reason)}' if view.reason
             else f'{mark("●", GREEN)} accepted'
         )  # fmt: skip
         self.text.content = block(strong(f'Loop closure {view.source_id} → {target}'), verdict)
@@ -205,9 +206,9 @@ class SelectionPanel:
         learned_ns = first[0].stamp_ns if first else None
         self.images.content = block(
             pictures([
-                (source.image_at(view.stamp_ns), f'now: {self._time(view.stamp_ns)}'),
-                (source.image_at(learned_ns), f'learned: {self._time(learned_ns)}')
-                if learned_ns is not None else (None, 'learned: unknown'),
+                (source.image_at(view.stamp_ns), f'closing view, {self._time(view.stamp_ns)}'),
+                (source.image_at(learned_ns), f'learned view, {self._time(learned_ns)}')
+                if learned_ns is not None else (None, 'learned view: unknown'),
             ])
         )  # fmt: skip
         rows = [
