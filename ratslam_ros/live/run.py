@@ -23,6 +23,7 @@ NODES = {
     'goal_follower': 'goal_follower_node',
     'landmark_map': 'landmark_map_node',
     'simulator': 'simulator_node',
+    'viewer': 'viewer_node',
     'single_process': 'single_process',
 }
 """Module of ratslam_ros.nodes that has ``main``, by node."""
@@ -33,7 +34,9 @@ PACKAGES = {'numpy': 'numpy', 'numba': 'numba', 'llvmlite': 'llvmlite'}
 IMAGE_PACKAGES = {'cv2': 'opencv-python-headless'}
 """Further packages that the nodes with images import."""
 
-IMAGE_NODES = frozenset({'visual_odometry', 'local_view', 'simulator', 'single_process'})
+IMAGE_NODES = frozenset(
+    {'visual_odometry', 'local_view', 'simulator', 'single_process', 'viewer'}
+)
 
 
 def run(node: str, arguments: Sequence[str] = ()) -> int:

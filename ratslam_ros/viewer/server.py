@@ -11,10 +11,12 @@ resolves to 127.0.0.1 is of no use.
 
 from __future__ import annotations
 
+import errno
 import hmac
 import http
 import http.client
 import ipaddress
+import logging
 import secrets
 import socket
 from collections.abc import Callable, Iterator
@@ -33,6 +35,14 @@ LOOPBACK = frozenset({'127.0.0.1', 'localhost', '::1'})
 
 MAX_MESSAGE_BYTES = 16 * 2**20
 """Largest message from a browser: a screenshot of 4K as PNG. Events are below 1 kB."""
+
+REFUSED_MESSAGES = frozenset({
+    'FileTransferStartUpload',  # No panel takes files, and viser would keep them in memory.
+    'FileTransferPart',
+    'ShareUrlRequest',  # A public tunnel, which a client could request without the button.
+    'ShareUrlDisconnect',
+})  # fmt: skip
+"""Messages of viser's client that are dropped."""
 
 HEADERS = {
     'Cache-Control': 'no-store',
@@ -59,13 +69,14 @@ class ViewServer:
         _check_address(host, port)
         self.host = host
         self._token = secrets.token_urlsafe(24)
-        with _guarded(self._refusal, self._without_token):
+        self._connections = _Connections()
+        with _guarded(self._refusal, self._without_token, self._connections):
             self.viser = viser.ViserServer(host, port, label='RatSLAM', verbose=False)
         self.port = int(self.viser.get_port())
         if port not in (0, self.port):  # taken between the check and the start; viser went on
             self.stop()
             raise _in_use(host, port)
-        self._forbid_sharing()
+        self.viser.request_share_url = _no_tunnel
         self.set_theme(dark=False)
         if self._answers_strangers():
             self.stop()
@@ -91,8 +102,8 @@ class ViewServer:
 
     @property
     def client_count(self) -> int:
-        """Number of connected browsers."""
-        return len(self.viser.get_clients())
+        """Number of connected browsers, also of those that have not drawn anything yet."""
+        return len(self.viser._websock_server._live_connections)
 
     def set_theme(self, dark: bool) -> None:
         """Set the theme of the page, always without viser's button that opens a public tunnel."""
@@ -102,8 +113,10 @@ class ViewServer:
         )  # fmt: skip
 
     def stop(self) -> None:
-        """End all connections and free the port."""
+        """End all connections and free the port, within 2 s even if a browser is stalled."""
         with _quiet():
+            with suppress(RuntimeError):  # the loop has ended
+                self.viser._event_loop.call_soon_threadsafe(self._connections.abort)
             self.viser.stop()
 
     # Who may connect
@@ -127,7 +140,7 @@ class ViewServer:
         return ''
 
     def _is_own_name(self, name: str) -> bool:
-        if name in LOOPBACK or name == self.host:
+        if name in LOOPBACK or name == self.host.lower():
             return True
         if not self.is_public:
             return False
@@ -138,14 +151,6 @@ class ViewServer:
 
     def _without_token(self, path: str) -> str:
         return path.replace(f'/{self._token}', '', 1) or '/'
-
-    def _forbid_sharing(self) -> None:
-        """Refuse requests for a public tunnel, which a client could send without the button."""
-        from viser import _messages
-
-        connection = self.viser._websock_server
-        connection.unregister_handler(_messages.ShareUrlRequest)
-        connection.unregister_handler(_messages.ShareUrlDisconnect)
 
     def _answers_strangers(self) -> bool:
         """Return whether a page or a WebSocket is served without the token."""
@@ -166,8 +171,9 @@ class ViewServer:
 
 @contextmanager
 def _guarded(
-    refusal: Callable[[str, str, str | None, bool], str], path_of: Callable[[str], str]
-) -> Iterator[None]:
+    refusal: Callable[[str, str, str | None, bool], str], path_of: Callable[[str], str],
+    connections: _Connections,
+) -> Iterator[None]:  # fmt: skip
     """Have servers that are started in this context check who connects.
 
     Viser has no setting for this. It passes its own handler of requests, which serves the page, to
@@ -197,11 +203,89 @@ def _guarded(
                     response.headers[name] = value
             return response
 
-        options['max_size'] = MAX_MESSAGE_BYTES
+        options |= {
+            'max_size': MAX_MESSAGE_BYTES, 'logger': _silent_logger(),
+            'create_connection': _connection_class(connections),
+        }  # fmt: skip
         return serve(handler, *address, process_request=process, **options)
 
     with patch.object(server, 'serve', serve_guarded), _quiet():
         yield
+
+
+class _Connections:
+    """All open connections, those on which a browser has not sent a request yet included.
+
+    Browsers open connections in advance, and the server would wait for their requests when it
+    stops. Used by the thread of the server.
+    """
+
+    def __init__(self) -> None:
+        self._open: set[Any] = set()
+        self._aborted = False
+
+    def add(self, transport: Any) -> None:
+        """Note an open connection."""
+        self._open.add(transport)
+        if self._aborted:
+            transport.abort()
+
+    def remove(self, transport: Any) -> None:
+        """Note a closed connection."""
+        self._open.discard(transport)
+
+    def abort(self) -> None:
+        """End all connections at once, and every later one."""
+        self._aborted = True
+        for transport in tuple(self._open):
+            transport.abort()
+
+
+def _connection_class(connections: _Connections) -> Any:
+    """Return a class of connections that drop messages which viser must not receive."""
+    import msgspec
+    from viser._messages import Message
+    from websockets.asyncio.server import ServerConnection
+    from websockets.frames import CloseCode
+
+    class Head(msgspec.Struct):
+        type: str
+
+    head = msgspec.msgpack.Decoder(Head)
+    permitted = {kind.__name__ for kind in Message.get_subclasses()} - REFUSED_MESSAGES
+
+    class Connection(ServerConnection):
+        def connection_made(self, transport: Any) -> None:
+            super().connection_made(transport)
+            connections.add(transport)
+
+        def connection_lost(self, exc: Exception | None) -> None:
+            connections.remove(self.transport)
+            super().connection_lost(exc)
+
+        async def recv(self, decode: bool | None = None) -> Any:
+            while True:
+                data = await super().recv(decode)
+                try:
+                    if isinstance(data, bytes) and head.decode(data).type in permitted:
+                        return data
+                except msgspec.MsgspecError:
+                    await self.close(CloseCode.INVALID_DATA)
+
+    return Connection
+
+
+def _no_tunnel(verbose: bool = True) -> None:
+    raise UnusableInput('the viewer opens no public tunnel; use --host, or a tunnel by ssh')
+
+
+def _silent_logger() -> logging.Logger:
+    """Return a logger for connections; their failures are not for the terminal."""
+    logger = logging.getLogger(f'{__name__}.connections')
+    logger.propagate = False
+    if not logger.handlers:
+        logger.addHandler(logging.NullHandler())
+    return logger
 
 
 @contextmanager
@@ -235,8 +319,6 @@ def _check_address(host: str, port: int) -> None:
     except OverflowError as error:
         raise UnusableInput(f'the port is {port}; expected 0 to 65535') from error
     except OSError as error:
-        import errno
-
         if error.errno == errno.EADDRINUSE:
             raise _in_use(host, port) from error
         raise UnusableInput(
