@@ -185,4 +185,5 @@ def test_values_are_validated_together() -> None:
 
 
 def test_file_name_has_only_portable_characters() -> None:
-    assert file_name('my run/../é', '1:23.4') == 'my-run-..-1-23.4.png'
+    assert file_name('my run/../é 1:23.4', '.png') == 'my-run-..-1-23.4.png'
+    assert file_name('é', '.html') == 'run.html'
