@@ -50,7 +50,9 @@ setup(
     license='Apache-2.0',
     keywords=['SLAM', 'RatSLAM', 'ROS 2', 'robotics', 'mapping', 'place recognition'],
     packages=find_packages(include=[NAME, f'{NAME}.*']),
-    package_data={NAME: ['py.typed'], f'{NAME}.simulator': ['plans/*.txt']},
+    package_data={
+        NAME: ['py.typed'], f'{NAME}.simulator': ['plans/*.txt'], f'{NAME}.viewer': ['*.html'],
+    },
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),

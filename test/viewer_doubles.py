@@ -16,7 +16,7 @@ from ratslam_ros.core.mapping.map_changes import ExperienceRows, LinkRows, MapCh
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.history.records import CellsRecord, MatchRecord, PoseRecord, Record, ViewRecord
 from ratslam_ros.history.run_state import NS_PER_S, RunState
-from ratslam_ros.viewer.run_source import Answer
+from ratslam_ros.viewer.run_source import Answer, Controls
 
 BEGIN_NS = 100 * NS_PER_S
 STEP_NS = NS_PER_S // 2
@@ -180,6 +180,9 @@ class FakeControls:
         }
 
     def __getattr__(self, name: str) -> object:
+        if not hasattr(Controls, name):
+            raise AttributeError(name)
+
         def call(*values: object) -> Answer:
             self.calls.append((name, *values))
             return Answer(not self.refusal, self.refusal or f'{name} done')

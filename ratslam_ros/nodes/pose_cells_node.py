@@ -29,8 +29,8 @@ from ratslam_ros.messages.mapping import (
     decode_template,
     encode_action,
     encode_active,
-    encode_packets,
 )
+from ratslam_ros.messages.pose_cells import encode_packets
 from ratslam_ros.nodes.convert import accepted_odometry, grey_image, point_cloud
 from ratslam_ros.nodes.goal_seeking import GoalSeeking
 from ratslam_ros.nodes.node import FLUSH_CHECK_PERIOD_S, RatslamNode

@@ -32,11 +32,20 @@ class Playback:
         """Show another run: follow it if it is growing, otherwise show its end."""
         self.source = source
         """The run that is shown."""
-        self.cursor_ns = source.end_ns
+        self._look()
+        self.cursor_ns = self.end_ns
         """Stamp of the moment that is shown."""
-        self.following = self.playing = source.is_growing
+        self.following = self.playing = self.is_growing
         """Whether the cursor stays at the end of the run, and whether it moves."""
         self._state, self._state_ns = RunState(), -1
+
+    def _look(self) -> None:
+        """Read the extent of the run, which may cost a query, once for each tick."""
+        # The order matters: a run that has ended before its end is read grows no more.
+        self.is_growing = self.source.is_growing
+        """Whether more records may follow, as of the last tick."""
+        self.begin_ns, self.end_ns = self.source.begin_ns, self.source.end_ns
+        """Stamps of the first and the last record, as of the last tick."""
 
     @property
     def speed(self) -> float:
@@ -50,7 +59,7 @@ class Playback:
     @property
     def at_end(self) -> bool:
         """Whether the end of the run is shown."""
-        return self.cursor_ns >= self.source.end_ns
+        return self.cursor_ns >= self.end_ns
 
     def tick(self, elapsed_s: float) -> RunState:
         """Move the cursor by the time that has passed, and return the state at it.
@@ -60,15 +69,13 @@ class Playback:
         Args:
             elapsed_s: time since the last tick in s.
         """
-        # The order matters: a run that has ended before its end is read grows no more.
-        is_growing = self.source.is_growing
-        end_ns = self.source.end_ns
+        self._look()
         if self.playing and not self.following:
             moved_s = min(max(elapsed_s, 0.0), MAX_ELAPSED_S) * self._speed
             self.cursor_ns += round(moved_s * NS_PER_S)
-            self.following = self.cursor_ns >= end_ns
-        self.cursor_ns = end_ns if self.following else self._within(self.cursor_ns)
-        if self.following and not is_growing:
+            self.following = self.at_end
+        self.cursor_ns = self.end_ns if self.following else self._within(self.cursor_ns)
+        if self.following and not self.is_growing:
             self.following = self.playing = False
         self._show()
         return self._state
@@ -85,8 +92,8 @@ class Playback:
 
     def follow(self) -> None:
         """Move the cursor to the end, and keep it there while the run grows."""
-        self.cursor_ns = self.source.end_ns
-        self.following = self.playing = self.source.is_growing
+        self.cursor_ns = self.end_ns
+        self.following = self.playing = self.is_growing
 
     def pause(self) -> None:
         """Keep the cursor where it is."""
@@ -94,8 +101,8 @@ class Playback:
 
     def play(self) -> None:
         """Move the cursor on, from the beginning if the end of a finished run is shown."""
-        if self.at_end and not self.source.is_growing:
-            self.cursor_ns = self.source.begin_ns
+        if self.at_end and not self.is_growing:
+            self.cursor_ns = self.begin_ns
         self.playing = True
 
     def toggle(self) -> None:
@@ -106,7 +113,7 @@ class Playback:
             self.play()
 
     def _within(self, stamp_ns: int) -> int:
-        return max(min(stamp_ns, self.source.end_ns), self.source.begin_ns)
+        return max(min(stamp_ns, self.end_ns), self.begin_ns)
 
     def _show(self) -> None:
         """Bring the state to the cursor."""

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import compress
@@ -24,6 +23,9 @@ Reals = NDArray[np.float64]
 ROUNDING = 1000.0
 """Lengths, angles, durations and confidences are rounded to 1/1000 of their unit: 1 mm and 1 mrad
 are far below the accuracy of a map and the resolution of a screen, and short as text."""
+
+UNLIMITED = 2**31
+"""Limit of a change that no map reaches."""
 
 POSE_TOLERANCES = np.array([1e-3, 1e-3, 1e-3, 0.0, 0.0])
 """Changes of x and y in m, heading in rad, template and component above which an experience is
@@ -290,7 +292,7 @@ class MapChangeTracker:
         self._map = None
 
     def next_change(
-        self, experience_map: ExperienceMap, stamp_ns: int, limit: int = sys.maxsize
+        self, experience_map: ExperienceMap, stamp_ns: int, limit: int = UNLIMITED
     ) -> MapChange:
         """Return what has changed since the last call and is not sent yet.
 

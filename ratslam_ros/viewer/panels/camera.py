@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ratslam_ros.history.records import MatchRecord
+from ratslam_ros.history.records import ImageRecord, MatchRecord
 from ratslam_ros.history.run_state import RunState
 from ratslam_ros.viewer.panels.desk import Desk
 from ratslam_ros.viewer.panels.html import BLUE, GREEN, ORANGE, RED, block, dim, mark, strong
@@ -60,14 +60,19 @@ class CameraPanel:
             legend={'live': False},
             height=PLOT_HEIGHT_PX,
         )  # fmt: skip
-        self._shown_ns, self._drawn = -1, -PLOT_EVERY
-        self._plotted_ns = -1
+        self._drawn = -PLOT_EVERY
         self._match: MatchRecord | None = None
+        self._small: ImageRecord | None = None
+        self.forget()
+
+    def forget(self) -> None:
+        """Draw everything again, because another run with the same stamps may be shown."""
+        self._shown_ns = self._plotted_ns = -1
 
     def update(self, state: RunState) -> None:
         """Show the image and the match of a moment."""
         stamp_ns = state.view.stamp_ns if state.view is not None else state.stamp_ns
-        if stamp_ns != self._shown_ns or state.image is not None:
+        if stamp_ns != self._shown_ns or state.image is not self._small:
             self._show_image(state, stamp_ns)
         view = state.view
         if view is not None:
@@ -86,7 +91,7 @@ class CameraPanel:
         jpeg = self._desk.playback.source.image_at(stamp_ns)
         if jpeg is None and state.image is not None:
             jpeg = state.image.jpeg
-        self._shown_ns = stamp_ns
+        self._shown_ns, self._small = stamp_ns, state.image
         self.image.visible, self.no_image.visible = jpeg is not None, jpeg is None
         if jpeg is not None:
             set_jpeg(self.image, jpeg)

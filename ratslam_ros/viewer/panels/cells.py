@@ -26,13 +26,17 @@ class CellsPanel:
     def __init__(self, desk: Desk) -> None:
         self.text = desk.gui.add_html('')
         desk.gui.add_html(block(dim(EXPLANATION)))
-        self._shown: tuple[CellsRecord | None, ViewRecord | None] | None = None
+        self._cells: CellsRecord | None = None
+        self._view: ViewRecord | None = None
+        self._show(RunState())
 
     def update(self, state: RunState) -> None:
         """Show the activity of a moment."""
-        if self._shown == (state.cells, state.view):
-            return
-        self._shown = state.cells, state.view
+        if state.cells is not self._cells or state.view is not self._view:
+            self._show(state)
+
+    def _show(self, state: RunState) -> None:
+        self._cells, self._view = state.cells, state.view
         parts = [strong('Decision')]
         parts.append(escape(decision_text(state.view)) if state.view else dim('no view yet'))
         parts.append(strong('Activity'))

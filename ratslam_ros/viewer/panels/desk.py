@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 Post = Callable[[Callable[[], None]], None]
 """Has a function called by the loop, from any thread."""
 
+NOTIFIED_S = 6.0
+"""Time for which an answer stays on the page, long enough to be read."""
+
 KEPT_REQUESTS = 8
 """Number of requests that the log shows."""
 
@@ -119,6 +122,7 @@ class Desk:
 
         def answered(answer: Answer) -> None:
             entry.answer = answer
+            self._notify(request, answer)
             if then is not None:
                 then(answer)
 
@@ -126,7 +130,17 @@ class Desk:
 
     def refuse(self, request: str, reason: str) -> None:
         """Log a request that cannot be sent."""
-        self.requests.appendleft(Request(request, Answer(False, reason)))
+        answer = Answer(False, reason)
+        self.requests.appendleft(Request(request, answer))
+        self._notify(request, answer)
+
+    def _notify(self, request: str, answer: Answer) -> None:
+        """Show an answer on every page, whatever panel is open."""
+        for client in self.server.get_clients().values():
+            client.add_notification(
+                f'{"Done" if answer.success else "Refused"}: {request}', answer.message,
+                auto_close_seconds=NOTIFIED_S, color='green' if answer.success else 'red',
+            )  # fmt: skip
 
 
 def assign(handle: Any, value: Any) -> None:
@@ -134,7 +148,7 @@ def assign(handle: Any, value: Any) -> None:
     handle.value = value
 
 
-def offer(dropdown: Any, options: Sequence[str]) -> None:
-    """Set the options of a dropdown if they differ; viser sends every assignment."""
-    if dropdown.options != tuple(options):
-        dropdown.options = tuple(options)
+def offer(choice: Any, options: Sequence[str]) -> None:
+    """Set the options of a dropdown or a group of buttons; viser sends every assignment."""
+    if choice.options != tuple(options):
+        choice.options = tuple(options)

@@ -17,6 +17,9 @@ from ratslam_ros.viewer.panels.selection import SelectionPanel
 
 NO_PLACES = 'no places yet'
 
+SHOWN_TASKS = 3
+"""Largest number of queued goals, and of ended ones, that are shown."""
+
 NOTHING = 'There is nothing to command here: this run offers no goals and no services.'
 
 
@@ -30,39 +33,61 @@ class DrivePanel:
         self.groups: dict[str, Any] = {}
         """Groups of buttons, by their labels."""
         if not actions - {'set_parameter', 'run_again'}:
-            gui.add_html(block(dim(getattr(desk.controls, 'reason', NOTHING))))
+            self.nothing = gui.add_html(block(dim(getattr(desk.controls, 'reason', NOTHING))))
         self.status = gui.add_html('')
         self.target = gui.add_html('', visible='go_to' in actions)
-        self._group('Selected', {
-            GO_HERE: ('go_to', self.go_here),
-            THEN_HERE: ('go_to', lambda: self.go_here(then=True)),
-        }, 'Send the robot to the selected point, or there after the goals already sent.')
+        self.add_go_buttons('Selected')
         self.place = gui.add_dropdown(
-            'Place', (NO_PLACES,), visible='go_to_place' in actions,
+            'Place',
+            (NO_PLACES,),
+            visible='go_to_place' in actions,
             hint='Named places of this map.',
         )
-        self._group('', {
-            'Go to place': ('go_to_place', lambda: self._go_to_place(False)),
-            'Then to place': ('go_to_place', lambda: self._go_to_place(True)),
-        }, 'Send the robot to the chosen place, or there after the goals already sent.')
-        self._group('Goals', {
-            'Cancel all goals': ('cancel_goals', self.cancel),
-        }, 'The robot stops, and queued goals are dropped.')
+        self._group(
+            '',
+            {
+                'Go to place': ('go_to_place', lambda: self._go_to_place(False)),
+                'Then to place': ('go_to_place', lambda: self._go_to_place(True)),
+            },
+            'Send the robot to the chosen place, or there after the goals already sent.',
+        )
+        self._group(
+            'Goals',
+            {
+                'Cancel all goals': ('cancel_goals', self.cancel),
+            },
+            'The robot stops, and queued goals are dropped.',
+        )
         self._switch('Explore', 'explore', 'Drive to unknown parts of the surroundings.')
         self.name = gui.add_text(
-            'Name', '', visible='name_place' in actions,
+            'Name',
+            '',
+            visible='name_place' in actions,
             hint='Name for the place where the robot is now.',
         )
         self._group('', {'Name this place': ('name_place', self._name_place)}, 'Keep the name.')
         self._switch('Mapping', 'mapping', 'Off: the robot is localised, but learns nothing.')
         self._switch('Pause nodes', 'pause_nodes', 'While paused, nodes ignore their inputs.')
-        self._group('Map', {
-            'Save': ('save', lambda: self._request('save', 'save')),
-            'Load': ('load', lambda: self._confirm('Load', LOAD_WARNING, 'load')),
-            'Reset': ('reset', lambda: self._confirm('Reset', RESET_WARNING, 'reset')),
-        }, 'The memory of all nodes: write it to their folder, read it from there, or empty it.')
+        self._group(
+            'Map',
+            {
+                'Save': ('save', lambda: self._request('save', 'save')),
+                'Load': ('load', lambda: self._confirm('Load', LOAD_WARNING, 'load')),
+                'Reset': ('reset', lambda: self._confirm('Reset', RESET_WARNING, 'reset')),
+            },
+            'The memory of all nodes: write it to their folder, read it from there, or empty it.',
+        )
         self.log = gui.add_html('')
         self.diagnostics = gui.add_html('')
+
+    def add_go_buttons(self, label: str, order: float | None = None) -> None:
+        """Add buttons that send the robot to what is selected."""
+        acts = {
+            GO_HERE: ('go_to', self.go_here),
+            THEN_HERE: ('go_to', lambda: self.go_here(then=True)),
+        }
+        hint = 'Send the robot to the selected point, or there after the goals already sent. (G)'
+        self._group(label, acts, hint, order)
 
     def update(self, state: RunState) -> None:
         """Show the goals, the answers and the diagnostics."""
@@ -88,13 +113,17 @@ class DrivePanel:
         return float(pick.point[0]), float(pick.point[1])
 
     def _group(
-        self, label: str, buttons: Mapping[str, tuple[str, Callable[[], None]]], hint: str
+        self,
+        label: str,
+        buttons: Mapping[str, tuple[str, Callable[[], None]]],
+        hint: str,
+        order: float | None = None,
     ) -> None:
         """Add those of the buttons whose action is offered."""
         actions = self._desk.controls.actions
         acts = {text: act for text, (action, act) in buttons.items() if action in actions}
         if acts:
-            group = self._desk.gui.add_button_group(label, tuple(acts), hint=hint)
+            group = self._desk.gui.add_button_group(label, tuple(acts), hint=hint, order=order)
             self._desk.on_press(group, acts)
             self.groups[label or next(iter(acts))] = group
 
@@ -166,23 +195,24 @@ def status_html(status: StatusRecord | None) -> str:
     if status is None:
         return ''
     try:
-        fields = decode_status(status.payload)
-    except MalformedMessage as error:
-        return block(dim(str(error)))
+        return block(strong('Goals'), table(_status_rows(decode_status(status.payload))))
+    except (MalformedMessage, LookupError, TypeError, ValueError) as error:
+        return block(dim(f'The status of the goals could not be read: {error}'))
+
+
+def _status_rows(fields: Mapping[str, Any]) -> list[tuple[str, str]]:
     goal, remaining_s = fields.get('goal'), fields.get('remaining_s')
-    rows = [('status', fields['status'])]
+    rows = [('status', str(fields['status']))]
     if fields['reason']:
-        rows.append(('reason', fields['reason']))
+        rows.append(('reason', str(fields['reason'])))
     if goal:
         rows.append(('goal', f'x {goal["x_m"]:.2f} m, y {goal["y_m"]:.2f} m'))
     if remaining_s is not None:
         rows.append(('remaining', f'{remaining_s:.0f} s'))
-    rows += [(f'{task["status"]}', str(task['goal'])) for task in fields['queue'][:4]]
-    rows += [
-        (f'{task["status"]}', f'{task["goal"]} {task["reason"]}'.strip())
-        for task in fields['outcomes'][-3:]
+    tasks = [*fields['queue'][:SHOWN_TASKS], *fields['outcomes'][-SHOWN_TASKS:]]
+    return rows + [
+        (str(task['status']), f'{task["goal"]} {task["reason"]}'.strip()) for task in tasks
     ]
-    return block(strong('Goals'), table(rows))
 
 
 def log_html(requests: Iterable[Request]) -> str:

@@ -43,7 +43,7 @@ class ExportPanel:
 
     def _name(self) -> str:
         playback = self._desk.playback
-        at_s = (playback.cursor_ns - playback.source.begin_ns) / 1e9
+        at_s = (playback.cursor_ns - playback.begin_ns) / 1e9
         return file_name(playback.source.title, time_text(at_s))
 
 

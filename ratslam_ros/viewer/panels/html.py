@@ -58,8 +58,8 @@ def legend(entries: Iterable[tuple[Colour, str]]) -> str:
 
 
 def pictures(jpegs: Sequence[tuple[bytes | None, str]]) -> str:
-    """Return pictures side by side, each with a text below."""
-    width = f'{100 / max(len(jpegs), 1):.4g}%'
+    """Return one or two pictures side by side, each with a text below."""
+    width = '50%' if len(jpegs) > 1 else '70%'
     cells = []
     for jpeg, text in jpegs:
         picture = '<div style="opacity:.65;padding:1em 0">no image</div>'

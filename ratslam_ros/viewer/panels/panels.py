@@ -38,7 +38,8 @@ class Panels:
         self, server: viser.ViserServer, playback: Playback, scene: Scene, source: RunSource,
         controls: Controls, post: Post, colourings: Sequence[str] = (),
     ) -> None:  # fmt: skip
-        self._desk = desk = Desk(server, playback, scene, controls, post)
+        self._source = source
+        self.desk = desk = Desk(server, playback, scene, controls, post)
         gui = server.gui
         gui.set_panel_label('RatSLAM')
         left = gui.add_panel()
@@ -54,10 +55,13 @@ class Panels:
         tabs = gui.add_tab_group()
         with tabs.add_tab('Map'):
             self.appearance = AppearancePanel(desk, colourings or (scene.colouring,))
-        with tabs.add_tab('Select'):
+        select = tabs.add_tab('Select')
+        with select:
             self.selection = SelectionPanel(desk)
         with tabs.add_tab('Drive'):
             self.drive = DrivePanel(desk, self.selection)
+        with select:
+            self.drive.add_go_buttons('Send robot', order=self.selection.text.order + 0.5)
         with tabs.add_tab('Parameters'):
             self.parameters = ParametersPanel(desk)
         shortcuts = self._shortcuts()
@@ -68,7 +72,11 @@ class Panels:
 
     def update(self, state: RunState) -> None:
         """Show a state; called by the loop after the scene has been updated."""
-        self._desk.updates += 1
+        self.desk.updates += 1
+        if self.desk.playback.source is not self._source:
+            self._source = self.desk.playback.source
+            self.selection.clear()
+            self.camera.forget()
         self.time.update(state)
         self.camera.update(state)
         self.cells.update(state)
@@ -78,7 +86,7 @@ class Panels:
         self.parameters.update(state)
 
     def _shortcuts(self) -> list[Shortcut]:
-        playback, appearance = self._desk.playback, self.appearance
+        playback, appearance = self.desk.playback, self.appearance
 
         def toggle_dark() -> None:
             assign(appearance.dark, not appearance.dark.value)
@@ -90,7 +98,7 @@ class Panels:
             Shortcut('J', 'Previous view', lambda: playback.step(-1)),
             Shortcut('L', f'{MANY_VIEWS} views on', lambda: playback.step(MANY_VIEWS), 'shift'),
             Shortcut('J', f'{MANY_VIEWS} views back', lambda: playback.step(-MANY_VIEWS), 'shift'),
-            Shortcut('home', 'Begin', lambda: playback.seek(playback.source.begin_ns)),
+            Shortcut('home', 'Begin', lambda: playback.seek(playback.begin_ns)),
             Shortcut('end', 'End, or live', playback.follow),
             Shortcut('pageup', 'Faster', lambda: self.time.faster(1)),
             Shortcut('pagedown', 'Slower', lambda: self.time.faster(-1)),

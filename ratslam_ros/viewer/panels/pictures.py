@@ -43,7 +43,7 @@ def match_picture(match: MatchRecord) -> NDArray[np.uint8]:
         _row(match.view, max(-shift, 0), columns, match.template.shape[1], max(shift, 0)),
         _row(match.template, max(shift, 0), columns, match.view.shape[1], max(-shift, 0)),
     ]
-    upper, lower = (np.kron(row, np.ones((zoom, zoom, 1), np.uint8)) for row in rows)
+    upper, lower = (row.repeat(zoom, axis=0).repeat(zoom, axis=1) for row in rows)
     gap = np.full((GAP_PX, columns * zoom, 3), 127, np.uint8)
     picture = np.concatenate([upper, gap, lower])
     first = abs(shift) * zoom

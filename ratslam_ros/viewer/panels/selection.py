@@ -39,25 +39,27 @@ class SelectionPanel:
         self.closure: ViewRecord | None = None
         """The selected loop closure."""
         self._state = RunState()
-        self.text = gui.add_html(block(dim(HINT)))
-        self.images = gui.add_html('', visible=False)
-        self.details = gui.add_html('', visible=False)
-        self.visits = gui.add_dropdown(
-            'Visits', (NO_VISIT,), visible=False,
-            hint='Times of its visits; choose one to go there.',
-        )
-        self.jump = gui.add_button(
-            'Go to this moment', visible=False, hint='Show the run as it was then.'
-        )
-        self.clear_button = gui.add_button('Clear selection', visible=False, color='gray')
         self.list = gui.add_dropdown(
-            'Loop closures', (NO_CLOSURE,),
+            'Loop closures', (NONE_YET,),
             hint='The last loop closures up to the shown moment, and those that were rejected. '
             'Choose one to see both images and why it was decided so.',
         )  # fmt: skip
+        self.text = gui.add_html(block(dim(HINT)))
+        self.details = gui.add_html('', visible=False)
+        self.visits = gui.add_dropdown(
+            'Visits', (NO_VISIT,), visible=False, hint='Times of its visits: choose one to see it.'
+        )  # fmt: skip
+        self.images = gui.add_html('', visible=False)
+        self.jump = gui.add_button(
+            'Go to this moment', visible=False, hint='Show the run as it was then.'
+        )
+        self.clear_button = gui.add_button(
+            'Clear selection', visible=False, color='gray', hint='Select nothing. (X)'
+        )
         self._visits: dict[str, ViewRecord] = {}
         self._closures: dict[str, ViewRecord] = {}
-        self._next_refresh = 0
+        self._next_refresh, self._listed_ns = 0, -1
+        self._listed_visits = -1, 0
         desk.on_change(self.visits, self._go_to_visit)
         desk.on_change(self.list, self._choose_listed)
         desk.on_click(self.jump, self._go_to_closure)
@@ -95,13 +97,11 @@ class SelectionPanel:
             self._show_link(*pick.ends)
         else:
             x_m, y_m = pick.point[:2]
-            self.text.content = block(
-                strong('Ground'), f'x {x_m:.2f} m, y {y_m:.2f} m',
-                dim('To send the robot there, see Drive.'),
-            )
+            self.text.content = block(strong('Ground'), f'x {x_m:.2f} m, y {y_m:.2f} m')
 
     def clear(self) -> None:
         """Select nothing."""
+        self._listed_ns, self._listed_visits = -1, (-1, 0)
         self.pick = self.closure = None
         self._desk.scene.select(None)
         self.text.content = block(dim(HINT))
@@ -117,7 +117,7 @@ class SelectionPanel:
         return self._desk.playback.cursor_ns
 
     def _time(self, stamp_ns: int) -> str:
-        return time_text((stamp_ns - self._desk.playback.source.begin_ns) / NS_PER_S, 2)
+        return time_text((stamp_ns - self._desk.playback.begin_ns) / NS_PER_S, 2)
 
     def _show_experience(self, number: int) -> None:
         graph, known = self._state.map, self._state.visits
@@ -140,10 +140,13 @@ class SelectionPanel:
                 rows.append(('match error', f'{known.errors[number]:.4f} at the last visit'))
         self.text.content = block(strong(f'Experience {number}'), table(rows))
         self._show_links(number)
-        visits = self._desk.playback.source.visits(number, self._cursor_ns())[-LISTED:]
-        self._visits = {self._time(view.stamp_ns): view for view in reversed(visits)}
-        offer(self.visits, (NO_VISIT, *self._visits))
-        self.visits.visible = bool(visits)
+        count = int(known.counts[number]) if number < len(known) else 0
+        if (number, count) != self._listed_visits:
+            self._listed_visits = number, count
+            visits = self._desk.playback.source.visits(number, self._cursor_ns())[-LISTED:]
+            self._visits = {self._time(view.stamp_ns): view for view in reversed(visits)}
+            offer(self.visits, (NO_VISIT, *self._visits))
+        self.visits.visible = bool(self._visits)
 
     def _show_first_view(self, number: int) -> None:
         source = self._desk.playback.source
@@ -197,9 +200,7 @@ class SelectionPanel:
             f'{mark("■", RED)} rejected: {view.reason}' if view.reason
             else f'{mark("●", GREEN)} accepted'
         )  # fmt: skip
-        self.text.content = block(
-            strong(f'Loop closure {view.source_id} → {target}'), verdict
-        )
+        self.text.content = block(strong(f'Loop closure {view.source_id} → {target}'), verdict)
         first = source.visits(target, view.stamp_ns)[:1]
         learned_ns = first[0].stamp_ns if first else None
         self.images.content = block(
@@ -232,9 +233,12 @@ class SelectionPanel:
         return [('displacement', f'{moved_m:.2f} m and {abs(math.degrees(turn)):.0f}° on the map')]
 
     def _list_closures(self) -> None:
-        source = self._desk.playback.source
-        views = source.closures(self._cursor_ns())[-LISTED:]
-        self._closures = {closure_text(view, source.begin_ns): view for view in reversed(views)}
+        playback = self._desk.playback
+        if playback.cursor_ns == self._listed_ns:
+            return
+        self._listed_ns = playback.cursor_ns
+        views = playback.source.closures(playback.cursor_ns)[-LISTED:]
+        self._closures = {closure_text(view, playback.begin_ns): view for view in reversed(views)}
         offer(self.list, (NO_CLOSURE if views else NONE_YET, *self._closures))
 
     def _choose_listed(self, text: str) -> None:

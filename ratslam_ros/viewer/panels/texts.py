@@ -37,15 +37,14 @@ def stamp_text(stamp_ns: int) -> str:
 
 def playback_text(playback: Playback) -> tuple[str, str]:
     """Return a symbol and words for what the cursor does."""
-    source = playback.source
-    if not source.end_ns:
+    if not playback.end_ns:
         return '○', 'waiting for the first data'
     if playback.following:
         return '●', 'live: following the end of the run'
     if playback.playing:
         return '▶', f'playing at {playback.speed:g}×'
     if playback.at_end:
-        return '■', 'paused at the end' if source.is_growing else 'end of the run'
+        return '■', 'paused at the end' if playback.is_growing else 'end of the run'
     return '❚❚', 'paused'
 
 

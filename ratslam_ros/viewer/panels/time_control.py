@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from ratslam_ros.history.run_state import NS_PER_S, RunState
-from ratslam_ros.viewer.panels.desk import Desk, assign
+from ratslam_ros.viewer.panels.desk import Desk, assign, offer
 from ratslam_ros.viewer.panels.html import ORANGE, block, dim, mark, strong
 from ratslam_ros.viewer.panels.texts import playback_text, stamp_text, time_text
 
@@ -41,7 +41,7 @@ class TimeControl:
         self.notices = gui.add_html('', visible=False)
         desk.on_change(self.scrubber, self._scrub)
         desk.on_press(self.buttons, {
-            BEGIN: lambda: playback.seek(playback.source.begin_ns),
+            BEGIN: lambda: playback.seek(playback.begin_ns),
             BACK: lambda: playback.step(-1),
             PLAY: playback.toggle,
             PAUSE: playback.toggle,
@@ -53,7 +53,7 @@ class TimeControl:
     def update(self, state: RunState) -> None:
         """Show where the cursor is."""
         playback, source = self._desk.playback, self._desk.playback.source
-        begin_ns, end_ns = source.begin_ns, source.end_ns
+        begin_ns, end_ns = playback.begin_ns, playback.end_ns
         at_s, of_s = ((ns - begin_ns) / NS_PER_S for ns in (playback.cursor_ns, end_ns))
         symbol, words = playback_text(playback)
         self.text.content = block(
@@ -66,7 +66,7 @@ class TimeControl:
         self.scrubber.max = float(max(1, -(-(end_ns - begin_ns) // NS_PER_S)))
         assign(self.scrubber, round(at_s / SLIDER_STEP_S) * SLIDER_STEP_S)
         play = PAUSE if playback.playing else PLAY
-        self.buttons.options = BEGIN, BACK, play, NEXT, END
+        offer(self.buttons, (BEGIN, BACK, play, NEXT, END))
         assign(self.speed, _speed_text(min(SPEEDS, key=lambda s: abs(s - playback.speed))))
         notices = [f'{mark("▲", ORANGE)} {dim(notice)}' for notice in source.notices]
         self.notices.visible, self.notices.content = bool(notices), block(*notices)
@@ -79,10 +79,10 @@ class TimeControl:
 
     def _scrub(self, seconds: float) -> None:
         playback = self._desk.playback
-        if seconds >= self.scrubber.max and playback.source.is_growing:
+        if seconds >= self.scrubber.max and playback.is_growing:
             playback.follow()
         else:
-            playback.seek(playback.source.begin_ns + round(seconds * NS_PER_S))
+            playback.seek(playback.begin_ns + round(seconds * NS_PER_S))
 
     def _set_speed(self, text: str) -> None:
         self._desk.playback.speed = SPEEDS[tuple(map(_speed_text, SPEEDS)).index(text)]

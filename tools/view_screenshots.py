@@ -1,0 +1,286 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Make the pictures of docs/view.md: a viewer is started as by a user, and shown in Chromium.
+
+    python tools/view_screenshots.py                # of the demo and of a simulated robot
+    python tools/view_screenshots.py --only camera  # some of them
+
+It needs the extra [dev], chromium and chromium-driver. Look at every picture afterwards.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import queue
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from chromium import chromium, close_notifications, draw, picture, ratslam, wait_for
+from PIL import Image
+from selenium.webdriver.common.action_chains import ActionChains
+from selenium.webdriver.common.by import By
+from selenium.webdriver.common.keys import Keys
+
+ROOT = Path(__file__).parents[1]
+
+WINDOW = (1280, 720)
+TALL = (1280, 1500)
+"""Size of the page in px: as a whole, and for panels, which are shown in full length."""
+
+MARGIN_PX = 8
+START_S, STOP_S = 90.0, 10.0
+PARTS = ('run', 'export', 'robot')
+QUALITY = 82
+COLOURS = 128
+"""Quality of WebP, for pictures with the map, and colours of PNG, for panels."""
+
+
+class Viewer:
+    """A running ``ratslam`` command with its page."""
+
+    def __init__(self, browser: Any, url: str) -> None:
+        self.browser, self.url = browser, url
+
+    def open(self, size: tuple[int, int]) -> None:
+        """Load the page with a size in px, and wait until it shows something."""
+        self.resize(size)
+        self.browser.get(self.url)
+        wait_for(lambda: self.tabs(), 'the page of the viewer shows no panels')
+        self.settle(3.0)
+
+    def resize(self, size: tuple[int, int]) -> None:
+        """Change the size of the page."""
+        self.browser.execute_cdp_cmd(
+            'Emulation.setDeviceMetricsOverride',
+            {'width': size[0], 'height': size[1], 'deviceScaleFactor': 1, 'mobile': False},
+        )
+
+    def settle(self, seconds: float = 1.0) -> None:
+        """Wait for what the loop sends, close viser's notices, and wait for the drawing."""
+        time.sleep(seconds)
+        close_notifications(self.browser)
+        time.sleep(0.5)
+        draw(self.browser)
+
+    def tabs(self) -> dict[str, Any]:
+        """Return the tabs by their names."""
+        found = self.browser.find_elements(By.CSS_SELECTOR, '[role=tab]')
+        return {tab.text.strip(): tab for tab in found}
+
+    def tab(self, name: str) -> None:
+        """Select a tab.
+
+        Raises:
+            SystemExit: there is none with this name.
+        """
+        tabs = self.tabs()
+        if name not in tabs:
+            raise SystemExit(f'no tab {name!r}; there are {", ".join(tabs)}')
+        self.browser.execute_script('arguments[0].scrollIntoView()', tabs[name])
+        tabs[name].click()
+        self.settle()
+
+    def panel(self, name: str) -> Image.Image:
+        """Return the picture of a tab with its content."""
+        self.tab(name)
+        box = self.browser.execute_script(
+            "const r = arguments[0].closest('[data-dock-group]').getBoundingClientRect();"
+            'return [r.left, r.top, r.right, r.bottom]',
+            self.tabs()[name],
+        )
+        return without_empty_end(picture(self.browser).crop(tuple(map(round, box))))
+
+    def press(self, key: str) -> None:
+        """Press a key with the focus on the map."""
+        self.browser.execute_script('document.activeElement?.blur()')
+        ActionChains(self.browser).send_keys(key).perform()
+        self.settle()
+
+    def choose(self, label: str, row: int) -> None:
+        """Choose an entry of the dropdown with a label, by its number."""
+        field = self.browser.find_element(
+            By.XPATH, f'//label[normalize-space()="{label}"]/following::input[1]'
+        )
+        self.browser.execute_script('arguments[0].scrollIntoView()', field)
+        field.click()
+        options = wait_for(
+            lambda: [
+                option
+                for option in self.browser.find_elements(By.CSS_SELECTOR, '[role=option]')
+                if option.is_displayed()
+            ],
+            f'the dropdown {label!r} is empty',
+        )
+        options[min(row, len(options) - 1)].click()
+        self.settle(2.0)
+
+    def click_map(self, until: str) -> None:
+        """Click on points of the map, from its middle outwards, until the page shows a text.
+
+        Raises:
+            SystemExit: no point did.
+        """
+        canvas = self.browser.find_element(By.CSS_SELECTOR, 'canvas')
+        for x, y in spiral(step=14, count=200):
+            ActionChains(self.browser).move_to_element_with_offset(canvas, x, y).click().perform()
+            time.sleep(0.35)
+            if until in self.browser.find_element(By.TAG_NAME, 'body').text:
+                self.settle(2.0)
+                return
+        raise SystemExit(f'no click on the map showed {until!r}')
+
+
+def spiral(step: int, count: int) -> Iterator[tuple[int, int]]:
+    """Return points on a spiral around the origin, about ``step`` apart."""
+    for k in range(count):
+        radius, angle = step * np.sqrt(k), 2.4 * k
+        yield round(radius * np.cos(angle)), round(radius * np.sin(angle))
+
+
+def without_empty_end(panel: Image.Image) -> Image.Image:
+    """Return a picture without the rows at its end that have a single colour."""
+    pixels = np.asarray(panel).astype(int)[:, MARGIN_PX:-MARGIN_PX]
+    used = np.flatnonzero(np.ptp(pixels, axis=1).max(axis=1) > MARGIN_PX)
+    last = int(used[-1]) if len(used) else panel.height
+    return panel.crop((0, 0, panel.width, min(panel.height, last + 2 * MARGIN_PX)))
+
+
+@contextmanager
+def viewer(browser: Any, *command: str) -> Iterator[Viewer]:
+    """Start a ratslam command that shows its run; it ends with the context."""
+    process = subprocess.Popen(
+        [sys.executable, '-u', '-m', 'ratslam_ros', *command],
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True,
+        env={key: value for key, value in os.environ.items() if key != 'DISPLAY'},
+    )  # fmt: skip
+    lines: queue.Queue[str] = queue.Queue()
+    threading.Thread(
+        target=lambda: [lines.put(line) for line in process.stdout or ()], daemon=True
+    ).start()
+    output: list[str] = []
+
+    def url() -> str | None:
+        while not lines.empty():
+            output.append(lines.get())
+        found = re.search(r'http://\S+', ''.join(output))
+        if found is None and process.poll() is not None:
+            raise SystemExit(f'ratslam {" ".join(command)}: {"".join(output)}')
+        return found and found[0].rstrip('.')
+
+    try:
+        yield Viewer(browser, wait_for(url, f'ratslam {command[0]} prints no URL', START_S))
+    finally:
+        os.killpg(process.pid, signal.SIGINT)
+        try:
+            process.wait(STOP_S)
+        except subprocess.TimeoutExpired:
+            os.killpg(process.pid, signal.SIGKILL)
+
+
+Save = Callable[[str, Image.Image], None]
+
+
+def of_finished_run(shown: Viewer, save: Save) -> None:
+    """Make the pictures of a finished run."""
+    shown.open(WINDOW)
+    save('view_window', picture(shown.browser))
+    shown.press('t')
+    save('view_dark', picture(shown.browser))
+    shown.press('t')
+    shown.resize(TALL)
+    shown.settle()
+    for name in ('Camera and match', 'Pose cells', 'Map', 'Tune', 'Help'):
+        save(file_of(name), shown.panel(name))
+    shown.tab('Select')
+    shown.choose('Loop closures', 1)
+    save('view_select_closure', shown.panel('Select'))
+    shown.resize(WINDOW)
+    shown.click_map('visits')
+    shown.resize(TALL)
+    save('view_select_experience', shown.panel('Select'))
+
+
+def of_simulated_robot(shown: Viewer, save: Save) -> None:
+    """Make the pictures of a robot that drives to a goal."""
+    shown.open(TALL)
+    shown.tab('Select')
+    shown.resize(WINDOW)
+    shown.click_map('Ground')
+    shown.press('g')
+    shown.settle(3.0)
+    save('view_route', picture(shown.browser))
+    shown.resize(TALL)
+    save('view_drive', shown.panel('Drive'))
+
+
+def of_export(browser: Any, page: Path, save: Save) -> None:
+    """Make the picture of an exported page."""
+    browser.get(page.as_uri())
+    time.sleep(8.0)
+    close_notifications(browser)
+    browser.find_element(By.TAG_NAME, 'body').send_keys(Keys.SPACE)
+    draw(browser)
+    save('view_export', picture(browser))
+
+
+def file_of(tab: str) -> str:
+    """Return the name of a tab's picture."""
+    return 'view_' + tab.lower().replace(' ', '_')
+
+
+def write(folder: Path, name: str, image: Image.Image) -> None:
+    """Write a picture: WebP if the map is in it, PNG with a palette if it is a panel."""
+    for old in folder.glob(f'{name}.*'):
+        old.unlink()
+    if image.width > WINDOW[0] // 2:
+        path = folder / f'{name}.webp'
+        image.save(path, quality=QUALITY, method=6)
+    else:
+        path = folder / f'{name}.png'
+        image.quantize(COLOURS).save(path, optimize=True)
+    print(f'{path.name}: {image.width} x {image.height}, {path.stat().st_size} bytes')
+
+
+def main() -> None:
+    """Make the pictures."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument('--only', help='write only pictures whose names contain this')
+    parser.add_argument('--out', type=Path, default=ROOT / 'docs/images')
+    parser.add_argument('--results', help='folder of a run; without it, the demo runs')
+    parser.add_argument('--parts', nargs='+', choices=PARTS, default=PARTS)
+    options = parser.parse_args()
+
+    def save(name: str, image: Image.Image) -> None:
+        if not options.only or options.only in name:
+            write(options.out, name, image)
+
+    with tempfile.TemporaryDirectory() as folder, chromium(*WINDOW) as browser:
+        results = options.results
+        if results is None and {'run', 'export'} & set(options.parts):
+            results = f'{folder}/demo'
+            ratslam('demo', '--quiet', '--out', results)
+        if 'run' in options.parts:
+            with viewer(browser, 'view', results) as shown:
+                of_finished_run(shown, save)
+        if 'export' in options.parts:
+            page = Path(folder) / 'run.html'
+            ratslam('view', results, '--export', str(page))
+            of_export(browser, page, save)
+        if 'robot' in options.parts:
+            with viewer(browser, 'simulate', '--view', '--out', f'{folder}/robot') as shown:
+                of_simulated_robot(shown, save)
+
+
+if __name__ == '__main__':
+    main()
