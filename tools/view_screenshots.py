@@ -200,7 +200,7 @@ def of_finished_run(shown: Viewer, save: Save) -> None:
     shown.press('t')
     shown.resize(TALL)
     shown.settle()
-    for name in ('Camera and match', 'Pose cells', 'Map', 'Tune', 'Help'):
+    for name in ('Camera and match', 'Pose cells', 'Map', 'Parameters', 'Help'):
         save(file_of(name), shown.panel(name))
     shown.tab('Select')
     shown.choose('Loop closures', 1)
