@@ -38,6 +38,19 @@ WINDOW = (1280, 720)
 TALL = (1280, 1500)
 """Size of the page in px: as a whole, and for panels, which are shown in full length."""
 
+DOMAIN = {
+    'ROS_DOMAIN_ID': str(1 + os.getpid() % 100), 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'
+}  # fmt: skip
+"""Keeps the nodes apart from others on this machine and its network."""
+
+NODES = (
+    'launch', '--view', '--config', 'navigation', '--goal-follower', '--set',
+    'goal_follower.explore=true',
+)  # fmt: skip
+ROBOT = ('simulate', '--live', '--plan', 'office', '--rate', '2', '--quiet')
+EXPLORED_S = 75.0
+"""Live nodes and a simulated robot, and time for it to explore before it gets a goal."""
+
 MARGIN_PX = 8
 START_S, STOP_S = 90.0, 10.0
 PARTS = ('run', 'export', 'robot')
@@ -157,35 +170,51 @@ def without_empty_end(panel: Image.Image) -> Image.Image:
 
 
 @contextmanager
-def viewer(browser: Any, *command: str) -> Iterator[Viewer]:
-    """Start a ratslam command that shows its run; it ends with the context."""
+def running(*command: str) -> Iterator[subprocess.Popen[str]]:
+    """Start a ratslam command; it ends with the context."""
     process = subprocess.Popen(
         [sys.executable, '-u', '-m', 'ratslam_ros', *command],
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True,
-        env={key: value for key, value in os.environ.items() if key != 'DISPLAY'},
+        env={**os.environ, **DOMAIN},
     )  # fmt: skip
+    try:
+        yield process
+    finally:
+        process.send_signal(signal.SIGINT)
+        try:
+            process.wait(STOP_S)
+        except subprocess.TimeoutExpired:
+            os.killpg(process.pid, signal.SIGKILL)
+
+
+@contextmanager
+def viewer(browser: Any, *command: str) -> Iterator[Viewer]:
+    """Start a ratslam command that shows its run; it ends with the context."""
+    with running(*command, '--no-browser', '--port', '0') as process:
+        yield Viewer(browser, url_of(process))
+
+
+def url_of(process: subprocess.Popen[str]) -> str:
+    """Return the address of the page that a command prints.
+
+    Raises:
+        SystemExit: it printed none.
+    """
     lines: queue.Queue[str] = queue.Queue()
     threading.Thread(
         target=lambda: [lines.put(line) for line in process.stdout or ()], daemon=True
     ).start()
     output: list[str] = []
 
-    def url() -> str | None:
+    def url() -> str:
         while not lines.empty():
             output.append(lines.get())
         found = re.search(r'http://\S+', ''.join(output))
         if found is None and process.poll() is not None:
-            raise SystemExit(f'ratslam {" ".join(command)}: {"".join(output)}')
-        return found and found[0].rstrip('.')
+            raise SystemExit(f'no page is shown: {"".join(output)}')
+        return '' if found is None else found[0]
 
-    try:
-        yield Viewer(browser, wait_for(url, f'ratslam {command[0]} prints no URL', START_S))
-    finally:
-        os.killpg(process.pid, signal.SIGINT)
-        try:
-            process.wait(STOP_S)
-        except subprocess.TimeoutExpired:
-            os.killpg(process.pid, signal.SIGKILL)
+    return str(wait_for(url, 'the command prints no address', START_S))
 
 
 Save = Callable[[str, Image.Image], None]
@@ -211,11 +240,11 @@ def of_finished_run(shown: Viewer, save: Save) -> None:
     save('view_select_experience', shown.panel('Select'))
 
 
-def of_simulated_robot(shown: Viewer, save: Save) -> None:
-    """Make the pictures of a robot that drives to a goal."""
-    shown.open(TALL)
+def of_robot(shown: Viewer, save: Save) -> None:
+    """Make the pictures of a simulated robot that drives to a goal."""
+    time.sleep(EXPLORED_S)
+    shown.open(WINDOW)
     shown.tab('Select')
-    shown.resize(WINDOW)
     shown.click_map('Ground')
     shown.press('g')
     shown.settle(3.0)
@@ -278,8 +307,8 @@ def main() -> None:
             ratslam('view', results, '--export', str(page))
             of_export(browser, page, save)
         if 'robot' in options.parts:
-            with viewer(browser, 'simulate', '--view', '--out', f'{folder}/robot') as shown:
-                of_simulated_robot(shown, save)
+            with viewer(browser, *NODES) as shown, running(*ROBOT):
+                of_robot(shown, save)
 
 
 if __name__ == '__main__':
