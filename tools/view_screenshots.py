@@ -52,7 +52,7 @@ EXPLORED_S = 75.0
 """Live nodes and a simulated robot, and time for it to explore before it gets a goal."""
 
 MARGIN_PX = 8
-START_S, STOP_S = 90.0, 10.0
+START_S, REPLAY_S, STOP_S = 90.0, 180.0, 10.0
 PARTS = ('run', 'export', 'robot')
 QUALITY = 82
 COLOURS = 128
@@ -85,6 +85,10 @@ class Viewer:
         close_notifications(self.browser)
         time.sleep(0.5)
         draw(self.browser)
+
+    def text(self) -> str:
+        """Return the visible texts."""
+        return str(self.browser.find_element(By.TAG_NAME, 'body').text)
 
     def tabs(self) -> dict[str, Any]:
         """Return the tabs by their names."""
@@ -148,7 +152,7 @@ class Viewer:
         for x, y in spiral(step=14, count=200):
             ActionChains(self.browser).move_to_element_with_offset(canvas, x, y).click().perform()
             time.sleep(0.35)
-            if until in self.browser.find_element(By.TAG_NAME, 'body').text:
+            if until in self.text():
                 self.settle(2.0)
                 return
         raise SystemExit(f'no click on the map showed {until!r}')
@@ -170,11 +174,11 @@ def without_empty_end(panel: Image.Image) -> Image.Image:
 
 
 @contextmanager
-def running(*command: str) -> Iterator[subprocess.Popen[str]]:
+def running(*command: str, output: int = subprocess.DEVNULL) -> Iterator[subprocess.Popen[str]]:
     """Start a ratslam command; it ends with the context."""
     process = subprocess.Popen(
         [sys.executable, '-u', '-m', 'ratslam_ros', *command],
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True,
+        stdout=output, stderr=subprocess.STDOUT, text=True, start_new_session=True,
         env={**os.environ, **DOMAIN},
     )  # fmt: skip
     try:
@@ -190,7 +194,8 @@ def running(*command: str) -> Iterator[subprocess.Popen[str]]:
 @contextmanager
 def viewer(browser: Any, *command: str) -> Iterator[Viewer]:
     """Start a ratslam command that shows its run; it ends with the context."""
-    with running(*command, '--no-browser', '--port', '0') as process:
+    words = (*command, '--no-browser', '--port', '0')
+    with running(*words, output=subprocess.PIPE) as process:
         yield Viewer(browser, url_of(process))
 
 
@@ -220,9 +225,11 @@ def url_of(process: subprocess.Popen[str]) -> str:
 Save = Callable[[str, Image.Image], None]
 
 
-def of_finished_run(shown: Viewer, save: Save) -> None:
-    """Make the pictures of a finished run."""
+def of_replay(shown: Viewer, save: Save) -> None:
+    """Make the pictures of a replay that has come to its end."""
     shown.open(WINDOW)
+    wait_for(lambda: 'end of the run' in shown.text(), 'the replay does not end', REPLAY_S)
+    shown.settle(3.0)
     save('view_window', picture(shown.browser))
     shown.press('t')
     save('view_dark', picture(shown.browser))
@@ -286,7 +293,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument('--only', help='write only pictures whose names contain this')
     parser.add_argument('--out', type=Path, default=ROOT / 'docs/images')
-    parser.add_argument('--results', help='folder of a run; without it, the demo runs')
+    parser.add_argument('--demo', help='results of ratslam demo; without it, the demo runs')
     parser.add_argument('--parts', nargs='+', choices=PARTS, default=PARTS)
     options = parser.parse_args()
 
@@ -295,16 +302,18 @@ def main() -> None:
             write(options.out, name, image)
 
     with tempfile.TemporaryDirectory() as folder, chromium(*WINDOW) as browser:
-        results = options.results
-        if results is None and {'run', 'export'} & set(options.parts):
-            results = f'{folder}/demo'
-            ratslam('demo', '--quiet', '--out', results)
+        demo = options.demo
+        if demo is None and {'run', 'export'} & set(options.parts):
+            demo = f'{folder}/demo'
+            ratslam('demo', '--quiet', '--out', demo)
         if 'run' in options.parts:
-            with viewer(browser, 'view', results) as shown:
-                of_finished_run(shown, save)
+            recording = f'{demo}/recording'
+            words = ('view', recording, '--truth', f'{recording}/truth.tum')
+            with viewer(browser, *words, '--out', f'{folder}/replay') as shown:
+                of_replay(shown, save)
         if 'export' in options.parts:
             page = Path(folder) / 'run.html'
-            ratslam('view', results, '--export', str(page))
+            ratslam('view', demo, '--export', str(page))
             of_export(browser, page, save)
         if 'robot' in options.parts:
             with viewer(browser, *NODES) as shown, running(*ROBOT):
