@@ -1,6 +1,7 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 from collections.abc import Iterator
+from pathlib import Path
 from types import SimpleNamespace
 
 import cv2
@@ -225,7 +226,8 @@ def test_listed_closure_shows_both_images_and_values(page: Page) -> None:
 def test_clicked_link_shows_the_view_that_closed_it(page: Page) -> None:
     selection = page.panels.selection
     selection.choose(FakePick('closure', ends=(0, 19)))
-    assert selection.closure is not None and selection.closure.target_id == 0
+    assert selection.closure is not None
+    assert selection.closure.stamp_ns == page.run.stamps[20]  # the first of three transitions
     selection.choose(FakePick('closure', ends=(5, 9)))
     assert selection.closure is None
     assert 'not in the history' in selection.text.content
@@ -350,6 +352,32 @@ def test_screenshot_is_drawn_and_downloaded_by_the_browser(
     assert name == 'test-run-0-05.0.png'
     picture = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
     assert picture.shape == (30, 40, 4) and tuple(picture[0, 0]) == (30, 20, 10, 255)
+
+
+def test_recording_is_downloaded_and_its_failure_shown(
+    page: Page, browser: FakeClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from ratslam_ros.viewer import export
+
+    def write(source: object, path: Path, dark: bool, colouring: str) -> export.Exported:
+        assert source is page.run and not dark and colouring == 'age'
+        path.write_bytes(b'page')
+        return export.Exported(4_000_000, 30)
+
+    def press() -> None:
+        for callback in page.panels.export.recording._impl.update_cb:
+            callback(viser.GuiEvent(client=browser, client_id=1, target=None))  # type: ignore[arg-type]
+        page.update()
+        page.answer()
+        assert not page.panels.export.recording.disabled
+
+    monkeypatch.setattr(export, 'export_html', write)
+    press()
+    assert browser.files == [('test-run.html', b'page')]
+    assert browser.notes[-1][1] == 'test-run.html: 4.0 MB, 30 frames'
+    monkeypatch.setattr(export, 'export_html', lambda *_, **__: 1 / 0)
+    press()
+    assert browser.notes[-1][0] == 'Refused: recording'
 
 
 def test_unchanged_state_sends_nothing(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,6 +13,7 @@ from viewer_page import Page, open_page
 
 from ratslam_ros.history.records import StatusRecord
 from ratslam_ros.viewer.controls import NoControls
+from ratslam_ros.viewer.panels.parameters import problem_of
 
 ALL_ACTIONS = (
     'go_to', 'go_to_place', 'name_place', 'cancel_goals', 'explore', 'pause_nodes', 'mapping',
@@ -172,66 +173,101 @@ def test_parameters_of_a_section_are_generated(page: Page) -> None:
     assert not panel.inputs
 
 
-def test_changed_parameter_is_sent_and_marked(page: Page) -> None:
+def test_edits_are_marked_and_applied_together(page: Page) -> None:
     panel = page.panels.parameters
+    assert panel.apply.disabled
     page.give(panel.inputs['local_view.vt_match_threshold'], 0.05)
-    page.answer()
-    assert page.controls.calls == [('set_parameter', 'local_view.vt_match_threshold', 0.05)]
-    assert '0.03 → 0.05' in panel.text.content
-    page.give(panel.reset_all)
-    page.answer()
-    assert page.controls.parameters['local_view.vt_match_threshold'] == 0.03
-    assert panel.inputs['local_view.vt_match_threshold'].value == 0.03
-    assert '→' not in panel.text.content and not panel.changed
-
-
-def test_invalid_value_is_explained_and_not_sent(page: Page) -> None:
-    panel = page.panels.parameters
-    handle = panel.inputs['local_view.vt_shift_match']
-    page.give(handle, 40)
-    assert 'expected less than half of template_x_size' in panel.text.content
-    assert handle.value == 5
+    page.give(panel.inputs['local_view.vt_panoramic'], True)
     assert page.controls.calls == []
+    assert '0.03 → 0.05' in panel.text.content
+    assert panel.inputs['local_view.vt_panoramic'].label.startswith('◆')
+    page.give(panel.apply)
+    page.answer()
+    assert page.controls.calls == [
+        ('set_parameter', 'local_view.vt_match_threshold', 0.05),
+        ('set_parameter', 'local_view.vt_panoramic', True),
+    ]
+    assert panel.apply.disabled and not panel.edits and not panel.text.content
+    assert panel.inputs['local_view.vt_panoramic'].label.startswith('vt')
 
 
-def test_refused_value_is_taken_back(page: Page) -> None:
+def test_edits_are_discarded_or_set_to_defaults(page: Page) -> None:
+    page.controls.parameters['local_view.vt_max'] = 500
+    page.update()
+    panel = page.panels.parameters
+    handle = panel.inputs['local_view.vt_max']
+    page.give(handle, 700)
+    page.give(panel.buttons, 'Discard')
+    assert handle.value == 500 and not panel.edits
+    page.give(panel.buttons, 'Defaults')
+    assert handle.value == 0 and panel.edits == {'local_view.vt_max': 0}
+    page.give(handle, 500)
+    assert not panel.edits and panel.apply.disabled
+
+
+def test_invalid_edits_are_explained_until_they_fit_together(page: Page) -> None:
+    panel = page.panels.parameters
+    page.give(panel.inputs['local_view.vt_shift_match'], 40)
+    assert 'expected less than half of template_x_size' in panel.text.content
+    assert panel.apply.disabled
+    page.give(panel.inputs['local_view.template_x_size'], 100)
+    assert 'expected' not in panel.text.content and not panel.apply.disabled
+    # The controls refuse the first value until they have the second one.
+    page.controls.accepts = lambda values: not problem_of(values)
+    page.give(panel.apply)
+    page.answer()
+    assert page.controls.parameters['local_view.vt_shift_match'] == 40
+    assert not panel.edits
+
+
+def test_refused_edits_stay_with_the_reason(page: Page) -> None:
     panel = page.panels.parameters
     page.controls.refusal = 'cannot be set while the node runs'
-    handle = panel.inputs['local_view.vt_max']
-    page.give(handle, 50)
+    page.give(panel.inputs['local_view.vt_max'], 50)
+    page.give(panel.apply)
     page.answer()
     assert 'cannot be set while the node runs' in panel.text.content
-    assert handle.value == 0 and not panel.changed
+    assert panel.edits == {'local_view.vt_max': 50}
 
 
-def test_value_changed_elsewhere_is_shown(page: Page) -> None:
+def test_value_changed_elsewhere_is_shown_beside_edits(page: Page) -> None:
+    panel = page.panels.parameters
+    page.give(panel.inputs['local_view.vt_shift_match'], 7)
     page.controls.parameters['local_view.vt_max'] = 77
     page.update()
-    assert page.panels.parameters.inputs['local_view.vt_max'].value == 77
+    assert panel.inputs['local_view.vt_max'].value == 77
+    assert panel.edits == {'local_view.vt_shift_match': 7}
     assert page.controls.calls == []
+
+
+def test_edits_survive_another_section(page: Page) -> None:
+    panel = page.panels.parameters
+    page.give(panel.inputs['local_view.vt_max'], 50)
+    page.give(panel.section, 'experience_map')
+    page.give(panel.section, 'local_view')
+    assert panel.inputs['local_view.vt_max'].value == 50
+    assert panel.inputs['local_view.vt_max'].label.startswith('◆')
 
 
 def test_replay_runs_again_with_changes(replay: Page) -> None:
     panel = replay.panels.parameters
-    assert panel.again.visible and panel.again.disabled
+    assert panel.apply.label == 'Run again with the changes'
     replay.give(panel.inputs['local_view.vt_panoramic'], True)
+    replay.give(panel.apply)
     replay.answer()
-    assert not panel.again.disabled
-    replay.give(panel.again)
-    replay.answer()
-    assert replay.controls.calls[-1] == ('run_again',)
-    assert panel.again.disabled
+    assert replay.controls.calls == [
+        ('set_parameter', 'local_view.vt_panoramic', True), ('run_again',)
+    ]  # fmt: skip
+    assert panel.apply.disabled
     assert not replay.panels.drive.groups
 
 
-def test_shared_parameter_is_set_in_both_sections() -> None:
+def test_shared_parameter_is_edited_in_both_sections() -> None:
     controls = FakeControls('set_parameter')
     controls.parameters['pose_cells.odom_source'] = 'twist'
     with open_page(FakeRun(5), controls) as page:
         panel = page.panels.parameters
         page.give(panel.section, 'pose_cells')
         page.give(panel.inputs['pose_cells.odom_source'], 'pose')
-        page.answer()
-        assert {call[1] for call in controls.calls} >= {
-            'pose_cells.odom_source', 'experience_map.odom_source',
-        }  # fmt: skip
+        assert set(panel.edits) == {'pose_cells.odom_source', 'experience_map.odom_source'}
+        assert not panel.apply.disabled

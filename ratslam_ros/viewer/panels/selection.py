@@ -181,13 +181,17 @@ class SelectionPanel:
 
     def _show_link(self, source_id: int, target_id: int) -> None:
         """Show the loop closure that made a link."""
+        source, until_ns = self._desk.playback.source, self._cursor_ns()
+        views = [
+            *source.visits(target_id, until_ns),
+            *source.visits(source_id, until_ns),
+            *source.closures(until_ns),
+        ]
         ends = {source_id, target_id}
-        found = [
-            view for view in self._desk.playback.source.closures(self._cursor_ns())
-            if {view.source_id, claimed_id(view)} == ends
-        ]  # fmt: skip
+        found = [view for view in views if {view.source_id, claimed_id(view)} == ends]
         if found:
-            self._show_closure(found[-1])
+            # The first transition made the link; a rejected one made none.
+            self._show_closure(min(found, key=lambda view: (bool(view.reason), view.stamp_ns)))
             return
         self.text.content = block(
             strong(f'Link between experiences {source_id} and {target_id}'),
