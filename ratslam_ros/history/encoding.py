@@ -1,0 +1,338 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Records as bytes. The first byte of a record is its kind, and the next four its length.
+
+Rounding is idempotent: what is decoded and encoded again has the same bytes.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterator
+from typing import Any, cast, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.mapping.map_changes import ExperienceRows, LinkRows, MapChange
+from ratslam_ros.core.pose_cells.map_action import Action
+from ratslam_ros.core.pose_cells.torus import Place
+from ratslam_ros.history.packing import (
+    ROUNDING,
+    DamagedHistory,
+    Unpacker,
+    pack_bytes,
+    pack_floats,
+    pack_ints,
+    pack_rounded,
+    pack_text,
+)
+from ratslam_ros.history.records import (
+    CellsRecord,
+    ImageRecord,
+    MatchRecord,
+    PoseRecord,
+    Record,
+    RouteRecord,
+    ScanRecord,
+    StatusRecord,
+    ViewRecord,
+)
+
+MAX_EXPERIENCES = 10_000_000
+"""Largest accepted number of experiences; a reader allocates memory for all of them."""
+
+MAX_MM = 2**53
+"""Largest stored coordinate in mm; a double still distinguishes them."""
+
+ACTIVITY_STEPS = 65535
+"""Activities of cells are stored in 16 bits, as a share of the largest one."""
+
+ACTIONS: tuple[Action, ...] = get_args(Action)
+
+_HEAD = struct.Struct('<BI')
+_STAMP = struct.Struct('<q')
+_VIEW = struct.Struct('<q i ? fff B ii fff i f i')
+_POSE = struct.Struct('<q B')
+_XYH = struct.Struct('<qqi')
+_CELLS = struct.Struct('<q III II d')
+_MATCH = struct.Struct('<q q i HH HH')
+_MAP = struct.Struct('<q I i ? Q')
+
+
+def encode(record: Record) -> bytes:
+    """Return a record as bytes with its kind and length in front."""
+    kind = KINDS[type(record)]
+    data = _ENCODERS[kind](record)
+    return _HEAD.pack(kind, len(data)) + data
+
+
+def heads(data: bytes) -> Iterator[tuple[int, int, memoryview]]:
+    """Yield kind, stamp and encoded content of every record; raises DamagedHistory."""
+    unpacker = Unpacker(data)
+    while not unpacker.is_at_end:
+        kind, length = unpacker.fields(_HEAD)
+        content = unpacker.raw(cast(int, length))
+        if not 0 <= kind < len(_DECODERS) or len(content) < _STAMP.size:
+            raise DamagedHistory(f'a record has the kind {kind} and {len(content)} bytes')
+        yield cast(int, kind), _STAMP.unpack_from(content)[0], content
+
+
+def decode(kind: int, content: bytes | memoryview) -> Record:
+    """Return a record from its kind and content, see ``heads``.
+
+    Raises:
+        DamagedHistory: the content is not that of such a record.
+    """
+    unpacker = Unpacker(content)
+    record = _DECODERS[kind](unpacker)
+    if not unpacker.is_at_end:
+        raise DamagedHistory(f'a {type(record).__name__} is longer than expected')
+    return record
+
+
+def as_stored(record: PoseRecord) -> PoseRecord:
+    """Return a record of poses with the rounding of the file."""
+    return PoseRecord(
+        record.stamp_ns, _rounded_pose(record.pose),
+        None if record.dead_reckoning is None else _rounded_pose(record.dead_reckoning),
+        None if record.truth is None else _rounded_pose(record.truth),
+    )  # fmt: skip
+
+
+def _rounded_pose(pose: Pose) -> Pose:
+    x, y, heading = _fixed(pose)
+    return Pose(x / ROUNDING, y / ROUNDING, heading / ROUNDING)
+
+
+def _fixed(pose: Pose) -> tuple[int, int, int]:
+    """Return a pose in mm and mrad."""
+    x, y, heading = pose
+    return (
+        round(min(max(x * ROUNDING, -MAX_MM), MAX_MM)),
+        round(min(max(y * ROUNDING, -MAX_MM), MAX_MM)), round(heading * ROUNDING),
+    )  # fmt: skip
+
+
+# Views
+
+
+def _encode_view(view: ViewRecord) -> bytes:
+    return _VIEW.pack(
+        view.stamp_ns, view.template_id, view.is_new, view.error, view.threshold,
+        view.relative_rad, ACTIONS.index(view.action), view.source_id, view.target_id,
+        *view.place, view.recognised_id, view.agreement, view.relocated_to,
+    ) + pack_text(view.reason)  # fmt: skip
+
+
+def _decode_view(data: Unpacker) -> ViewRecord:
+    (
+        stamp_ns, template_id, is_new, error, threshold, relative_rad, action, source_id,
+        target_id, x, y, theta, recognised_id, agreement, relocated_to,
+    ) = cast(Any, data.fields(_VIEW))  # fmt: skip
+    if action >= len(ACTIONS) or max(target_id, recognised_id, relocated_to) >= MAX_EXPERIENCES:
+        raise DamagedHistory(f'a view has the action {action} and the target {target_id}')
+    return ViewRecord(
+        stamp_ns, template_id, is_new, error, threshold, relative_rad, ACTIONS[action],
+        source_id, target_id, Place(x, y, theta), recognised_id, agreement, data.text(),
+        relocated_to,
+    )  # fmt: skip
+
+
+# Poses
+
+
+def _encode_pose(record: PoseRecord) -> bytes:
+    known = (record.dead_reckoning is not None) + 2 * (record.truth is not None)
+    data = _POSE.pack(record.stamp_ns, known) + _XYH.pack(*_fixed(record.pose))
+    if record.dead_reckoning is not None:
+        data += _XYH.pack(*_fixed(record.dead_reckoning))
+    if record.truth is not None:
+        data += _XYH.pack(*_fixed(record.truth))
+    return data
+
+
+def _decode_pose(data: Unpacker) -> PoseRecord:
+    stamp_ns, known = cast(Any, data.fields(_POSE))
+
+    def pose() -> Pose:
+        x, y, heading = data.fields(_XYH)
+        return Pose(x / ROUNDING, y / ROUNDING, heading / ROUNDING)
+
+    return PoseRecord(
+        stamp_ns, pose(), pose() if known & 1 else None, pose() if known & 2 else None
+    )
+
+
+# Pose cells
+
+
+def _encode_cells(record: CellsRecord) -> bytes:
+    largest = float(record.activity.max(initial=0.0))
+    shares = np.zeros(len(record.activity), np.int64)
+    if largest > 0.0:
+        shares = np.rint(record.activity / largest * ACTIVITY_STEPS).astype(np.int64)
+    cells, shares = record.cells[shares > 0], shares[shares > 0]
+    return b''.join([
+        _CELLS.pack(
+            record.stamp_ns, *record.dims, len(record.packets), len(record.injections), largest
+        ),
+        *(pack_ints(column) for column in cells.T),
+        pack_bytes(shares.astype('<u2').tobytes()),
+        pack_floats(record.packets.ravel()),
+        pack_floats(record.injections.ravel()),
+    ])  # fmt: skip
+
+
+def _decode_cells(data: Unpacker) -> CellsRecord:
+    stamp_ns, n_x, n_y, n_theta, packets, injections, largest = cast(Any, data.fields(_CELLS))
+    x = data.ints()
+    cells = np.stack([x, data.ints(len(x)), data.ints(len(x))], axis=1)
+    shares = data.bytes()
+    if len(shares) != 2 * len(x):
+        raise DamagedHistory(f'{len(x)} cells have {len(shares)} bytes of activity')
+    return CellsRecord(
+        stamp_ns, (n_x, n_y, n_theta), cells,
+        np.frombuffer(shares, '<u2') / ACTIVITY_STEPS * largest,
+        data.floats(4 * packets).reshape(-1, 4), data.floats(4 * injections).reshape(-1, 4),
+    )  # fmt: skip
+
+
+# Images
+
+
+def _encode_image(record: ImageRecord) -> bytes:
+    return _STAMP.pack(record.stamp_ns) + pack_bytes(record.jpeg)
+
+
+def _decode_image(data: Unpacker) -> ImageRecord:
+    return ImageRecord(_stamp(data), data.bytes())
+
+
+def _encode_match(record: MatchRecord) -> bytes:
+    return _MATCH.pack(
+        record.stamp_ns, record.template_id, record.shift_px, *record.view.shape,
+        *record.template.shape,
+    ) + record.view.tobytes() + record.template.tobytes()  # fmt: skip
+
+
+def _decode_match(data: Unpacker) -> MatchRecord:
+    stamp_ns, template_id, shift_px, h, w, height, width = cast(Any, data.fields(_MATCH))
+    view = np.frombuffer(data.raw(h * w), np.uint8).reshape(h, w)
+    template = np.frombuffer(data.raw(height * width), np.uint8).reshape(height, width)
+    return MatchRecord(stamp_ns, template_id, view.copy(), template.copy(), shift_px)
+
+
+# Points and texts
+
+
+def _encode_points(record: ScanRecord | RouteRecord) -> bytes:
+    points = record.points_m
+    return b''.join([
+        _STAMP.pack(record.stamp_ns), pack_rounded(points[:, 0]), pack_rounded(points[:, 1]),
+    ])  # fmt: skip
+
+
+def _decode_scan(data: Unpacker) -> ScanRecord:
+    return ScanRecord(_stamp(data), _points(data))
+
+
+def _decode_route(data: Unpacker) -> RouteRecord:
+    return RouteRecord(_stamp(data), _points(data))
+
+
+def _points(data: Unpacker) -> NDArray[np.float64]:
+    x = data.rounded()
+    return np.stack([x, data.rounded(len(x))], axis=1)
+
+
+def _encode_status(record: StatusRecord) -> bytes:
+    return _STAMP.pack(record.stamp_ns) + pack_text(record.payload)
+
+
+def _decode_status(data: Unpacker) -> StatusRecord:
+    return StatusRecord(_stamp(data), data.text())
+
+
+def _stamp(data: Unpacker) -> int:
+    return cast(int, data.fields(_STAMP)[0])
+
+
+# Changes of the map
+
+
+def _encode_map(change: MapChange) -> bytes:
+    rows, links = change.experiences, change.links
+    names = sorted(set(links.behaviours))
+    numbers = {name: number for number, name in enumerate(names)}
+    return b''.join([
+        _MAP.pack(
+            change.stamp_ns, change.experience_count, change.current_id, change.is_restart,
+            change.pending,
+        ),
+        pack_ints(rows.ids), pack_ints(rows.template_ids), pack_ints(rows.components),
+        *(pack_rounded(column) for column in rows.poses.T),
+        pack_ints(links.ends[:, 0]), pack_ints(links.ends[:, 1]),
+        *(pack_rounded(column) for column in links.shapes.T),
+        pack_rounded(links.durations_s), pack_rounded(links.confidences),
+        pack_ints(links.counts), pack_ints(links.recognised.astype(np.int64)),
+        pack_text('\n'.join(names)),
+        pack_ints(np.array([numbers[name] for name in links.behaviours], np.int64)),
+        pack_ints(change.removed_links[:, 0]), pack_ints(change.removed_links[:, 1]),
+    ])  # fmt: skip
+
+
+def _decode_map(data: Unpacker) -> MapChange:
+    stamp_ns, count, current_id, is_restart, pending = cast(Any, data.fields(_MAP))
+    ids = data.ints()
+    n = len(ids)
+    if count > MAX_EXPERIENCES or (n and not 0 <= ids.min() <= ids.max() < count):
+        raise DamagedHistory(f'a map of {count} experiences has others')
+    template_ids, components = data.ints(n), data.ints(n)
+    poses = np.stack([data.rounded(n) for _ in range(3)], axis=1)
+    sources = data.ints()
+    m = len(sources)
+    ends = np.stack([sources, data.ints(m)], axis=1)
+    shapes = np.stack([data.rounded(m) for _ in range(3)], axis=1)
+    durations_s, confidences = data.rounded(m), data.rounded(m)
+    counts, recognised = data.ints(m), data.ints(m) > 0
+    names, behaviours = data.text().split('\n'), data.ints(m)
+    if m and not 0 <= behaviours.min() <= behaviours.max() < len(names):
+        raise DamagedHistory('a link has a behaviour without name')
+    removed = data.ints()
+    return MapChange(
+        stamp_ns, count, current_id, is_restart,
+        ExperienceRows(ids, template_ids, poses, components),
+        LinkRows(
+            ends, shapes, durations_s, confidences, counts, recognised,
+            tuple(names[number] for number in behaviours.tolist()),
+        ),
+        np.stack([removed, data.ints(len(removed))], axis=1), pending,
+    )  # fmt: skip
+
+
+_CODECS: tuple[tuple[type, Callable[[Any], bytes], Callable[[Unpacker], Record]], ...] = (
+    (MapChange, _encode_map, _decode_map),
+    (ViewRecord, _encode_view, _decode_view),
+    (PoseRecord, _encode_pose, _decode_pose),
+    (CellsRecord, _encode_cells, _decode_cells),
+    (ImageRecord, _encode_image, _decode_image),
+    (MatchRecord, _encode_match, _decode_match),
+    (ScanRecord, _encode_points, _decode_scan),
+    (RouteRecord, _encode_points, _decode_route),
+    (StatusRecord, _encode_status, _decode_status),
+)
+"""The order gives the numbers of the kinds in the file: append new ones at the end."""
+
+KINDS: dict[type, int] = {kind: number for number, (kind, _, _) in enumerate(_CODECS)}
+"""Number of every kind of record."""
+
+_ENCODERS = [encoder for _, encoder, _ in _CODECS]
+_DECODERS = [decoder for _, _, decoder in _CODECS]
+
+LATEST_ONLY = frozenset(
+    KINDS[kind]
+    for kind in (CellsRecord, ImageRecord, MatchRecord, ScanRecord, RouteRecord, StatusRecord)
+)
+"""Kinds of which a state contains only the last record."""

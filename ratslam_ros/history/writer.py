@@ -1,0 +1,345 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Writer of a history file."""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+import sys
+import time
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+from typing import IO
+
+from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
+from ratslam_ros.history.budget import Budget
+from ratslam_ros.history.checkpoint import encode_state
+from ratslam_ros.history.encoding import as_stored, encode
+from ratslam_ros.history.file import (
+    APPLICATION_ID,
+    SCHEMA,
+    SCHEMA_VERSION,
+    HistoryMeta,
+    lock_path,
+    part_path,
+)
+from ratslam_ros.history.packing import compressed
+from ratslam_ros.history.records import PoseRecord, Record, ViewRecord
+from ratslam_ros.history.run_state import NS_PER_S, RunState
+
+SEGMENT_NS = NS_PER_S
+"""Duration of a segment: what a crash may lose, and what a look-up has to decompress."""
+
+SEGMENT_BYTES = 2**16
+"""Size at which a segment ends early."""
+
+MAX_SEGMENT_BYTES = 2**22
+"""Size at which a segment ends even if the stamps stand still, so that memory is bounded."""
+
+CHECKPOINT_RATIO = 3
+"""A checkpoint is written when the segments since the last one are this many times as large as
+it, so that checkpoints are at most a quarter of the file however large the map is."""
+
+MIN_CHECKPOINT_BYTES = 2**16
+"""Smallest size of the segments between two checkpoints; they are applied in about 20 ms."""
+
+COMMIT_S = 0.25
+"""Wall-clock time between two commits: readers see new segments that often. The content of the
+file does not depend on it."""
+
+PAGE_BYTES = 1024
+"""Page size of SQLite. A segment wastes half a page on average: 2 MB per hour with 1024 bytes, 7
+with the usual 4096."""
+
+NEWEST_COUNT = 10
+"""A transition to one of the newest experiences closes no loop."""
+
+
+class HistoryWriter:
+    """Appends the records of a run to a file.
+
+    The file has the suffix ``.part`` until it is closed, and a file of an earlier run stays until
+    then. Readers in other processes can follow it. A killed writer leaves a readable file with all
+    records but those of the last moments.
+
+    If the file cannot be written, this is reported once, and later calls do nothing.
+    """
+
+    def __init__(
+        self, path: Path, meta: HistoryMeta, report: Callable[[str], None] | None = None
+    ) -> None:
+        """Create the file.
+
+        Args:
+            path: final name of the file.
+            meta: what is known of the run.
+            report: receives one line if the file cannot be written; None: standard error.
+        """
+        self.path = path
+        self.problem = ''
+        """Why recording has ended, '' if it has not."""
+        self.state = RunState()
+        """Sum of all written records."""
+        self._report = report or _print
+        self._budget = Budget()
+        self._pending: list[bytes] = []
+        self._pending_bytes = 0
+        self._pending_views = 0
+        self._begin_ns = 0
+        self._first_record = self._first_view = 0
+        self._since_checkpoint = 0
+        self._checkpoint_bytes = 0
+        self._visited_id = self._recognised_id = NO_EXPERIENCE
+        self._newest: deque[int] = deque(maxlen=NEWEST_COUNT)
+        self._database: sqlite3.Connection | None = None
+        self._lock: IO[bytes] | None = None
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._lock = _locked(lock_path(path))
+            self._database = _created(part_path(path), meta)
+        except (OSError, sqlite3.Error) as error:
+            self._fail(error)
+        self._commit_s = time.monotonic()
+
+    @property
+    def is_open(self) -> bool:
+        """Whether records are still written."""
+        return self._database is not None
+
+    def wants(self, kind: type[Record], stamp_ns: int, is_special: bool = False) -> bool:
+        """Return whether a record of a kind would be written now, and not left out.
+
+        Args:
+            kind: class of the record.
+            stamp_ns: its stamp.
+            is_special: it is worth more than others, such as the image of a new template.
+        """
+        at_ns = max(stamp_ns, self.state.stamp_ns)
+        return self._database is not None and self._budget.allows(kind, at_ns, is_special)
+
+    @property
+    def map_rows(self) -> int:
+        """Largest number of rows that the next change of the map should have."""
+        return self._budget.map_rows
+
+    def add(self, record: Record, is_special: bool = False) -> bool:
+        """Write a record; return whether it was, as some are left out to save space.
+
+        Changes of the map are never left out, because later ones rely on them: make them with
+        ``wants`` and ``map_rows``.
+        """
+        if self._database is None:
+            return False
+        state = self.state
+        at_ns = max(record.stamp_ns, state.stamp_ns)
+        if type(record) is PoseRecord:
+            if not self._budget.allows(PoseRecord, at_ns):
+                return False
+            record = as_stored(record)  # Trails must be those that a reader computes.
+        elif type(record).__name__ != 'MapChange' and not self._budget.allows(
+            type(record), at_ns, is_special
+        ):
+            return False
+        if self._pending and at_ns > state.stamp_ns and (
+            at_ns - self._begin_ns >= SEGMENT_NS or self._pending_bytes >= SEGMENT_BYTES
+        ) or self._pending_bytes >= MAX_SEGMENT_BYTES:
+            self._flush()
+        if not self._pending:
+            self._begin_ns = at_ns
+        data = encode(record)
+        self._pending.append(data)
+        self._pending_bytes += len(data)
+        self._budget.written(record, at_ns)
+        state.apply(record)
+        if type(record) is ViewRecord:
+            self._index(record, data)
+            self._pending_views += 1
+        return True
+
+    def flush(self) -> None:
+        """Make all records visible to readers."""
+        self._flush()
+        self._run(self._commit)
+
+    def close(self) -> None:
+        """Write the last records, and give the file its final name."""
+        self._flush()
+        self._run(self._finish)
+        self._end()
+
+    def discard(self) -> None:
+        """Remove the file; that of an earlier run stays."""
+        self._end()
+        _remove(part_path(self.path))
+
+    def _run(self, step: Callable[[sqlite3.Connection], None]) -> None:
+        if self._database is None:
+            return
+        try:
+            step(self._database)
+        except (OSError, sqlite3.Error) as error:
+            self._fail(error)
+
+    def _index(self, view: ViewRecord, data: bytes) -> None:
+        """Add a view to the tables of visits and closures."""
+        number = self._first_view + self._pending_views
+        row = number, self.state.stamp_ns, data
+        if view.target_id != NO_EXPERIENCE and not view.reason:
+            if view.target_id != self._visited_id:
+                self._run(lambda database: _insert_visit(database, view.target_id, row))
+            self._visited_id = view.target_id
+        if self._is_closure(view):
+            self._run(lambda database: _insert_closure(database, row))
+
+    def _is_closure(self, view: ViewRecord) -> bool:
+        """Return whether a view closes a loop, or would have but for a reason."""
+        recognised, self._recognised_id = self._recognised_id, view.recognised_id
+        if view.action == 'create':
+            self._newest.append(view.target_id)
+        return (
+            view.reason != '' or view.relocated_to != NO_EXPERIENCE
+            or (view.action == 'link' and view.target_id not in self._newest)
+            or (
+                view.recognised_id != recognised
+                and view.recognised_id not in (NO_EXPERIENCE, *self._newest)
+            )
+        )
+
+    def _flush(self) -> None:
+        if self._pending:
+            self._run(self._write_segment)
+            self._pending.clear()
+            self._pending_bytes = self._pending_views = 0
+        if time.monotonic() - self._commit_s >= COMMIT_S:
+            self._run(self._commit)
+
+    def _write_segment(self, database: sqlite3.Connection) -> None:
+        data = compressed(b''.join(self._pending))
+        state = self.state
+        database.execute(
+            'INSERT INTO segments VALUES (?, ?, ?, ?, ?, ?, ?)',
+            (
+                self._first_record, len(self._pending), self._begin_ns, state.stamp_ns,
+                self._first_view, self._pending_views, data,
+            ),
+        )  # fmt: skip
+        self._first_record += len(self._pending)
+        self._first_view += self._pending_views
+        self._since_checkpoint += len(data)
+        if self._since_checkpoint >= max(
+            CHECKPOINT_RATIO * self._checkpoint_bytes, MIN_CHECKPOINT_BYTES
+        ):
+            data = compressed(encode_state(state))
+            database.execute(
+                'INSERT INTO checkpoints VALUES (?, ?, ?)',
+                (state.record_count, state.stamp_ns, data),
+            )
+            self._since_checkpoint, self._checkpoint_bytes = 0, len(data)
+        (pages,) = database.execute('PRAGMA page_count').fetchone()
+        self._budget.update(state.stamp_ns, pages * PAGE_BYTES)
+
+    def _commit(self, database: sqlite3.Connection) -> None:
+        database.execute('COMMIT')
+        database.execute('BEGIN')
+        self._commit_s = time.monotonic()
+
+    def _finish(self, database: sqlite3.Connection) -> None:
+        database.execute("INSERT INTO meta VALUES ('ended', '1')")
+        database.execute('COMMIT')
+        database.execute('PRAGMA journal_mode = DELETE')  # A single file, without a log beside it.
+        database.close()
+        self._database = None
+        os.replace(part_path(self.path), self.path)
+
+    def _fail(self, error: Exception) -> None:
+        reason = getattr(error, 'strerror', None) or str(error)
+        self.problem = (
+            f'{self.path} cannot be written ({reason}): the run continues without history; free '
+            'space or choose another folder'
+        )
+        self._end()
+        self._report(self.problem)
+
+    def _end(self) -> None:
+        database, self._database = self._database, None
+        if database is not None:
+            database.close()
+        if self._lock is not None:
+            lock_path(self.path).unlink(missing_ok=True)
+            self._lock.close()
+            self._lock = None
+        self._pending.clear()
+
+
+def _insert_visit(
+    database: sqlite3.Connection, experience_id: int, row: tuple[int, int, bytes]
+) -> None:
+    database.execute('INSERT INTO visits VALUES (?, ?, ?, ?)', (experience_id, *row))
+
+
+def _insert_closure(database: sqlite3.Connection, row: tuple[int, int, bytes]) -> None:
+    database.execute('INSERT INTO closures VALUES (?, ?, ?)', row)
+
+
+def _created(path: Path, meta: HistoryMeta) -> sqlite3.Connection:
+    _remove(path)
+    database = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=2.0)
+    for pragma in (
+        f'page_size = {PAGE_BYTES}',
+        'journal_mode = WAL',  # Readers neither wait for the writer nor delay it.
+        'synchronous = NORMAL',  # A killed process loses nothing that was committed.
+        f'application_id = {APPLICATION_ID}', f'user_version = {SCHEMA_VERSION}',
+    ):  # fmt: skip
+        database.execute(f'PRAGMA {pragma}')
+    database.executescript(SCHEMA)
+    database.execute('BEGIN')
+    database.execute("INSERT INTO meta VALUES ('run', ?)", (meta.to_json(),))
+    database.execute('COMMIT')
+    database.execute('BEGIN')
+    return database
+
+
+def _remove(path: Path) -> None:
+    for suffix in ('', '-wal', '-shm', '-journal'):
+        path.with_name(path.name + suffix).unlink(missing_ok=True)
+
+
+def _locked(path: Path) -> IO[bytes]:
+    """Create and lock a file, by which readers see that the writer lives."""
+    file = open(path, 'ab')  # noqa: SIM115 - held until the history is closed
+    try:
+        import fcntl  # not on Windows, where a history that was interrupted seems to grow
+
+        for _ in range(20):
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                return file
+            except BlockingIOError:
+                time.sleep(0.05)  # A reader tests the lock for a moment.
+        file.close()
+        raise OSError(None, 'another run is writing there')
+    except ImportError:
+        return file
+
+
+def is_locked(path: Path) -> bool:
+    """Return whether the writer of a history lives; ``path``: final name of the history."""
+    try:
+        with open(lock_path(path), 'rb') as file:
+            import fcntl
+
+            try:
+                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            except BlockingIOError:
+                return True
+            return False
+    except FileNotFoundError:
+        return False
+    except ImportError:
+        return True
+
+
+def _print(line: str) -> None:
+    print(f'warning: {line}', file=sys.stderr)
