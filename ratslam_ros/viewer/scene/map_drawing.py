@@ -88,7 +88,7 @@ class MapDrawing:
         self.every = every = thinning(len(poses), limit)
         places = np.zeros((len(poses), 3), np.float32)
         places[:, :2] = poses[:, :2]
-        known = np.isfinite(places).all(axis=1)
+        known = np.isfinite(places[:, 0] + places[:, 1])
         self._draw_points(places, known, colours.experiences, CHUNK * every)
         ends, drawn = thinned_links(rows, every)
         inside = (ends >= 0).all(axis=1) & (ends < len(poses)).all(axis=1)

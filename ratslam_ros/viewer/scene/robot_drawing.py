@@ -56,7 +56,7 @@ class RobotDrawing:
         scan, route = canvas.layer('scan', 0.01), canvas.layer('route', 0.02)
         events, robot = canvas.layer('closures', 0.03), canvas.layer('robot', 0.05)
         self._scan = Cloud(canvas, f'{scan}/points', 0.08)
-        self._route = Strokes(canvas, f'{route}/line', 4.0)
+        self._route = Strokes(canvas, f'{route}/line', 3.0)
         self._goal = Asset(canvas, f'{route}/goal')
         self._goal_text = Labels(canvas, f'{route}/text', 'bottom-center')
         self._events = Strokes(canvas, f'{events}/lines', 4.0)
@@ -121,7 +121,8 @@ class RobotDrawing:
                 lines.append(np.stack([a, b])[None])
                 tints.append(theme.closure)
                 text = 'loop closed'
-            texts.append((text, tuple(((a + b) / 2).tolist())))
+            # Beside the robot, because it is in view when the camera follows the robot.
+            texts.append((text, (float(a[0]), float(a[1]) - 1.6 * self._size_m, 0.0)))
         flat = np.concatenate(lines) if lines else np.empty((0, 2, 3))
         colours = np.array(tints, np.uint8).reshape(-1, 1, 3)
         self._events.draw(flat, np.broadcast_to(colours, (len(colours), 2, 3)))

@@ -30,7 +30,8 @@ def steps(points_m: NDArray[np.float64]) -> NDArray[np.float32]:
     driven = lengths <= JUMP * np.median(lengths)
     flat = np.zeros((len(points_m), 3), np.float32)
     flat[:, :2] = points_m
-    return np.stack([flat[:-1], flat[1:]], axis=1)[driven]
+    lines: NDArray[np.float32] = np.stack([flat[:-1], flat[1:]], axis=1)[driven]
+    return lines
 
 
 class TrailDrawing:
