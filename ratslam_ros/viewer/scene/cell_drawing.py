@@ -58,13 +58,16 @@ def repeated(cells: NDArray[np.int64], dims: tuple[int, int, int]) -> tuple[Real
     where: list[Reals] = [np.empty((0, 3))]
     rows: list[NDArray[np.int64]] = [np.empty(0, np.int64)]
     size = np.array(dims, float)
+    outer = np.flatnonzero(
+        ((cells < WRAP_CELLS) | (cells >= size - WRAP_CELLS)).any(axis=1)
+    )
     for shift in itertools.product((-1, 0, 1), repeat=3):
         if not any(shift):
             continue
-        moved = cells + 0.5 + np.array(shift) * size
+        moved = cells[outer] + 0.5 + np.array(shift) * size
         near = ((moved > -WRAP_CELLS) & (moved < size + WRAP_CELLS)).all(axis=1)
         where.append(moved[near])
-        rows.append(np.flatnonzero(near))
+        rows.append(outer[near])
     return np.concatenate(where), np.concatenate(rows)
 
 

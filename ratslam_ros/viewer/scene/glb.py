@@ -65,8 +65,8 @@ def _linear(colours: Bytes) -> NDArray[np.float32]:
     a, b = 1.0 - 0.983729 * out, 0.0245786 - 0.432951 * out
     c = -0.000090537 - 0.238081 * out
     v = (-b + np.sqrt(b * b - 4.0 * a * c)) / (2.0 * a)
-    mapped = np.maximum(v @ np.linalg.inv(ACES_IN).T * 0.6, 0.0)
-    return mapped.astype(np.float32)
+    mapped: NDArray[np.float32] = (v @ np.linalg.inv(ACES_IN).T * 0.6).astype(np.float32)
+    return np.maximum(mapped, 0.0)
 
 
 def _primitive(points: NDArray[np.floating], colours: Bytes, mode: int) -> bytes:

@@ -63,6 +63,8 @@ class RobotDrawing:
         self._reasons = Labels(canvas, f'{events}/reasons')
         self._robot = Asset(canvas, f'{robot}/arrow')
         self._size_m = 0.0
+        self._arrow_key: object = None
+        self._goal_key: object = None
 
     def draw(self, state: RunState, size_m: float) -> None:
         """Draw a state.
@@ -76,7 +78,9 @@ class RobotDrawing:
         if state.pose is not None:
             x, y, heading = state.pose.pose
             turn = (math.cos(heading / 2), 0.0, 0.0, math.sin(heading / 2))
-            self._robot.draw(arrow_of(size_m, theme))
+            if (size_m, theme) != self._arrow_key:
+                self._arrow_key = size_m, theme
+                self._robot.draw(arrow_of(size_m, theme))
             for name in ('robot', 'scan'):
                 frame = self._canvas.frame(name)
                 frame.position, frame.wxyz = (x, y, frame.position[2]), turn
@@ -99,13 +103,17 @@ class RobotDrawing:
             goal = (*points[-1].tolist(), 'goal')
         if goal is None:
             self._goal.draw(b'')
+            self._goal_key = None
             self._goal_text.draw([])
             return
         x, y, text = goal
+        self._goal_text.draw([(text, (x, y + self._size_m, 0.0))])
+        if (key := (x, y, self._size_m, theme)) == self._goal_key:
+            return
+        self._goal_key = key
         mark = np.concatenate([ring(0.8 * self._size_m), ring(0.3 * self._size_m, 0.0)])
         mark += np.array([x, y, 0.0], np.float32)
         self._goal.draw(glb.triangles(mark, theme.goal))
-        self._goal_text.draw([(text, (x, y + self._size_m, 0.0))])
 
     def _draw_events(self, state: RunState, theme: Theme) -> None:
         lines, tints, texts = [], [], []

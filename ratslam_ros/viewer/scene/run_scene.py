@@ -113,7 +113,7 @@ class RunScene:
         """How the detail is reduced; '' if it is not."""
         every = self._map.every
         return '' if every == 1 else (
-            f'Map of more than {self.limit} experiences: only every {every}th is drawn.'
+            f'Map of more than {self.limit} experiences: 1 of {every} is drawn.'
         )  # fmt: skip
 
     def legend(self) -> Legend:
@@ -151,7 +151,8 @@ class RunScene:
         canvas.begin_update()
         is_other = self._state_key is not None and self._state_key != id(state)
         self._state_key = id(state)
-        self._bounds.include(state)
+        if is_other or now_s >= self._map_due_s:
+            self._bounds.include(state)
         distance_m = self._cameras.distance_m(1.4 * self._bounds.side_m)
         self._draw_map(state, now_s, is_other, distance_m)
         low, high = POINT_SIZES
