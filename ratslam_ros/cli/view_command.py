@@ -12,6 +12,12 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ratslam_ros.cli.export_run import (
+    add_export_options,
+    check_export,
+    export_run,
+    replay_for_export,
+)
 from ratslam_ros.cli.options import (
     DONE,
     INTERRUPTED,
@@ -40,7 +46,9 @@ POLL_S = 0.05
 END_S = 1.5
 """Time for a replay to write its results after Ctrl-C, so that all ends within 2 s."""
 
-VIEW_OPTIONS = ('view', 'host', 'port', 'browser', 'out')
+VIEW_OPTIONS = (
+    'view', 'host', 'port', 'browser', 'out', 'export', 'export_duration', 'export_dark',
+)  # fmt: skip
 """Options that a child process does not get, or gets with another value."""
 
 
@@ -53,6 +61,7 @@ def add_view(commands: Commands) -> None:
     add_replay_options(view, 'PATH', ', to be replayed; or folder of results')
     add_out(view, 'results/NAME-TIME, with the link results/latest')
     add_view_options(view, always=True)
+    add_export_options(view)
     view.set_defaults(run=_view, parser=view, video=None, quiet=True)
 
 
@@ -60,9 +69,14 @@ def _view(options: argparse.Namespace) -> int:
     from ratslam_ros.history.schema import FILE_NAME
 
     path: Path = options.recording
+    if options.export is not None:
+        check_export(options.export)
     if any((path / name).is_file() for name in (FILE_NAME, 'map.json')):
         return _view_results(options)
-    return view_replay(options)
+    if options.export is None:
+        return view_replay(options)
+    code, folder = replay_for_export(options)
+    return export_run(open_results(folder), options) if code == DONE else code
 
 
 def _view_results(options: argparse.Namespace) -> int:
@@ -75,6 +89,8 @@ def _view_results(options: argparse.Namespace) -> int:
             'effect; give the recording to replay it'
         )
     run = open_results(options.recording)
+    if options.export is not None:
+        return export_run(run, options)
     server = _server(options)
     return _Session(server, run, NoControls(), options).run()
 

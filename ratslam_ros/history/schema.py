@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Schema of the history file, an SQLite database; docs/history.md describes it."""
+"""Schema of the history file, an SQLite database; the module `writer` uses it."""
 
 FILE_NAME = 'history.sqlite'
 
