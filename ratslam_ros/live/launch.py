@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import ctypes
+import json
 import math
 import signal
 import subprocess
@@ -12,7 +13,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Container, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from ratslam_ros.console import print_notice
@@ -42,6 +43,7 @@ class LaunchOptions:
     goal_follower: bool = False
     landmarks: bool = False
     viewer: bool = False
+    viewer_parameters: Mapping[str, object] = field(default_factory=dict)
     use_sim_time: bool = False
     namespace: str = ''
     image_topic: str = ''
@@ -121,7 +123,11 @@ def launch(config: Config, options: LaunchOptions) -> int:
             options.visual_odometry, options.single_process, options.goal_follower,
             options.landmarks, options.viewer,
         )
-        return supervise({name: [*command, name, *own, *common] for name, own in started.items()})
+        commands = {name: [*command, name, *own, *common] for name, own in started.items()}
+        if options.viewer:
+            for name, value in options.viewer_parameters.items():
+                commands['viewer'] += ['-p', f'{name}:={json.dumps(value)}']
+        return supervise(commands)
 
 
 def supervise(
@@ -157,11 +163,11 @@ def supervise(
 def _start(command: Sequence[str]) -> subprocess.Popen[bytes]:
     # In a session of its own, so that Ctrl-C in the terminal reaches it only through supervise.
     return subprocess.Popen(
-        command, stdin=subprocess.DEVNULL, start_new_session=True, preexec_fn=_end_with_parent()
+        command, stdin=subprocess.DEVNULL, start_new_session=True, preexec_fn=end_with_parent()
     )
 
 
-def _end_with_parent() -> Callable[[], object] | None:
+def end_with_parent() -> Callable[[], object] | None:
     """Return a function that makes a child end if this process is killed (Linux only)."""
     if sys.platform != 'linux':
         return None

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import threading
 import time
+from pathlib import Path
 from typing import Any
 
 from rclpy.clock import Clock, ClockType
@@ -42,7 +43,9 @@ class ViewerNode(Node):  # type: ignore[misc]
         try:
             self._p = declare(self, ViewerParameters)
             name = self.get_namespace().strip('/')
-            self.run = LiveRun(f'live: {name}' if name else 'live')
+            given = self._p.history_file
+            path = None if given == NO_FILE else Path(given).expanduser()
+            self.run = LiveRun(f'live: {name}' if name else 'live', path)
             self.controls = RosControls(self)
             self.topics = ViewerTopics(self, self.run, self.controls)
             self._view = self._open_view()
@@ -66,6 +69,7 @@ class ViewerNode(Node):  # type: ignore[misc]
         view, self._view = self._view, None
         if view is not None:
             view.close()
+            self.run.close()
 
     @property
     def error(self) -> BaseException | None:
@@ -138,7 +142,7 @@ class View:
     def _draw(self) -> None:
         try:
             self._app.run(self._stop)
-        except BaseException as error:  # the node ends with it
+        except BaseException as error:
             self.error = error
 
 

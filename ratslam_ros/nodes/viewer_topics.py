@@ -47,7 +47,8 @@ from ratslam_ros.messages.map_changes import (
     decode_closure,
     decode_map_change,
 )
-from ratslam_ros.messages.mapping import decode_action, decode_packets, decode_template
+from ratslam_ros.messages.mapping import decode_action, decode_template
+from ratslam_ros.messages.pose_cells import decode_packets
 from ratslam_ros.nodes.convert import planar_pose, stamp_ns
 from ratslam_ros.nodes.inputs import publisher_count
 from ratslam_ros.nodes.match_pictures import separated

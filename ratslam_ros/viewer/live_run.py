@@ -4,15 +4,17 @@
 
 from __future__ import annotations
 
-import copy
 import heapq
+import tempfile
 import threading
 import time
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 from ratslam_ros.core.mapping.map_changes import MapChange
+from ratslam_ros.history.file import HISTORY_NAME, HistoryMeta
 from ratslam_ros.history.records import (
     ImageRecord,
     PoseRecord,
@@ -22,6 +24,7 @@ from ratslam_ros.history.records import (
     ViewRecord,
 )
 from ratslam_ros.history.run_state import NS_PER_S, RunState
+from ratslam_ros.viewer.live_history import LiveHistory
 
 HOLD_NS = 300_000_000
 """Time by which records are held, so that those of slower topics get their place before them: the
@@ -40,6 +43,14 @@ TAIL_NS = 120 * NS_PER_S
 MAX_TAIL = 20_000
 """Largest number of records that stay in memory, whatever their stamps are."""
 
+OVERLAP_NS = 30 * NS_PER_S
+"""Extent of the tail in which changes of the map may be missing from the history, as they are
+written at long intervals; the writer stretches these to 16 s."""
+
+IN_TAIL = -1
+"""First part of the position of a state that was read from the tail; the second one is the number
+of records of the run that it includes."""
+
 LATCHED = MapChange, RouteRecord, StatusRecord
 """Records that may be much older than the moment at which they arrive: they do not begin a run."""
 
@@ -52,36 +63,62 @@ class LiveRun:
     that arrives too late for its place gets the stamp after the last one. So the stamps of the
     run never decrease, and a reader that has applied all records up to ``end_ns`` misses none.
 
-    If the stamps of the poses jump back, the run begins anew: everything before is dropped.
+    The newest records stay in memory, the tail. All are written to a history file, from which
+    earlier moments are read.
+
+    If the stamps of the poses jump back, a new run begins, with a new file.
     """
 
     is_growing = True
 
-    def __init__(self, title: str, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, title: str, path: Path | None = None, clock: Callable[[], float] = time.monotonic
+    ) -> None:
         """Create an empty run.
 
         Args:
             title: name of the run.
+            path: file of the history, replaced if it exists; None for a temporary one. That of a
+                second run has a number appended to its name.
             clock: steady clock in s, which only detects silence.
+
+        Raises:
+            UnusableInput: the file cannot be written.
         """
         self.title = title
         self.problems: dict[str, str] = {}
         """Notices by key, set by the owner of the run."""
         self._clock = clock
         self._lock = threading.RLock()
-        self._sequence = 0
-        self._clear()
+        self._sequence = self._runs = 0
+        self._folder: tempfile.TemporaryDirectory[str] | None = None
+        if path is None:
+            self._folder = tempfile.TemporaryDirectory(prefix='ratslam-view-')
+            path = Path(self._folder.name) / HISTORY_NAME
+        self._path = path
+        self._begin()
 
-    def _clear(self) -> None:
+    def _begin(self) -> None:
         self._held: list[tuple[int, int, Record]] = []
-        self._newest_ns = 0  # of the poses, views and images
-        self._pose_ns = 0
+        self._newest_ns = self._pose_ns = 0
         self._added_s = self._clock()
         self._begin_ns = self._end_ns = 0
-        self._base = RunState()
-        """State before the first record of the tail."""
+        self._dropped = 0
+        """Number of records before the tail."""
         self._stamps: list[int] = []
         self._tail: list[Record] = []
+        self._runs += 1
+        number = '' if self._runs == 1 else f'-{self._runs}'
+        path = self._path.with_name(f'{self._path.stem}{number}{self._path.suffix}')
+        self._history = LiveHistory(path, HistoryMeta(self.title))
+
+    def close(self) -> None:
+        """Write the records that are held, and close the file."""
+        with self._lock:
+            self._release_all()
+            self._history.close()
+            if self._folder is not None:
+                self._folder.cleanup()
 
     # The executor's thread
 
@@ -93,7 +130,9 @@ class LiveRun:
             if isinstance(record, PoseRecord):
                 begins = 0 < stamp_ns < self._pose_ns - JUMP_BACK_NS
                 if begins:
-                    self._clear()
+                    self._release_all()
+                    self._history.close()
+                    self._begin()
                 self._pose_ns = max(self._pose_ns, stamp_ns)
             if not isinstance(record, LATCHED):
                 self._newest_ns = max(self._newest_ns, stamp_ns)
@@ -113,17 +152,19 @@ class LiveRun:
                     return True
         return False
 
+    def _release_all(self) -> None:
+        self._release(max((stamp_ns for stamp_ns, _, _ in self._held), default=0))
+
     def _release(self, until_ns: int) -> None:
         """Append the held records up to a stamp to the run."""
         before_ns = self._end_ns
         while self._held and self._held[0][0] <= until_ns:
             stamp_ns, _, record = heapq.heappop(self._held)
-            if before_ns == 0 and isinstance(record, LATCHED) and self._begin_ns == 0:
+            if not self._begin_ns and isinstance(record, LATCHED):
                 stamp_ns = max(stamp_ns, self._first_ns())
-            if stamp_ns <= before_ns:
+            stamp_ns = max(stamp_ns, self._end_ns)
+            if stamp_ns <= before_ns:  # readers have passed it
                 stamp_ns = before_ns + 1
-            if stamp_ns < self._end_ns:  # records before it have been moved
-                stamp_ns = self._end_ns
             if stamp_ns != record.stamp_ns:
                 record = replace(record, stamp_ns=stamp_ns)
             self._append(record)
@@ -138,18 +179,13 @@ class LiveRun:
         self._end_ns = record.stamp_ns
         self._stamps.append(record.stamp_ns)
         self._tail.append(record)
+        self._history.add(record)
         if len(self._tail) > 2 * MAX_TAIL or self._stamps[0] < self._end_ns - 2 * TAIL_NS:
-            self._shorten()
-
-    def _shorten(self) -> None:
-        """Drop the older records of the tail; it is done for many at once, as lists are moved."""
-        keep = max(
-            len(self._tail) - MAX_TAIL, bisect_left(self._stamps, self._end_ns - TAIL_NS)
-        )
-        for record in self._tail[:keep]:
-            self._base.apply(record)
-        del self._tail[:keep], self._stamps[:keep]
-        self._begin_ns = self._base.stamp_ns
+            drop = max(
+                len(self._tail) - MAX_TAIL, bisect_left(self._stamps, self._end_ns - TAIL_NS)
+            )
+            del self._tail[:drop], self._stamps[:drop]
+            self._dropped += drop
 
     # The loop's thread
 
@@ -163,67 +199,92 @@ class LiveRun:
         """Stamp of the last record, 0 if there is none yet."""
         with self._lock:
             if self._held and self._clock() - self._added_s > SILENCE_S:
-                self._release(max(stamp_ns for stamp_ns, _, _ in self._held))
+                self._release_all()
             return self._end_ns
 
     @property
     def notices(self) -> Sequence[str]:
         """What the user must know, such as which topics are silent."""
-        return list(self.problems.values())
+        error = self._history.error
+        return [*self.problems.values(), *([error] if error else [])]
 
     def seek(self, stamp_ns: int) -> RunState:
         """Return a new state: that of the last record whose stamp is not later."""
         with self._lock:
-            state = copy.deepcopy(self._base)
-            self._apply(state, 0, stamp_ns)
+            state = RunState()
+            if self._dropped or (self._stamps and stamp_ns < self._stamps[-1] - TAIL_NS // 2):
+                state = self._history.reader.seek(stamp_ns)
+            self.advance(state, stamp_ns)
             return state
 
     def advance(self, state: RunState, stamp_ns: int) -> None:
         """Apply to a state all records between it and a later stamp."""
         with self._lock:
-            self._apply(state, bisect_right(self._stamps, state.stamp_ns), stamp_ns)
+            if state.position[0] != IN_TAIL and not self._enter_tail(state):
+                self._history.reader.advance(state, stamp_ns)
+                if not self._enter_tail(state):
+                    return
+            at = state.position[1] - self._dropped
+            if at < 0:  # it was left alone for minutes
+                vars(state).update(vars(self.seek(stamp_ns)))
+                return
+            end = max(bisect_right(self._stamps, stamp_ns), at)
+            for record in self._tail[at:end]:
+                state.apply(record)
+            state.position = IN_TAIL, self._dropped + end
 
-    def _apply(self, state: RunState, start: int, until_ns: int) -> None:
-        for record in self._tail[start : bisect_right(self._stamps, until_ns)]:
-            state.apply(record)
+    def _enter_tail(self, state: RunState) -> bool:
+        """Have a state read on from the tail, if that goes back far enough."""
+        if not self._dropped and state.stamp_ns == 0:
+            state.position = IN_TAIL, 0
+            return True
+        if not self._stamps or (
+            self._dropped and state.stamp_ns < self._stamps[0] + OVERLAP_NS
+        ):
+            return False
+        at = bisect_right(self._stamps, state.stamp_ns)
+        for record in self._tail[bisect_left(self._stamps, state.stamp_ns - OVERLAP_NS) : at]:
+            if isinstance(record, MapChange):  # Changes may be applied twice, if in their order.
+                state.apply(record)
+        state.position = IN_TAIL, self._dropped + at
+        return True
+
+    def _newest_views(self, stamp_ns: int) -> list[ViewRecord]:
+        """Return the views of the tail up to a stamp."""
+        with self._lock:
+            records = self._tail[: bisect_right(self._stamps, stamp_ns)]
+        return [record for record in records if isinstance(record, ViewRecord)]
 
     def image_at(self, stamp_ns: int) -> bytes | None:
         """Return the best image of a stamp as JPEG, None if there is none near it."""
         with self._lock:
-            images = [record for record in self._tail if isinstance(record, ImageRecord)]
-        nearest = min(images, key=lambda image: abs(image.stamp_ns - stamp_ns), default=None)
-        if nearest is None or abs(nearest.stamp_ns - stamp_ns) > NS_PER_S:
-            return None
-        return nearest.jpeg
-
-    def _views(self, until_ns: int) -> list[ViewRecord]:
-        with self._lock:
-            records = self._tail[: bisect_right(self._stamps, until_ns)]
-        return [record for record in records if isinstance(record, ViewRecord)]
+            near = self._tail[
+                bisect_left(self._stamps, stamp_ns - NS_PER_S) :
+                bisect_right(self._stamps, stamp_ns + NS_PER_S)
+            ]  # fmt: skip
+        images = [record for record in near if isinstance(record, ImageRecord)]
+        if not images:
+            return self._history.reader.image_at(stamp_ns)
+        return min(images, key=lambda image: abs(image.stamp_ns - stamp_ns)).jpeg
 
     def view_at(self, stamp_ns: int) -> ViewRecord | None:
         """Return the last view whose stamp is not later."""
-        views = self._views(stamp_ns)
-        return views[-1] if views else None
+        views = self._newest_views(stamp_ns)
+        return views[-1] if views else self._history.reader.view_at(stamp_ns)
 
     def step(self, stamp_ns: int, views: int) -> int:
         """Return the stamp of the view that is a number of views later, or earlier if negative."""
-        stamps = [view.stamp_ns for view in self._views(self._end_ns)]
-        if not stamps:
-            return stamp_ns
-        at = bisect_right(stamps, stamp_ns) - 1
-        return stamps[min(max(at + views, 0), len(stamps) - 1)]
+        newest = [view.stamp_ns for view in self._newest_views(self._end_ns)]
+        if not newest or (stamp_ns < newest[0] or (self._dropped and stamp_ns == newest[0])):
+            return self._history.reader.step(stamp_ns, views)
+        later = views + (bisect_left if views < 0 else bisect_right)(newest, stamp_ns)
+        at = later if views < 0 else later - 1
+        return newest[min(max(at, 0), len(newest) - 1)] if views else stamp_ns
 
     def visits(self, experience_id: int, until_ns: int) -> list[ViewRecord]:
         """Return the first view of every visit of an experience up to a stamp, oldest first."""
-        found, last = [], -1
-        for view in self._views(until_ns):
-            if view.target_id == experience_id != last:
-                found.append(view)
-            if view.target_id >= 0:
-                last = view.target_id
-        return found
+        return self._history.reader.visits(experience_id, until_ns)
 
     def closures(self, until_ns: int) -> list[ViewRecord]:
         """Return the views that closed a loop, or would have but for a reason, oldest first."""
-        return [view for view in self._views(until_ns) if view.reason or view.action == 'link']
+        return self._history.reader.closures(until_ns)

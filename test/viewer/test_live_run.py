@@ -5,14 +5,18 @@
 from __future__ import annotations
 
 import random
+import time
+from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
 from helpers import START_NS
 
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.mapping.map_changes import ExperienceRows, MapChange
+from ratslam_ros.core.mapping.map_changes import ExperienceRows, LinkRows, MapChange
 from ratslam_ros.core.pose_cells.torus import Place
+from ratslam_ros.history.history_run import HistoryRun
 from ratslam_ros.history.records import (
     ImageRecord,
     PoseRecord,
@@ -23,6 +27,7 @@ from ratslam_ros.history.records import (
 )
 from ratslam_ros.history.run_state import NS_PER_S, RunState
 from ratslam_ros.viewer import live_run
+from ratslam_ros.viewer.live_history import merged
 from ratslam_ros.viewer.live_run import HOLD_NS, LiveRun
 
 TENTH_NS = 100_000_000
@@ -41,8 +46,10 @@ def clock() -> Clock:
 
 
 @pytest.fixture
-def run(clock: Clock) -> LiveRun:
-    return LiveRun('live', clock)
+def run(clock: Clock, tmp_path: Path) -> Iterator[LiveRun]:
+    made = LiveRun('live', tmp_path / 'history.sqlite', clock)
+    yield made
+    made.close()
 
 
 def pose(k: int, x_m: float | None = None) -> PoseRecord:
@@ -61,9 +68,15 @@ def image(k: int) -> ImageRecord:
 
 
 def released(run: LiveRun, clock: Clock) -> None:
-    """Let the run notice that nothing more arrives."""
+    """Let the run notice that nothing more arrives, and wait until everything is written."""
     clock.now_s += 10.0
     assert run.end_ns
+    history = run._history
+    end_s = time.monotonic() + 20.0
+    while history._queue.qsize() and time.monotonic() < end_s:
+        time.sleep(0.005)
+    time.sleep(0.02)
+    history._writer.flush()
 
 
 def stamps_and_kinds(records: list[Record]) -> list[tuple[int, str]]:
@@ -91,14 +104,18 @@ def test_reader_that_follows_gets_every_record_once(run: LiveRun, clock: Clock) 
     rng = random.Random(2)
     arrivals: list[tuple[float, Record]] = [(k, pose(k)) for k in range(200)]
     arrivals += [(k + 30 * rng.random(), view(k, target_id=k)) for k in range(200)]
-    state = RunState()
     applied: list[Record] = []
-    state.apply = applied.append  # type: ignore[method-assign,assignment]
+
+    class Recorder(RunState):
+        def apply(self, record: Record) -> None:
+            applied.append(record)
+            super().apply(record)
+
+    state = Recorder()
     for _, record in sorted(arrivals, key=lambda arrival: arrival[0]):
         run.add(record)
         if rng.random() < 0.3:
             run.advance(state, run.end_ns)
-            state.stamp_ns = applied[-1].stamp_ns if applied else 0
     released(run, clock)
     run.advance(state, run.end_ns)
     found = [record.stamp_ns for record in applied]
@@ -165,32 +182,142 @@ def test_view_can_be_completed_while_it_is_held(run: LiveRun, clock: Clock) -> N
     for k in range(1, 10):
         run.add(pose(k))
     assert not run.replace_view(complete, held)
+    released(run, clock)
     assert [one.reason for one in run.closures(run.end_ns)] == ['too far']
 
 
-def test_memory_is_bounded_and_the_state_remains(
+def drive(run: LiveRun, count: int) -> None:
+    """Add poses, views and changes of the map, by which old experiences move too."""
+    rng = np.random.default_rng(3)
+    for k in range(count):
+        run.add(pose(k))
+        run.add(view(k, target_id=k, action='create'))
+        ids = np.unique(np.append(rng.integers(0, k + 1, 3), k))
+        poses = np.round(rng.uniform(-9, 9, (len(ids), 3)) / 3, 3)
+        rows = ExperienceRows(ids, ids, poses, np.zeros(len(ids), np.int64))
+        run.add(MapChange(START_NS + k * TENTH_NS, k + 1, k, k == 0, rows, links(k, rng)))
+
+
+def links(k: int, rng: np.random.Generator) -> LinkRows:
+    targets = rng.integers(0, k + 1, 2)
+    ends = np.unique(np.stack([np.full(2, k), targets], axis=1), axis=0)
+    n = len(ends)
+    return LinkRows(
+        ends, np.full((n, 3), k / 1000), np.full(n, 0.5), np.full(n, 0.25), np.full(n, k),
+        np.zeros(n, np.bool_), ('',) * n,
+    )  # fmt: skip
+
+
+def assert_same(one: RunState, other: RunState) -> None:
+    """The map and the views are equal; poses of the history are samples."""
+    assert one.view == other.view
+    assert np.allclose(one.map.poses, other.map.poses, rtol=0.0, atol=1e-6)
+    assert np.array_equal(one.map.template_ids, other.map.template_ids)
+    assert link_set(one) == link_set(other)
+    assert np.array_equal(one.visits.counts, other.visits.counts)
+
+
+def link_set(state: RunState) -> set[tuple[int, ...]]:
+    rows = state.map.link_rows
+    pairs = np.column_stack([rows.ends, rows.counts])
+    return {tuple(row) for row in pairs[rows.ends[:, 0] >= 0].tolist()}
+
+
+def test_seek_behind_the_tail_reads_the_history(
     run: LiveRun, clock: Clock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(live_run, 'MAX_TAIL', 50)
-    for k in range(1000):
-        run.add(pose(k))
-        assert len(run._tail) <= 101
+    whole = LiveRun('all in memory', clock=clock)
+    drive(whole, 1500)
+    released(whole, clock)
+    monkeypatch.setattr(live_run, 'MAX_TAIL', 1200)  # 40 s of three records at 10 Hz
+    drive(run, 1500)
+    assert len(run._tail) < 2500
     released(run, clock)
-    assert len(run.seek(run.end_ns).trail.points_m) == 1000
+    assert whole.end_ns == run.end_ns
+    for k in (0, 100, 700, 1100, 1250, 1490, 1499):
+        at_ns = START_NS + k * TENTH_NS
+        found = run.seek(at_ns)
+        assert_same_view_and_nearly_same_map(found, whole.seek(at_ns))
+        run.advance(found, run.end_ns)
+        assert_same(found, whole.seek(run.end_ns))
+    whole.close()
+
+
+def assert_same_view_and_nearly_same_map(one: RunState, other: RunState) -> None:
+    """The history has the map at intervals of 0.5 s, during which 5 experiences are created."""
+    assert one.view == other.view
+    assert len(other.map) - 6 <= len(one.map) <= len(other.map)
+
+
+def test_given_file_is_a_history(clock: Clock, tmp_path: Path) -> None:
+    run = LiveRun('live', tmp_path / 'history.sqlite', clock)
+    drive(run, 100)
+    run.add(pose(0))
+    drive(run, 50)
+    run.close()
+    history = HistoryRun(tmp_path / 'history.sqlite')
+    assert not history.is_growing
+    assert len(history.seek(history.end_ns).map) == 100
+    assert len(HistoryRun(tmp_path / 'history-2.sqlite').seek(history.end_ns).map) == 50
+
+
+def test_temporary_file_is_removed(clock: Clock) -> None:
+    run = LiveRun('live', clock=clock)
+    drive(run, 10)
+    folder = run._path.parent
+    assert folder.is_dir()
+    run.close()
+    assert not folder.exists()
+
+
+def test_merged_change_has_the_effect_of_all() -> None:
+    rng = np.random.default_rng(5)
+    count = 30
+    for _ in range(50):
+        changes = []
+        for k in range(int(rng.integers(1, 6))):
+            ids = np.unique(rng.integers(0, count, 4))
+            rows = ExperienceRows(ids, ids, rng.normal(size=(len(ids), 3)), ids)
+            removed = np.unique(rng.integers(0, 4, (3, 2)), axis=0)
+            ends = np.unique(rng.integers(0, 4, (4, 2)), axis=0)
+            n = len(ends)
+            set_links = LinkRows(
+                ends, rng.normal(size=(n, 3)), rng.random(n), rng.random(n), np.arange(n) + k,
+                rng.random(n) < 0.5, tuple(f'{k} {row}' for row in range(n)),
+            )  # fmt: skip
+            changes.append(MapChange(k, count, k, rng.random() < 0.2, rows, set_links, removed))
+        first = MapChange(0, count, 0, links=links(3, rng))
+        one, other = RunState(), RunState()
+        for change in (first, *changes):
+            one.apply(change)
+        for change in (first, merged(changes)):
+            other.apply(change)
+        assert np.array_equal(one.map.poses, other.map.poses, equal_nan=True)
+        assert named_links(one) == named_links(other)
+
+
+def named_links(state: RunState) -> set[tuple[object, ...]]:
+    rows = state.map.link_rows
+    return {
+        (*ends, *rows.shapes[n], rows.counts[n], rows.behaviours[n])
+        for n, ends in enumerate(rows.ends.tolist()) if ends[0] >= 0
+    }  # fmt: skip
 
 
 def test_questions_about_views(run: LiveRun, clock: Clock) -> None:
-    for k, target_id in enumerate([3, 3, 4, 4, 3, 5]):
-        run.add(view(k, target_id, 'link' if k == 4 else 'set'))
+    actions = 'create', 'none', 'create', 'none', 'link', 'set'
+    for k, (target_id, action) in enumerate(zip([3, 3, 4, 4, 3, 5], actions, strict=True)):
+        # The newest experiences count as no loop closures.
+        run.add(view(k, target_id, action, reason='too far' if k == 4 else ''))
         run.add(image(k))
     released(run, clock)
     end_ns = run.end_ns
-    assert [one.stamp_ns for one in run.visits(3, end_ns)] == [START_NS, START_NS + 4 * TENTH_NS]
-    assert len(run.visits(3, START_NS + 3 * TENTH_NS)) == 1
+    assert [one.stamp_ns for one in run.visits(4, end_ns)] == [START_NS + 2 * TENTH_NS]
+    assert not run.visits(4, START_NS + TENTH_NS)
     assert [one.target_id for one in run.closures(end_ns)] == [3]
     assert run.image_at(START_NS + 2 * TENTH_NS + 7) == b'image 2'
     assert run.image_at(START_NS + 100 * NS_PER_S) is None
-    assert run.view_at(START_NS + 2 * TENTH_NS + 7) == view(2, 4)
+    assert run.view_at(START_NS + 2 * TENTH_NS + 7) == view(2, 4, 'create')
     assert run.view_at(START_NS - 1) is None
     assert run.step(START_NS + 2 * TENTH_NS, -1) == START_NS + TENTH_NS
     assert run.step(START_NS + 2 * TENTH_NS, 100) == end_ns
