@@ -9,9 +9,11 @@ import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
+from ratslam_ros.core.common.scan import Scan, points_of
 from ratslam_ros.nodes.parameters import declare
 from ratslam_ros.nodes.run import run
 from ratslam_ros.nodes.viewer_controls import RosControls
@@ -62,7 +64,8 @@ class ViewerNode(Node):  # type: ignore[misc]
 
     @classmethod
     def warm_up(cls) -> None:
-        """Do nothing: no message is processed by a compiled function that takes long."""
+        """Compile or load from the cache the conversion of scans."""
+        points_of(Scan(0, 0.0, 1.0, np.ones(1)))
 
     def close(self) -> None:
         """End the page; its browsers show that the connection is lost."""
