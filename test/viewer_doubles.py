@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,7 +42,7 @@ def records_of(number: int, loop: int = 20) -> list[Record]:
     angle = 2 * np.pi * here / loop
     pose = Pose(3 * float(np.cos(angle)), 3 * float(np.sin(angle)), float(angle))
     cells = np.array([[here, 2, 3], [here, 3, 3]])
-    picture = np.full((4, 12), 10 * here, np.uint8)
+    picture = np.full((4, 12), here % 256, np.uint8)
     return [
         view,
         MapChange(
@@ -169,6 +169,7 @@ class FakeControls:
     def __init__(self, *actions: str, refusal: str = '') -> None:
         self.actions = frozenset(actions)
         self.refusal = refusal
+        self.accepts: Callable[[dict[str, object]], bool] = lambda values: True
         self.calls: list[tuple[object, ...]] = []
         self.diagnostics = {'local_view': ('OK', '10.0 Hz'), 'pose_cells': ('ERROR', 'no <odom>')}
         self.places: Sequence[str] = ('kitchen',)
@@ -191,6 +192,8 @@ class FakeControls:
 
     def set_parameter(self, name: str, value: object) -> Answer:
         self.calls.append(('set_parameter', name, value))
+        if not self.accepts({**self.parameters, name: value}):
+            return Answer(False, 'not valid')
         if not self.refusal:
             self.parameters[name] = value
         return Answer(not self.refusal, self.refusal or f'{name} is {value}')

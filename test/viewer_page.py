@@ -45,6 +45,13 @@ class Page:
             callback(viser.GuiEvent(client=None, client_id=1, target=handle))
         self.update()
 
+    def trigger(self, label: str) -> None:
+        """Trigger a command, as its key does."""
+        (command,) = [c for c in self.panels.commands if c.label == label]
+        for callback in command._impl.trigger_cb:
+            callback(None)  # type: ignore[arg-type]
+        self.update()
+
     def answer(self) -> None:
         """Wait for the answers to all requests."""
         while any(request.answer is None for request in self.panels.desk.requests):

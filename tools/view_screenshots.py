@@ -38,8 +38,21 @@ WINDOW = (1280, 720)
 TALL = (1280, 1500)
 """Size of the page in px: as a whole, and for panels, which are shown in full length."""
 
+DOMAIN = {
+    'ROS_DOMAIN_ID': str(1 + os.getpid() % 100), 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'
+}  # fmt: skip
+"""Keeps the nodes apart from others on this machine and its network."""
+
+NODES = (
+    'launch', '--view', '--config', 'navigation', '--goal-follower', '--set',
+    'goal_follower.explore=true',
+)  # fmt: skip
+ROBOT = ('simulate', '--live', '--plan', 'office', '--rate', '2', '--quiet')
+EXPLORED_S = 75.0
+"""Live nodes and a simulated robot, and time for it to explore before it gets a goal."""
+
 MARGIN_PX = 8
-START_S, STOP_S = 90.0, 10.0
+START_S, REPLAY_S, STOP_S = 90.0, 180.0, 10.0
 PARTS = ('run', 'export', 'robot')
 QUALITY = 82
 COLOURS = 128
@@ -72,6 +85,10 @@ class Viewer:
         close_notifications(self.browser)
         time.sleep(0.5)
         draw(self.browser)
+
+    def text(self) -> str:
+        """Return the visible texts."""
+        return str(self.browser.find_element(By.TAG_NAME, 'body').text)
 
     def tabs(self) -> dict[str, Any]:
         """Return the tabs by their names."""
@@ -135,7 +152,7 @@ class Viewer:
         for x, y in spiral(step=14, count=200):
             ActionChains(self.browser).move_to_element_with_offset(canvas, x, y).click().perform()
             time.sleep(0.35)
-            if until in self.browser.find_element(By.TAG_NAME, 'body').text:
+            if until in self.text():
                 self.settle(2.0)
                 return
         raise SystemExit(f'no click on the map showed {until!r}')
@@ -157,50 +174,69 @@ def without_empty_end(panel: Image.Image) -> Image.Image:
 
 
 @contextmanager
-def viewer(browser: Any, *command: str) -> Iterator[Viewer]:
-    """Start a ratslam command that shows its run; it ends with the context."""
+def running(*command: str, output: int = subprocess.DEVNULL) -> Iterator[subprocess.Popen[str]]:
+    """Start a ratslam command; it ends with the context."""
     process = subprocess.Popen(
         [sys.executable, '-u', '-m', 'ratslam_ros', *command],
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True,
-        env={key: value for key, value in os.environ.items() if key != 'DISPLAY'},
+        stdout=output, stderr=subprocess.STDOUT, text=True, start_new_session=True,
+        env={**os.environ, **DOMAIN},
     )  # fmt: skip
-    lines: queue.Queue[str] = queue.Queue()
-    threading.Thread(
-        target=lambda: [lines.put(line) for line in process.stdout or ()], daemon=True
-    ).start()
-    output: list[str] = []
-
-    def url() -> str | None:
-        while not lines.empty():
-            output.append(lines.get())
-        found = re.search(r'http://\S+', ''.join(output))
-        if found is None and process.poll() is not None:
-            raise SystemExit(f'ratslam {" ".join(command)}: {"".join(output)}')
-        return found and found[0].rstrip('.')
-
     try:
-        yield Viewer(browser, wait_for(url, f'ratslam {command[0]} prints no URL', START_S))
+        yield process
     finally:
-        os.killpg(process.pid, signal.SIGINT)
+        process.send_signal(signal.SIGINT)
         try:
             process.wait(STOP_S)
         except subprocess.TimeoutExpired:
             os.killpg(process.pid, signal.SIGKILL)
 
 
+@contextmanager
+def viewer(browser: Any, *command: str) -> Iterator[Viewer]:
+    """Start a ratslam command that shows its run; it ends with the context."""
+    words = (*command, '--no-browser', '--port', '0')
+    with running(*words, output=subprocess.PIPE) as process:
+        yield Viewer(browser, url_of(process))
+
+
+def url_of(process: subprocess.Popen[str]) -> str:
+    """Return the address of the page that a command prints.
+
+    Raises:
+        SystemExit: it printed none.
+    """
+    lines: queue.Queue[str] = queue.Queue()
+    threading.Thread(
+        target=lambda: [lines.put(line) for line in process.stdout or ()], daemon=True
+    ).start()
+    output: list[str] = []
+
+    def url() -> str:
+        while not lines.empty():
+            output.append(lines.get())
+        found = re.search(r'http://\S+', ''.join(output))
+        if found is None and process.poll() is not None:
+            raise SystemExit(f'no page is shown: {"".join(output)}')
+        return '' if found is None else found[0]
+
+    return str(wait_for(url, 'the command prints no address', START_S))
+
+
 Save = Callable[[str, Image.Image], None]
 
 
-def of_finished_run(shown: Viewer, save: Save) -> None:
-    """Make the pictures of a finished run."""
+def of_replay(shown: Viewer, save: Save) -> None:
+    """Make the pictures of a replay that has come to its end."""
     shown.open(WINDOW)
+    wait_for(lambda: 'end of the run' in shown.text(), 'the replay does not end', REPLAY_S)
+    shown.settle(3.0)
     save('view_window', picture(shown.browser))
     shown.press('t')
     save('view_dark', picture(shown.browser))
     shown.press('t')
     shown.resize(TALL)
     shown.settle()
-    for name in ('Camera and match', 'Pose cells', 'Map', 'Tune', 'Help'):
+    for name in ('Camera and match', 'Pose cells', 'Map', 'Parameters', 'Help'):
         save(file_of(name), shown.panel(name))
     shown.tab('Select')
     shown.choose('Loop closures', 1)
@@ -211,11 +247,11 @@ def of_finished_run(shown: Viewer, save: Save) -> None:
     save('view_select_experience', shown.panel('Select'))
 
 
-def of_simulated_robot(shown: Viewer, save: Save) -> None:
-    """Make the pictures of a robot that drives to a goal."""
-    shown.open(TALL)
+def of_robot(shown: Viewer, save: Save) -> None:
+    """Make the pictures of a simulated robot that drives to a goal."""
+    time.sleep(EXPLORED_S)
+    shown.open(WINDOW)
     shown.tab('Select')
-    shown.resize(WINDOW)
     shown.click_map('Ground')
     shown.press('g')
     shown.settle(3.0)
@@ -257,7 +293,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument('--only', help='write only pictures whose names contain this')
     parser.add_argument('--out', type=Path, default=ROOT / 'docs/images')
-    parser.add_argument('--results', help='folder of a run; without it, the demo runs')
+    parser.add_argument('--demo', help='results of ratslam demo; without it, the demo runs')
     parser.add_argument('--parts', nargs='+', choices=PARTS, default=PARTS)
     options = parser.parse_args()
 
@@ -266,20 +302,22 @@ def main() -> None:
             write(options.out, name, image)
 
     with tempfile.TemporaryDirectory() as folder, chromium(*WINDOW) as browser:
-        results = options.results
-        if results is None and {'run', 'export'} & set(options.parts):
-            results = f'{folder}/demo'
-            ratslam('demo', '--quiet', '--out', results)
+        demo = options.demo
+        if demo is None and {'run', 'export'} & set(options.parts):
+            demo = f'{folder}/demo'
+            ratslam('demo', '--quiet', '--out', demo)
         if 'run' in options.parts:
-            with viewer(browser, 'view', results) as shown:
-                of_finished_run(shown, save)
+            recording = f'{demo}/recording'
+            words = ('view', recording, '--truth', f'{recording}/truth.tum')
+            with viewer(browser, *words, '--out', f'{folder}/replay') as shown:
+                of_replay(shown, save)
         if 'export' in options.parts:
             page = Path(folder) / 'run.html'
-            ratslam('view', results, '--export', str(page))
+            ratslam('view', demo, '--export', str(page))
             of_export(browser, page, save)
         if 'robot' in options.parts:
-            with viewer(browser, 'simulate', '--view', '--out', f'{folder}/robot') as shown:
-                of_simulated_robot(shown, save)
+            with viewer(browser, *NODES) as shown, running(*ROBOT):
+                of_robot(shown, save)
 
 
 if __name__ == '__main__':

@@ -329,8 +329,9 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         self._goals.update()
 
     def _send(self) -> None:
-        """Send the next part of the map, and its changes."""
-        self._changes.update(self._core, self._action_ns)
+        """Send the changes of the map or, at another call, the next part of the whole map."""
+        if self._changes.update(self._core, self._action_ns):
+            return
         period_s = self._section.map_period_s
         if self._sender.advance(self._core, self._action_ns, period_s) and self._viewers > 0:
             self._send_markers()

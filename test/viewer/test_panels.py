@@ -1,17 +1,20 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 from collections.abc import Iterator
-from typing import Any
+from pathlib import Path
+from types import SimpleNamespace
 
+import cv2
+import numpy as np
 import pytest
 
 pytest.importorskip('viser')
 
+import viser
 from viewer_doubles import BEGIN_NS, STEP_NS, FakeControls, FakePick, FakeRun
 from viewer_page import Page, open_page
 
-from ratslam_ros.history.records import ImageRecord, StatusRecord
-from ratslam_ros.viewer.controls import NoControls
+from ratslam_ros.history.records import ImageRecord
 from ratslam_ros.viewer.panels.desk import Desk
 from ratslam_ros.viewer.panels.shortcuts import RESERVED
 
@@ -25,19 +28,6 @@ ALL_ACTIONS = (
 def page() -> Iterator[Page]:
     with open_page(FakeRun(60), FakeControls(*ALL_ACTIONS)) as page:
         yield page
-
-
-@pytest.fixture
-def replay() -> Iterator[Page]:
-    with open_page(FakeRun(60), FakeControls('set_parameter', 'run_again')) as page:
-        yield page
-
-
-def trigger(page: Page, label: str) -> None:
-    (command,) = [c for c in page.panels.commands if c.label == label]
-    for callback in command._impl.trigger_cb:
-        callback(None)
-    page.update()
 
 
 # Time control.
@@ -98,10 +88,10 @@ def test_play_button_becomes_pause_and_back(page: Page) -> None:
 def test_speed_is_chosen_and_shown(page: Page) -> None:
     page.give(page.panels.time.speed, '10×')
     assert page.playback.speed == 10.0
-    trigger(page, 'Faster')
+    page.trigger('Faster')
     assert page.panels.time.speed.value == '20×'
     for _ in range(20):
-        trigger(page, 'Slower')
+        page.trigger('Slower')
     assert page.panels.time.speed.value == '0.1×'
 
 
@@ -236,7 +226,8 @@ def test_listed_closure_shows_both_images_and_values(page: Page) -> None:
 def test_clicked_link_shows_the_view_that_closed_it(page: Page) -> None:
     selection = page.panels.selection
     selection.choose(FakePick('closure', ends=(0, 19)))
-    assert selection.closure is not None and selection.closure.target_id == 0
+    assert selection.closure is not None
+    assert selection.closure.stamp_ns == page.run.stamps[20]  # the first of three transitions
     selection.choose(FakePick('closure', ends=(5, 9)))
     assert selection.closure is None
     assert 'not in the history' in selection.text.content
@@ -262,213 +253,6 @@ def test_closures_are_those_up_to_the_shown_moment(page: Page) -> None:
     assert page.panels.selection.list.options == ('none yet',)
 
 
-# Drive.
-
-
-def test_goal_is_sent_to_selected_ground(page: Page) -> None:
-    drive = page.panels.drive
-    page.panels.selection.choose(FakePick('ground', point=(1.0, -2.0)))
-    page.give(drive.groups['Selected'], 'Go here')
-    page.answer()
-    page.give(drive.groups['Selected'], 'Then here')
-    page.answer()
-    assert page.controls.calls == [('go_to', 1.0, -2.0, False), ('go_to', 1.0, -2.0, True)]
-    assert drive.log.content.count('go_to done') == 2
-    assert 'x 1.00 m, y -2.00 m' in drive.target.content
-
-
-def test_goal_is_sent_to_selected_experience(page: Page) -> None:
-    page.panels.selection.choose(FakePick('experience', 0))
-    trigger(page, 'Go to the selected point')
-    page.answer()
-    assert page.controls.calls == [('go_to', pytest.approx(3.0), pytest.approx(0.0), False)]
-
-
-def test_goal_without_selection_is_explained(page: Page) -> None:
-    page.give(page.panels.drive.groups['Selected'], 'Go here')
-    assert page.controls.calls == []
-    assert 'Click a point on the map' in page.panels.drive.log.content
-
-
-def test_refused_request_shows_its_reason(page: Page) -> None:
-    page.controls.refusal = 'no route: <b>'
-    page.panels.selection.choose(FakePick('ground', point=(1.0, 2.0)))
-    page.give(page.panels.drive.groups['Selected'], 'Go here')
-    page.answer()
-    assert 'refused: no route: &lt;b&gt;' in page.panels.drive.log.content
-
-
-@pytest.mark.parametrize(
-    ('group', 'button', 'call'),
-    [
-        ('Goals', 'Cancel all goals', ('cancel_goals',)),
-        ('Explore', 'On', ('explore', True)),
-        ('Mapping', 'Off', ('mapping', False)),
-        ('Pause nodes', 'On', ('pause_nodes', True)),
-        ('Map', 'Save', ('save',)),
-        ('Go to place', 'Then to place', ('go_to_place', 'kitchen', True)),
-    ],
-)
-def test_buttons_send_their_request(page: Page, group: str, button: str, call: Any) -> None:
-    page.give(page.panels.drive.groups[group], button)
-    page.answer()
-    assert page.controls.calls == [call]
-
-
-def test_place_is_named(page: Page) -> None:
-    drive = page.panels.drive
-    page.give(drive.groups['Name this place'], 'Name this place')
-    assert 'type a name first' in drive.log.content
-    page.give(drive.name, ' office ')
-    page.give(drive.groups['Name this place'], 'Name this place')
-    page.answer()
-    assert page.controls.calls == [('name_place', 'office')]
-    page.controls.places = ('kitchen', 'office')
-    page.update()
-    assert drive.place.options == ('kitchen', 'office')
-
-
-@pytest.mark.parametrize('button', ['Reset', 'Load'])
-def test_map_is_replaced_only_after_confirmation(page: Page, button: str) -> None:
-    drive = page.panels.drive
-    page.give(drive.groups['Map'], button)
-    page.give(drive.confirmation, 'Keep as it is')
-    assert page.controls.calls == []
-    page.give(drive.groups['Map'], button)
-    page.give(drive.confirmation, button)
-    page.answer()
-    assert page.controls.calls == [(button.lower(),)]
-
-
-def test_slow_request_does_not_hold_up_the_loop(page: Page) -> None:
-    import threading
-
-    release = threading.Event()
-    page.panels.desk.ask('slow', lambda: (release.wait(10), page.controls.save())[1])
-    page.update()
-    assert 'waiting for the answer' in page.panels.drive.log.content
-    release.set()
-    page.answer()
-    assert 'save done' in page.panels.drive.log.content
-
-
-def test_request_that_raises_is_shown_as_refused(page: Page) -> None:
-    def fail() -> Any:
-        raise OSError('no connection')
-
-    page.panels.desk.ask('broken', fail)
-    page.answer()
-    assert 'refused: OSError: no connection' in page.panels.drive.log.content
-
-
-def test_finished_run_offers_nothing_and_says_why() -> None:
-    with open_page(FakeRun(5), NoControls('Finished: nothing to command.')) as page:
-        drive = page.panels.drive
-        assert not drive.groups
-        assert not drive.place.visible and not drive.name.visible
-        assert 'Finished: nothing to command.' in drive.nothing.content
-        trigger(page, 'Go to the selected point')
-        trigger(page, 'Cancel all goals')
-        assert page.posted.empty() and not drive.log.content
-        assert not page.panels.parameters.inputs
-
-
-def test_goals_and_diagnostics_are_shown(page: Page) -> None:
-    payload = (
-        '{"schema_version":1,"stamp":{"sec":1,"nanosec":0},"status":"driving","explore":false,'
-        '"reason":"","experience_id":1,"neighbours":[],"goal":{"x_m":1.0,"y_m":2.0},'
-        '"remaining_s":7.2,"replanned":0,"switched":0,"queue":[],"outcomes":[{"number":0,'
-        '"goal":"kitchen","status":"failed","reason":"no way","expected_s":1.0,"took_s":2.0}]}'
-    )
-    page.run.records[7].append(StatusRecord(page.run.stamps[7], payload))
-    page.at(7)
-    text = page.panels.drive.status.content
-    for part in ('driving', 'x 1.00 m', '7 s', 'kitchen no way'):
-        assert part in text, text
-    assert 'no &lt;odom&gt;' in page.panels.drive.diagnostics.content
-
-
-# Parameters.
-
-
-def test_parameters_of_a_section_are_generated(page: Page) -> None:
-    panel = page.panels.parameters
-    assert set(panel.inputs) == {k for k in page.controls.parameters if 'local_view' in k}
-    page.give(panel.section, 'experience_map')
-    assert 'experience_map.exp_relaxation' in panel.inputs
-    assert panel.inputs['experience_map.exp_relaxation'].options == ('solve', 'sweep')
-    assert panel.inputs['experience_map.exp_loops'].max == 10_000
-    page.give(panel.search, 'exp_loops')
-    assert set(panel.inputs) == {'experience_map.exp_loops', 'experience_map.exp_relaxation'}
-    page.give(panel.search, 'xyz')
-    assert not panel.inputs
-
-
-def test_changed_parameter_is_sent_and_marked(page: Page) -> None:
-    panel = page.panels.parameters
-    page.give(panel.inputs['local_view.vt_match_threshold'], 0.05)
-    page.answer()
-    assert page.controls.calls == [('set_parameter', 'local_view.vt_match_threshold', 0.05)]
-    assert '0.03 → 0.05' in panel.text.content
-    page.give(panel.reset_all)
-    page.answer()
-    assert page.controls.parameters['local_view.vt_match_threshold'] == 0.03
-    assert panel.inputs['local_view.vt_match_threshold'].value == 0.03
-    assert '→' not in panel.text.content and not panel.changed
-
-
-def test_invalid_value_is_explained_and_not_sent(page: Page) -> None:
-    panel = page.panels.parameters
-    handle = panel.inputs['local_view.vt_shift_match']
-    page.give(handle, 40)
-    assert 'expected less than half of template_x_size' in panel.text.content
-    assert handle.value == 5
-    assert page.controls.calls == []
-
-
-def test_refused_value_is_taken_back(page: Page) -> None:
-    panel = page.panels.parameters
-    page.controls.refusal = 'cannot be set while the node runs'
-    handle = panel.inputs['local_view.vt_max']
-    page.give(handle, 50)
-    page.answer()
-    assert 'cannot be set while the node runs' in panel.text.content
-    assert handle.value == 0 and not panel.changed
-
-
-def test_value_changed_elsewhere_is_shown(page: Page) -> None:
-    page.controls.parameters['local_view.vt_max'] = 77
-    page.update()
-    assert page.panels.parameters.inputs['local_view.vt_max'].value == 77
-    assert page.controls.calls == []
-
-
-def test_replay_runs_again_with_changes(replay: Page) -> None:
-    panel = replay.panels.parameters
-    assert panel.again.visible and panel.again.disabled
-    replay.give(panel.inputs['local_view.vt_panoramic'], True)
-    replay.answer()
-    assert not panel.again.disabled
-    replay.give(panel.again)
-    replay.answer()
-    assert replay.controls.calls[-1] == ('run_again',)
-    assert panel.again.disabled
-    assert not replay.panels.drive.groups
-
-
-def test_shared_parameter_is_set_in_both_sections() -> None:
-    controls = FakeControls('set_parameter')
-    controls.parameters['pose_cells.odom_source'] = 'twist'
-    with open_page(FakeRun(5), controls) as page:
-        panel = page.panels.parameters
-        page.give(panel.section, 'pose_cells')
-        page.give(panel.inputs['pose_cells.odom_source'], 'pose')
-        page.answer()
-        assert {call[1] for call in controls.calls} >= {
-            'pose_cells.odom_source', 'experience_map.odom_source',
-        }  # fmt: skip
-
-
 # Appearance, shortcuts and cost.
 
 
@@ -479,7 +263,7 @@ def test_layers_colours_and_theme_reach_the_scene(page: Page) -> None:
     page.give(panel.colouring, 'visits')
     assert page.scene.colouring == 'visits'
     assert 'visits: oldest' in panel.legend.content
-    trigger(page, 'Dark or light theme')
+    page.trigger('Dark or light theme')
     assert page.scene.dark and panel.dark.value
     page.scene.detail = 'every 4th experience is drawn'
     page.update()
@@ -500,11 +284,100 @@ def test_shortcuts_step_and_play(page: Page) -> None:
         ('Next view', 31), ('Previous view', 30), ('10 views on', 40), ('10 views back', 30),
         ('Begin', 0), ('End, or live', 59),
     ):  # fmt: skip
-        trigger(page, label)
+        page.trigger(label)
         assert page.playback.cursor_ns == page.run.stamps[number], label
     page.at(30)
-    trigger(page, 'Play or pause')
+    page.trigger('Play or pause')
     assert page.playback.playing
+
+
+class FakeClient:
+    """A browser that can draw, and what it was sent."""
+
+    def __init__(self) -> None:
+        self.camera = SimpleNamespace(
+            position=np.zeros(3), update_timestamp=1.0, image_width=40, image_height=30
+        )
+        self.files: list[tuple[str, bytes]] = []
+        self.notes: list[tuple[str, str, str]] = []
+
+    def get_render(self, height: int, width: int, **more: object) -> np.ndarray:
+        return np.full((height, width, 4), (10, 20, 30, 255), np.uint8)
+
+    def send_file_download(self, name: str, content: bytes, save_immediately: bool) -> None:
+        self.files.append((name, content))
+
+    def add_notification(self, title: str, body: str, *, color: str, **more: object) -> None:
+        self.notes.append((title, body, color))
+
+
+@pytest.fixture
+def browser(page: Page, monkeypatch: pytest.MonkeyPatch) -> FakeClient:
+    client = FakeClient()
+    monkeypatch.setattr(page.panels.desk.server, 'get_clients', lambda: {1: client})
+    return client
+
+
+def test_answers_are_shown_on_every_page(page: Page, browser: FakeClient) -> None:
+    page.give(page.panels.drive.groups['Map'], 'Save')
+    page.answer()
+    page.controls.refusal = 'no folder'
+    page.give(page.panels.drive.groups['Map'], 'Save')
+    page.answer()
+    assert browser.notes == [
+        ('Done: save', 'save done', 'green'), ('Refused: save', 'no folder', 'red')
+    ]  # fmt: skip
+
+
+def test_view_follows_robot_if_asked(page: Page, browser: FakeClient) -> None:
+    page.at(0)
+    page.at(5)
+    assert not browser.camera.position.any()
+    page.give(page.panels.appearance.follow, True)
+    page.at(0)
+    page.at(10)
+    # Half of the loop of radius 3 m lies between both steps, and a quarter before the first one.
+    np.testing.assert_allclose(browser.camera.position, [-3.0, -3.0, 0.0], atol=1e-9)
+
+
+def test_screenshot_is_drawn_and_downloaded_by_the_browser(
+    page: Page, browser: FakeClient
+) -> None:
+    page.at(10)
+    for callback in page.panels.export.screenshot._impl.update_cb:
+        callback(viser.GuiEvent(client=browser, client_id=1, target=None))  # type: ignore[arg-type]
+    page.update()
+    page.answer()
+    ((name, content),) = browser.files
+    assert name == 'test-run-0-05.0.png'
+    picture = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+    assert picture.shape == (30, 40, 4) and tuple(picture[0, 0]) == (30, 20, 10, 255)
+
+
+def test_recording_is_downloaded_and_its_failure_shown(
+    page: Page, browser: FakeClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from ratslam_ros.viewer import export
+
+    def write(source: object, path: Path, dark: bool, colouring: str) -> export.Exported:
+        assert source is page.run and not dark and colouring == 'age'
+        path.write_bytes(b'page')
+        return export.Exported(4_000_000, 30)
+
+    def press() -> None:
+        for callback in page.panels.export.recording._impl.update_cb:
+            callback(viser.GuiEvent(client=browser, client_id=1, target=None))  # type: ignore[arg-type]
+        page.update()
+        page.answer()
+        assert not page.panels.export.recording.disabled
+
+    monkeypatch.setattr(export, 'export_html', write)
+    press()
+    assert browser.files == [('test-run.html', b'page')]
+    assert browser.notes[-1][1] == 'test-run.html: 4.0 MB, 30 frames'
+    monkeypatch.setattr(export, 'export_html', lambda *_, **__: 1 / 0)
+    press()
+    assert browser.notes[-1][0] == 'Refused: recording'
 
 
 def test_unchanged_state_sends_nothing(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -526,8 +399,6 @@ def test_callbacks_of_the_page_only_post(page: Page) -> None:
     scrubber = page.panels.time.scrubber
     scrubber._impl.value = 3.0
     for callback in scrubber._impl.update_cb:
-        import viser
-
         callback(viser.GuiEvent(client=None, client_id=1, target=scrubber))
     assert page.playback.cursor_ns == before
     assert desk.playback is page.playback and not page.posted.empty()

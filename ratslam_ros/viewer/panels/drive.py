@@ -203,6 +203,8 @@ def status_html(status: StatusRecord | None) -> str:
 def _status_rows(fields: Mapping[str, Any]) -> list[tuple[str, str]]:
     goal, remaining_s = fields.get('goal'), fields.get('remaining_s')
     rows = [('status', str(fields['status']))]
+    if fields['explore']:
+        rows.append(('explore', 'on'))
     if fields['reason']:
         rows.append(('reason', str(fields['reason'])))
     if goal:

@@ -12,144 +12,137 @@ from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.history.run_state import RunState
 from ratslam_ros.viewer.panels.desk import Desk, assign
 from ratslam_ros.viewer.panels.html import ORANGE, RED, block, dim, mark, strong, table
-from ratslam_ros.viewer.run_source import Answer
+from ratslam_ros.viewer.run_source import Answer, Controls
 
-ALL, CHANGED = 'all sections', 'changed'
+ALL = 'all sections'
+SHARING = 'pose_cells', 'experience_map'
+"""Sections that must agree in the parameters ``SHARED``."""
+
+DISCARD, DEFAULTS = 'Discard', 'Defaults'
+
+EDITED = '◆'
+"""Mark of an edited parameter."""
+
+DECIMALS = 6
+"""Number of decimals that can be typed."""
 
 MOST_SHOWN = 40
 """Largest number of inputs at once; a search narrows them down."""
 
 NOTHING = 'This run has no parameters that can be changed.'
-LIVE_HINT = 'Changes take effect at once. Hover over a name to read what it does.'
+LIVE_HINT = 'Change values and apply them together. Hover over a name to read what it does.'
 REPLAY_HINT = (
-    'Change values and run the replay again with them. Hover over a name to read what it does.'
+    'Change values and replay the recording again with them. Hover over a name to read what it '
+    'does.'
 )
 
 
 class ParametersPanel:
-    """A searchable list of inputs, and what was changed."""
+    """A searchable list of inputs.
+
+    Edits are kept until they are applied together: pages send every keystroke, and values may be
+    valid only with each other.
+    """
 
     def __init__(self, desk: Desk) -> None:
         self._desk, gui = desk, desk.gui
         self.inputs: dict[str, Any] = {}
         """The inputs that are shown, by ``section.name``."""
-        self.changed: dict[str, object] = {}
-        """Values before the changes that the shown run does not have yet, or that were made."""
+        self.edits: dict[str, object] = {}
+        """Values that have not been applied yet, by ``section.name``."""
         self._values = dict(desk.controls.parameters)
-        self.replays = 'run_again' in desk.controls.actions
-        """Whether changes take effect when the recording is replayed again."""
+        self._replays = 'run_again' in desk.controls.actions
         if not self._values or 'set_parameter' not in desk.controls.actions:
             gui.add_html(block(dim(NOTHING)))
             self._values = {}
             return
         sections = [s for s in SECTIONS if any(key.startswith(f'{s}.') for key in self._values)]
-        gui.add_html(block(dim(REPLAY_HINT if self.replays else LIVE_HINT)))
+        gui.add_html(block(dim(REPLAY_HINT if self._replays else LIVE_HINT)))
         self.section = gui.add_dropdown(
-            'Section', (*sections, ALL, CHANGED), hint='Part of RatSLAM that they belong to.'
+            'Section', (*sections, ALL), hint='Part of RatSLAM that they belong to.'
         )
         self.search = gui.add_text(
             'Search', '', hint='Part of a name or of the description, in all sections.'
         )
-        self.again = gui.add_button(
-            'Run again with the changes', visible=self.replays, disabled=True,
-            hint='Replay the recording again with the changed parameters.',
+        self.apply = gui.add_button(
+            'Run again with the changes' if self._replays else 'Apply the changes', disabled=True,
+            hint=REPLAY_HINT if self._replays else LIVE_HINT,
+        )  # fmt: skip
+        self.buttons = gui.add_button_group(
+            'Inputs', (DISCARD, DEFAULTS),
+            hint='Discard the changes, or set all parameters listed below to their defaults.',
         )  # fmt: skip
         self.text = gui.add_html('')
-        self.folder = gui.add_folder(None)
-        self.reset_all = gui.add_button(
-            'Take back all changes', visible=False, color='gray',
-            hint='Set all changed parameters to the values they had when the page was opened.',
-        )  # fmt: skip
+        self._place = gui.add_folder(None)
+        with self._place:
+            self._listed = gui.add_folder(None)
         desk.on_change(self.section, lambda _: self._list())
         desk.on_change(self.search, lambda _: self._list())
-        desk.on_click(self.again, self._run_again)
-        desk.on_click(self.reset_all, self._take_back)
+        desk.on_click(self.apply, self._apply)
+        desk.on_press(self.buttons, {DISCARD: self._discard, DEFAULTS: self._set_defaults})
         self._list()
-        self._tell('')
 
     def update(self, state: RunState) -> None:
         """Show values that have been changed elsewhere."""
-        if not self._values:
-            return
-        values = self._desk.controls.parameters
-        if values != self._values:
-            self._values = dict(values)
-            for key, handle in self.inputs.items():
-                assign(handle, values[key])
+        if self._values and self._desk.controls.parameters != self._values:
+            self._read()
 
-    def set(self, key: str, value: object) -> None:
-        """Validate a value and send it; a shared parameter is set in both of its sections."""
-        value = _typed(key, value)
-        keys = [key]
-        name = key.partition('.')[2]
-        if name in SHARED:
-            keys = [k for k in self._values if k.partition('.')[2] == name]
-        try:
-            checked({**self._values, **dict.fromkeys(keys, value)})
-        except UnusableParameter as error:
-            self._tell(str(error))
-            self._restore(key)
-            return
-        self._tell('')
-        for k in keys:
-            self._send(k, value)
+    def edit(self, key: str, value: object) -> None:
+        """Change a value; a shared parameter is changed in both of its sections."""
+        section, _, name = key.partition('.')
+        sections = SHARING if name in SHARED and section in SHARING else (section,)
+        for key in (f'{section}.{name}' for section in sections):
+            if key in self._values:
+                self.edits[key] = _typed(key, value)
+        self._show()
 
-    def _send(self, key: str, value: object) -> None:
-        before = self._values[key]
-        if value == before:
-            return
+    def _apply(self) -> None:
+        edits, controls = dict(self.edits), self._desk.controls
 
         def answered(answer: Answer) -> None:
-            if answer.success:
-                self._values[key] = value
-                if self.changed.setdefault(key, before) == value:
-                    del self.changed[key]
-                self._tell('')
-            else:
-                self._tell(answer.message)
-            self._restore(key)
+            for key, value in edits.items():
+                if answer.success and self.edits.get(key) == value:
+                    del self.edits[key]
+            self._read('' if answer.success else answer.message)
 
-        call = self._desk.controls.set_parameter
-        self._desk.ask(f'{key} = {value}', lambda: call(key, value), answered)
+        request = ', '.join(f'{key} = {value}' for key, value in edits.items())
+        self._desk.ask(request, lambda: send(controls, edits, self._replays), answered)
 
-    def _restore(self, key: str) -> None:
-        """Show the value that holds."""
-        if key in self.inputs:
-            assign(self.inputs[key], self._values[key])
+    def _discard(self) -> None:
+        self.edits.clear()
+        self._show()
 
-    def _run_again(self) -> None:
-        def answered(answer: Answer) -> None:
-            if answer.success:
-                self.changed.clear()
-            self._tell('' if answer.success else answer.message)
+    def _set_defaults(self) -> None:
+        for key in self.inputs:
+            self.edits[key] = declaration(key)[1]
+        self._show()
 
-        self._desk.ask('run again', self._desk.controls.run_again, answered)
+    def _read(self, refusal: str = '') -> None:
+        self._values = dict(self._desk.controls.parameters)
+        self._show(refusal)
 
-    def _take_back(self) -> None:
-        for key, value in list(self.changed.items()):
-            self._send(key, value)
-
-    def _tell(self, problem: str) -> None:
-        """Show what was changed, and what was wrong with the last value."""
-        parts = [f'{mark("■", RED)} {strong(problem)}'] if problem else []
-        if self.changed:
-            rows = [
-                (key, f'{before} → {self._values[key]}') for key, before in self.changed.items()
-            ]
-            parts += [f'{mark("◆", ORANGE)} {strong(f"{len(rows)} changed")}', table(rows)]
+    def _show(self, refusal: str = '') -> None:
+        """Show the values and edits, and what is wrong with them."""
+        self.edits = {k: v for k, v in self.edits.items() if v != self._values[k]}
+        for key, handle in self.inputs.items():
+            assign(handle, self.edits.get(key, self._values[key]))
+            handle.label = self._label(key)
+        problem = problem_of({**self._values, **self.edits})
+        parts = [f'{mark("■", RED)} {strong(text)}' for text in (refusal, problem) if text]
+        if self.edits:
+            rows = [(k, f'{self._values[k]} → {value}') for k, value in self.edits.items()]
+            parts += [f'{mark(EDITED, ORANGE)} {strong("not applied yet")}', table(rows)]
         self.text.content = block(*parts) if parts else ''
-        self.again.disabled = not self.changed
-        self.reset_all.visible = bool(self.changed)
+        self.apply.disabled = not self.edits or bool(problem)
 
     def _list(self) -> None:
         """Show the inputs of the chosen section, or those that the search finds."""
-        for handle in self.inputs.values():
-            handle.remove()
+        self._listed.remove()
         self.inputs.clear()
-        for child in list(self.folder._children.values()):
-            child.remove()
-        keys = found(self._values, self.section.value, self.search.value, self.changed)
-        with self.folder:
+        keys = found(self._values, self.section.value, self.search.value)
+        with self._place:
+            self._listed = self._desk.gui.add_folder(None)
+        with self._listed:
             for key in keys[:MOST_SHOWN]:
                 self._add(key)
             if len(keys) > MOST_SHOWN:
@@ -157,16 +150,12 @@ class ParametersPanel:
                 self._desk.gui.add_html(block(dim(more)))
             if not keys:
                 self._desk.gui.add_html(block(dim('no parameter found')))
+        self._show()
 
     def _add(self, key: str) -> None:
-        gui = self._desk.gui
-        value: Any = self._values[key]
-        section, _, name = key.partition('.')
-        info, default = declaration(key)
-        one_section = self.section.value == section and not self.search.value
-        # Names may be broken at underscores, because the column of labels is narrow.
-        label = (name if one_section else key).replace('_', '_\u200b')
-        hint = hint_text(info, default)
+        gui, (info, default) = self._desk.gui, declaration(key)
+        value: Any = self.edits.get(key, self._values[key])
+        label, hint = self._label(key), hint_text(info, default)
         handle: Any
         if isinstance(default, bool):
             handle = gui.add_checkbox(label, bool(value), hint=hint)
@@ -180,8 +169,37 @@ class ParametersPanel:
                 label, kind(value), min=kind(info.lowest), max=kind(info.high), hint=hint,
                 step=1 if kind is int else _step(info),
             )  # fmt: skip
+            if kind is float:
+                handle.precision = DECIMALS
         self.inputs[key] = handle
-        self._desk.on_change(handle, lambda new: self.set(key, new))
+        self._desk.on_change(handle, lambda new: self.edit(key, new))
+
+    def _label(self, key: str) -> str:
+        """Return the name of a parameter, marked if it was edited."""
+        section, _, name = key.partition('.')
+        if self.section.value != section or self.search.value:
+            name = key
+        # Names may be broken at underscores, because the column of labels is narrow.
+        name = name.replace('_', '_\u200b')
+        return f'{EDITED} {name}' if key in self.edits else name
+
+
+def send(controls: Controls, edits: Mapping[str, object], run_again: bool) -> Answer:
+    """Set parameters, and replay again if asked.
+
+    Some values are valid only after others have been set, so those that are refused are sent
+    again as long as others are accepted.
+    """
+    left = dict(edits)
+    while left:
+        answers = {key: controls.set_parameter(key, value) for key, value in left.items()}
+        refused = {key: answer.message for key, answer in answers.items() if not answer.success}
+        if len(refused) == len(left):
+            return Answer(False, '; '.join(refused.values()))
+        left = {key: left[key] for key in refused}
+    if run_again:
+        return controls.run_again()
+    return Answer(True, ', '.join(f'{key} is {value}' for key, value in edits.items()))
 
 
 def declaration(key: str) -> tuple[ParameterInfo, Value]:
@@ -193,18 +211,16 @@ def declaration(key: str) -> tuple[ParameterInfo, Value]:
     raise KeyError(key)
 
 
-def checked(values: Mapping[str, object]) -> Config:
-    """Return the configuration with these values.
+def problem_of(values: Mapping[str, object]) -> str:
+    """Return why values are not valid, or not together; '' if they are."""
+    try:
+        Config().with_values({k: v for k, v in values.items() if isinstance(v, Value)})
+    except UnusableParameter as error:
+        return str(error)
+    return ''
 
-    Raises:
-        UnusableParameter: a value is not valid, or not together with the others.
-    """
-    return Config().with_values({k: v for k, v in values.items() if isinstance(v, Value)})
 
-
-def found(
-    values: Mapping[str, object], section: str, search: str, changed: Mapping[str, object]
-) -> list[str]:
+def found(values: Mapping[str, object], section: str, search: str) -> list[str]:
     """Return the parameters that a section has, or that a search finds in all of them."""
     words = search.lower().split()
     if words:
@@ -212,8 +228,6 @@ def found(
             key for key in values
             if all(word in f'{key} {declaration(key)[0].effect}'.lower() for word in words)
         ]  # fmt: skip
-    if section == CHANGED:
-        return [key for key in values if key in changed]
     return [key for key in values if section in (ALL, key.partition('.')[0])]
 
 

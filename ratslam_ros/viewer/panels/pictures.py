@@ -83,4 +83,5 @@ def error_curves(views: Iterable[ViewRecord], now_ns: int) -> tuple[NDArray[np.f
     ).reshape(-1, 4)
     x, error, threshold, is_new = rows.T.copy()
     error[error < 0] = np.nan
+    threshold[threshold < 0] = np.nan
     return x, error, threshold, np.where(is_new == 1, error, np.nan)

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from html import escape
 from typing import Any
 
 import numpy as np
@@ -180,13 +181,17 @@ class SelectionPanel:
 
     def _show_link(self, source_id: int, target_id: int) -> None:
         """Show the loop closure that made a link."""
+        source, until_ns = self._desk.playback.source, self._cursor_ns()
+        views = [
+            *source.visits(target_id, until_ns),
+            *source.visits(source_id, until_ns),
+            *source.closures(until_ns),
+        ]
         ends = {source_id, target_id}
-        found = [
-            view for view in self._desk.playback.source.closures(self._cursor_ns())
-            if {view.source_id, claimed_id(view)} == ends
-        ]  # fmt: skip
+        found = [view for view in views if {view.source_id, claimed_id(view)} == ends]
         if found:
-            self._show_closure(found[-1])
+            # The first transition made the link; a rejected one made none.
+            self._show_closure(min(found, key=lambda view: (bool(view.reason), view.stamp_ns)))
             return
         self.text.content = block(
             strong(f'Link between experiences {source_id} and {target_id}'),
@@ -197,7 +202,7 @@ class SelectionPanel:
         source, target = self._desk.playback.source, claimed_id(view)
         self.closure = view
         verdict = (
-            f'{mark("■", RED)} rejected: {view.reason}' if view.reason
+            f'{mark("■", RED)} rejected: {escape(view.reason)}' if view.reason
             else f'{mark("●", GREEN)} accepted'
         )  # fmt: skip
         self.text.content = block(strong(f'Loop closure {view.source_id} → {target}'), verdict)
@@ -205,9 +210,9 @@ class SelectionPanel:
         learned_ns = first[0].stamp_ns if first else None
         self.images.content = block(
             pictures([
-                (source.image_at(view.stamp_ns), f'now: {self._time(view.stamp_ns)}'),
-                (source.image_at(learned_ns), f'learned: {self._time(learned_ns)}')
-                if learned_ns is not None else (None, 'learned: unknown'),
+                (source.image_at(view.stamp_ns), f'closing view, {self._time(view.stamp_ns)}'),
+                (source.image_at(learned_ns), f'learned view, {self._time(learned_ns)}')
+                if learned_ns is not None else (None, 'learned view: unknown'),
             ])
         )  # fmt: skip
         rows = [

@@ -40,7 +40,7 @@ def playback_text(playback: Playback) -> tuple[str, str]:
     if not playback.end_ns:
         return '○', 'waiting for the first data'
     if playback.following:
-        return '●', 'live: following the end of the run'
+        return '●', 'live: following the newest data'
     if playback.playing:
         return '▶', f'playing at {playback.speed:g}×'
     if playback.at_end:
