@@ -19,6 +19,7 @@ from ratslam_ros.nodes.run import run
 from ratslam_ros.nodes.viewer_controls import RosControls
 from ratslam_ros.nodes.viewer_topics import ViewerTopics
 from ratslam_ros.viewer.config import NO_FILE, ViewerParameters
+from ratslam_ros.viewer.desktop import open_browser
 from ratslam_ros.viewer.live_run import LiveRun
 
 CHECK_PERIOD_S = 0.25
@@ -60,7 +61,9 @@ class ViewerNode(Node):  # type: ignore[misc]
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(CHECK_PERIOD_S, self._check, clock=steady)
         # Not logged: /rosout would send the token to everyone.
-        print(f'ratslam: open {self._view.url} in a browser', flush=True)
+        print(f'view: {self._view.url}', flush=True)
+        if self._p.open_browser:
+            open_browser(self._view.url)
 
     @classmethod
     def warm_up(cls) -> None:
