@@ -51,6 +51,9 @@ def add_replay(commands: Commands) -> None:
     add_replay_options(replay)
     replay.add_argument('--video', type=Path, metavar='FILE.mp4',
                         help='write a video of the growing map')
+    replay.add_argument('--no-history', action='store_true',
+                        help='do not write history.sqlite, from which `ratslam view` shows any '
+                             'moment of the run')
     add_out(replay, 'results/NAME-TIME, with the link results/latest')
     replay.add_argument('--quiet', action='store_true', help='no progress bar, no summary')
     add_view_options(replay)
@@ -129,7 +132,7 @@ def _replay(options: argparse.Namespace) -> int:
             recording, selection, config, folder,
             ReplayOptions(
                 options.start, options.duration, options.video, not options.quiet,
-                options.landmarks,
+                options.landmarks, not options.no_history, options.images_rate,
             ),
         )  # fmt: skip
         print_warnings(recording.warnings)

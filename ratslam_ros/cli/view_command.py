@@ -66,12 +66,12 @@ def add_view(commands: Commands) -> None:
 
 
 def _view(options: argparse.Namespace) -> int:
-    from ratslam_ros.history.schema import FILE_NAME
+    from ratslam_ros.history.file import HISTORY_NAME, PART
 
     path: Path = options.recording
     if options.export is not None:
         check_export(options.export)
-    if any((path / name).is_file() for name in (FILE_NAME, 'map.json')):
+    if any((path / name).is_file() for name in (HISTORY_NAME, HISTORY_NAME + PART, 'map.json')):
         return _view_results(options)
     if options.export is None:
         return view_replay(options)
@@ -88,7 +88,7 @@ def _view_results(options: argparse.Namespace) -> int:
             f'{options.recording} is a finished run, on which {given[0].partition("=")[0]} has no '
             'effect; give the recording to replay it'
         )
-    run = open_results(options.recording)
+    run = open_results(options.recording, options.truth)
     if options.export is not None:
         return export_run(run, options)
     server = _server(options)
@@ -128,7 +128,8 @@ def _view_child(
     controls_of: Callable[[Callable[[Sequence[str]], None]], Controls],
 ) -> int:  # fmt: skip
     server = _server(options)
-    replays = _Replays(words, results_folder(options, name), name, options.out is None)
+    truth = getattr(options, 'truth', None)
+    replays = _Replays(words, results_folder(options, name), name, options.out is None, truth)
     controls = controls_of(replays.request)
     try:
         run = replays.start()
@@ -137,12 +138,11 @@ def _view_child(
         replays.end(0.0)
 
 
-def open_results(path: Path) -> RunSource:
+def open_results(path: Path, truth: Path | None = None) -> RunSource:
     """Open the results of a run, with its history if there is one."""
-    from ratslam_ros.history.reader import HistoryRun
-    from ratslam_ros.history.schema import FILE_NAME
+    from ratslam_ros.history.opening import open_run
 
-    return HistoryRun(path / FILE_NAME)
+    return open_run(path, truth)
 
 
 class _Replays:
@@ -151,7 +151,11 @@ class _Replays:
     All but ``request`` is called by the main thread.
     """
 
-    def __init__(self, words: Sequence[str], folder: Path, title: str, is_latest: bool) -> None:
+    def __init__(
+        self, words: Sequence[str], folder: Path, title: str, is_latest: bool,
+        truth: Path | None,
+    ) -> None:  # fmt: skip
+        self._truth = truth
         self._words, self._first_folder, self._title = words, folder, title
         self._is_latest = is_latest
         self._number = 0
@@ -174,14 +178,14 @@ class _Replays:
     def start(self, settings: Sequence[str] = ()) -> FollowedRun:
         """Start a child and return the run that it writes."""
         from ratslam_ros.cli.child import Child
-        from ratslam_ros.history.schema import FILE_NAME
+        from ratslam_ros.history.file import HISTORY_NAME
         from ratslam_ros.viewer.followed_run import FollowedRun
 
         self._number += 1
         if self._number > 1:
             self.folder = Path(f'{self._first_folder}-{self._number}')
         title = ', '.join([self._title, *settings])
-        self.run = FollowedRun(self.folder / FILE_NAME, title)
+        self.run = FollowedRun(self.folder / HISTORY_NAME, title, self._truth)
         sets = [f'--set={setting}' for setting in settings]
         self._child = Child([*self._words, *sets, f'--out={self.folder}'])
         return self.run

@@ -1,26 +1,33 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Records as bytes: a short JSON object with the scalars, followed by the arrays.
+"""Records as bytes. The first byte of a record is its kind, and the next four its length.
 
-Arrays are stored by columns, which compress better than rows, in the smallest type that keeps what
-can be seen: positions to 1 mm, angles to 1 mrad. Decoding checks every size before it allocates.
+Rounding is idempotent: what is decoded and encoded again has the same bytes.
 """
 
 from __future__ import annotations
 
-import json
 import struct
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.mapping.map_changes import ExperienceRows, LinkRows, MapChange
+from ratslam_ros.core.pose_cells.map_action import Action
 from ratslam_ros.core.pose_cells.torus import Place
-from ratslam_ros.errors import UnusableInput
+from ratslam_ros.history.packing import (
+    ROUNDING,
+    DamagedHistory,
+    Unpacker,
+    pack_bytes,
+    pack_floats,
+    pack_ints,
+    pack_rounded,
+    pack_text,
+)
 from ratslam_ros.history.records import (
     CellsRecord,
     ImageRecord,
@@ -33,160 +40,299 @@ from ratslam_ros.history.records import (
     ViewRecord,
 )
 
-MAX_HEAD_BYTES = 2**24
-"""Largest JSON object of a record; the behaviours of 20,000 links take 0.5 MB."""
+MAX_EXPERIENCES = 10_000_000
+"""Largest accepted number of experiences; a reader allocates memory for all of them."""
 
-_HEADER = struct.Struct('<BqII')
-"""Kind, stamp of the history in ns, bytes of the JSON object, bytes of the arrays."""
+MAX_MM = 2**53
+"""Largest stored coordinate in mm; a double still distinguishes them."""
 
+ACTIVITY_STEPS = 65535
+"""Activities of cells are stored in 16 bits, as a share of the largest one."""
 
-@dataclass(frozen=True, slots=True)
-class Column:
-    """How an array is stored: its type, and the type in memory; ``digits`` it is rounded to."""
+ACTIONS: tuple[Action, ...] = get_args(Action)
 
-    stored: str
-    used: str
-    digits: int | None = None
-
-    def pack(self, values: NDArray[Any]) -> bytes:
-        """Return the bytes of an array, column after column."""
-        if self.digits is not None:
-            values = np.round(values, self.digits)
-        return np.ascontiguousarray(values.T).astype(self.stored).tobytes()
-
-    def unpack(self, data: bytes, shape: tuple[int, ...]) -> NDArray[Any]:
-        """Return the array that ``pack`` has stored."""
-        flat = np.frombuffer(data, self.stored)
-        return np.ascontiguousarray(flat.reshape(shape[::-1]).T).astype(self.used)
+_HEAD = struct.Struct('<BI')
+_STAMP = struct.Struct('<q')
+_VIEW = struct.Struct('<q i ? fff B ii fff i f i')
+_POSE = struct.Struct('<q B')
+_XYH = struct.Struct('<qqi')
+_CELLS = struct.Struct('<q III II d')
+_MATCH = struct.Struct('<q q i HH HH')
+_MAP = struct.Struct('<q I i ? Q')
 
 
-_IDS = Column('<i4', 'i8')
-_METRES = Column('<f4', 'f8', 3)
-_SHARES = Column('<f4', 'f8', 4)
-_FLAGS = Column('u1', '?')
-_BYTES = Column('u1', 'u1')
-_CELLS = Column('<u2', 'i8')
-_ACTIVITY = Column('<f4', 'f8')
-
-_COLUMNS: dict[type, dict[str, Column]] = {
-    ExperienceRows: {
-        'ids': _IDS, 'template_ids': _IDS, 'poses': _METRES, 'components': _IDS,
-    },
-    LinkRows: {
-        'ends': _IDS, 'shapes': _METRES, 'durations_s': _METRES, 'confidences': _SHARES,
-        'counts': _IDS, 'recognised': _FLAGS,
-    },
-    MapChange: {'removed_links': _IDS},
-    CellsRecord: {
-        'cells': _CELLS, 'activity': _ACTIVITY, 'packets': _SHARES, 'injections': _SHARES,
-    },
-    MatchRecord: {'view': _BYTES, 'template': _BYTES},
-    ScanRecord: {'points_m': Column('<f4', 'f8', 2)},
-    RouteRecord: {'points_m': _METRES},
-}  # fmt: skip
-"""How the arrays of every type are stored; all other fields are in the JSON object."""
-
-_NESTED: dict[str, type] = {'experiences': ExperienceRows, 'links': LinkRows}
-_TUPLES: dict[str, Callable[..., Any]] = {
-    'pose': Pose, 'dead_reckoning': Pose, 'truth': Pose, 'place': Place,
-}  # fmt: skip
-_KINDS: tuple[type, ...] = (
-    MapChange, ViewRecord, PoseRecord, CellsRecord, ImageRecord, MatchRecord, ScanRecord,
-    RouteRecord, StatusRecord,
-)  # fmt: skip
-_NUMBERS = {kind: number for number, kind in enumerate(_KINDS)}
+def encode(record: Record) -> bytes:
+    """Return a record as bytes with its kind and length in front."""
+    kind = KINDS[type(record)]
+    data = _ENCODERS[kind](record)
+    return _HEAD.pack(kind, len(data)) + data
 
 
-class DamagedHistory(UnusableInput):
-    """Error: bytes that no history of this version contains."""
+def heads(data: bytes) -> Iterator[tuple[int, int, memoryview]]:
+    """Yield kind, stamp and encoded content of every record; raises DamagedHistory."""
+    unpacker = Unpacker(data)
+    while not unpacker.is_at_end:
+        kind, length = unpacker.fields(_HEAD)
+        content = unpacker.raw(cast(int, length))
+        if not 0 <= kind < len(_DECODERS) or len(content) < _STAMP.size:
+            raise DamagedHistory(f'a record has the kind {kind} and {len(content)} bytes')
+        yield cast(int, kind), _STAMP.unpack_from(content)[0], content
 
 
-def encode(record: Record, stamp_ns: int) -> bytes:
-    """Return a record as bytes, with its stamp in the history."""
-    arrays: list[bytes] = []
-    head = json.dumps(_plain(record, arrays), separators=(',', ':')).encode()
-    data = b''.join(arrays)
-    return _HEADER.pack(_NUMBERS[type(record)], stamp_ns, len(head), len(data)) + head + data
-
-
-def decode(data: bytes) -> Iterator[tuple[int, Record]]:
-    """Yield the stamp in the history and the record of everything that was encoded.
+def decode(kind: int, content: bytes | memoryview) -> Record:
+    """Return a record from its kind and content, see ``heads``.
 
     Raises:
-        DamagedHistory: the bytes are no sequence of records.
+        DamagedHistory: the content is not that of such a record.
     """
-    at = 0
-    try:
-        while at < len(data):
-            number, stamp_ns, head_size, size = _HEADER.unpack_from(data, at)
-            start = at + _HEADER.size
-            at = start + head_size + size
-            if at > len(data) or head_size > MAX_HEAD_BYTES or number >= len(_KINDS):
-                raise DamagedHistory(f'a record of kind {number} claims {head_size + size} bytes')
-            head = json.loads(data[start : start + head_size])
-            arrays = _Arrays(data, start + head_size, at)
-            yield stamp_ns, _restored(_KINDS[number], head, arrays)
-    except (struct.error, ValueError, TypeError, KeyError) as error:
-        raise DamagedHistory(f'a record is damaged: {error}') from error
+    unpacker = Unpacker(content)
+    record = _DECODERS[kind](unpacker)
+    if not unpacker.is_at_end:
+        raise DamagedHistory(f'a {type(record).__name__} is longer than expected')
+    return record
 
 
-class _Arrays:
-    """Reader of the arrays of one record, one after the other."""
-
-    def __init__(self, data: bytes, start: int, end: int) -> None:
-        self._data, self._at, self._end = data, start, end
-
-    def take(self, size: int) -> bytes:
-        """Return the next bytes."""
-        start, self._at = self._at, self._at + size
-        if size < 0 or self._at > self._end:
-            raise DamagedHistory(f'an array claims {size} bytes')
-        return self._data[start : self._at]
+def as_stored(record: PoseRecord) -> PoseRecord:
+    """Return a record of poses with the rounding of the file."""
+    return PoseRecord(
+        record.stamp_ns, _rounded_pose(record.pose),
+        None if record.dead_reckoning is None else _rounded_pose(record.dead_reckoning),
+        None if record.truth is None else _rounded_pose(record.truth),
+    )  # fmt: skip
 
 
-def _plain(item: Any, arrays: list[bytes]) -> dict[str, Any]:
-    """Return the JSON object of a dataclass, and append its arrays."""
-    columns = _COLUMNS.get(type(item), {})
-    plain: dict[str, Any] = {}
-    for field in fields(item):
-        value = getattr(item, field.name)
-        if field.name in columns:
-            plain[field.name] = list(value.shape)
-            arrays.append(columns[field.name].pack(value))
-        elif field.name in _NESTED:
-            plain[field.name] = _plain(value, arrays)
-        elif isinstance(value, bytes):
-            plain[field.name] = len(value)
-            arrays.append(value)
-        elif isinstance(value, float):
-            plain[field.name] = round(value, 6)
-        elif field.name in _TUPLES and value is not None:
-            plain[field.name] = [round(number, 4) for number in value]
-        else:
-            plain[field.name] = value
-    return plain
+def _rounded_pose(pose: Pose) -> Pose:
+    x, y, heading = _fixed(pose)
+    return Pose(x / ROUNDING, y / ROUNDING, heading / ROUNDING)
 
 
-def _restored(kind: type, plain: dict[str, Any], arrays: _Arrays) -> Any:
-    """Return the dataclass of a JSON object and its arrays."""
-    columns = _COLUMNS.get(kind, {})
-    values: dict[str, Any] = {}
-    for field in fields(kind):
-        value = plain[field.name]
-        if field.name in columns:
-            shape = tuple(int(size) for size in value)
-            column = columns[field.name]
-            size = np.dtype(column.stored).itemsize
-            for length in shape:
-                size *= length
-            value = column.unpack(arrays.take(size), shape)
-        elif field.name in _NESTED:
-            value = _restored(_NESTED[field.name], value, arrays)
-        elif field.name == 'jpeg':
-            value = arrays.take(value)
-        elif field.name in _TUPLES and value is not None:
-            value = _TUPLES[field.name](*value)
-        elif isinstance(value, list):
-            value = tuple(value)
-        values[field.name] = value
-    return kind(**values)
+def _fixed(pose: Pose) -> tuple[int, int, int]:
+    """Return a pose in mm and mrad."""
+    x, y, heading = pose
+    return (
+        round(min(max(x * ROUNDING, -MAX_MM), MAX_MM)),
+        round(min(max(y * ROUNDING, -MAX_MM), MAX_MM)), round(heading * ROUNDING),
+    )  # fmt: skip
+
+
+# Views
+
+
+def _encode_view(view: ViewRecord) -> bytes:
+    return _VIEW.pack(
+        view.stamp_ns, view.template_id, view.is_new, view.error, view.threshold,
+        view.relative_rad, ACTIONS.index(view.action), view.source_id, view.target_id,
+        *view.place, view.recognised_id, view.agreement, view.relocated_to,
+    ) + pack_text(view.reason)  # fmt: skip
+
+
+def _decode_view(data: Unpacker) -> ViewRecord:
+    (
+        stamp_ns, template_id, is_new, error, threshold, relative_rad, action, source_id,
+        target_id, x, y, theta, recognised_id, agreement, relocated_to,
+    ) = cast(Any, data.fields(_VIEW))  # fmt: skip
+    if action >= len(ACTIONS) or max(target_id, recognised_id, relocated_to) >= MAX_EXPERIENCES:
+        raise DamagedHistory(f'a view has the action {action} and the target {target_id}')
+    return ViewRecord(
+        stamp_ns, template_id, is_new, error, threshold, relative_rad, ACTIONS[action],
+        source_id, target_id, Place(x, y, theta), recognised_id, agreement, data.text(),
+        relocated_to,
+    )  # fmt: skip
+
+
+# Poses
+
+
+def _encode_pose(record: PoseRecord) -> bytes:
+    known = (record.dead_reckoning is not None) + 2 * (record.truth is not None)
+    data = _POSE.pack(record.stamp_ns, known) + _XYH.pack(*_fixed(record.pose))
+    if record.dead_reckoning is not None:
+        data += _XYH.pack(*_fixed(record.dead_reckoning))
+    if record.truth is not None:
+        data += _XYH.pack(*_fixed(record.truth))
+    return data
+
+
+def _decode_pose(data: Unpacker) -> PoseRecord:
+    stamp_ns, known = cast(Any, data.fields(_POSE))
+
+    def pose() -> Pose:
+        x, y, heading = data.fields(_XYH)
+        return Pose(x / ROUNDING, y / ROUNDING, heading / ROUNDING)
+
+    return PoseRecord(
+        stamp_ns, pose(), pose() if known & 1 else None, pose() if known & 2 else None
+    )
+
+
+# Pose cells
+
+
+def _encode_cells(record: CellsRecord) -> bytes:
+    largest = float(record.activity.max(initial=0.0))
+    shares = np.zeros(len(record.activity), np.int64)
+    if largest > 0.0:
+        shares = np.rint(record.activity / largest * ACTIVITY_STEPS).astype(np.int64)
+    cells, shares = record.cells[shares > 0], shares[shares > 0]
+    return b''.join([
+        _CELLS.pack(
+            record.stamp_ns, *record.dims, len(record.packets), len(record.injections), largest
+        ),
+        *(pack_ints(column) for column in cells.T),
+        pack_bytes(shares.astype('<u2').tobytes()),
+        pack_floats(record.packets.ravel()),
+        pack_floats(record.injections.ravel()),
+    ])  # fmt: skip
+
+
+def _decode_cells(data: Unpacker) -> CellsRecord:
+    stamp_ns, n_x, n_y, n_theta, packets, injections, largest = cast(Any, data.fields(_CELLS))
+    x = data.ints()
+    cells = np.stack([x, data.ints(len(x)), data.ints(len(x))], axis=1)
+    shares = data.bytes()
+    if len(shares) != 2 * len(x):
+        raise DamagedHistory(f'{len(x)} cells have {len(shares)} bytes of activity')
+    return CellsRecord(
+        stamp_ns, (n_x, n_y, n_theta), cells,
+        np.frombuffer(shares, '<u2') / ACTIVITY_STEPS * largest,
+        data.floats(4 * packets).reshape(-1, 4), data.floats(4 * injections).reshape(-1, 4),
+    )  # fmt: skip
+
+
+# Images
+
+
+def _encode_image(record: ImageRecord) -> bytes:
+    return _STAMP.pack(record.stamp_ns) + pack_bytes(record.jpeg)
+
+
+def _decode_image(data: Unpacker) -> ImageRecord:
+    return ImageRecord(_stamp(data), data.bytes())
+
+
+def _encode_match(record: MatchRecord) -> bytes:
+    return _MATCH.pack(
+        record.stamp_ns, record.template_id, record.shift_px, *record.view.shape,
+        *record.template.shape,
+    ) + record.view.tobytes() + record.template.tobytes()  # fmt: skip
+
+
+def _decode_match(data: Unpacker) -> MatchRecord:
+    stamp_ns, template_id, shift_px, h, w, height, width = cast(Any, data.fields(_MATCH))
+    view = np.frombuffer(data.raw(h * w), np.uint8).reshape(h, w)
+    template = np.frombuffer(data.raw(height * width), np.uint8).reshape(height, width)
+    return MatchRecord(stamp_ns, template_id, view.copy(), template.copy(), shift_px)
+
+
+# Points and texts
+
+
+def _encode_points(record: ScanRecord | RouteRecord) -> bytes:
+    points = record.points_m
+    return b''.join([
+        _STAMP.pack(record.stamp_ns), pack_rounded(points[:, 0]), pack_rounded(points[:, 1]),
+    ])  # fmt: skip
+
+
+def _decode_scan(data: Unpacker) -> ScanRecord:
+    return ScanRecord(_stamp(data), _points(data))
+
+
+def _decode_route(data: Unpacker) -> RouteRecord:
+    return RouteRecord(_stamp(data), _points(data))
+
+
+def _points(data: Unpacker) -> NDArray[np.float64]:
+    x = data.rounded()
+    return np.stack([x, data.rounded(len(x))], axis=1)
+
+
+def _encode_status(record: StatusRecord) -> bytes:
+    return _STAMP.pack(record.stamp_ns) + pack_text(record.payload)
+
+
+def _decode_status(data: Unpacker) -> StatusRecord:
+    return StatusRecord(_stamp(data), data.text())
+
+
+def _stamp(data: Unpacker) -> int:
+    return cast(int, data.fields(_STAMP)[0])
+
+
+# Changes of the map
+
+
+def _encode_map(change: MapChange) -> bytes:
+    rows, links = change.experiences, change.links
+    names = sorted(set(links.behaviours))
+    numbers = {name: number for number, name in enumerate(names)}
+    return b''.join([
+        _MAP.pack(
+            change.stamp_ns, change.experience_count, change.current_id, change.is_restart,
+            change.pending,
+        ),
+        pack_ints(rows.ids), pack_ints(rows.template_ids), pack_ints(rows.components),
+        *(pack_rounded(column) for column in rows.poses.T),
+        pack_ints(links.ends[:, 0]), pack_ints(links.ends[:, 1]),
+        *(pack_rounded(column) for column in links.shapes.T),
+        pack_rounded(links.durations_s), pack_rounded(links.confidences),
+        pack_ints(links.counts), pack_ints(links.recognised.astype(np.int64)),
+        pack_text('\n'.join(names)),
+        pack_ints(np.array([numbers[name] for name in links.behaviours], np.int64)),
+        pack_ints(change.removed_links[:, 0]), pack_ints(change.removed_links[:, 1]),
+    ])  # fmt: skip
+
+
+def _decode_map(data: Unpacker) -> MapChange:
+    stamp_ns, count, current_id, is_restart, pending = cast(Any, data.fields(_MAP))
+    ids = data.ints()
+    n = len(ids)
+    if count > MAX_EXPERIENCES or (n and not 0 <= ids.min() <= ids.max() < count):
+        raise DamagedHistory(f'a map of {count} experiences has others')
+    template_ids, components = data.ints(n), data.ints(n)
+    poses = np.stack([data.rounded(n) for _ in range(3)], axis=1)
+    sources = data.ints()
+    m = len(sources)
+    ends = np.stack([sources, data.ints(m)], axis=1)
+    shapes = np.stack([data.rounded(m) for _ in range(3)], axis=1)
+    durations_s, confidences = data.rounded(m), data.rounded(m)
+    counts, recognised = data.ints(m), data.ints(m) > 0
+    names, behaviours = data.text().split('\n'), data.ints(m)
+    if m and not 0 <= behaviours.min() <= behaviours.max() < len(names):
+        raise DamagedHistory('a link has a behaviour without name')
+    removed = data.ints()
+    return MapChange(
+        stamp_ns, count, current_id, is_restart,
+        ExperienceRows(ids, template_ids, poses, components),
+        LinkRows(
+            ends, shapes, durations_s, confidences, counts, recognised,
+            tuple(names[number] for number in behaviours.tolist()),
+        ),
+        np.stack([removed, data.ints(len(removed))], axis=1), pending,
+    )  # fmt: skip
+
+
+_CODECS: tuple[tuple[type, Callable[[Any], bytes], Callable[[Unpacker], Record]], ...] = (
+    (MapChange, _encode_map, _decode_map),
+    (ViewRecord, _encode_view, _decode_view),
+    (PoseRecord, _encode_pose, _decode_pose),
+    (CellsRecord, _encode_cells, _decode_cells),
+    (ImageRecord, _encode_image, _decode_image),
+    (MatchRecord, _encode_match, _decode_match),
+    (ScanRecord, _encode_points, _decode_scan),
+    (RouteRecord, _encode_points, _decode_route),
+    (StatusRecord, _encode_status, _decode_status),
+)
+"""The order gives the numbers of the kinds in the file: append new ones at the end."""
+
+KINDS: dict[type, int] = {kind: number for number, (kind, _, _) in enumerate(_CODECS)}
+"""Number of every kind of record."""
+
+_ENCODERS = [encoder for _, encoder, _ in _CODECS]
+_DECODERS = [decoder for _, _, decoder in _CODECS]
+
+LATEST_ONLY = frozenset(
+    KINDS[kind]
+    for kind in (CellsRecord, ImageRecord, MatchRecord, ScanRecord, RouteRecord, StatusRecord)
+)
+"""Kinds of which a state contains only the last record."""

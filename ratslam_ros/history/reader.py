@@ -1,291 +1,280 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Reader of a history, finished or growing."""
+"""Reading access to a history file, which may be growing in another process."""
 
 from __future__ import annotations
 
-import os
 import sqlite3
 import threading
-from collections import OrderedDict
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import zstandard
-
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.history.checkpoints import decode_state
-from ratslam_ros.history.encoding import DamagedHistory, decode
-from ratslam_ros.history.records import ImageRecord, Record, ViewRecord
+from ratslam_ros.history.checkpoint import decode_state
+from ratslam_ros.history.encoding import KINDS, LATEST_ONLY, decode, heads
+from ratslam_ros.history.file import (
+    APPLICATION_ID,
+    PART,
+    SCHEMA_VERSION,
+    HistoryMeta,
+)
+from ratslam_ros.history.packing import DamagedHistory, decompressed
+from ratslam_ros.history.records import PoseRecord, Record, ViewRecord
 from ratslam_ros.history.run_state import RunState
-from ratslam_ros.history.schema import APPLICATION_ID, CLOSURE, SCHEMA_VERSION, VISIT
+from ratslam_ros.history.writer import is_locked
 
-MAX_RAW_BYTES = 2**28
-"""Largest size of an unpacked segment or checkpoint; a map of 100,000 experiences has 10 MB."""
+_VIEW = KINDS[ViewRecord]
 
-KEPT_SEGMENTS = 16
-"""Number of decoded segments that are kept."""
-
-MAX_LISTED = 200
-"""Largest number of visits or closures in a list; the latest ones."""
-
-Segment = list[tuple[int, Record]]
+BUSY_S = 2.0
+"""Time for which a reader waits while the writer closes the file."""
 
 
-class HistoryRun:
-    """A run that can be shown at any moment, from its history file."""
+class HistoryFile:
+    """A history file. All methods may be called from any thread, and raise UnusableInput.
 
-    def __init__(
-        self, path: str | Path, title: str = '',
-        image_of: Callable[[int], bytes | None] = lambda stamp_ns: None,
-    ) -> None:  # fmt: skip
-        """Open a history.
+    The position of a record in time is the largest stamp up to it: records of late messages have
+    the time of those before them. All stamps of the methods are such times.
+
+    While the file grows, the database is opened for each call, so that its writer can close it.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Open a file.
 
         Args:
-            path: the file; it may still grow.
-            title: name of the run; '' for that of the folder.
-            image_of: returns the recorded image of a stamp as JPEG, None if there is none. The
-                history itself has small ones.
-
-        Raises:
-            UnusableInput: the file is no history, of another version, or damaged.
+            path: the file; with the suffix ``.part`` while it grows.
         """
-        self._path = Path(path)
-        self._title, self._image_of = title or self._path.resolve().parent.name, image_of
-        self.notices: Sequence[str] = ()
-        self._lock = threading.RLock()
-        self._segments: OrderedDict[int, Segment] = OrderedDict()
-        self._unpack = zstandard.ZstdDecompressor()
-        self._file = self._open()
-        self.meta: dict[str, str] = dict(self._rows('SELECT key, value FROM meta'))
-        self._finished = False
-        self._count = 0
-        self._begin_ns = self._end_ns = 0
-        self._refresh()
+        self._path = path
+        self._lock = threading.Lock()
+        self._database: sqlite3.Connection | None = None
+        with self._connected() as database:
+            if database.execute('PRAGMA application_id').fetchone() != (APPLICATION_ID,):
+                raise UnusableInput(
+                    f'{path} is a database, but no history of a run; give a results folder'
+                )
+            (version,) = database.execute('PRAGMA user_version').fetchone()
+            if version != SCHEMA_VERSION:
+                raise UnusableInput(
+                    f'{path} has schema version {version}, expected {SCHEMA_VERSION}; '
+                    'use the version of ratslam_ros that wrote it, or replay the recording again'
+                )
+            row = database.execute("SELECT value FROM meta WHERE key = 'run'").fetchone()
+            if row is None:
+                raise UnusableInput(f'{path} describes no run; replay the recording again')
+            self.meta = HistoryMeta.from_json(row[0], path)
+
+    @property
+    def path(self) -> Path:
+        """The file; it loses its suffix ``.part`` when the run ends."""
+        return self._path
 
     def close(self) -> None:
         """Close the file."""
         with self._lock:
-            self._file.close()
-
-    def _open(self) -> sqlite3.Connection:
-        if not self._path.is_file():
-            raise UnusableInput(f'{self._path} does not exist: expected the history of a run')
-        try:
-            uri = f'{self._path.resolve().as_uri()}?mode=ro'
-            file = sqlite3.connect(uri, uri=True, check_same_thread=False)
-            file.execute('PRAGMA trusted_schema=OFF')
-            (kind,) = file.execute('PRAGMA application_id').fetchone()
-            (version,) = file.execute('PRAGMA user_version').fetchone()
-        except sqlite3.Error as error:
-            raise UnusableInput(f'{self._path} cannot be read as a history: {error}') from error
-        if kind != APPLICATION_ID:
-            file.close()
-            raise UnusableInput(f'{self._path} is not a history of ratslam_ros')
-        if version != SCHEMA_VERSION:
-            file.close()
-            raise UnusableInput(
-                f'{self._path} has version {version}; this version of ratslam_ros reads '
-                f'{SCHEMA_VERSION}: replay the recording again'
-            )
-        return file
-
-    # What is there
+            if self._database is not None:
+                self._database.close()
+                self._database = None
 
     @property
-    def title(self) -> str:
-        """Name of the run."""
-        return self._title
+    def is_part(self) -> bool:
+        """Whether the file has the suffix of one that has not been finished."""
+        return self._path.name.endswith(PART)
 
     @property
-    def begin_ns(self) -> int:
-        """Stamp of the first record, 0 if there is none yet."""
-        return self._begin_ns
-
-    @property
-    def end_ns(self) -> int:
-        """Stamp of the last record that has been written, 0 if there is none yet."""
-        self._refresh()
-        return self._end_ns
+    def has_ended(self) -> bool:
+        """Whether the run has ended and all its records are in the file."""
+        return self._one("SELECT count(*) FROM meta WHERE key = 'ended'")[0] > 0
 
     @property
     def is_growing(self) -> bool:
-        """Whether the writer has neither finished nor died."""
-        if self._finished:
-            return False
-        writer = int(self.meta.get('writer', '0') or 0)
-        alive = _is_alive(writer)
-        self._refresh()
-        if not alive:
-            self._finished = True
-            if not self._rows("SELECT 1 FROM meta WHERE key = 'finished'"):
-                self.notices = (*self.notices, 'The run ended before it was finished.')
-        return not self._finished
+        """Whether more records may follow."""
+        final = self._path.with_name(self._path.name.removesuffix(PART))
+        is_alive = is_locked(final)  # Asked first: the writer ends the run before it lets go.
+        return not self.has_ended and is_alive
 
-    def _refresh(self) -> None:
-        if self._finished:
-            return
-        finished = bool(self._rows("SELECT 1 FROM meta WHERE key = 'finished'"))
-        last = self._rows('SELECT id, last_ns FROM segments ORDER BY id DESC LIMIT 1')
-        if last:
-            self._count, self._end_ns = last[0][0] + 1, last[0][1]
-            if not self._begin_ns:
-                self._begin_ns = self._rows('SELECT first_ns FROM segments WHERE id = 0')[0][0]
-        self._finished = finished  # read before the segments: nothing follows it
-
-    # The state at a stamp
-
-    def seek(self, stamp_ns: int) -> RunState:
-        """Return a new state: that of the last record whose stamp is not later."""
-        found = self._rows(
-            'SELECT id FROM segments WHERE first_ns <= ? ORDER BY first_ns DESC, id DESC LIMIT 1',
-            stamp_ns,
-        )
-        state = RunState()
-        if not found:
-            return state
-        checkpoint = self._rows(
-            'SELECT segment, raw_bytes, data FROM checkpoints WHERE segment < ? '
-            'ORDER BY segment DESC LIMIT 1', found[0][0],
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """Times of the first and of the last record, 0 if there are none."""
+        begin, end = self._one('SELECT '
+            '(SELECT begin_ns FROM segments ORDER BY first_record LIMIT 1), '
+            '(SELECT end_ns FROM segments ORDER BY first_record DESC LIMIT 1)'
         )  # fmt: skip
-        if checkpoint:
-            segment, size, data = checkpoint[0]
-            state = decode_state(self._unpacked(data, size))
-            state.position = segment + 1, 0
-        self.advance(state, stamp_ns)
-        return state
+        return begin or 0, end or 0
 
-    def advance(self, state: RunState, stamp_ns: int) -> None:
-        """Apply to a state all records between it and a later stamp."""
-        self._refresh()
-        segment, done = state.position
-        while segment < self._count:
-            records = self._segment(segment)
-            while done < len(records):
-                at_ns, record = records[done]
-                if at_ns > stamp_ns:
-                    state.position = segment, done
-                    return
-                state.apply(record)
-                done += 1
-            segment, done = segment + 1, 0
-        state.position = segment, done
-
-    # Single views
-
-    def image_at(self, stamp_ns: int) -> bytes | None:
-        """Return the best image of a stamp as JPEG, None if there is none near it."""
-        image = self._image_of(stamp_ns)
-        if image is not None:
-            return image
-        nearest: ImageRecord | None = None
-        for segment in self._segments_at(stamp_ns):
-            for _, record in self._segment(segment):
-                if isinstance(record, ImageRecord) and (
-                    nearest is None
-                    or abs(record.stamp_ns - stamp_ns) < abs(nearest.stamp_ns - stamp_ns)
-                ):
-                    nearest = record
-        return None if nearest is None else nearest.jpeg
-
-    def view_at(self, stamp_ns: int) -> ViewRecord | None:
-        """Return the last view whose stamp is not later."""
-        found = self._views(
-            'WHERE stamp_ns <= ? ORDER BY stamp_ns DESC, id DESC LIMIT 1', stamp_ns
-        )
-        return found[0] if found else None
-
-    def step(self, stamp_ns: int, views: int) -> int:
-        """Return the stamp of the view that is a number of views later, or earlier if negative."""
-        if views == 0:
-            return stamp_ns
-        sign, order = ('>', 'ASC') if views > 0 else ('<', 'DESC')
-        found = self._rows(
-            f'SELECT DISTINCT stamp_ns FROM views WHERE stamp_ns {sign} ? '
-            f'ORDER BY stamp_ns {order} LIMIT 1 OFFSET ?', stamp_ns, abs(views) - 1,
+    def state_at(self, stamp_ns: int) -> RunState:
+        """Return the state of the last checkpoint up to a stamp, an empty one if there is none."""
+        row = self._first(
+            'SELECT data FROM checkpoints WHERE stamp_ns <= ? ORDER BY stamp_ns DESC, '
+            'record_count DESC LIMIT 1', stamp_ns,
         )  # fmt: skip
-        if found:
-            return int(found[0][0])
-        return self._end_ns if views > 0 else self._begin_ns
+        with self._checking():
+            return RunState() if row is None else decode_state(decompressed(row[0]))
+
+    def apply(self, state: RunState, until_ns: int) -> None:
+        """Apply all records to a state that follow it, up to a time."""
+        latest: dict[int, memoryview] = {}
+        count, at_ns = state.record_count, state.stamp_ns
+        with self._checking():
+            for first_record, data in self._segments(state.record_count, until_ns):
+                number = first_record
+                for kind, stamp_ns, content in heads(decompressed(data)):
+                    number += 1
+                    if number <= count:
+                        continue
+                    if max(stamp_ns, at_ns) > until_ns:
+                        break
+                    at_ns, count = max(stamp_ns, at_ns), number
+                    if kind in LATEST_ONLY:
+                        latest[kind] = content
+                    else:
+                        state.apply(decode(kind, content))
+            for kind, content in latest.items():
+                state.apply(decode(kind, content))
+        state.stamp_ns, state.record_count = at_ns, count
+
+    def first_pose(self) -> PoseRecord | None:
+        """Return the first record of poses, None if there is none yet."""
+        number = KINDS[PoseRecord]
+        with self._connected() as database, self._checking():
+            for (data,) in database.execute('SELECT data FROM segments ORDER BY first_record'):
+                for kind, _, content in heads(decompressed(data)):
+                    if kind == number:
+                        record = decode(kind, content)
+                        return record if isinstance(record, PoseRecord) else None
+        return None
+
+    def view_count(self, until_ns: int) -> int:
+        """Return the number of views up to a time."""
+        row = self._first(
+            'SELECT first_view, data, begin_ns FROM segments WHERE begin_ns <= ? '
+            'ORDER BY first_record DESC LIMIT 1', until_ns,
+        )  # fmt: skip
+        if row is None:
+            return 0
+        first_view, data, at_ns = row
+        with self._checking():
+            for kind, stamp_ns, _ in heads(decompressed(data)):
+                at_ns = max(at_ns, stamp_ns)
+                if at_ns > until_ns:
+                    break
+                first_view += kind == _VIEW
+        return int(first_view)
+
+    def view(self, number: int) -> tuple[int, ViewRecord] | None:
+        """Return time and content of a view by its number, counted from 0; None beyond the end."""
+        row = self._first(
+            'SELECT first_view, data, begin_ns FROM segments WHERE views > 0 AND first_view <= ? '
+            'ORDER BY first_view DESC LIMIT 1', number,
+        )  # fmt: skip
+        if row is None:
+            return None
+        at_view, data, at_ns = row
+        with self._checking():
+            for kind, stamp_ns, content in heads(decompressed(data)):
+                at_ns = max(at_ns, stamp_ns)
+                if kind == _VIEW:
+                    if at_view == number:
+                        return at_ns, _as_view(decode(kind, content))
+                    at_view += 1
+        return None
 
     def visits(self, experience_id: int, until_ns: int) -> list[ViewRecord]:
-        """Return the first view of every visit of an experience up to a stamp, oldest first."""
+        """Return the first view of every visit of an experience up to a time."""
         return self._views(
-            f'WHERE experience = ? AND kind IN ({VISIT}, {CLOSURE}) AND stamp_ns <= ? '
-            f'ORDER BY id DESC LIMIT {MAX_LISTED}', experience_id, until_ns,
-        )[::-1]  # fmt: skip
+            'SELECT record FROM visits WHERE experience = ? AND stamp_ns <= ? ORDER BY view',
+            experience_id, until_ns,
+        )  # fmt: skip
 
     def closures(self, until_ns: int) -> list[ViewRecord]:
-        """Return the views that closed a loop, or would have but for a reason, oldest first."""
+        """Return the views that closed a loop, or would have but for a reason, up to a time."""
         return self._views(
-            f'WHERE kind >= {CLOSURE} AND stamp_ns <= ? ORDER BY id DESC LIMIT {MAX_LISTED}',
-            until_ns,
-        )[::-1]  # fmt: skip
-
-    def _views(self, condition: str, *values: int) -> list[ViewRecord]:
-        found = []
-        for stamp_ns, segment in self._rows(
-            f'SELECT stamp_ns, segment FROM views {condition}', *values
-        ):
-            found += [
-                record for at_ns, record in self._segment(segment)
-                if isinstance(record, ViewRecord) and at_ns == stamp_ns
-            ][-1:]  # fmt: skip
-        return found
-
-    # Reading
-
-    def _segments_at(self, stamp_ns: int) -> list[int]:
-        """Return the segment of a stamp and the one before it."""
-        found = self._rows(
-            'SELECT id FROM segments WHERE first_ns <= ? ORDER BY first_ns DESC, id DESC LIMIT 1',
-            stamp_ns,
+            'SELECT record FROM closures WHERE stamp_ns <= ? ORDER BY view', until_ns
         )
-        last = found[0][0] if found else 0
-        return [segment for segment in (last - 1, last) if 0 <= segment < self._count]
 
-    def _segment(self, number: int) -> Segment:
-        with self._lock:
-            known = self._segments.get(number)
-            if known is not None:
-                self._segments.move_to_end(number)
-                return known
-            size, data = self._rows('SELECT raw_bytes, data FROM segments WHERE id = ?', number)[0]
-            segment = list(decode(self._unpacked(data, size)))
-            self._segments[number] = segment
-            while len(self._segments) > KEPT_SEGMENTS:
-                self._segments.popitem(last=False)
-            return segment
+    def last(self, kind: type[Record], until_ns: int, since_ns: int) -> Record | None:
+        """Return the last record of a kind up to a time, None if there is none since another."""
+        number = KINDS[kind]
+        with self._connected() as database, self._checking():
+            for begin_ns, data in database.execute(
+                'SELECT begin_ns, data FROM segments WHERE begin_ns <= ? AND end_ns >= ? '
+                'ORDER BY first_record DESC', (until_ns, since_ns),
+            ):  # fmt: skip
+                found, at_ns = None, begin_ns
+                for other, stamp_ns, content in heads(decompressed(data)):
+                    at_ns = max(at_ns, stamp_ns)
+                    if at_ns > until_ns:
+                        break
+                    found = content if other == number else found
+                if found is not None:
+                    return decode(number, found)
+        return None
 
-    def _unpacked(self, data: bytes, size: int) -> bytes:
-        if not 0 <= size <= MAX_RAW_BYTES:
-            raise DamagedHistory(f'{self._path} is damaged: a part claims {size} bytes')
+    def _segments(self, record_count: int, until_ns: int) -> Iterator[tuple[int, bytes]]:
+        with self._connected() as database:
+            yield from database.execute(
+                'SELECT first_record, data FROM segments WHERE first_record >= coalesce((SELECT '
+                'max(first_record) FROM segments WHERE first_record <= ?), 0) AND begin_ns <= ? '
+                'ORDER BY first_record', (record_count, until_ns),
+            )  # fmt: skip
+
+    def _views(self, query: str, *values: int) -> list[ViewRecord]:
+        with self._connected() as database, self._checking():
+            return [
+                _as_view(decode(kind, content))
+                for (data,) in database.execute(query, values)
+                for kind, _, content in heads(data)
+            ]
+
+    def _first(self, query: str, *values: int) -> Any:
+        with self._connected() as database:
+            return database.execute(query, values).fetchone()
+
+    def _one(self, query: str) -> Any:
+        row = self._first(query)
+        assert row is not None
+        return row
+
+    @contextmanager
+    def _checking(self) -> Iterator[None]:
+        """Name the file in errors about damaged data."""
         try:
-            # The size in the frame is not trusted: it is unpacked to `size` bytes at most.
-            with self._unpack.stream_reader(data) as reader:
-                raw = reader.read(size + 1)
-        except zstandard.ZstdError as error:
-            raise DamagedHistory(f'{self._path} is damaged: {error}') from error
-        if len(raw) != size:
-            raise DamagedHistory(f'{self._path} is damaged: a part has another size')
-        return raw
+            yield
+        except (DamagedHistory, ValueError, IndexError, OverflowError) as error:
+            raise UnusableInput(
+                f'{self._path} is damaged ({error}); replay the recording again'
+            ) from None
 
-    def _rows(self, query: str, *values: int) -> list[Any]:
+    @contextmanager
+    def _connected(self) -> Iterator[sqlite3.Connection]:
         with self._lock:
             try:
-                return self._file.execute(query, values).fetchall()
+                database = self._database or self._open()
+                try:
+                    yield database
+                finally:
+                    if database is not self._database:
+                        database.close()
             except sqlite3.Error as error:
-                raise DamagedHistory(f'{self._path} cannot be read: {error}') from error
+                raise UnusableInput(
+                    f'{self._path} is no readable history ({error}); replay the recording again'
+                ) from None
+
+    def _open(self) -> sqlite3.Connection:
+        final = self._path.with_name(self._path.name.removesuffix(PART))
+        if self.is_part and not self._path.exists():
+            self._path = final  # The run has ended.
+        if not self._path.is_file():
+            raise UnusableInput(f'{self._path} does not exist; give a results folder')
+        uri = f'{self._path.absolute().as_uri()}?mode=ro'
+        database = sqlite3.connect(uri, uri=True, check_same_thread=False, timeout=BUSY_S)
+        if not self.is_part:
+            self._database = database
+        return database
 
 
-def _is_alive(process: int) -> bool:
-    if process <= 0:
-        return False
-    with suppress(PermissionError):
-        try:
-            os.kill(process, 0)
-        except ProcessLookupError:
-            return False
-    return True
+def _as_view(record: Record) -> ViewRecord:
+    if not isinstance(record, ViewRecord):
+        raise DamagedHistory('a view is of another kind')
+    return record

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 import numpy as np
@@ -39,9 +40,11 @@ class RunState:
 
     def __init__(self) -> None:
         self.stamp_ns = 0
-        """Stamp of the last record, 0 before the first."""
+        """Largest stamp of the records, 0 before the first."""
+        self.record_count = 0
+        """Number of applied records: the position in the history."""
         self.position = 0, 0
-        """Place in the history it was read from: segment, and records of it that are included."""
+        """Position in a live run, kept by it."""
         self.map = MapMirror()
         self.visits = Visits()
         self.pose: PoseRecord | None = None
@@ -59,6 +62,7 @@ class RunState:
     def apply(self, record: Record) -> None:
         """Add the next record."""
         self.stamp_ns = max(self.stamp_ns, record.stamp_ns)
+        self.record_count += 1
         match record:
             case MapChange():
                 self.map.apply(record)
@@ -136,6 +140,7 @@ class Trail:
     def __init__(self) -> None:
         self._points = np.empty((0, 2))
         self._count = 0
+        self._last = 0.0, 0.0
         self.version = 0
         """Counter that grows with every point."""
 
@@ -144,21 +149,25 @@ class Trail:
         """(n, 2) positions in m, oldest first."""
         return self._points[: self._count]
 
-    def restore(self, points_m: NDArray[np.float64]) -> None:
-        """Replace all positions by (n, 2) points in m, oldest first."""
-        self._points, self._count = points_m.astype(np.float64), len(points_m)
-        self.version += 1
-
     def add(self, position: tuple[float, float]) -> None:
         """Add a position, unless it is near the last one."""
         n = self._count
-        if n and np.hypot(*(self._points[n - 1] - position)) < TRAIL_SPACING_M:
+        if n and math.dist(self._last, position) < TRAIL_SPACING_M:
             return
         if n == TRAIL_LENGTH:
             n = TRAIL_LENGTH * 3 // 4
             self._points[:n] = self._points[TRAIL_LENGTH - n : TRAIL_LENGTH]
         elif n == len(self._points):
             self._points = np.append(self._points, np.empty((max(64, n), 2)), axis=0)
-        self._points[n] = position
+        self._points[n] = self._last = position
         self._count = n + 1
+        self.version += 1
+
+    def replace(self, points_m: NDArray[np.float64]) -> None:
+        """Set all positions, (n, 2); of more than ``TRAIL_LENGTH`` the oldest are left out."""
+        self._points = points_m[-TRAIL_LENGTH:].copy()
+        self._count = len(self._points)
+        if self._count:
+            x_m, y_m = self._points[-1].tolist()
+            self._last = x_m, y_m
         self.version += 1

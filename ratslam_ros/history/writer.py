@@ -1,235 +1,345 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Writer of a history: segments of records, checkpoints, and an index of the views."""
+"""Writer of a history file."""
 
 from __future__ import annotations
 
 import os
 import sqlite3
+import sys
+import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable
 from pathlib import Path
+from typing import IO
 
-import zstandard
-
-from ratslam_ros.core.mapping.map_changes import MapChange
-from ratslam_ros.errors import UnusableInput
-from ratslam_ros.history.checkpoints import encode_state
-from ratslam_ros.history.encoding import decode, encode
-from ratslam_ros.history.records import (
-    CellsRecord,
-    ImageRecord,
-    MatchRecord,
-    PoseRecord,
-    Record,
-    RouteRecord,
-    ScanRecord,
-    StatusRecord,
-    ViewRecord,
-)
-from ratslam_ros.history.run_state import NS_PER_S, RunState
-from ratslam_ros.history.schema import (
+from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
+from ratslam_ros.history.budget import Budget
+from ratslam_ros.history.checkpoint import encode_state
+from ratslam_ros.history.encoding import as_stored, encode
+from ratslam_ros.history.file import (
     APPLICATION_ID,
-    CLOSURE,
-    NO_VISIT,
-    REJECTION,
     SCHEMA,
     SCHEMA_VERSION,
-    VISIT,
+    HistoryMeta,
+    lock_path,
+    part_path,
 )
+from ratslam_ros.history.packing import compressed
+from ratslam_ros.history.records import PoseRecord, Record, ViewRecord
+from ratslam_ros.history.run_state import NS_PER_S, RunState
 
-SEGMENT_NS, SEGMENT_BYTES = NS_PER_S, 2**18
-"""Largest extent of a segment. A reader in another process lags by one segment."""
+SEGMENT_NS = NS_PER_S
+"""Duration of a segment: what a crash may lose, and what a look-up has to decompress."""
 
-BYTES_PER_HOUR = 50_000_000
-"""Largest size of a file per hour of the run."""
+SEGMENT_BYTES = 2**16
+"""Size at which a segment ends early."""
 
-FREE_BYTES = 4_000_000
-"""Size that a run of any length may have."""
+MAX_SEGMENT_BYTES = 2**22
+"""Size at which a segment ends even if the stamps stand still, so that memory is bounded."""
 
-CHECKPOINT_SHARE = 0.25
-"""Size of the checkpoints relative to that of the segments. A seek reads one checkpoint, and
-segments of at most 1 / CHECKPOINT_SHARE of its size."""
+CHECKPOINT_RATIO = 3
+"""A checkpoint is written when the segments since the last one are this many times as large as
+it, so that checkpoints are at most a quarter of the file however large the map is."""
 
-PERIODS_S: dict[type[Record], float] = {
-    PoseRecord: 0.1, MapChange: 0.5, CellsRecord: 0.25, MatchRecord: 0.5, ImageRecord: 0.5,
-    ScanRecord: 0.5, RouteRecord: 0.5, StatusRecord: 0.2,
-}  # fmt: skip
-"""Shortest period of each kind of record, in s of the stamps; all views are stored."""
+MIN_CHECKPOINT_BYTES = 2**16
+"""Smallest size of the segments between two checkpoints; they are applied in about 20 ms."""
 
-MAX_STRETCH = 32
-"""Largest factor on the periods when the size grows too fast."""
+COMMIT_S = 0.25
+"""Wall-clock time between two commits: readers see new segments that often. The content of the
+file does not depend on it."""
 
-NEWEST_EXPERIENCES_COUNT = 10
+PAGE_BYTES = 1024
+"""Page size of SQLite. A segment wastes half a page on average: 2 MB per hour with 1024 bytes, 7
+with the usual 4096."""
+
+NEWEST_COUNT = 10
 """A transition to one of the newest experiences closes no loop."""
 
 
 class HistoryWriter:
-    """Writes the records of a run to a file while it runs.
+    """Appends the records of a run to a file.
 
-    The content depends on the records alone. An error of the disk ends the writing, not the run:
-    ``error`` says what happened.
+    The file has the suffix ``.part`` until it is closed, and a file of an earlier run stays until
+    then. Readers in other processes can follow it. A killed writer leaves a readable file with all
+    records but those of the last moments.
+
+    If the file cannot be written, this is reported once, and later calls do nothing.
     """
 
-    def __init__(self, path: str | Path, meta: Mapping[str, str]) -> None:
-        """Create the file; one that exists is replaced.
+    def __init__(
+        self, path: Path, meta: HistoryMeta, report: Callable[[str], None] | None = None
+    ) -> None:
+        """Create the file.
 
         Args:
-            path: the file.
-            meta: facts about the run, by name, such as the configuration.
-
-        Raises:
-            UnusableInput: the file cannot be written.
+            path: final name of the file.
+            meta: what is known of the run.
+            report: receives one line if the file cannot be written; None: standard error.
         """
-        self.path = Path(path)
-        self.error = ''
-        """Why writing has ended early; '' if it has not."""
-        self._state = RunState()
-        self._records: list[bytes] = []
-        self._views: list[tuple[int, int, int, int]] = []
-        self._raw = self._first_ns = self._begin_ns = self._now_ns = 0
-        self._next_ns: dict[type[Record], int] = {}
-        self._newest: deque[int] = deque(maxlen=NEWEST_EXPERIENCES_COUNT)
-        self._segment = self._spent = self._since_checkpoint = 0
-        self._stretch = 1
-        self._pack = zstandard.ZstdCompressor(level=6).compress
+        self.path = path
+        self.problem = ''
+        """Why recording has ended, '' if it has not."""
+        self.state = RunState()
+        """Sum of all written records."""
+        self._report = report or _print
+        self._budget = Budget()
+        self._pending: list[bytes] = []
+        self._pending_bytes = 0
+        self._pending_views = 0
+        self._begin_ns = 0
+        self._first_record = self._first_view = 0
+        self._since_checkpoint = 0
+        self._checkpoint_bytes = 0
+        self._visited_id = self._recognised_id = NO_EXPERIENCE
+        self._newest: deque[int] = deque(maxlen=NEWEST_COUNT)
+        self._database: sqlite3.Connection | None = None
+        self._lock: IO[bytes] | None = None
         try:
-            for suffix in ('', '-wal', '-shm'):
-                Path(f'{self.path}{suffix}').unlink(missing_ok=True)
-            # Any thread may write, one at a time; Python's sqlite3 is serialised.
-            self._file: sqlite3.Connection | None = sqlite3.connect(
-                self.path, isolation_level=None, check_same_thread=False
-            )
-            self._file.execute(f'PRAGMA application_id={APPLICATION_ID}')
-            self._file.execute(f'PRAGMA user_version={SCHEMA_VERSION}')
-            self._file.execute('PRAGMA journal_mode=WAL')
-            self._file.execute('PRAGMA synchronous=NORMAL')  # a history is not worth an fsync
-            self._file.executescript(SCHEMA)
-            facts = {**meta, 'writer': str(os.getpid())}
-            self._file.executemany('INSERT INTO meta VALUES (?, ?)', facts.items())
-        except (sqlite3.Error, OSError) as error:
-            raise UnusableInput(
-                f'no history can be written to {self.path}: {error}; choose another folder, or '
-                'leave it out (--no-history)'
-            ) from error
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._lock = _locked(lock_path(path))
+            self._database = _created(part_path(path), meta)
+        except (OSError, sqlite3.Error) as error:
+            self._fail(error)
+        self._commit_s = time.monotonic()
 
-    def wants(self, kind: type[Record], stamp_ns: int) -> bool:
-        """Return whether a record of a kind is due, so that others need not be made.
+    @property
+    def is_open(self) -> bool:
+        """Whether records are still written."""
+        return self._database is not None
 
-        The periods stretch while the file grows faster than BYTES_PER_HOUR.
+    def wants(self, kind: type[Record], stamp_ns: int, is_special: bool = False) -> bool:
+        """Return whether a record of a kind would be written now, and not left out.
+
+        Args:
+            kind: class of the record.
+            stamp_ns: its stamp.
+            is_special: it is worth more than others, such as the image of a new template.
         """
-        return not self.error and stamp_ns >= self._next_ns.get(kind, stamp_ns)
+        at_ns = max(stamp_ns, self.state.stamp_ns)
+        return self._database is not None and self._budget.allows(kind, at_ns, is_special)
 
-    def add(self, record: Record) -> None:
-        """Append a record; its place in the history is that of the latest stamp so far."""
-        if self.error or self._file is None:
-            return
-        kind = type(record)
-        self._now_ns = max(self._now_ns, record.stamp_ns)
-        if not self._begin_ns:
-            self._begin_ns = self._now_ns
-        if kind in PERIODS_S:
-            period_ns = round(PERIODS_S[kind] * NS_PER_S) * self._stretch
-            self._next_ns[kind] = record.stamp_ns + period_ns
-        if self._records and (
-            self._now_ns - self._first_ns >= SEGMENT_NS or self._raw >= SEGMENT_BYTES
+    @property
+    def map_rows(self) -> int:
+        """Largest number of rows that the next change of the map should have."""
+        return self._budget.map_rows
+
+    def add(self, record: Record, is_special: bool = False) -> bool:
+        """Write a record; return whether it was, as some are left out to save space.
+
+        Changes of the map are never left out, because later ones rely on them: make them with
+        ``wants`` and ``map_rows``.
+        """
+        if self._database is None:
+            return False
+        state = self.state
+        at_ns = max(record.stamp_ns, state.stamp_ns)
+        if type(record) is PoseRecord:
+            if not self._budget.allows(PoseRecord, at_ns):
+                return False
+            record = as_stored(record)  # Trails must be those that a reader computes.
+        elif type(record).__name__ != 'MapChange' and not self._budget.allows(
+            type(record), at_ns, is_special
         ):
-            self.flush()
-        if not self._records:
-            self._first_ns = self._now_ns
-        data = encode(record, self._now_ns)
-        self._records.append(data)
-        self._raw += len(data)
-        if isinstance(record, ViewRecord):
-            self._views.append(
-                (self._now_ns, self._segment, record.target_id, self._kind_of(record))
-            )
+            return False
+        if (self._pending and at_ns > state.stamp_ns and (
+            at_ns - self._begin_ns >= SEGMENT_NS or self._pending_bytes >= SEGMENT_BYTES
+        )) or self._pending_bytes >= MAX_SEGMENT_BYTES:
+            self._flush()
+        if not self._pending:
+            self._begin_ns = at_ns
+        data = encode(record)
+        self._pending.append(data)
+        self._pending_bytes += len(data)
+        self._budget.written(record, at_ns)
+        state.apply(record)
+        if type(record) is ViewRecord:
+            self._index(record, data)
+            self._pending_views += 1
+        return True
 
     def flush(self) -> None:
-        """Write what has been added, so that readers see it."""
-        if not self._records or self._file is None or self.error:
-            return
-        raw = b''.join(self._records)
-        for _, record in decode(raw):  # rounded, as a reader gets them
-            self._state.apply(record)
-        packed = self._pack(raw)
-        written = len(packed)
-        file = self._file
-        try:
-            file.execute('BEGIN')
-            file.execute(
-                'INSERT INTO segments VALUES (?, ?, ?, ?, ?, ?)',
-                (self._segment, self._first_ns, self._now_ns, len(self._records), len(raw),
-                 packed),
-            )  # fmt: skip
-            file.executemany(
-                'INSERT INTO views (stamp_ns, segment, experience, kind) VALUES (?, ?, ?, ?)',
-                self._views,
-            )
-            self._since_checkpoint += written
-            written += self._write_checkpoint(file)
-            file.execute('COMMIT')
-        except sqlite3.Error as error:
-            self._fail(error)
-            return
-        self._spent += written + 32 * len(self._views)
-        self._records, self._views, self._raw = [], [], 0
-        self._segment += 1
-        self._adapt()
+        """Make all records visible to readers."""
+        self._flush()
+        self._run(self._commit)
 
     def close(self) -> None:
-        """Write everything and close the file, which is then a single one."""
-        self.flush()
-        file, self._file = self._file, None
-        if file is None:
+        """Write the last records, and give the file its final name."""
+        self._flush()
+        self._run(self._finish)
+        self._end()
+
+    def discard(self) -> None:
+        """Remove the file; that of an earlier run stays."""
+        self._end()
+        _remove(part_path(self.path))
+
+    def _run(self, step: Callable[[sqlite3.Connection], None]) -> None:
+        if self._database is None:
             return
         try:
-            if not self.error:
-                file.execute("INSERT INTO meta VALUES ('finished', '1')")
-                file.execute('PRAGMA wal_checkpoint(TRUNCATE)')
-                file.execute('PRAGMA journal_mode=DELETE')
-        except sqlite3.Error as error:
-            self.error = str(error)  # a reader still has it open, or the disk is full
-        file.close()
+            step(self._database)
+        except (OSError, sqlite3.Error) as error:
+            self._fail(error)
 
-    def _write_checkpoint(self, file: sqlite3.Connection) -> int:
-        """Write the state after this segment if enough was written since the last one."""
-        raw = encode_state(self._state) if self._checkpoint_is_due() else b''
-        if not raw:
-            return 0
-        packed = self._pack(raw)
-        self._last_checkpoint = len(packed)
-        self._since_checkpoint = 0
-        file.execute(
-            'INSERT INTO checkpoints VALUES (?, ?, ?)', (self._segment, len(raw), packed)
-        )
-        return len(packed)
+    def _index(self, view: ViewRecord, data: bytes) -> None:
+        """Add a view to the tables of visits and closures."""
+        number = self._first_view + self._pending_views
+        row = number, self.state.stamp_ns, data
+        if view.target_id != NO_EXPERIENCE and not view.reason:
+            if view.target_id != self._visited_id:
+                self._run(lambda database: _insert_visit(database, view.target_id, row))
+            self._visited_id = view.target_id
+        if self._is_closure(view):
+            self._run(lambda database: _insert_closure(database, row))
 
-    _last_checkpoint = 2**14
-
-    def _checkpoint_is_due(self) -> bool:
-        return self._since_checkpoint * CHECKPOINT_SHARE >= self._last_checkpoint
-
-    def _adapt(self) -> None:
-        """Double or halve the periods, so that the size stays below the limit."""
-        passed_s = (self._now_ns - self._begin_ns) / NS_PER_S
-        allowed = FREE_BYTES + BYTES_PER_HOUR * passed_s / 3600.0
-        if self._spent > allowed:
-            self._stretch = min(2 * self._stretch, MAX_STRETCH)
-        elif self._spent < 0.75 * allowed and self._stretch > 1:
-            self._stretch //= 2
-
-    def _kind_of(self, view: ViewRecord) -> int:
-        if view.reason:
-            return REJECTION
-        if view.action == 'none' or view.target_id < 0:
-            return NO_VISIT
+    def _is_closure(self, view: ViewRecord) -> bool:
+        """Return whether a view closes a loop, or would have but for a reason."""
+        recognised, self._recognised_id = self._recognised_id, view.recognised_id
         if view.action == 'create':
             self._newest.append(view.target_id)
-            return VISIT
-        is_closure = view.action == 'link' and view.target_id not in self._newest
-        return CLOSURE if is_closure else VISIT
+        return (
+            view.reason != '' or view.relocated_to != NO_EXPERIENCE
+            or (view.action == 'link' and view.target_id not in self._newest)
+            or (
+                view.recognised_id != recognised
+                and view.recognised_id not in (NO_EXPERIENCE, *self._newest)
+            )
+        )
 
-    def _fail(self, error: sqlite3.Error) -> None:
-        self.error = f'the history ends here: {self.path}: {error}'
-        self._records, self._views, self._raw = [], [], 0
+    def _flush(self) -> None:
+        if self._pending:
+            self._run(self._write_segment)
+            self._pending.clear()
+            self._pending_bytes = self._pending_views = 0
+        if time.monotonic() - self._commit_s >= COMMIT_S:
+            self._run(self._commit)
+
+    def _write_segment(self, database: sqlite3.Connection) -> None:
+        data = compressed(b''.join(self._pending))
+        state = self.state
+        database.execute(
+            'INSERT INTO segments VALUES (?, ?, ?, ?, ?, ?, ?)',
+            (
+                self._first_record, len(self._pending), self._begin_ns, state.stamp_ns,
+                self._first_view, self._pending_views, data,
+            ),
+        )  # fmt: skip
+        self._first_record += len(self._pending)
+        self._first_view += self._pending_views
+        self._since_checkpoint += len(data)
+        if self._since_checkpoint >= max(
+            CHECKPOINT_RATIO * self._checkpoint_bytes, MIN_CHECKPOINT_BYTES
+        ):
+            data = compressed(encode_state(state))
+            database.execute(
+                'INSERT INTO checkpoints VALUES (?, ?, ?)',
+                (state.record_count, state.stamp_ns, data),
+            )
+            self._since_checkpoint, self._checkpoint_bytes = 0, len(data)
+        (pages,) = database.execute('PRAGMA page_count').fetchone()
+        self._budget.update(state.stamp_ns, pages * PAGE_BYTES)
+
+    def _commit(self, database: sqlite3.Connection) -> None:
+        database.execute('COMMIT')
+        database.execute('BEGIN')
+        self._commit_s = time.monotonic()
+
+    def _finish(self, database: sqlite3.Connection) -> None:
+        database.execute("INSERT INTO meta VALUES ('ended', '1')")
+        database.execute('COMMIT')
+        database.execute('PRAGMA journal_mode = DELETE')  # A single file, without a log beside it.
+        database.close()
+        self._database = None
+        os.replace(part_path(self.path), self.path)
+
+    def _fail(self, error: Exception) -> None:
+        reason = getattr(error, 'strerror', None) or str(error)
+        self.problem = (
+            f'{self.path} cannot be written ({reason}): the run continues without history; free '
+            'space or choose another folder'
+        )
+        self._end()
+        self._report(self.problem)
+
+    def _end(self) -> None:
+        database, self._database = self._database, None
+        if database is not None:
+            database.close()
+        if self._lock is not None:
+            lock_path(self.path).unlink(missing_ok=True)
+            self._lock.close()
+            self._lock = None
+        self._pending.clear()
+
+
+def _insert_visit(
+    database: sqlite3.Connection, experience_id: int, row: tuple[int, int, bytes]
+) -> None:
+    database.execute('INSERT INTO visits VALUES (?, ?, ?, ?)', (experience_id, *row))
+
+
+def _insert_closure(database: sqlite3.Connection, row: tuple[int, int, bytes]) -> None:
+    database.execute('INSERT INTO closures VALUES (?, ?, ?)', row)
+
+
+def _created(path: Path, meta: HistoryMeta) -> sqlite3.Connection:
+    _remove(path)
+    database = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=2.0)
+    for pragma in (
+        f'page_size = {PAGE_BYTES}',
+        'journal_mode = WAL',  # Readers neither wait for the writer nor delay it.
+        'synchronous = NORMAL',  # A killed process loses nothing that was committed.
+        f'application_id = {APPLICATION_ID}', f'user_version = {SCHEMA_VERSION}',
+    ):  # fmt: skip
+        database.execute(f'PRAGMA {pragma}')
+    database.executescript(SCHEMA)
+    database.execute('BEGIN')
+    database.execute("INSERT INTO meta VALUES ('run', ?)", (meta.to_json(),))
+    database.execute('COMMIT')
+    database.execute('BEGIN')
+    return database
+
+
+def _remove(path: Path) -> None:
+    for suffix in ('', '-wal', '-shm', '-journal'):
+        path.with_name(path.name + suffix).unlink(missing_ok=True)
+
+
+def _locked(path: Path) -> IO[bytes]:
+    """Create and lock a file, by which readers see that the writer lives."""
+    file = open(path, 'ab')  # noqa: SIM115 - held until the history is closed
+    try:
+        import fcntl  # not on Windows, where a history that was interrupted seems to grow
+
+        for _ in range(20):
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                return file
+            except BlockingIOError:
+                time.sleep(0.05)  # A reader tests the lock for a moment.
+        file.close()
+        raise OSError(None, 'another run is writing there')
+    except ImportError:
+        return file
+
+
+def is_locked(path: Path) -> bool:
+    """Return whether the writer of a history lives; ``path``: final name of the history."""
+    try:
+        with open(lock_path(path), 'rb') as file:
+            import fcntl
+
+            try:
+                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            except BlockingIOError:
+                return True
+            return False
+    except FileNotFoundError:
+        return False
+    except ImportError:
+        return True
+
+
+def _print(line: str) -> None:
+    print(f'warning: {line}', file=sys.stderr)

@@ -73,7 +73,7 @@ def run_demo(
         UnusableInput: the folder has a recording already, or cannot be written.
         KeyboardInterrupt: the replay was interrupted; its results are written.
     """
-    run, outcome, figures = _run(config, seed, folder, progress, look_ahead)
+    run, outcome, figures = _run(config, seed, folder, progress, look_ahead, True)
     plots = [
         *draw_all(folder, run.truth),
         draw_run(run, folder / 'world.png'),
@@ -130,7 +130,8 @@ def run_seeds(config: Config, seeds: Iterable[int], look_ahead: bool = False) ->
 
 
 def _run(
-    config: Config, seed: int, folder: Path, progress: bool, look_ahead: bool
+    config: Config, seed: int, folder: Path, progress: bool, look_ahead: bool,
+    with_history: bool = False,
 ) -> tuple[SimulatedRun, ReplayOutcome, DemoFigures]:
     if (folder / 'recording').exists():
         raise UnusableInput(f'{folder} already has a recording; give another --out')
@@ -145,7 +146,8 @@ def _run(
         if look_ahead:
             config = inspect(recording, selection, config).config
         outcome = replay(
-            recording, selection, config, folder, ReplayOptions(progress=progress)
+            recording, selection, config, folder,
+            ReplayOptions(progress=progress, history=with_history),
         )
         aliasing = _look_alike_share(recording, selection, run, config)
     truth = read_tum(run.truth)

@@ -24,6 +24,10 @@ from ratslam_ros.core.vision.visual_odometry import field_of_view_deg
 from ratslam_ros.descriptors import encoder_of
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.event_inputs import odometry_from_event, scan_from_event
+from ratslam_ros.files.config import to_yaml
+from ratslam_ros.history.file import HISTORY_NAME, HistoryMeta, package_version
+from ratslam_ros.history.recorder import Recorder
+from ratslam_ros.history.writer import HistoryWriter
 from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.messages.mapping import decode_template
 from ratslam_ros.offline.landmark_mapping import LandmarkMapping
@@ -52,7 +56,8 @@ class ReplayOptions:
 
     start_s: skipped seconds at the start. duration_s: limit on the duration, None for the rest.
     video: file for a video of the growing map, None for none. progress: show a progress bar.
-    landmarks: build the map of the node landmark_map, too.
+    landmarks: build the map of the node landmark_map, too. history: write history.sqlite.
+    images_rate_hz: rate with which the recording was opened, noted in the history.
     """
 
     start_s: float = 0.0
@@ -60,6 +65,8 @@ class ReplayOptions:
     video: Path | None = None
     progress: bool = True
     landmarks: bool = False
+    history: bool = False
+    images_rate_hz: float = 10.0
 
 
 @dataclass(frozen=True)
@@ -163,6 +170,14 @@ class _Run:
                     f'{"odometry" if visual_odometry else "scans"}: leave out --landmarks'
                 )
             self._landmarks = LandmarkMapping(config)
+        self._recorder: Recorder | None = None
+        if options.history:
+            meta = _history_meta(recording, selection, config, options)
+            self._recorder = Recorder(
+                self.slam, p.vt_match_threshold,
+                lambda: HistoryWriter(folder / HISTORY_NAME, meta, self._history_problems.append),
+            )
+        self._history_problems: list[str] = []
         self.results: Results | None = None
         """Opened at the first result, so that errors before it leave no files behind."""
         self.video: ReplayVideo | None = None
@@ -192,6 +207,8 @@ class _Run:
         elif isinstance(event, ImageEvent):
             if self.video is not None:
                 self.video.add_image(event)
+            if self._recorder is not None:
+                self._recorder.add_image(event.stamp_ns, event.image, image)
             self._write(self.slam.image(event.stamp_ns, image))
         elif isinstance(event, ScanEvent):
             try:
@@ -199,6 +216,8 @@ class _Run:
             except UnusableScan as error:
                 self._count_unusable('scan', error)
             else:
+                if self._recorder is not None:
+                    self._recorder.add_scan(scan)
                 self._write(self.slam.scan(scan))
                 if self._landmarks is not None:
                     self._landmarks.scan(scan)
@@ -256,6 +275,11 @@ class _Run:
             results.write('landmarks.json', self._landmarks.finish())
             summary['landmarks'] = len(self._landmarks.laser_map)
         results.finish(self.slam.experience_map, self.config, summary)
+        if self._recorder is not None:
+            self._recorder.close()
+        else:
+            (self._folder / HISTORY_NAME).unlink(missing_ok=True)  # That of an earlier run.
+        self._recording.warnings.extend(self._history_problems)
         self.results = results
         return summary
 
@@ -274,6 +298,8 @@ class _Run:
             return
         if (self._folder / 'map.json').exists():
             self.results.discard()
+            if self._recorder is not None:
+                self._recorder.discard()
         else:
             self.finish()
 
@@ -309,8 +335,21 @@ class _Run:
         for step in steps:
             self.results.add(step)
             self.observations.add(step)
+            if self._recorder is not None:
+                self._recorder.add(step)
             if self.video is not None:
                 self.video.add_step(step)
+
+
+def _history_meta(
+    recording: Recording, selection: Selection, config: Config, options: ReplayOptions
+) -> HistoryMeta:
+    """Describe a replay for its history."""
+    return HistoryMeta(
+        recording.name, config.experience_map.map_frame, to_yaml(config),
+        str(recording.path.absolute()), recording.kind, selection.image_topic or '',
+        options.images_rate_hz, package_version(),
+    )
 
 
 def calibrated(config: Config, recording: Recording, selection: Selection) -> Config:

@@ -9,7 +9,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.history.reader import HistoryRun
+from ratslam_ros.history.file import part_path
+from ratslam_ros.history.final_run import FinalRun
+from ratslam_ros.history.history_run import HistoryRun
+from ratslam_ros.history.opening import open_run
 from ratslam_ros.history.records import ViewRecord
 from ratslam_ros.history.run_state import RunState
 
@@ -22,17 +25,20 @@ RETRY_S = 0.2
 class FollowedRun:
     """The history at a path, as soon as there is one; empty before."""
 
-    def __init__(self, path: Path, title: str) -> None:
+    def __init__(self, path: Path, title: str, truth: Path | None = None) -> None:
         """Follow a history.
 
         Args:
             path: the history; a file that is there already belongs to an earlier run.
             title: name of the run.
+            truth: TUM file of the true trajectory, None for one beside the recording.
         """
         self.title = title
         """Name of the run."""
-        self._path, self._earlier = path, _version(path)
-        self._run: HistoryRun | None = None
+        self._truth = truth
+        self._earlier = {path: _version(path) for path in (part_path(path), path)}
+        """Versions of the files: the history ends with its final name."""
+        self._run: HistoryRun | FinalRun | None = None
         self._has_ended = False
         self._notices: list[str] = []
         self._tried_s = -RETRY_S
@@ -116,16 +122,20 @@ class FollowedRun:
         run = self._opened()
         return [] if run is None else run.closures(until_ns)
 
-    def _opened(self) -> HistoryRun | None:
+    def _opened(self) -> HistoryRun | FinalRun | None:
         if self._run is None and time.monotonic() - self._tried_s >= RETRY_S:
             self._tried_s = time.monotonic()
-            if _version(self._path) not in (None, self._earlier):
-                try:
-                    self._run = HistoryRun(self._path, self.title)
-                except UnusableInput as error:  # not complete yet, or never
-                    if self._has_ended and str(error) not in self._notices:
-                        self._notices.append(str(error))
+            for path, earlier in self._earlier.items():
+                if self._run is None and _version(path) not in (None, earlier):
+                    self._open(path)
         return self._run
+
+    def _open(self, path: Path) -> None:
+        try:
+            self._run = open_run(path, self._truth)
+        except UnusableInput as error:  # not complete yet, or never
+            if self._has_ended and str(error) not in self._notices:
+                self._notices.append(str(error))
 
 
 def _version(path: Path) -> tuple[int, int] | None:

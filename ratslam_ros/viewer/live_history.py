@@ -13,7 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.mapping.map_changes import ExperienceRows, LinkRows, MapChange
-from ratslam_ros.history.reader import HistoryRun
+from ratslam_ros.errors import UnusableInput
+from ratslam_ros.history.file import HistoryMeta, part_path
+from ratslam_ros.history.history_run import HistoryRun
 from ratslam_ros.history.records import Record, RouteRecord, StatusRecord, ViewRecord
 from ratslam_ros.history.writer import HistoryWriter
 
@@ -27,18 +29,20 @@ class LiveHistory:
     Writing a checkpoint of a large map takes longer than the period of drawing.
     """
 
-    def __init__(self, path: Path, meta: Mapping[str, str]) -> None:
+    def __init__(self, path: Path, meta: HistoryMeta) -> None:
         """Create the file; one that exists is replaced.
 
         Args:
             path: the file.
-            meta: facts about the run.
+            meta: what is known of the run.
 
         Raises:
             UnusableInput: the file cannot be written.
         """
-        self._writer = HistoryWriter(path, meta)
-        self.reader = HistoryRun(path)
+        self._writer = HistoryWriter(path, meta, report=lambda line: None)  # ``error`` has it
+        if self._writer.problem:
+            raise UnusableInput(self._writer.problem)
+        self.reader = HistoryRun(part_path(path))
         """What has been written; it lags behind by a second."""
         self._queue: queue.SimpleQueue[Record | None] = queue.SimpleQueue()
         self._changes: list[MapChange] = []
@@ -49,7 +53,7 @@ class LiveHistory:
     @property
     def error(self) -> str:
         """Why writing has ended early; '' if it has not."""
-        return self._writer.error
+        return self._writer.problem
 
     def add(self, record: Record) -> None:
         """Append a record; may be called from any thread."""

@@ -14,6 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from ratslam_ros.core.mapping.map_changes import MapChange
+from ratslam_ros.history.file import HISTORY_NAME, HistoryMeta
 from ratslam_ros.history.records import (
     ImageRecord,
     PoseRecord,
@@ -23,7 +24,6 @@ from ratslam_ros.history.records import (
     ViewRecord,
 )
 from ratslam_ros.history.run_state import NS_PER_S, RunState
-from ratslam_ros.history.schema import FILE_NAME
 from ratslam_ros.viewer.live_history import LiveHistory
 
 HOLD_NS = 300_000_000
@@ -94,7 +94,7 @@ class LiveRun:
         self._folder: tempfile.TemporaryDirectory[str] | None = None
         if path is None:
             self._folder = tempfile.TemporaryDirectory(prefix='ratslam-view-')
-            path = Path(self._folder.name) / FILE_NAME
+            path = Path(self._folder.name) / HISTORY_NAME
         self._path = path
         self._begin()
 
@@ -110,7 +110,7 @@ class LiveRun:
         self._runs += 1
         number = '' if self._runs == 1 else f'-{self._runs}'
         path = self._path.with_name(f'{self._path.stem}{number}{self._path.suffix}')
-        self._history = LiveHistory(path, {'title': self.title})
+        self._history = LiveHistory(path, HistoryMeta(self.title))
 
     def close(self) -> None:
         """Write the records that are held, and close the file."""

@@ -10,7 +10,7 @@ import pytest
 from viewer_doubles import records_of
 
 from ratslam_ros.cli.main import main
-from ratslam_ros.history.schema import FILE_NAME
+from ratslam_ros.history.file import HISTORY_NAME, HistoryMeta
 from ratslam_ros.history.writer import HistoryWriter
 
 USAGE = 2
@@ -21,7 +21,7 @@ def results(tmp_path: Path) -> Path:
     """Return a folder with the history of a short run."""
     folder = tmp_path / 'some run'
     folder.mkdir()
-    writer = HistoryWriter(folder / FILE_NAME, {})
+    writer = HistoryWriter(folder / HISTORY_NAME, HistoryMeta('run'))
     for number in range(60):
         for record in records_of(number):
             writer.add(record)

@@ -16,7 +16,7 @@ from helpers import START_NS
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.mapping.map_changes import ExperienceRows, LinkRows, MapChange
 from ratslam_ros.core.pose_cells.torus import Place
-from ratslam_ros.history.reader import HistoryRun
+from ratslam_ros.history.history_run import HistoryRun
 from ratslam_ros.history.records import (
     ImageRecord,
     PoseRecord,

@@ -150,6 +150,16 @@ class LocalView:
             return None
         return self._encoder.encode(image)
 
+    def shift_of(self, relative_rad: float) -> int:
+        """Return the columns by which a view is shifted relative to a template that it matches.
+
+        Args:
+            relative_rad: present heading minus the heading at which the template was learned.
+        """
+        p = self._p
+        field_rad = 2.0 * math.pi if self._layout.panoramic else math.radians(p.vt_shift_fov_deg)
+        return round(relative_rad / field_rad * p.template_x_size) if field_rad > 0.0 else 0
+
     def follow(self, odometry: Odometry) -> None:
         """Follow the robot, to learn how much different places look alike.
 

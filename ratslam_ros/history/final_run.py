@@ -1,0 +1,184 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A run whose results have no history: its final state."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.mapping.link_learning import link_confidences
+from ratslam_ros.core.mapping.map_changes import ExperienceRows, LinkRows, MapChange
+from ratslam_ros.errors import UnusableInput
+from ratslam_ros.history.records import PoseRecord, ViewRecord
+from ratslam_ros.history.run_state import NS_PER_S, TRAIL_LENGTH, RunState
+from ratslam_ros.history.truth import Truth
+from ratslam_ros.results.trajectory import Trajectory, read_tum
+
+NOTICE = (
+    'these results have no history: only the final state can be shown; replay the recording '
+    'without --no-history to see the whole run'
+)
+
+
+class FinalRun:
+    """A ``RunSource`` of one moment: the end of a run, from map.json and the trajectories."""
+
+    def __init__(self, folder: Path) -> None:
+        """Read the results in a folder; raises UnusableInput if they cannot be read."""
+        self.title = folder.resolve().name
+        self.is_growing = False
+        self.notices: Sequence[str] = (NOTICE,)
+        self._folder = folder
+        self._map = _final_map(folder / 'map.json')
+        self._final, self._dead_reckoning = (
+            read_tum(path, TRAIL_LENGTH) if path.is_file() else None
+            for path in (folder / 'trajectory_final.tum', folder / 'dead_reckoning.tum')
+        )
+        self._truth: Truth | None = None
+        self.end_ns = self._map.stamp_ns
+        if self._final is not None:
+            self.end_ns = max(self.end_ns, int(self._final.stamp_ns[-1]))
+        self.begin_ns = self.end_ns
+        self._visited = _visited(folder / 'frames.csv', self._map.experience_count)
+
+    def set_truth(self, trajectory: Trajectory) -> None:
+        """Show a true trajectory; it is aligned by the first pose."""
+        if self._final is not None:
+            self._truth = Truth(trajectory, int(self._final.stamp_ns[0]), _pose(self._final, 0))
+
+    def seek(self, stamp_ns: int) -> RunState:
+        """Return a new state: the final one."""
+        state = RunState()
+        state.apply(self._map)
+        if self._final is not None:
+            dead_reckoning = None
+            if self._dead_reckoning is not None:
+                dead_reckoning = _pose(self._dead_reckoning, -1)
+                state.dead_reckoning.replace(self._dead_reckoning.position_m)
+            pose = _pose(self._final, -1)
+            state.apply(PoseRecord(int(self._final.stamp_ns[-1]), pose, dead_reckoning))
+            state.trail.replace(self._final.position_m)
+            if self._truth is not None:
+                self._truth.apply(state)
+        created, visited, counts, errors = self._visited
+        state.visits.created_ns, state.visits.visited_ns = created.copy(), visited.copy()
+        state.visits.counts, state.visits.errors = counts.copy(), errors.copy()
+        return state
+
+    def advance(self, state: RunState, stamp_ns: int) -> None:
+        """Do nothing: there is only one moment."""
+
+    def image_at(self, stamp_ns: int) -> bytes | None:
+        """Return None: there are no images."""
+        return None
+
+    def view_at(self, stamp_ns: int) -> ViewRecord | None:
+        """Return None: there are no views."""
+        return None
+
+    def step(self, stamp_ns: int, views: int) -> int:
+        """Return the stamp of the only moment."""
+        return self.end_ns
+
+    def visits(self, experience_id: int, until_ns: int) -> list[ViewRecord]:
+        """Return no views."""
+        return []
+
+    def closures(self, until_ns: int) -> list[ViewRecord]:
+        """Return no views."""
+        return []
+
+    def close(self) -> None:
+        """Do nothing: no file is open."""
+
+
+def _pose(trajectory: Trajectory, row: int) -> Pose:
+    x_m, y_m = trajectory.position_m[row].tolist()
+    return Pose(x_m, y_m, float(trajectory.heading_rad[row]))
+
+
+def _final_map(path: Path) -> MapChange:
+    """Return the change from an empty map to that of map.json."""
+    try:
+        content = json.loads(path.read_text(encoding='utf-8'))
+        return _map_of(content)
+    except FileNotFoundError:
+        raise UnusableInput(
+            f'{path.parent} has neither a history nor map.json; give a results folder'
+        ) from None
+    except OSError as error:
+        raise UnusableInput(f'{path} cannot be read ({error.strerror})') from None
+    except (ValueError, KeyError, TypeError, IndexError) as error:
+        raise UnusableInput(
+            f'{path} is no map of ratslam_ros ({type(error).__name__}: {error}); replay the '
+            'recording again'
+        ) from None
+
+
+def _map_of(content: Any) -> MapChange:
+    experiences, links = content['experiences'], content['links']
+    stamp, n = content['stamp'], len(experiences)
+    poses = np.array(
+        [(one['x_m'], one['y_m'], one['heading_rad']) for one in experiences], np.float64
+    ).reshape(-1, 3)
+    ends = np.array(
+        [(link['source_id'], link['target_id']) for link in links], np.int64
+    ).reshape(-1, 2)
+    if not np.isfinite(poses).all() or [one['id'] for one in experiences] != list(range(n)):
+        raise ValueError('poses must be finite, and ids count from 0')
+    if len(ends) and not 0 <= ends.min() <= ends.max() < n:
+        raise ValueError('a link has ends that do not exist')
+    counts = np.array([link['count'] for link in links], np.int64)
+    behaviours = tuple(str(link['behaviour']) for link in links)
+    names = {'': 0} | {name: 1 + k for k, name in enumerate(sorted(set(behaviours) - {''}))}
+    numbers = np.array([names[name] for name in behaviours], np.int64)
+    confidences = np.empty(0)
+    if len(links):
+        confidences = link_confidences(ends[:, 0], numbers, counts, np.zeros_like(counts))
+    return MapChange(
+        int(stamp['sec']) * NS_PER_S + int(stamp['nanosec']), n,
+        int(content['current_experience_id']), True,
+        ExperienceRows(
+            np.arange(n), np.array([one['template_id'] for one in experiences], np.int64), poses,
+            np.array(content.get('components') or np.zeros(n), np.int64),
+        ),
+        LinkRows(
+            ends,
+            np.array(
+                [(link['distance_m'], link['heading_rad'], link['facing_rad']) for link in links],
+                np.float64,
+            ).reshape(-1, 3),
+            np.array([link['duration_s'] for link in links], np.float64), confidences, counts,
+            np.zeros(len(links), np.bool_), behaviours,
+        ),
+    )  # fmt: skip
+
+
+def _visited(path: Path, count: int) -> tuple[Any, Any, Any, Any]:
+    """Return creation, last visit, number of visits and match error of every experience."""
+    created, visited = np.zeros(count, np.int64), np.zeros(count, np.int64)
+    counts, errors = np.zeros(count, np.int64), np.full(count, -1.0)
+    current = -1
+    try:
+        with path.open(encoding='ascii', newline='') as file:
+            for row in csv.DictReader(file):
+                stamp_ns, experience = int(row['stamp_ns']), int(row['experience_id'])
+                if 0 <= experience < count:
+                    if counts[experience] == 0:
+                        created[experience] = stamp_ns
+                    counts[experience] += experience != current
+                    visited[experience] = stamp_ns
+                    error = float(row['match_error'])
+                    errors[experience] = error if math.isfinite(error) else -1.0
+                current = experience
+    except (OSError, KeyError, ValueError, TypeError):
+        pass  # The file is only needed for colours.
+    return created, visited, counts, errors

@@ -1,0 +1,71 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Opening of a run by its path."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ratslam_ros.errors import UnusableInput
+from ratslam_ros.history.file import HISTORY_NAME, part_path
+from ratslam_ros.history.final_run import FinalRun
+from ratslam_ros.history.history_run import HistoryRun
+from ratslam_ros.history.writer import is_locked
+from ratslam_ros.results.trajectory import read_tum
+
+TRUTH_NAME = 'truth.tum'
+
+
+def open_run(path: str | Path, truth: str | Path | None = None) -> HistoryRun | FinalRun:
+    """Open a run to show it.
+
+    Of a results folder, this is the run that is being written there; else the finished one; else
+    one that was interrupted; else the final state.
+
+    Args:
+        path: a results folder, or a history file.
+        truth: TUM file of the true trajectory; None for truth.tum in the results folder or in the
+            folder of the recording, if there is one.
+
+    Raises:
+        UnusableInput: there is no run, or it cannot be read.
+    """
+    path = Path(path)
+    if path.is_file():
+        run: HistoryRun | FinalRun = HistoryRun(path)
+    elif path.is_dir():
+        final = path / HISTORY_NAME
+        part = part_path(final)
+        is_interrupted = part.exists() and not (path / 'map.json').exists()
+        if part.exists() and (is_locked(final) or (is_interrupted and not final.exists())):
+            run = HistoryRun(part)
+        elif final.exists():
+            run = HistoryRun(final)
+        else:
+            run = FinalRun(path)
+    else:
+        raise UnusableInput(
+            f'{path} does not exist: expected a results folder, such as results/latest'
+        )
+    file = Path(truth) if truth is not None else _truth_of(path, run)
+    if file is not None:
+        run.set_truth(read_tum(file))
+    return run
+
+
+def is_recording_history(folder: Path) -> bool:
+    """Return whether a history is being written in a results folder."""
+    final = folder / HISTORY_NAME
+    return part_path(final).exists() and is_locked(final)
+
+
+def _truth_of(path: Path, run: HistoryRun | FinalRun) -> Path | None:
+    """Return the true trajectory beside the results or the recording, None if there is none."""
+    folders = [path if path.is_dir() else path.parent]
+    if isinstance(run, HistoryRun) and run.meta.recording:
+        recording = Path(run.meta.recording)
+        folders += [recording, recording.parent]
+    for folder in folders:
+        if (folder / TRUTH_NAME).is_file():
+            return folder / TRUTH_NAME
+    return None

@@ -1,0 +1,179 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Recorder: writes what RatSLAM does, step by step, to a history."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from ratslam_ros.core.common.scan import Scan, points_of
+from ratslam_ros.core.mapping.map_changes import MapChange, MapChangeTracker
+from ratslam_ros.core.pose_cells.active_cells import active_cells
+from ratslam_ros.core.ratslam import OdometryStep, RatSLAM, Step, ViewStep
+from ratslam_ros.core.vision.local_view import FIXED_THRESHOLD, LocalView
+from ratslam_ros.history.recorded_images import jpeg_of
+from ratslam_ros.history.records import (
+    CellsRecord,
+    ImageRecord,
+    MatchRecord,
+    PoseRecord,
+    ScanRecord,
+    ViewRecord,
+)
+from ratslam_ros.history.writer import HistoryWriter
+from ratslam_ros.images import Image, Pixels, UndecodableImage
+
+IMAGE_WIDTH_PX = 320
+"""Width of the images: recognisable, and about 8 kB."""
+
+IMAGE_QUALITY = 60
+"""Quality of the JPEG images; higher ones cost more bytes than they show at this width."""
+
+SCAN_POINTS = 180
+"""Number of points to which a scan is thinned: one for every two degrees of a full turn."""
+
+MIN_ACTIVITY = 0.01
+"""Activity below which cells are left out, as a share of the most active one."""
+
+MAX_HELD = 64
+"""Number of images that wait for their view; more than the lateness of odometry lets wait."""
+
+MAX_ROWS = 100_000
+"""Rows of the map in one record at the end, which bounds the size of a segment."""
+
+
+class Recorder:
+    """Turns the steps of RatSLAM into records. It changes nothing of RatSLAM."""
+
+    def __init__(
+        self, slam: RatSLAM, fixed_threshold: float, open_writer: Callable[[], HistoryWriter]
+    ) -> None:
+        """Record the steps that follow.
+
+        Args:
+            slam: the system whose steps are recorded.
+            fixed_threshold: match threshold of the views, unless they have one of their own.
+            open_writer: opens the history; called at the first step, so that a run that fails
+                before it leaves no file.
+        """
+        self._slam = slam
+        self._threshold = fixed_threshold
+        self._open_writer = open_writer
+        self._writer: HistoryWriter | None = None
+        self._map = MapChangeTracker()
+        self._images: dict[int, tuple[Image, Pixels | None]] = {}
+        self._scan: Scan | None = None
+        self._view_ns = 0
+
+    def add_image(self, stamp_ns: int, image: Image, grey: Pixels | None) -> None:
+        """Hold an image until its view is processed.
+
+        Args:
+            stamp_ns: stamp of the image.
+            image: the image.
+            grey: (H, W) grey levels, None if it could not be decoded.
+        """
+        self._images[stamp_ns] = image, grey
+        if len(self._images) > MAX_HELD:
+            del self._images[next(iter(self._images))]
+
+    def add_scan(self, scan: Scan) -> None:
+        """Hold a scan until the robot has got there; only the newest is held."""
+        if self._writer is None or self._writer.wants(ScanRecord, scan.stamp_ns):
+            self._scan = scan
+
+    def add(self, step: Step) -> None:
+        """Record a step, right after it was processed."""
+        if self._writer is None:
+            self._writer = self._open_writer()
+        if isinstance(step, OdometryStep):
+            self._add_pose(self._writer, step)
+        else:
+            self._add_view(self._writer, step)
+        if self._scan is not None and self._scan.stamp_ns <= step.stamp_ns:
+            scan, self._scan = self._scan, None
+            points = points_of(scan)
+            stride = max(math.ceil(len(points) / SCAN_POINTS), 1)
+            self._writer.add(ScanRecord(scan.stamp_ns, points[::stride]))
+
+    def close(self) -> None:
+        """Record the rest of the map, and close the history."""
+        writer = self._writer
+        if writer is None:
+            return
+        is_complete = False
+        while writer.is_open and not is_complete:
+            change = self._map.next_change(self._slam.experience_map, self._view_ns, MAX_ROWS)
+            writer.add(change)
+            is_complete = not change.pending
+        writer.close()
+
+    def discard(self) -> None:
+        """Remove the history."""
+        if self._writer is not None:
+            self._writer.discard()
+
+    def _add_pose(self, writer: HistoryWriter, step: OdometryStep) -> None:
+        if writer.wants(PoseRecord, step.stamp_ns):
+            writer.add(PoseRecord(step.stamp_ns, step.pose, step.dead_reckoning))
+
+    def _add_view(self, writer: HistoryWriter, step: ViewStep) -> None:
+        match, action = step.match, step.action
+        stamp_ns = self._view_ns = step.stamp_ns
+        threshold = self._threshold if match.threshold == FIXED_THRESHOLD else match.threshold
+        writer.add(ViewRecord(
+            stamp_ns, match.template_id, match.is_new, match.error, threshold,
+            match.relative_rad, action.action, action.source_id, action.target_id, action.place,
+            action.recognised_id, action.agreement, step.reason, step.relocated_to,
+        ))  # fmt: skip
+        self._add_pictures(writer, step)
+        if writer.wants(CellsRecord, stamp_ns):
+            self._add_cells(writer, stamp_ns)
+        if writer.wants(MapChange, stamp_ns):
+            writer.add(
+                self._map.next_change(self._slam.experience_map, stamp_ns, writer.map_rows)
+            )
+
+    def _add_pictures(self, writer: HistoryWriter, step: ViewStep) -> None:
+        stamp_ns, match = step.stamp_ns, step.match
+        held = None
+        while self._images:
+            oldest_ns = next(iter(self._images))
+            if oldest_ns > stamp_ns:
+                break
+            image = self._images.pop(oldest_ns)
+            held = image if oldest_ns == stamp_ns else None
+        if held is None:
+            return
+        image, grey = held
+        if writer.wants(ImageRecord, stamp_ns, match.is_new):
+            try:
+                jpeg = jpeg_of(image, IMAGE_WIDTH_PX, IMAGE_QUALITY)
+            except UndecodableImage:
+                return
+            writer.add(ImageRecord(stamp_ns, jpeg), match.is_new)
+        local_view = self._slam.local_view
+        if (
+            grey is None or not isinstance(local_view, LocalView)
+            or match.template_id not in local_view
+            or not writer.wants(MatchRecord, stamp_ns)
+        ):
+            return
+        template = local_view.template(match.template_id)
+        view = template if match.is_new else local_view.encode(grey)
+        if view is not None:
+            writer.add(MatchRecord(
+                stamp_ns, match.template_id, local_view.picture(view),
+                local_view.picture(template), local_view.shift_of(match.relative_rad),
+            ))  # fmt: skip
+
+    def _add_cells(self, writer: HistoryWriter, stamp_ns: int) -> None:
+        active = active_cells(self._slam.pose_cells)
+        shown = active.activity >= MIN_ACTIVITY * np.max(active.activity, initial=0.0)
+        writer.add(CellsRecord(
+            stamp_ns, self._slam.pose_cells.dims, active.cells[shown], active.activity[shown],
+            active.packets, active.injections,
+        ))  # fmt: skip
