@@ -172,7 +172,7 @@ def _record(
     begin_ns, end_ns = source.begin_ns, source.end_ns
     stamps = [begin_ns + (end_ns - begin_ns) * k // (count - 1) for k in range(count - 1)]
     stamps.append(end_ns)
-    scene = RunScene(viser_server)
+    scene = RunScene(viser_server, map_period_s=0.0, aims=False)
     scene.dark = dark
     if colouring is not None:
         scene.colouring = colouring
