@@ -53,7 +53,7 @@ def pack_ints(values: NDArray[np.int64]) -> bytes:
     """
     steps = np.diff(values, prepend=np.int64(0))  # wraps on overflow, as does the sum
     low, high = (int(steps.min()), int(steps.max())) if len(steps) else (0, 0)
-    for limit, _kind in _WIDTHS:
+    for limit, kind in _WIDTHS:  # noqa: B007 - used after the loop
         if -limit <= low and high < limit:
             break
     else:

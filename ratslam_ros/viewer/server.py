@@ -108,9 +108,8 @@ class ViewServer:
     def set_theme(self, dark: bool) -> None:
         """Set the theme of the page, always without viser's button that opens a public tunnel."""
         self.viser.gui.configure_theme(
-            dark_mode=dark, show_logo=False, show_share_button=False, control_layout='fixed',
-            control_width='large', brand_color=(0, 114, 178),
-        )  # fmt: skip
+            dark_mode=dark, show_logo=False, show_share_button=False, control_width='medium'
+        )
 
     def stop(self) -> None:
         """End all connections and free the port, within 2 s even if a browser is stalled."""
