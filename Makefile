@@ -3,6 +3,7 @@
 #
 # Everything here runs in a virtual environment, .venv, that is made at the first call.
 #   make demo     a simulated robot maps an office floor: results/latest/map.png
+#   make view     the same in a browser, live
 #   make test     the tests
 #   make lint     ruff and mypy
 #   make docs     docs/parameters.md and config/default.yaml, from the code
@@ -12,16 +13,22 @@
 VENV := .venv
 BIN := $(VENV)/bin
 RUN := $(VENV)/.installed
+VIEW := $(VENV)/.installed-view
 DEV := $(VENV)/.installed-dev
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: demo test lint docs clean
+.PHONY: demo view test lint docs clean
 .DELETE_ON_ERROR:
 
 demo: $(RUN)
+	$(BIN)/ratslam warm-up mapping simulator
 	$(BIN)/ratslam demo
 	@echo "(the command is in $(BIN): source $(BIN)/activate)"
+
+view: $(VIEW)
+	$(BIN)/ratslam warm-up mapping simulator
+	$(BIN)/ratslam demo --view
 
 test: $(DEV)
 	$(BIN)/python -m pytest --numprocesses 2 --dist loadgroup $(PYTEST_ARGS)
@@ -44,6 +51,10 @@ $(BIN)/python:
 $(RUN): setup.py setup.cfg pyproject.toml | $(BIN)/python
 	@echo 'installing what ratslam_ros needs into $(VENV): once, a few minutes at most'
 	$(BIN)/python -m pip install --quiet --editable .
+	@touch $@
+
+$(VIEW): $(RUN)
+	$(BIN)/python -m pip install --quiet --editable '.[view]'
 	@touch $@
 
 $(DEV): $(RUN)

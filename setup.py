@@ -28,7 +28,7 @@ def installed(folder: str, *patterns: str) -> tuple[str, list[str]]:
 # ros2 run NODE; a machine without ROS is told of "ratslam run NODE".
 NODES = [
     'visual_odometry', 'local_view', 'pose_cells', 'experience_map', 'goal_follower',
-    'landmark_map', 'simulator', 'single_process',
+    'landmark_map', 'simulator', 'single_process', 'viewer',
 ]
 
 ONNX = ['onnxruntime>=1.17']  # for vt_descriptor: model.onnx
@@ -50,7 +50,9 @@ setup(
     license='Apache-2.0',
     keywords=['SLAM', 'RatSLAM', 'ROS 2', 'robotics', 'mapping', 'place recognition'],
     packages=find_packages(include=[NAME, f'{NAME}.*']),
-    package_data={NAME: ['py.typed'], f'{NAME}.simulator': ['plans/*.txt']},
+    package_data={
+        NAME: ['py.typed'], f'{NAME}.simulator': ['plans/*.txt'], f'{NAME}.viewer': ['*.html'],
+    },
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),

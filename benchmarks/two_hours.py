@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Latency of the live nodes over two simulated hours at 30 Hz, run as fast as possible.
 
-    python benchmarks/two_hours.py [--hours 2] [--seed 1] [--out results/benchmarks]
+    python benchmarks/two_hours.py [--hours 2] [--seed 1] [--viewer] [--out results/benchmarks]
 
 A robot with a 160x120 camera at 30 Hz and wheel odometry at 50 Hz drives through a warehouse
 (`town.py` at a smaller scale), half of the time in new places, so that its memory keeps growing.
@@ -10,7 +10,12 @@ The live nodes run in this process on one executor over real DDS, on rclpy or it
 whichever `import rclpy` finds. They receive images and odometry in stamp order, and the next image
 only when the map has processed the previous one. The time measured per image includes publishing,
 transport, the three nodes, and the map message, which is sent at its live rate in simulated time.
-Rendering is not measured. The map and its markers have no subscribers. Linux only.
+Rendering is not measured. The map and its markers have no subscribers; with `--viewer`, processes
+subscribe to the map and to its changes, which are otherwise not published. Linux only.
+
+The map node sends its messages in short steps between the messages that it processes. The report
+contains the longest of these steps, and the longest time in which the node processed a message
+while the thread that publishes the map was active.
 """
 
 from __future__ import annotations
@@ -20,6 +25,7 @@ import gc
 import math
 import os
 import resource
+import subprocess
 import sys
 import tempfile
 import time
@@ -57,11 +63,13 @@ SETTINGS = {
 }
 """Parameters that differ from the defaults."""
 ODOMETRY_NOISE = 0.02
+SENDING_MS = 0.3
+"""Time of the checks per image above which a part of a message was sent."""
 GROUPS = {
     'local view': ('decode', 'local_view'),
     'pose cells': ('pose_cells', 'pose_cells_view'),
     'experience map': ('experience_map',),
-    'map message': ('map',),
+    'map message': ('sending',),
 }
 """Parts of the report -> their timing steps; the remaining time is transport."""
 
@@ -93,7 +101,7 @@ class NodeLaps(Laps):
 
 
 class SimulatedClock:
-    """Replacement of the module ``time`` in the map node: simulated time plus time worked."""
+    """Replacement of the module ``time`` for sending the map: simulated time plus time worked."""
 
     def __init__(self) -> None:
         self.at_s = 0.0
@@ -108,26 +116,25 @@ class SimulatedClock:
 class Bench:
     """The three nodes and the robot that publishes to them."""
 
-    def __init__(self, seed: int) -> None:
+    def __init__(self, seed: int, viewer: bool) -> None:
         import rclpy
         from nav_msgs.msg import Odometry
         from rclpy.executors import SingleThreadedExecutor
         from sensor_msgs.msg import Image
 
-        from ratslam_ros.messages import mapping
-        from ratslam_ros.nodes import experience_map_node
+        from ratslam_ros.nodes import map_changes, map_sender
+        from ratslam_ros.nodes.experience_map_node import ExperienceMapNode
         from ratslam_ros.nodes.local_view_node import LocalViewNode
         from ratslam_ros.nodes.pose_cells_node import PoseCellsNode
         from ratslam_ros.nodes.qos import RESULT
 
         self.laps = NodeLaps()
         self._clock = SimulatedClock()
-        experience_map_node.time = self._clock
-        experience_map_node.encode_map = self._encode(mapping.encode_map)
         self.local_view = LocalViewNode()
         self.pose_cells = PoseCellsNode()
-        self.map = experience_map_node.ExperienceMapNode()
-        self.map._send_map = self.laps.timed('map', self.map._send_map)
+        self.map = ExperienceMapNode()
+        map_changes.time = map_sender.time = self._clock
+        self._measure_messages()
         self._nodes = self.local_view, self.pose_cells, self.map
         self._robot = rclpy.create_node('robot', use_global_arguments=False)
         self._executor = SingleThreadedExecutor()
@@ -143,6 +150,14 @@ class Bench:
             and all(node.count_publishers(topic) for node, topic in (
                 (self.pose_cells, 'local_view/template'), (self.map, 'pose_cells/action')))
         )  # fmt: skip
+        self._viewers = [
+            subprocess.Popen(
+                [sys.executable, '-m', 'ratslam_ros', 'echo', topic, '--field', 'data'],
+                stdout=subprocess.DEVNULL,
+            )
+            for topic in ('experience_map/map', 'experience_map/changes') if viewer
+        ]  # fmt: skip
+        self._spin_until(lambda: self.map._changes._changes.get_subscription_count() == viewer)
         self._camera = Camera(WAREHOUSE, seed, WIDTH, HEIGHT)
         self._rng = np.random.default_rng((seed, 2))
         self._frame = np.empty((HEIGHT, WIDTH, 3), np.uint8)
@@ -150,8 +165,9 @@ class Bench:
         self.times_s: defaultdict[str, array[float]] = defaultdict(lambda: array('d'))
         self.sizes: list[tuple[int, int, int, float]] = []
         """Templates, experiences, links and resident memory in MB at the end of every minute."""
-        self.maps: list[tuple[float, int]] = []
-        """Simulated time and experiences of every map message."""
+        self.maps: list[tuple[int, float, float]] = []
+        """Experiences of every map message, time of writing it and simulated time from the first
+        to the last step, in s."""
         self.known = 0
         """Images taken at places where the robot has been before."""
         self._busy_s = 0.0
@@ -182,6 +198,9 @@ class Bench:
 
     def close(self) -> None:
         """Destroy the nodes."""
+        for process in self._viewers:
+            process.kill()
+            process.wait()
         for node in self._nodes:
             node.close()
         for node in (*self._nodes, self._robot):
@@ -199,9 +218,31 @@ class Bench:
             if number
         }
 
-    def _encode(self, encode_map: Callable[..., str]) -> Callable[..., str]:
-        """Return the encoder of the map message, timed."""
-        return self.laps.timed('map, encoding', encode_map)
+    def _measure_messages(self) -> None:
+        """Time the steps in which the map node sends messages, and those next to its thread."""
+        node, sender = self.map, self.map._sender
+        send = self.laps.timed('sending', node._send)
+
+        def sent() -> None:
+            before_s = time.thread_time()
+            send()
+            self.laps.s['sending, processor'].append(time.thread_time() - before_s)
+
+        node._send = sent
+        sender._send = self.laps.timed('publishing', sender._send)
+        process, publish = node._process_item, sender._publish
+
+        def processed(*args: Any) -> None:
+            is_publishing = sender._thread is not None and sender._thread.is_alive()
+            with self.laps('beside the thread' if is_publishing else 'without the thread'):
+                process(*args)
+
+        def published() -> None:
+            written_s = self._clock.monotonic() - sender._begun_s
+            self.maps.append((len(node._core), sender._worked_s, written_s))
+            publish()
+
+        node._process_item, sender._publish = processed, published
 
     def _work(self, do: Callable[..., Any], *args: Any) -> None:
         """Call a function and add its time to the work of the present image."""
@@ -235,8 +276,6 @@ class Bench:
         self._busy_s = 0.0
         for group, steps in GROUPS.items():
             times[group].append(sum(self._since_last(step) for step in steps))
-        while len(self.maps) < len(self.laps.s['map, encoding']):
-            self.maps.append((self._clock.at_s - START_S, len(self.map._core)))
         if len(times['all']) % MINUTE == 0:
             core = self.map._core
             self.sizes.append(
@@ -303,7 +342,7 @@ def report(bench: Bench) -> str:
         '   ratio     p99   worst',
     ]
     for name, times_ms in parts.items():
-        sent = times_ms > 0.0 if name == 'map message' else np.full(images, True)
+        sent = times_ms > SENDING_MS if name == 'map message' else np.full(images, True)
         first, last = (np.median(part[there]) if there.any() else math.nan for part, there in (
             (times_ms[:ten], sent[:ten]), (times_ms[-ten:], sent[-ten:])))  # fmt: skip
         lines.append(
@@ -313,7 +352,7 @@ def report(bench: Bench) -> str:
     lag_ms = lags_ms(parts['all'])
     over = np.mean(parts['all'] > BUDGET_MS)
     lines += [
-        '  (map message: only images with which one was sent)',
+        '  (map message: only images with which a part of one was written)',
         f'over the budget of {BUDGET_MS:.1f} ms   {over:.2%} of the images; latency of the map if '
         f'images arrived at {IMAGE_HZ} Hz and queued: {np.median(lag_ms):.1f} ms (median), '
         f'{np.percentile(lag_ms, 99):.1f} ms (p99), {lag_ms.max():.0f} ms (worst)',
@@ -337,22 +376,37 @@ def report(bench: Bench) -> str:
 
 
 def map_parts_ms(bench: Bench) -> dict[str, NDArray[np.float64]]:
-    """Return the encoding and the sending times of every map message."""
-    count = len(bench.maps)
-    encoding = np.array(bench.laps.s['map, encoding'])[:count] * 1e3
-    whole = np.array([s for s in bench.times_s['map message'] if s > 0.0])[:count] * 1e3
-    return {'writing the text': encoding, 'sending (CDR, DDS)': whole - encoding}
+    """Return the times of writing and publishing every map message."""
+    written = np.array([written_s for _, written_s, _ in bench.maps])
+    published = np.array(bench.laps.s['publishing'])[: len(written)]
+    return {'writing the text': 1e3 * written, 'publishing (in a thread)': 1e3 * published}
 
 
 def map_lines(bench: Bench) -> list[str]:
     """Return the report's lines on the map message."""
-    experiences = np.array([count for _, count in bench.maps])
+    experiences = np.array([count for count, _, _ in bench.maps])
     last = experiences > 0.9 * experiences[-1]
     lines = [f'map message: {len(bench.maps)} sent; with {experiences[-1]} experiences']
     for name, times_ms in map_parts_ms(bench).items():
-        slope = 1e3 * np.sum(times_ms * experiences) / np.sum(experiences.astype(float) ** 2)
+        own = last[: len(times_ms)]
         lines.append(
-            f'  {name:24} {np.median(times_ms[last]):7.2f} ms, {slope:.2f} ms per 1000 experiences'
+            f'  {name:24} {np.median(times_ms[own]):7.2f} ms, worst {times_ms[own].max():.1f} ms'
+        )
+    spans_s = np.array([span_s for _, _, span_s in bench.maps])[last]
+    lines.append(
+        f'  first to last step       {np.median(spans_s):7.2f} s, worst {spans_s.max():.1f} s'
+    )
+    for name, step in (
+        ('delay of a message by sending', 'sending'),
+        ('the same, processor time', 'sending, processor'),
+        ('processing a message beside the thread', 'beside the thread'),
+        ('processing a message otherwise', 'without the thread'),
+    ):
+        times_ms = 1e3 * np.array(bench.laps.s[step] or [0.0])
+        lines.append(
+            f'  {name:40} p99.9 {np.percentile(times_ms, 99.9):6.2f} ms, worst '
+            f'{times_ms.max():6.2f} ms, above 5 ms: {np.count_nonzero(times_ms > 5.0)} of '
+            f'{len(times_ms)}'
         )
     return lines
 
@@ -363,7 +417,7 @@ def plot(bench: Bench, path: Path) -> None:
     for name, times_ms in parts_ms(bench).items():
         windows = [times_ms[i : i + window] for i in range(0, len(times_ms), window)]
         if name == 'map message':
-            windows = [part[part > 0.0] for part in windows]
+            windows = [part[part > SENDING_MS] for part in windows]
         windows = [part if len(part) else np.array([math.nan]) for part in windows]
         minute = (np.arange(len(windows)) + 0.5) * window / MINUTE
         (line,) = times.plot(minute, [np.median(part) for part in windows], label=name)
@@ -374,9 +428,9 @@ def plot(bench: Bench, path: Path) -> None:
     times.set(xlabel='simulated time, min', yscale='log',
               ylabel=f'ms per image, per {span}: median, p99 dotted')  # fmt: skip
     times.legend(ncols=4, loc='lower left', bbox_to_anchor=(0.0, 1.0))  # above the curves
-    experiences = [count for _, count in bench.maps]
+    experiences = [count for count, _, _ in bench.maps]
     for name, times_ms in map_parts_ms(bench).items():
-        maps.plot(experiences, times_ms, '.', markersize=2, label=name)
+        maps.plot(experiences[: len(times_ms)], times_ms, '.', markersize=2, label=name)
     maps.axhline(BUDGET_MS, color='grey', linestyle='--')
     most = max(np.percentile(values, 99.5) for values in map_parts_ms(bench).values())
     maps.set(xlabel='experiences', ylabel='ms per map message', ylim=(0.0, 1.3 * most))
@@ -398,6 +452,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument('--hours', type=float, default=2.0)
     parser.add_argument('--seed', type=int, default=1)
+    parser.add_argument('--viewer', action='store_true', help='subscribe to the map')
     parser.add_argument('--out', type=Path, default=ROOT / 'results' / 'benchmarks')
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
@@ -417,7 +472,7 @@ def main() -> int:
         parameters.write_text(to_yaml(Config().with_values(SETTINGS)))
         rclpy.init(args=['--ros-args', '--params-file', str(parameters)])
         try:
-            bench = Bench(options.seed)
+            bench = Bench(options.seed, options.viewer)
             try:
                 gc.collect()
                 gc.freeze()  # as the nodes do after start-up

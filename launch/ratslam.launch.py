@@ -21,7 +21,7 @@ from launch_ros.actions import Node
 
 from ratslam_ros.errors import RatslamError
 from ratslam_ros.files.config import load_config, to_yaml
-from ratslam_ros.live.launch import nodes, remappings
+from ratslam_ros.live.launch import OPTIONAL, nodes, remappings
 
 YES_OR_NO = ['true', 'false']
 
@@ -67,6 +67,9 @@ ARGUMENTS = [
         'publish_tf', default_value='', choices=['', *YES_OR_NO],
         description='publish the transform map -> odom (empty: publish_tf of the parameters)'),
     DeclareLaunchArgument(
+        'viewer', default_value='false', choices=YES_OR_NO,
+        description='show the run in a browser; the address is logged (docs/ros.md)'),
+    DeclareLaunchArgument(
         'rviz', default_value='false', choices=YES_OR_NO,
         description='start RViz; its layout uses the topics of the root namespace'),
     DeclareLaunchArgument(
@@ -104,17 +107,18 @@ def _start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
             ros_arguments=['--log-level', given('log_level')],
             output='screen',
             # The nodes are useless without one another, and would map incompletely.
-            on_exit=Shutdown(reason=f'{name} has ended'),
+            on_exit=None if name in OPTIONAL else Shutdown(reason=f'{name} has ended'),
         )
         for name, arguments in nodes(
             *(given(name) == 'true'
-              for name in ('visual_odometry', 'single_process', 'goal_follower', 'landmarks'))
+              for name in ('visual_odometry', 'single_process', 'goal_follower', 'landmarks',
+                           'viewer'))
         ).items()
     ]
     remove_folder = OnShutdown(on_shutdown=lambda event, context: shutil.rmtree(folder, True))
-    viewer = _rviz(use_sim_time) if given('rviz') == 'true' else []
+    rviz = _rviz(use_sim_time) if given('rviz') == 'true' else []
     logged = [LogInfo(msg=notice) for notice in notices]
-    return [*logged, RegisterEventHandler(remove_folder), *started, *viewer]
+    return [*logged, RegisterEventHandler(remove_folder), *started, *rviz]
 
 
 def _parameters(config: str, image_transport: str, publish_tf: str) -> tuple[str, list[str]]:

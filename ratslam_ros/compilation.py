@@ -7,10 +7,51 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any
 
 ANNOUNCED_AFTER_S = 1.0
 """Time spent on compiling before it is announced."""
+
+
+@dataclass
+class Taken:
+    """Time spent on compiling, in s."""
+
+    seconds: float = 0.0
+
+
+@contextmanager
+def compilation_time(on_start: Callable[[str], None] = lambda cache: None) -> Iterator[Taken]:
+    """Measure the time spent on compiling within this context, loading from the cache excluded.
+
+    Numba's own event is exact and free at a warm start; searching the cache for index files would
+    cost time at every start and miss outdated ones.
+
+    Args:
+        on_start: called before each compilation with the folder of the cache, '' if there is none.
+    """
+    from numba.core import event
+
+    taken = Taken()
+
+    class Listener(event.Listener):  # type: ignore[misc]
+        depth = 0  # Compiling a function compiles those that it calls.
+        start_s = 0.0
+
+        def on_start(self, event: Any) -> None:
+            self.depth += 1
+            if self.depth == 1:
+                self.start_s = time.monotonic()
+                on_start(event.data['dispatcher'].stats.cache_path or '')
+
+        def on_end(self, event: Any) -> None:
+            self.depth -= 1
+            if self.depth == 0:
+                taken.seconds += time.monotonic() - self.start_s
+
+    with event.install_listener('numba:compile', Listener()):
+        yield taken
 
 
 @contextmanager
@@ -20,35 +61,18 @@ def announced_compilation(
     """Report, by ``say``, that functions are compiled within this context, and how long it took.
 
     Nothing is reported if all functions are loaded from the cache, or if compiling took less than
-    ``after_s``, as for one outdated function. Numba's own event is exact and free at a warm start;
-    searching the cache for index files would cost time at every start and miss outdated ones.
+    ``after_s``, as for one outdated function.
     """
-    from numba.core import event
+    announced = False
 
-    class Listener(event.Listener):  # type: ignore[misc]
-        depth = 0  # Compiling a function compiles those that it calls.
-        start_s = took_s = 0.0
-        announced = False
-
-        def on_start(self, event: Any) -> None:
-            self.depth += 1
-            if self.depth > 1:
-                return
-            self.start_s = time.monotonic()
-            if self.announced or self.took_s < after_s:
-                return
-            self.announced = True
-            cache = event.data['dispatcher'].stats.cache_path
+    def announce(cache: str) -> None:
+        nonlocal announced
+        if not announced and taken.seconds >= after_s:
+            announced = True
             later = f'; later starts load them from the cache, such as {cache}' if cache else ''
             say(f'compiling the inner loops, about half a minute{later}')
 
-        def on_end(self, event: Any) -> None:
-            self.depth -= 1
-            if self.depth == 0:
-                self.took_s += time.monotonic() - self.start_s
-
-    listener = Listener()
-    with event.install_listener('numba:compile', listener):
+    with compilation_time(announce) as taken:
         yield
-    if listener.announced:
-        say(f'compiled the inner loops in {listener.took_s:.0f} s')
+    if announced:
+        say(f'compiled the inner loops in {taken.seconds:.0f} s')

@@ -16,6 +16,7 @@ from ratslam_ros.cli.options import (
     add_ros_args,
     add_span,
     add_topics,
+    add_view_options,
     config_of,
 )
 from ratslam_ros.console import print_notice
@@ -41,6 +42,7 @@ def add_live(commands: Commands) -> None:
                         help='drive to goals: publish cmd_vel, computed from a laser scan')
     launch.add_argument('--landmarks', action='store_true',
                         help='map corners and edges of walls by a laser scan (landmark_map)')
+    add_view_options(launch)
     launch.add_argument('--use-sim-time', action='store_true',
                         help='take the time from /clock, which ratslam play --clock publishes')
     launch.add_argument('--namespace', default='', metavar='NS')
@@ -118,6 +120,8 @@ def _launch(options: argparse.Namespace) -> int:
             single_process=options.single_process,
             goal_follower=options.goal_follower,
             landmarks=options.landmarks,
+            viewer=options.view,
+            viewer_parameters=_viewer_parameters(options),
             use_sim_time=options.use_sim_time,
             namespace=options.namespace,
             image_topic=options.image_topic,
@@ -127,6 +131,13 @@ def _launch(options: argparse.Namespace) -> int:
             log_level=options.log_level,
         ),
     )
+
+
+def _viewer_parameters(options: argparse.Namespace) -> dict[str, object]:
+    """Return the parameters of the node viewer that the options change."""
+    given = {'host': options.host, 'port': options.port}
+    parameters = {name: value for name, value in given.items() if value is not None}
+    return parameters if options.browser else {**parameters, 'open_browser': False}
 
 
 def _play(options: argparse.Namespace) -> int:

@@ -16,6 +16,8 @@ from ratslam_ros.cli.recording_commands import add_info, add_replay, add_tune
 from ratslam_ros.cli.result_commands import add_evaluate, add_plot
 from ratslam_ros.cli.simulation_commands import add_demo, add_simulate
 from ratslam_ros.cli.study_command import add_study
+from ratslam_ros.cli.view_command import add_view
+from ratslam_ros.cli.warm_up_command import add_warm_up
 from ratslam_ros.console import print_notice
 from ratslam_ros.errors import RatslamError
 
@@ -61,6 +63,7 @@ def parser() -> Parser:
     commands = top.add_subparsers(title='commands', metavar='COMMAND', required=True)
     add_info(commands)
     add_replay(commands)
+    add_view(commands)
     add_demo(commands)
     add_simulate(commands)
     add_evaluate(commands)
@@ -68,4 +71,5 @@ def parser() -> Parser:
     add_tune(commands)
     add_study(commands)
     add_live(commands)
+    add_warm_up(commands)
     return top

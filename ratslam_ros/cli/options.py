@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
@@ -52,10 +52,13 @@ else:
     Commands = argparse._SubParsersAction  # has no subscript at run time
 
 
-def add_recording(parser: argparse.ArgumentParser) -> None:
-    """Add the recording, and options for reading it."""
-    parser.add_argument('recording', type=Path, metavar='RECORDING',
-                        help='rosbag2 folder or file, ROS 1 bag, video, or folder of images')
+def add_recording(
+    parser: argparse.ArgumentParser, metavar: str = 'RECORDING', alternative: str = ''
+) -> None:
+    """Add the recording, or another thing that may take its place, and options for reading it."""
+    parser.add_argument('recording', type=Path, metavar=metavar,
+                        help='rosbag2 folder or file, ROS 1 bag, video, or folder of images'
+                             + alternative)
     parser.add_argument('--images-rate', type=float, default=IMAGES_RATE_HZ, metavar='HZ',
                         help='frame rate of a folder of images without time stamps '
                              f'(default: {IMAGES_RATE_HZ:g})')
@@ -92,10 +95,48 @@ def add_out(parser: argparse.ArgumentParser, default: str) -> None:
                         help=f'folder for the results (default: {default})')
 
 
+def add_view_options(parser: argparse.ArgumentParser, always: bool = False) -> None:
+    """Add the options of the web server, and ``--view`` unless the command always shows a run."""
+    if not always:
+        parser.add_argument('--view', action='store_true', help='show the run in a browser')
+    parser.add_argument('--host', metavar='ADDRESS',
+                        help='address for the browser to connect to; others than this machine '
+                             'can connect to 0.0.0.0 (default: 127.0.0.1)')
+    parser.add_argument('--port', type=int, metavar='P',
+                        help='port for the browser to connect to; 0: any free one (default: 8080)')
+    parser.add_argument('--no-browser', action='store_false', dest='browser',
+                        help='print the address, and open no browser')
+
+
 def add_ros_args(parser: argparse.ArgumentParser) -> None:
     """Add arguments in the form that ROS 2 nodes take."""
     parser.add_argument('--ros-args', nargs=argparse.REMAINDER, default=[], metavar='...',
                         help='pass the rest to ROS, such as -r image:=/camera/image -r __ns:=/b')
+
+
+def words_of(
+    parser: argparse.ArgumentParser, options: argparse.Namespace, without: Container[str] = ()
+) -> list[str]:
+    """Return arguments that a parser would parse into these options, as for a child process.
+
+    Args:
+        parser: the parser of the command.
+        options: its options.
+        without: names of options to leave out.
+    """
+    words: list[str] = []
+    for action in parser._actions:
+        value = getattr(options, action.dest, None)
+        if action.dest in without or value in (None, action.default):
+            continue
+        if not action.option_strings:
+            words.append(str(value))
+        elif action.nargs == 0:
+            words.append(action.option_strings[-1])
+        else:
+            values = value if isinstance(value, list) else [value]
+            words += [f'{action.option_strings[-1]}={item}' for item in values]
+    return words
 
 
 def whole_number(text: str) -> int:

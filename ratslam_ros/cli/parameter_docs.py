@@ -16,6 +16,7 @@ from pathlib import Path
 from ratslam_ros.core.config import AUTOMATIC, SECTIONS, ParameterInfo, Section, Value
 from ratslam_ros.files.config import documented_yaml
 from ratslam_ros.simulator.config import SimulatorParameters
+from ratslam_ros.viewer.config import ViewerParameters
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -39,15 +40,17 @@ OpenRatSLAM. [config/](../config) contains `default.yaml`, with all parameters b
 preset for each robot or data set. [tuning.md](tuning.md) lists symptoms and the parameters to
 change.
 
-The last section, `simulator`, is not part of these files: its parameters are arguments of the
-node, `-p plan:=office`, or options of `ratslam simulate`.
+The last sections, `simulator` and `viewer`, are not part of these files: their parameters are
+arguments of the nodes, `-p plan:=office`, or options of `ratslam simulate` and `ratslam view`.
 """
 
 
 def parameters_markdown() -> str:
     """Return docs/parameters.md: effect, default, range and tuning of each parameter."""
     parts = [_INTRODUCTION]
-    sections: dict[str, type[Section]] = {**SECTIONS, 'simulator': SimulatorParameters}
+    sections: dict[str, type[Section]] = {
+        **SECTIONS, 'simulator': SimulatorParameters, 'viewer': ViewerParameters
+    }  # fmt: skip
     for section, cls in sections.items():
         parts.append(f'\n## {section}\n\n{cls.__doc__}\n')
         for name, info, default in cls.parameters():

@@ -20,6 +20,7 @@ from ratslam_ros.cli.options import (
     add_recording,
     add_span,
     add_topics,
+    add_view_options,
     compile_kernels,
     config_of,
     make_folder,
@@ -47,22 +48,7 @@ def add_info(commands: Commands) -> None:
 def add_replay(commands: Commands) -> None:
     """Add ``ratslam replay``."""
     replay = commands.add_parser('replay', help='build a map from a recording')
-    add_recording(replay)
-    add_config(replay)
-    replay.add_argument('--no-inspect', action='store_true',
-                        help='without --config: do not inspect the recording before the replay')
-    add_topics(replay)
-    replay.add_argument('--scan-topic', metavar='T',
-                        help='laser topic, read if experience_map.exp_align_scans is set or '
-                             'with --landmarks')
-    replay.add_argument('--landmarks', action='store_true',
-                        help='also map corners and edges of walls: landmarks.json')
-    replay.add_argument('--visual-odometry', action='store_true',
-                        help='estimate odometry from the camera, even if there is an odometry '
-                             'topic')
-    add_span(replay)
-    replay.add_argument('--truth', type=Path, metavar='FILE.tum',
-                        help='true trajectory, for the plot and the errors')
+    add_replay_options(replay)
     replay.add_argument('--video', type=Path, metavar='FILE.mp4',
                         help='write a video of the growing map')
     replay.add_argument('--no-history', action='store_true',
@@ -70,7 +56,30 @@ def add_replay(commands: Commands) -> None:
                              'moment of the run')
     add_out(replay, 'results/NAME-TIME, with the link results/latest')
     replay.add_argument('--quiet', action='store_true', help='no progress bar, no summary')
-    replay.set_defaults(run=_replay)
+    add_view_options(replay)
+    replay.set_defaults(run=_replay, parser=replay)
+
+
+def add_replay_options(
+    parser: argparse.ArgumentParser, metavar: str = 'RECORDING', alternative: str = ''
+) -> None:
+    """Add the recording, and the options that change what is made of it."""
+    add_recording(parser, metavar, alternative)
+    add_config(parser)
+    parser.add_argument('--no-inspect', action='store_true',
+                        help='without --config: do not inspect the recording before the replay')
+    add_topics(parser)
+    parser.add_argument('--scan-topic', metavar='T',
+                        help='laser topic, read if experience_map.exp_align_scans is set or '
+                             'with --landmarks')
+    parser.add_argument('--landmarks', action='store_true',
+                        help='also map corners and edges of walls: landmarks.json')
+    parser.add_argument('--visual-odometry', action='store_true',
+                        help='estimate odometry from the camera, even if there is an odometry '
+                             'topic')
+    add_span(parser)
+    parser.add_argument('--truth', type=Path, metavar='FILE.tum',
+                        help='true trajectory, for the plot and the errors')
 
 
 def add_tune(commands: Commands) -> None:
@@ -95,6 +104,10 @@ def _info(options: argparse.Namespace) -> int:
 
 
 def _replay(options: argparse.Namespace) -> int:
+    if options.view:
+        from ratslam_ros.cli.view_command import view_replay
+
+        return view_replay(options)
     from ratslam_ros.offline.replay import ReplayOptions, replay
     from ratslam_ros.recordings import open_recording
     from ratslam_ros.results.advice import Source, advise

@@ -14,6 +14,7 @@ from ratslam_ros.cli.options import (
     Commands,
     add_config,
     add_out,
+    add_view_options,
     compile_kernels,
     config_of,
     make_folder,
@@ -34,7 +35,8 @@ def add_demo(commands: Commands) -> None:
     add_config(demo)
     add_out(demo, 'results/demo-TIME, with the link results/latest')
     demo.add_argument('--quiet', action='store_true', help='no progress bar')
-    demo.set_defaults(run=_demo)
+    add_view_options(demo)
+    demo.set_defaults(run=_demo, parser=demo)
 
 
 def add_simulate(commands: Commands) -> None:
@@ -73,10 +75,15 @@ def add_simulate(commands: Commands) -> None:
                           help='speed of time with --live (default: 1)')
     add_out(simulate, 'results/simulate-TIME, with the link results/latest')
     simulate.add_argument('--quiet', action='store_true', help='no progress bar')
-    simulate.set_defaults(run=_simulate)
+    add_view_options(simulate)
+    simulate.set_defaults(run=_simulate, parser=simulate)
 
 
 def _demo(options: argparse.Namespace) -> int:
+    if options.view:
+        if options.seeds is not None:
+            raise UnusableInput('--view shows one run; leave out --seeds')
+        return _view(options, 'demo')
     from ratslam_ros.offline.demo import run_demo, run_seeds
 
     config = config_of(options)
@@ -94,7 +101,20 @@ def _demo(options: argparse.Namespace) -> int:
     return DONE
 
 
+def _view(options: argparse.Namespace, command: str) -> int:
+    from ratslam_ros.cli.view_command import view_simulation
+
+    return view_simulation(options, command)
+
+
 def _simulate(options: argparse.Namespace) -> int:
+    if options.view:
+        if options.live:
+            raise UnusableInput(
+                '--view shows the map, which live nodes build: leave it out here, and run '
+                'ratslam launch --view'
+            )
+        return _view(options, 'simulate')
     from ratslam_ros.simulator.config import SimulatorParameters
 
     given = {

@@ -67,6 +67,11 @@ def simulator() -> int:
     return _main('simulator')
 
 
+def viewer() -> int:
+    """Run viewer."""
+    return _main('viewer')
+
+
 def single_process() -> int:
     """Run all nodes in one process."""
     return _main('single_process')

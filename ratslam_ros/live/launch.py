@@ -5,14 +5,15 @@
 from __future__ import annotations
 
 import ctypes
+import json
 import math
 import signal
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Container, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from ratslam_ros.console import print_notice
@@ -22,6 +23,9 @@ from ratslam_ros.signals import StopSignals
 
 SHUTDOWN_TIMEOUT_S = 20.0
 """Time for the nodes to end, which includes writing a map."""
+
+OPTIONAL = frozenset({'viewer'})
+"""Nodes that the others do not need: if one ends, the others go on."""
 
 POLL_S = 0.05
 PARAMETERS_FILE = 'parameters.yaml'
@@ -38,6 +42,8 @@ class LaunchOptions:
     single_process: bool = False
     goal_follower: bool = False
     landmarks: bool = False
+    viewer: bool = False
+    viewer_parameters: Mapping[str, object] = field(default_factory=dict)
     use_sim_time: bool = False
     namespace: str = ''
     image_topic: str = ''
@@ -49,16 +55,17 @@ class LaunchOptions:
 
 def nodes(
     visual_odometry: bool, single_process: bool, goal_follower: bool = False,
-    landmarks: bool = False,
+    landmarks: bool = False, viewer: bool = False,
 ) -> dict[str, list[str]]:
     """Return the nodes to start, with the arguments that only they have.
 
     Without visual_odometry the robot publishes the odometry. goal_follower is always a process of
     its own, so that no other node can delay a stop of the robot. So is landmark_map, which does
-    not depend on the others.
+    not depend on the others, and viewer, which must not delay them.
     """
     own = ['goal_follower'] if goal_follower else []
     own += ['landmark_map'] if landmarks else []
+    own += ['viewer'] if viewer else []
     if single_process:
         mapping = {'single_process': ['--visual-odometry'] if visual_odometry else []}
         return {**mapping, **{node: [] for node in own}}
@@ -114,20 +121,28 @@ def launch(config: Config, options: LaunchOptions) -> int:
         common = ['--ros-args', *ros_arguments(options, parameters)]
         started = nodes(
             options.visual_odometry, options.single_process, options.goal_follower,
-            options.landmarks,
+            options.landmarks, options.viewer,
         )
-        return supervise({name: [*command, name, *own, *common] for name, own in started.items()})
+        commands = {name: [*command, name, *own, *common] for name, own in started.items()}
+        if options.viewer:
+            for name, value in options.viewer_parameters.items():
+                commands['viewer'] += ['-p', f'{name}:={json.dumps(value)}']
+        return supervise(commands)
 
 
-def supervise(commands: Mapping[str, Sequence[str]], grace_s: float = SHUTDOWN_TIMEOUT_S) -> int:
+def supervise(
+    commands: Mapping[str, Sequence[str]], grace_s: float = SHUTDOWN_TIMEOUT_S,
+    optional: Container[str] = OPTIONAL,
+) -> int:  # fmt: skip
     """Run commands until all have ended.
 
     A stop signal is forwarded to the commands; a second one kills them. If a command ends by
-    itself, the others are stopped too.
+    itself, the others are stopped too, unless it is optional.
 
     Args:
         commands: command lines by name.
         grace_s: time from the stop signal until the commands are killed.
+        optional: names of commands that the others do not need.
 
     Returns:
         The exit code: 0 if all commands ended without error after a stop signal, otherwise 1.
@@ -137,7 +152,7 @@ def supervise(commands: Mapping[str, Sequence[str]], grace_s: float = SHUTDOWN_T
         try:
             for name, command in commands.items():
                 processes[name] = _start(command)
-            return _watch(processes, signals, grace_s)
+            return _watch(processes, signals, grace_s, optional)
         finally:
             for process in processes.values():  # After any error, none may be left.
                 if process.poll() is None:
@@ -148,11 +163,11 @@ def supervise(commands: Mapping[str, Sequence[str]], grace_s: float = SHUTDOWN_T
 def _start(command: Sequence[str]) -> subprocess.Popen[bytes]:
     # In a session of its own, so that Ctrl-C in the terminal reaches it only through supervise.
     return subprocess.Popen(
-        command, stdin=subprocess.DEVNULL, start_new_session=True, preexec_fn=_end_with_parent()
+        command, stdin=subprocess.DEVNULL, start_new_session=True, preexec_fn=end_with_parent()
     )
 
 
-def _end_with_parent() -> Callable[[], object] | None:
+def end_with_parent() -> Callable[[], object] | None:
     """Return a function that makes a child end if this process is killed (Linux only)."""
     if sys.platform != 'linux':
         return None
@@ -161,9 +176,11 @@ def _end_with_parent() -> Callable[[], object] | None:
 
 
 def _watch(
-    processes: Mapping[str, subprocess.Popen[bytes]], signals: StopSignals, grace_s: float
-) -> int:
+    processes: Mapping[str, subprocess.Popen[bytes]], signals: StopSignals, grace_s: float,
+    optional: Container[str],
+) -> int:  # fmt: skip
     forwarded, failed, kill_at_s = 0, False, math.inf
+    needed = [name for name in processes if name not in optional]
     while running := [name for name, process in processes.items() if process.poll() is None]:
         number = None
         if signals.count > 1 or time.monotonic() > kill_at_s:
@@ -172,8 +189,8 @@ def _watch(
             break
         if signals.count > forwarded:
             forwarded, number = signals.count, signals.last
-        elif len(running) < len(processes) and not forwarded and not failed:
-            ended = [name for name in processes if name not in running]
+        elif not forwarded and not failed and not set(needed) <= set(running):
+            ended = [name for name in needed if name not in running]
             print_notice(
                 f'ratslam launch: {_endings(processes, ended)}; stopping {", ".join(running)}'
             )
@@ -184,7 +201,7 @@ def _watch(
         time.sleep(POLL_S)
     # During start-up a process may end by the signal itself.
     expected = (0, *(-number for number in FORWARDED_SIGNALS)) if forwarded else ()
-    bad = [name for name, process in processes.items() if process.wait() not in expected]
+    bad = [name for name in needed if processes[name].wait() not in expected]
     if bad and not failed:
         print_notice(f'ratslam launch: {_endings(processes, bad)}')
     return 1 if bad or failed else 0

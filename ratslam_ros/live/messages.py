@@ -4,11 +4,12 @@
 
 from __future__ import annotations
 
+import math
 from array import array
 from typing import Any
 
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Quaternion
+from geometry_msgs.msg import Quaternion, TransformStamped
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, LaserScan
 from std_msgs.msg import Header, String
@@ -16,6 +17,7 @@ from std_msgs.msg import Header, String
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.images import EncodedImage, Frame, RawImage
 from ratslam_ros.messages.json_schema import NS_PER_S
+from ratslam_ros.nodes.convert import odometry_of, transform
 from ratslam_ros.recordings import Event, ImageEvent, OdometryEvent, ScanEvent
 
 
@@ -108,6 +110,18 @@ def _odometry(event: OdometryEvent) -> Odometry:
     pose.orientation = Quaternion(x=x, y=y, z=z, w=w)
     twist.linear.x, twist.angular.z = event.linear_x, event.angular_z
     return message
+
+
+def transform_of(odometry: Odometry) -> TransformStamped | None:
+    """Return the transform that a robot publishes along with its odometry.
+
+    None if the pose is not finite.
+    """
+    planar = odometry_of(odometry)
+    if not all(map(math.isfinite, planar.pose)):
+        return None
+    frames = odometry.header.frame_id, odometry.child_frame_id
+    return transform(planar.stamp_ns, *frames, planar.pose)
 
 
 def _scan(event: ScanEvent) -> LaserScan:

@@ -17,15 +17,16 @@ from rclpy.duration import Duration
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, LaserScan
 from std_msgs.msg import String
+from tf2_msgs.msg import TFMessage
 
 from ratslam_ros.console import ProgressBar, print_notice
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.live import ros
 from ratslam_ros.live.action_wait import ACTION, ACTION_TIMEOUT_S, POLL_S, ActionWait
 from ratslam_ros.live.clock import ClockThread
-from ratslam_ros.live.messages import camera_info, message_of
+from ratslam_ros.live.messages import camera_info, message_of, transform_of
 from ratslam_ros.live.pacing import Pacing
-from ratslam_ros.nodes.qos import CLOCK, PLAYED
+from ratslam_ros.nodes.qos import CLOCK, PLAYED, STATE
 from ratslam_ros.recordings import Event, ImageEvent, Recording, Selection
 from ratslam_ros.recordings.prefetch import Prefetch
 from ratslam_ros.recordings.topics import (
@@ -163,6 +164,8 @@ class _Player:
         self._camera_info = (
             node.create_publisher(CameraInfo, CAMERA_INFO, PLAYED) if self._calibration else None
         )
+        # Nothing else publishes odom -> base_link in place of the robot.
+        self._tf = node.create_publisher(TFMessage, '/tf', STATE) if Odometry in kinds else None
         self._clock = node.create_publisher(Clock, '/clock', CLOCK) if options.clock else None
         self._actions = (
             ActionWait(node, selection.odom_topic is not None) if options.lockstep else None
@@ -286,6 +289,10 @@ class _Player:
             assert self._calibration is not None
             send(self._camera_info, camera_info(self._calibration.message, message.header))
         send(self._publishers[topic], message)
+        if self._tf is not None and isinstance(message, Odometry):
+            transform = transform_of(message)
+            if transform is not None:
+                self._tf.publish(TFMessage(transforms=[transform]))
         self._counts[topic] += 1
 
     def _missing(self) -> list[str]:

@@ -23,6 +23,7 @@ NODES = {
     'goal_follower': 'goal_follower_node',
     'landmark_map': 'landmark_map_node',
     'simulator': 'simulator_node',
+    'viewer': 'viewer_node',
     'single_process': 'single_process',
 }
 """Module of ratslam_ros.nodes that has ``main``, by node."""
@@ -33,7 +34,12 @@ PACKAGES = {'numpy': 'numpy', 'numba': 'numba', 'llvmlite': 'llvmlite'}
 IMAGE_PACKAGES = {'cv2': 'opencv-python-headless'}
 """Further packages that the nodes with images import."""
 
-IMAGE_NODES = frozenset({'visual_odometry', 'local_view', 'simulator', 'single_process'})
+VIEWER_PACKAGES = {'viser': 'ratslam_ros[view]', 'zstandard': 'zstandard>=0.22'}
+"""Further packages that the viewer imports."""
+
+IMAGE_NODES = frozenset(
+    {'visual_odometry', 'local_view', 'simulator', 'single_process', 'viewer'}
+)
 
 
 def run(node: str, arguments: Sequence[str] = ()) -> int:
@@ -72,6 +78,13 @@ def require_packages(node: str) -> None:
         UnusableInput: a package is missing.
     """
     packages = PACKAGES | IMAGE_PACKAGES if node in IMAGE_NODES else PACKAGES
+    if node == 'viewer':
+        for module, package in VIEWER_PACKAGES.items():
+            if find_spec(module) is None:
+                raise UnusableInput(
+                    f'the live view needs {module}, which this Python ({sys.executable}) does not '
+                    f"have: python3 -m pip install '{package}'"
+                )
     for module, package in packages.items():
         if find_spec(module) is None:
             raise UnusableInput(

@@ -16,12 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.mapping.loop_closure_gate import ClosureEvent
-from ratslam_ros.core.mapping.map_changes import (
-    ROUNDING,
-    ExperienceRows,
-    LinkRows,
-    MapChange,
-)
+from ratslam_ros.core.mapping.map_changes import ExperienceRows, LinkRows, MapChange
+from ratslam_ros.core.mapping.sent_rows import ROUNDING
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
 from ratslam_ros.messages.json_schema import (
     MAX_ID,

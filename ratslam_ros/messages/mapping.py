@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from operator import is_not
 from typing import Any
 
@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.turn_correction import TurnCorrection
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
-from ratslam_ros.core.pose_cells.active_cells import ActiveCells
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
 from ratslam_ros.core.pose_cells.map_relocation import MapRelocation
 from ratslam_ros.core.pose_cells.torus import Place
@@ -36,6 +35,8 @@ MAX_COUNT = 2**63 - 1
 """Largest accepted sequence number and stamp of a memory: 64-bit integers."""
 MAX_PLACE_CELLS = 100_000.0
 MAX_SPACING_M = 1e9
+BLOCK_ROWS = 256
+"""Number of experiences or links that are written in one step, at about 4 us each."""
 MAX_GAIN, MAX_TURN_PER_M_RAD = 1000.0, 1000.0
 """Largest accepted corrections of odometry."""
 
@@ -304,57 +305,6 @@ def encode_active(stamp_ns: int, template_id: int, active: Sequence[tuple[int, f
     )
 
 
-def encode_packets(stamp_ns: int, dims: tuple[int, int, int], active: ActiveCells) -> str:
-    """Return the payload of ``pose_cells/packets``.
-
-    Args:
-        stamp_ns: stamp of the last odometry or template message.
-        dims: numbers of cells in x, y and theta.
-        active: the activity; its cells are not included.
-    """
-    return encode_json({
-        'schema_version': SCHEMA_VERSION,
-        'stamp': encode_stamp(stamp_ns),
-        'dims': dims,
-        'packets': active.packets.tolist(),
-        'injections': active.injections.tolist(),
-    })  # fmt: skip
-
-
-def decode_packets(
-    payload: str,
-) -> tuple[int, tuple[int, int, int], NDArray[np.float64], NDArray[np.float64]]:
-    """Return (stamp_ns, dims, packets, injections) of a ``pose_cells/packets`` payload.
-
-    Raises:
-        MalformedMessage: the payload does not match the schema.
-    """
-    name = 'pose_cells/packets'
-    fields = decode_fields(
-        payload, name, {'stamp': dict, 'dims': list, 'packets': list, 'injections': list}
-    )
-    dims = fields['dims']
-    if len(dims) != 3:
-        raise MalformedMessage(f'{name}: dims is {dims!r:.40}; expected x, y and theta')
-    for cells in dims:
-        check_types({'dims': cells}, name, {'dims': int})
-        check_range(name, 'dims', cells, 1, MAX_PLACE_CELLS)
-    tables: list[NDArray[np.float64]] = []
-    for key in ('packets', 'injections'):
-        for row in fields[key]:
-            if not isinstance(row, list) or len(row) != 4:
-                raise MalformedMessage(
-                    f'{name}: {key} has {row!r:.40}; expected x, y, theta and activity'
-                )
-            at = dict(zip(('x', 'y', 'theta', 'activity'), row, strict=True))
-            check_types(at, name, dict.fromkeys(at, float))
-            for axis, most in zip(('x', 'y', 'theta'), dims, strict=True):
-                check_range(name, axis, at[axis], 0.0, most)
-        tables.append(np.array(fields[key], np.float64).reshape(-1, 4))
-    n_x, n_y, n_theta = dims
-    return decode_stamp(fields['stamp']), (n_x, n_y, n_theta), tables[0], tables[1]
-
-
 def encode_map(
     stamp_ns: int, experience_map: ExperienceMap, map_text: MapText | None = None
 ) -> str:
@@ -368,88 +318,116 @@ def encode_map(
     Raises:
         ValueError: a number of the graph is not finite.
     """
-    experiences, links = (map_text or MapText()).update(experience_map)
-    components = experience_map.components
-    head = encode_json(
-        {
-            'schema_version': SCHEMA_VERSION,
-            'frame_id': experience_map.frame_id,
-            'stamp': encode_stamp(stamp_ns),
-            'current_experience_id': experience_map.current_id,
-            **({'components': components} if any(components) else {}),
-        }
-    )
-    # One join: copying megabytes takes longer than finding the changed items.
-    return ''.join([head[:-1], ',"experiences":[', *experiences, '],"links":[', *links, ']}'])
+    text = map_text or MapText()
+    for _ in text.update(stamp_ns, experience_map):
+        pass
+    return b''.join(text.parts).decode('ascii')
 
 
 class MapText:
-    """Cache of the JSON texts of a map's experiences and links.
+    """Cache of the JSON text of a map.
 
     Only items that have changed are written again. Every item is compared with the values its
-    text was made of, so that each call may pass any map. Texts are kept in flat lists, since the
-    garbage collector would traverse a container per item.
+    text was made of, so that each update may be of any map. An update consists of short steps,
+    between which the map may change. Texts are kept in flat lists, since the garbage collector
+    would traverse a container per item.
     """
 
     def __init__(self) -> None:
-        self._places = _Texts(numbers=0)
+        self.parts: list[bytes] = []
+        """Text of the last complete update, in parts to be joined."""
+        self._places: tuple[list[object], list[str]] = [], []
         self._experiences = _Texts(numbers=3)
         self._links = _Texts(numbers=6)
 
-    def update(self, experience_map: ExperienceMap) -> tuple[list[str], list[str]]:
-        """Return the texts of all experiences and links; each but the first begins with a comma.
+    def update(self, stamp_ns: int, experience_map: ExperienceMap) -> Iterator[None]:
+        """Write the text of a map as it is at the first step.
 
-        The lists belong to the cache: they are valid until the next call and must not be changed.
+        An update that is not completed leaves the text of the last one; the next one continues
+        with the items that were written.
+
+        Args:
+            stamp_ns, experience_map: as for ``encode_map``.
+
+        Yields:
+            None after each step, which takes about 1 ms if all of its items have changed.
         """
-        return self._experiences_of(experience_map), self._links_of(experience_map)
+        components = experience_map.components
+        head = encode_json(
+            {
+                'schema_version': SCHEMA_VERSION,
+                'frame_id': experience_map.frame_id,
+                'stamp': encode_stamp(stamp_ns),
+                'current_experience_id': experience_map.current_id,
+                **({'components': components} if any(components) else {}),
+            }
+        )
+        labels, poses = list(experience_map.labels), experience_map.poses
+        ends, notes = experience_map.link_ends.copy(), list(experience_map.link_notes)
+        lengths = np.column_stack([experience_map.link_shapes, experience_map.link_durations_s])
+        yield from self._experiences.update(labels, poses, self._write_experiences(labels, poses))
+        yield from self._links.update(
+            notes, np.column_stack([ends, lengths]), _write_links(ends, notes, lengths)
+        )
+        self.parts = [
+            head[:-1].encode(), b',"experiences":[', *self._experiences.blocks, b'],"links":[',
+            *self._links.blocks, b']}',
+        ]  # fmt: skip
 
-    def _experiences_of(self, experience_map: ExperienceMap) -> list[str]:
-        labels, poses = experience_map.labels, experience_map.poses
-
-        def write_places(rows: list[int]) -> list[str]:
-            axes = (_numbers([labels[row][1][axis] for row in rows]) for axis in range(3))
-            return [
-                f',"pc_x":{x},"pc_y":{y},"pc_theta":{theta}'
-                for x, y, theta in zip(*axes, strict=True)
-            ]
-
+    def _write_experiences(
+        self, labels: list[tuple[int, Place]], poses: NDArray[np.float64]
+    ) -> Callable[[list[int]], list[str]]:
         # Cached apart from the poses: a relaxation moves all poses and no place.
-        places = self._places.update(labels, poses[:, :0], write_places)
+        known, texts = self._places
+        added = len(labels) - len(known)
+        known.extend([None] * added)
+        texts.extend([''] * added)
 
         def write(rows: list[int]) -> list[str]:
-            axes = map(_numbers, poses[rows].T.tolist())
+            others = [row for row in rows if labels[row] is not known[row]]
+            if others:
+                axes = (_numbers([labels[row][1][axis] for row in others]) for axis in range(3))
+                for row, x, y, theta in zip(others, *axes, strict=True):
+                    known[row] = labels[row]
+                    texts[row] = f',"pc_x":{x},"pc_y":{y},"pc_theta":{theta}'
+            poses_of = map(_numbers, poses[rows].T.tolist())
             return [
                 f'{"," if row else ""}{{"id":{row},"template_id":{labels[row][0]},'
-                f'"x_m":{x},"y_m":{y},"heading_rad":{heading}{places[row]}}}'
-                for row, x, y, heading in zip(rows, *axes, strict=True)
+                f'"x_m":{x},"y_m":{y},"heading_rad":{heading}{texts[row]}}}'
+                for row, x, y, heading in zip(rows, *poses_of, strict=True)
             ]
 
-        return self._experiences.update(labels, poses, write)
+        return write
 
-    def _links_of(self, experience_map: ExperienceMap) -> list[str]:
-        ends, notes = experience_map.link_ends, experience_map.link_notes
-        lengths = np.column_stack([experience_map.link_shapes, experience_map.link_durations_s])
 
-        def write(rows: list[int]) -> list[str]:
-            behaviours = {name: encode_json(name) for name in {notes[row][0] for row in rows}}
-            columns = *ends[rows].T.tolist(), *map(_numbers, lengths[rows].T.tolist())
-            return [
-                f'{"," if row else ""}{{"source_id":{source},"target_id":{target},'
-                f'"distance_m":{distance},"heading_rad":{heading},"facing_rad":{facing},'
-                f'"duration_s":{duration},"behaviour":{behaviours[notes[row][0]]},'
-                f'"count":{notes[row][1]}}}'
-                for row, source, target, distance, heading, facing, duration in zip(
-                    rows, *columns, strict=True
-                )
-            ]
+def _write_links(
+    ends: NDArray[np.int64], notes: list[tuple[str, int]], lengths: NDArray[np.float64]
+) -> Callable[[list[int]], list[str]]:
+    def write(rows: list[int]) -> list[str]:
+        behaviours = {name: encode_json(name) for name in {notes[row][0] for row in rows}}
+        columns = *ends[rows].T.tolist(), *map(_numbers, lengths[rows].T.tolist())
+        return [
+            f'{"," if row else ""}{{"source_id":{source},"target_id":{target},'
+            f'"distance_m":{distance},"heading_rad":{heading},"facing_rad":{facing},'
+            f'"duration_s":{duration},"behaviour":{behaviours[notes[row][0]]},'
+            f'"count":{notes[row][1]}}}'
+            for row, source, target, distance, heading, facing, duration in zip(
+                rows, *columns, strict=True
+            )
+        ]
 
-        return self._links.update(notes, np.column_stack([ends, lengths]), write)
+    return write
 
 
 class _Texts:
-    """A list of texts, each kept until one of the values it was made of changes."""
+    """A list of texts, each kept until one of the values it was made of changes.
+
+    The texts of ``BLOCK_ROWS`` rows are joined, because joining all of them takes milliseconds.
+    """
 
     def __init__(self, numbers: int) -> None:
+        self.blocks: list[bytes] = []
+        """Joined texts of every block of rows."""
         self._objects: list[object] = []
         self._bits = np.empty((0, numbers), np.int64)
         self._texts: list[str] = []
@@ -459,27 +437,44 @@ class _Texts:
         objects: Sequence[object],
         numbers: NDArray[np.float64],
         write: Callable[[list[int]], list[str]],
-    ) -> list[str]:
-        """Return the text of every row.
+    ) -> Iterator[None]:
+        """Write the text of every row, in a step for each block.
 
         Args:
             objects: (n,) immutable objects that the texts are made of, compared by identity.
             numbers: (n, m) numbers that the texts are made of, m as passed to the constructor.
             write: returns the texts of the given rows.
         """
+        count, known = len(objects), len(self._objects)
         bits = numbers.view(np.int64)  # 0.0 and -0.0 are equal, but their texts differ
-        kept = min(len(objects), len(self._objects))
-        stale = np.ones(len(objects), np.bool_)
-        stale[:kept] = np.fromiter(map(is_not, objects, self._objects), np.bool_, kept)
-        stale[:kept] |= (bits[:kept] != self._bits[:kept]).any(axis=1)
-        rows = np.flatnonzero(stale).tolist()
-        texts = write(rows) if rows else []
-        self._bits = bits
-        self._objects[kept:] = objects[kept:]
-        self._texts[kept:] = [''] * (len(objects) - kept)
-        for row, text in zip(rows, texts, strict=True):
-            self._objects[row], self._texts[row] = objects[row], text
-        return self._texts
+        if count < known:
+            del self._objects[count:], self._texts[count:]
+            del self.blocks[count // BLOCK_ROWS :]
+        elif count > known:
+            self._objects.extend([None] * (count - known))
+            self._texts.extend([''] * (count - known))
+            more = np.empty((count - known, bits.shape[1]), np.int64)
+            self._bits = np.concatenate([self._bits[:known], more])
+        for first in range(0, count, BLOCK_ROWS):
+            self._update_block(objects, bits, slice(first, first + BLOCK_ROWS), write)
+            yield
+
+    def _update_block(
+        self, objects: Sequence[object], bits: NDArray[np.int64], block: slice,
+        write: Callable[[list[int]], list[str]],
+    ) -> None:  # fmt: skip
+        now = objects[block]
+        stale = np.fromiter(map(is_not, now, self._objects[block]), np.bool_, len(now))
+        stale |= (bits[block] != self._bits[: len(bits)][block]).any(axis=1)
+        rows = (block.start + np.flatnonzero(stale)).tolist()
+        number = block.start // BLOCK_ROWS
+        if rows:
+            for row, text in zip(rows, write(rows), strict=True):
+                self._objects[row], self._texts[row] = objects[row], text
+            self._bits[rows] = bits[rows]
+        elif number < len(self.blocks):
+            return
+        self.blocks[number : number + 1] = [''.join(self._texts[block]).encode('ascii')]
 
 
 def _numbers(values: list[float]) -> list[str]:

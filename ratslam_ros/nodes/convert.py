@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import array
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -120,6 +120,19 @@ def point_cloud(
         is_bigendian=False, point_step=16, row_step=16 * len(points),
         data=array.array('B', points.astype('<f4').tobytes()), is_dense=True,
     )  # fmt: skip
+
+
+def serialised_text(parts: Sequence[bytes]) -> bytes:
+    """Return a std_msgs/String of joined ASCII texts in CDR, as publishers accept it.
+
+    The conversion of a message copies its text several times. Python joins more than 1 MB without
+    holding the interpreter lock. See the specification DDS-XTypes 1.3, section 7.4: the header of
+    little-endian CDR, the length with the final zero, the text, and padding to 4 bytes.
+    """
+    length = 1 + sum(map(len, parts))
+    return b''.join(
+        [b'\0\1\0\0', length.to_bytes(4, 'little'), *parts, bytes(1 + -length % 4)]
+    )
 
 
 def _orientation(pose: Pose) -> Quaternion:

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections import Counter
 from collections.abc import Mapping
@@ -17,9 +18,13 @@ from ratslam_ros.nodes.qos import STATE
 from ratslam_ros.timing import StepTimes
 
 WARN_PERIOD_S = 5.0
-"""Shortest time between two logged warnings with the same key."""
+"""Shortest time between two logged warnings that differ in numbers only."""
 WARNING_SHOWN_S = 10.0
 """How long the diagnostics show the last warning."""
+MAX_KINDS = 100
+"""Kinds of warnings that are told apart: texts may quote messages, so kinds are unlimited."""
+
+_NUMBER = re.compile(r'[-+]?\d[\d.]*(?:e[-+]?\d+)?')
 
 
 class Diagnostics:
@@ -29,46 +34,71 @@ class Diagnostics:
         self._node = node
         self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', STATE)
         self.counts: Counter[str] = Counter()
-        """Messages that were not used, by reason; a nonzero count keeps the level at WARN."""
+        """Messages that were not used, by reason."""
         self.missing: dict[str, str] = {}
-        """Known deficiencies by topic, shown until they are removed."""
+        """What the node lacks at present, by topic; the level is WARN until it is removed."""
         self.times = StepTimes()
+        self._notices: dict[str, None] = {}
         self._warned_s: dict[str, float] = {}
         self._suppressed: Counter[str] = Counter()
         self._last_warning = ''
         self._last_warning_s = -WARNING_SHOWN_S
 
-    def warn(self, key: str, text: str) -> None:
-        """Show a warning, and log it at most once per key every WARN_PERIOD_S."""
+    def warn(self, text: str) -> None:
+        """Show a warning; log it unless one that differs only in numbers was logged recently."""
         now_s = time.monotonic()
         self._last_warning, self._last_warning_s = text, now_s
-        if now_s - self._warned_s.get(key, -WARN_PERIOD_S) < WARN_PERIOD_S:
-            self._suppressed[key] += 1
+        kind = _NUMBER.sub('#', text)
+        if now_s - self._warned_s.get(kind, -WARN_PERIOD_S) < WARN_PERIOD_S:
+            self._suppressed[kind] += 1
             return
-        self._warned_s[key] = now_s
-        suppressed = self._suppressed.pop(key, 0)
+        self._warned_s.pop(kind, None)
+        self._warned_s[kind] = now_s
+        suppressed = self._suppressed.pop(kind, 0)
         more = f' ({suppressed} more of this kind)' if suppressed else ''
         self._node.get_logger().warning(text + more)
+        while len(self._warned_s) > MAX_KINDS:
+            oldest = next(iter(self._warned_s))
+            del self._warned_s[oldest]
+            self._suppressed.pop(oldest, None)
+
+    def note(self, text: str) -> None:
+        """Report a past event that the user must know of: once, and in all later diagnostics."""
+        if text not in self._notices:
+            self._notices[text] = None
+            self.warn(text)
+
+    def clear(self) -> None:
+        """Forget what is missing and what was noted: the node starts over."""
+        self.missing.clear()
+        self._notices.clear()
 
     def drop(self, reason: str, text: str, number: int = 1) -> None:
         """Count messages that are not used, and warn; a ``number`` of 0 or less does nothing."""
         if number > 0:
             self.counts[reason] += number
-            self.warn(reason, text)
+            self.warn(text)
 
-    def publish(self, values: Mapping[str, Any]) -> None:
-        """Publish the node's status: ``values`` first, then the counts and step times."""
+    def publish(self, values: Mapping[str, Any], state: str) -> None:
+        """Publish the node's status: ``values`` first, then the counts and step times.
+
+        Args:
+            values: figures of the node by name.
+            state: message while there is nothing to warn of: `waiting for ...`, `running` or
+                `finished: ...`.
+        """
         lost = {reason: number for reason, number in sorted(self.counts.items()) if number}
         recent = time.monotonic() - self._last_warning_s < WARNING_SHOWN_S
         if self.missing:
             level, text = DiagnosticStatus.WARN, '; '.join(self.missing.values())
         elif recent:
             level, text = DiagnosticStatus.WARN, self._last_warning
-        elif lost:
-            listed = ', '.join(f'{number} {reason}' for reason, number in lost.items())
-            level, text = DiagnosticStatus.WARN, f'messages not used since the start: {listed}'
         else:
-            level, text = DiagnosticStatus.OK, 'all messages used'
+            level, text = DiagnosticStatus.OK, state
+            if lost:
+                listed = ', '.join(f'{number} {reason}' for reason, number in lost.items())
+                text += f'; messages not used since the start: {listed}'
+        values = {**values, **({'notice': '; '.join(self._notices)} if self._notices else {})}
         shown = {**values, **{reason: self.counts[reason] for reason in sorted(self.counts)}}
         for step, figures in self.times.summary_ms().items():
             shown[f'{step}_median_ms'] = figures['median']

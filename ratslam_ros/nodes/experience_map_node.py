@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import math
-import time
 from dataclasses import dataclass
 from typing import Any
 
@@ -33,23 +32,19 @@ from ratslam_ros.core.vision.local_view import NO_TEMPLATE
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.messages.mapping import (
-    MapText,
     decode_action,
-    encode_map,
     encode_relocation,
 )
 from ratslam_ros.nodes.behaviours import Behaviours
 from ratslam_ros.nodes.convert import accepted_odometry, header_of, pose_message, transform
 from ratslam_ros.nodes.goal_navigation import GoalNavigation
 from ratslam_ros.nodes.map_changes import MapChangePublisher
-from ratslam_ros.nodes.markers import markers_of
+from ratslam_ros.nodes.map_sender import MapSender
+from ratslam_ros.nodes.markers import serialised_markers
 from ratslam_ros.nodes.node import FLUSH_CHECK_PERIOD_S, RatslamNode
 from ratslam_ros.nodes.qos import LATCHED, RESULT, STATE
 from ratslam_ros.nodes.run import run
 from ratslam_ros.nodes.scans import accepted_scan
-
-MAX_MAP_LOAD_RATIO = 0.1
-"""Largest share of a core for sending the map: a large map is sent at a longer period."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +68,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         if self._section.exp_align_scans:
             self._streams = 'odometry', 'scan', 'action'
             self._order = self._new_order()
-        self._map_publisher = self.create_publisher(String, 'experience_map/map', LATCHED)
+        self._sender = MapSender(self)
         self._markers = self.create_publisher(MarkerArray, 'experience_map/markers', LATCHED)
         self._pose_publisher = self.create_publisher(PoseStamped, 'experience_map/pose', STATE)
         self._tf = self.create_publisher(TFMessage, '/tf', STATE)
@@ -85,9 +80,8 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
             warm_up('relocation')  # takes long if nothing is cached, so only if it is used
             self._answers = self.create_publisher(String, 'experience_map/relocation', RESULT)
         self.create_service(Trigger, 'experience_map/relocate', self._on_relocate)
-        self._next_map_s = 0.0
-        self._sent = False
         self._viewers = self._pose_ns = 0
+        self._markers_due = False
         self._reset_state()
         self._add_input('odometry', {'odom': OdometryMessage}, self._on_odometry)
         if self._section.exp_align_scans:
@@ -109,7 +103,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
     def _reset_state(self) -> None:
         self._core = ExperienceMap(self._section)
         self._core.mapping = self._mapping
-        self._map_text = MapText()
+        self._sender.reset()
         self._late_join = LateJoin(self._core)
         self._scans = ScanMatcher()
         self._relocator = Relocator(self._core, self._scans) if self._relocates else None
@@ -118,7 +112,8 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
             self._section.turn_correction,
         )
         self._action_ns = 0
-        self._changed = self._sent  # subscribers that have the old map get the empty one
+        # Subscribers that have the old map get the empty one.
+        self._sender.has_changed = self._sender.has_sent
         self._goals.use_map(self._core)
         self._behaviours.reset()
         self._pose: Pose | None = None
@@ -164,15 +159,17 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         self._motion.correction = TurnCorrection(
             *state.get('correction', self._section.turn_correction)
         )
-        self._map_text = MapText()
+        self._sender.reset()
         self._core.mapping = self._mapping
         self._motion.restart()
-        self._changed = True
+        self._sender.has_changed = True
 
     def close(self) -> None:
         """Process the messages that are still held, and publish the last map."""
         super().close()
-        self._send_map()
+        self._sender.finish(self._core, self._action_ns)
+        if self._viewers > 0:
+            self._send_markers()
 
     # Inputs
 
@@ -198,9 +195,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
             return
         self._push('action', stamp_ns, Action(action, sequence, memory_ns))
         self._republish_pose()
-        if self._changed and time.monotonic() >= self._next_map_s:
-            self._send_map()
-        self._changes.update(self._core, self._action_ns)
+        self._send()
 
     def _process_item(self, stamp_ns: int, stream: str, item: Odometry | Scan | Action) -> None:
         if isinstance(item, Scan):
@@ -234,18 +229,18 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         self._changes.publish_closures(stamp_ns, item.sequence, update.events)
         if item.action.template_id != NO_TEMPLATE:
             self._action_ns = stamp_ns
-            self._changed = True
+            self._sender.has_changed = True
         self._diagnostics.drop(
             'missed', f'{late_join.missed - missed} actions of pose_cells were lost: the map '
             'differs from that of a replay', late_join.missed - missed,
         )  # fmt: skip
         if late_join.restarts > restarts:
-            self._report_missing(
+            self._diagnostics.note(
                 'pose_cells has started with an empty memory: the map is continued, but places '
                 'mapped before will not be recognised. To start over, call experience_map/reset'
             )
         elif item.sequence > 0 and item.sequence == late_join.first_sequence and not missed:
-            self._report_missing(
+            self._diagnostics.note(
                 f'this node started late: {item.sequence} actions of pose_cells were sent before '
                 'and are missing from the map. To start over, call reset on all nodes'
             )
@@ -257,22 +252,17 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
                 continue
             unlearned = self._core.unlearn_blocked(report.behaviour, report.ahead_rad)
             if unlearned > 0:
-                self._changed = True
+                self._sender.has_changed = True
                 self.get_logger().info(
                     f'{unlearned} links were unlearned: {report.behaviour} was blocked'
                 )
 
     def _report_gap(self, gap_s: float) -> None:
-        self._changed = True
+        self._sender.has_changed = True
         self.get_logger().warning(
             f'odometry has a gap of {gap_s:.1f} s: the map continues in a separate component '
             'until a known place is recognised (max_odom_gap_s)'
         )
-
-    def _report_missing(self, text: str) -> None:
-        if self._diagnostics.missing.get('action') != text:
-            self._diagnostics.missing['action'] = text
-            self.get_logger().warning(text)
 
     def _on_relocate(self, request: Any, response: Any) -> Any:
         """Search for the robot's place by what the laser has seen in the last metres."""
@@ -334,30 +324,32 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
 
     def _on_timer(self) -> None:
         self._flush()
-        if self._changed and time.monotonic() >= self._next_map_s:
-            self._send_map()
-        self._changes.update(self._core, self._action_ns)
+        self._send()
         viewers = self._markers.get_subscription_count()
-        if viewers > self._viewers and self._sent:
-            self._send_markers()
+        if viewers > self._viewers and self._sender.has_sent:
+            self._markers_due = True
         self._viewers = viewers
         self._goals.update()
 
-    def _send_map(self) -> None:
-        """Publish the whole map if it has changed since the last time."""
-        if not self._changed:
+    def _send(self) -> None:
+        """Send the changes of the map, or its markers, or the next part of the whole map.
+
+        One of them in each call, so that none of the messages that follow has to wait for all.
+        """
+        if self._changes.update(self._core, self._action_ns):
             return
-        self._changed, self._sent = False, True
-        start_s = time.monotonic()
-        text = encode_map(self._action_ns, self._core, self._map_text)
-        self._map_publisher.publish(String(data=text))
-        if self._viewers > 0:
+        if self._markers_due:
             self._send_markers()
-        took_s = time.monotonic() - start_s
-        self._next_map_s = start_s + max(self._section.map_period_s, took_s / MAX_MAP_LOAD_RATIO)
+            return
+        period_s = self._section.map_period_s
+        if self._sender.advance(self._core, self._action_ns, period_s):
+            self._markers_due = self._viewers > 0
 
     def _send_markers(self) -> None:
-        self._markers.publish(markers_of(self._core, self._action_ns, self._section.map_frame))
+        self._markers_due = False
+        self._markers.publish(
+            serialised_markers(self._core, self._action_ns, self._section.map_frame)
+        )
 
     def _diagnostic_values(self) -> dict[str, Any]:
         return {

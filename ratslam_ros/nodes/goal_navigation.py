@@ -207,7 +207,7 @@ class GoalNavigation:
     def _refuse_goal(self, error: UnreachableGoal, append: bool) -> None:
         """Report an unreachable goal; unless it was appended, cancel the earlier goals too."""
         self.reason = str(error)
-        self._diagnostics.warn('goal', f'no route: {error}')
+        self._diagnostics.warn(f'no route: {error}')
         if not append:
             self._cancel('another goal was requested, which cannot be reached')
         self.update()
@@ -263,9 +263,9 @@ class GoalNavigation:
         return response
 
     def _on_cancel(self, request: Any, response: Any) -> Any:
-        number = self._cancel('cancelled')
+        number = self._cancel('on request')
         self.update()
-        response.success, response.message = True, f'{number} goals cancelled'
+        response.success, response.message = True, f'{number} goal{"s" * (number != 1)} cancelled'
         return response
 
     def _on_temporal_map(self, request: Any, response: Any) -> Any:
@@ -292,7 +292,7 @@ class GoalNavigation:
             route = planner.route_to_place(goal.x_m, goal.y_m, tolerance_m, start)
         except UnreachableGoal as error:
             self.reason = str(error)
-            self._diagnostics.warn('goal', f'no route: {error}')
+            self._diagnostics.warn(f'no route: {error}')
             response.plan = path_of(NO_POSITIONS, [], self._stamp_ns, self._frame)
             return response
         self.reason = ''

@@ -71,7 +71,7 @@ class GoalSeeking:
         try:
             times = memory.recall(place)
         except UnreachableGoal as error:
-            self._diagnostics.warn('goal', f'no route to {self._goal}: {error}')
+            self._diagnostics.warn(f'no route to {self._goal}: {error}')
         else:
             bearing_rad, remaining_s = memory.bearing(times, peak), memory.remaining_s(times, peak)
         reached = memory.reached(place, peak)
@@ -87,7 +87,7 @@ class GoalSeeking:
             try:
                 self._memory.goal(message.data)
             except UnreachableGoal as error:
-                self._diagnostics.warn('goal', str(error))
+                self._diagnostics.warn(str(error))
                 return
         self._goal = message.data
 

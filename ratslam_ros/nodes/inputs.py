@@ -51,7 +51,9 @@ class Input:
         self.received = 0
         self._counted = 0
         self._counted_s = self.last_s = time.monotonic()
-        self._warned_s = self.last_s
+        self._is_reported = False
+        self.state = 'waiting'
+        """`waiting` for a first message, `running`, `silent`, or `finished`: no publisher."""
         for topic in topics:
             self._subscribe(topic, self._is_best_effort(topic))
 
@@ -70,12 +72,27 @@ class Input:
                 self._unsubscribe(topic)
                 self._subscribe(topic, best_effort)
         now_s = time.monotonic()
-        if now_s - max(self.last_s, self._warned_s) >= silence_s:
-            self._warned_s = now_s
-            self._diagnostics.warn(f'silent {self.name}', self.silence(now_s))
+        self._watch(now_s, silence_s)
         rate_hz = (self.received - self._counted) / max(now_s - self._counted_s, 1e-3)
         self._counted, self._counted_s = self.received, now_s
         return rate_hz
+
+    def _watch(self, now_s: float, silence_s: float) -> None:
+        """Update the state; report silence once, until the next message."""
+        if now_s - self.last_s < silence_s:
+            self.state = 'running' if self.received else 'waiting'
+            self._is_reported = False
+        else:
+            if self.received:
+                ended = not any(self._publisher_count(topic) for topic in self._topics)
+                self.state = 'finished' if ended else 'silent'
+            if self.state != 'finished' and not self._is_reported:
+                self._is_reported = True
+                self._diagnostics.warn(self.silence(now_s))
+        if self.state == 'silent' or (self.state == 'waiting' and self._is_reported):
+            self._diagnostics.missing[self.name] = self.silence(now_s)
+        else:
+            self._diagnostics.missing.pop(self.name, None)
 
     def silent_s(self) -> float:
         """Return the time since the last message, in s of a steady clock."""

@@ -29,11 +29,9 @@ from ratslam_ros.descriptors import encoder_of
 from ratslam_ros.messages.mapping import encode_template
 from ratslam_ros.nodes.convert import grey_image, odometry_of
 from ratslam_ros.nodes.image_node import ImageNode
+from ratslam_ros.nodes.match_pictures import joined
 from ratslam_ros.nodes.qos import RESULT, VIEW
 from ratslam_ros.nodes.run import run
-
-SHOWN_WIDTH_PX = 240
-"""Width that views are enlarged to for viewers; they are a few dozen pixels wide."""
 
 
 class LocalViewNode(ImageNode):
@@ -121,13 +119,8 @@ class LocalViewNode(ImageNode):
         template = np.zeros_like(view)
         if match.template_id >= 0:
             template = self._core.template(match.template_id)
-        view, template = self._core.picture(view), self._core.picture(template)
-        gap = np.full((1, view.shape[1]), 255, np.uint8)
-        both = np.concatenate([view, gap, template])
-        factor = max(SHOWN_WIDTH_PX // view.shape[1], 1)
-        self._matched.publish(
-            grey_image(stamp_ns, frame_id, both.repeat(factor, 0).repeat(factor, 1))
-        )
+        both = joined(self._core.picture(view), self._core.picture(template))
+        self._matched.publish(grey_image(stamp_ns, frame_id, both))
 
     def _diagnostic_values(self) -> dict[str, Any]:
         return {

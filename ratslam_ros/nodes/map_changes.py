@@ -54,32 +54,36 @@ class MapChangePublisher:
             if self._closures.get_subscription_count() > 0:
                 self._closures.publish(String(data=encode_closure(stamp_ns, sequence, event)))
 
-    def update(self, experience_map: ExperienceMap, stamp_ns: int) -> None:
+    def update(self, experience_map: ExperienceMap, stamp_ns: int) -> bool:
         """Publish the next change if there is one and it is due.
 
         Args:
             experience_map: the map.
             stamp_ns: stamp of its last action.
+
+        Returns:
+            Whether the map was compared with what was sent.
         """
         now_s = time.monotonic()
         if now_s < self._next_s:
-            return
+            return False
         self._next_s = now_s + CHANGE_PERIOD_S
         viewers = self._changes.get_subscription_count()
         if viewers > self._viewers:
             self._tracker.restart()
         self._viewers = viewers
         if viewers == 0:
-            return
+            return False
         change = self._tracker.next_change(experience_map, stamp_ns, MAX_ITEMS)
         now = stamp_ns, change.current_id
         if not len(change) and not change.is_restart and now == self._last:
-            return
+            return True
         self._last = now
         self._changes.publish(String(
             data=encode_map_change(change, self._sequence, self._sender, self._frame_id)
         ))  # fmt: skip
         self._sequence += 1
+        return True
 
     def _on_send_all(self, request: Any, response: Any) -> Any:
         self._tracker.restart()

@@ -170,7 +170,7 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
                 '(on_jump_back)'
             )
             self._reset_state()
-            self._diagnostics.missing.clear()
+            self._diagnostics.clear()
         else:
             self.get_logger().warning(
                 f'the stamps of {stream} have jumped back: keeping the memory (on_jump_back)'
@@ -215,7 +215,19 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
             if not self._mapping and not self._paused:
                 values['memory'] = 'localisation only'
             values |= self._diagnostic_values()
-        self._diagnostics.publish(values)
+        self._diagnostics.publish(values, self._state())
+
+    def _state(self) -> str:
+        """Return what the node does, judged by its inputs."""
+        by_state = {
+            state: [one.name for one in self._inputs if one.state == state]
+            for state in ('waiting', 'finished')
+        }
+        if self._inputs and len(by_state['finished']) == len(self._inputs):
+            return f'finished: {", ".join(by_state["finished"])} ended'
+        if by_state['waiting']:
+            return f'waiting for {", ".join(by_state["waiting"])}'
+        return 'running'
 
     def _on_reset(self, request: Any, response: Any) -> Any:
         with self._lock:
@@ -223,7 +235,7 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
             self._order = self._new_order()
             self._counted = Counts()
             self._reset_state()
-            self._diagnostics.missing.clear()
+            self._diagnostics.clear()
         return self._answer(response, True, f'{self.SECTION} has an empty memory')
 
     def _on_pause(self, request: Any, response: Any) -> Any:
@@ -268,7 +280,7 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
             )  # fmt: skip
         except Exception as error:  # the content can be anything; the node keeps its memory
             return self._answer(response, False, f'{self._memory_path} does not fit: {error!r}')
-        self._diagnostics.missing.clear()
+        self._diagnostics.clear()
         return self._answer(response, True, f'loaded from {self._memory_path}')
 
     def _answer(self, response: Any, success: bool, text: str) -> Any:

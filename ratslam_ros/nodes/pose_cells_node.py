@@ -29,8 +29,8 @@ from ratslam_ros.messages.mapping import (
     decode_template,
     encode_action,
     encode_active,
-    encode_packets,
 )
+from ratslam_ros.messages.pose_cells import encode_packets
 from ratslam_ros.nodes.convert import accepted_odometry, grey_image, point_cloud
 from ratslam_ros.nodes.goal_seeking import GoalSeeking
 from ratslam_ros.nodes.node import FLUSH_CHECK_PERIOD_S, RatslamNode
@@ -243,13 +243,13 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
         ):
             self._numbering.restart()
             self._core.forget()
-            self._report_missing(
+            self._diagnostics.note(
                 'local_view has gone back to an earlier memory: its ids mean other views now, so '
                 'places seen before will not be recognised; load or reset all nodes together'
             )
         if self._numbering.set_memory(template.memory_ns):
             self._core.forget()
-            self._report_missing(
+            self._diagnostics.note(
                 'local_view has started with an empty memory: places seen before will not be '
                 'recognised; to start over, call pose_cells/reset and experience_map/reset too'
             )
@@ -257,15 +257,11 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
             template.memory_ns < stamp_ns
         ):
             self._diagnostics.counts['missed'] += match.template_id + 1
-            self._report_missing(
+            self._diagnostics.note(
                 'this node started late: local_view had learned before; views learned then are '
                 'associated with pose cells when they are seen again. To start over, call reset '
                 'on all nodes'
             )
-
-    def _report_missing(self, text: str) -> None:
-        self._diagnostics.missing['template'] = text
-        self.get_logger().warning(text)
 
     def _publish_activity(self, stamp_ns: int) -> None:
         """Publish the activity to subscribers, at a limited rate.

@@ -79,3 +79,13 @@ CLOCK = QoSProfile(
     durability=DurabilityPolicy.VOLATILE,
 )
 """Simulated time: only the newest message matters, and the last one must arrive."""
+
+
+WATCH = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=5,
+    reliability=ReliabilityPolicy.BEST_EFFORT,
+    durability=DurabilityPolicy.VOLATILE,
+)
+"""Subscriptions of a viewer that needs only samples of a stream. Best effort is compatible with
+all publishers, and never makes one of them wait."""

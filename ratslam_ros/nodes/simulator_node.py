@@ -173,10 +173,10 @@ class SimulatorNode(Node):  # type: ignore[misc]
         self._reported_s, self._reported_ns = now_s, simulator.stamp_ns
         if rate < SLOW_RATIO * self._p.rate:
             self._diagnostics.warn(
-                'slow', f'this machine is too slow: the simulation runs at {rate:.2f} times real '
+                f'this machine is too slow: the simulation runs at {rate:.2f} times real '
                 f'time, not at {self._p.rate:g}',
             )  # fmt: skip
-        self._diagnostics.publish(self._diagnostic_values(rate))
+        self._diagnostics.publish(self._diagnostic_values(rate), 'running')
 
     def _diagnostic_values(self, rate: float) -> dict[str, Any]:
         simulator = self.simulator

@@ -85,7 +85,7 @@ class VisualOdometryNode(ImageNode):
         if time.monotonic() < self._wait_until_s:
             return True
         self._diagnostics.warn(
-            'camera_info', 'no field of view came from camera_info within '
+            'no field of view came from camera_info within '
             f'{CAMERA_INFO_WAIT_S:g} s: camera_fov_deg is used',
         )
         return False
@@ -100,7 +100,7 @@ class VisualOdometryNode(ImageNode):
             return
         if not (math.isfinite(focal_px) and focal_px > 0.0 and width_px > 0):
             self._diagnostics.warn(
-                'camera_info', f'camera_info has a focal length of {focal_px} px at a width of '
+                f'camera_info has a focal length of {focal_px} px at a width of '
                 f'{width_px} px: the camera is not calibrated; camera_fov_deg is used'
             )  # fmt: skip
             self._wait_until_s = -math.inf

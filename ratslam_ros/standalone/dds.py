@@ -14,6 +14,7 @@ from contextlib import suppress
 from functools import cache
 from typing import Any, Generic, NamedTuple, TypeVar
 
+import numpy as np
 from cyclonedds import _clayer
 from cyclonedds.builtin import (
     BuiltinDataReader,
@@ -235,7 +236,7 @@ class Endpoint(Entity):
 class Writer(Endpoint):
     """Writer of serialised samples; thread-safe."""
 
-    def write(self, data: bytearray) -> None:
+    def write(self, data: bytes | bytearray) -> None:
         """Write a sample.
 
         Blocks while a reliable KEEP_ALL reader cannot accept more samples.
@@ -243,8 +244,8 @@ class Writer(Endpoint):
         Args:
             data: CDR with its 4-byte header; the length must be a multiple of 4.
         """
-        start = ct.c_uint8.from_buffer(data)
-        sample = c.Sample(ct.addressof(start), len(data))
+        start = np.frombuffer(data, np.uint8)
+        sample = c.Sample(start.ctypes.data, len(data))
         while not c.completed('dds_write', c.write(self.reference, ct.byref(sample))):
             pass  # each attempt times out, so that Python can handle signals
 

@@ -56,10 +56,10 @@ class Publisher(NodePart):
         """
         self._check_alive()
         if isinstance(msg, self.msg_type):
-            data = encode(msg)
+            data: bytes | bytearray = encode(msg)
         elif isinstance(msg, bytes | bytearray | memoryview):
-            data = bytearray(msg)
-            data += bytes(-len(data) % 4)
+            data = msg if isinstance(msg, bytes) else bytes(msg)
+            data += bytes(-len(data) % 4)  # no copy if the length is a multiple of 4
         else:
             raise TypeError(f'Expected {self.msg_type}, got {type(msg)}')
         self._writer.write(data)

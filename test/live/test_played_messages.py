@@ -174,3 +174,18 @@ def test_stamp_beyond_message_range_is_rejected(stamp_s: int) -> None:
 def test_stamp_is_kept_to_the_nanosecond(stamp_ns: int) -> None:
     stamp = message_of(event(Frame(np.zeros((1, 1), np.uint8)), stamp_ns)).header.stamp
     assert stamp.sec * 10**9 + stamp.nanosec == stamp_ns
+
+
+def test_a_robot_would_publish_this_transform_with_its_odometry() -> None:
+    from ratslam_ros.live.messages import transform_of
+
+    turn = Orientation(0.0, 0.0, 0.6, 0.8)
+    played = message_of(OdometryEvent(START_NS, START_NS, 1.0, 0.5, 2.0, -1.0, turn))
+    sent = transform_of(played)
+    assert (sent.header.frame_id, sent.child_frame_id) == ('odom', 'base_link')
+    assert sent.header.stamp == played.header.stamp
+    assert (sent.transform.translation.x, sent.transform.translation.y) == (2.0, -1.0)
+    assert sent.transform.rotation.z == pytest.approx(0.6)
+    assert sent.transform.rotation.w == pytest.approx(0.8)
+    played.pose.pose.position.x = float('nan')
+    assert transform_of(played) is None

@@ -148,7 +148,7 @@ def test_unreachable_goal_has_reason_and_goals_are_cancelled(world: MakeWorld) -
         'while the robot is there'
     )
     assert [e['goal'] for e in status['queue']] == ['experience 1']
-    assert robot.call('cancel_goal').message == '1 goals cancelled'
+    assert robot.call('cancel_goal').message == '1 goal cancelled'
     status = robot.until_status(status='idle')
     assert [e['status'] for e in status['outcomes']] == ['cancelled']
     robot.text('experience_map/goal', '{"name":1}')

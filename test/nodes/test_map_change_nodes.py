@@ -18,7 +18,8 @@ from ratslam_ros.messages.map_changes import (
     decode_closure,
     decode_map_change,
 )
-from ratslam_ros.messages.mapping import decode_packets, encode_action
+from ratslam_ros.messages.mapping import encode_action
+from ratslam_ros.messages.pose_cells import decode_packets
 
 S = 1_000_000_000
 MakeWorld = Callable[..., Any]

@@ -873,3 +873,15 @@ def test_silence_is_reported_with_topic_and_publishers(world: MakeWorld) -> None
     assert 'no ' in text
     assert 'publishers on' in text
     assert '/odom' in text or '/local_view/template' in text
+
+
+def test_an_input_that_has_ended_is_no_warning(world: MakeWorld) -> None:
+    made, _ = pose_cells(world, '-p', 'watchdog_after_s:=0.5')
+    made.send('odom', odometry(START_NS))
+    node = made.nodes[0]
+    odom = node._inputs[0]
+    made.until(lambda: odom.state == 'silent')
+    assert 'publishers on' in node._diagnostics.missing['odometry']
+    made.tester.destroy_publisher(made.publishers.pop('odom'))
+    made.until(lambda: odom.state == 'finished')
+    assert 'odometry' not in node._diagnostics.missing

@@ -9,6 +9,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 PAGE = (Path(__file__).parents[2] / 'docs/topics.md').read_text(encoding='utf-8')
 ROS_TOPICS = ('/rosout', '/parameter_events', '/clock')
 ROS_SERVICES = (
@@ -69,6 +71,7 @@ def test_every_documented_topic_exists(world: Callable[..., Any]) -> None:
 
 def test_examples_are_valid_payloads() -> None:
     from ratslam_ros.core.navigation.goals import Position
+    from ratslam_ros.core.pose_cells.active_cells import ActiveCells
     from ratslam_ros.messages.goals import (
         GoalRequest,
         NameRequest,
@@ -78,6 +81,12 @@ def test_examples_are_valid_payloads() -> None:
         decode_status,
         encode_behaviour,
     )
+    from ratslam_ros.messages.map_changes import (
+        decode_closure,
+        decode_map_change,
+        encode_closure,
+        encode_map_change,
+    )
     from ratslam_ros.messages.mapping import (
         decode_action,
         decode_relocation,
@@ -86,14 +95,24 @@ def test_examples_are_valid_payloads() -> None:
         encode_relocation,
         encode_template,
     )
+    from ratslam_ros.messages.pose_cells import decode_packets, encode_packets
 
-    template, action, relocation, goal, name, status, behaviour = re.findall(
-        r'```json\n(.*?)\n```', PAGE
-    )
+    (
+        template, action, relocation, change, closure, packets, goal, name, status, behaviour,
+    ) = re.findall(r'```json\n(.*?)\n```', PAGE)  # fmt: skip
     assert encode_template(*decode_template(template)) == template
     assert encode_action(*decode_action(action)) == action
     stamp_ns = decode_action(action)[0]
     assert encode_relocation(stamp_ns, *decode_relocation(relocation)) == relocation
+    message = decode_map_change(change)
+    again = encode_map_change(
+        message.change, message.sequence, message.sender, message.frame_id
+    )
+    assert again == change
+    assert encode_closure(*decode_closure(closure)) == closure
+    stamp_ns, dims, places, injections = decode_packets(packets)
+    active = ActiveCells(np.empty((0, 3), np.int64), np.empty(0), places, injections)
+    assert encode_packets(stamp_ns, dims, active) == packets
     assert encode_behaviour(decode_behaviour(behaviour)) == behaviour
     targets = ('kitchen', 17, Position(1.5, -2.0))
     assert decode_goal(goal) == GoalRequest(targets, append=True, timeout_s=120.0)

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import compress
@@ -16,14 +15,14 @@ from numpy.typing import NDArray
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.graph import ExperienceGraph
 from ratslam_ros.core.mapping.link_learning import TIMED_OUT, link_confidences
+from ratslam_ros.core.mapping.sent_rows import SentRows
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
 
 Ids = NDArray[np.int64]
 Reals = NDArray[np.float64]
 
-ROUNDING = 1000.0
-"""Lengths, angles, durations and confidences are rounded to 1/1000 of their unit: 1 mm and 1 mrad
-are far below the accuracy of a map and the resolution of a screen, and short as text."""
+UNLIMITED = 2**31
+"""Limit of a change that no map reaches."""
 
 POSE_TOLERANCES = np.array([1e-3, 1e-3, 1e-3, 0.0, 0.0])
 """Changes of x and y in m, heading in rad, template and component above which an experience is
@@ -290,7 +289,7 @@ class MapChangeTracker:
         self._map = None
 
     def next_change(
-        self, experience_map: ExperienceMap, stamp_ns: int, limit: int = sys.maxsize
+        self, experience_map: ExperienceMap, stamp_ns: int, limit: int = UNLIMITED
     ) -> MapChange:
         """Return what has changed since the last call and is not sent yet.
 
@@ -322,17 +321,14 @@ class MapChangeTracker:
         )  # fmt: skip
 
     def _begin(self) -> None:
-        self._experiences = _Rows(POSE_TOLERANCES, rounded=3)
-        self._links = _Rows(LINK_TOLERANCES, rounded=5)
+        self._experiences = SentRows(POSE_TOLERANCES, rounded=3)
+        self._links = SentRows(LINK_TOLERANCES, rounded=5)
         self._removed: list[tuple[int, int]] = []
         self._labels: list[object] = []
         self._replacements = self._merges = 0
-        self._poses = np.empty((0, 3))
-        self._numbers = np.empty((2, 0))
         self._ends = np.empty((0, 2), np.int64)
         self._serials = np.empty(0, np.int64)
         self._notes: list[tuple[str, int]] = []
-        self._counts = np.empty((2, 0), np.int64)
         self._behaviours = {'': 0}
         self._links_version = -1
         self._deletions = 0
@@ -347,23 +343,21 @@ class MapChangeTracker:
         """
         known = len(self._labels)
         count = min(len(graph), known + limit)
-        labels, poses = graph.labels, graph.poses[:count]
-        is_same = np.array_equal(poses, self._poses)
-        if count > known:
-            added = [
-                (labels[row][0], graph.component_of(row)) for row in range(known, count)
-            ]
-            self._numbers = np.append(self._numbers, np.array(added, np.float64).T, axis=1)
-            self._labels.extend(labels[known:count])
+        labels, poses = graph.labels, graph.poses[:count].T
+        now = self._experiences.resize(count, len(graph))
+        has_changed = count > known or not np.array_equal(poses, now[:3])
+        for row in range(known, count):
+            now[3, row], now[4, row] = labels[row][0], graph.component_of(row)
+        self._labels.extend(labels[known:count])
         if graph.replacement_count != self._replacements or graph.merge_count != self._merges:
             self._replacements, self._merges = graph.replacement_count, graph.merge_count
-            is_same = False
+            has_changed = True
             for row in _differing(labels, self._labels):
-                self._labels[row], self._numbers[0, row] = labels[row], labels[row][0]
-            self._numbers[1] = graph.components[:count]
-        if not is_same:
-            self._poses = poses
-            self._experiences.compare(np.concatenate([poses.T, self._numbers]))
+                self._labels[row], now[3, row] = labels[row], labels[row][0]
+            now[4] = graph.components[:count]
+        if has_changed:
+            now[:3] = poses
+            self._experiences.compare()
         return len(graph) - count
 
     def _compare_links(self, graph: ExperienceGraph, limit: int) -> int:
@@ -375,29 +369,30 @@ class MapChangeTracker:
         known = len(self._serials)
         count = min(len(links), known + limit)
         time_outs, shares = links.failures[:count, TIMED_OUT], links.shares[:count]
-        if count == known and links.version == self._links_version and (
+        is_same = links.version == self._links_version
+        if is_same and count == known and (
             np.array_equal(time_outs, self._time_outs) and np.array_equal(shares, self._shares)
         ):
             return len(links) - count
         self._links_version = links.version
         self._time_outs, self._shares = time_outs.copy(), shares.copy()
-        changed = [*_differing(links.notes, self._notes), *range(known, count)]
+        changed = [] if is_same else _differing(links.notes, self._notes)
         if count > known:
-            added = np.zeros((2, count - known), np.int64)
+            changed += range(known, count)
             self._serials = np.append(self._serials, links.serials[known:count])
             self._ends = np.append(self._ends, links.ends[known:count], axis=0)
-            self._counts = np.append(self._counts, added, axis=1)
             self._notes.extend(links.notes[known:count])
+        now = self._links.resize(count, len(links))
         for row in changed:
             self._notes[row] = behaviour, number = links.notes[row]
             code = self._behaviours.setdefault(behaviour, len(self._behaviours))
-            self._counts[:, row] = number, code
-        counts, behaviours = self._counts
-        confidences = shares * link_confidences(self._ends[:, 0], behaviours, counts, time_outs)
-        self._links.compare(np.stack([
-            *links.shapes[:count].T, links.durations_s[:count], confidences, counts,
-            links.recognised[:count], behaviours,
-        ]))  # fmt: skip
+            now[5, row], now[7, row] = number, code
+        now[:3] = links.shapes[:count].T
+        now[3] = links.durations_s[:count]
+        now[4] = link_confidences(self._ends[:, 0], now[7].astype(np.int64), now[5], time_outs)
+        now[4] *= shares
+        now[6] = links.recognised[:count]
+        self._links.compare()
         return len(links) - count
 
     def _delete(self, serials: Ids) -> None:
@@ -407,7 +402,6 @@ class MapChangeTracker:
         self._removed.extend((source, target) for source, target in gone)
         self._links.keep(kept)
         self._serials, self._ends = self._serials[kept], self._ends[kept]
-        self._counts = self._counts[:, kept]
         self._notes = list(compress(self._notes, kept.tolist()))
 
     def _experience_rows(self, rows: Ids) -> ExperienceRows:
@@ -426,71 +420,6 @@ class MapChangeTracker:
             sent[5].astype(np.int64), sent[6] > 0.0,
             tuple(self._notes[row][0] for row in rows.tolist()),
         )  # fmt: skip
-
-
-class _Rows:
-    """Rows of numbers: as they are now, as they were sent, and which of them differ.
-
-    The arrays are ordered (column, row), as comparing whole columns is several times faster.
-    """
-
-    def __init__(self, tolerances: Reals, rounded: int) -> None:
-        """Start without rows.
-
-        Args:
-            tolerances: (k,) largest difference of each column that is not sent.
-            rounded: number of the first columns, which are rounded when they are sent.
-        """
-        self._tolerances, self._rounded = tolerances[:, None], rounded
-        self._now = self._sent = np.empty((len(tolerances), 0))
-        self._differs: NDArray[np.bool_] = np.empty(0, np.bool_)
-        self._next = 0
-        self.pending = 0
-        """Number of rows that differ from what was sent."""
-
-    @property
-    def was_sent(self) -> NDArray[np.bool_]:
-        """(n,) whether a row was ever sent."""
-        return ~np.isnan(self._sent[0])
-
-    def compare(self, now: Reals) -> None:
-        """Set the present numbers, (k, n), with at least as many rows as before."""
-        added = now.shape[1] - self._sent.shape[1]
-        if added:
-            self._sent = np.append(self._sent, np.full((len(now), added), np.nan), axis=1)
-        self._now = now
-        is_close = np.abs(now - self._sent) <= self._tolerances  # False for NaN
-        self._differs = np.logical_not(is_close.all(axis=0))
-        self.pending = int(np.count_nonzero(self._differs))
-
-    def keep(self, kept: NDArray[np.bool_]) -> None:
-        """Delete all rows but those marked."""
-        self._sent, self._now = self._sent[:, kept], self._now[:, kept]
-        self._differs = self._differs[kept]
-        self.pending = int(np.count_nonzero(self._differs))
-
-    def take(self, limit: int) -> Ids:
-        """Return at most ``limit`` rows that differ, and record that they are sent."""
-        if not self.pending or limit <= 0:
-            return _no_ids()
-        rows = np.flatnonzero(self._differs)
-        if len(rows) > limit:
-            is_new = np.isnan(self._sent[0, rows])
-            moved = rows[~is_new]
-            at = int(np.searchsorted(moved, self._next))
-            rows = np.concatenate([rows[is_new], moved[at:], moved[:at]])[:limit]
-            if len(rows) > np.count_nonzero(is_new):
-                self._next = int(rows[-1]) + 1
-        values = self._now[:, rows]
-        values[: self._rounded] = np.rint(values[: self._rounded] * ROUNDING) / ROUNDING
-        self._sent[:, rows] = values
-        self._differs[rows] = False
-        self.pending -= len(rows)
-        return rows
-
-    def sent(self, rows: Ids) -> Reals:
-        """Return the numbers of rows as they were last sent, (k, rows); NaN before."""
-        return self._sent[:, rows]
 
 
 def _differing(now: Sequence[object], before: Sequence[object]) -> list[int]:

@@ -122,7 +122,7 @@ class Navigator:
         self._queue.extend(tasks)
         return tasks
 
-    def cancel(self, reason: str = 'cancelled', number: int | None = None) -> int:
+    def cancel(self, reason: str = 'on request', number: int | None = None) -> int:
         """Cancel the goal with a number, or all unfinished goals; return how many."""
         tasks = [task for task in self._queue if number is None or task.number == number]
         for task in tasks:

@@ -1,0 +1,87 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""``ratslam view --export``: a run as a single HTML file."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ratslam_ros.cli.options import DONE, results_folder, words_of
+from ratslam_ros.errors import UnusableInput
+
+if TYPE_CHECKING:
+    from ratslam_ros.viewer.run_source import RunSource
+
+REPLAY_WITHOUT = (
+    'out', 'host', 'port', 'browser', 'export', 'export_duration', 'export_dark', 'quiet',
+)  # fmt: skip
+"""Options of ``ratslam view`` that a replay does not get, or gets with another value."""
+
+
+def add_export_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the export."""
+    parser.add_argument('--export', type=Path, metavar='FILE.html',
+                        help='instead of showing the run, write a page that plays it; the page '
+                             'needs neither Python nor a network')
+    parser.add_argument('--export-duration', type=_seconds, default=30.0, metavar='S',
+                        help='time that the exported page plays, in s (default: 30)')
+    parser.add_argument('--export-dark', action='store_true', help='export with the dark theme')
+
+
+def _seconds(text: str) -> float:
+    value = float(text)
+    if not 0.0 < value < float('inf'):
+        raise ValueError(text)
+    return value
+
+
+def check_export(path: Path) -> None:
+    """Raise if no file can be written there, so that it is reported before a replay.
+
+    Raises:
+        UnusableInput: the name is none of a page, or the folder does not exist.
+    """
+    if path.suffix.lower() not in ('.html', '.htm'):
+        raise UnusableInput(f'--export {path}: expected the name of a page, FILE.html')
+    if path.is_dir() or not path.absolute().parent.is_dir():
+        raise UnusableInput(f'--export {path}: expected a file in a folder that exists')
+
+
+def replay_for_export(options: argparse.Namespace) -> tuple[int, Path]:
+    """Replay the recording of ``ratslam view``; return the exit code and the folder of results."""
+    from ratslam_ros.cli.main import main
+    from ratslam_ros.recordings import open_recording
+    from ratslam_ros.results.writer import link_latest
+
+    with open_recording(options.recording, images_rate_hz=options.images_rate) as recording:
+        folder = results_folder(options, recording.name)
+    words = words_of(options.parser, options, REPLAY_WITHOUT)
+    code = main(['replay', *words, f'--out={folder}'])
+    if code == DONE and options.out is None:
+        link_latest(folder)
+    return code, folder
+
+
+def export_run(run: RunSource, options: argparse.Namespace) -> int:
+    """Write the page and print what has been written; return the exit code.
+
+    Raises:
+        UnusableInput: the file cannot be written, or there is nothing to show.
+    """
+    from ratslam_ros.viewer.export import export_html
+
+    if not run.end_ns:
+        raise UnusableInput(f'{options.recording} has no moment that can be shown: export nothing')
+    try:
+        done = export_html(
+            run, options.export, duration_s=options.export_duration, dark=options.export_dark
+        )
+    except OSError as error:
+        raise UnusableInput(
+            f'--export {options.export}: {error.strerror}; choose another file'
+        ) from error
+    moments = 'one moment' if done.frames == 1 else f'{done.frames} moments'
+    print(f'{options.export}: {moments}, {done.size / 1e6:.1f} MB')
+    return DONE

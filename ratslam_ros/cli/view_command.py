@@ -1,0 +1,329 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""``ratslam view``, and the option ``--view`` of other commands: the live view in a browser."""
+
+from __future__ import annotations
+
+import argparse
+import threading
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ratslam_ros.cli.export_run import (
+    add_export_options,
+    check_export,
+    export_run,
+    replay_for_export,
+)
+from ratslam_ros.cli.options import (
+    DONE,
+    INTERRUPTED,
+    Commands,
+    add_out,
+    add_view_options,
+    config_of,
+    read_truth,
+    results_folder,
+    words_of,
+)
+from ratslam_ros.cli.recording_commands import add_replay_options
+from ratslam_ros.console import print_notice
+from ratslam_ros.errors import RatslamError, UnusableInput
+from ratslam_ros.signals import StopSignals
+
+if TYPE_CHECKING:
+    from ratslam_ros.cli.child import Child
+    from ratslam_ros.viewer.app import ViewApp
+    from ratslam_ros.viewer.followed_run import FollowedRun
+    from ratslam_ros.viewer.run_source import Controls, RunSource
+    from ratslam_ros.viewer.server import ViewServer
+
+POLL_S = 0.05
+
+END_S = 1.5
+"""Time for a replay to write its results after Ctrl-C, so that all ends within 2 s."""
+
+VIEW_OPTIONS = (
+    'view', 'host', 'port', 'browser', 'out', 'export', 'export_duration', 'export_dark',
+)  # fmt: skip
+"""Options that a child process does not get, or gets with another value."""
+
+
+def add_view(commands: Commands) -> None:
+    """Add ``ratslam view``."""
+    view = commands.add_parser(
+        'view', help='show a recording or a finished run in a browser',
+        description='Replay a recording and show it in a browser, or show the results of a run.',
+    )  # fmt: skip
+    add_replay_options(view, 'PATH', ', to be replayed; or folder of results')
+    add_out(view, 'results/NAME-TIME, with the link results/latest')
+    add_view_options(view, always=True)
+    add_export_options(view)
+    view.set_defaults(run=_view, parser=view, video=None, quiet=True)
+
+
+def _view(options: argparse.Namespace) -> int:
+    from ratslam_ros.history.file import HISTORY_NAME, PART
+
+    path: Path = options.recording
+    if options.export is not None:
+        check_export(options.export)
+    if any((path / name).is_file() for name in (HISTORY_NAME, HISTORY_NAME + PART, 'map.json')):
+        return _view_results(options)
+    if options.export is None:
+        return view_replay(options)
+    code, folder = replay_for_export(options)
+    return export_run(open_results(folder), options) if code == DONE else code
+
+
+def _view_results(options: argparse.Namespace) -> int:
+    from ratslam_ros.viewer.controls import NoControls
+
+    given = words_of(options.parser, options, (*VIEW_OPTIONS, 'recording', 'truth'))
+    if given:
+        raise UnusableInput(
+            f'{options.recording} is a finished run, on which {given[0].partition("=")[0]} has no '
+            'effect; give the recording to replay it'
+        )
+    run = open_results(options.recording, options.truth)
+    if options.export is not None:
+        return export_run(run, options)
+    server = _server(options)
+    return _Session(server, run, NoControls(), options).run()
+
+
+def view_replay(options: argparse.Namespace) -> int:
+    """Replay a recording in a child process and show it, until Ctrl-C.
+
+    Args:
+        options: those of ``ratslam replay`` and of the web server.
+    """
+    from ratslam_ros.recordings import open_recording
+    from ratslam_ros.viewer.replay_controls import ReplayControls
+
+    config = config_of(options)
+    read_truth(options.truth)  # so that a wrong file is reported before anything starts
+    with open_recording(options.recording, images_rate_hz=options.images_rate) as recording:
+        name = recording.name
+    words = ['replay', *words_of(options.parser, options, VIEW_OPTIONS)]
+    if '--quiet' not in words:
+        words += ['--quiet'] * options.quiet
+    return _view_child(options, words, name, lambda again: ReplayControls(config, again))
+
+
+def view_simulation(options: argparse.Namespace, command: str) -> int:
+    """Run ``ratslam demo`` or ``simulate`` in a child process and show it, until Ctrl-C."""
+    from ratslam_ros.viewer.controls import NoControls
+
+    controls = NoControls('This simulation drives by itself and takes no requests.')
+    words = [command, *words_of(options.parser, options, VIEW_OPTIONS)]
+    return _view_child(options, words, command, lambda again: controls)
+
+
+def _view_child(
+    options: argparse.Namespace, words: Sequence[str], name: str,
+    controls_of: Callable[[Callable[[Sequence[str]], None]], Controls],
+) -> int:  # fmt: skip
+    server = _server(options)
+    truth = getattr(options, 'truth', None)
+    replays = _Replays(words, results_folder(options, name), name, options.out is None, truth)
+    controls = controls_of(replays.request)
+    try:
+        run = replays.start()
+        return _Session(server, run, controls, options, replays).run()
+    finally:
+        replays.end(0.0)
+
+
+def open_results(path: Path, truth: Path | None = None) -> RunSource:
+    """Open the results of a run, with its history if there is one."""
+    from ratslam_ros.history.opening import open_run
+
+    return open_run(path, truth)
+
+
+class _Replays:
+    """The child process that writes the shown run, and its successors.
+
+    All but ``request`` is called by the main thread.
+    """
+
+    def __init__(
+        self, words: Sequence[str], folder: Path, title: str, is_latest: bool,
+        truth: Path | None,
+    ) -> None:  # fmt: skip
+        self._truth = truth
+        self._words, self._first_folder, self._title = words, folder, title
+        self._is_latest = is_latest
+        self._number = 0
+        self._requested: Sequence[str] | None = None
+        self._child: Child | None = None
+        self.run: FollowedRun
+        """The run that the child writes."""
+        self.folder = folder
+        """Results of the child."""
+
+    @property
+    def is_running(self) -> bool:
+        """Whether a child runs."""
+        return self._child is not None
+
+    def request(self, settings: Sequence[str]) -> None:
+        """Request another replay, with settings `section.name=value`; called by any thread."""
+        self._requested = settings
+
+    def start(self, settings: Sequence[str] = ()) -> FollowedRun:
+        """Start a child and return the run that it writes."""
+        from ratslam_ros.cli.child import Child
+        from ratslam_ros.history.file import HISTORY_NAME
+        from ratslam_ros.viewer.followed_run import FollowedRun
+
+        self._number += 1
+        if self._number > 1:
+            self.folder = Path(f'{self._first_folder}-{self._number}')
+        title = ', '.join([self._title, *settings])
+        self.run = FollowedRun(self.folder / HISTORY_NAME, title, self._truth)
+        sets = [f'--set={setting}' for setting in settings]
+        self._child = Child([*self._words, *sets, f'--out={self.folder}'])
+        return self.run
+
+    def take_request(self) -> FollowedRun | None:
+        """Start a requested replay, if any, in place of a running one."""
+        settings, self._requested = self._requested, None
+        if settings is None:
+            return None
+        self.end(END_S)
+        return self.start(settings)
+
+    def poll(self) -> tuple[int, str] | None:
+        """Return the exit code and last line of a child that has ended since the last call."""
+        if self._child is None or self._child.code is None:
+            return None
+        from ratslam_ros.results.writer import link_latest
+
+        child, self._child = self._child, None
+        code = child.code
+        assert code is not None
+        for line in child.lines:
+            if line.startswith('warning: '):
+                self.run.add_notice(line.removeprefix('warning: '))
+        if code == DONE:
+            if self._is_latest:
+                link_latest(self.folder)
+        else:
+            self.run.add_notice(child.reason)
+        self.run.end()
+        return code, child.reason
+
+    def interrupt(self) -> None:
+        """Have the child write its results and end."""
+        if self._child is not None:
+            self._child.interrupt()
+
+    def end(self, within_s: float) -> bool:
+        """End the child; return whether one was running."""
+        child, self._child = self._child, None
+        if child is None:
+            return False
+        child.interrupt()
+        child.end(within_s)
+        self.run.end()
+        return True
+
+
+class _Session:
+    """A page in a browser, from its start to Ctrl-C."""
+
+    def __init__(
+        self, server: ViewServer, run: RunSource, controls: Controls, options: argparse.Namespace,
+        replays: _Replays | None = None,
+    ) -> None:  # fmt: skip
+        self._server, self._controls, self._options = server, controls, options
+        self._source, self._replays = run, replays
+
+    def run(self) -> int:
+        """Show the run until Ctrl-C; return the exit code."""
+        from ratslam_ros.viewer.app import ViewApp
+
+        stop = threading.Event()
+        thread: threading.Thread | None = None
+        try:
+            with StopSignals() as signals:
+                app = ViewApp(self._server, self._source, self._controls)
+                thread = threading.Thread(target=app.run, args=(stop,), name='view', daemon=True)
+                thread.start()
+                self._announce()
+                code = self._wait(app, signals)
+        finally:
+            # Child and server end at the same time.
+            end_s = time.monotonic() + END_S
+            if self._replays is not None:
+                self._replays.interrupt()
+            stop.set()
+            self._server.stop()
+            if thread is not None:
+                thread.join(max(0.0, end_s - time.monotonic()))
+            is_cut = self._replays is not None and self._replays.end(end_s - time.monotonic())
+        if not is_cut:
+            return code
+        assert self._replays is not None
+        kept = (self._replays.folder / 'map.json').is_file()
+        print_notice(
+            f'interrupted: the results so far are in {self._replays.folder}' if kept
+            else 'interrupted: no results have been written'
+        )
+        return INTERRUPTED
+
+    def _wait(self, app: ViewApp, signals: StopSignals) -> int:
+        """Return when a signal comes, or a child fails before there is anything to show."""
+        while not signals.received:
+            time.sleep(POLL_S)
+            replays = self._replays
+            if replays is None:
+                continue
+            if (run := replays.take_request()) is not None:
+                app.show(run)
+            ended = replays.poll()
+            if ended is None:
+                continue
+            code, reason = ended
+            if code == DONE:
+                self._use_config(replays.folder)
+            elif not replays.run.has_begun and replays.run is self._source:
+                return code if code > 0 else INTERRUPTED
+            else:
+                app.notify('The replay has failed', reason, is_error=True)
+        return DONE
+
+    def _use_config(self, folder: Path) -> None:
+        """Show the parameters that the replay has had: some are chosen for the recording."""
+        from ratslam_ros.viewer.replay_controls import ReplayControls
+
+        if isinstance(self._controls, ReplayControls):
+            from ratslam_ros.files.config import load_config
+
+            with suppress(RatslamError):
+                self._controls.use(load_config(str(folder / 'config.yaml'))[0])
+
+    def _announce(self) -> None:
+        from ratslam_ros.viewer.desktop import open_browser
+
+        url = self._server.url
+        print(f'view: {url} (Ctrl-C ends it)', flush=True)
+        if self._server.is_public:
+            print_notice(
+                'warning: other machines can open the view; whoever has its address, which is '
+                'sent without encryption, controls the run'
+            )
+        if self._options.browser:
+            open_browser(url)
+
+
+def _server(options: argparse.Namespace) -> ViewServer:
+    from ratslam_ros.viewer.server import DEFAULT_HOST, DEFAULT_PORT, ViewServer
+
+    host = DEFAULT_HOST if options.host is None else options.host
+    return ViewServer(host, DEFAULT_PORT if options.port is None else options.port)

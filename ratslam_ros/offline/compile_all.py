@@ -1,0 +1,115 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""``ratslam warm-up``: compile all inner loops once, in parallel, into Numba's cache."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from multiprocessing import get_context
+
+from ratslam_ros.errors import UnusableInput
+
+
+@dataclass(frozen=True)
+class Job:
+    """Functions that one process compiles, because they call each other.
+
+    label: what they do. usual_s: about how long it takes, to begin with the longest. parts: their
+    names, see ``core.warm_up.warm_up``; 'simulator' and 'inspection' are compiled by using them.
+    """
+
+    label: str
+    usual_s: int
+    parts: tuple[str, ...]
+
+
+GROUPS = {
+    'mapping': (
+        Job('pose cells', 12, ('pose_cells',)),
+        Job('experience map', 5, ('experience_map',)),
+        Job('images', 4, ('local_view', 'visual_odometry', 'inspection')),
+    ),
+    'navigation': (
+        Job('goals on the pose cells', 13, ('pose_cells', 'goal_memory')),
+        Job('routes and driving', 7, ('experience_map', 'goal_recall', 'goal_follower')),
+    ),
+    'laser': (
+        Job('landmarks', 45, ('experience_map', 'scan_alignment', 'landmark_map', 'relocation')),
+    ),
+    'simulator': (Job('simulator', 3, ('simulator',)),),
+}
+"""What can be compiled, by the names that the command takes."""
+
+
+def compile_all(groups: Sequence[str], say: Callable[[str], None]) -> str:
+    """Compile what is not in the cache yet, with a process for each core.
+
+    Args:
+        groups: keys of GROUPS; none for all.
+        say: called with a line for each job that had to compile.
+
+    Returns:
+        A line that sums up.
+
+    Raises:
+        UnusableInput: there is no such group.
+    """
+    unknown = set(groups) - set(GROUPS)
+    if unknown:
+        raise UnusableInput(
+            f'{", ".join(sorted(unknown))} cannot be compiled; choose from {", ".join(GROUPS)}'
+        )
+    jobs = list(_jobs(groups or list(GROUPS)))
+    start_s = time.monotonic()
+    workers = min(os.cpu_count() or 1, len(jobs))
+    compiled_s = 0.0
+    # Fresh processes, since a process that has threads must not be forked.
+    with ProcessPoolExecutor(workers, mp_context=get_context('spawn')) as pool:
+        pending = {pool.submit(_compile, job.parts): job for job in jobs}
+        for done in as_completed(pending):
+            took_s = done.result()
+            if took_s > 0.0:
+                compiled_s += took_s
+                say(f'compiled: {pending[done].label} ({took_s:.0f} s)')
+    if compiled_s == 0.0:
+        return 'everything is compiled already'
+    return f'compiled in {time.monotonic() - start_s:.0f} s; later starts load the compiled code'
+
+
+def _jobs(groups: Sequence[str]) -> Iterator[Job]:
+    """Return the jobs, longest first."""
+    found = [job for name in GROUPS if name in groups for job in GROUPS[name]]
+    # A job whose parts are among those of another is done by it.
+    kept = [
+        job for job in found
+        if not any(set(job.parts) < set(other.parts) for other in found)
+    ]  # fmt: skip
+    yield from sorted(kept, key=lambda job: -job.usual_s)
+
+
+def _compile(parts: tuple[str, ...]) -> float:
+    """Compile parts in this process; return the time spent on compiling in s."""
+    from ratslam_ros.compilation import compilation_time
+    from ratslam_ros.core.warm_up import warm_up
+
+    with compilation_time() as taken:
+        for part in parts:
+            if part == 'simulator':
+                from ratslam_ros.simulator.config import SimulatorParameters, make_simulator
+
+                for people in (0, 1):
+                    make_simulator(SimulatorParameters(plan='office', people=people)).step()
+            elif part == 'inspection':
+                import numpy as np
+
+                from ratslam_ros.core.config import Config
+                from ratslam_ros.offline.revisits import compare_all
+
+                compare_all(np.zeros((2, 8, 16), np.uint8), Config().local_view)
+            else:
+                warm_up(part)
+    return taken.seconds

@@ -1,0 +1,127 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The viewer's loop: it draws the state of a run at the cursor while a browser is connected."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections.abc import Callable
+
+from ratslam_ros.console import print_notice
+from ratslam_ros.viewer.panels import Panels
+from ratslam_ros.viewer.playback import Playback
+from ratslam_ros.viewer.run_source import Controls, RunSource
+from ratslam_ros.viewer.scene import COLOURINGS, RunScene
+from ratslam_ros.viewer.server import ViewServer
+
+PERIOD_S = 0.1
+"""Period of drawing: 10 Hz, the rate of the images of most recordings."""
+
+MAX_POSTED = 1000
+"""Longest queue of posted functions; more are dropped, so that a blocked loop uses no memory."""
+
+REPEAT_S = 10.0
+"""Time after which an error that occurs again is reported again."""
+
+NOTIFIED_S = 8.0
+"""Time for which an error stays on the page."""
+
+TIDY_S = 60.0
+"""Period at which viser's messages about removed objects are deleted.
+
+Viser keeps them until another browser connects, so they would add up over hours.
+"""
+
+
+class ViewApp:
+    """Draws a run and lets the user control it.
+
+    Only the thread that calls ``run`` touches the state. Callbacks of the page come from threads
+    of viser: they ``post`` a function, which the loop calls.
+    """
+
+    def __init__(self, server: ViewServer, source: RunSource, controls: Controls) -> None:
+        """Add the scene and the panels to the page.
+
+        Args:
+            server: a server with an empty page.
+            source: the run to show first.
+            controls: what the user can request of the run.
+        """
+        self.server = server
+        self.playback = Playback(source)
+        self.scene = RunScene(server.viser)
+        self.panels = Panels(
+            server.viser, self.playback, self.scene, source, controls, self.post, COLOURINGS
+        )
+        self._posted: queue.Queue[Callable[[], None]] = queue.Queue(MAX_POSTED)
+        self._reported: dict[str, float] = {}
+        self._untidy_s = 0.0
+
+    def post(self, function: Callable[[], None]) -> None:
+        """Have a function called by the loop; may be called from any thread."""
+        try:
+            self._posted.put_nowait(function)
+        except queue.Full:
+            self._report('request', RuntimeError('too many requests; one was dropped'))
+
+    def show(self, source: RunSource) -> None:
+        """Show another run; may be called from any thread."""
+        self.post(lambda: self.playback.use(source))
+
+    def notify(self, title: str, text: str, is_error: bool = False) -> None:
+        """Show a text on every connected page for some seconds; may be called from any thread."""
+        for client in self.server.viser.get_clients().values():
+            client.add_notification(
+                title, text, color='red' if is_error else 'blue', auto_close_seconds=NOTIFIED_S
+            )
+
+    def run(self, stop: threading.Event) -> None:
+        """Draw at 10 Hz until the event is set.
+
+        An error in a panel or callback is shown and logged in one line; the loop goes on.
+        """
+        drawn_s = time.monotonic()
+        while not stop.is_set():
+            begun_s = time.monotonic()
+            self._call_posted()
+            if self.server.client_count:
+                self._attempt('drawing', lambda: self._draw(begun_s - drawn_s))  # noqa: B023
+            drawn_s = begun_s
+            self._tidy(begun_s)
+            stop.wait(max(0.0, begun_s + PERIOD_S - time.monotonic()))
+
+    def _draw(self, elapsed_s: float) -> None:
+        state = self.playback.tick(elapsed_s)
+        with self.server.viser.atomic():  # Pages show all of an update or nothing of it.
+            self.scene.update(state)
+            self.panels.update(state)
+
+    def _call_posted(self) -> None:
+        # Functions that are posted meanwhile wait for the next period: the page stays alive.
+        for _ in range(self._posted.qsize()):
+            self._attempt('request', self._posted.get_nowait())
+
+    def _attempt(self, what: str, function: Callable[[], None]) -> None:
+        try:
+            function()
+        except Exception as error:
+            self._report(what, error)
+
+    def _report(self, what: str, error: Exception) -> None:
+        text = f'{what}: {type(error).__name__}: {" ".join(str(error).split())}'
+        now_s = time.monotonic()
+        if now_s - self._reported.get(text, -REPEAT_S) < REPEAT_S:
+            return
+        if len(self._reported) >= MAX_POSTED:
+            self._reported.clear()
+        self._reported[text] = now_s
+        print_notice(f'ratslam view: {text}')
+        self.notify('Error', text, is_error=True)
+
+    def _tidy(self, now_s: float) -> None:
+        if now_s - self._untidy_s >= TIDY_S:
+            self._untidy_s = now_s
+            self.server.viser._run_garbage_collector()

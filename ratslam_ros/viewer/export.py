@@ -1,0 +1,296 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A run as a single HTML file: an animation that needs neither Python nor a network."""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ratslam_ros.history.run_state import NS_PER_S, RunState
+from ratslam_ros.viewer.panels.html import BLUE, ORANGE
+from ratslam_ros.viewer.panels.texts import decision_text, match_text, time_text
+from ratslam_ros.viewer.run_source import RunSource
+from ratslam_ros.viewer.server import ViewServer
+
+if TYPE_CHECKING:
+    from viser import ViserServer
+
+DURATION_S = 30.0
+"""Time that the animation takes."""
+
+FRAMES_PER_S = 10.0
+"""Rate of the animation, which is that of the live view."""
+
+MAX_BYTES = 20_000_000
+"""Largest file: most mail servers and chat rooms accept it, and browsers open it at once."""
+
+MIN_FRAMES = 20
+"""Fewest frames of an animation; the file becomes larger than the limit rather than choppier."""
+
+ATTEMPTS = 4
+"""Number of times that a run is recorded with fewer frames until the file is small enough."""
+
+MARGIN = 0.9
+"""Part of the limit that is aimed at, because the size is not quite proportional to the frames."""
+
+IMAGE_WIDTH_PX, JPEG_QUALITY = 320, 70
+"""Largest width of the camera images, and their quality; the page shows them 242 px wide."""
+
+FIELD_OF_VIEW, ELEVATION = math.radians(45), math.radians(60)
+"""Vertical field of view of the camera, and its direction above the floor."""
+
+ASPECT, COVERED = 1.75, 0.22
+"""Width of a usual page relative to its height, and the part of it that the overlay covers."""
+
+OVERLAY = Path(__file__).with_name('overlay.html')
+
+Progress = Callable[[float], None]
+Reals = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Exported:
+    """What has been written: its size in bytes, and the number of frames."""
+
+    size: int
+    frames: int
+
+
+@dataclass(slots=True)
+class _Overlay:
+    """What is written over the scene: texts, camera images and match errors of every frame."""
+
+    title: str
+    notes: list[str]
+    dark: bool
+    legend: list[tuple[str, str]]
+    frames: list[dict[str, Any]] = field(default_factory=list)
+    images: list[str] = field(default_factory=list)
+    views: list[tuple[float, float, float, int]] = field(default_factory=list)
+
+    def html(self) -> str:
+        """Return the elements that belong at the beginning of the page's head."""
+        content = {
+            'title': self.title, 'notes': self.notes, 'dark': self.dark, 'legend': self.legend,
+            'colours': [_css(BLUE), _css(ORANGE)], 'frames': self.frames, 'images': self.images,
+            'views': self.views,
+        }  # fmt: skip
+        data = json.dumps(content, ensure_ascii=False, separators=(',', ':'))
+        # No text may end the script element that holds the data.
+        return OVERLAY.read_text('utf-8').replace('DATA', data.replace('<', '\\u003c'), 1)
+
+
+def export_html(
+    source: RunSource,
+    path: Path,
+    *,
+    duration_s: float = DURATION_S,
+    max_bytes: int = MAX_BYTES,
+    dark: bool = False,
+    colouring: str | None = None,
+    progress: Progress | None = None,
+) -> Exported:
+    """Write a run as an HTML file that plays it.
+
+    Args:
+        source: the run, up to its current end.
+        path: the file; an existing one is replaced when the new one is complete.
+        duration_s: time that the animation takes, in s.
+        max_bytes: size that the file should not exceed; it has fewer frames if need be.
+        dark: whether to use the dark theme.
+        colouring: what colours the experiences, see ``RunScene``; None: what a viewer begins with.
+        progress: called with the finished part, from 0 to 1.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    report = progress or (lambda part: None)
+    count = max(MIN_FRAMES, round(duration_s * FRAMES_PER_S))
+    if source.end_ns <= source.begin_ns:
+        count, duration_s = 1, 0.0
+    for attempt in range(ATTEMPTS):
+
+        def attempted(part: float, left: float = 0.5**attempt) -> None:
+            report(1 - left * (1 - part / 2))
+
+        html = record_html(
+            source, count, duration_s, dark=dark, colouring=colouring, progress=attempted
+        )
+        content = html.encode()
+        if len(content) <= max_bytes or count <= MIN_FRAMES:
+            break
+        count = max(MIN_FRAMES, int(count * MARGIN * max_bytes / len(content)))
+    part = path.with_name(path.name + '.part')
+    part.write_bytes(content)
+    part.replace(path)
+    report(1.0)
+    return Exported(len(content), count)
+
+
+def record_html(
+    source: RunSource,
+    count: int,
+    duration_s: float,
+    *,
+    dark: bool = False,
+    colouring: str | None = None,
+    progress: Progress | None = None,
+) -> str:
+    """Return a run as an HTML page with an animation of ``count`` frames.
+
+    The scene is drawn as for a browser, at stamps at equal distances, and viser records what it
+    would send.
+    """
+    server = ViewServer('127.0.0.1', 0)
+    try:
+        return _record(server.viser, source, count, duration_s, dark, colouring, progress)
+    finally:
+        server.stop()
+
+
+def _record(
+    viser_server: ViserServer,
+    source: RunSource,
+    count: int,
+    duration_s: float,
+    dark: bool,
+    colouring: str | None,
+    progress: Progress | None,
+) -> str:
+    # Only here, after the server has reported that viser is missing, if it is.
+    from viser._messages import RunJavascriptMessage
+
+    from ratslam_ros.viewer.scene import RunScene
+
+    begin_ns, end_ns = source.begin_ns, source.end_ns
+    stamps = [begin_ns + (end_ns - begin_ns) * k // (count - 1) for k in range(count - 1)]
+    stamps.append(end_ns)
+    clock_s = 0.0  # that of the run, so that slow drawing skips nothing
+    scene = RunScene(viser_server, map_period_s=0.0, aims=False, clock=lambda: clock_s)
+    scene.dark = dark
+    if colouring is not None:
+        scene.colouring = colouring
+    scene.update(source.seek(end_ns))  # so that grid, pose cells and camera suit the whole run
+    _aim(viser_server, *scene.area())
+    state = source.seek(begin_ns)
+    scene.update(state)
+    recorder = viser_server.get_scene_serializer()
+    overlay = _Overlay(source.title, list(source.notices), dark, [])
+    frames = _Frames(source, overlay)
+    for number, stamp_ns in enumerate(stamps):
+        source.advance(state, stamp_ns)
+        clock_s = (stamp_ns - begin_ns) / NS_PER_S
+        scene.update(state)
+        frames.add(state, stamp_ns)
+        # GUI elements are not recorded, scripts are: they keep the overlay at the same frame.
+        recorder._insert_message(RunJavascriptMessage(f'showRunFrame({number})'))
+        if count > 1:
+            recorder.insert_sleep(duration_s / count)
+        if progress is not None:
+            progress((number + 1) / count)
+    overlay.legend = [(_css(colour), text) for colour, text in scene.legend()]
+    page = recorder.as_html(dark)
+    head = page.index('<meta charset')
+    return page[:head] + overlay.html() + page[head:]
+
+
+class _Frames:
+    """Collects the overlay's content of one frame after the other."""
+
+    def __init__(self, source: RunSource, overlay: _Overlay) -> None:
+        self._source, self._overlay = source, overlay
+        self._begin_ns = source.begin_ns
+        self._length = time_text((source.end_ns - source.begin_ns) / NS_PER_S, 0)
+        self._closed, self._closed_ns = 0, -1
+        self._jpeg = b''
+        self._view_ns = -1
+
+    def add(self, state: RunState, stamp_ns: int) -> None:
+        """Add the frame that shows a state."""
+        overlay = self._overlay
+        self._count_closures(stamp_ns)
+        self._add_views(state)
+        self._add_image(state, stamp_ns)
+        seconds = (stamp_ns - self._begin_ns) / NS_PER_S
+        view = state.view
+        overlay.frames.append({
+            's': round(seconds, 3),
+            'time': f'{time_text(seconds, 0)} of {self._length} (min:s)',
+            'counts': f'places: {len(state.map)} · links: {state.map.link_count} · '
+                      f'loop closures: {self._closed}',
+            'decision': '' if view is None else f'{match_text(view)}; {decision_text(view)}',
+            'image': len(overlay.images) - 1,
+            'views': len(overlay.views),
+        })  # fmt: skip
+
+    def _count_closures(self, stamp_ns: int) -> None:
+        # A source lists only the latest closures, so they are counted frame by frame.
+        found = self._source.closures(stamp_ns)
+        self._closed += sum(
+            view.stamp_ns > self._closed_ns for view in found if not view.reason
+        )
+        self._closed_ns = stamp_ns
+
+    def _add_views(self, state: RunState) -> None:
+        for view in state.recent:
+            if view.stamp_ns > self._view_ns:
+                self._view_ns = view.stamp_ns
+                seconds = (view.stamp_ns - self._begin_ns) / NS_PER_S
+                row = (round(seconds, 2), round(view.error, 4), round(view.threshold, 4))
+                self._overlay.views.append((*row, int(view.is_new)))
+
+    def _add_image(self, state: RunState, stamp_ns: int) -> None:
+        image = state.image
+        jpeg = self._source.image_at(stamp_ns) if image is None else image.jpeg
+        if jpeg is None or jpeg == self._jpeg:
+            return
+        self._jpeg = jpeg
+        small = _small(jpeg)
+        if small is not None:
+            self._overlay.images.append(base64.b64encode(small).decode())
+
+
+def _small(jpeg: bytes) -> bytes | None:
+    """Return an image at most as wide as it is shown; None if it cannot be decoded."""
+    pixels = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
+    if pixels is None:
+        return None
+    height, width = pixels.shape[:2]
+    if width <= IMAGE_WIDTH_PX:
+        return jpeg
+    size = (IMAGE_WIDTH_PX, max(1, round(height * IMAGE_WIDTH_PX / width)))
+    smaller = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
+    _, encoded = cv2.imencode('.jpg', smaller, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    return encoded.tobytes()
+
+
+def _aim(viser_server: ViserServer, low: Reals, high: Reals) -> None:
+    """Aim the camera so that an area of the floor is seen beside the overlay."""
+    width, depth = (high - low).tolist()
+    tangent = math.tan(FIELD_OF_VIEW / 2)
+    distance = max(
+        width / (2 * tangent * ASPECT * (1 - COVERED)), depth * math.sin(ELEVATION) / (2 * tangent)
+    )
+    x, y = ((low + high) / 2).tolist()
+    x += COVERED * ASPECT * tangent * distance
+    camera = viser_server.initial_camera
+    camera.fov = FIELD_OF_VIEW
+    camera.far = 100 * distance
+    camera.look_at = (x, y, 0.0)
+    camera.position = (
+        x, y - distance * math.cos(ELEVATION), distance * math.sin(ELEVATION)
+    )  # fmt: skip
+
+
+def _css(colour: tuple[int, int, int]) -> str:
+    return 'rgb({:d},{:d},{:d})'.format(*colour)

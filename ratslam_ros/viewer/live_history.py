@@ -1,0 +1,144 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""History of a live run: a thread that writes the records, and a reader of what is written."""
+
+from __future__ import annotations
+
+import queue
+import threading
+from pathlib import Path
+
+import numpy as np
+
+from ratslam_ros.core.mapping.map_changes import ExperienceRows, LinkRows, MapChange, MapMirror
+from ratslam_ros.errors import UnusableInput
+from ratslam_ros.history.file import HistoryMeta, package_version, part_path
+from ratslam_ros.history.history_run import HistoryRun
+from ratslam_ros.history.records import Record
+from ratslam_ros.history.writer import HistoryWriter
+
+
+class LiveHistory:
+    """Writes the records of one run to a file in a thread of its own.
+
+    Writing a checkpoint of a large map takes longer than the period of drawing.
+    """
+
+    def __init__(self, path: Path, title: str) -> None:
+        """Create the file; it replaces one of the same name when it is closed.
+
+        Args:
+            path: the file.
+            title: name of the run.
+
+        Raises:
+            UnusableInput: the file cannot be written.
+        """
+        meta = HistoryMeta(title, ratslam_version=package_version())
+        self._writer = HistoryWriter(path, meta, lambda _: None)
+        if self._writer.problem:
+            raise UnusableInput(self._writer.problem)
+        self.reader = HistoryRun(part_path(path))
+        """What has been written; it lags behind by about a second."""
+        self._queue: queue.SimpleQueue[Record | None] = queue.SimpleQueue()
+        self._map = MapRelay()
+        self._problem = ''
+        self._thread = threading.Thread(target=self._write, name='history', daemon=True)
+        self._thread.start()
+
+    @property
+    def problem(self) -> str:
+        """Why writing has ended early; '' if it has not."""
+        return self._problem or self._writer.problem
+
+    def add(self, record: Record) -> None:
+        """Append a record; may be called from any thread."""
+        if not self.problem:
+            self._queue.put(record)
+
+    def close(self) -> None:
+        """Write everything, and close the file."""
+        self._queue.put(None)
+        self._thread.join()
+        self.reader.close()
+
+    def _write(self) -> None:
+        try:
+            self._write_records()
+        except Exception as error:  # the run goes on without its past
+            self._problem = f'the history ends here: {type(error).__name__}: {error}'
+
+    def _write_records(self) -> None:
+        writer, relay = self._writer, self._map
+        while (record := self._queue.get()) is not None:
+            if isinstance(record, MapChange):
+                relay.add(record)
+            else:
+                writer.add(record)
+            if relay.pending and writer.wants(MapChange, record.stamp_ns):
+                writer.add(relay.next_change(writer.map_rows))
+        while relay.pending and writer.is_open:
+            writer.add(relay.next_change(writer.map_rows))
+        writer.close()
+
+
+class MapRelay:
+    """Passes a map on in changes of another size and rate than those it receives."""
+
+    def __init__(self) -> None:
+        self._mirror = MapMirror()
+        self._last: MapChange | None = None
+        self._ids: dict[int, None] = {}
+        self._links: dict[tuple[int, int], None] = {}
+        self._removed: dict[tuple[int, int], None] = {}
+        self._is_restart = False
+
+    @property
+    def pending(self) -> bool:
+        """Whether there is something to pass on."""
+        return self._last is not None
+
+    def add(self, change: MapChange) -> None:
+        """Receive a change."""
+        self._mirror.apply(change)
+        self._last = change
+        if change.is_restart:
+            self._is_restart = True
+            self._ids, self._links, self._removed = {}, {}, {}
+        for source, target in change.removed_links.tolist():
+            self._links.pop((source, target), None)
+            self._removed[source, target] = None
+        self._ids |= dict.fromkeys(change.experiences.ids.tolist())
+        for source, target in change.links.ends.tolist():
+            self._removed.pop((source, target), None)
+            self._links[source, target] = None
+
+    def next_change(self, rows: int) -> MapChange:
+        """Return what has changed since the last call, at most ``rows`` experiences and links."""
+        assert self._last is not None
+        mirror, last = self._mirror, self._last
+        ids = np.array(list(self._ids)[:rows], np.int64)
+        ends = list(self._links)[: rows - len(ids)]
+        removed = np.array(list(self._removed), np.int64).reshape(-1, 2)
+        for number in ids.tolist():
+            del self._ids[number]
+        for pair in ends:
+            del self._links[pair]
+        links = mirror.link_rows
+        at = np.array([mirror.link_row(*pair) for pair in ends], np.int64)
+        change = MapChange(
+            last.stamp_ns, last.experience_count, last.current_id, self._is_restart,
+            ExperienceRows(
+                ids, mirror.template_ids[ids], mirror.poses[ids], mirror.components[ids]
+            ),
+            LinkRows(
+                links.ends[at], links.shapes[at], links.durations_s[at], links.confidences[at],
+                links.counts[at], links.recognised[at],
+                tuple(links.behaviours[row] for row in at.tolist()),
+            ),
+            removed, last.pending + len(self._ids) + len(self._links),
+        )  # fmt: skip
+        self._is_restart, self._removed = False, {}
+        if not self._ids and not self._links:
+            self._last = None
+        return change

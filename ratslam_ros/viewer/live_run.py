@@ -1,0 +1,293 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A live run: records that arrive from other processes, brought into one order."""
+
+from __future__ import annotations
+
+import heapq
+import tempfile
+import threading
+import time
+from bisect import bisect_left, bisect_right
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from ratslam_ros.core.mapping.map_changes import MapChange, MapMirror
+from ratslam_ros.history.file import HISTORY_NAME
+from ratslam_ros.history.records import (
+    ImageRecord,
+    PoseRecord,
+    Record,
+    RouteRecord,
+    StatusRecord,
+    ViewRecord,
+)
+from ratslam_ros.history.run_state import NS_PER_S, RunState
+from ratslam_ros.viewer.live_history import LiveHistory
+
+HOLD_NS = 300_000_000
+"""Time by which records are held, so that those of slower topics get their place before them: the
+action that follows from an image usually arrives within this time."""
+
+SILENCE_S = 0.5
+"""Time without a record after which the held records are released."""
+
+JUMP_BACK_NS = NS_PER_S
+"""Distance by which the stamps of the poses must go back for a new run to begin, as the nodes have
+it (docs/topics.md)."""
+
+TAIL_NS = 120 * NS_PER_S
+"""Time for which records stay in memory."""
+
+MAX_TAIL = 20_000
+"""Largest number of records that stay in memory, whatever their stamps are."""
+
+IN_TAIL = -1
+"""First part of the position of a state that was read from the tail; the second one is the number
+of records of the run that it includes."""
+
+LATCHED = MapChange, RouteRecord, StatusRecord
+"""Records that may be much older than the moment at which they arrive: they do not begin a run."""
+
+
+class LiveRun:
+    """Records in the order of their stamps, with the state at any moment; thread-safe.
+
+    Records of different topics arrive out of order. Each is held until a record with a stamp that
+    is ``HOLD_NS`` later has arrived, or until no record has arrived for ``SILENCE_S``. A record
+    that arrives too late for its place gets the stamp after the last one. So the stamps of the
+    run never decrease, and a reader that has applied all records up to ``end_ns`` misses none.
+
+    The newest records stay in memory, the tail. All are written to a history file, from which
+    earlier moments are read.
+
+    If the stamps of the poses jump back, a new run begins, with a new file.
+    """
+
+    is_growing = True
+
+    def __init__(
+        self, title: str, path: Path | None = None, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        """Create an empty run.
+
+        Args:
+            title: name of the run.
+            path: file of the history, replaced if it exists; None for a temporary one. That of a
+                second run has a number appended to its name.
+            clock: steady clock in s, which only detects silence.
+
+        Raises:
+            UnusableInput: the file cannot be written.
+        """
+        self.title = title
+        self.problems: dict[str, str] = {}
+        """Notices by key, set by the owner of the run."""
+        self._clock = clock
+        self._lock = threading.RLock()
+        self._sequence = self._runs = 0
+        self._folder: tempfile.TemporaryDirectory[str] | None = None
+        if path is None:
+            self._folder = tempfile.TemporaryDirectory(prefix='ratslam-view-')
+            path = Path(self._folder.name) / HISTORY_NAME
+        self._path = path
+        self._begin()
+
+    def _begin(self) -> None:
+        self._held: list[tuple[int, int, Record]] = []
+        self._newest_ns = self._pose_ns = 0
+        self._added_s = self._clock()
+        self._begin_ns = self._end_ns = 0
+        self._dropped = 0
+        """Number of records before the tail."""
+        self._stamps: list[int] = []
+        self._tail: list[Record] = []
+        self._tail_map = MapMirror()
+        """The map before the first record of the tail."""
+        self._runs += 1
+        number = '' if self._runs == 1 else f'-{self._runs}'
+        path = self._path.with_name(f'{self._path.stem}{number}{self._path.suffix}')
+        self._history = LiveHistory(path, self.title)
+
+    def close(self) -> None:
+        """Write the records that are held, and close the file."""
+        with self._lock:
+            self._release_all()
+            self._history.close()
+            if self._folder is not None:
+                self._folder.cleanup()
+
+    # The executor's thread
+
+    def add(self, record: Record) -> bool:
+        """Add a record; return whether a new run begins with it, as the stamps jumped back."""
+        with self._lock:
+            stamp_ns = record.stamp_ns
+            begins = False
+            if isinstance(record, PoseRecord):
+                begins = 0 < stamp_ns < self._pose_ns - JUMP_BACK_NS
+                if begins:
+                    self._release_all()
+                    self._history.close()
+                    self._begin()
+                self._pose_ns = max(self._pose_ns, stamp_ns)
+            if not isinstance(record, LATCHED):
+                self._newest_ns = max(self._newest_ns, stamp_ns)
+            self._sequence += 1
+            heapq.heappush(self._held, (stamp_ns, self._sequence, record))
+            self._added_s = self._clock()
+            if self._newest_ns:
+                self._release(self._newest_ns - HOLD_NS)
+            return begins
+
+    def replace_view(self, old: ViewRecord, new: ViewRecord) -> bool:
+        """Replace a view if it is still held; return whether it was."""
+        with self._lock:
+            for index, (stamp_ns, sequence, record) in enumerate(self._held):
+                if record is old:
+                    self._held[index] = stamp_ns, sequence, new
+                    return True
+        return False
+
+    def _release_all(self) -> None:
+        self._release(max((stamp_ns for stamp_ns, _, _ in self._held), default=0))
+
+    def _release(self, until_ns: int) -> None:
+        """Append the held records up to a stamp to the run."""
+        before_ns = self._end_ns
+        while self._held and self._held[0][0] <= until_ns:
+            stamp_ns, _, record = heapq.heappop(self._held)
+            if not self._begin_ns and isinstance(record, LATCHED):
+                stamp_ns = max(stamp_ns, self._first_ns())
+            stamp_ns = max(stamp_ns, self._end_ns)
+            if stamp_ns <= before_ns:  # readers have passed it
+                stamp_ns = before_ns + 1
+            if stamp_ns != record.stamp_ns:
+                record = replace(record, stamp_ns=stamp_ns)
+            self._append(record)
+
+    def _first_ns(self) -> int:
+        """Return the stamp of the first held record that is not latched, 0 if there is none."""
+        stamps = [stamp for stamp, _, record in self._held if not isinstance(record, LATCHED)]
+        return min(stamps, default=0)
+
+    def _append(self, record: Record) -> None:
+        self._begin_ns = self._begin_ns or record.stamp_ns
+        self._end_ns = record.stamp_ns
+        self._stamps.append(record.stamp_ns)
+        self._tail.append(record)
+        self._history.add(record)
+        if len(self._tail) > 2 * MAX_TAIL or self._stamps[0] < self._end_ns - 2 * TAIL_NS:
+            drop = max(
+                len(self._tail) - MAX_TAIL, bisect_left(self._stamps, self._end_ns - TAIL_NS)
+            )
+            for old in self._tail[:drop]:
+                if isinstance(old, MapChange):
+                    self._tail_map.apply(old)
+            del self._tail[:drop], self._stamps[:drop]
+            self._dropped += drop
+
+    # The loop's thread
+
+    @property
+    def begin_ns(self) -> int:
+        """Stamp of the first record, 0 if there is none yet."""
+        return self._begin_ns
+
+    @property
+    def end_ns(self) -> int:
+        """Stamp of the last record, 0 if there is none yet."""
+        with self._lock:
+            if self._held and self._clock() - self._added_s > SILENCE_S:
+                self._release_all()
+            return self._end_ns
+
+    @property
+    def notices(self) -> Sequence[str]:
+        """What the user must know, such as which topics are silent."""
+        problem = self._history.problem
+        return [*self.problems.values(), *([problem] if problem else [])]
+
+    def seek(self, stamp_ns: int) -> RunState:
+        """Return a new state: that of the last record whose stamp is not later."""
+        with self._lock:
+            state = RunState()
+            if self._dropped:
+                state = self._history.reader.seek(stamp_ns)
+            self.advance(state, stamp_ns)
+            return state
+
+    def advance(self, state: RunState, stamp_ns: int) -> None:
+        """Apply to a state all records between it and a later stamp."""
+        with self._lock:
+            if state.position[0] != IN_TAIL and not self._enter_tail(state):
+                self._history.reader.advance(state, stamp_ns)
+                if not self._enter_tail(state):
+                    return
+            at = state.position[1] - self._dropped
+            if at < 0:  # it was left alone for minutes
+                vars(state).update(vars(self.seek(stamp_ns)))
+                return
+            end = max(bisect_right(self._stamps, stamp_ns), at)
+            for record in self._tail[at:end]:
+                state.apply(record)
+            state.position = IN_TAIL, self._dropped + end
+
+    def _enter_tail(self, state: RunState) -> bool:
+        """Have a state read on from the tail, if that goes back far enough.
+
+        The map of the history may lag behind, so that of the tail replaces it.
+        """
+        if not self._dropped and state.stamp_ns == 0:
+            state.position = IN_TAIL, 0
+            return True
+        if not self._stamps or state.stamp_ns < self._stamps[0]:
+            return False
+        at = bisect_right(self._stamps, state.stamp_ns)
+        state.map.apply(self._tail_map.complete(self._stamps[0]))
+        for record in self._tail[:at]:
+            if isinstance(record, MapChange):
+                state.map.apply(record)
+        state.position = IN_TAIL, self._dropped + at
+        return True
+
+    def _newest_views(self, stamp_ns: int) -> list[ViewRecord]:
+        """Return the views of the tail up to a stamp."""
+        with self._lock:
+            records = self._tail[: bisect_right(self._stamps, stamp_ns)]
+        return [record for record in records if isinstance(record, ViewRecord)]
+
+    def image_at(self, stamp_ns: int) -> bytes | None:
+        """Return the best image of a stamp as JPEG, None if there is none near it."""
+        with self._lock:
+            near = self._tail[
+                bisect_left(self._stamps, stamp_ns - NS_PER_S) :
+                bisect_right(self._stamps, stamp_ns + NS_PER_S)
+            ]  # fmt: skip
+        images = [record for record in near if isinstance(record, ImageRecord)]
+        if not images:
+            return self._history.reader.image_at(stamp_ns)
+        return min(images, key=lambda image: abs(image.stamp_ns - stamp_ns)).jpeg
+
+    def view_at(self, stamp_ns: int) -> ViewRecord | None:
+        """Return the last view whose stamp is not later."""
+        views = self._newest_views(stamp_ns)
+        return views[-1] if views else self._history.reader.view_at(stamp_ns)
+
+    def step(self, stamp_ns: int, views: int) -> int:
+        """Return the stamp of the view that is a number of views later, or earlier if negative."""
+        newest = [view.stamp_ns for view in self._newest_views(self._end_ns)]
+        if not newest or (stamp_ns < newest[0] or (self._dropped and stamp_ns == newest[0])):
+            return self._history.reader.step(stamp_ns, views)
+        later = views + (bisect_left if views < 0 else bisect_right)(newest, stamp_ns)
+        at = later if views < 0 else later - 1
+        return newest[min(max(at, 0), len(newest) - 1)] if views else stamp_ns
+
+    def visits(self, experience_id: int, until_ns: int) -> list[ViewRecord]:
+        """Return the first view of every visit of an experience up to a stamp, oldest first."""
+        return self._history.reader.visits(experience_id, until_ns)
+
+    def closures(self, until_ns: int) -> list[ViewRecord]:
+        """Return the views that closed a loop, or would have but for a reason, oldest first."""
+        return self._history.reader.closures(until_ns)

@@ -1,0 +1,73 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Appearance: layers, colours, theme and camera; and help."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ratslam_ros.history.run_state import RunState
+from ratslam_ros.viewer.panels.desk import Desk
+from ratslam_ros.viewer.panels.html import ORANGE, block, dim, legend, mark, strong
+
+
+class AppearancePanel:
+    """What the map shows, and how."""
+
+    def __init__(self, desk: Desk, colourings: Sequence[str]) -> None:
+        self._desk, gui, scene = desk, desk.gui, desk.scene
+        self.colouring = gui.add_dropdown(
+            'Colour by', tuple(colourings), initial_value=scene.colouring,
+            hint='What the colours of experiences and links stand for.',
+        )  # fmt: skip
+        self.legend = gui.add_html('')
+        self.detail = gui.add_html('', visible=False)
+        self.follow = gui.add_checkbox(
+            'Follow robot', False, hint='The view moves along with the robot. (F)'
+        )
+        self.dark = gui.add_checkbox('Dark theme', scene.dark, hint='Colours for dark rooms. (T)')
+        with gui.add_folder('Layers'):
+            self.layers = {
+                layer: gui.add_checkbox(layer.capitalize(), True, hint=f'Show or hide: {layer}.')
+                for layer in scene.layers
+            }
+        self._robot: np.ndarray | None = None
+        desk.on_change(self.colouring, self._colour)
+        desk.on_change(self.dark, self.set_dark)
+        for layer, box in self.layers.items():
+            self._switch(layer, box)
+        self.set_dark(scene.dark)
+
+    def _switch(self, layer: str, box: object) -> None:
+        self._desk.on_change(box, lambda on: self._desk.scene.show(layer, on))
+
+    def update(self, state: RunState) -> None:
+        """Show the legend, and move the view along with the robot."""
+        scene = self._desk.scene
+        self.legend.content = block(strong('Legend'), legend(scene.legend()))
+        self.detail.visible = bool(scene.detail)
+        self.detail.content = block(f'{mark("▲", ORANGE)} {dim(scene.detail)}')
+        robot = None if state.pose is None else np.array([*state.pose.pose[:2], 0.0])
+        if self.follow.value and robot is not None and self._robot is not None:
+            moved = robot - self._robot
+            if moved.any():
+                self._move_views(moved)
+        self._robot = robot
+
+    def set_dark(self, dark: bool) -> None:
+        """Choose the dark or the light theme."""
+        self._desk.scene.dark = dark
+        self._desk.gui.configure_theme(
+            dark_mode=dark, show_logo=False, show_share_button=False, control_width='medium'
+        )
+
+    def _colour(self, colouring: str) -> None:
+        self._desk.scene.colouring = colouring
+
+    def _move_views(self, moved: np.ndarray) -> None:
+        for client in self._desk.server.get_clients().values():
+            if client.camera.update_timestamp:  # 0 until the page has sent its view
+                # viser moves the point looked at along.
+                client.camera.position = np.asarray(client.camera.position) + moved

@@ -1,0 +1,133 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Camera and match: what the robot sees, and how well it recognises it."""
+
+from __future__ import annotations
+
+from html import escape
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ratslam_ros.history.records import ImageRecord, MatchRecord
+from ratslam_ros.history.run_state import RunState
+from ratslam_ros.viewer.panels.desk import Desk
+from ratslam_ros.viewer.panels.html import BLUE, GREEN, ORANGE, RED, block, dim, mark, strong
+from ratslam_ros.viewer.panels.image_loader import ImageLoader
+from ratslam_ros.viewer.panels.pictures import error_curves, match_picture
+from ratslam_ros.viewer.panels.texts import decision_text, match_text
+
+if TYPE_CHECKING:
+    import viser
+    import viser.uplot
+
+PLOT_EVERY = 5
+"""Number of updates between two drawings of the plot: 2 Hz suffice for a minute."""
+
+PLOT_HEIGHT_PX = 150
+PLOT_FONT, FAINT = '11px sans-serif', 'rgba(128,128,128,0.25)'
+
+NO_PICTURE = np.full((3, 4, 3), 127, np.uint8)
+
+
+class CameraPanel:
+    """Camera image, view and template, and the match error of the last minute."""
+
+    def __init__(self, desk: Desk) -> None:
+        self._desk, gui = desk, desk.gui
+        self.loader = ImageLoader(desk.post)
+        self.image = gui.add_image(NO_PICTURE, label='Camera', format='jpeg')
+        self.no_image = gui.add_html(block(dim('no camera image for this moment')), visible=False)
+        self.text = gui.add_html('')
+        self.match = gui.add_image(NO_PICTURE, label='View (above) and matched template (below)')
+        self.match_text = gui.add_html('')
+        axis: viser.uplot.Axis = {
+            'stroke': 'gray', 'grid': {'stroke': FAINT}, 'ticks': {'stroke': FAINT},
+            'font': PLOT_FONT, 'labelFont': PLOT_FONT,
+        }  # fmt: skip
+        self.plot = gui.add_uplot(
+            data=error_curves((), 0),
+            series=(
+                {'label': 'time'},
+                {'label': 'match error', 'stroke': _css(BLUE), 'width': 1.5},
+                {'label': 'threshold', 'stroke': _css(RED), 'width': 1.5, 'dash': (6, 4)},
+                {'label': 'new template', 'stroke': _css(ORANGE), 'width': 0, 'auto': False,
+                 'points': {'show': True, 'size': 6, 'fill': _css(ORANGE)}},
+            ),
+            scales={'x': {'time': False, 'range': (-60.0, 0.0)}, 'y': {'range': (0.0, None)}},
+            axes=(
+                {**axis, 'label': 'seconds before the shown moment', 'size': 28, 'labelSize': 16},
+                {**axis, 'size': 42},
+            ),
+            legend={'live': False},
+            height=PLOT_HEIGHT_PX,
+        )  # fmt: skip
+        self._drawn = -PLOT_EVERY
+        self._match: MatchRecord | None = None
+        self._small: ImageRecord | None = None
+        self.forget()
+
+    def forget(self) -> None:
+        """Draw everything again, because another run with the same stamps may be shown."""
+        self._shown_ns = self._plotted_ns = -1
+
+    def update(self, state: RunState) -> None:
+        """Show the image and the match of a moment."""
+        stamp_ns = state.view.stamp_ns if state.view is not None else state.stamp_ns
+        if stamp_ns != self._shown_ns or state.image is not self._small:
+            self._request_image(state, stamp_ns)
+        view = state.view
+        if view is not None:
+            symbol = mark('◆', ORANGE) if view.is_new else mark('●', GREEN)
+            self.text.content = block(
+                f'{symbol} {strong(match_text(view))}', escape(decision_text(view))
+            )
+        else:
+            self.text.content = block(dim('no view yet'))
+        if state.match is not self._match:
+            self._match = state.match
+            self._show_match(state.match)
+        self._show_plot(state, stamp_ns)
+
+    def _request_image(self, state: RunState, stamp_ns: int) -> None:
+        self._shown_ns, self._small = stamp_ns, state.image
+        small = None if state.image is None else state.image.jpeg
+
+        def show(jpeg: bytes | None) -> None:
+            self._show_image(jpeg or small)
+
+        self.loader.request(self._desk.playback.source, stamp_ns, show)
+
+    def _show_image(self, jpeg: bytes | None) -> None:
+        self.image.visible, self.no_image.visible = jpeg is not None, jpeg is None
+        if jpeg is not None:
+            set_jpeg(self.image, jpeg)
+
+    def _show_match(self, match: MatchRecord | None) -> None:
+        self.match.visible = match is not None
+        if match is None:
+            self.match_text.content = ''
+            return
+        self.match.image = match_picture(match)
+        shift = match.shift_px
+        side = 'right' if shift > 0 else 'left'
+        moved = f'shifted {abs(shift)} px to the {side}' if shift else 'no shift'
+        height, width = match.view.shape
+        self.match_text.content = block(
+            dim(f'template {match.template_id}: {moved}; as compared, {width} × {height} px')
+        )
+
+    def _show_plot(self, state: RunState, stamp_ns: int) -> None:
+        due = self._desk.updates - self._drawn >= PLOT_EVERY
+        if due and stamp_ns != self._plotted_ns:
+            self._drawn, self._plotted_ns = self._desk.updates, stamp_ns
+            self.plot.data = error_curves(state.recent, stamp_ns)
+
+
+def set_jpeg(handle: viser.GuiImageHandle, jpeg: bytes) -> None:
+    """Show a JPEG as it is; viser's own setter takes pixels and would compress them again."""
+    handle._data = jpeg
+
+
+def _css(colour: tuple[int, int, int]) -> str:
+    return f'rgb{colour}'

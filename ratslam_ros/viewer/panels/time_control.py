@@ -1,0 +1,92 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Time control: which moment of the run is shown."""
+
+from __future__ import annotations
+
+from ratslam_ros.history.run_state import NS_PER_S, RunState
+from ratslam_ros.viewer.panels.desk import Desk, assign, offer
+from ratslam_ros.viewer.panels.html import ORANGE, block, dim, mark, strong
+from ratslam_ros.viewer.panels.texts import playback_text, stamp_text, time_text
+
+SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
+"""Speeds offered."""
+
+SLIDER_STEP_S = 0.1
+
+BEGIN, BACK, PLAY, PAUSE, NEXT, END = 'Begin', '◀', 'Play', 'Pause', '▶', 'End'
+"""Buttons."""
+
+
+class TimeControl:
+    """Scrubber, buttons and speed, and where the cursor is."""
+
+    def __init__(self, desk: Desk) -> None:
+        self._desk, gui = desk, desk.gui
+        playback = desk.playback
+        self.text = gui.add_html('')
+        self.scrubber = gui.add_slider(
+            'Time [s]', 0.0, 1.0, SLIDER_STEP_S, 0.0, marks=(),
+            hint='Time since the beginning of the run. Drag it to show any moment.',
+        )  # fmt: skip
+        self.buttons = gui.add_button_group(
+            'Playback', (BEGIN, BACK, PLAY, NEXT, END),
+            hint='Begin; previous view; play or pause; next view; end. While the run goes on, End '
+            'follows it live.',
+        )  # fmt: skip
+        self.speed = gui.add_dropdown(
+            'Speed', tuple(map(_speed_text, SPEEDS)), initial_value=_speed_text(1.0),
+            hint='Speed of playing, relative to the recording.',
+        )  # fmt: skip
+        self.notices = gui.add_html('', visible=False)
+        desk.on_change(self.scrubber, self._scrub)
+        desk.on_press(self.buttons, {
+            BEGIN: lambda: playback.seek(playback.begin_ns),
+            BACK: lambda: playback.step(-1),
+            PLAY: playback.toggle,
+            PAUSE: playback.toggle,
+            NEXT: lambda: playback.step(1),
+            END: playback.follow,
+        })  # fmt: skip
+        desk.on_change(self.speed, self._set_speed)
+
+    def update(self, state: RunState) -> None:
+        """Show where the cursor is."""
+        playback, source = self._desk.playback, self._desk.playback.source
+        begin_ns, end_ns = playback.begin_ns, playback.end_ns
+        at_s, of_s = ((ns - begin_ns) / NS_PER_S for ns in (playback.cursor_ns, end_ns))
+        symbol, words = playback_text(playback)
+        self.text.content = block(
+            strong(source.title),
+            f'{mark(symbol, ORANGE)} {words}',
+            f'{strong(time_text(at_s))} of {time_text(of_s)} '
+            f'&ensp;{dim(stamp_text(playback.cursor_ns))}',
+        )
+        # Whole seconds, so that a growing run changes the scale once a second.
+        self.scrubber.max = float(max(1, -(-(end_ns - begin_ns) // NS_PER_S)))
+        assign(self.scrubber, round(at_s / SLIDER_STEP_S) * SLIDER_STEP_S)
+        play = PAUSE if playback.playing else PLAY
+        offer(self.buttons, (BEGIN, BACK, play, NEXT, END))
+        assign(self.speed, _speed_text(min(SPEEDS, key=lambda s: abs(s - playback.speed))))
+        notices = [f'{mark("▲", ORANGE)} {dim(notice)}' for notice in source.notices]
+        self.notices.visible, self.notices.content = bool(notices), block(*notices)
+
+    def faster(self, places: int) -> None:
+        """Choose the speed that is a number of places faster, or slower if negative."""
+        playback = self._desk.playback
+        place = min(range(len(SPEEDS)), key=lambda k: abs(SPEEDS[k] - playback.speed))
+        playback.speed = SPEEDS[min(max(place + places, 0), len(SPEEDS) - 1)]
+
+    def _scrub(self, seconds: float) -> None:
+        playback = self._desk.playback
+        if seconds >= self.scrubber.max and playback.is_growing:
+            playback.follow()
+        else:
+            playback.seek(playback.begin_ns + round(seconds * NS_PER_S))
+
+    def _set_speed(self, text: str) -> None:
+        self._desk.playback.speed = SPEEDS[tuple(map(_speed_text, SPEEDS)).index(text)]
+
+
+def _speed_text(speed: float) -> str:
+    return f'{speed:g}×'

@@ -1,0 +1,52 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Compiling everything at once: it covers all parts, and does nothing a second time."""
+
+from __future__ import annotations
+
+import pytest
+
+from ratslam_ros.compilation import compilation_time
+from ratslam_ros.core import warm_up
+from ratslam_ros.errors import UnusableInput
+from ratslam_ros.offline import compile_all as module
+from ratslam_ros.offline.compile_all import GROUPS, compile_all
+
+
+def test_all_parts_are_compiled_by_some_job() -> None:
+    compiled = {part for jobs in GROUPS.values() for job in jobs for part in job.parts}
+    aliases = {'line_extraction'}  # compiled by landmark_map
+    assert compiled - {'simulator', 'inspection'} == set(warm_up._PARTS) - aliases
+
+
+def test_jobs_begin_with_the_longest_and_do_nothing_twice() -> None:
+    jobs = list(module._jobs(list(GROUPS)))
+    assert [job.usual_s for job in jobs] == sorted((job.usual_s for job in jobs), reverse=True)
+    parts = [set(job.parts) for job in jobs]
+    assert not any(a < b for a in parts for b in parts)
+
+
+def test_a_second_time_nothing_is_compiled() -> None:
+    compile_all(['simulator'], print)
+    said: list[str] = []
+    assert compile_all(['simulator'], said.append) == 'everything is compiled already'
+    assert said == []
+
+
+def test_unknown_groups_are_refused() -> None:
+    with pytest.raises(UnusableInput, match='attic cannot be compiled; choose from mapping'):
+        compile_all(['attic', 'mapping'], print)
+
+
+def test_only_compiling_takes_time() -> None:
+    from numba import njit
+
+    function = njit(lambda value: value + 1)
+    caches: list[str] = []
+    with compilation_time(caches.append) as taken:
+        function(1)
+    assert taken.seconds > 0.0
+    assert caches == ['']  # a function without a cache
+    with compilation_time(caches.append) as taken:
+        function(2)
+    assert taken.seconds == 0.0

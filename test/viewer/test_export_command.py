@@ -1,0 +1,63 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""``ratslam view --export``: a run becomes a file, and wrong uses are reported in one line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from viewer_doubles import records_of
+
+from ratslam_ros.cli.main import main
+from ratslam_ros.history.file import HISTORY_NAME, HistoryMeta
+from ratslam_ros.history.writer import HistoryWriter
+
+USAGE = 2
+
+
+@pytest.fixture
+def results(tmp_path: Path) -> Path:
+    """Return a folder with the history of a short run."""
+    folder = tmp_path / 'some run'
+    folder.mkdir()
+    writer = HistoryWriter(folder / HISTORY_NAME, HistoryMeta('run'))
+    for number in range(60):
+        for record in records_of(number):
+            writer.add(record)
+    writer.close()
+    return folder
+
+
+def test_history_is_exported(results: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip('viser', reason='the extra [view] is not installed')
+    page = results / 'run.html'
+    words = ['view', str(results), '--export', str(page), '--export-duration', '2']
+    assert main(words) == 0
+    assert capsys.readouterr().out == f'{page}: 20 moments, {page.stat().st_size / 1e6:.1f} MB\n'
+    text = page.read_text('utf-8')
+    assert '"title":"some run"' in text and 'places: 20 · links: 20' in text
+
+
+@pytest.mark.parametrize(('file', 'expected'), [
+    ('run.txt', 'expected the name of a page, FILE.html'),
+    ('none/run.html', 'expected a file in a folder that exists'),
+])  # fmt: skip
+def test_unusable_file_is_reported_before_any_work(
+    results: Path, file: str, expected: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording = results / 'no recording'
+    assert main(['view', str(recording), '--export', str(results / file)]) == USAGE
+    error = capsys.readouterr().err
+    assert expected in error and error.count('\n') == 1
+
+
+@pytest.mark.parametrize('duration', ['0', '-1', 'nan', 'inf', 'long'])
+def test_unusable_duration_is_reported(duration: str, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ['view', 'run', '--export', 'run.html', f'--export-duration={duration}']
+    try:
+        code = main(words)
+    except SystemExit as error:
+        code = error.code
+    assert code == USAGE
+    assert '--export-duration' in capsys.readouterr().err
