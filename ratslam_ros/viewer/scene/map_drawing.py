@@ -91,7 +91,7 @@ class MapDrawing:
         known = np.asarray(np.isfinite(poses[:, 0]))
         self._draw_points(places, known, colours.experiences, CHUNK * every)
         ends, drawn = thinned_links(rows, every)
-        inside = (ends >= 0).all(axis=1) & (ends < len(poses)).all(axis=1)
+        inside: NDArray[np.bool_] = ((ends >= 0) & (ends < len(poses))).all(axis=1)
         ends = np.where(inside[:, None], ends, 0)
         drawn &= inside
         if len(known):
