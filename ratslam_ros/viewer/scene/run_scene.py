@@ -142,7 +142,7 @@ class RunScene:
 
     def look_at_all(self) -> None:
         """Show the whole map and the pose cells in all browsers."""
-        self._cameras.look(*self._area())
+        self._cameras.look(*self.area())
 
     def update(self, state: RunState) -> None:
         """Draw a state."""
@@ -167,10 +167,10 @@ class RunScene:
             self._cameras.watch()
             if self._framed != (self._bounds.version, self._cells_known):
                 self._framed = self._bounds.version, self._cells_known
-                self._cameras.frame(*self._area())
+                self._cameras.frame(*self.area())
 
-    def _area(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the lower and upper corner of everything, in m."""
+    def area(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the lower and upper corner of all that has been drawn, in m."""
         half, centre = 0.5 * self._bounds.side_m, self._bounds.centre
         low, high = centre - half, centre + half
         if self._cells_known:
