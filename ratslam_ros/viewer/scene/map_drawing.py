@@ -88,7 +88,7 @@ class MapDrawing:
         self.every = every = thinning(len(poses), limit)
         places = np.zeros((len(poses), 3), np.float32)
         places[:, :2] = poses[:, :2]
-        known: NDArray[np.bool_] = np.isfinite(poses[:, 0])
+        known = np.asarray(np.isfinite(poses[:, 0]))
         self._draw_points(places, known, colours.experiences, CHUNK * every)
         ends, drawn = thinned_links(rows, every)
         inside = (ends >= 0).all(axis=1) & (ends < len(poses)).all(axis=1)

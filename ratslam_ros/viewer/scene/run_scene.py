@@ -50,7 +50,7 @@ POINT_SHARE = 0.55
 TICKS = 400
 """Largest number of headings that are drawn, those nearest to the robot or the selection."""
 
-TICK_DISTANCES = 60.0
+TICK_DISTANCES = 100.0
 """Headings are drawn if the camera is nearer than this many median lengths of links."""
 
 CELLS_SIDE = 0.42
