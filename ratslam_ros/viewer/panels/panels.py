@@ -95,7 +95,9 @@ class Panels:
             appearance.set_dark(appearance.dark.value)
 
         return [
-            Shortcut('space', 'Play or pause', playback.toggle),
+            # A tab that has the focus keeps the space key to itself.
+            Shortcut('K', 'Play or pause', playback.toggle),
+            Shortcut('space', 'Play or pause, unless a tab has the focus', playback.toggle),
             Shortcut('L', 'Next view', lambda: playback.step(1)),
             Shortcut('J', 'Previous view', lambda: playback.step(-1)),
             Shortcut('L', f'{MANY_VIEWS} views on', lambda: playback.step(MANY_VIEWS), 'shift'),
