@@ -13,12 +13,8 @@ from ratslam_ros.console import print_notice
 from ratslam_ros.viewer.panels import Panels
 from ratslam_ros.viewer.playback import Playback
 from ratslam_ros.viewer.run_source import Controls, RunSource
+from ratslam_ros.viewer.scene import COLOURINGS, RunScene
 from ratslam_ros.viewer.server import ViewServer
-
-try:
-    from ratslam_ros.viewer.scene import COLOURINGS, RunScene
-except ImportError:  # not merged yet
-    from ratslam_ros.viewer.plain_scene import COLOURINGS, RunScene
 
 PERIOD_S = 0.1
 """Period of drawing: 10 Hz, the rate of the images of most recordings."""

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from ratslam_ros.history.run_state import NS_PER_S, RunState
 from ratslam_ros.viewer.panels.html import BLUE, ORANGE
@@ -48,11 +49,13 @@ IMAGE_WIDTH_PX, JPEG_QUALITY = 320, 70
 FIELD_OF_VIEW, ELEVATION = math.radians(45), math.radians(60)
 """Vertical field of view of the camera, and its direction above the floor."""
 
-ONE_M = np.ones(2)
+ASPECT, COVERED = 1.75, 0.22
+"""Width of a usual page relative to its height, and the part of it that the overlay covers."""
 
 OVERLAY = Path(__file__).with_name('overlay.html')
 
 Progress = Callable[[float], None]
+Reals = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,17 +175,21 @@ def _record(
     begin_ns, end_ns = source.begin_ns, source.end_ns
     stamps = [begin_ns + (end_ns - begin_ns) * k // (count - 1) for k in range(count - 1)]
     stamps.append(end_ns)
-    scene = RunScene(viser_server)
+    clock_s = 0.0  # that of the run, so that slow drawing skips nothing
+    scene = RunScene(viser_server, map_period_s=0.0, aims=False, clock=lambda: clock_s)
     scene.dark = dark
     if colouring is not None:
         scene.colouring = colouring
-    _aim(viser_server, source.seek(end_ns))
+    scene.update(source.seek(end_ns))  # so that grid, pose cells and camera suit the whole run
+    _aim(viser_server, *scene.area())
+    state = source.seek(begin_ns)
+    scene.update(state)
     recorder = viser_server.get_scene_serializer()
     overlay = _Overlay(source.title, list(source.notices), dark, [])
     frames = _Frames(source, overlay)
-    state = source.seek(begin_ns)
     for number, stamp_ns in enumerate(stamps):
         source.advance(state, stamp_ns)
+        clock_s = (stamp_ns - begin_ns) / NS_PER_S
         scene.update(state)
         frames.add(state, stamp_ns)
         # GUI elements are not recorded, scripts are: they keep the overlay at the same frame.
@@ -267,25 +274,21 @@ def _small(jpeg: bytes) -> bytes | None:
     return encoded.tobytes()
 
 
-def _aim(viser_server: ViserServer, final: RunState) -> None:
-    """Aim the camera so that everything of the final state is seen beside the overlay."""
-    points = np.concatenate([
-        final.map.poses[:, :2], final.trail.points_m, final.dead_reckoning.points_m,
-        final.truth.points_m,
-    ])  # fmt: skip
-    points = points[np.isfinite(points).all(axis=1)]
-    low, high = (points.min(axis=0), points.max(axis=0)) if len(points) else (-ONE_M, ONE_M)
-    centre = (low + high) / 2
-    radius = max(1.0, float(np.hypot(*(high - low))) / 2)
-    distance = radius / math.tan(FIELD_OF_VIEW / 2)
+def _aim(viser_server: ViserServer, low: Reals, high: Reals) -> None:
+    """Aim the camera so that an area of the floor is seen beside the overlay."""
+    width, depth = (high - low).tolist()
+    tangent = math.tan(FIELD_OF_VIEW / 2)
+    distance = max(
+        width / (2 * tangent * ASPECT * (1 - COVERED)), depth * math.sin(ELEVATION) / (2 * tangent)
+    )
+    x, y = ((low + high) / 2).tolist()
+    x += COVERED * ASPECT * tangent * distance
     camera = viser_server.initial_camera
     camera.fov = FIELD_OF_VIEW
     camera.far = 100 * distance
-    # The overlay covers the right of the page, so the centre of the run lies left of the middle.
-    camera.look_at = (centre[0] + radius / 4, centre[1], 0.0)
+    camera.look_at = (x, y, 0.0)
     camera.position = (
-        centre[0] + radius / 4, centre[1] - distance * math.cos(ELEVATION),
-        distance * math.sin(ELEVATION),
+        x, y - distance * math.cos(ELEVATION), distance * math.sin(ELEVATION)
     )  # fmt: skip
 
 

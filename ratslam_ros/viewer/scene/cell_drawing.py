@@ -1,0 +1,201 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The pose cells as a box with the axes x, y and heading, which wrap around."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ratslam_ros.history.records import CellsRecord
+from ratslam_ros.viewer.scene.nodes import Canvas, Cloud, Labels, Strokes
+from ratslam_ros.viewer.scene.palette import LEVELS, Theme, mixed, scale_colours
+
+Reals = NDArray[np.float64]
+
+WRAP_CELLS = 2.0
+"""Cells this near to a face are drawn again, pale, beyond the opposite face: there they act."""
+
+SIZES = (1.3, 0.7, 0.3)
+"""Diameters of points of high, middle and low activity, in cells of the longest axis."""
+
+SHARES = (0.3, 0.05)
+"""Activities, as shares of the largest, above which the diameter is that of high or middle."""
+
+PALE = 0.72
+"""Share of the background in the colour of repeated cells."""
+
+LEAST_SHARE = 0.02
+"""Share of the energy below which a packet has no label."""
+
+TURN, TILT = math.radians(28.0), math.radians(-62.0)
+"""Rotation of the box, so that it is seen from the side when the map is seen from above."""
+
+
+def rotation() -> Reals:
+    """Return the (3, 3) rotation of the box: first by ``TURN`` about its heading axis."""
+    c, s = math.cos(TURN), math.sin(TURN)
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    c, s = math.cos(TILT), math.sin(TILT)
+    whole: Reals = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]]) @ turn
+    return whole
+
+
+CORNERS = np.array(list(itertools.product((0.0, 1.0), repeat=3))) - 0.5
+EDGES = [(a, b) for a in range(8) for b in range(a + 1, 8) if bin(a ^ b).count('1') == 1]
+
+
+def repeated(cells: NDArray[np.int64], dims: tuple[int, int, int]) -> tuple[Reals, Reals]:
+    """Return copies of cells beyond the opposite faces, and the row that each is a copy of.
+
+    Args:
+        cells: (n, 3) x, y and theta.
+        dims: numbers of cells in x, y and theta.
+    """
+    where: list[Reals] = [np.empty((0, 3))]
+    rows: list[NDArray[np.int64]] = [np.empty(0, np.int64)]
+    size = np.array(dims, float)
+    outer = np.flatnonzero(
+        ((cells < WRAP_CELLS) | (cells >= size - WRAP_CELLS)).any(axis=1)
+    )
+    for shift in itertools.product((-1, 0, 1), repeat=3):
+        if not any(shift):
+            continue
+        moved = cells[outer] + 0.5 + np.array(shift) * size
+        near = ((moved > -WRAP_CELLS) & (moved < size + WRAP_CELLS)).all(axis=1)
+        where.append(moved[near])
+        rows.append(outer[near])
+    return np.concatenate(where), np.concatenate(rows)
+
+
+def activity_levels(activity: Reals) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the (n,) colour levels and size classes of activities; 0 is the largest size.
+
+    Activity spans decades, so both depend on its logarithm.
+    """
+    top = float(activity.max(initial=0.0))
+    if top <= 0.0:
+        return np.zeros(len(activity), np.int64), np.full(len(activity), 2)
+    share = np.maximum(activity / top, 1e-3)
+    levels = np.round((1.0 + np.log10(share) / 3.0) * (LEVELS - 1)).astype(np.int64)
+    return levels, np.where(share >= SHARES[0], 0, np.where(share >= SHARES[1], 1, 2))
+
+
+class CellDrawing:
+    """The box, the activity within it, competing packets and injections."""
+
+    def __init__(self, canvas: Canvas, name: str) -> None:
+        self._canvas = canvas
+        self._path = canvas.layer(name)
+        self._side_m = 1.0
+        self._centre = np.zeros(3)
+        self._key: object = None
+        self._box_key: object = None
+        names = [f'{part}{k}' for part in ('active', 'pale') for k in range(3)]
+        self._clouds = [Cloud(canvas, f'{self._path}/{n}', 0.1, 'gradient') for n in names]
+        self._edges = Strokes(canvas, f'{self._path}/box', 1.5)
+        self._drops = Strokes(canvas, f'{self._path}/drops', 1.5)
+        self._markers = Strokes(canvas, f'{self._path}/injections', 2.5)
+        self._axes = Labels(canvas, f'{self._path}/axes')
+        self._shares = Labels(canvas, f'{self._path}/shares', 'bottom-left')
+
+    def place(self, centre: tuple[float, float], side_m: float) -> None:
+        """Set the centre on the map and the length of the longest side."""
+        # The lowest corner touches the ground.
+        lowest = float((CORNERS @ rotation().T)[:, 2].min())
+        self._centre = np.array([*centre, -lowest * side_m])
+        self._side_m = side_m
+
+    def draw(self, record: CellsRecord | None) -> None:
+        """Draw the activity of the pose cells; nothing if it is unknown."""
+        place = (*self._centre.tolist(), self._side_m, self._canvas.theme.background)
+        key = (id(record), place)
+        if record is None or key == self._key:
+            return
+        self._key = key
+        theme = self._canvas.theme
+        if self._box_key != (record.dims, place):
+            self._box_key = (record.dims, place)
+            self._draw_box(record.dims, theme)
+        levels, sizes = activity_levels(record.activity)
+        colours = scale_colours(theme)[levels]
+        copies, rows = repeated(record.cells, record.dims)
+        pale = np.array([mixed(tuple(c), theme.background, PALE) for c in colours[rows].tolist()])
+        inside = self._points(record.cells.astype(np.float64) + 0.5, record.dims)
+        beyond = self._points(copies, record.dims)
+        for k in range(3):
+            self._clouds[k].draw(inside[sizes == k], colours[sizes == k])
+            copied = sizes[rows] == k
+            self._clouds[3 + k].draw(beyond[copied], pale.reshape(-1, 3)[copied])
+        self._draw_packets(record, theme)
+        self._draw_injections(record, theme)
+
+    def _scale(self, dims: tuple[int, int, int]) -> Reals:
+        """Return the lengths of the box in m; headings are drawn as high as the box is wide."""
+        widest = max(dims[0], dims[1])
+        return self._side_m * np.array([dims[0] / widest, dims[1] / widest, 1.0])
+
+    def _points(self, cells: Reals, dims: tuple[int, int, int]) -> Reals:
+        unit = cells / np.array(dims, float) - 0.5
+        turned: Reals = unit * self._scale(dims) @ rotation().T + self._centre
+        return turned
+
+    def _draw_box(self, dims: tuple[int, int, int], theme: Theme) -> None:
+        size = np.array(dims, float)
+        corners = (CORNERS + 0.5) * size
+        lines = [corners[[a, b]] for a, b in EDGES]
+        line = mixed(theme.text, theme.background, 0.45)
+        tints = [np.broadcast_to(np.array(line, np.uint8), (2, 3))] * len(lines)
+        weak = np.broadcast_to(np.array(theme.grid, np.uint8), (2, 3))
+        for share in (0.2, 0.4, 0.6, 0.8):  # the floor, so that packets can be located on it
+            x, y = share * size[:2]
+            lines += [
+                np.array([[x, 0, 0], [x, size[1], 0]]),
+                np.array([[0, y, 0], [size[0], y, 0]]),
+            ]
+            tints += [weak, weak]
+        for share in (0.25, 0.5, 0.75):  # a quarter turn each, on the two walls behind
+            z = share * size[2]
+            lines.append(np.array([[0, size[1], z], [size[0], size[1], z]]))
+            lines.append(np.array([[0, 0, z], [0, size[1], z]]))
+            tints += [weak, weak]
+        flat = self._points(np.array(lines, np.float64).reshape(-1, 3), dims).reshape(-1, 2, 3)
+        self._edges.draw(flat, np.array(tints))
+        cell_m = self._side_m / max(dims[0], dims[1])
+        for k, cloud in enumerate(self._clouds):
+            cloud.resize(SIZES[k % 3] * cell_m)
+        n_x, n_y, n_h = size
+        texts = [('Pose cells', (n_x / 2, n_y, n_h * 1.16))]
+        texts += [('x (wraps)', (n_x / 2, -0.1 * n_y, -0.03 * n_h))]
+        texts += [('y (wraps)', (n_x * 1.1, n_y / 2, -0.03 * n_h))]
+        texts += [
+            (f'{turn}°', (-0.04 * n_x, -0.04 * n_y, n_h * turn / 360))
+            for turn in (0, 90, 180, 270)
+        ]
+        texts += [('heading 360° = 0°', (-0.04 * n_x, -0.04 * n_y, n_h * 1.05))]
+        where = self._points(np.array([at for _, at in texts]), dims).tolist()
+        self._axes.draw([(text, tuple(at)) for (text, _), at in zip(texts, where, strict=True)])
+
+    def _draw_packets(self, record: CellsRecord, theme: Theme) -> None:
+        energy = float(record.packets[:, 3].sum())
+        shown = record.packets[record.packets[:, 3] >= LEAST_SHARE * max(energy, 1e-12)]
+        peaks = shown[:, :3] + 0.5
+        floor = peaks * np.array([1.0, 1.0, 0.0])
+        drops = np.stack([self._points(peaks, record.dims), self._points(floor, record.dims)], 1)
+        self._drops.draw(drops, np.array(theme.robot))
+        above = self._points(peaks + np.array([0.5, 0.5, 1.5]), record.dims).tolist()
+        texts = [f'{share:.0%}' for share in shown[:, 3] / max(energy, 1e-12)]
+        self._shares.draw([(text, tuple(at)) for text, at in zip(texts, above, strict=True)])
+
+    def _draw_injections(self, record: CellsRecord, theme: Theme) -> None:
+        injections = record.injections
+        # An octahedron is hollow from every side.
+        tips = np.concatenate([np.eye(3), -np.eye(3)])
+        pairs = [(a, b) for a in range(6) for b in range(a + 1, 6) if abs(a - b) != 3]
+        radius_m = 1.4 * self._side_m / max(record.dims[0], record.dims[1])
+        centres = self._points(injections[:, :3] + 0.5, record.dims)
+        lines = centres[:, None, None] + radius_m * tips[np.array(pairs)]
+        self._markers.draw(lines.reshape(-1, 2, 3), np.array(theme.closure))

@@ -1,0 +1,170 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Colours of experiences and links by a property, and the legend that explains them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ratslam_ros.core.mapping.map_changes import LinkRows
+from ratslam_ros.history.run_state import NS_PER_S, RunState
+from ratslam_ros.viewer.scene.palette import LEVELS, Bytes, Rgb, Theme, scale_colours, scaled
+
+Reals = NDArray[np.float64]
+
+COLOURINGS = (
+    'plain', 'age', 'visits', 'match error', 'confidence', 'behaviour', 'travel time',
+)  # fmt: skip
+
+CLOSURE_IDS = 10
+"""Difference of ids above which a link counts as loop closure, as in the plots of a replay."""
+
+LEGEND_STEPS = 5
+"""Number of colours of a scale that the legend shows."""
+
+Legend = list[tuple[Rgb, str]]
+
+
+@dataclass(frozen=True, slots=True)
+class Colours:
+    """(n, 3) colours of the experiences, (rows, 3) of the rows of links, and their legend."""
+
+    experiences: Bytes
+    links: Bytes
+    legend: Legend
+
+
+def is_closure(rows: LinkRows) -> NDArray[np.bool_]:
+    """Return (rows,) whether a link closes a loop."""
+    far: NDArray[np.bool_] = np.abs(rows.ends[:, 0] - rows.ends[:, 1]) > CLOSURE_IDS
+    return far & (rows.ends[:, 0] >= 0)
+
+
+def map_colours(name: str, state: RunState, theme: Theme, times_s: Reals | None = None) -> Colours:
+    """Return the colours of a map.
+
+    Args:
+        name: one of ``COLOURINGS``.
+        state: the state to colour.
+        theme: colours for the background.
+        times_s: (n,) travel times for the colouring 'travel time'.
+
+    Raises:
+        ValueError: if there is no such colouring.
+    """
+    rows, n = state.map.link_rows, len(state.map)
+    links = _plain_links(rows, theme)
+    experiences = np.tile(np.array(theme.experience, np.uint8), (n, 1))
+    if name == 'plain':
+        apart = _other_components(state)
+        experiences[apart] = theme.unknown
+        legend: Legend = [(theme.experience, 'experience'), *_links_legend(theme)]
+        if apart.any():
+            legend.append((theme.unknown, 'experience that is not connected to the robot yet'))
+        return Colours(experiences, links, legend)
+    if name == 'confidence':
+        links = scaled(rows.confidences, 0.0, 1.0, theme)
+        experiences[:] = theme.unknown
+        return Colours(
+            experiences, links, _scale(theme, 0.0, 1.0, 'confidence of a link', '{:.2f}')
+        )
+    if name == 'behaviour':
+        return _behaviours(rows, experiences, theme)
+    values, title, unit, low, high = _values(name, state, times_s)
+    return Colours(
+        scaled(values, low, high, theme), links,
+        [*_scale(theme, low, high, title, unit, log=name == 'visits'), *_links_legend(theme)],
+    )  # fmt: skip
+
+
+def _values(
+    name: str, state: RunState, times_s: Reals | None
+) -> tuple[Reals, str, str, float, float]:
+    """Return the values of a colouring of experiences, its title and format, and its range."""
+    n = len(state.map)
+    visits = state.visits
+    values = np.full(n, np.nan)
+    m = min(n, len(visits))
+    if name == 'age':
+        created = visits.created_ns[:m]
+        values[:m] = np.where(created > 0, (state.stamp_ns - created) / NS_PER_S, np.nan)
+        return values, 'time since it was created', '{:.0f} s', 0.0, _top(values, 1.0)
+    if name == 'visits':
+        values[:m] = np.log2(np.maximum(visits.counts[:m], 1))
+        values[:m][visits.counts[:m] == 0] = np.nan
+        return values, 'visits', '{:.0f}', 0.0, max(1.0, np.ceil(_top(values, 1.0)))
+    if name == 'match error':
+        errors = visits.errors[:m]
+        values[:m] = np.where((errors >= 0) & (visits.visited_ns[:m] > 0), errors, np.nan)
+        threshold = state.view.threshold if state.view is not None else 0.0
+        return values, 'match error at the last visit', '{:.3f}', 0.0, _top(values, threshold)
+    if name == 'travel time':
+        if times_s is not None:
+            values[: len(times_s)] = times_s[:n]
+        return values, 'travel time from the robot', '{:.0f} s', 0.0, _top(values, 1.0)
+    raise ValueError(f'no such colouring: {name}; expected one of {", ".join(COLOURINGS)}')
+
+
+def _top(values: Reals, least: float) -> float:
+    """Return an upper end of a scale that changes rarely: the next of 1, 2, 5, 10, 20, 50..."""
+    finite = values[np.isfinite(values)]
+    top = max(float(finite.max()) if len(finite) else 0.0, least, 1e-9)
+    power = 10.0 ** np.floor(np.log10(top))
+    return float(next(power * step for step in (1, 2, 5, 10) if power * step >= top * 0.999999))
+
+
+def _plain_links(rows: LinkRows, theme: Theme) -> Bytes:
+    colours = np.tile(np.array(theme.driven, np.uint8), (len(rows), 1))
+    colours[rows.recognised] = theme.recognised
+    colours[is_closure(rows)] = theme.closure
+    return colours
+
+
+def _behaviours(rows: LinkRows, experiences: Bytes, theme: Theme) -> Colours:
+    names = sorted({name for name in rows.behaviours if name})
+    palette = theme.categories
+    # More behaviours than colours would have to share one, so the rest is one group.
+    shown = {name: palette[1 + k] for k, name in enumerate(names[: len(palette) - 2])}
+    rest = palette[-1]
+    table = {'': palette[0]} | {name: shown.get(name, rest) for name in names}
+    links = np.array([table[name] for name in rows.behaviours], np.uint8).reshape(-1, 3)
+    experiences[:] = theme.unknown
+    legend: Legend = [(colour, name.replace('_', ' ')) for name, colour in shown.items()]
+    if len(names) > len(shown):
+        legend.append((rest, 'other behaviours'))
+    return Colours(experiences, links, [*legend, (palette[0], 'no behaviour reported')])
+
+
+def _other_components(state: RunState) -> NDArray[np.bool_]:
+    components, current = state.map.components, state.map.current_id
+    if not 0 <= current < len(components):
+        return np.zeros(len(components), np.bool_)
+    apart: NDArray[np.bool_] = components != components[current]
+    return apart
+
+
+def _links_legend(theme: Theme) -> Legend:
+    return [
+        (theme.driven, 'link: driven'),
+        (theme.recognised, 'link: recognised view'),
+        (theme.closure, 'link: loop closure'),
+    ]
+
+
+def _scale(
+    theme: Theme, low: float, high: float, title: str, text: str, log: bool = False
+) -> Legend:
+    colours = scale_colours(theme)[np.linspace(0, LEVELS - 1, LEGEND_STEPS).astype(int)]
+    values = np.linspace(low, high, LEGEND_STEPS)
+    if log:
+        values = np.exp2(np.arange(round(high) + 1.0))
+        colours = scale_colours(theme)[np.linspace(0, LEVELS - 1, len(values)).astype(int)]
+    texts = [text.format(value) for value in values]
+    texts[0] = f'{texts[0]} {title}'
+    legend: Legend = [
+        ((int(c[0]), int(c[1]), int(c[2])), shown) for c, shown in zip(colours, texts, strict=True)
+    ]
+    return [*legend, (theme.unknown, 'unknown')]

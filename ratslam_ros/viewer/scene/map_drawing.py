@@ -1,0 +1,138 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Drawing of the map in chunks, of which only those that differ are sent."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ratslam_ros.core.mapping.map_changes import LinkRows
+from ratslam_ros.viewer.scene import glb
+from ratslam_ros.viewer.scene.colouring import Colours
+from ratslam_ros.viewer.scene.nodes import Asset, Canvas, Cloud
+from ratslam_ros.viewer.scene.palette import Bytes
+
+CHUNK = 512
+"""Number of experiences or rows of links of a chunk. A view changes one or two chunks of 8 to 20
+kB; a map of 20,000 experiences has 80 chunks, and each costs a browser one draw call."""
+
+LIMIT = 10_000
+"""Number of experiences above which the map is thinned. On software rendering, 10,000 experiences
+with links are drawn at about 20 frames per second, 20,000 at about 14."""
+
+
+def thinning(count: int, limit: int = LIMIT) -> int:
+    """Return k if every k-th experience is to be drawn."""
+    return max(1, math.ceil(count / limit))
+
+
+def thinned_links(rows: LinkRows, every: int) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Return the ends of links between drawn experiences, and which rows are drawn.
+
+    Args:
+        rows: rows of links.
+        every: every how many experiences one is drawn.
+
+    Returns:
+        (rows, 2) ends, in which an experience that is not drawn is replaced by the drawn one
+        before it, and (rows,) whether the link is drawn: not if it is deleted, has become a point,
+        or equals an earlier one. A recognised link is not equal to a driven one.
+    """
+    ends = rows.ends // every * every
+    drawn = (rows.ends[:, 0] >= 0) & (ends[:, 0] != ends[:, 1])
+    if every > 1:
+        low, high = ends.min(axis=1), ends.max(axis=1)
+        keys = (low * (int(high.max(initial=0)) + 1) + high) * 2 + rows.recognised
+        keys[~drawn] = -1
+        first = np.zeros(len(keys), np.bool_)
+        first[np.unique(keys, return_index=True)[1]] = True
+        drawn &= first
+    return ends, drawn
+
+
+@dataclass(frozen=True, slots=True)
+class _Drawn:
+    points: NDArray[np.float32]
+    colours: Bytes
+
+
+class MapDrawing:
+    """Experiences and links, drawn as points and lines."""
+
+    def __init__(self, canvas: Canvas) -> None:
+        self._canvas = canvas
+        self._links_path = canvas.layer('links')
+        self._points_path = canvas.layer('experiences')
+        self._clouds: list[Cloud] = []
+        self._assets: list[Asset] = []
+        self._links: list[_Drawn] = []
+        self._size_m = 0.1
+        self.every = 1
+        """Every how many experiences one is drawn."""
+
+    def draw(
+        self, poses: NDArray[np.float64], rows: LinkRows, colours: Colours, limit: int = LIMIT
+    ) -> None:
+        """Draw the map; send the chunks that differ from what has been drawn.
+
+        Args:
+            poses: (n, 3) poses of the experiences.
+            rows: rows of links.
+            colours: colours of both.
+            limit: largest number of experiences that is drawn without thinning.
+        """
+        self.every = every = thinning(len(poses), limit)
+        places = np.zeros((len(poses), 3), np.float32)
+        places[:, :2] = poses[:, :2]
+        known: NDArray[np.bool_] = np.isfinite(poses[:, 0])
+        self._draw_points(places, known, colours.experiences, CHUNK * every)
+        ends, drawn = thinned_links(rows, every)
+        inside = (ends >= 0).all(axis=1) & (ends < len(poses)).all(axis=1)
+        ends = np.where(inside[:, None], ends, 0)
+        drawn &= inside
+        if len(known):
+            drawn &= known[ends].all(axis=1)
+        self._draw_links(places, ends, drawn, colours.links, CHUNK * every)
+
+    def resize(self, size_m: float) -> None:
+        """Change the diameter of the experiences."""
+        if size_m != self._size_m:
+            self._size_m = size_m
+            for cloud in self._clouds:
+                cloud.resize(size_m)
+
+    def _draw_points(
+        self, places: NDArray[np.float32], known: NDArray[np.bool_], colours: Bytes, size: int
+    ) -> None:
+        chosen = known.copy()
+        chosen[np.arange(len(chosen)) % self.every != 0] = False
+        count = -(-len(places) // size)
+        for k in range(max(count, len(self._clouds))):
+            if k == len(self._clouds):
+                path = f'{self._points_path}/{k}'
+                self._clouds.append(Cloud(self._canvas, path, self._size_m))
+            part = slice(k * size, (k + 1) * size)
+            keep = chosen[part]
+            self._clouds[k].draw(places[part][keep], colours[part][keep])
+
+    def _draw_links(
+        self, places: NDArray[np.float32], ends: NDArray[np.int64], drawn: NDArray[np.bool_],
+        colours: Bytes, size: int,
+    ) -> None:  # fmt: skip
+        count = -(-len(ends) // size)
+        for k in range(max(count, len(self._assets))):
+            part = slice(k * size, (k + 1) * size)
+            keep = drawn[part]
+            new = _Drawn(places[ends[part][keep]].reshape(-1, 2, 3), colours[part][keep])
+            if k == len(self._assets):
+                self._assets.append(Asset(self._canvas, f'{self._links_path}/{k}'))
+                self._links.append(_Drawn(np.empty((0, 2, 3), np.float32), new.colours[:0]))
+            old = self._links[k]
+            if np.array_equal(old.points, new.points) and np.array_equal(old.colours, new.colours):
+                continue
+            self._links[k] = new
+            self._assets[k].draw(glb.lines(new.points, new.colours) if len(new.points) else b'')

@@ -1,0 +1,198 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Nodes of the scene whose data is replaced without flicker, and sent only if it differs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ratslam_ros.viewer.scene.palette import Bytes, Rgb, Theme
+
+Points = NDArray[np.float32]
+
+
+class Canvas:
+    """The scene of viser with layers that can be hidden, in the colours of a theme."""
+
+    def __init__(self, server: Any, theme: Theme) -> None:
+        self.server, self.scene, self.theme = server, server.scene, theme
+        self._layers: dict[str, Any] = {}
+        self._old: list[Any] = []
+
+    def layer(self, name: str, height_m: float = 0.0) -> str:
+        """Add a layer and return the path below which its nodes belong."""
+        path = '/' + name.replace(' ', '_')
+        self._layers[name] = self.scene.add_frame(
+            path, show_axes=False, position=(0.0, 0.0, height_m)
+        )
+        return path
+
+    def show(self, name: str, on: bool) -> None:
+        """Show or hide a layer.
+
+        Raises:
+            KeyError: if there is no such layer.
+        """
+        self._layers[name].visible = on
+
+    def frame(self, name: str) -> Any:
+        """Return the frame of a layer."""
+        return self._layers[name]
+
+    def retire(self, handle: Any) -> None:
+        """Remove a node at the next update, when its successor has been drawn."""
+        self._old.append(handle)
+
+    def begin_update(self) -> None:
+        """Remove retired nodes."""
+        for handle in self._old:
+            handle.remove()
+        self._old.clear()
+
+
+class Asset:
+    """A binary glTF that is replaced as a whole.
+
+    A browser needs a moment to decode glTF and draws nothing until then. So new data makes a new
+    node, and the old one is removed an update later.
+    """
+
+    def __init__(self, canvas: Canvas, path: str) -> None:
+        self._canvas, self._path = canvas, path
+        self._data = b''
+        self._handle: Any = None
+        self._turn = 0
+
+    def draw(self, data: bytes) -> None:
+        """Draw binary glTF; nothing if it is empty."""
+        if data == self._data:
+            return
+        self._data = data
+        if self._handle is not None:
+            self._canvas.retire(self._handle)
+            self._handle = None
+        if data:
+            self._turn += 1
+            self._handle = self._canvas.scene.add_glb(
+                f'{self._path}/{self._turn % 4}', data, cast_shadow=False, receive_shadow=False
+            )
+
+
+class Cloud:
+    """Flat round points."""
+
+    def __init__(self, canvas: Canvas, path: str, size_m: float, shading: str = 'flat') -> None:
+        self._canvas, self._path, self._shading = canvas, path, shading
+        self._size_m = size_m
+        self._drawn: tuple[Points, Bytes] | None = None
+        self._handle: Any = None
+
+    def draw(self, points: ArrayLike, colours: ArrayLike) -> None:
+        """Draw (n, 3) points in (n, 3) colours, or in one colour."""
+        places = np.asarray(points, np.float32).reshape(-1, 3)
+        tints = np.ascontiguousarray(np.broadcast_to(np.asarray(colours, np.uint8), places.shape))
+        old = self._drawn
+        if old is not None and np.array_equal(old[0], places) and np.array_equal(old[1], tints):
+            return
+        self._drawn = places, tints
+        handle = self._handle
+        if not len(places):
+            if handle is not None:
+                handle.visible = False
+            return
+        if handle is None:
+            self._handle = self._canvas.scene.add_point_cloud(
+                self._path, places, tints, point_size=self._size_m, point_shape='circle',
+                point_shading=self._shading, precision='float32',
+            )  # fmt: skip
+            return
+        with self._canvas.server.atomic():
+            handle.points, handle.colors = places, tints
+            handle.visible = True
+
+    def resize(self, size_m: float) -> None:
+        """Change the diameter of the points."""
+        self._size_m = size_m
+        if self._handle is not None:
+            self._handle.point_size = size_m
+
+    def remove(self) -> None:
+        """Remove the points."""
+        if self._handle is not None:
+            self._handle.remove()
+            self._handle = None
+
+
+class Strokes:
+    """A few thick lines."""
+
+    def __init__(self, canvas: Canvas, path: str, thickness_px: float) -> None:
+        self._canvas, self._path, self._thickness_px = canvas, path, thickness_px
+        self._handle: Any = None
+        self._drawn: tuple[Points, Bytes] | None = None
+
+    def draw(self, segments: ArrayLike, colours: ArrayLike) -> None:
+        """Draw (n, 2, 3) lines in (n, 2, 3) colours, or in colours that broadcast to that."""
+        places = np.asarray(segments, np.float32).reshape(-1, 2, 3)
+        tints = np.ascontiguousarray(np.broadcast_to(np.asarray(colours, np.uint8), places.shape))
+        old = self._drawn
+        if old is not None and np.array_equal(old[0], places) and np.array_equal(old[1], tints):
+            return
+        self._drawn = places, tints
+        handle = self._handle
+        if handle is None:
+            if len(places):
+                self._handle = self._canvas.scene.add_line_segments(
+                    self._path, places, tints, thickness=self._thickness_px,
+                    thickness_units='screen',
+                )  # fmt: skip
+            return
+        if not len(places):
+            handle.visible = False
+            return
+        with self._canvas.server.atomic():
+            handle.points, handle.colors = places, tints
+            handle.visible = True
+
+
+class Labels:
+    """Texts at points; the nodes are reused."""
+
+    def __init__(self, canvas: Canvas, path: str, anchor: str = 'center-center') -> None:
+        self._canvas, self._path, self._anchor = canvas, path, anchor
+        self._handles: list[Any] = []
+
+    def draw(self, texts: list[tuple[str, tuple[float, float, float]]]) -> None:
+        """Draw texts at points."""
+        for k, (text, position) in enumerate(texts):
+            if k < len(self._handles):
+                handle = self._handles[k]
+                handle.text, handle.position, handle.visible = text, position, True
+            else:
+                self._handles.append(self._canvas.scene.add_label(
+                    f'{self._path}/{k}', text, position=position, anchor=self._anchor,
+                ))  # fmt: skip
+        for handle in self._handles[len(texts) :]:
+            handle.visible = False
+
+
+def ring(radius_m: float, inner: float = 0.75, corners: int = 32) -> Points:
+    """Return the (n, 3, 3) triangles of a flat ring around the origin."""
+    angles = np.linspace(0.0, 2.0 * np.pi, corners + 1)
+    circle = np.stack([np.cos(angles), np.sin(angles), np.zeros(corners + 1)], 1) * radius_m
+    a, b = circle[:-1], circle[1:]
+    return np.concatenate([
+        np.stack([a, b, b * inner], 1), np.stack([a, b * inner, a * inner], 1),
+    ]).astype(np.float32)  # fmt: skip
+
+
+def faded(colour: Rgb, background: Rgb, count: int) -> Bytes:
+    """Return (count, 3) colours from the background to a colour."""
+    share = np.linspace(0.0, 1.0, count)[:, None]
+    mix: Bytes = np.round(share * np.array(colour) + (1 - share) * np.array(background)).astype(
+        np.uint8
+    )
+    return mix

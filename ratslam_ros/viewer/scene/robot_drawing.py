@@ -1,0 +1,146 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The robot, its scan, route and goal, and recent closures."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ratslam_ros.history.records import StatusRecord
+from ratslam_ros.history.run_state import RunState
+from ratslam_ros.viewer.scene import glb
+from ratslam_ros.viewer.scene.events import recent_closures
+from ratslam_ros.viewer.scene.nodes import Asset, Canvas, Cloud, Labels, Strokes, ring
+from ratslam_ros.viewer.scene.palette import Theme
+
+ARROW = np.array([[1.0, 0.0], [-0.7, 0.65], [-0.35, 0.0], [-0.7, -0.65]])
+"""Outline of the robot, pointing along x."""
+
+ROUTE_LINES = 300
+"""Largest number of lines of a route: thick lines are slow on software rendering."""
+
+DASHES = 12
+"""Number of dashes of a rejected closure."""
+
+
+def goal_of(status: StatusRecord | None) -> tuple[float, float, str] | None:
+    """Return x and y in m and the text of the current goal, None if there is none.
+
+    A status that cannot be read counts as none: it comes from another program.
+    """
+    if status is None:
+        return None
+    try:
+        content = json.loads(status.payload)
+        x, y = float(content['goal']['x_m']), float(content['goal']['y_m'])
+        names = [str(entry['goal']) for entry in content.get('queue', ()) if
+                 entry.get('status') == 'active']  # fmt: skip
+        left = content.get('remaining_s')
+        text = f'goal: {names[0]}' if names and not names[0].startswith('(') else 'goal'
+        if left is not None:
+            text += f', {float(left):.0f} s left'
+    except (ValueError, TypeError, KeyError, AttributeError):
+        return None
+    return (x, y, text) if math.isfinite(x) and math.isfinite(y) else None
+
+
+class RobotDrawing:
+    """Everything that moves with the robot."""
+
+    def __init__(self, canvas: Canvas) -> None:
+        self._canvas = canvas
+        scan, route = canvas.layer('scan', 0.01), canvas.layer('route', 0.02)
+        events, robot = canvas.layer('closures', 0.03), canvas.layer('robot', 0.05)
+        self._scan = Cloud(canvas, f'{scan}/points', 0.08)
+        self._route = Strokes(canvas, f'{route}/line', 3.0)
+        self._goal = Asset(canvas, f'{route}/goal')
+        self._goal_text = Labels(canvas, f'{route}/text', 'bottom-center')
+        self._events = Strokes(canvas, f'{events}/lines', 4.0)
+        self._reasons = Labels(canvas, f'{events}/reasons')
+        self._robot = Asset(canvas, f'{robot}/arrow')
+        self._size_m = 0.0
+        self._arrow_key: object = None
+        self._goal_key: object = None
+
+    def draw(self, state: RunState, size_m: float) -> None:
+        """Draw a state.
+
+        Args:
+            state: the state.
+            size_m: length of the robot's arrow in m; the size of marks depends on it.
+        """
+        theme = self._canvas.theme
+        resized, self._size_m = size_m != self._size_m, size_m
+        if state.pose is not None:
+            x, y, heading = state.pose.pose
+            turn = (math.cos(heading / 2), 0.0, 0.0, math.sin(heading / 2))
+            if (size_m, theme) != self._arrow_key:
+                self._arrow_key = size_m, theme
+                self._robot.draw(arrow_of(size_m, theme))
+            for name in ('robot', 'scan'):
+                frame = self._canvas.frame(name)
+                frame.position, frame.wxyz = (x, y, frame.position[2]), turn
+        if state.scan is not None:
+            points = state.scan.points_m
+            self._scan.draw(np.pad(points, ((0, 0), (0, 1))), theme.scan)
+        if resized:
+            self._scan.resize(0.2 * size_m)
+        self._draw_route(state, theme)
+        self._draw_events(state, theme)
+
+    def _draw_route(self, state: RunState, theme: Theme) -> None:
+        points = np.empty((0, 2)) if state.route is None else state.route.points_m
+        points = points[np.isfinite(points).all(axis=1)]
+        every = max(1, math.ceil(len(points) / ROUTE_LINES))
+        kept: NDArray[np.float64] = np.pad(points[::every], ((0, 0), (0, 1)))
+        self._route.draw(np.stack([kept[:-1], kept[1:]], 1), theme.route)
+        goal = goal_of(state.status)
+        if goal is None and len(points):
+            goal = (*points[-1].tolist(), 'goal')
+        if goal is None:
+            self._goal.draw(b'')
+            self._goal_key = None
+            self._goal_text.draw([])
+            return
+        x, y, text = goal
+        self._goal_text.draw([(text, (x, y + self._size_m, 0.0))])
+        if (key := (x, y, self._size_m, theme)) == self._goal_key:
+            return
+        self._goal_key = key
+        mark = np.concatenate([ring(0.8 * self._size_m), ring(0.3 * self._size_m, 0.0)])
+        mark += np.array([x, y, 0.0], np.float32)
+        self._goal.draw(glb.triangles(mark, theme.goal))
+
+    def _draw_events(self, state: RunState, theme: Theme) -> None:
+        lines, tints, texts = [], [], []
+        for event in recent_closures(state):
+            a, b = np.array([*event.a, 0.0]), np.array([*event.b, 0.0])
+            if event.reason:
+                cuts = np.linspace(0.0, 1.0, 2 * DASHES)[:, None]
+                dashes = (a + cuts * (b - a)).reshape(-1, 2, 3)
+                lines.append(dashes)
+                tints += [theme.rejected] * len(dashes)
+                text = f'closure rejected: {event.reason}'
+            else:
+                lines.append(np.stack([a, b])[None])
+                tints.append(theme.closure)
+                text = 'loop closed'
+            # Beside the robot, because it is in view when the camera follows the robot.
+            texts.append((text, (float(a[0]), float(a[1]) - 1.6 * self._size_m, 0.0)))
+        flat = np.concatenate(lines) if lines else np.empty((0, 2, 3))
+        colours = np.array(tints, np.uint8).reshape(-1, 1, 3)
+        self._events.draw(flat, np.broadcast_to(colours, (len(colours), 2, 3)))
+        self._reasons.draw(texts)
+
+
+def arrow_of(size_m: float, theme: Theme) -> bytes:
+    """Return the robot's arrow of a size in m."""
+    flat = np.pad(ARROW, ((0, 0), (0, 1))) * size_m
+    faces = [[0, 1, 2], [0, 2, 3]]
+    outline = flat * [1.45, 1.45, 1.0] - [0.08 * size_m, 0.0, 0.01]
+    corners = np.concatenate([outline[faces], flat[faces]])
+    return glb.triangles(corners, [theme.background] * 2 + [theme.robot] * 2)

@@ -1,0 +1,267 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The scene of a run: the map, the robot, and the pose cells."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ratslam_ros.history.run_state import RunState
+from ratslam_ros.viewer.scene import glb, picking
+from ratslam_ros.viewer.scene.cell_drawing import CellDrawing
+from ratslam_ros.viewer.scene.colouring import Colours, Legend, map_colours
+from ratslam_ros.viewer.scene.map_drawing import LIMIT, MapDrawing
+from ratslam_ros.viewer.scene.nodes import Asset, Canvas, ring
+from ratslam_ros.viewer.scene.palette import DARK, LIGHT, Bytes
+from ratslam_ros.viewer.scene.picking import Pick
+from ratslam_ros.viewer.scene.robot_drawing import RobotDrawing
+from ratslam_ros.viewer.scene.surroundings import Bounds, Cameras, GridDrawing
+from ratslam_ros.viewer.scene.trails import TrailDrawing
+from ratslam_ros.viewer.scene.travel_time import travel_times
+
+LAYERS = (
+    'experiences', 'links', 'headings', 'robot', 'trail', 'dead reckoning', 'ground truth',
+    'route', 'scan', 'closures', 'cells', 'grid',
+)  # fmt: skip
+
+MAP_PERIOD_S = 0.5
+"""Least time between two drawings of the map; the robot and its trail move at every update."""
+
+COLOUR_PERIOD_S = 1.0
+"""Time between two computations of colours that change although the map does not."""
+
+ROBOT_SIZE = 0.022
+"""Size of the robot as a share of the camera's distance: about 20 pixels of 720."""
+
+LARGEST_ROBOT_M = 30.0
+
+POINT_SIZES = 0.0035, 0.011
+"""Least and largest diameter of experiences as shares of the camera's distance."""
+
+POINT_SHARE = 0.55
+"""Diameter of experiences as a share of the median length of links, between these sizes."""
+
+TICKS = 400
+"""Largest number of headings that are drawn, those nearest to the robot or the selection."""
+
+TICK_DISTANCES = 60.0
+"""Headings are drawn if the camera is nearer than this many median lengths of links."""
+
+CELLS_SIDE = 0.42
+"""Side of the box of the pose cells as a share of the side of the map."""
+
+CELLS_GAP = 0.42
+"""Distance of the box's centre from the edge of the map, as a share of the side of the map."""
+
+
+class RunScene:
+    """Draws states of a run; only differences to what has been drawn are sent."""
+
+    layers = LAYERS
+
+    def __init__(
+        self, server: Any, map_period_s: float = MAP_PERIOD_S, aims: bool = True,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:  # fmt: skip
+        """Add the scene's nodes.
+
+        Args:
+            server: a ``viser.ViserServer``.
+            map_period_s: least time between two drawings of the map in s; 0 draws it always.
+            aims: whether the camera shows the whole map until the user moves it.
+            clock: clock in s.
+        """
+        self.colouring = 'plain'
+        """One of ``COLOURINGS``."""
+        self.dark = False
+        """Whether the background is dark."""
+        self.limit = LIMIT
+        """Number of experiences above which the map is thinned."""
+        server.scene.set_up_direction('+z')
+        # No node needs light, and shadows cost a third of the frame rate on software rendering.
+        server.scene.configure_default_lights(enabled=False, cast_shadow=False)
+        self._canvas = canvas = Canvas(server, LIGHT)
+        self._period_s, self._aims, self._clock = map_period_s, aims, clock
+        self._grid = GridDrawing(canvas)
+        self._truth = TrailDrawing(canvas, 'ground truth', -0.03)
+        self._reckoned = TrailDrawing(canvas, 'dead reckoning', -0.02)
+        self._map = MapDrawing(canvas)
+        self._headings = Asset(canvas, canvas.layer('headings', 0.005))
+        self._trail = TrailDrawing(canvas, 'trail', -0.01, has_tail=True)
+        self._robot = RobotDrawing(canvas)
+        self._selection = Asset(canvas, '/selection')
+        self._cells = CellDrawing(canvas, 'cells')
+        self._cameras = Cameras(server)
+        self._bounds = Bounds()
+        self._framed: object = None
+        self._map_key: object = None
+        self._map_due_s = self._colours_due_s = -math.inf
+        self._state_key: object = None
+        self._selected: Pick | None = None
+        self._legend: Legend = map_colours('plain', RunState(), LIGHT).legend
+        self._cells_known = False
+        self._link_m = 0.25
+
+    @property
+    def detail(self) -> str:
+        """How the detail is reduced; '' if it is not."""
+        every = self._map.every
+        return '' if every == 1 else (
+            f'Map of more than {self.limit} experiences: 1 of {every} is drawn.'
+        )  # fmt: skip
+
+    def legend(self) -> Legend:
+        """Return the colours of the map and what they stand for."""
+        theme = self._canvas.theme
+        return [
+            *self._legend, (theme.trail, 'path of the robot'),
+            (theme.dead_reckoning, 'odometry alone'), (theme.truth, 'ground truth'),
+        ]  # fmt: skip
+
+    def show(self, layer: str, on: bool) -> None:
+        """Show or hide a layer.
+
+        Raises:
+            KeyError: if there is no such layer.
+        """
+        self._canvas.show(layer, on)
+
+    def pick(self, origin: ArrayLike, direction: ArrayLike, state: RunState) -> Pick | None:
+        """Return what a ray from the camera hits, see ``picking.pick``."""
+        return picking.pick(origin, direction, state)
+
+    def select(self, pick: Pick | None) -> None:
+        """Mark what is selected; None marks nothing."""
+        self._selected = pick
+
+    def look_at_all(self) -> None:
+        """Show the whole map and the pose cells in all browsers."""
+        self._cameras.look(*self.area())
+
+    def update(self, state: RunState) -> None:
+        """Draw a state."""
+        canvas, now_s = self._canvas, self._clock()
+        canvas.theme = theme = DARK if self.dark else LIGHT
+        canvas.begin_update()
+        is_other = self._state_key is not None and self._state_key != id(state)
+        self._state_key = id(state)
+        if is_other or now_s >= self._map_due_s:
+            self._bounds.include(state)
+        distance_m = self._cameras.distance_m(1.4 * self._bounds.side_m)
+        self._draw_map(state, now_s, is_other, distance_m)
+        low, high = POINT_SIZES
+        size_m = float(np.clip(POINT_SHARE * self._link_m, low * distance_m, high * distance_m))
+        self._map.resize(size_m)
+        self._robot.draw(state, min(ROBOT_SIZE * distance_m, LARGEST_ROBOT_M))
+        self._trail.draw_tail(state.trail, theme.robot)
+        self._grid.draw(self._bounds)
+        self._place_cells(state)
+        self._mark_selection(state, distance_m)
+        if self._aims:
+            self._cameras.watch()
+            if self._framed != (self._bounds.version, self._cells_known):
+                self._framed = self._bounds.version, self._cells_known
+                self._cameras.frame(*self.area())
+
+    def area(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the lower and upper corner of all that has been drawn, in m."""
+        half, centre = 0.5 * self._bounds.side_m, self._bounds.centre
+        low, high = centre - half, centre + half
+        if self._cells_known:
+            low = low - np.array([2.0 * CELLS_GAP * self._bounds.side_m, 0.0])
+        return low, high
+
+    def _place_cells(self, state: RunState) -> None:
+        self._cells_known = self._cells_known or state.cells is not None
+        side_m = self._bounds.side_m
+        x, y = (self._bounds.centre - np.array([(0.5 + CELLS_GAP) * side_m, 0.0])).tolist()
+        self._cells.place((x, y), CELLS_SIDE * side_m)
+        self._cells.draw(state.cells)
+
+    def _draw_map(self, state: RunState, now_s: float, is_other: bool, distance_m: float) -> None:
+        graph, theme = state.map, self._canvas.theme
+        style = (self.colouring, theme.background, self.limit, self._ticks_key(distance_m))
+        key = (id(graph), graph.version, graph.restarts)
+        is_restyled = self._map_key is None or self._map_key[0] != style  # type: ignore[index]
+        changed = self._map_key != (style, key)
+        colours_due = self.colouring != 'plain' and now_s >= self._colours_due_s
+        if not (is_other or is_restyled) and (
+            now_s < self._map_due_s or not (changed or colours_due)
+        ):
+            if now_s >= self._map_due_s:
+                self._draw_trails(state, now_s)
+            return
+        self._map_key = style, key
+        self._colours_due_s = now_s + COLOUR_PERIOD_S
+        times_s = travel_times(graph) if self.colouring == 'travel time' else None
+        colours = map_colours(self.colouring, state, theme, times_s)
+        self._legend = colours.legend
+        rows = graph.link_rows
+        self._link_m = _median_length(rows.shapes[rows.ends[:, 0] >= 0, 0], self._link_m)
+        self._map.draw(graph.poses, rows, colours, self.limit)
+        self._draw_headings(state, colours, distance_m)
+        self._draw_trails(state, now_s)
+
+    def _draw_trails(self, state: RunState, now_s: float) -> None:
+        theme = self._canvas.theme
+        self._trail.draw(state.trail, theme.trail)
+        self._reckoned.draw(state.dead_reckoning, theme.dead_reckoning)
+        self._truth.draw(state.truth, theme.truth)
+        self._map_due_s = now_s + self._period_s
+
+    def _ticks_key(self, distance_m: float) -> object:
+        """Return what the headings depend on besides the map."""
+        is_near = distance_m <= TICK_DISTANCES * self._link_m
+        return is_near, self._selected if is_near else None
+
+    def _draw_headings(self, state: RunState, colours: Colours, distance_m: float) -> None:
+        poses = state.map.poses
+        near = np.isfinite(poses).all(axis=1)
+        if distance_m > TICK_DISTANCES * self._link_m or state.pose is None or not near.any():
+            self._headings.draw(b'')
+            return
+        centre = np.array(state.pose.pose[:2])
+        if self._selected is not None:
+            centre = np.array(self._selected.point[:2])
+        gaps = np.hypot(*(poses[:, :2] - centre).T)
+        gaps[~near] = np.inf
+        chosen = np.argsort(gaps, kind='stable')[:TICKS]
+        chosen = chosen[np.isfinite(gaps[chosen])]
+        starts = np.pad(poses[chosen, :2], ((0, 0), (0, 1)))
+        along = np.stack([np.cos(poses[chosen, 2]), np.sin(poses[chosen, 2])], 1)
+        ends = starts + np.pad(0.9 * self._link_m * along, ((0, 0), (0, 1)))
+        tints: Bytes = colours.experiences[chosen]
+        self._headings.draw(glb.lines(np.stack([starts, ends], 1), tints))
+
+    def _mark_selection(self, state: RunState, distance_m: float) -> None:
+        chosen, radius_m = self._selected, 0.016 * distance_m
+        places, tint = state.map.poses, self._canvas.theme.selected
+        points = []
+        if chosen is not None and chosen.kind == 'ground':
+            points = [chosen.point[:2]]
+        elif chosen is not None:
+            ids = (chosen.id,) if chosen.kind == 'experience' else chosen.ends
+            points = [
+                tuple(places[k, :2].tolist()) for k in ids
+                if 0 <= k < len(places) and np.isfinite(places[k, :2]).all()
+            ]  # fmt: skip
+        if not points:
+            self._selection.draw(b'')
+            return
+        mark = ring(radius_m, 0.8)
+        flat = np.concatenate([mark + np.array([x, y, 0.04], np.float32) for x, y in points])
+        self._selection.draw(glb.triangles(flat, tint))
+
+
+def _median_length(lengths_m: NDArray[np.float64], default_m: float) -> float:
+    """Return the median of the lengths of links above 0 in m, in steps of 1.4."""
+    lengths_m = lengths_m[lengths_m > 0.0]
+    if not len(lengths_m):
+        return default_m
+    return float(2.0 ** (round(2.0 * math.log2(float(np.median(lengths_m)))) / 2.0))

@@ -1,0 +1,188 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The grid, and the camera's distance, on which the size of marks depends."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ratslam_ros.history.run_state import RunState
+from ratslam_ros.viewer.scene import glb
+from ratslam_ros.viewer.scene.nodes import Asset, Canvas, Labels
+from ratslam_ros.viewer.scene.palette import mixed
+
+Reals = NDArray[np.float64]
+
+FIELD_OF_VIEW = math.radians(45.0)
+"""Vertical field of view: less perspective than viser's 75 degrees, so that the map looks flat."""
+
+LEAST_SIDE_M = 8.0
+"""Least side of the framed area, in m."""
+
+GROWTH = 1.25
+"""Factor by which the framed area grows, so that it changes rarely while the map grows."""
+
+GRID_LINES = 12
+"""Approximate number of grid lines along the framed area."""
+
+SLANT = 0.02
+"""Deviation of the start view from straight down, as a share of the distance. Straight down, the
+camera's orientation would be undefined."""
+
+
+class Bounds:
+    """The area of the map, in steps."""
+
+    def __init__(self) -> None:
+        self.centre = np.zeros(2)
+        self.side_m = LEAST_SIDE_M
+        self.version = 0
+        """Counter that grows with every change."""
+
+    def include(self, state: RunState) -> None:
+        """Grow until everything of a state is inside, by at least ``GROWTH``."""
+        parts = [state.map.poses[:, :2]]
+        for trail in state.trail, state.truth, state.dead_reckoning:
+            parts.append(trail.points_m[-1:])
+        points = np.concatenate(parts)
+        points = points[np.isfinite(points).all(axis=1)]
+        if not len(points):
+            return
+        low, high = points.min(axis=0), points.max(axis=0)
+        half = 0.5 * self.side_m
+        if (low >= self.centre - half).all() and (high <= self.centre + half).all():
+            return
+        self.centre = (low + high) / 2
+        side_m = float((high - low).max())
+        while self.side_m < 1.05 * side_m:
+            self.side_m *= GROWTH
+        self.version += 1
+
+    def clear(self) -> None:
+        """Forget the area, as for another run."""
+        self.side_m = LEAST_SIDE_M
+        self.centre = np.full(2, np.inf)
+
+
+def grid_step(side_m: float) -> float:
+    """Return the distance of grid lines in m: 1, 2 or 5 times a power of 10."""
+    power = 10.0 ** math.floor(math.log10(side_m / GRID_LINES))
+    return min(
+        (power * step for step in (1, 2, 5, 10)),
+        key=lambda step: abs(math.log(side_m / GRID_LINES / step)),
+    )
+
+
+class GridDrawing:
+    """A grid with the distances in metres."""
+
+    def __init__(self, canvas: Canvas) -> None:
+        self._canvas = canvas
+        self._path = canvas.layer('grid', -0.05)
+        self._asset = Asset(canvas, f'{self._path}/lines')
+        self._labels = Labels(canvas, f'{self._path}/metres')
+        self._key: object = None
+
+    def draw(self, bounds: Bounds) -> None:
+        """Draw the grid of an area, with some room around it."""
+        theme = self._canvas.theme
+        if self._key == (bounds.version, theme.background):
+            return
+        self._key = bounds.version, theme.background
+        step = grid_step(bounds.side_m)
+        low = np.floor((bounds.centre - 0.6 * bounds.side_m) / step).astype(int)
+        high = np.ceil((bounds.centre + 0.6 * bounds.side_m) / step).astype(int)
+        lines, tints = [], []
+        strong = mixed(theme.grid, theme.text, 0.2)
+        for axis in (0, 1):
+            other = 1 - axis
+            for k in range(low[axis], high[axis] + 1):
+                ends = np.zeros((2, 3))
+                ends[:, axis] = k * step
+                ends[:, other] = low[other] * step, high[other] * step
+                lines.append(ends)
+                tints.append(strong if k % 5 == 0 else theme.grid)
+        self._asset.draw(glb.lines(np.array(lines, np.float32), np.array(tints, np.uint8)))
+        bottom, left = low[1] * step - 0.3 * step, low[0] * step - 0.4 * step
+        texts = [
+            (f'{k * step:g} m', (k * step, bottom, 0.0))
+            for k in range(low[0], high[0] + 1) if k % 5 == 0
+        ]  # fmt: skip
+        texts += [
+            (f'{k * step:g} m', (left, k * step, 0.0))
+            for k in range(low[1], high[1] + 1) if k % 5 == 0
+        ]  # fmt: skip
+        self._labels.draw(texts)
+
+
+class Cameras:
+    """The browsers' cameras: they show the whole map until the user moves them."""
+
+    TOLERANCE = 0.02
+    """Deviation, as a share of the distance, by which a user has moved the camera."""
+
+    def __init__(self, server: Any) -> None:
+        self._server = server
+        self._set: dict[int, tuple[Reals, int]] = {}
+        self._moved: set[int] = set()
+
+    def frame(self, low: Reals, high: Reals) -> None:
+        """Show an area, (2,) lower and upper corner in m, in new browsers and in unmoved ones."""
+        centre = (low + high) / 2
+        start = self._server.initial_camera
+        position, look_at = _above(centre, high - low, 1.2)
+        start.fov, start.position, start.look_at = FIELD_OF_VIEW, position, look_at
+        start.far = 100.0 * float(position[2])
+        for number, client in self._server.get_clients().items():
+            if number in self._moved or not client.camera.update_timestamp:
+                continue
+            position, look_at = _above(centre, high - low, client.camera.aspect)
+            client.camera.far = 100.0 * float(position[2])
+            client.camera.position = position
+            client.camera.look_at = look_at
+            self._set[number] = position, 0
+
+    def look(self, low: Reals, high: Reals) -> None:
+        """Show an area in all browsers, and again whatever the map grows to."""
+        self._moved.clear()
+        self._set.clear()
+        self.frame(low, high)
+
+    def distance_m(self, default_m: float) -> float:
+        """Return the distance of the nearest camera from what it looks at, in steps of 1.4."""
+        found = [
+            float(np.linalg.norm(client.camera.position - client.camera.look_at))
+            for client in self._server.get_clients().values()
+            if client.camera.update_timestamp
+        ]
+        nearest = max(min(found, default=default_m), 0.1)
+        return float(2.0 ** (round(2.0 * math.log2(nearest)) / 2.0))
+
+    def watch(self) -> None:
+        """Notice which cameras the users have moved."""
+        for number, client in self._server.get_clients().items():
+            if number in self._moved or not client.camera.update_timestamp:
+                continue
+            position = np.array(client.camera.position)
+            known = self._set.get(number)
+            if known is None:
+                self._set[number] = position, 0
+                continue
+            aim, seen = known
+            away = float(np.linalg.norm(position - aim)) > self.TOLERANCE * abs(aim[2]) + 1e-3
+            if not away:
+                self._set[number] = aim, seen + 1
+            elif seen:  # the page has been at the position that was set, and has left it
+                self._moved.add(number)
+
+
+def _above(centre: Reals, size: Reals, aspect: float) -> tuple[Reals, Reals]:
+    """Return the position of a camera above an area, and the point that it looks at."""
+    half = max(0.5 * float(size[1]), 0.5 * float(size[0]) / max(aspect, 0.1))
+    distance_m = 1.08 * half / math.tan(FIELD_OF_VIEW / 2)
+    look_at = np.array([*centre, 0.0])
+    return look_at + np.array([0.0, -SLANT * distance_m, distance_m]), look_at

@@ -1,0 +1,73 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Trails: where the robot has been on the map, by dead reckoning, and in truth."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ratslam_ros.history.run_state import Trail
+from ratslam_ros.viewer.scene import glb
+from ratslam_ros.viewer.scene.nodes import Asset, Canvas, Strokes, faded
+from ratslam_ros.viewer.scene.palette import Rgb
+
+CHUNK = 512
+"""Number of points of a chunk that is sent as a whole."""
+
+TAIL = 48
+"""Number of points of the thick, fading end: about 5 m."""
+
+JUMP = 10.0
+"""A step that is this many times the median is a jump of the estimate, and not drawn."""
+
+
+def steps(points_m: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Return the (k, 2, 3) lines between consecutive points that were driven, not jumped."""
+    if len(points_m) < 2:
+        return np.empty((0, 2, 3), np.float32)
+    lengths = np.hypot(*np.diff(points_m, axis=0).T)
+    driven = lengths <= JUMP * np.median(lengths)
+    flat = np.zeros((len(points_m), 3), np.float32)
+    flat[:, :2] = points_m
+    lines: NDArray[np.float32] = np.stack([flat[:-1], flat[1:]], axis=1)[driven]
+    return lines
+
+
+class TrailDrawing:
+    """A trail as thin lines, with a thick end that fades if it has a tail."""
+
+    def __init__(self, canvas: Canvas, name: str, height_m: float, has_tail: bool = False) -> None:
+        self._canvas = canvas
+        self._path = canvas.layer(name, height_m)
+        self._chunks: list[Asset] = []
+        self._drawn: list[tuple[NDArray[np.float64], Rgb]] = []
+        self._key: object = None
+        self._tail = Strokes(canvas, f'{self._path}/tail', 4.0) if has_tail else None
+
+    def draw(self, trail: Trail, colour: Rgb) -> None:
+        """Draw a trail; send only the chunks that differ."""
+        points = trail.points_m
+        key = (id(trail), trail.version, colour)
+        if key == self._key:
+            return
+        self._key = key
+        count = -(-max(len(points) - 1, 0) // CHUNK)
+        for k in range(max(count, len(self._chunks))):
+            if k == len(self._chunks):
+                self._chunks.append(Asset(self._canvas, f'{self._path}/{k}'))
+                self._drawn.append((points[:0], colour))
+            part = points[k * CHUNK : (k + 1) * CHUNK + 1]
+            if self._drawn[k][1] == colour and np.array_equal(self._drawn[k][0], part):
+                continue
+            self._drawn[k] = part.copy(), colour
+            lines = steps(part)
+            tints = np.broadcast_to(np.array(colour, np.uint8), (len(lines), 3))
+            self._chunks[k].draw(glb.lines(lines, tints) if len(lines) else b'')
+
+    def draw_tail(self, trail: Trail, colour: Rgb) -> None:
+        """Draw the end of the trail."""
+        if self._tail is not None:
+            lines = steps(trail.points_m[-TAIL - 1 :])
+            tints = faded(colour, self._canvas.theme.background, 2 * len(lines))
+            self._tail.draw(lines, tints.reshape(-1, 2, 3))
