@@ -36,6 +36,8 @@ class Page:
         while not self.posted.empty():
             self.posted.get()()
         self.panels.update(self.playback.tick(elapsed_s))
+        while self.panels.camera.loader.busy:
+            self.posted.get(timeout=10.0)()
 
     def give(self, handle: Any, value: Any = None) -> None:
         """Set an input, or press a button, as a browser does."""

@@ -36,9 +36,9 @@ def encode_state(state: RunState) -> bytes:
         pack_bytes(b''.join(encode(record) for record in last if record is not None)),
         pack_bytes(b''.join(map(encode, state.recent))),
         pack_bytes(b'' if state.view is None else encode(state.view)),
-        pack_ints(visits.created_ns), pack_ints(visits.visited_ns), pack_ints(visits.counts),
+        pack_ints(visits.created_ns, visits.visited_ns, visits.counts),
         pack_floats(visits.errors),
-        *(pack_rounded(column) for trail in _trails(state) for column in trail.points_m.T),
+        *(pack_rounded(*trail.points_m.T) for trail in _trails(state)),
     ])  # fmt: skip
 
 

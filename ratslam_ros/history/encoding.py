@@ -27,6 +27,7 @@ from ratslam_ros.history.packing import (
     pack_ints,
     pack_rounded,
     pack_text,
+    rounded,
 )
 from ratslam_ros.history.records import (
     CellsRecord,
@@ -178,7 +179,7 @@ def _encode_cells(record: CellsRecord) -> bytes:
         _CELLS.pack(
             record.stamp_ns, *record.dims, len(record.packets), len(record.injections), largest
         ),
-        *(pack_ints(column) for column in cells.T),
+        pack_ints(*cells.T),
         pack_bytes(shares.astype('<u2').tobytes()),
         pack_floats(record.packets.ravel()),
         pack_floats(record.injections.ravel()),
@@ -230,7 +231,7 @@ def _decode_match(data: Unpacker) -> MatchRecord:
 def _encode_points(record: ScanRecord | RouteRecord) -> bytes:
     points = record.points_m
     return b''.join([
-        _STAMP.pack(record.stamp_ns), pack_rounded(points[:, 0]), pack_rounded(points[:, 1]),
+        _STAMP.pack(record.stamp_ns), pack_rounded(*points.T),
     ])  # fmt: skip
 
 
@@ -271,15 +272,14 @@ def _encode_map(change: MapChange) -> bytes:
             change.stamp_ns, change.experience_count, change.current_id, change.is_restart,
             change.pending,
         ),
-        pack_ints(rows.ids), pack_ints(rows.template_ids), pack_ints(rows.components),
-        *(pack_rounded(column) for column in rows.poses.T),
-        pack_ints(links.ends[:, 0]), pack_ints(links.ends[:, 1]),
-        *(pack_rounded(column) for column in links.shapes.T),
-        pack_rounded(links.durations_s), pack_rounded(links.confidences),
-        pack_ints(links.counts), pack_ints(links.recognised.astype(np.int64)),
+        pack_ints(rows.ids, rows.template_ids, rows.components, *rounded(rows.poses.T)),
+        pack_ints(
+            *links.ends.T, *rounded(links.shapes.T), rounded(links.durations_s),
+            rounded(links.confidences), links.counts, links.recognised.astype(np.int64),
+        ),
         pack_text('\n'.join(names)),
         pack_ints(np.array([numbers[name] for name in links.behaviours], np.int64)),
-        pack_ints(change.removed_links[:, 0]), pack_ints(change.removed_links[:, 1]),
+        pack_ints(*change.removed_links.T),
     ])  # fmt: skip
 
 

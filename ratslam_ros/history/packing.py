@@ -25,9 +25,9 @@ COMPRESSION_LEVEL = 3
 MAX_BYTES = 2**28
 """Largest accepted size of unpacked data. A checkpoint of 1,000,000 experiences is smaller."""
 
-_WIDTHS: tuple[tuple[int, str], ...] = ((2**7, '<i1'), (2**15, '<i2'), (2**31, '<i4'))
 _TYPES = {1: '<i1', 2: '<i2', 4: '<i4', 8: '<i8'}
 _COLUMN = struct.Struct('<BI')
+_EMPTY_COLUMN = _COLUMN.pack(1, 0)
 _LENGTH = struct.Struct('<I')
 
 
@@ -45,29 +45,31 @@ def pack_text(text: str) -> bytes:
     return pack_bytes(text.encode())
 
 
-def pack_ints(values: NDArray[np.int64]) -> bytes:
-    """Pack (n,) integers as differences of successive ones, in the fewest bytes that fit.
+def pack_ints(*columns: NDArray[np.int64]) -> bytes:
+    """Pack columns of equal length as differences of successive integers, in few bytes.
 
     Neighbouring experiences, cells and points of a trail differ little, so that their differences
     are short and compress well.
     """
-    steps = np.diff(values, prepend=np.int64(0))  # wraps on overflow, as does the sum
-    low, high = (int(steps.min()), int(steps.max())) if len(steps) else (0, 0)
-    for limit, kind in _WIDTHS:  # noqa: B007 - used after the loop
-        if -limit <= low and high < limit:
-            break
-    else:
-        kind = '<i8'
-    narrow = steps.astype(kind)
-    width = narrow.itemsize
-    # Bytes of equal significance side by side compress better than whole numbers.
-    planes = narrow.view(np.uint8).reshape(len(narrow), width).T
-    return _COLUMN.pack(width, len(narrow)) + planes.tobytes()
+    table = np.stack(columns)
+    count = table.shape[1]
+    if not count:
+        return _EMPTY_COLUMN * len(columns)
+    table[:, 1:] -= table[:, :-1].copy()  # wraps on overflow, as does the sum
+    sizes = np.maximum(table.max(axis=1), -1 - table.min(axis=1)).tolist()
+    packed: list[bytes] = []
+    for steps, size in zip(table, sizes, strict=True):
+        width = next((width for width in _TYPES if size < 2 ** (8 * width - 1)), 8)
+        narrow = steps.astype(_TYPES[width])
+        # Bytes of equal significance side by side compress better than whole numbers.
+        planes = narrow.view(np.uint8).reshape(count, width).T
+        packed += _COLUMN.pack(width, count), planes.tobytes()
+    return b''.join(packed)
 
 
-def pack_rounded(values: NDArray[np.float64]) -> bytes:
-    """Pack (n,) numbers, rounded to 1/1000."""
-    return pack_ints(rounded(values))
+def pack_rounded(*columns: NDArray[np.float64]) -> bytes:
+    """Pack columns of equal length, with numbers rounded to 1/1000."""
+    return pack_ints(*rounded(np.stack(columns)))
 
 
 def rounded(values: NDArray[np.float64]) -> NDArray[np.int64]:

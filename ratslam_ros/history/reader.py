@@ -85,7 +85,7 @@ class HistoryFile:
     @property
     def has_ended(self) -> bool:
         """Whether the run has ended and all its records are in the file."""
-        return self._one("SELECT count(*) FROM meta WHERE key = 'ended'")[0] > 0
+        return self._first("SELECT value FROM meta WHERE key = 'ended'") is not None
 
     @property
     def is_growing(self) -> bool:

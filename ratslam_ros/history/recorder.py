@@ -144,8 +144,8 @@ class Recorder:
             oldest_ns = next(iter(self._images))
             if oldest_ns > stamp_ns:
                 break
-            image = self._images.pop(oldest_ns)
-            held = image if oldest_ns == stamp_ns else None
+            oldest = self._images.pop(oldest_ns)
+            held = oldest if oldest_ns == stamp_ns else None
         if held is None:
             return
         image, grey = held
@@ -156,11 +156,10 @@ class Recorder:
                 return
             writer.add(ImageRecord(stamp_ns, jpeg), match.is_new)
         local_view = self._slam.local_view
-        if (
-            grey is None or not isinstance(local_view, LocalView)
-            or match.template_id not in local_view
-            or not writer.wants(MatchRecord, stamp_ns)
-        ):
+        if grey is None or not writer.wants(MatchRecord, stamp_ns):
+            return
+        # A held step may be of a template that has been removed since.
+        if not isinstance(local_view, LocalView) or match.template_id not in local_view:
             return
         template = local_view.template(match.template_id)
         view = template if match.is_new else local_view.encode(grey)

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import IO
 
+from ratslam_ros.core.mapping.map_changes import MapChange
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
 from ratslam_ros.history.budget import Budget
 from ratslam_ros.history.checkpoint import encode_state
@@ -87,6 +88,8 @@ class HistoryWriter:
         self._pending: list[bytes] = []
         self._pending_bytes = 0
         self._pending_views = 0
+        self._visits: list[tuple[int, int, int, bytes]] = []
+        self._closures: list[tuple[int, int, bytes]] = []
         self._begin_ns = 0
         self._first_record = self._first_view = 0
         self._since_checkpoint = 0
@@ -138,13 +141,11 @@ class HistoryWriter:
             if not self._budget.allows(PoseRecord, at_ns):
                 return False
             record = as_stored(record)  # Trails must be those that a reader computes.
-        elif type(record).__name__ != 'MapChange' and not self._budget.allows(
+        elif type(record) is not MapChange and not self._budget.allows(
             type(record), at_ns, is_special
         ):
             return False
-        if (self._pending and at_ns > state.stamp_ns and (
-            at_ns - self._begin_ns >= SEGMENT_NS or self._pending_bytes >= SEGMENT_BYTES
-        )) or self._pending_bytes >= MAX_SEGMENT_BYTES:
+        if self._pending and self._is_full(at_ns):
             self._flush()
         if not self._pending:
             self._begin_ns = at_ns
@@ -183,15 +184,14 @@ class HistoryWriter:
             self._fail(error)
 
     def _index(self, view: ViewRecord, data: bytes) -> None:
-        """Add a view to the tables of visits and closures."""
-        number = self._first_view + self._pending_views
-        row = number, self.state.stamp_ns, data
+        """Note a view for the tables of visits and closures."""
+        row = self._first_view + self._pending_views, self.state.stamp_ns, data
         if view.target_id != NO_EXPERIENCE and not view.reason:
             if view.target_id != self._visited_id:
-                self._run(lambda database: _insert_visit(database, view.target_id, row))
+                self._visits.append((view.target_id, *row))
             self._visited_id = view.target_id
         if self._is_closure(view):
-            self._run(lambda database: _insert_closure(database, row))
+            self._closures.append(row)
 
     def _is_closure(self, view: ViewRecord) -> bool:
         """Return whether a view closes a loop, or would have but for a reason."""
@@ -207,10 +207,19 @@ class HistoryWriter:
             )
         )
 
+    def _is_full(self, at_ns: int) -> bool:
+        """Return whether a segment ends before a record; records of one stamp stay together."""
+        if self._pending_bytes >= MAX_SEGMENT_BYTES:
+            return True
+        is_long = at_ns - self._begin_ns >= SEGMENT_NS or self._pending_bytes >= SEGMENT_BYTES
+        return is_long and at_ns > self.state.stamp_ns
+
     def _flush(self) -> None:
         if self._pending:
             self._run(self._write_segment)
             self._pending.clear()
+            self._visits.clear()
+            self._closures.clear()
             self._pending_bytes = self._pending_views = 0
         if time.monotonic() - self._commit_s >= COMMIT_S:
             self._run(self._commit)
@@ -225,6 +234,8 @@ class HistoryWriter:
                 self._first_view, self._pending_views, data,
             ),
         )  # fmt: skip
+        database.executemany('INSERT INTO visits VALUES (?, ?, ?, ?)', self._visits)
+        database.executemany('INSERT INTO closures VALUES (?, ?, ?)', self._closures)
         self._first_record += len(self._pending)
         self._first_view += self._pending_views
         self._since_checkpoint += len(data)
@@ -271,16 +282,6 @@ class HistoryWriter:
             self._lock.close()
             self._lock = None
         self._pending.clear()
-
-
-def _insert_visit(
-    database: sqlite3.Connection, experience_id: int, row: tuple[int, int, bytes]
-) -> None:
-    database.execute('INSERT INTO visits VALUES (?, ?, ?, ?)', (experience_id, *row))
-
-
-def _insert_closure(database: sqlite3.Connection, row: tuple[int, int, bytes]) -> None:
-    database.execute('INSERT INTO closures VALUES (?, ?, ?)', row)
 
 
 def _created(path: Path, meta: HistoryMeta) -> sqlite3.Connection:

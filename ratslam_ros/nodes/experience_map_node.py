@@ -40,7 +40,7 @@ from ratslam_ros.nodes.convert import accepted_odometry, header_of, pose_message
 from ratslam_ros.nodes.goal_navigation import GoalNavigation
 from ratslam_ros.nodes.map_changes import MapChangePublisher
 from ratslam_ros.nodes.map_sender import MapSender
-from ratslam_ros.nodes.markers import markers_of
+from ratslam_ros.nodes.markers import serialised_markers
 from ratslam_ros.nodes.node import FLUSH_CHECK_PERIOD_S, RatslamNode
 from ratslam_ros.nodes.qos import LATCHED, RESULT, STATE
 from ratslam_ros.nodes.run import run
@@ -81,6 +81,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
             self._answers = self.create_publisher(String, 'experience_map/relocation', RESULT)
         self.create_service(Trigger, 'experience_map/relocate', self._on_relocate)
         self._viewers = self._pose_ns = 0
+        self._markers_due = False
         self._reset_state()
         self._add_input('odometry', {'odom': OdometryMessage}, self._on_odometry)
         if self._section.exp_align_scans:
@@ -167,6 +168,8 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         """Process the messages that are still held, and publish the last map."""
         super().close()
         self._sender.finish(self._core, self._action_ns)
+        if self._viewers > 0:
+            self._send_markers()
 
     # Inputs
 
@@ -324,20 +327,29 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         self._send()
         viewers = self._markers.get_subscription_count()
         if viewers > self._viewers and self._sender.has_sent:
-            self._send_markers()
+            self._markers_due = True
         self._viewers = viewers
         self._goals.update()
 
     def _send(self) -> None:
-        """Send the changes of the map or, at another call, the next part of the whole map."""
+        """Send the changes of the map, or its markers, or the next part of the whole map.
+
+        One of them in each call, so that none of the messages that follow has to wait for all.
+        """
         if self._changes.update(self._core, self._action_ns):
             return
-        period_s = self._section.map_period_s
-        if self._sender.advance(self._core, self._action_ns, period_s) and self._viewers > 0:
+        if self._markers_due:
             self._send_markers()
+            return
+        period_s = self._section.map_period_s
+        if self._sender.advance(self._core, self._action_ns, period_s):
+            self._markers_due = self._viewers > 0
 
     def _send_markers(self) -> None:
-        self._markers.publish(markers_of(self._core, self._action_ns, self._section.map_frame))
+        self._markers_due = False
+        self._markers.publish(
+            serialised_markers(self._core, self._action_ns, self._section.map_frame)
+        )
 
     def _diagnostic_values(self) -> dict[str, Any]:
         return {

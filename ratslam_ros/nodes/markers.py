@@ -6,7 +6,9 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 from geometry_msgs.msg import Point
+from rclpy.serialization import serialize_message
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -24,29 +26,63 @@ SEPARATE = (
 CURRENT = ColorRGBA(r=0.9, g=0.3, b=0.1, a=1.0)
 LANDMARKS = ColorRGBA(r=0.0, g=0.62, b=0.45, a=1.0)
 
+ELEMENT = Point(x=-7.31e-301, y=6.43e-302, z=-5.59e-303)
+COLOUR_ELEMENT = ColorRGBA(r=-7.31e-31, g=6.43e-32, b=-5.59e-33, a=4.17e-34)
+"""Elements that are replaced in the lists of a marker; no marker has such a place or colour."""
+POINT_BYTES = np.array([ELEMENT.x, ELEMENT.y, ELEMENT.z], '<f8').tobytes()
+COLOUR_BYTES = np.array(
+    [COLOUR_ELEMENT.r, COLOUR_ELEMENT.g, COLOUR_ELEMENT.b, COLOUR_ELEMENT.a], '<f4'
+).tobytes()
+"""CDR of these elements. Their lengths are multiples of 8 bytes, so that replacing one by many
+leaves what follows aligned."""
+ONE = (1).to_bytes(4, 'little')
+
 SHORTEST_BAR_M = 0.3
 """Length of the lines that show the directions of corners."""
 
 
-def markers_of(experience_map: ExperienceMap, stamp_ns: int, frame_id: str) -> MarkerArray:
-    """Return markers: links as lines, experiences as small spheres, the current one larger."""
-    points = [Point(x=x, y=y, z=0.0) for x, y, _ in experience_map.poses.tolist()]
+def serialised_markers(experience_map: ExperienceMap, stamp_ns: int, frame_id: str) -> bytes:
+    """Return a MarkerArray in CDR: links as lines, experiences as spheres, the current one larger.
+
+    A marker of 20,000 experiences would need as many objects, whose conversion takes 100 ms. The
+    message is therefore serialised with one element in each long list, which is then replaced.
+    """
+    poses, ends = experience_map.poses, experience_map.link_ends
+    points = np.zeros((len(poses), 3))
+    points[:, :2] = poses[:, :2]
     links = _marker(0, 'links', Marker.LINE_LIST, 0.05, LINKS)
-    for source, target in experience_map.link_ends.tolist():
-        links.points.extend((points[source], points[target]))
     places = _marker(0, 'experiences', Marker.SPHERE_LIST, 0.15, PLACES)
-    places.points.extend(points)
-    components = experience_map.components
-    if any(components):
-        colours = [PLACES, *SEPARATE]
-        places.colors.extend(colours[c and 1 + (c - 1) % len(SEPARATE)] for c in components)
     current = _marker(0, 'current', Marker.SPHERE_LIST, 0.4, CURRENT)
     if experience_map.current_id >= 0:
-        current.points.append(points[experience_map.current_id])
+        x, y, z = points[experience_map.current_id].tolist()
+        current.points.append(Point(x=x, y=y, z=z))
+    lists: list[tuple[bytes, bytes]] = []  # element and content, in the order of the message
+    if len(ends):
+        links.points.append(ELEMENT)
+        lists.append((POINT_BYTES, points[ends.ravel()].tobytes()))
+    if len(points):
+        places.points.append(ELEMENT)
+        lists.append((POINT_BYTES, points.tobytes()))
+    components = experience_map.components
+    if any(components):
+        places.colors.append(COLOUR_ELEMENT)
+        palette = np.array([(c.r, c.g, c.b, c.a) for c in (PLACES, *SEPARATE)], '<f4')
+        numbers = np.array(components)
+        numbers[numbers > 0] = 1 + (numbers[numbers > 0] - 1) % len(SEPARATE)
+        lists.append((COLOUR_BYTES, palette[numbers].tobytes()))
     markers = [links, places, current]
     for marker in markers:
         marker.header = header_of(stamp_ns, frame_id)
-    return MarkerArray(markers=markers)
+    data = bytes(serialize_message(MarkerArray(markers=markers)))
+    parts, at = [], 0
+    for element, content in lists:
+        start = data.index(element, at)
+        # The length of a list of points may be followed by four bytes of padding.
+        count_at = start - 4 if data[start - 4 : start] == ONE else start - 8
+        count = (len(content) // len(element)).to_bytes(4, 'little')
+        parts += [data[at:count_at], count, data[count_at + 4 : start], content]
+        at = start + len(element)
+    return b''.join([*parts, data[at:]])
 
 
 def landmark_markers(features: Features, stamp_ns: int, frame_id: str) -> MarkerArray:

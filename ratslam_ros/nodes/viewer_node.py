@@ -9,14 +9,17 @@ import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
+from ratslam_ros.core.common.scan import Scan, points_of
 from ratslam_ros.nodes.parameters import declare
 from ratslam_ros.nodes.run import run
 from ratslam_ros.nodes.viewer_controls import RosControls
 from ratslam_ros.nodes.viewer_topics import ViewerTopics
 from ratslam_ros.viewer.config import NO_FILE, ViewerParameters
+from ratslam_ros.viewer.desktop import open_browser
 from ratslam_ros.viewer.live_run import LiveRun
 
 CHECK_PERIOD_S = 0.25
@@ -58,11 +61,14 @@ class ViewerNode(Node):  # type: ignore[misc]
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(CHECK_PERIOD_S, self._check, clock=steady)
         # Not logged: /rosout would send the token to everyone.
-        print(f'ratslam: open {self._view.url} in a browser', flush=True)
+        print(f'view: {self._view.url}', flush=True)
+        if self._p.open_browser:
+            open_browser(self._view.url)
 
     @classmethod
     def warm_up(cls) -> None:
-        """Do nothing: no message is processed by a compiled function that takes long."""
+        """Compile or load from the cache the conversion of scans."""
+        points_of(Scan(0, 0.0, 1.0, np.ones(1)))
 
     def close(self) -> None:
         """End the page; its browsers show that the connection is lost."""

@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-import cv2
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
@@ -26,6 +25,13 @@ from std_srvs.srv import Trigger
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import points_of
 from ratslam_ros.core.vision.local_view import FIXED_THRESHOLD, ViewMatch
+from ratslam_ros.history.recorded_images import jpeg_of
+from ratslam_ros.history.recorder import (
+    IMAGE_QUALITY,
+    IMAGE_WIDTH_PX,
+    MIN_ACTIVITY,
+    SCAN_POINTS,
+)
 from ratslam_ros.history.records import (
     CellsRecord,
     ImageRecord,
@@ -65,11 +71,6 @@ IMAGE_PERIOD_S = 0.25
 
 SCAN_PERIOD_S = 0.5
 """Shortest time between two scans that are used."""
-
-IMAGE_WIDTH_PX = 320
-"""Width that camera images are reduced to."""
-
-JPEG_QUALITY = 75
 
 MAX_PENDING = 50
 """Number of the last views that further messages may complete: 5 s of images at 10 Hz."""
@@ -222,11 +223,11 @@ class ViewerTopics:
 
     def _on_compressed(self, message: Image | CompressedImage) -> None:
         try:
-            pixels = image_of(message).bgr()
+            jpeg = jpeg_of(image_of(message), IMAGE_WIDTH_PX, IMAGE_QUALITY)
         except UndecodableImage:
             self.refused += 1
             return
-        self._add(ImageRecord(stamp_ns(message.header), jpeg_of(pixels)))
+        self._add(ImageRecord(stamp_ns(message.header), jpeg))
 
     def _on_matched(self, message: Image) -> None:
         now_s = time.monotonic()
@@ -314,6 +315,7 @@ class ViewerTopics:
         if self._cells is None or stamp_ns(self._cells.header) != stamp:
             return
         points = np.frombuffer(self._cells.data, '<f4').reshape(-1, 4)
+        points = points[points[:, 3] >= MIN_ACTIVITY * np.max(points[:, 3], initial=0.0)]
         self._add(
             CellsRecord(
                 stamp, dims, points[:, :3].astype(np.int64), points[:, 3].astype(np.float64),
@@ -357,7 +359,9 @@ class ViewerTopics:
     def _on_scan(self, message: LaserScan) -> None:
         scan = accepted_scan(message, self._refuse)
         if scan is not None:
-            self._add(ScanRecord(scan.stamp_ns, points_of(scan)))
+            points = points_of(scan)
+            stride = max(math.ceil(len(points) / SCAN_POINTS), 1)
+            self._add(ScanRecord(scan.stamp_ns, points[::stride]))
 
     def _refuse(self, stream: str, reason: str) -> None:
         self.refused += 1
@@ -367,13 +371,3 @@ def _forget(waiting: dict[int, Any]) -> None:
     """Remove the oldest items above the limit."""
     while len(waiting) > MAX_PENDING:
         del waiting[next(iter(waiting))]
-
-
-def jpeg_of(pixels: NDArray[np.uint8]) -> bytes:
-    """Return an image, (H, W, 3) uint8, at most ``IMAGE_WIDTH_PX`` wide, as JPEG."""
-    height, width = pixels.shape[:2]
-    if width > IMAGE_WIDTH_PX:
-        size = IMAGE_WIDTH_PX, max(round(height * IMAGE_WIDTH_PX / width), 1)
-        pixels = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)  # type: ignore[assignment]
-    return bytes(cv2.imencode('.jpg', pixels, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1])
-

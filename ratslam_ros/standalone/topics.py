@@ -59,7 +59,7 @@ class Publisher(NodePart):
             data: bytes | bytearray = encode(msg)
         elif isinstance(msg, bytes | bytearray | memoryview):
             data = msg if isinstance(msg, bytes) else bytes(msg)
-            data += bytes(-len(data) % 4)  # copies nothing if there is no padding
+            data += bytes(-len(data) % 4)  # no copy if the length is a multiple of 4
         else:
             raise TypeError(f'Expected {self.msg_type}, got {type(msg)}')
         self._writer.write(data)

@@ -6,21 +6,16 @@ from __future__ import annotations
 
 import queue
 import threading
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ratslam_ros.core.mapping.map_changes import ExperienceRows, LinkRows, MapChange
+from ratslam_ros.core.mapping.map_changes import ExperienceRows, LinkRows, MapChange, MapMirror
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.history.file import HistoryMeta, part_path
+from ratslam_ros.history.file import HistoryMeta, package_version, part_path
 from ratslam_ros.history.history_run import HistoryRun
-from ratslam_ros.history.records import Record, RouteRecord, StatusRecord, ViewRecord
+from ratslam_ros.history.records import Record
 from ratslam_ros.history.writer import HistoryWriter
-
-DEFERRED = MapChange, RouteRecord, StatusRecord
-"""Records that are written later if they are not due yet; others are samples and are dropped."""
 
 
 class LiveHistory:
@@ -29,35 +24,37 @@ class LiveHistory:
     Writing a checkpoint of a large map takes longer than the period of drawing.
     """
 
-    def __init__(self, path: Path, meta: HistoryMeta) -> None:
-        """Create the file; one that exists is replaced.
+    def __init__(self, path: Path, title: str) -> None:
+        """Create the file; it replaces one of the same name when it is closed.
 
         Args:
             path: the file.
-            meta: what is known of the run.
+            title: name of the run.
 
         Raises:
             UnusableInput: the file cannot be written.
         """
-        self._writer = HistoryWriter(path, meta, report=lambda line: None)  # ``error`` has it
+        meta = HistoryMeta(title, ratslam_version=package_version())
+        self._writer = HistoryWriter(path, meta, lambda _: None)
         if self._writer.problem:
             raise UnusableInput(self._writer.problem)
         self.reader = HistoryRun(part_path(path))
-        """What has been written; it lags behind by a second."""
+        """What has been written; it lags behind by about a second."""
         self._queue: queue.SimpleQueue[Record | None] = queue.SimpleQueue()
-        self._changes: list[MapChange] = []
-        self._deferred: dict[type[Record], Record] = {}
+        self._map = MapRelay()
+        self._problem = ''
         self._thread = threading.Thread(target=self._write, name='history', daemon=True)
         self._thread.start()
 
     @property
-    def error(self) -> str:
+    def problem(self) -> str:
         """Why writing has ended early; '' if it has not."""
-        return self._writer.problem
+        return self._problem or self._writer.problem
 
     def add(self, record: Record) -> None:
         """Append a record; may be called from any thread."""
-        self._queue.put(record)
+        if not self.problem:
+            self._queue.put(record)
 
     def close(self) -> None:
         """Write everything, and close the file."""
@@ -66,84 +63,82 @@ class LiveHistory:
         self.reader.close()
 
     def _write(self) -> None:
+        try:
+            self._write_records()
+        except Exception as error:  # the run goes on without its past
+            self._problem = f'the history ends here: {type(error).__name__}: {error}'
+
+    def _write_records(self) -> None:
+        writer, relay = self._writer, self._map
         while (record := self._queue.get()) is not None:
-            self._add(record)
-        self._add_deferred(self._deferred)
-        self._writer.close()
-
-    def _add(self, record: Record) -> None:
-        writer, kind = self._writer, type(record)
-        if isinstance(record, MapChange):
-            self._changes.append(record)
-        if isinstance(record, DEFERRED):
-            self._deferred[kind] = record
-        elif isinstance(record, ViewRecord) or writer.wants(kind, record.stamp_ns):
-            writer.add(record)
-        if self._deferred:
-            due = [one for one in self._deferred if writer.wants(one, record.stamp_ns)]
-            self._add_deferred(due)
-
-    def _add_deferred(self, kinds: Sequence[type[Record]] | Mapping[type[Record], Record]) -> None:
-        for kind in list(kinds):
-            record = self._deferred.pop(kind)
             if isinstance(record, MapChange):
-                record, self._changes = merged(self._changes), []
-            self._writer.add(record)
+                relay.add(record)
+            else:
+                writer.add(record)
+            if relay.pending and writer.wants(MapChange, record.stamp_ns):
+                writer.add(relay.next_change(writer.map_rows))
+        while relay.pending and writer.is_open:
+            writer.add(relay.next_change(writer.map_rows))
+        writer.close()
 
 
-def merged(changes: Sequence[MapChange]) -> MapChange:
-    """Return one change with the effect of successive ones, of which there is at least one."""
-    first = max((n for n, change in enumerate(changes) if change.is_restart), default=0)
-    changes = changes[first:]
-    last = changes[-1]
-    if len(changes) == 1:
-        return last
-    rows = [change.experiences for change in changes]
-    ids = np.concatenate([one.ids for one in rows])
-    keep = _last_rows(ids)
-    experiences = ExperienceRows(
-        ids[keep],
-        np.concatenate([one.template_ids for one in rows])[keep],
-        np.concatenate([one.poses for one in rows])[keep],
-        np.concatenate([one.components for one in rows])[keep],
-    )
-    return MapChange(
-        last.stamp_ns, last.experience_count, last.current_id, changes[0].is_restart,
-        experiences, *_merged_links(changes), pending=last.pending,
-    )  # fmt: skip
+class MapRelay:
+    """Passes a map on in changes of another size and rate than those it receives."""
 
+    def __init__(self) -> None:
+        self._mirror = MapMirror()
+        self._last: MapChange | None = None
+        self._ids: dict[int, None] = {}
+        self._links: dict[tuple[int, int], None] = {}
+        self._removed: dict[tuple[int, int], None] = {}
+        self._is_restart = False
 
-def _merged_links(changes: Sequence[MapChange]) -> tuple[LinkRows, NDArray[np.int64]]:
-    """Return the links that are set, and all that were removed at any time.
+    @property
+    def pending(self) -> bool:
+        """Whether there is something to pass on."""
+        return self._last is not None
 
-    Links are removed before others are set, so that one that is removed and set again remains.
-    """
-    ends = np.concatenate([change.links.ends for change in changes])
-    order = np.repeat(np.arange(len(changes)), [len(change.links) for change in changes])
-    removed_after = {
-        pair: n for n, change in enumerate(changes)
-        for pair in map(tuple, change.removed_links.tolist())
-    }  # fmt: skip
-    rows: dict[tuple[int, ...], int] = {}
-    for row, pair in enumerate(map(tuple, ends.tolist())):
-        rows[pair] = row
-    keep = np.array(
-        [row for pair, row in rows.items() if removed_after.get(pair, -1) <= order[row]], np.int64
-    )
-    links = [change.links for change in changes]
-    behaviours = [name for one in links for name in one.behaviours]
-    return LinkRows(
-        ends[keep],
-        np.concatenate([one.shapes for one in links])[keep],
-        np.concatenate([one.durations_s for one in links])[keep],
-        np.concatenate([one.confidences for one in links])[keep],
-        np.concatenate([one.counts for one in links])[keep],
-        np.concatenate([one.recognised for one in links])[keep],
-        tuple(behaviours[row] for row in keep.tolist()),
-    ), np.array(list(removed_after), np.int64).reshape(-1, 2)
+    def add(self, change: MapChange) -> None:
+        """Receive a change."""
+        self._mirror.apply(change)
+        self._last = change
+        if change.is_restart:
+            self._is_restart = True
+            self._ids, self._links, self._removed = {}, {}, {}
+        for source, target in change.removed_links.tolist():
+            self._links.pop((source, target), None)
+            self._removed[source, target] = None
+        self._ids |= dict.fromkeys(change.experiences.ids.tolist())
+        for source, target in change.links.ends.tolist():
+            self._removed.pop((source, target), None)
+            self._links[source, target] = None
 
-
-def _last_rows(ids: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the row of the last occurrence of each id."""
-    _, rows = np.unique(ids[::-1], return_index=True)
-    return np.asarray(len(ids) - 1 - rows, np.int64)
+    def next_change(self, rows: int) -> MapChange:
+        """Return what has changed since the last call, at most ``rows`` experiences and links."""
+        assert self._last is not None
+        mirror, last = self._mirror, self._last
+        ids = np.array(list(self._ids)[:rows], np.int64)
+        ends = list(self._links)[: rows - len(ids)]
+        removed = np.array(list(self._removed), np.int64).reshape(-1, 2)
+        for number in ids.tolist():
+            del self._ids[number]
+        for pair in ends:
+            del self._links[pair]
+        links = mirror.link_rows
+        at = np.array([mirror.link_row(*pair) for pair in ends], np.int64)
+        change = MapChange(
+            last.stamp_ns, last.experience_count, last.current_id, self._is_restart,
+            ExperienceRows(
+                ids, mirror.template_ids[ids], mirror.poses[ids], mirror.components[ids]
+            ),
+            LinkRows(
+                links.ends[at], links.shapes[at], links.durations_s[at], links.confidences[at],
+                links.counts[at], links.recognised[at],
+                tuple(links.behaviours[row] for row in at.tolist()),
+            ),
+            removed, last.pending + len(self._ids) + len(self._links),
+        )  # fmt: skip
+        self._is_restart, self._removed = False, {}
+        if not self._ids and not self._links:
+            self._last = None
+        return change

@@ -13,8 +13,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from ratslam_ros.core.mapping.map_changes import MapChange
-from ratslam_ros.history.file import HISTORY_NAME, HistoryMeta
+from ratslam_ros.core.mapping.map_changes import MapChange, MapMirror
+from ratslam_ros.history.file import HISTORY_NAME
 from ratslam_ros.history.records import (
     ImageRecord,
     PoseRecord,
@@ -42,10 +42,6 @@ TAIL_NS = 120 * NS_PER_S
 
 MAX_TAIL = 20_000
 """Largest number of records that stay in memory, whatever their stamps are."""
-
-OVERLAP_NS = 30 * NS_PER_S
-"""Extent of the tail in which changes of the map may be missing from the history, as they are
-written at long intervals; the writer stretches these to 16 s."""
 
 IN_TAIL = -1
 """First part of the position of a state that was read from the tail; the second one is the number
@@ -107,10 +103,12 @@ class LiveRun:
         """Number of records before the tail."""
         self._stamps: list[int] = []
         self._tail: list[Record] = []
+        self._tail_map = MapMirror()
+        """The map before the first record of the tail."""
         self._runs += 1
         number = '' if self._runs == 1 else f'-{self._runs}'
         path = self._path.with_name(f'{self._path.stem}{number}{self._path.suffix}')
-        self._history = LiveHistory(path, HistoryMeta(self.title))
+        self._history = LiveHistory(path, self.title)
 
     def close(self) -> None:
         """Write the records that are held, and close the file."""
@@ -184,6 +182,9 @@ class LiveRun:
             drop = max(
                 len(self._tail) - MAX_TAIL, bisect_left(self._stamps, self._end_ns - TAIL_NS)
             )
+            for old in self._tail[:drop]:
+                if isinstance(old, MapChange):
+                    self._tail_map.apply(old)
             del self._tail[:drop], self._stamps[:drop]
             self._dropped += drop
 
@@ -205,14 +206,14 @@ class LiveRun:
     @property
     def notices(self) -> Sequence[str]:
         """What the user must know, such as which topics are silent."""
-        error = self._history.error
-        return [*self.problems.values(), *([error] if error else [])]
+        problem = self._history.problem
+        return [*self.problems.values(), *([problem] if problem else [])]
 
     def seek(self, stamp_ns: int) -> RunState:
         """Return a new state: that of the last record whose stamp is not later."""
         with self._lock:
             state = RunState()
-            if self._dropped or (self._stamps and stamp_ns < self._stamps[-1] - TAIL_NS // 2):
+            if self._dropped:
                 state = self._history.reader.seek(stamp_ns)
             self.advance(state, stamp_ns)
             return state
@@ -234,18 +235,20 @@ class LiveRun:
             state.position = IN_TAIL, self._dropped + end
 
     def _enter_tail(self, state: RunState) -> bool:
-        """Have a state read on from the tail, if that goes back far enough."""
+        """Have a state read on from the tail, if that goes back far enough.
+
+        The map of the history may lag behind, so that of the tail replaces it.
+        """
         if not self._dropped and state.stamp_ns == 0:
             state.position = IN_TAIL, 0
             return True
-        if not self._stamps or (
-            self._dropped and state.stamp_ns < self._stamps[0] + OVERLAP_NS
-        ):
+        if not self._stamps or state.stamp_ns < self._stamps[0]:
             return False
         at = bisect_right(self._stamps, state.stamp_ns)
-        for record in self._tail[bisect_left(self._stamps, state.stamp_ns - OVERLAP_NS) : at]:
-            if isinstance(record, MapChange):  # Changes may be applied twice, if in their order.
-                state.apply(record)
+        state.map.apply(self._tail_map.complete(self._stamps[0]))
+        for record in self._tail[:at]:
+            if isinstance(record, MapChange):
+                state.map.apply(record)
         state.position = IN_TAIL, self._dropped + at
         return True
 

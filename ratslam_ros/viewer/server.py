@@ -17,6 +17,7 @@ import http
 import http.client
 import ipaddress
 import logging
+import os
 import secrets
 import socket
 from collections.abc import Callable, Iterator
@@ -29,6 +30,11 @@ from urllib.parse import urlsplit
 from ratslam_ros.errors import UnusableInput
 
 DEFAULT_HOST, DEFAULT_PORT = '127.0.0.1', 8080
+
+MAX_PORT = 65535
+
+BACKLOG = 100
+"""Number of connections that wait to be accepted, as asyncio has it."""
 
 LOOPBACK = frozenset({'127.0.0.1', 'localhost', '::1'})
 """Names of this machine for a browser on it."""
@@ -66,16 +72,13 @@ class ViewServer:
             UnusableInput: viser is not installed, or the address cannot be used.
         """
         viser = _viser()
-        _check_address(host, port)
+        listener = _listen(host, port)
         self.host = host
         self._token = secrets.token_urlsafe(24)
         self._connections = _Connections()
-        with _guarded(self._refusal, self._without_token, self._connections):
+        with _guarded(self._refusal, self._without_token, self._connections, listener):
             self.viser = viser.ViserServer(host, port, label='RatSLAM', verbose=False)
         self.port = int(self.viser.get_port())
-        if port not in (0, self.port):  # taken between the check and the start; viser went on
-            self.stop()
-            raise _in_use(host, port)
         self.viser.request_share_url = _no_tunnel
         self.set_theme(dark=False)
         if self._answers_strangers():
@@ -171,7 +174,7 @@ class ViewServer:
 @contextmanager
 def _guarded(
     refusal: Callable[[str, str, str | None, bool], str], path_of: Callable[[str], str],
-    connections: _Connections,
+    connections: _Connections, listener: socket.socket,
 ) -> Iterator[None]:  # fmt: skip
     """Have servers that are started in this context check who connects.
 
@@ -182,7 +185,7 @@ def _guarded(
 
     serve = server.serve
 
-    def serve_guarded(handler: Any, *address: Any, process_request: Any, **options: Any) -> Any:
+    def serve_guarded(handler: Any, *_: Any, process_request: Any, **options: Any) -> Any:
         def process(connection: Any, request: Any) -> Any:
             def header(name: str) -> str | None:
                 values = request.headers.get_all(name)
@@ -206,7 +209,7 @@ def _guarded(
             'max_size': MAX_MESSAGE_BYTES, 'logger': _silent_logger(),
             'create_connection': _connection_class(connections),
         }  # fmt: skip
-        return serve(handler, *address, process_request=process, **options)
+        return serve(handler, sock=listener, process_request=process, **options)
 
     with patch.object(server, 'serve', serve_guarded), _quiet():
         yield
@@ -306,31 +309,41 @@ def _viser() -> Any:
     return viser
 
 
-def _check_address(host: str, port: int) -> None:
-    """Raise if a server cannot listen there; viser would try the next thousand ports."""
+def _listen(host: str, port: int) -> socket.socket:
+    """Return a socket that listens there.
+
+    Viser would try the next thousand ports if this one is in use, and wait for ever if none of
+    them can be opened.
+
+    Raises:
+        UnusableInput: the address cannot be used.
+    """
+    if not 0 <= port <= MAX_PORT:
+        raise UnusableInput(f'the port is {port}; expected 0 to {MAX_PORT}')
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(
             host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
         )[0]
-        with socket.socket(family, kind, protocol) as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            probe.bind(address)
-    except OverflowError as error:
-        raise UnusableInput(f'the port is {port}; expected 0 to 65535') from error
-    except OSError as error:
-        if error.errno == errno.EADDRINUSE:
-            raise _in_use(host, port) from error
+        listener = socket.socket(family, kind, protocol)
+        try:
+            if os.name == 'posix':  # On Windows, two programs could share a port by this.
+                listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            listener.bind(address)
+            listener.listen(BACKLOG)
+        except BaseException:
+            listener.close()
+            raise
+        return listener
+    except (OSError, UnicodeError) as error:
+        if isinstance(error, OSError) and error.errno == errno.EADDRINUSE:
+            raise UnusableInput(
+                f'port {port} of {host} is in use, perhaps by another viewer; choose another one '
+                'by --port, or 0 for any'
+            ) from error
         raise UnusableInput(
-            f'the viewer cannot listen on {host}, port {port}: {error.strerror}; choose another '
-            '--host or --port'
+            f'the viewer cannot listen on {host}, port {port}: '
+            f'{getattr(error, "strerror", None) or error}; choose another --host or --port'
         ) from error
-
-
-def _in_use(host: str, port: int) -> UnusableInput:
-    return UnusableInput(
-        f'port {port} of {host} is in use, perhaps by another viewer; choose another one by '
-        '--port, or 0 for any'
-    )
 
 
 def _name_of(host: str) -> str:

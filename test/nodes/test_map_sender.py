@@ -99,6 +99,7 @@ def test_large_map_is_sent_in_slices(
     assert calls == 9  # one for each block, and one that finds the end
     assert sending.text() == expected
     assert sender._thread is not None
+    sender._thread.join()
     sender.has_changed = True
     assert not sender.advance(graph, 10, period_s=1.0)  # the period has not passed
     assert sender.has_changed

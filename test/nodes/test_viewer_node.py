@@ -42,6 +42,7 @@ def viewer(world: MakeWorld, monkeypatch: pytest.MonkeyPatch) -> Callable[..., A
     from ratslam_ros.nodes import viewer_node
 
     monkeypatch.setattr(viewer_node, 'View', Page)
+    monkeypatch.setattr(viewer_node, 'open_browser', lambda url: False)
 
     def make(*others: Any, watched: bool = True, arguments: tuple[str, ...] = ()) -> Any:
         made = world(viewer_node.ViewerNode, *others, arguments=arguments)

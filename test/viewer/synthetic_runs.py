@@ -119,7 +119,7 @@ class SyntheticRun:
         x, y, heading = self.poses[self.count - 1]
         planes = heading / (2 * math.pi) * DIMS[2]
         first = np.array([x / 0.5 % DIMS[0], y / 0.5 % DIMS[1], planes % DIMS[2]])
-        second = (first + [9.0, -6.0, 11.0]) % DIMS
+        second = (first + np.array([9.0, -6.0, 11.0])) % DIMS
         cells, activity, packets = [], [], []
         for peak, share in ((first, 0.7), (second, 0.3)):
             offsets = np.stack(np.meshgrid(*[np.arange(-2, 3)] * 3, indexing='ij'), -1)

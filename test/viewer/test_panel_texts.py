@@ -17,10 +17,14 @@ from ratslam_ros.viewer.panels.texts import (
     cells_text,
     closure_text,
     decision_text,
+    explained,
+    joins,
     match_text,
     playback_text,
     stamp_text,
     time_text,
+    told_apart,
+    verdict,
 )
 from ratslam_ros.viewer.playback import Playback
 
@@ -84,6 +88,35 @@ def test_decision_text_names_action_and_reason() -> None:
 def test_closure_texts_are_distinct() -> None:
     texts = [closure_text(view, BEGIN_NS) for view in FakeRun(60).closures(10**18)]
     assert texts == ['0:10.00  19 → 0  closed', '0:11.50  2 → 3  rejected']
+
+
+def test_verdict_depends_on_reason_and_agreement() -> None:
+    view = view_at(25)
+    for other, expected in (
+        (view, 'closed'), (replace(view, action='none'), 'closed'),
+        (replace(view, action='none', agreement=0.5), 'weak'),
+        (replace(view, agreement=0.0), 'closed'),
+        (replace(view, reason='too far'), 'rejected'),
+        (replace(view, relocated_to=3), 'relocated'),
+    ):  # fmt: skip
+        assert verdict(other) == expected
+        assert explained(other)
+    assert explained(replace(view, reason='too far')) == 'too far'
+
+
+def test_view_joins_recognised_experience_with_source_and_target() -> None:
+    view = replace(view_at(25), source_id=40, target_id=41, recognised_id=5)
+    assert joins(view, (41, 5)) and joins(view, (5, 40))
+    assert not joins(view, (40, 41)) and not joins(view, (5, 6))
+
+
+def test_listed_closures_are_apart_in_time_or_verdict() -> None:
+    views = [view_at(k) for k in range(25, 45)]
+    kept = told_apart([*views, replace(view_at(45), reason='too far')])
+    assert [view.stamp_ns - BEGIN_NS for view in kept] == [
+        STEP_NS * k for k in (25, 29, 33, 37, 41, 45)
+    ]
+    assert told_apart([]) == []
 
 
 def test_cells_text_names_energy_and_largest_packet() -> None:

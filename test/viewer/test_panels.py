@@ -213,12 +213,12 @@ def test_listed_closure_shows_both_images_and_values(page: Page) -> None:
         page.update()
     rejected, closed = selection.list.options[1:]
     page.give(selection.list, closed)
-    assert 'accepted' in selection.text.content
+    assert 'enough recognitions agree' in selection.text.content
     assert selection.images.content.count('<img') == 2
     for part in ('0.0100', '0.0300', '100%', 'displacement'):
         assert part in selection.details.content
     page.give(selection.list, rejected)
-    assert 'rejected: moves the robot by 4.0 m' in selection.text.content
+    assert 'moves the robot by 4.0 m' in selection.text.content
     page.give(selection.jump)
     assert page.playback.cursor_ns == page.run.stamps[23]
 

@@ -24,15 +24,15 @@ class AppearancePanel:
         )  # fmt: skip
         self.legend = gui.add_html('')
         self.detail = gui.add_html('', visible=False)
+        self.follow = gui.add_checkbox(
+            'Follow robot', False, hint='The view moves along with the robot. (F)'
+        )
+        self.dark = gui.add_checkbox('Dark theme', scene.dark, hint='Colours for dark rooms. (T)')
         with gui.add_folder('Layers'):
             self.layers = {
                 layer: gui.add_checkbox(layer.capitalize(), True, hint=f'Show or hide: {layer}.')
                 for layer in scene.layers
             }
-        self.follow = gui.add_checkbox(
-            'Follow robot', False, hint='The view moves along with the robot. (F)'
-        )
-        self.dark = gui.add_checkbox('Dark theme', scene.dark, hint='Colours for dark rooms. (T)')
         self._robot: np.ndarray | None = None
         desk.on_change(self.colouring, self._colour)
         desk.on_change(self.dark, self.set_dark)

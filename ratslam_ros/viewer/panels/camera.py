@@ -13,6 +13,7 @@ from ratslam_ros.history.records import ImageRecord, MatchRecord
 from ratslam_ros.history.run_state import RunState
 from ratslam_ros.viewer.panels.desk import Desk
 from ratslam_ros.viewer.panels.html import BLUE, GREEN, ORANGE, RED, block, dim, mark, strong
+from ratslam_ros.viewer.panels.image_loader import ImageLoader
 from ratslam_ros.viewer.panels.pictures import error_curves, match_picture
 from ratslam_ros.viewer.panels.texts import decision_text, match_text
 
@@ -34,6 +35,7 @@ class CameraPanel:
 
     def __init__(self, desk: Desk) -> None:
         self._desk, gui = desk, desk.gui
+        self.loader = ImageLoader(desk.post)
         self.image = gui.add_image(NO_PICTURE, label='Camera', format='jpeg')
         self.no_image = gui.add_html(block(dim('no camera image for this moment')), visible=False)
         self.text = gui.add_html('')
@@ -73,7 +75,7 @@ class CameraPanel:
         """Show the image and the match of a moment."""
         stamp_ns = state.view.stamp_ns if state.view is not None else state.stamp_ns
         if stamp_ns != self._shown_ns or state.image is not self._small:
-            self._show_image(state, stamp_ns)
+            self._request_image(state, stamp_ns)
         view = state.view
         if view is not None:
             symbol = mark('◆', ORANGE) if view.is_new else mark('●', GREEN)
@@ -87,11 +89,16 @@ class CameraPanel:
             self._show_match(state.match)
         self._show_plot(state, stamp_ns)
 
-    def _show_image(self, state: RunState, stamp_ns: int) -> None:
-        jpeg = self._desk.playback.source.image_at(stamp_ns)
-        if jpeg is None and state.image is not None:
-            jpeg = state.image.jpeg
+    def _request_image(self, state: RunState, stamp_ns: int) -> None:
         self._shown_ns, self._small = stamp_ns, state.image
+        small = None if state.image is None else state.image.jpeg
+
+        def show(jpeg: bytes | None) -> None:
+            self._show_image(jpeg or small)
+
+        self.loader.request(self._desk.playback.source, stamp_ns, show)
+
+    def _show_image(self, jpeg: bytes | None) -> None:
         self.image.visible, self.no_image.visible = jpeg is not None, jpeg is None
         if jpeg is not None:
             set_jpeg(self.image, jpeg)

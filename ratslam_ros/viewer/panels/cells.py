@@ -13,10 +13,10 @@ from ratslam_ros.viewer.panels.html import block, dim, strong, table
 from ratslam_ros.viewer.panels.texts import cells_text, decision_text
 
 EXPLANATION = (
-    'The box above the map holds the pose cells: x and y across, heading upwards. It wraps around '
-    'at all sides. Activity forms packets; the largest packet is where the robot believes to be. '
-    'Each recognised view injects activity at the place where it was learned, so a packet '
-    'there grows and may win: then the estimate jumps and a loop closes.'
+    'The box beside the map shows the pose cells: x and y across, heading upwards. It wraps '
+    'around at all sides. Activity forms packets; the largest one is the estimate of the pose. A '
+    'recognised view injects activity at the pose where it was learned. If that packet becomes '
+    'the largest one, the estimate jumps and a loop closes.'
 )
 
 

@@ -15,8 +15,26 @@ from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.history.records import ViewRecord
 from ratslam_ros.history.run_state import NS_PER_S, RunState
 from ratslam_ros.viewer.panels.desk import Desk, assign, offer
-from ratslam_ros.viewer.panels.html import GREEN, RED, block, dim, mark, pictures, strong, table
-from ratslam_ros.viewer.panels.texts import claimed_id, closure_text, time_text
+from ratslam_ros.viewer.panels.html import (
+    GREEN,
+    ORANGE,
+    RED,
+    block,
+    dim,
+    mark,
+    pictures,
+    strong,
+    table,
+)
+from ratslam_ros.viewer.panels.texts import (
+    claimed_id,
+    closure_text,
+    explained,
+    joins,
+    time_text,
+    told_apart,
+    verdict,
+)
 
 HINT = 'Click an experience, a loop closure or the ground on the map, or choose below.'
 
@@ -182,13 +200,8 @@ class SelectionPanel:
     def _show_link(self, source_id: int, target_id: int) -> None:
         """Show the loop closure that made a link."""
         source, until_ns = self._desk.playback.source, self._cursor_ns()
-        views = [
-            *source.visits(target_id, until_ns),
-            *source.visits(source_id, until_ns),
-            *source.closures(until_ns),
-        ]
-        ends = {source_id, target_id}
-        found = [view for view in views if {view.source_id, claimed_id(view)} == ends]
+        views = [*source.visits(target_id, until_ns), *source.closures(until_ns)]
+        found = [view for view in views if joins(view, (source_id, target_id))]
         if found:
             # The first transition made the link; a rejected one made none.
             self._show_closure(min(found, key=lambda view: (bool(view.reason), view.stamp_ns)))
@@ -201,11 +214,10 @@ class SelectionPanel:
     def _show_closure(self, view: ViewRecord) -> None:
         source, target = self._desk.playback.source, claimed_id(view)
         self.closure = view
-        verdict = (
-            f'{mark("■", RED)} rejected: {escape(view.reason)}' if view.reason
-            else f'{mark("●", GREEN)} accepted'
-        )  # fmt: skip
-        self.text.content = block(strong(f'Loop closure {view.source_id} → {target}'), verdict)
+        outcome = verdict(view)
+        symbol, colour = VERDICTS[outcome]
+        said = f'{mark(symbol, colour)} {strong(outcome)}: {escape(explained(view))}'
+        self.text.content = block(strong(f'Loop closure {view.source_id} → {target}'), said)
         first = source.visits(target, view.stamp_ns)[:1]
         learned_ns = first[0].stamp_ns if first else None
         self.images.content = block(
@@ -242,7 +254,7 @@ class SelectionPanel:
         if playback.cursor_ns == self._listed_ns:
             return
         self._listed_ns = playback.cursor_ns
-        views = playback.source.closures(playback.cursor_ns)[-LISTED:]
+        views = told_apart(playback.source.closures(playback.cursor_ns))[-LISTED:]
         self._closures = {closure_text(view, playback.begin_ns): view for view in reversed(views)}
         offer(self.list, (NO_CLOSURE if views else NONE_YET, *self._closures))
 
@@ -264,6 +276,14 @@ class SelectionPanel:
             self._desk.playback.pause()
             self._desk.playback.seek(self.closure.stamp_ns)
 
+
+VERDICTS = {
+    'closed': ('●', GREEN),
+    'relocated': ('●', GREEN),
+    'weak': ('▲', ORANGE),
+    'rejected': ('■', RED),
+}
+"""Symbol and colour of every verdict."""
 
 NO_VISIT = 'choose a time'
 NO_CLOSURE, NONE_YET = 'choose one', 'none yet'

@@ -5,11 +5,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from datetime import UTC, datetime
 
 from ratslam_ros.history.records import CellsRecord, ViewRecord
 from ratslam_ros.history.run_state import NS_PER_S
 from ratslam_ros.viewer.playback import Playback
+
+LISTED_NS = 2 * NS_PER_S
+"""Least time between listed closures; along a known way every view may close a loop."""
 
 CALENDAR_NS = 10**9 * NS_PER_S
 """Stamps from here on (September 2001) are calendar time; others count from an arbitrary zero."""
@@ -86,15 +90,53 @@ def decision_text(view: ViewRecord) -> str:
 
 
 def claimed_id(view: ViewRecord) -> int:
-    """Return the experience that a view claims to show, accepted or not."""
-    return view.recognised_id if view.reason and view.recognised_id >= 0 else view.target_id
+    """Return the experience that a view was recognised as, accepted or not."""
+    return view.recognised_id if view.recognised_id >= 0 else view.target_id
+
+
+def joins(view: ViewRecord, ends: tuple[int, int]) -> bool:
+    """Return whether a view recognises one of two experiences at the other one."""
+    claimed = claimed_id(view)
+    return {claimed, view.source_id} == set(ends) or {claimed, view.target_id} == set(ends)
+
+
+def verdict(view: ViewRecord) -> str:
+    """Return what became of a recognition: rejected, weak, relocated or closed."""
+    if view.reason:
+        return 'rejected'
+    if view.relocated_to >= 0:
+        return 'relocated'
+    # Without a required number of recognitions, the agreement is 0.
+    return 'closed' if view.action in ('link', 'set') or view.agreement >= 1.0 else 'weak'
+
+
+def explained(view: ViewRecord) -> str:
+    """Return why a recognition had its verdict."""
+    return {
+        'rejected': view.reason,
+        'relocated': 'laser scans have proven where the robot is',
+        'weak': 'too few recognitions agree with it yet, so the robot is not moved',
+        'closed': 'enough recognitions agree with it',
+    }[verdict(view)]
+
+
+def told_apart(closures: Sequence[ViewRecord]) -> list[ViewRecord]:
+    """Return the closures to list: of those with one verdict, one every LISTED_NS."""
+    kept: list[ViewRecord] = []
+    for view in closures:
+        if (
+            not kept
+            or verdict(view) != verdict(kept[-1])
+            or view.stamp_ns - kept[-1].stamp_ns >= LISTED_NS
+        ):
+            kept.append(view)
+    return kept
 
 
 def closure_text(view: ViewRecord, begin_ns: int) -> str:
     """Return a loop closure in one line that distinguishes it from all others."""
-    verdict = 'rejected' if view.reason else 'closed'
     when = time_text((view.stamp_ns - begin_ns) / NS_PER_S, 2)
-    return f'{when}  {view.source_id} → {claimed_id(view)}  {verdict}'
+    return f'{when}  {view.source_id} → {claimed_id(view)}  {verdict(view)}'
 
 
 def cells_text(cells: CellsRecord) -> list[tuple[str, str]]:

@@ -19,7 +19,7 @@ Reals = NDArray[np.float64]
 WRAP_CELLS = 2.0
 """Cells this near to a face are drawn again, pale, beyond the opposite face: there they act."""
 
-SIZES = (1.7, 1.2, 0.8)
+SIZES = (1.3, 0.7, 0.3)
 """Diameters of points of high, middle and low activity, in cells of the longest axis."""
 
 SHARES = (0.3, 0.05)
@@ -40,7 +40,8 @@ def rotation() -> Reals:
     c, s = math.cos(TURN), math.sin(TURN)
     turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     c, s = math.cos(TILT), math.sin(TILT)
-    return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]]) @ turn
+    whole: Reals = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]]) @ turn
+    return whole
 
 
 CORNERS = np.array(list(itertools.product((0.0, 1.0), repeat=3))) - 0.5
@@ -54,15 +55,19 @@ def repeated(cells: NDArray[np.int64], dims: tuple[int, int, int]) -> tuple[Real
         cells: (n, 3) x, y and theta.
         dims: numbers of cells in x, y and theta.
     """
-    where, rows = [np.empty((0, 3))], [np.empty(0, np.int64)]
+    where: list[Reals] = [np.empty((0, 3))]
+    rows: list[NDArray[np.int64]] = [np.empty(0, np.int64)]
     size = np.array(dims, float)
+    outer = np.flatnonzero(
+        ((cells < WRAP_CELLS) | (cells >= size - WRAP_CELLS)).any(axis=1)
+    )
     for shift in itertools.product((-1, 0, 1), repeat=3):
         if not any(shift):
             continue
-        moved = cells + 0.5 + np.array(shift) * size
+        moved = cells[outer] + 0.5 + np.array(shift) * size
         near = ((moved > -WRAP_CELLS) & (moved < size + WRAP_CELLS)).all(axis=1)
         where.append(moved[near])
-        rows.append(np.flatnonzero(near))
+        rows.append(outer[near])
     return np.concatenate(where), np.concatenate(rows)
 
 
@@ -119,7 +124,7 @@ class CellDrawing:
         colours = scale_colours(theme)[levels]
         copies, rows = repeated(record.cells, record.dims)
         pale = np.array([mixed(tuple(c), theme.background, PALE) for c in colours[rows].tolist()])
-        inside = self._points(record.cells + 0.5, record.dims)
+        inside = self._points(record.cells.astype(np.float64) + 0.5, record.dims)
         beyond = self._points(copies, record.dims)
         for k in range(3):
             self._clouds[k].draw(inside[sizes == k], colours[sizes == k])
@@ -135,7 +140,8 @@ class CellDrawing:
 
     def _points(self, cells: Reals, dims: tuple[int, int, int]) -> Reals:
         unit = cells / np.array(dims, float) - 0.5
-        return unit * self._scale(dims) @ rotation().T + self._centre
+        turned: Reals = unit * self._scale(dims) @ rotation().T + self._centre
+        return turned
 
     def _draw_box(self, dims: tuple[int, int, int], theme: Theme) -> None:
         size = np.array(dims, float)
@@ -156,7 +162,7 @@ class CellDrawing:
             lines.append(np.array([[0, size[1], z], [size[0], size[1], z]]))
             lines.append(np.array([[0, 0, z], [0, size[1], z]]))
             tints += [weak, weak]
-        flat = self._points(np.array(lines).reshape(-1, 3), dims).reshape(-1, 2, 3)
+        flat = self._points(np.array(lines, np.float64).reshape(-1, 3), dims).reshape(-1, 2, 3)
         self._edges.draw(flat, np.array(tints))
         cell_m = self._side_m / max(dims[0], dims[1])
         for k, cloud in enumerate(self._clouds):
@@ -181,9 +187,8 @@ class CellDrawing:
         drops = np.stack([self._points(peaks, record.dims), self._points(floor, record.dims)], 1)
         self._drops.draw(drops, np.array(theme.robot))
         above = self._points(peaks + np.array([0.5, 0.5, 1.5]), record.dims).tolist()
-        self._shares.draw([
-            (f'{packet[3] / energy:.0%}', tuple(at)) for packet, at in zip(shown, above, strict=True)
-        ])  # fmt: skip
+        texts = [f'{share:.0%}' for share in shown[:, 3] / max(energy, 1e-12)]
+        self._shares.draw([(text, tuple(at)) for text, at in zip(texts, above, strict=True)])
 
     def _draw_injections(self, record: CellsRecord, theme: Theme) -> None:
         injections = record.injections

@@ -39,7 +39,8 @@ class Colours:
 
 def is_closure(rows: LinkRows) -> NDArray[np.bool_]:
     """Return (rows,) whether a link closes a loop."""
-    return (np.abs(rows.ends[:, 0] - rows.ends[:, 1]) > CLOSURE_IDS) & (rows.ends[:, 0] >= 0)
+    far: NDArray[np.bool_] = np.abs(rows.ends[:, 0] - rows.ends[:, 1]) > CLOSURE_IDS
+    return far & (rows.ends[:, 0] >= 0)
 
 
 def map_colours(name: str, state: RunState, theme: Theme, times_s: Reals | None = None) -> Colours:
@@ -141,7 +142,8 @@ def _other_components(state: RunState) -> NDArray[np.bool_]:
     components, current = state.map.components, state.map.current_id
     if not 0 <= current < len(components):
         return np.zeros(len(components), np.bool_)
-    return components != components[current]
+    apart: NDArray[np.bool_] = components != components[current]
+    return apart
 
 
 def _links_legend(theme: Theme) -> Legend:
@@ -158,7 +160,8 @@ def _scale(
     colours = scale_colours(theme)[np.linspace(0, LEVELS - 1, LEGEND_STEPS).astype(int)]
     values = np.linspace(low, high, LEGEND_STEPS)
     if log:
-        values = np.exp2(values)
+        values = np.exp2(np.arange(round(high) + 1.0))
+        colours = scale_colours(theme)[np.linspace(0, LEVELS - 1, len(values)).astype(int)]
     texts = [text.format(value) for value in values]
     texts[0] = f'{texts[0]} {title}'
     legend: Legend = [

@@ -17,6 +17,16 @@ from numpy.typing import ArrayLike, NDArray
 from ratslam_ros.viewer.scene.palette import Bytes
 
 LINES, TRIANGLES = 1, 4
+
+ACES_IN = np.array([
+    [0.59719, 0.35458, 0.04823], [0.07600, 0.90834, 0.01566], [0.02840, 0.13383, 0.83777],
+])  # fmt: skip
+ACES_OUT = np.array([
+    [1.60475, -0.53108, -0.07367], [-0.10208, 1.10813, -0.00605], [-0.00327, -0.07276, 1.07602],
+])  # fmt: skip
+BRIGHTEST = 0.95
+"""Brightest linear value that is asked of the filmic curve; it reaches 1 only at infinity."""
+
 MAGIC, JSON_CHUNK, BINARY_CHUNK = b'glTF', b'JSON', b'BIN\0'
 
 
@@ -41,17 +51,27 @@ def triangles(points: NDArray[np.floating], colours: ArrayLike) -> bytes:
     return _primitive(points.reshape(-1, 3), np.repeat(flat, 3, axis=0), TRIANGLES)
 
 
-def _linear(colours: Bytes) -> Bytes:
-    """Return colours in the linear space of glTF; browsers convert them back to sRGB."""
+def _linear(colours: Bytes) -> NDArray[np.float32]:
+    """Return colours that a browser displays as given.
+
+    glTF colours are linear, and viser's renderer maps them by the filmic curve of ACES as fitted
+    by Hill (three.js uses the same fit), which pales them. This is the inverse of both.
+    """
     share = np.arange(256) / 255.0
     table = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
-    return np.round(65535 * table).astype(np.uint16)[colours]
+    out = np.minimum(table[colours], BRIGHTEST) @ np.linalg.inv(ACES_OUT).T
+    # out = (v^2 + 0.0245786 v - 0.000090537) / (0.983729 v^2 + 0.4329510 v + 0.238081)
+    out = np.clip(out, 0.0, BRIGHTEST)
+    a, b = 1.0 - 0.983729 * out, 0.0245786 - 0.432951 * out
+    c = -0.000090537 - 0.238081 * out
+    v = (-b + np.sqrt(b * b - 4.0 * a * c)) / (2.0 * a)
+    mapped: NDArray[np.float32] = (v @ np.linalg.inv(ACES_IN).T * 0.6).astype(np.float32)
+    return np.maximum(mapped, 0.0)
 
 
 def _primitive(points: NDArray[np.floating], colours: Bytes, mode: int) -> bytes:
     places = np.ascontiguousarray(points, '<f4')
-    tints = np.full((len(places), 4), 65535, '<u2')
-    tints[:, :3] = _linear(colours)
+    tints = np.ascontiguousarray(_linear(colours), '<f4')
     low, high = places.min(axis=0).tolist(), places.max(axis=0).tolist()
     binary = places.tobytes() + tints.tobytes()
     head = {
@@ -67,8 +87,7 @@ def _primitive(points: NDArray[np.floating], colours: Bytes, mode: int) -> bytes
         'accessors': [
             {'bufferView': 0, 'componentType': 5126, 'count': len(places), 'type': 'VEC3',
              'min': low, 'max': high},
-            {'bufferView': 1, 'componentType': 5123, 'normalized': True, 'count': len(places),
-             'type': 'VEC4'},
+            {'bufferView': 1, 'componentType': 5126, 'count': len(places), 'type': 'VEC3'},
         ],
         'bufferViews': [
             {'buffer': 0, 'byteOffset': 0, 'byteLength': places.nbytes},

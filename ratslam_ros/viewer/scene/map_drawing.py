@@ -26,8 +26,8 @@ with links are drawn at about 20 frames per second, 20,000 at about 14."""
 
 
 def thinning(count: int, limit: int = LIMIT) -> int:
-    """Return k if every k-th experience is to be drawn: the least power of 2 that suffices."""
-    return 1 if count <= limit else 2 ** math.ceil(math.log2(count / limit))
+    """Return k if every k-th experience is to be drawn."""
+    return max(1, math.ceil(count / limit))
 
 
 def thinned_links(rows: LinkRows, every: int) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
@@ -88,7 +88,7 @@ class MapDrawing:
         self.every = every = thinning(len(poses), limit)
         places = np.zeros((len(poses), 3), np.float32)
         places[:, :2] = poses[:, :2]
-        known = np.isfinite(places).all(axis=1)
+        known: NDArray[np.bool_] = np.isfinite(poses[:, 0])
         self._draw_points(places, known, colours.experiences, CHUNK * every)
         ends, drawn = thinned_links(rows, every)
         inside = (ends >= 0).all(axis=1) & (ends < len(poses)).all(axis=1)

@@ -192,4 +192,7 @@ def ring(radius_m: float, inner: float = 0.75, corners: int = 32) -> Points:
 def faded(colour: Rgb, background: Rgb, count: int) -> Bytes:
     """Return (count, 3) colours from the background to a colour."""
     share = np.linspace(0.0, 1.0, count)[:, None]
-    return np.round((1 - share) * np.array(background) + share * np.array(colour)).astype(np.uint8)
+    mix: Bytes = np.round(share * np.array(colour) + (1 - share) * np.array(background)).astype(
+        np.uint8
+    )
+    return mix

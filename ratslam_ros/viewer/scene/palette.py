@@ -23,7 +23,8 @@ class Theme:
     """Colours that are readable on one background.
 
     The categories are those of Okabe and Ito (2008), some darker or lighter for contrast.
-    ``scale_range`` is the part of viridis that stands out from the background.
+    ``scale_range`` is the part of viridis that stands out from the background; high values
+    contrast most.
     """
 
     background: Rgb
@@ -60,7 +61,7 @@ LIGHT = Theme(
     closure=(213, 94, 0), robot=(180, 30, 90), trail=(222, 120, 170),
     dead_reckoning=(140, 140, 140), truth=(0, 138, 100), route=(204, 121, 0),
     goal=(204, 121, 0), scan=(0, 158, 115), rejected=(200, 40, 40), selected=(0, 0, 0),
-    unknown=(185, 185, 185), scale_range=(0.0, 0.88),
+    unknown=(185, 185, 185), scale_range=(0.86, 0.0),
 )  # fmt: skip
 
 DARK = Theme(

@@ -83,6 +83,6 @@ def _line_gaps(
     along = b - a
     square = np.maximum((along**2).sum(axis=1), 1e-12)
     share = np.clip(((point - a) * along).sum(axis=1) / square, 0.0, 1.0)
-    gaps = np.hypot(*(a + share[:, None] * along - point).T)
+    gaps: NDArray[np.float64] = np.hypot(*(a + share[:, None] * along - point).T)
     gaps[~np.isfinite(gaps)] = np.inf
     return gaps

@@ -56,13 +56,15 @@ class RobotDrawing:
         scan, route = canvas.layer('scan', 0.01), canvas.layer('route', 0.02)
         events, robot = canvas.layer('closures', 0.03), canvas.layer('robot', 0.05)
         self._scan = Cloud(canvas, f'{scan}/points', 0.08)
-        self._route = Strokes(canvas, f'{route}/line', 4.0)
+        self._route = Strokes(canvas, f'{route}/line', 3.0)
         self._goal = Asset(canvas, f'{route}/goal')
         self._goal_text = Labels(canvas, f'{route}/text', 'bottom-center')
         self._events = Strokes(canvas, f'{events}/lines', 4.0)
         self._reasons = Labels(canvas, f'{events}/reasons')
         self._robot = Asset(canvas, f'{robot}/arrow')
         self._size_m = 0.0
+        self._arrow_key: object = None
+        self._goal_key: object = None
 
     def draw(self, state: RunState, size_m: float) -> None:
         """Draw a state.
@@ -76,7 +78,9 @@ class RobotDrawing:
         if state.pose is not None:
             x, y, heading = state.pose.pose
             turn = (math.cos(heading / 2), 0.0, 0.0, math.sin(heading / 2))
-            self._robot.draw(arrow_of(size_m, theme))
+            if (size_m, theme) != self._arrow_key:
+                self._arrow_key = size_m, theme
+                self._robot.draw(arrow_of(size_m, theme))
             for name in ('robot', 'scan'):
                 frame = self._canvas.frame(name)
                 frame.position, frame.wxyz = (x, y, frame.position[2]), turn
@@ -99,13 +103,17 @@ class RobotDrawing:
             goal = (*points[-1].tolist(), 'goal')
         if goal is None:
             self._goal.draw(b'')
+            self._goal_key = None
             self._goal_text.draw([])
             return
         x, y, text = goal
+        self._goal_text.draw([(text, (x, y + self._size_m, 0.0))])
+        if (key := (x, y, self._size_m, theme)) == self._goal_key:
+            return
+        self._goal_key = key
         mark = np.concatenate([ring(0.8 * self._size_m), ring(0.3 * self._size_m, 0.0)])
         mark += np.array([x, y, 0.0], np.float32)
         self._goal.draw(glb.triangles(mark, theme.goal))
-        self._goal_text.draw([(text, (x, y + self._size_m, 0.0))])
 
     def _draw_events(self, state: RunState, theme: Theme) -> None:
         lines, tints, texts = [], [], []
@@ -121,7 +129,8 @@ class RobotDrawing:
                 lines.append(np.stack([a, b])[None])
                 tints.append(theme.closure)
                 text = 'loop closed'
-            texts.append((text, tuple(((a + b) / 2).tolist())))
+            # Beside the robot, because it is in view when the camera follows the robot.
+            texts.append((text, (float(a[0]), float(a[1]) - 1.6 * self._size_m, 0.0)))
         flat = np.concatenate(lines) if lines else np.empty((0, 2, 3))
         colours = np.array(tints, np.uint8).reshape(-1, 1, 3)
         self._events.draw(flat, np.broadcast_to(colours, (len(colours), 2, 3)))

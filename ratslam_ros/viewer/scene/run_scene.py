@@ -113,14 +113,16 @@ class RunScene:
         """How the detail is reduced; '' if it is not."""
         every = self._map.every
         return '' if every == 1 else (
-            f'Map of more than {self.limit} experiences: only every {every}th is drawn.'
+            f'Map of more than {self.limit} experiences: 1 of {every} is drawn.'
         )  # fmt: skip
 
     def legend(self) -> Legend:
         """Return the colours of the map and what they stand for."""
         theme = self._canvas.theme
-        return [*self._legend, (theme.trail, 'path of the robot'),
-                (theme.dead_reckoning, 'odometry alone'), (theme.truth, 'ground truth')]  # fmt: skip
+        return [
+            *self._legend, (theme.trail, 'path of the robot'),
+            (theme.dead_reckoning, 'odometry alone'), (theme.truth, 'ground truth'),
+        ]  # fmt: skip
 
     def show(self, layer: str, on: bool) -> None:
         """Show or hide a layer.
@@ -149,9 +151,13 @@ class RunScene:
         canvas.begin_update()
         is_other = self._state_key is not None and self._state_key != id(state)
         self._state_key = id(state)
-        self._bounds.include(state)
+        if is_other or now_s >= self._map_due_s:
+            self._bounds.include(state)
         distance_m = self._cameras.distance_m(1.4 * self._bounds.side_m)
         self._draw_map(state, now_s, is_other, distance_m)
+        low, high = POINT_SIZES
+        size_m = float(np.clip(POINT_SHARE * self._link_m, low * distance_m, high * distance_m))
+        self._map.resize(size_m)
         self._robot.draw(state, min(ROBOT_SIZE * distance_m, LARGEST_ROBOT_M))
         self._trail.draw_tail(state.trail, theme.robot)
         self._grid.draw(self._bounds)
@@ -180,7 +186,7 @@ class RunScene:
 
     def _draw_map(self, state: RunState, now_s: float, is_other: bool, distance_m: float) -> None:
         graph, theme = state.map, self._canvas.theme
-        style = (self.colouring, theme.background, self.limit)
+        style = (self.colouring, theme.background, self.limit, self._ticks_key(distance_m))
         key = (id(graph), graph.version, graph.restarts)
         is_restyled = self._map_key is None or self._map_key[0] != style  # type: ignore[index]
         changed = self._map_key != (style, key)
@@ -198,9 +204,6 @@ class RunScene:
         self._legend = colours.legend
         rows = graph.link_rows
         self._link_m = _median_length(rows.shapes[rows.ends[:, 0] >= 0, 0], self._link_m)
-        low, high = POINT_SIZES
-        size_m = float(np.clip(POINT_SHARE * self._link_m, low * distance_m, high * distance_m))
-        self._map.resize(size_m)
         self._map.draw(graph.poses, rows, colours, self.limit)
         self._draw_headings(state, colours, distance_m)
         self._draw_trails(state, now_s)
@@ -211,6 +214,11 @@ class RunScene:
         self._reckoned.draw(state.dead_reckoning, theme.dead_reckoning)
         self._truth.draw(state.truth, theme.truth)
         self._map_due_s = now_s + self._period_s
+
+    def _ticks_key(self, distance_m: float) -> object:
+        """Return what the headings depend on besides the map."""
+        is_near = distance_m <= TICK_DISTANCES * self._link_m
+        return is_near, self._selected if is_near else None
 
     def _draw_headings(self, state: RunState, colours: Colours, distance_m: float) -> None:
         poses = state.map.poses

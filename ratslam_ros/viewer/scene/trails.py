@@ -30,7 +30,8 @@ def steps(points_m: NDArray[np.float64]) -> NDArray[np.float32]:
     driven = lengths <= JUMP * np.median(lengths)
     flat = np.zeros((len(points_m), 3), np.float32)
     flat[:, :2] = points_m
-    return np.stack([flat[:-1], flat[1:]], axis=1)[driven]
+    lines: NDArray[np.float32] = np.stack([flat[:-1], flat[1:]], axis=1)[driven]
+    return lines
 
 
 class TrailDrawing:
@@ -40,6 +41,7 @@ class TrailDrawing:
         self._canvas = canvas
         self._path = canvas.layer(name, height_m)
         self._chunks: list[Asset] = []
+        self._drawn: list[tuple[NDArray[np.float64], Rgb]] = []
         self._key: object = None
         self._tail = Strokes(canvas, f'{self._path}/tail', 4.0) if has_tail else None
 
@@ -54,7 +56,12 @@ class TrailDrawing:
         for k in range(max(count, len(self._chunks))):
             if k == len(self._chunks):
                 self._chunks.append(Asset(self._canvas, f'{self._path}/{k}'))
-            lines = steps(points[k * CHUNK : (k + 1) * CHUNK + 1])
+                self._drawn.append((points[:0], colour))
+            part = points[k * CHUNK : (k + 1) * CHUNK + 1]
+            if self._drawn[k][1] == colour and np.array_equal(self._drawn[k][0], part):
+                continue
+            self._drawn[k] = part.copy(), colour
+            lines = steps(part)
             tints = np.broadcast_to(np.array(colour, np.uint8), (len(lines), 3))
             self._chunks[k].draw(glb.lines(lines, tints) if len(lines) else b'')
 

@@ -30,4 +30,5 @@ def travel_times(graph: MapMirror) -> NDArray[np.float64]:
     # Both links of a pair of experiences are kept apart: entries of one place would be added.
     pairs, first = np.unique(ends, axis=0, return_index=True)
     matrix = csr_array((durations_s[first], (pairs[:, 0], pairs[:, 1])), shape=(n, n))
-    return dijkstra(matrix, directed=False, indices=graph.current_id)
+    times_s: NDArray[np.float64] = dijkstra(matrix, directed=False, indices=graph.current_id)
+    return times_s

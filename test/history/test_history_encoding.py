@@ -1,0 +1,81 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Records and states as bytes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import zstandard
+from hypothesis import given
+from hypothesis import strategies as st
+from records_for_tests import plain, plain_state, random_record, random_records
+
+from ratslam_ros.history.checkpoint import decode_state, encode_state
+from ratslam_ros.history.encoding import KINDS, decode, encode, heads
+from ratslam_ros.history.packing import (
+    DamagedHistory,
+    Unpacker,
+    compressed,
+    decompressed,
+    pack_ints,
+)
+from ratslam_ros.history.run_state import RunState
+
+
+@given(
+    st.integers(0, len(KINDS) - 1), st.integers(0, 2**62), st.integers(0, 2**32), st.integers(0, 9)
+)
+def test_record_of_any_kind_survives_encoding(
+    kind: int, stamp_ns: int, seed: int, known: int
+) -> None:
+    record = random_record(np.random.default_rng(seed), kind, stamp_ns, known, 1)
+    [(found_kind, found_ns, content)] = heads(encode(record))
+    assert (found_kind, found_ns) == (KINDS[type(record)], stamp_ns)
+    assert plain(decode(found_kind, content)) == plain(record)
+
+
+@given(st.lists(st.integers(-(2**63), 2**63 - 1)), st.integers(0, 2))
+def test_integers_of_any_size_survive_packing(values: list[int], width: int) -> None:
+    column = np.array(values, np.int64) >> (20 * width)
+    unpacker = Unpacker(pack_ints(column, column[::-1]))
+    assert unpacker.ints().tolist() == column.tolist()
+    assert unpacker.ints(len(values)).tolist() == column[::-1].tolist()
+    assert unpacker.is_at_end
+
+
+@given(st.integers(0, 2**32), st.integers(0, 120))
+def test_state_survives_checkpoint(seed: int, count: int) -> None:
+    state = RunState()
+    for record in random_records(seed, count):
+        state.apply(record)
+    data = encode_state(state)
+    assert plain_state(decode_state(data)) == plain_state(state)
+    assert encode_state(decode_state(data)) == data
+
+
+@given(st.integers(0, 2**32), st.data())
+def test_damaged_records_are_refused_or_harmless(seed: int, data: st.DataObject) -> None:
+    state = RunState()
+    for record in random_records(seed % 7, 60):
+        state.apply(record)
+    damaged = bytearray(encode_state(state))
+    for _ in range(3):
+        damaged[data.draw(st.integers(0, len(damaged) - 1))] = data.draw(st.integers(0, 255))
+    try:
+        decode_state(bytes(damaged[: data.draw(st.integers(0, len(damaged)))]))
+    except (DamagedHistory, ValueError, IndexError, OverflowError):
+        pass  # All of them are reported as a damaged file, see test_history_file.
+
+
+def test_oversized_claim_is_refused_before_decompression() -> None:
+    bomb = zstandard.ZstdCompressor().compress(bytes(2**28 + 1))
+    with pytest.raises(DamagedHistory, match='at most'):
+        decompressed(bomb)
+
+
+def test_flipped_bit_is_found_by_checksum() -> None:
+    data = bytearray(compressed(np.random.default_rng(1).bytes(1000)))
+    data[500] ^= 1
+    with pytest.raises(DamagedHistory, match='cannot be decompressed'):
+        decompressed(bytes(data))

@@ -1,0 +1,171 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""``ratslam view`` and ``--view``, as a user starts them."""
+
+from __future__ import annotations
+
+import signal
+import socket
+import sys
+import urllib.request
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import pytest
+from pages import Page, View, wait_for
+
+from ratslam_ros.cli.main import parser
+from ratslam_ros.cli.options import words_of
+from ratslam_ros.cli.view_command import _Replays
+
+QUIET = ('--no-browser', '--port', '0')
+NewPage = Callable[[str], Page]
+Start = Callable[..., View]
+Refusal = Callable[..., str]
+
+
+@pytest.fixture(scope='module')
+def results(recording: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    from ratslam_ros.cli import main
+
+    folder = tmp_path_factory.mktemp('results') / 'demo'
+    assert main(['replay', str(recording.recording), '--quiet', '--out', str(folder)]) == 0
+    return folder
+
+
+@pytest.fixture
+def refusal(viser: Any, capfd: pytest.CaptureFixture[str]) -> Iterator[Callable[..., str]]:
+    """Return a function that runs a command which is refused, and returns the only line."""
+    from ratslam_ros.cli import main
+
+    before = signal.getsignal(signal.SIGTERM)
+
+    def run(*words: str) -> str:
+        assert main(words) == 2
+        out, err = capfd.readouterr()
+        assert out == ''
+        (line,) = err.splitlines()
+        return line
+
+    yield run
+    signal.signal(signal.SIGTERM, before)
+
+
+def test_view_of_recording_shows_its_replay_until_interrupted(
+    view: Start, new_page: NewPage, recording: Any, tmp_path: Path
+) -> None:
+    started = view('view', str(recording.recording), *QUIET)
+    page = new_page(started.url)
+    page.wait_for_text(r'of 0:30\.0')
+    page.click('Begin')
+    page.wait_for_text(r'0:00\.\d of 0:30\.0')
+    wait_for(lambda: (tmp_path / 'results' / 'latest' / 'map.json').is_file())
+    assert started.interrupt() < 10.0  # 2 s on a machine without load
+    assert started.wait() == 0
+    assert not [line for line in started.errors if 'Error' in line]
+
+
+def test_view_of_results_shows_them_and_warns_of_other_machines(
+    view: Start, new_page: NewPage, results: Path
+) -> None:
+    started = view('view', str(results), '--host', '0.0.0.0', *QUIET)
+    address = urlsplit(started.url)
+    page = new_page(f'http://127.0.0.1:{address.port}{address.path}')
+    page.wait_for_text(r'0:30\.0 of 0:30\.0')
+    (line,) = started.errors
+    assert line.startswith('warning: other machines')
+    assert started.interrupt() < 10.0
+    assert started.wait() == 0
+
+
+def test_interrupt_ends_running_replay(view: Start, recording: Any) -> None:
+    started = view('replay', str(recording.recording), '--view', *QUIET)
+    assert urllib.request.urlopen(started.url).status == 200
+    assert started.interrupt() < 10.0
+    # Its output ends when the child has ended, too.
+    assert started.wait() in (0, 130)
+    assert not [line for line in started.errors if 'Traceback' in line]
+
+
+def test_view_of_nothing_ends_in_one_line(refusal: Refusal) -> None:
+    assert 'nosuch' in refusal('view', 'nosuch', *QUIET)
+
+
+def test_failing_replay_ends_in_one_line(view: Start, recording: Any) -> None:
+    started = view('view', str(recording.recording), '--image-topic', '/nosuch', *QUIET)
+    assert started.wait() == 2
+    (line,) = started.errors
+    assert '/nosuch' in line
+
+
+def test_options_of_replay_are_refused_for_results(refusal: Refusal, results: Path) -> None:
+    line = refusal('view', str(results), '--set', 'local_view.vt_shift_match=2', *QUIET)
+    assert '--set has no effect' in line
+
+
+def test_port_in_use_ends_in_one_line(refusal: Refusal, results: Path) -> None:
+    with socket.create_server(('127.0.0.1', 0)) as other:
+        port = str(other.getsockname()[1])
+        line = refusal('view', str(results), '--no-browser', '--port', port)
+    assert f'port {port}' in line
+    assert '--port' in line
+
+
+def test_missing_extra_ends_in_one_line(
+    refusal: Refusal, results: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, 'viser', None)
+    assert "pip install 'ratslam_ros[view]'" in refusal('view', str(results), *QUIET)
+
+
+def test_view_of_live_simulator_names_launch(refusal: Refusal) -> None:
+    assert 'ratslam launch --view' in refusal('simulate', '--live', '--view', *QUIET)
+
+
+def test_another_replay_has_its_settings_and_its_own_folder(
+    recording: Any, tmp_path: Path
+) -> None:
+    replays = _Replays(
+        ['replay', str(recording.recording), '--quiet', '--duration=5'], tmp_path / 'run', 'demo',
+        False, None,
+    )  # fmt: skip
+    first = replays.start()
+    assert first.is_growing
+    assert first.begin_ns == first.end_ns == 0
+    assert replays.take_request() is None
+    replays.request(['local_view.vt_shift_match=3'])
+    second = replays.take_request()
+    assert second is not None
+    assert 'vt_shift_match=3' in second.title
+    assert wait_for(replays.poll) is not None
+    assert 'vt_shift_match: 3' in (tmp_path / 'run-2' / 'config.yaml').read_text()
+    assert second.end_ns > second.begin_ns > 0
+    assert not first.is_growing
+    assert not second.is_growing
+
+
+def test_reason_of_failed_replay_is_a_notice(tmp_path: Path) -> None:
+    replays = _Replays(['replay', 'nosuch'], tmp_path / 'run', 'demo', False, None)
+    run = replays.start()
+    code, reason = wait_for(replays.poll)
+    assert code == 2
+    assert reason in run.notices
+    assert not run.is_growing
+
+
+@pytest.mark.parametrize(
+    'words',
+    [
+        ['replay', 'a b', '--set', 'a.b=1', '--set', 'c.d=-2', '--landmarks', '--start', '-3'],
+        ['replay', 'x', '--image-topic', '/a', '--duration', '4.5', '--no-inspect'],
+        ['view', 'x', '--visual-odometry', '--truth', 'truth.tum', '--images-rate', '3'],
+        ['simulate', '--people', '0', '--obstacle', 'a', '--obstacle', 'b', '--noise', '0'],
+    ],
+    ids=lambda words: words[0],
+)
+def test_options_survive_as_arguments(words: list[str]) -> None:
+    options = parser().parse_args(words)
+    again = parser().parse_args([words[0], *words_of(options.parser, options)])
+    assert vars(again) == {**vars(options), 'parser': again.parser}
