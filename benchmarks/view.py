@@ -32,7 +32,7 @@ from ratslam_ros.viewer.scene import RunScene
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'test/viewer'))
 
-from synthetic_runs import SyntheticRun  # noqa: E402
+from synthetic_runs import SyntheticRun
 
 PERIOD_S = 0.1
 CLOSURE_S = 5.0

@@ -42,6 +42,7 @@ def test_visual_odometry_is_started_only_on_request() -> None:
     assert list(nodes(False, False)) == others
     assert list(nodes(True, False)) == ['visual_odometry', *others]
     assert nodes(False, True) == {'single_process': []}
+    assert list(nodes(False, True, viewer=True)) == ['single_process', 'viewer']
     assert nodes(True, True) == {'single_process': ['--visual-odometry']}
 
 
@@ -146,6 +147,14 @@ def test_killed_process_is_named_with_its_signal(tmp_path: Path, capfd) -> None:
     code = 'import os, signal; os.kill(os.getpid(), signal.SIGKILL)'
     assert supervise({'a': python(code), 'b': child(tmp_path / 'b', STOPS)}) == 1
     assert 'a was ended by SIGKILL; stopping b' in capfd.readouterr().err
+
+
+def test_optional_command_may_end(tmp_path: Path) -> None:
+    """The viewer without its package: the nodes go on until they are stopped."""
+    a, b = tmp_path / 'a', tmp_path / 'b'
+    viewer = python(f'open({str(b)!r}, "w").close(); raise SystemExit(2)')
+    with interrupts(a, b):
+        assert supervise({'a': child(a, STOPS), 'viewer': viewer}) == 0
 
 
 def test_single_process_that_ends_is_reported(capfd) -> None:

@@ -7,11 +7,12 @@ from __future__ import annotations
 import re
 import signal
 import subprocess
+import sys
+import threading
 import time
-from collections import Counter
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
@@ -52,16 +53,14 @@ class Page:
             'up_direction': (0.0, 1.0, 0.0),
         }))  # fmt: skip
 
-    def received(self) -> Counter[str]:
-        """Return how many messages of each type are waiting."""
-        kinds: Counter[str] = Counter()
-        while True:
-            try:
-                data = self._socket.recv(timeout=0.5)
-            except TimeoutError:
-                return kinds
-            assert isinstance(data, bytes)
-            kinds.update(re.findall(r'[A-Z][A-Za-z]+Message', data.decode(errors='replace')))
+        self.received = 0
+        """Number of received messages; each holds what was drawn at one time."""
+        threading.Thread(target=self._read, daemon=True).start()
+
+    def _read(self) -> None:
+        with suppress(Exception):  # the viewer ends first
+            for _ in self._socket:
+                self.received += 1
 
     def close(self) -> None:
         self._socket.close()
@@ -87,8 +86,6 @@ def lines_until(process: subprocess.Popen[str], log: Path, pattern: str) -> re.M
 
 def start(commands: Commands, log: Path, *words: str) -> subprocess.Popen[str]:
     """Start a command whose output goes to a file, so that nothing has to read it."""
-    import sys
-
     with log.open('w') as out:
         process = subprocess.Popen(
             [sys.executable, '-m', 'ratslam_ros', *words], cwd=log.parent, text=True,
@@ -101,12 +98,12 @@ def start(commands: Commands, log: Path, *words: str) -> subprocess.Popen[str]:
 def test_map_is_that_of_a_replay_with_the_view_open(
     commands: Commands, tmp_path: Path, page: list[Page]
 ) -> None:
-    bag = write_bag(tmp_path / 'circles', list(circles(3, 30)))
+    bag = write_bag(tmp_path / 'circles', list(circles(2, 20)))
     out = tmp_path / 'replay'
     assert main(['replay', str(bag), '--out', str(out), '--quiet', '--config', 'default',
                  *SET]) == 0  # fmt: skip
     expected = (out / 'map.json').read_text()
-    log, history = tmp_path / 'launch.log', tmp_path / 'kept.sqlite'
+    log = tmp_path / 'launch.log'
     nodes = start(
         commands, log, 'launch', '--config', 'default', *SET, '--view', '--port', '0',
         '--no-browser',
@@ -114,9 +111,8 @@ def test_map_is_that_of_a_replay_with_the_view_open(
     url = lines_until(nodes, log, r'http://127.0.0.1:\S+')[0]
     lines_until(nodes, log, r'(?s)(?:ready.*){4}')
     page.append(Page(url))
-    watched = commands.start_python(WATCHED)
-    assert watched.wait(30.0) == 0, watched.communicate()
-    code, _, err = commands.run('play', str(bag), '--rate', '2', '--lockstep', '--quiet')
+    wait_for(lambda: page[0].received > 0)
+    code, _, err = commands.run('play', str(bag), '--rate', '4', '--lockstep', '--quiet')
     assert code == 0, err
     found = ''
     end_s = time.monotonic() + 30.0
@@ -126,45 +122,23 @@ def test_map_is_that_of_a_replay_with_the_view_open(
         )
         found = found.rstrip('\n')
     assert found == expected, log.read_text()
-    kinds = page[0].received()
-    assert sum(kinds.values()) > 100, kinds
+    assert page[0].received > 10
     nodes.send_signal(signal.SIGINT)
     assert nodes.wait(20.0) == 0, log.read_text()
     assert 'Traceback' not in log.read_text()
-    assert not history.exists()
 
 
-WATCHED = """
-import time
-with ros.node('observer', ()) as node:
-    print('started', flush=True)
-    end_s = time.monotonic() + 20.0
-    while node.count_subscribers('/experience_map/changes') < 1:
-        assert time.monotonic() < end_s
-        time.sleep(0.05)
-"""
-"""Waits until the viewer has subscribed."""
-
-
-def test_unwatched_viewer_subscribes_to_nothing_but_records_if_asked(
-    commands: Commands, tmp_path: Path
-) -> None:
+def test_viewer_records_without_a_browser_if_asked(commands: Commands, tmp_path: Path) -> None:
     log, kept = tmp_path / 'viewer.log', tmp_path / 'kept.sqlite'
-    options = ('--ros-args', '-p', 'port:=0', '-p', 'open_browser:=false')
-    idle = start(commands, log, 'run', 'viewer', *options)
-    lines_until(idle, log, 'ready')
-    recorder = start(
-        commands, tmp_path / 'recorder.log', 'run', 'viewer', *options, '-p',
-        f'history_file:={kept}', '-r', '__node:=recorder',
+    viewer = start(
+        commands, log, 'run', 'viewer', '--ros-args', '-p', 'port:=0', '-p',
+        'open_browser:=false', '-p', f'history_file:={kept}',
     )  # fmt: skip
-    lines_until(recorder, tmp_path / 'recorder.log', 'ready')
-    asked = commands.start_python(POSES)
-    out, err = asked.communicate(timeout=60.0)
-    assert asked.returncode == 0, err
-    assert out.split() == ['recorder']
-    for process in (idle, recorder):
-        process.send_signal(signal.SIGINT)
-        assert process.wait(20.0) == 0
+    robot = commands.start_python(POSES)
+    _, err = robot.communicate(timeout=60.0)
+    assert robot.returncode == 0, err
+    viewer.send_signal(signal.SIGINT)
+    assert viewer.wait(20.0) == 0, log.read_text()
     history = HistoryRun(kept)
     assert history.end_ns > history.begin_ns > 0
     assert history.seek(history.end_ns).pose is not None
@@ -177,34 +151,23 @@ from ratslam_ros.nodes.convert import header_of
 from ratslam_ros.nodes.qos import STATE
 with ros.node('robot', ()) as node:
     pose = node.create_publisher(PoseStamped, 'experience_map/pose', STATE)
-    end_s = time.monotonic() + 20.0
+    print('started', flush=True)
+    end_s = time.monotonic() + 30.0
     while pose.get_subscription_count() < 1:
         assert time.monotonic() < end_s
         time.sleep(0.05)
-    names = [one.node_name for one in node.get_subscriptions_info_by_topic('/experience_map/pose')]
-    print(*names, flush=True)
-    for k in range(20):
+    for k in range(10):
         pose.publish(PoseStamped(header=header_of(10**18 + k * 10**8, 'map')))
         time.sleep(0.11)
 """
 
 
-def test_view_without_its_package_leaves_the_nodes_running(
-    commands: Commands, tmp_path: Path
-) -> None:
+def test_missing_package_is_named_with_the_command(commands: Commands, tmp_path: Path) -> None:
     """A module of the name viser that cannot be imported stands for a missing package."""
     (tmp_path / 'viser.py').write_text('raise ImportError("no viser here")')
     path = commands.environment['PYTHONPATH']
     commands.environment['PYTHONPATH'] = f'{tmp_path}:{path}'
-    log = tmp_path / 'launch.log'
-    nodes = start(
-        commands, log, 'launch', '--config', 'default', '--single-process', '--view',
-        '--no-browser',
-    )  # fmt: skip
-    lines_until(nodes, log, r"pip install 'ratslam_ros\[view\]'")
-    lines_until(nodes, log, 'ready')
-    time.sleep(0.5)
-    assert nodes.poll() is None, log.read_text()
-    assert 'Traceback' not in log.read_text()
-    nodes.send_signal(signal.SIGINT)
-    assert nodes.wait(20.0) == 0, log.read_text()
+    code, _, err = commands.run('run', 'viewer')
+    assert code == 2
+    assert "pip install 'ratslam_ros[view]'" in err
+    assert 'Traceback' not in err

@@ -84,7 +84,7 @@ def test_unchanged_state_sends_nothing(drawing) -> None:
 
 
 def test_all_layers_are_drawn(drawing) -> None:
-    run = SyntheticRun(120)
+    run = SyntheticRun(40)
     state = run.state()
     for record in [*run.goals(), run.reject()]:
         state.apply(record)
