@@ -73,6 +73,9 @@ def add_simulate(commands: Commands) -> None:
                                'and /clock')
     simulate.add_argument('--rate', type=float, metavar='R',
                           help='speed of time with --live (default: 1)')
+    simulate.add_argument('--no-history', action='store_true',
+                          help='do not write history.sqlite, from which `ratslam view` shows any '
+                               'moment of the run')
     add_out(simulate, 'results/simulate-TIME, with the link results/latest')
     simulate.add_argument('--quiet', action='store_true', help='no progress bar')
     add_view_options(simulate)
@@ -143,7 +146,7 @@ def _simulate(options: argparse.Namespace) -> int:
         simulate(
             parameters, config, folder,
             SimulateOptions(60.0 * options.explore, goals, options.random_goals, options.record,
-                            not options.quiet),
+                            not options.quiet, not options.no_history),
         )
     )  # fmt: skip
     if options.out is None:

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 POLL_S = 0.05
 
-END_S = 1.5
+END_S = 1.2
 """Time for a replay to write its results after Ctrl-C, so that all ends within 2 s."""
 
 VIEW_OPTIONS = (

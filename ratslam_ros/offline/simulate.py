@@ -12,20 +12,27 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from tqdm import tqdm
 
+from ratslam_ros.console import print_notice
 from ratslam_ros.core.config import AUTOMATIC, Config
 from ratslam_ros.core.ratslam import Step
 from ratslam_ros.errors import UnreachableGoal, UnusableInput
+from ratslam_ros.files.config import to_yaml
+from ratslam_ros.history.file import HISTORY_NAME, HistoryMeta, package_version
+from ratslam_ros.history.recorder import Recorder
+from ratslam_ros.history.writer import HistoryWriter
 from ratslam_ros.results.goal_plots import draw_temporal_map
 from ratslam_ros.results.plots import draw_all
 from ratslam_ros.results.trajectory import tum_line
 from ratslam_ros.results.writer import Results
-from ratslam_ros.simulator.closed_loop import ClosedLoop
+from ratslam_ros.simulator.closed_loop import ClosedLoop, scan_from_sample
 from ratslam_ros.simulator.config import SimulatorParameters, make_simulator
 from ratslam_ros.simulator.floor_plan import FloorPlan
 from ratslam_ros.simulator.picture import draw_plan
 from ratslam_ros.simulator.recording import TRUTH_FILE, RecordingWriter
+from ratslam_ros.simulator.samples import ImageSample, Sample, ScanSample
 from ratslam_ros.simulator.simulation import Simulator
 from ratslam_ros.simulator.trials import Trial, attempt, choose_goals
 
@@ -56,7 +63,7 @@ class SimulateOptions:
     explore_s: duration of the exploration. goals: names of places of the plan, in order; None
     for all that were named. random_goals: number of random goals among the visited places, in
     place of `goals`; 0 for none. record: folder for a recording of all sensor data, None for
-    none. progress: show a progress bar.
+    none. progress: show a progress bar. history: write history.sqlite.
     """
 
     explore_s: float = 1800.0
@@ -64,6 +71,7 @@ class SimulateOptions:
     random_goals: int = 0
     record: Path | None = None
     progress: bool = True
+    history: bool = False
 
 
 def simulate(
@@ -99,14 +107,17 @@ def simulate(
         results = Results(
             folder, with_thresholds=config.local_view.vt_match_threshold == AUTOMATIC
         )
+        loop = _RecordingLoop(simulator, config, parameters.seed, results)
         try:
-            loop = _RecordingLoop(simulator, config, parameters.seed, results)
+            if options.history:
+                loop.record(folder / HISTORY_NAME)
             run = _Run(loop, options)
             explored = run.explore()
             trials = [run.attempt(name, folder) for name in run.goals(parameters.seed)]
             loop.finish()
         except BaseException:
             results.discard()
+            loop.discard()
             raise
     summary = {
         'frames': results.frames, 'odometry': results.odometry, 'templates': results.templates,
@@ -127,22 +138,68 @@ def simulate(
     return '\n'.join([explored, *_table(trials), *map(str, plots)])
 
 
+@dataclass(frozen=True)
+class _GreyImage:
+    """Image of the simulated camera, for the history."""
+
+    pixels: NDArray[np.uint8]
+    encoding: str = 'mono8'
+    is_depth: bool = False
+
+    def grey(self) -> NDArray[np.uint8]:
+        """Return the (H, W) grey levels."""
+        return self.pixels
+
+    def bgr(self) -> NDArray[np.uint8]:
+        """Return the grey levels as (H, W, 3)."""
+        return np.repeat(self.pixels[:, :, None], 3, axis=2)
+
+
 class _RecordingLoop(ClosedLoop):
     """Closed loop that writes the result of every step."""
 
     def __init__(self, simulator: Simulator, config: Config, seed: int, results: Results) -> None:
         super().__init__(simulator, config, seed)
         self._results = results
+        self._recorder: Recorder | None = None
+
+    def record(self, path: Path) -> None:
+        """Write a history from now on."""
+        meta = HistoryMeta(
+            path.absolute().parent.name, self.config.experience_map.map_frame,
+            to_yaml(self.config), ratslam_version=package_version(),
+        )  # fmt: skip
+        self._recorder = Recorder(
+            self.ratslam, self.config.local_view.vt_match_threshold,
+            lambda: HistoryWriter(path, meta, print_notice),
+        )  # fmt: skip
+        self.simulator.watchers.append(self._watch)
+
+    def _watch(self, sample: Sample) -> None:
+        assert self._recorder is not None
+        if isinstance(sample, ImageSample):
+            self._recorder.add_image(sample.stamp_ns, _GreyImage(sample.image), sample.image)
+        elif isinstance(sample, ScanSample):
+            self._recorder.add_scan(scan_from_sample(sample, self.simulator))
 
     def _note(self, steps: Iterable[Step]) -> None:
         steps = list(steps)
         for step in steps:
             self._results.add(step)
+            if self._recorder is not None:
+                self._recorder.add(step)
         super()._note(steps)
 
     def finish(self) -> None:
-        """Process all held messages."""
+        """Process all held messages, and complete the history."""
         self._note(self.ratslam.finish())
+        if self._recorder is not None:
+            self._recorder.close()
+
+    def discard(self) -> None:
+        """Remove the history of a simulation that has failed."""
+        if self._recorder is not None:
+            self._recorder.discard()
 
 
 class _Run:

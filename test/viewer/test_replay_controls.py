@@ -1,0 +1,50 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters of a replay that is repeated with others."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ratslam_ros.core.config import Config
+from ratslam_ros.viewer.replay_controls import ReplayControls
+
+SHIFT, THRESHOLD = 'local_view.vt_shift_match', 'local_view.vt_match_threshold'
+
+
+def controls_of(requests: list[Sequence[str]]) -> ReplayControls:
+    return ReplayControls(Config(), requests.append)
+
+
+def test_changed_parameters_become_settings_of_next_replay() -> None:
+    requests: list[Sequence[str]] = []
+    controls = controls_of(requests)
+    assert controls.set_parameter(SHIFT, 3).success
+    assert controls.parameters[SHIFT] == 3
+    assert controls.run_again().success
+    assert requests == [[f'{SHIFT}=3']]
+
+
+def test_invalid_values_are_refused_with_reason() -> None:
+    controls = controls_of([])
+    before = dict(controls.parameters)
+    for name, value in ((SHIFT, -1), (SHIFT, 'many'), ('local_view.no', 1), (SHIFT, None)):
+        answer = controls.set_parameter(name, value)
+        assert not answer.success
+        assert name.split('.')[1] in answer.message
+    assert controls.parameters == before
+    assert controls.settings == []
+
+
+def test_parameters_of_a_finished_replay_keep_the_changes() -> None:
+    controls = controls_of([])
+    controls.set_parameter(SHIFT, 3)
+    controls.use(Config().with_values({THRESHOLD: 0.07, SHIFT: 9}))
+    assert controls.parameters[THRESHOLD] == 0.07
+    assert controls.parameters[SHIFT] == 3
+
+
+def test_requests_to_a_robot_are_refused() -> None:
+    answer = controls_of([]).go_to(1.0, 2.0)
+    assert not answer.success
+    assert 'replay' in answer.message
