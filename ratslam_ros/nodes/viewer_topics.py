@@ -244,7 +244,17 @@ class ViewerTopics:
         match, both = self._templates[stamp_ns], self._pictures.pop(stamp_ns)
         views = separated(both)
         if views is not None:
-            self._add(MatchRecord(stamp_ns, match.template_id, *views))
+            shift_px = self._shift_px(match.relative_rad)
+            self._add(MatchRecord(stamp_ns, match.template_id, *views, shift_px))
+
+    def _shift_px(self, relative_rad: float) -> int:
+        """Return the columns by which a view is shifted, as ``LocalView.shift_of`` does."""
+        values = self._controls.values
+        field_rad = math.radians(float(values['local_view.vt_shift_fov_deg']))
+        if values['local_view.vt_panoramic']:
+            field_rad = math.tau
+        width = float(values['local_view.template_x_size'])
+        return round(relative_rad / field_rad * width) if field_rad > 0.0 else 0
 
     # Views
 

@@ -218,10 +218,15 @@ def test_match_pictures_are_separated(viewer: Any) -> None:
     assert separated(np.zeros((10, 10), np.uint8)) is None
     made = viewer()
     made.send('local_view/matched', grey_image(START_NS, 'camera', joined(*pair)), VIEW)
-    made.send('local_view/template', string(template_text(START_NS, 7)))
+    values = {'template_x_size': 60, 'vt_shift_fov_deg': 90.0, 'vt_panoramic': False}
+    for name, value in values.items():
+        made.viewer.controls.values[f'local_view.{name}'] = value
+    turn_rad = np.pi / 6
+    made.send('local_view/template', string(template_text(START_NS, 7, relative_rad=turn_rad)))
     made.until(lambda: state_of(made).match is not None)
     match = state_of(made).match
     assert match.template_id == 7
+    assert match.shift_px == 20
     assert np.array_equal([match.view, match.template], pair)
 
 
