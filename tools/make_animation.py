@@ -112,12 +112,16 @@ def main() -> None:
     parser.add_argument('--out', type=Path, default=ROOT / 'docs/images/view.webp')
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        results = options.results
-        if results is None:
-            results = f'{folder}/demo'
-            ratslam('demo', '--quiet', '--out', results)
         page = Path(folder) / 'run.html'
-        ratslam('view', results, '--export', str(page), '--export-duration', str(DURATION_S))
+        export = ('--export', str(page), '--export-duration', str(DURATION_S))
+        if options.results is None:
+            ratslam('demo', '--quiet', '--out', f'{folder}/demo')
+            # The name of the recording becomes the title.
+            recording = Path(folder, 'demo/recording').rename(Path(folder, 'RatSLAM demo'))
+            words = (str(recording), '--truth', str(recording / 'truth.tum'))
+            ratslam('view', *words, '--out', f'{folder}/results', *export)
+        else:
+            ratslam('view', options.results, *export)
         save(frames(page), options.out)
 
 

@@ -55,8 +55,7 @@ MARGIN_PX = 8
 START_S, REPLAY_S, STOP_S = 90.0, 180.0, 10.0
 PARTS = ('run', 'export', 'robot')
 QUALITY = 82
-COLOURS = 128
-"""Quality of WebP, for pictures with the map, and colours of PNG, for panels."""
+"""Quality of WebP for pictures with the map."""
 
 
 class Viewer:
@@ -262,7 +261,9 @@ def of_robot(shown: Viewer, save: Save) -> None:
 
 def of_export(browser: Any, page: Path, save: Save) -> None:
     """Make the picture of an exported page."""
-    browser.get(page.as_uri())
+    shown = Viewer(browser, page.as_uri())
+    shown.resize(WINDOW)
+    browser.get(shown.url)
     time.sleep(8.0)
     close_notifications(browser)
     browser.find_element(By.TAG_NAME, 'body').send_keys(Keys.SPACE)
@@ -276,15 +277,9 @@ def file_of(tab: str) -> str:
 
 
 def write(folder: Path, name: str, image: Image.Image) -> None:
-    """Write a picture: WebP if the map is in it, PNG with a palette if it is a panel."""
-    for old in folder.glob(f'{name}.*'):
-        old.unlink()
-    if image.width > WINDOW[0] // 2:
-        path = folder / f'{name}.webp'
-        image.save(path, quality=QUALITY, method=6)
-    else:
-        path = folder / f'{name}.png'
-        image.quantize(COLOURS).save(path, optimize=True)
+    """Write a picture as WebP; panels, which are text, without loss."""
+    path = folder / f'{name}.webp'
+    image.save(path, quality=QUALITY, method=6, lossless=image.width < WINDOW[0] // 2)
     print(f'{path.name}: {image.width} x {image.height}, {path.stat().st_size} bytes')
 
 

@@ -9,6 +9,7 @@ import json
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -46,11 +47,14 @@ MARGIN = 0.9
 IMAGE_WIDTH_PX, JPEG_QUALITY = 320, 70
 """Largest width of the camera images, and their quality; the page shows them 242 px wide."""
 
-FIELD_OF_VIEW, ELEVATION = math.radians(45), math.radians(60)
+FIELD_OF_VIEW, ELEVATION = math.radians(45), math.radians(72)
 """Vertical field of view of the camera, and its direction above the floor."""
 
 ASPECT, COVERED = 1.75, 0.22
 """Width of a usual page relative to its height, and the part of it that the overlay covers."""
+
+HEIGHT = 0.4
+"""Height of the box of the pose cells on the floor, relative to the depth of it all."""
 
 OVERLAY = Path(__file__).with_name('overlay.html')
 
@@ -275,21 +279,27 @@ def _small(jpeg: bytes) -> bytes | None:
 
 
 def _aim(viser_server: ViserServer, low: Reals, high: Reals) -> None:
-    """Aim the camera so that an area of the floor is seen beside the overlay."""
-    width, depth = (high - low).tolist()
+    """Aim the camera so that an area of the floor, and what stands on it, is seen.
+
+    Args:
+        viser_server: the server.
+        low, high: (2,) corners of the area in m; it is centred beside the overlay.
+    """
+    centre = np.append((low + high) / 2, 0.0)
+    limits = *zip(low, high, strict=True), (0.0, HEIGHT * float(high[1] - low[1]))
+    corners = np.array(list(product(*limits))) - centre
+    backward = np.array([0.0, -math.cos(ELEVATION), math.sin(ELEVATION)])
+    upward = np.array([0.0, math.sin(ELEVATION), math.cos(ELEVATION)])
     tangent = math.tan(FIELD_OF_VIEW / 2)
-    distance = max(
-        width / (2 * tangent * ASPECT * (1 - COVERED)), depth * math.sin(ELEVATION) / (2 * tangent)
-    )
-    x, y = ((low + high) / 2).tolist()
-    x += COVERED * ASPECT * tangent * distance
+    tangents = np.array([tangent * ASPECT * (1 - COVERED), tangent])
+    beside = np.abs(corners @ np.stack([[1.0, 0.0, 0.0], upward], axis=1))
+    distance = float((corners @ backward + (beside / tangents).max(axis=1)).max())
+    centre[0] += COVERED * ASPECT * tangent * distance
     camera = viser_server.initial_camera
     camera.fov = FIELD_OF_VIEW
     camera.far = 100 * distance
-    camera.look_at = (x, y, 0.0)
-    camera.position = (
-        x, y - distance * math.cos(ELEVATION), distance * math.sin(ELEVATION)
-    )  # fmt: skip
+    camera.look_at = centre
+    camera.position = centre + distance * backward
 
 
 def _css(colour: tuple[int, int, int]) -> str:

@@ -105,7 +105,7 @@ class SyntheticRun:
         ends = np.stack([np.arange(n - 1), np.arange(1, n)], 1)
         driven = self._links(ends)
         self.closures = self._crossings()
-        closing = self._links(np.array(self.closures).reshape(-1, 2), recognised=True)
+        closing = self._links(np.array(self.closures, np.int64).reshape(-1, 2), recognised=True)
         links = LinkRows(
             *(np.concatenate([getattr(driven, name), getattr(closing, name)])
               for name in ('ends', 'shapes', 'durations_s', 'confidences', 'counts',

@@ -212,7 +212,7 @@ def test_exported_page_plays_offline_in_browser(browser: Any, tmp_path: Path) ->
     until(lambda: frame() > 2)  # it plays by itself
     text = show(3.9)
     assert 'test run' in text and 'places: 20 · links: 20 · loop closures: 1' in text
-    assert 'Legend' in text and 'match error of the last minute' in text
+    assert 'Legend' in text and 'match error, last minute' in text
     assert browser.execute_script("return document.querySelector('#run img').naturalWidth") == 40
     until(lambda: blue_pixels(browser) > 50)
     everything = blue_pixels(browser)

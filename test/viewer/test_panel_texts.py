@@ -65,7 +65,10 @@ def test_match_text_compares_error_with_threshold() -> None:
     view = view_at(25)
     assert match_text(view) == 'template 5 matched: error 0.0150 of 0.0300'
     assert match_text(replace(view, error=-1.0)) == 'template 5 matched'
-    assert 'new template 5: best error 0.0150' in match_text(replace(view, is_new=True))
+    new = replace(view, is_new=True)
+    assert match_text(new) == 'new template 5: error 0.0150 of 0.0300, but no certain match'
+    worse = match_text(replace(new, error=0.05))
+    assert worse == 'new template 5: best error 0.0500 exceeds 0.0300'
     assert 'too uniform' in match_text(replace(view, template_id=-1))
 
 

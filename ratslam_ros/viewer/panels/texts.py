@@ -60,6 +60,8 @@ def match_text(view: ViewRecord) -> str:
         found = f'new template {view.template_id}'
         if view.error < 0:
             return f'{found}: no known view is near enough'
+        if view.error < view.threshold:  # similar views at different places
+            return f'{found}: error {view.error:.4f} of {view.threshold:.4f}, but no certain match'
         return f'{found}: best error {view.error:.4f} exceeds {view.threshold:.4f}'
     if view.error < 0:
         return f'template {view.template_id} matched'

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.history.records import CellsRecord
-from ratslam_ros.viewer.scene.nodes import Canvas, Cloud, Labels, Strokes
+from ratslam_ros.viewer.scene import glb
+from ratslam_ros.viewer.scene.nodes import Asset, Canvas, Cloud, Labels, Strokes
 from ratslam_ros.viewer.scene.palette import LEVELS, Theme, mixed, scale_colours
 
 Reals = NDArray[np.float64]
@@ -58,9 +59,7 @@ def repeated(cells: NDArray[np.int64], dims: tuple[int, int, int]) -> tuple[Real
     where: list[Reals] = [np.empty((0, 3))]
     rows: list[NDArray[np.int64]] = [np.empty(0, np.int64)]
     size = np.array(dims, float)
-    outer = np.flatnonzero(
-        ((cells < WRAP_CELLS) | (cells >= size - WRAP_CELLS)).any(axis=1)
-    )
+    outer = np.flatnonzero(((cells < WRAP_CELLS) | (cells >= size - WRAP_CELLS)).any(axis=1))
     for shift in itertools.product((-1, 0, 1), repeat=3):
         if not any(shift):
             continue
@@ -96,7 +95,7 @@ class CellDrawing:
         self._box_key: object = None
         names = [f'{part}{k}' for part in ('active', 'pale') for k in range(3)]
         self._clouds = [Cloud(canvas, f'{self._path}/{n}', 0.1, 'gradient') for n in names]
-        self._edges = Strokes(canvas, f'{self._path}/box', 1.5)
+        self._edges = Asset(canvas, f'{self._path}/box')
         self._drops = Strokes(canvas, f'{self._path}/drops', 1.5)
         self._markers = Strokes(canvas, f'{self._path}/injections', 2.5)
         self._axes = Labels(canvas, f'{self._path}/axes')
@@ -147,9 +146,9 @@ class CellDrawing:
         size = np.array(dims, float)
         corners = (CORNERS + 0.5) * size
         lines = [corners[[a, b]] for a, b in EDGES]
-        line = mixed(theme.text, theme.background, 0.45)
-        tints = [np.broadcast_to(np.array(line, np.uint8), (2, 3))] * len(lines)
-        weak = np.broadcast_to(np.array(theme.grid, np.uint8), (2, 3))
+        line = mixed(theme.text, theme.background, 0.35)
+        weak = mixed(theme.grid, theme.text, 0.12)
+        tints = [line] * len(lines)
         for share in (0.2, 0.4, 0.6, 0.8):  # the floor, so that packets can be located on it
             x, y = share * size[:2]
             lines += [
@@ -163,7 +162,7 @@ class CellDrawing:
             lines.append(np.array([[0, 0, z], [0, size[1], z]]))
             tints += [weak, weak]
         flat = self._points(np.array(lines, np.float64).reshape(-1, 3), dims).reshape(-1, 2, 3)
-        self._edges.draw(flat, np.array(tints))
+        self._edges.draw(glb.lines(flat, np.array(tints, np.uint8)))
         cell_m = self._side_m / max(dims[0], dims[1])
         for k, cloud in enumerate(self._clouds):
             cloud.resize(SIZES[k % 3] * cell_m)

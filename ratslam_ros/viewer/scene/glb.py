@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Lines and flat shapes as binary glTF 2.0, which browsers draw without shading.
 
-On software rendering, 20,000 lines of this kind are drawn at about 16 frames per second; viser's
-line segments, six triangles each, at 3 frames per second.
+On software rendering, 20,000 lines of this kind were drawn at 16 frames per second, and as viser's
+line segments, which are six triangles each, at 3 frames per second.
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ so that few parts of the map are sent again; 32 steps cannot be told apart by ey
 class Theme:
     """Colours that are readable on one background.
 
-    The categories are those of Okabe and Ito (2008), some darker or lighter for contrast.
+    The categories are those of Okabe and Ito, some darker or lighter for contrast.
     ``scale_range`` is the part of viridis that stands out from the background; high values
     contrast most.
     """

@@ -50,7 +50,7 @@ POINT_SHARE = 0.55
 TICKS = 400
 """Largest number of headings that are drawn, those nearest to the robot or the selection."""
 
-TICK_DISTANCES = 60.0
+TICK_DISTANCES = 80.0
 """Headings are drawn if the camera is nearer than this many median lengths of links."""
 
 CELLS_SIDE = 0.42
@@ -84,7 +84,7 @@ class RunScene:
         self.limit = LIMIT
         """Number of experiences above which the map is thinned."""
         server.scene.set_up_direction('+z')
-        # No node needs light, and shadows cost a third of the frame rate on software rendering.
+        # Everything is drawn without shading, so that colours are those of the legend.
         server.scene.configure_default_lights(enabled=False, cast_shadow=False)
         self._canvas = canvas = Canvas(server, LIGHT)
         self._period_s, self._aims, self._clock = map_period_s, aims, clock
