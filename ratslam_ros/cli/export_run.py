@@ -5,6 +5,8 @@
 from __future__ import annotations
 
 import argparse
+import subprocess
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -50,15 +52,19 @@ def check_export(path: Path) -> None:
 
 
 def replay_for_export(options: argparse.Namespace) -> tuple[int, Path]:
-    """Replay the recording of ``ratslam view``; return the exit code and the folder of results."""
-    from ratslam_ros.cli.main import main
+    """Replay the recording of ``ratslam view``, as ``ratslam replay`` does.
+
+    Returns:
+        The exit code and the folder of results.
+    """
     from ratslam_ros.recordings import open_recording
     from ratslam_ros.results.writer import link_latest
 
     with open_recording(options.recording, images_rate_hz=options.images_rate) as recording:
         folder = results_folder(options, recording.name)
     words = words_of(options.parser, options, REPLAY_WITHOUT)
-    code = main(['replay', *words, f'--out={folder}'])
+    command = [sys.executable, '-m', 'ratslam_ros', 'replay', *words, f'--out={folder}']
+    code = subprocess.run(command, check=False).returncode
     if code == DONE and options.out is None:
         link_latest(folder)
     return code, folder
