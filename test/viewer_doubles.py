@@ -148,6 +148,7 @@ class FakeScene:
         self.colouring, self.dark, self.detail = 'age', False, ''
         self.shown = dict.fromkeys(self.layers, True)
         self.selected: object = None
+        self.looks = 0
         self.next_pick: FakePick | None = None
 
     def show(self, layer: str, on: bool) -> None:
@@ -158,6 +159,9 @@ class FakeScene:
 
     def select(self, pick: object) -> None:
         self.selected = pick
+
+    def look_at_all(self) -> None:
+        self.looks = self.looks + 1
 
     def legend(self) -> list[tuple[tuple[int, int, int], str]]:
         return [((0, 114, 178), f'{self.colouring}: oldest'), ((230, 159, 0), 'newest')]

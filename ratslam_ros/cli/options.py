@@ -89,6 +89,28 @@ def add_span(parser: argparse.ArgumentParser) -> None:
                         help='stop after S seconds of the recording')
 
 
+def add_replay_options(
+    parser: argparse.ArgumentParser, metavar: str = 'RECORDING', alternative: str = ''
+) -> None:
+    """Add the recording, and the options that change what is made of it."""
+    add_recording(parser, metavar, alternative)
+    add_config(parser)
+    parser.add_argument('--no-inspect', action='store_true',
+                        help='without --config: do not inspect the recording before the replay')
+    add_topics(parser)
+    parser.add_argument('--scan-topic', metavar='T',
+                        help='laser topic, read if experience_map.exp_align_scans is set or '
+                             'with --landmarks')
+    parser.add_argument('--landmarks', action='store_true',
+                        help='also map corners and edges of walls: landmarks.json')
+    parser.add_argument('--visual-odometry', action='store_true',
+                        help='estimate odometry from the camera, even if there is an odometry '
+                             'topic')
+    add_span(parser)
+    parser.add_argument('--truth', type=Path, metavar='FILE.tum',
+                        help='true trajectory, for the plot and the errors')
+
+
 def add_out(parser: argparse.ArgumentParser, default: str) -> None:
     """Add the folder for results."""
     parser.add_argument('--out', type=Path, metavar='DIR',

@@ -18,6 +18,7 @@ from ratslam_ros.cli.options import (
     add_config,
     add_out,
     add_recording,
+    add_replay_options,
     add_span,
     add_topics,
     add_view_options,
@@ -58,28 +59,6 @@ def add_replay(commands: Commands) -> None:
     replay.add_argument('--quiet', action='store_true', help='no progress bar, no summary')
     add_view_options(replay)
     replay.set_defaults(run=_replay, parser=replay)
-
-
-def add_replay_options(
-    parser: argparse.ArgumentParser, metavar: str = 'RECORDING', alternative: str = ''
-) -> None:
-    """Add the recording, and the options that change what is made of it."""
-    add_recording(parser, metavar, alternative)
-    add_config(parser)
-    parser.add_argument('--no-inspect', action='store_true',
-                        help='without --config: do not inspect the recording before the replay')
-    add_topics(parser)
-    parser.add_argument('--scan-topic', metavar='T',
-                        help='laser topic, read if experience_map.exp_align_scans is set or '
-                             'with --landmarks')
-    parser.add_argument('--landmarks', action='store_true',
-                        help='also map corners and edges of walls: landmarks.json')
-    parser.add_argument('--visual-odometry', action='store_true',
-                        help='estimate odometry from the camera, even if there is an odometry '
-                             'topic')
-    add_span(parser)
-    parser.add_argument('--truth', type=Path, metavar='FILE.tum',
-                        help='true trajectory, for the plot and the errors')
 
 
 def add_tune(commands: Commands) -> None:

@@ -23,13 +23,13 @@ from ratslam_ros.cli.options import (
     INTERRUPTED,
     Commands,
     add_out,
+    add_replay_options,
     add_view_options,
     config_of,
     read_truth,
     results_folder,
     words_of,
 )
-from ratslam_ros.cli.recording_commands import add_replay_options
 from ratslam_ros.console import print_notice
 from ratslam_ros.errors import RatslamError, UnusableInput
 from ratslam_ros.signals import StopSignals

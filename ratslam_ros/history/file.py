@@ -30,7 +30,7 @@ CREATE TABLE segments (
     first_view INTEGER NOT NULL, views INTEGER NOT NULL,
     data BLOB NOT NULL
 );
-CREATE INDEX segment_end ON segments (end_ns);
+CREATE INDEX segment_begin ON segments (begin_ns);
 CREATE INDEX segment_view ON segments (first_view) WHERE views > 0;
 CREATE TABLE checkpoints (
     record_count INTEGER PRIMARY KEY, stamp_ns INTEGER NOT NULL, data BLOB NOT NULL

@@ -142,7 +142,8 @@ def _map_of(content: Any) -> MapChange:
     numbers = np.array([names[name] for name in behaviours], np.int64)
     confidences = np.empty(0)
     if len(links):
-        confidences = link_confidences(ends[:, 0], numbers, counts, np.zeros_like(counts))
+        time_outs = np.zeros(len(links), np.int64)  # map.json does not have them
+        confidences = link_confidences(ends[:, 0], numbers, counts, time_outs)
     return MapChange(
         int(stamp['sec']) * NS_PER_S + int(stamp['nanosec']), n,
         int(content['current_experience_id']), True,

@@ -149,7 +149,7 @@ class HistoryFile:
         """Return the number of views up to a time."""
         row = self._first(
             'SELECT first_view, data, begin_ns FROM segments WHERE begin_ns <= ? '
-            'ORDER BY first_record DESC LIMIT 1', until_ns,
+            'ORDER BY begin_ns DESC, first_record DESC LIMIT 1', until_ns,
         )  # fmt: skip
         if row is None:
             return 0
@@ -197,11 +197,13 @@ class HistoryFile:
         """Return the last record of a kind up to a time, None if there is none since another."""
         number = KINDS[kind]
         with self._connected() as database, self._checking():
-            for begin_ns, data in database.execute(
-                'SELECT begin_ns, data FROM segments WHERE begin_ns <= ? AND end_ns >= ? '
-                'ORDER BY first_record DESC', (until_ns, since_ns),
+            for at_ns, end_ns, data in database.execute(
+                'SELECT begin_ns, end_ns, data FROM segments WHERE begin_ns <= ? '
+                'ORDER BY begin_ns DESC, first_record DESC', (until_ns,),
             ):  # fmt: skip
-                found, at_ns = None, begin_ns
+                if end_ns < since_ns:
+                    break
+                found = None
                 for other, stamp_ns, content in heads(decompressed(data)):
                     at_ns = max(at_ns, stamp_ns)
                     if at_ns > until_ns:
@@ -213,11 +215,14 @@ class HistoryFile:
 
     def _segments(self, record_count: int, until_ns: int) -> Iterator[tuple[int, bytes]]:
         with self._connected() as database:
-            yield from database.execute(
-                'SELECT first_record, data FROM segments WHERE first_record >= coalesce((SELECT '
-                'max(first_record) FROM segments WHERE first_record <= ?), 0) AND begin_ns <= ? '
-                'ORDER BY first_record', (record_count, until_ns),
-            )  # fmt: skip
+            for first_record, begin_ns, data in database.execute(
+                'SELECT first_record, begin_ns, data FROM segments WHERE first_record >= coalesce('
+                '(SELECT max(first_record) FROM segments WHERE first_record <= ?), 0) '
+                'ORDER BY first_record', (record_count,),
+            ):  # fmt: skip
+                if begin_ns > until_ns:
+                    break
+                yield first_record, data
 
     def _views(self, query: str, *values: int) -> list[ViewRecord]:
         with self._connected() as database, self._checking():

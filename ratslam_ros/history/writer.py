@@ -43,8 +43,9 @@ CHECKPOINT_RATIO = 3
 """A checkpoint is written when the segments since the last one are this many times as large as
 it, so that checkpoints are at most a quarter of the file however large the map is."""
 
-MIN_CHECKPOINT_BYTES = 2**16
-"""Smallest size of the segments between two checkpoints; they are applied in about 20 ms."""
+MIN_CHECKPOINT_BYTES = 2**18
+"""Smallest size of the segments between two checkpoints; they are about 20 s of a run,
+and are applied in about 20 ms."""
 
 COMMIT_S = 0.25
 """Wall-clock time between two commits: readers see new segments that often. The content of the

@@ -54,7 +54,7 @@ ASPECT, COVERED = 1.75, 0.22
 """Width of a usual page relative to its height, and the part of it that the overlay covers."""
 
 HEIGHT = 0.4
-"""Height of what stands on the floor, the box of the pose cells, relative to the depth of it all."""
+"""Height of the box of the pose cells on the floor, relative to the depth of it all."""
 
 OVERLAY = Path(__file__).with_name('overlay.html')
 

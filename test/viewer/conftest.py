@@ -113,15 +113,20 @@ class Served:
     def url(self) -> str:
         return self.server.url
 
+    def wait_for_updates(self, count: int) -> None:
+        """Wait until the loop has drawn a number of times."""
+        for _ in range(count):
+            called = threading.Event()
+            self.app.post(called.set)
+            assert called.wait(60.0)
+
     def close(self) -> None:
         self._stop.set()
         self.server.stop()
         self._thread.join(10.0)
 
 
-@pytest.fixture
-def serve(viser: Any) -> Iterator[Callable[[RunSource, Controls], Served]]:
-    """Return a function that shows a run in this process; all pages end after the test."""
+def _serving() -> Iterator[Callable[[RunSource, Controls], Served]]:
     from ratslam_ros.viewer.app import ViewApp
     from ratslam_ros.viewer.server import ViewServer
 
@@ -134,3 +139,15 @@ def serve(viser: Any) -> Iterator[Callable[[RunSource, Controls], Served]]:
             return served
 
         yield start
+
+
+@pytest.fixture
+def serve(viser: Any) -> Iterator[Callable[[RunSource, Controls], Served]]:
+    """Return a function that shows a run in this process; all pages end after the test."""
+    yield from _serving()
+
+
+@pytest.fixture(scope='module')
+def serving(viser: Any) -> Iterator[Callable[[RunSource, Controls], Served]]:
+    """Return the same as ``serve``, for pages that the tests of a module share."""
+    yield from _serving()

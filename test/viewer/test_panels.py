@@ -214,6 +214,7 @@ def test_listed_closure_shows_both_images_and_values(page: Page) -> None:
     rejected, closed = selection.list.options[1:]
     page.give(selection.list, closed)
     assert 'enough recognitions agree' in selection.text.content
+    assert page.scene.selected.ends == (19, 0)  # type: ignore[attr-defined]
     assert selection.images.content.count('<img') == 2
     for part in ('0.0100', '0.0300', '100%', 'displacement'):
         assert part in selection.details.content
@@ -263,6 +264,9 @@ def test_layers_colours_and_theme_reach_the_scene(page: Page) -> None:
     page.give(panel.colouring, 'visits')
     assert page.scene.colouring == 'visits'
     assert 'visits: oldest' in panel.legend.content
+    page.give(panel.overview)
+    page.trigger('Show the whole map')
+    assert page.scene.looks == 2
     page.trigger('Dark or light theme')
     assert page.scene.dark and panel.dark.value
     page.scene.detail = 'every 4th experience is drawn'

@@ -1,88 +1,90 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The viewer in a browser."""
+"""The viewer in a browser: what reaches the page, whatever happens to page, network and code."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
+import pytest
 from pages import Page, Relay, wait_for
 from viewer_doubles import FakeControls, FakeRun
 
 NewPage = Callable[[str], Page]
 
 
-def test_page_shows_run_and_keeps_it_after_reload(serve: Any, new_page: NewPage) -> None:
-    served = serve(FakeRun(40), FakeControls())
-    page = new_page(served.url)
-    page.wait_for_text('0:19.5 of 0:19.5')
-    page.reload()
-    page.wait_for_text('0:19.5 of 0:19.5')
-    page.wait_for_text('template 19')
+class Shown:
+    """A growing run and a page that shows it; the tests share them, as loading takes seconds."""
+
+    def __init__(self, served: Any, run: FakeRun, page: Page) -> None:
+        self.served, self.run, self.page = served, run, page
+
+    @property
+    def end(self) -> str:
+        """The end of the run as the page shows it."""
+        half_seconds = len(self.run.stamps) - 1
+        return rf'of 0:{half_seconds // 2:02d}\.{5 * (half_seconds % 2)}'
 
 
-def test_two_browsers_show_the_same_moment(serve: Any, new_page: NewPage) -> None:
-    served = serve(FakeRun(40), FakeControls())
-    one, other = new_page(served.url), new_page(served.url)
-    wait_for(lambda: served.server.client_count == 2)
-    one.click('Begin')
-    one.wait_for_text('0:00.0 of 0:19.5')
-    other.wait_for_text('0:00.0 of 0:19.5')
-
-
-def test_growing_run_is_followed(serve: Any, new_page: NewPage) -> None:
+@pytest.fixture(scope='module')
+def shown(chromium: Any, serving: Any) -> Iterator[Shown]:
     run = FakeRun(3, is_growing=True)
-    page = new_page(serve(run, FakeControls()).url)
-    page.wait_for_text('of 0:01.0')
-    before = page.received_count
-    run.grow(4)
-    page.wait_for_text('of 0:03.0')
-    assert page.received_count > before
+    served = serving(run, FakeControls())
+    with Page(chromium) as page:
+        yield Shown(served, run, page.open(served.url))
 
 
-def test_nothing_is_sent_while_nothing_changes(serve: Any, new_page: NewPage) -> None:
-    served = serve(FakeRun(40), FakeControls())
-    page = new_page(served.url)
-    page.wait_for_text('0:19.5 of 0:19.5')
-    before = page.received_count
-    ticks: list[int] = []
-    served.app.post(lambda: ticks.append(1))
-    wait_for(lambda: ticks)
-    for _ in range(10):
-        served.app.post(lambda: ticks.append(1))
-    wait_for(lambda: len(ticks) > 10)
-    assert page.received_count - before < 100
+def test_growing_run_is_followed(shown: Shown) -> None:
+    shown.page.wait_for_text(shown.end)
+    before = shown.page.received_count
+    shown.run.grow(4)
+    shown.page.wait_for_text(shown.end)
+    assert shown.page.received_count > before
 
 
-def test_error_of_a_callback_is_shown_and_loop_continues(serve: Any, new_page: NewPage) -> None:
-    run = FakeRun(3, is_growing=True)
-    served = serve(run, FakeControls())
-    page = new_page(served.url)
+def test_nothing_is_sent_while_nothing_changes(shown: Shown) -> None:
+    shown.page.wait_for_text(shown.end)
+    shown.served.wait_for_updates(3)  # what was under way has been sent
+    before = shown.page.received_count
+    shown.served.wait_for_updates(20)
+    assert shown.page.received_count - before < 20  # less than one a period
 
+
+def test_error_of_a_callback_is_shown_and_loop_continues(shown: Shown) -> None:
     def fail() -> None:
         raise ValueError('the wheel is off')
 
-    wait_for(lambda: served.server.viser.get_clients())
-    served.app.post(fail)
-    page.wait_for_text('the wheel is off')
-    run.grow(4)
-    page.wait_for_text('of 0:03.0')
+    wait_for(lambda: shown.served.server.viser.get_clients())
+    shown.served.app.post(fail)
+    shown.page.wait_for_text('the wheel is off')
+    shown.run.grow(2)
+    shown.page.wait_for_text(shown.end)
 
 
-def test_stalled_browser_catches_up_and_stops_no_other(serve: Any, new_page: NewPage) -> None:
-    run = FakeRun(3, is_growing=True)
-    served = serve(run, FakeControls())
-    relay = Relay(served.server.port)
+def test_reloaded_page_shows_the_same(shown: Shown) -> None:
+    shown.page.reload()
+    shown.page.wait_for_text(shown.end)
+    shown.page.wait_for_text('live: following')
+
+
+def test_stalled_browser_catches_up_and_stops_no_other(shown: Shown, new_page: NewPage) -> None:
+    port = shown.served.server.port
+    relay = Relay(port)
     try:
-        stalled = new_page(served.url.replace(f':{served.server.port}', f':{relay.port}'))
-        other = new_page(served.url)
-        stalled.wait_for_text('of 0:01.0')
+        stalled = new_page(shown.served.url.replace(f':{port}', f':{relay.port}'))
+        stalled.wait_for_text(shown.end)
         relay.stall()
-        run.grow(4)
-        other.wait_for_text('of 0:03.0')
-        assert 'of 0:01.0' in stalled.text
+        before = shown.end
+        shown.run.grow(4)
+        shown.page.wait_for_text(shown.end)
+        stalled.wait_for_text(before)
         relay.resume()
-        stalled.wait_for_text('of 0:03.0')
+        stalled.wait_for_text(shown.end)
+        # Both are browsers of one run: what one does, the other shows.
+        stalled.click('Pause')
+        shown.page.wait_for_text('paused')
+        stalled.click('Begin')
+        shown.page.wait_for_text(r'0:00\.0 of')
     finally:
         relay.close()

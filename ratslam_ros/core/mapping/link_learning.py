@@ -111,8 +111,8 @@ def confidences(counts: Sequence[int], failures: NDArray[np.int64]) -> list[floa
 
 
 def link_confidences(
-    sources: NDArray[np.int64], behaviours: NDArray[np.int64], counts: NDArray[np.float64],
-    time_outs: NDArray[np.int64],
+    sources: NDArray[np.int64], behaviours: NDArray[np.int64],
+    counts: NDArray[np.int64] | NDArray[np.float64], time_outs: NDArray[np.int64],
 ) -> NDArray[np.float64]:  # fmt: skip
     """Return the confidence of every link of a map, as ``confidences`` does for some of them.
 

@@ -240,24 +240,27 @@ class MapMirror:
     def _set_links(self, links: LinkRows) -> None:
         if not len(links):
             return
-        rows = np.empty(len(links), np.int64)
-        for k, ends in enumerate(map(tuple, links.ends.tolist())):
-            row = self._rows.get(ends)
-            if row is None:
-                row = self._free.pop() if self._free else self._new_row()
-                self._rows[ends] = row
-            rows[k] = row
-            self._behaviours[row] = links.behaviours[k]
+        keys = [*zip(*links.ends.T.tolist(), strict=True)]
+        new = [ends for ends in dict.fromkeys(keys) if ends not in self._rows]
+        first = self._link_count
+        self._add_rows(max(len(new) - len(self._free), 0))
+        free = self._free[len(self._free) - min(len(self._free), len(new)) :][::-1]
+        del self._free[len(self._free) - len(free) :]
+        self._rows.update(zip(new, [*free, *range(first, self._link_count)], strict=True))
+        row_list = [self._rows[ends] for ends in keys]
+        for row, behaviour in zip(row_list, links.behaviours, strict=True):
+            self._behaviours[row] = behaviour
+        rows = np.array(row_list)
         mine = self._links
         mine.ends[rows], mine.shapes[rows] = links.ends, links.shapes
         mine.durations_s[rows], mine.confidences[rows] = links.durations_s, links.confidences
         mine.counts[rows], mine.recognised[rows] = links.counts, links.recognised
         self._link_versions[rows] = self.version
 
-    def _new_row(self) -> int:
-        row = self._link_count
-        if row == len(self._links.ends):
-            more = max(64, row)
+    def _add_rows(self, count: int) -> None:
+        need, room = self._link_count + count, len(self._links.ends)
+        if need > room:
+            more = max(64, room, need - room)
             old = self._links
             self._links = LinkRows(
                 np.append(old.ends, np.full((more, 2), -1), axis=0),
@@ -268,9 +271,8 @@ class MapMirror:
                 np.append(old.recognised, np.zeros(more, np.bool_)),
             )
             self._link_versions = np.append(self._link_versions, np.zeros(more, np.int64))
-        self._link_count += 1
-        self._behaviours.append('')
-        return row
+        self._link_count = need
+        self._behaviours += [''] * count
 
 
 class MapChangeTracker:

@@ -24,6 +24,9 @@ class AppearancePanel:
         )  # fmt: skip
         self.legend = gui.add_html('')
         self.detail = gui.add_html('', visible=False)
+        self.overview = gui.add_button(
+            'Show the whole map', hint='Move the view back to where all is seen. (O)'
+        )
         self.follow = gui.add_checkbox(
             'Follow robot', False, hint='The view moves along with the robot. (F)'
         )
@@ -34,6 +37,7 @@ class AppearancePanel:
                 for layer in scene.layers
             }
         self._robot: np.ndarray | None = None
+        desk.on_click(self.overview, scene.look_at_all)
         desk.on_change(self.colouring, self._colour)
         desk.on_change(self.dark, self.set_dark)
         for layer, box in self.layers.items():

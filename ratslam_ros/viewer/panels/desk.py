@@ -8,14 +8,15 @@ import threading
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
-from ratslam_ros.history.run_state import RunState
 from ratslam_ros.viewer.playback import Playback
 from ratslam_ros.viewer.run_source import Answer, Controls
 
 if TYPE_CHECKING:
     import viser
+
+    from ratslam_ros.viewer.scene import RunScene
 
 Post = Callable[[Callable[[], None]], None]
 """Has a function called by the loop, from any thread."""
@@ -35,33 +36,6 @@ class Request:
     answer: Answer | None = None
 
 
-class Scene(Protocol):
-    """The drawn map, as far as the panels use it; see ``scene.RunScene``."""
-
-    colouring: str
-    dark: bool
-
-    @property
-    def layers(self) -> Sequence[str]:
-        """Names of what can be shown and hidden."""
-
-    @property
-    def detail(self) -> str:
-        """How the detail is reduced; '' if it is not."""
-
-    def show(self, layer: str, on: bool) -> None:
-        """Show or hide a layer."""
-
-    def pick(self, origin: Any, direction: Any, state: RunState) -> Any:
-        """Return what a ray hits."""
-
-    def select(self, pick: Any) -> None:
-        """Mark what is selected."""
-
-    def legend(self) -> Any:
-        """Return colours and what they stand for."""
-
-
 class Desk:
     """What all panels share.
 
@@ -70,7 +44,7 @@ class Desk:
     """
 
     def __init__(
-        self, server: viser.ViserServer, playback: Playback, scene: Scene, controls: Controls,
+        self, server: viser.ViserServer, playback: Playback, scene: RunScene, controls: Controls,
         post: Post,
     ) -> None:  # fmt: skip
         self.server, self.gui = server, server.gui

@@ -11,7 +11,7 @@ from ratslam_ros.history.run_state import RunState
 from ratslam_ros.viewer.panels.appearance import AppearancePanel
 from ratslam_ros.viewer.panels.camera import CameraPanel
 from ratslam_ros.viewer.panels.cells import CellsPanel
-from ratslam_ros.viewer.panels.desk import Desk, Post, Scene, assign
+from ratslam_ros.viewer.panels.desk import Desk, Post, assign
 from ratslam_ros.viewer.panels.drive import DrivePanel
 from ratslam_ros.viewer.panels.export import ExportPanel
 from ratslam_ros.viewer.panels.parameters import ParametersPanel
@@ -24,6 +24,8 @@ from ratslam_ros.viewer.run_source import Controls, RunSource
 if TYPE_CHECKING:
     import viser
 
+    from ratslam_ros.viewer.scene import RunScene
+
 LEFT_WIDTH_PX, RIGHT_WIDTH_PX = 290, 350
 """Widths of the panels; at 1280 px they leave half of the page to the map."""
 
@@ -35,7 +37,7 @@ class Panels:
     """All panels: left what the robot perceives, right what the user can do."""
 
     def __init__(
-        self, server: viser.ViserServer, playback: Playback, scene: Scene, source: RunSource,
+        self, server: viser.ViserServer, playback: Playback, scene: RunScene, source: RunSource,
         controls: Controls, post: Post, colourings: Sequence[str] = (),
     ) -> None:  # fmt: skip
         self._source = source
@@ -93,7 +95,9 @@ class Panels:
             appearance.set_dark(appearance.dark.value)
 
         return [
-            Shortcut('space', 'Play or pause', playback.toggle),
+            # A tab that has the focus keeps the space key to itself.
+            Shortcut('K', 'Play or pause', playback.toggle),
+            Shortcut('space', 'Play or pause, unless a tab has the focus', playback.toggle),
             Shortcut('L', 'Next view', lambda: playback.step(1)),
             Shortcut('J', 'Previous view', lambda: playback.step(-1)),
             Shortcut('L', f'{MANY_VIEWS} views on', lambda: playback.step(MANY_VIEWS), 'shift'),
@@ -102,6 +106,7 @@ class Panels:
             Shortcut('end', 'End, or live', playback.follow),
             Shortcut('pageup', 'Faster', lambda: self.time.faster(1)),
             Shortcut('pagedown', 'Slower', lambda: self.time.faster(-1)),
+            Shortcut('O', 'Show the whole map', self.desk.scene.look_at_all),
             Shortcut(
                 'F', 'Follow the robot, or not',
                 lambda: assign(appearance.follow, not appearance.follow.value),

@@ -15,6 +15,9 @@ from ratslam_ros.viewer.panels.html import ORANGE, RED, block, dim, mark, strong
 from ratslam_ros.viewer.run_source import Answer, Controls
 
 ALL = 'all sections'
+FIRST = 'local_view'
+"""Section shown first: its threshold is what users change most."""
+
 SHARING = 'pose_cells', 'experience_map'
 """Sections that must agree in the parameters ``SHARED``."""
 
@@ -59,7 +62,10 @@ class ParametersPanel:
         sections = [s for s in SECTIONS if any(key.startswith(f'{s}.') for key in self._values)]
         gui.add_html(block(dim(REPLAY_HINT if self._replays else LIVE_HINT)))
         self.section = gui.add_dropdown(
-            'Section', (*sections, ALL), hint='Part of RatSLAM that they belong to.'
+            'Section',
+            (*sections, ALL),
+            hint='Part of RatSLAM that they belong to.',
+            initial_value=FIRST if FIRST in sections else sections[0],
         )
         self.search = gui.add_text(
             'Search', '', hint='Part of a name or of the description, in all sections.'

@@ -35,6 +35,7 @@ from ratslam_ros.viewer.panels.texts import (
     told_apart,
     verdict,
 )
+from ratslam_ros.viewer.scene import Pick
 
 HINT = 'Click an experience, a loop closure or the ground on the map, or choose below.'
 
@@ -53,8 +54,8 @@ class SelectionPanel:
 
     def __init__(self, desk: Desk) -> None:
         self._desk, gui = desk, desk.gui
-        self.pick: Any = None
-        """What was clicked, see ``scene.Pick``; None if nothing is selected."""
+        self.pick: Pick | None = None
+        """What was clicked; None if nothing is selected."""
         self.closure: ViewRecord | None = None
         """The selected loop closure."""
         self._state = RunState()
@@ -101,7 +102,7 @@ class SelectionPanel:
         """Select what a ray hits."""
         self.choose(self._desk.scene.pick(origin, direction, self._state))
 
-    def choose(self, pick: Any) -> None:
+    def choose(self, pick: Pick | None) -> None:
         """Select an experience, a closure or a point on the ground; None selects nothing."""
         self.clear()
         self.pick = pick
@@ -262,6 +263,9 @@ class SelectionPanel:
         view = self._closures.get(text)
         if view is not None:
             self.clear()
+            self._desk.scene.select(
+                Pick('closure', (0.0, 0.0, 0.0), ends=(view.source_id, claimed_id(view)))
+            )
             self._show_closure(view)
 
     def _go_to_visit(self, text: str) -> None:
