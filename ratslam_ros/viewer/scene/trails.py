@@ -15,6 +15,9 @@ from ratslam_ros.viewer.scene.palette import Rgb
 CHUNK = 512
 """Number of points of a chunk that is sent as a whole."""
 
+LIMIT = 4096
+"""Number of points above which only every k-th is drawn: long trails are as costly as the map."""
+
 TAIL = 48
 """Number of points of the thick, fading end: about 5 m."""
 
@@ -47,11 +50,11 @@ class TrailDrawing:
 
     def draw(self, trail: Trail, colour: Rgb) -> None:
         """Draw a trail; send only the chunks that differ."""
-        points = trail.points_m
         key = (id(trail), trail.version, colour)
         if key == self._key:
             return
         self._key = key
+        points = trail.points_m[:: max(1, -(-len(trail.points_m) // LIMIT))]
         count = -(-max(len(points) - 1, 0) // CHUNK)
         for k in range(max(count, len(self._chunks))):
             if k == len(self._chunks):
