@@ -68,7 +68,7 @@ ARGUMENTS = [
         description='publish the transform map -> odom (empty: publish_tf of the parameters)'),
     DeclareLaunchArgument(
         'viewer', default_value='false', choices=YES_OR_NO,
-        description='show the run in a browser; the address is logged (docs/ros.md)'),
+        description='show the run in a browser; its address is printed (docs/ros.md)'),
     DeclareLaunchArgument(
         'rviz', default_value='false', choices=YES_OR_NO,
         description='start RViz; its layout uses the topics of the root namespace'),

@@ -52,7 +52,11 @@ def check_export(path: Path) -> None:
 
 
 def replay_for_export(options: argparse.Namespace) -> tuple[int, Path]:
-    """Replay the recording of ``ratslam view``; return the exit code and the folder of results."""
+    """Replay the recording of ``ratslam view``, as ``ratslam replay`` does.
+
+    Returns:
+        The exit code and the folder of results.
+    """
     from ratslam_ros.recordings import open_recording
     from ratslam_ros.results.writer import link_latest
 

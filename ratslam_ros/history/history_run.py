@@ -36,10 +36,7 @@ class HistoryRun:
         self._trajectory: Trajectory | None = None
         self._truth: Truth | None = None
         self._images = RecordedImages(self._file.meta)
-        self._span_ns = 0, 0
-        self._is_growing = True
-        self._was_interrupted = False
-        self._poll()
+        self._progress = self._file.progress()
 
     def set_truth(self, trajectory: Trajectory) -> None:
         """Show a true trajectory from now on; it is aligned by the first pose of the run."""
@@ -59,26 +56,26 @@ class HistoryRun:
     def begin_ns(self) -> int:
         """Stamp of the first record, 0 if there is none yet."""
         self._poll()
-        return self._span_ns[0]
+        return self._progress.begin_ns
 
     @property
     def end_ns(self) -> int:
         """Stamp of the last record, 0 if there is none yet."""
         self._poll()
-        return self._span_ns[1]
+        return self._progress.end_ns
 
     @property
     def is_growing(self) -> bool:
         """Whether more records may follow."""
         self._poll()
-        return self._is_growing
+        return self._progress.is_growing
 
     @property
     def notices(self) -> Sequence[str]:
         """What the user must know."""
         self._poll()
         notices = []
-        if self._was_interrupted:
+        if not self._progress.is_growing and not self._progress.has_ended:
             notices.append('the run was interrupted: the history ends with its last moments')
         if self._images.problem:
             notices.append(self._images.problem)
@@ -150,9 +147,6 @@ class HistoryRun:
 
     def _poll(self) -> None:
         """Read how far the run is, until it has ended."""
-        if not self._is_growing:
+        if not self._progress.is_growing:
             return
-        is_growing = self._file.is_growing
-        self._span_ns = self._file.span_ns  # Read last, so that the end is complete.
-        self._was_interrupted = not is_growing and not self._file.has_ended
-        self._is_growing = is_growing
+        self._progress = self._file.progress()

@@ -36,8 +36,7 @@ def open_run(path: str | Path, truth: str | Path | None = None) -> HistoryRun | 
     elif path.is_dir():
         final = path / HISTORY_NAME
         part = part_path(final)
-        is_interrupted = part.exists() and not (path / 'map.json').exists()
-        if part.exists() and (is_locked(final) or (is_interrupted and not final.exists())):
+        if part.exists() and (is_locked(final) or not final.exists()):
             run = HistoryRun(part)
         elif final.exists():
             run = HistoryRun(final)

@@ -9,7 +9,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.history.checkpoint import decode_state
@@ -29,6 +29,20 @@ _VIEW = KINDS[ViewRecord]
 
 BUSY_S = 2.0
 """Time for which a reader waits while the writer closes the file."""
+
+
+class Progress(NamedTuple):
+    """How far a run is.
+
+    begin_ns, end_ns: times of the first and of the last record, 0 if there are none. is_growing:
+    whether more records may follow. has_ended: whether the run has ended, and all its records are
+    in the file.
+    """
+
+    begin_ns: int
+    end_ns: int
+    is_growing: bool
+    has_ended: bool
 
 
 class HistoryFile:
@@ -82,26 +96,17 @@ class HistoryFile:
         """Whether the file has the suffix of one that has not been finished."""
         return self._path.name.endswith(PART)
 
-    @property
-    def has_ended(self) -> bool:
-        """Whether the run has ended and all its records are in the file."""
-        return self._first("SELECT value FROM meta WHERE key = 'ended'") is not None
-
-    @property
-    def is_growing(self) -> bool:
-        """Whether more records may follow."""
+    def progress(self) -> Progress:
+        """Return how far the run is."""
         final = self._path.with_name(self._path.name.removesuffix(PART))
         is_alive = is_locked(final)  # Asked first: the writer ends the run before it lets go.
-        return not self.has_ended and is_alive
-
-    @property
-    def span_ns(self) -> tuple[int, int]:
-        """Times of the first and of the last record, 0 if there are none."""
-        begin, end = self._one('SELECT '
-            '(SELECT begin_ns FROM segments ORDER BY first_record LIMIT 1), '
-            '(SELECT end_ns FROM segments ORDER BY first_record DESC LIMIT 1)'
-        )  # fmt: skip
-        return begin or 0, end or 0
+        begin_ns, end_ns, ended = self._first(
+            'SELECT (SELECT begin_ns FROM segments ORDER BY first_record LIMIT 1), '
+            '(SELECT end_ns FROM segments ORDER BY first_record DESC LIMIT 1), '
+            "(SELECT value FROM meta WHERE key = 'ended')"
+        )
+        has_ended = ended is not None
+        return Progress(begin_ns or 0, end_ns or 0, is_alive and not has_ended, has_ended)
 
     def state_at(self, stamp_ns: int) -> RunState:
         """Return the state of the last checkpoint up to a stamp, an empty one if there is none."""
@@ -235,11 +240,6 @@ class HistoryFile:
     def _first(self, query: str, *values: int) -> Any:
         with self._connected() as database:
             return database.execute(query, values).fetchone()
-
-    def _one(self, query: str) -> Any:
-        row = self._first(query)
-        assert row is not None
-        return row
 
     @contextmanager
     def _checking(self) -> Iterator[None]:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import os
 import sqlite3
+import struct
 import sys
 import time
 from collections import deque
@@ -54,6 +55,9 @@ file does not depend on it."""
 PAGE_BYTES = 1024
 """Page size of SQLite. A segment wastes half a page on average: 2 MB per hour with 1024 bytes, 7
 with the usual 4096."""
+
+WAIT_S, MAX_WAIT_S = 0.02, 5.0
+"""Time between attempts to end the log, and limit on their sum. A look-up takes less than 1 s."""
 
 NEWEST_COUNT = 10
 """A transition to one of the newest experiences closes no loop."""
@@ -138,11 +142,7 @@ class HistoryWriter:
             return False
         state = self.state
         at_ns = max(record.stamp_ns, state.stamp_ns)
-        if type(record) is PoseRecord:
-            if not self._budget.allows(PoseRecord, at_ns):
-                return False
-            record = as_stored(record)  # Trails must be those that a reader computes.
-        elif type(record) is not MapChange and not self._budget.allows(
+        if type(record) is not MapChange and not self._budget.allows(
             type(record), at_ns, is_special
         ):
             return False
@@ -150,7 +150,13 @@ class HistoryWriter:
             self._flush()
         if not self._pending:
             self._begin_ns = at_ns
-        data = encode(record)
+        try:
+            if type(record) is PoseRecord:
+                record = as_stored(record)  # Trails must be those that a reader computes.
+            data = encode(record)
+        except (struct.error, ValueError, OverflowError) as error:
+            self._fail(error)  # A number that is not finite, or does not fit.
+            return False
         self._pending.append(data)
         self._pending_bytes += len(data)
         self._budget.written(record, at_ns)
@@ -260,7 +266,7 @@ class HistoryWriter:
     def _finish(self, database: sqlite3.Connection) -> None:
         database.execute("INSERT INTO meta VALUES ('ended', '1')")
         database.execute('COMMIT')
-        database.execute('PRAGMA journal_mode = DELETE')  # A single file, without a log beside it.
+        _end_log(database)
         database.close()
         self._database = None
         os.replace(part_path(self.path), self.path)
@@ -301,6 +307,20 @@ def _created(path: Path, meta: HistoryMeta) -> sqlite3.Connection:
     database.execute('COMMIT')
     database.execute('BEGIN')
     return database
+
+
+def _end_log(database: sqlite3.Connection) -> None:
+    """Move the log into the file, once no reader is in the middle of a look-up."""
+    waited_s = 0.0
+    while True:
+        try:
+            database.execute('PRAGMA journal_mode = DELETE')
+            return
+        except sqlite3.OperationalError:  # SQLite itself does not wait here.
+            if waited_s >= MAX_WAIT_S:
+                raise
+            time.sleep(WAIT_S)
+            waited_s += WAIT_S
 
 
 def _remove(path: Path) -> None:

@@ -21,9 +21,9 @@ from ratslam_ros.nodes.qos import STATE
 CHANGE_PERIOD_S = 0.1
 """Shortest time between two changes."""
 
-MAX_ITEMS = 1000
-"""Largest number of experiences and links in a change: comparing and encoding them takes about
-2 ms. After a loop closure that moves 20,000 experiences, all are sent within 2 s."""
+MAX_ITEMS = 500
+"""Largest number of experiences and links in a change: comparing and encoding them takes 1 to
+3 ms. After a loop closure that moves 20,000 experiences, all are sent within 4 s."""
 
 
 class MapChangePublisher:

@@ -26,8 +26,10 @@ from ratslam_ros.nodes.qos import LATCHED
 MAX_LOAD_RATIO = 0.1
 """Largest share of a core for sending the map: a large map is sent at a longer period."""
 
-SLICE_S = 0.002
-"""Time after which writing is interrupted, so that it delays no message by more than 5 ms."""
+MIN_SLICE_S, MAX_SLICE_S = 0.0005, 0.003
+"""Least and largest time of writing at once: the time of one step, and with another step less than
+the 5 ms by which a message may be delayed. In between it is the permitted share of the time since
+the last slice, so that slices are short while many messages arrive."""
 
 THREAD_BYTES = 2**18
 """Length of a text above which a thread publishes it; a shorter one takes less than 1 ms."""
@@ -46,7 +48,7 @@ class MapSender:
         self._text = MapText()
         self._steps: Iterator[None] | None = None
         self._thread: threading.Thread | None = None
-        self._next_s = self._begun_s = self._worked_s = 0.0
+        self._next_s = self._begun_s = self._paused_s = self._worked_s = 0.0
 
     def reset(self) -> None:
         """Stop writing: the map was replaced by another one."""
@@ -65,18 +67,21 @@ class MapSender:
             Whether the map was published.
         """
         start_s = time.monotonic()
-        if start_s < self._next_s or (self._thread is not None and self._thread.is_alive()):
+        if self._thread is not None and self._thread.is_alive():
             return False
         if self._steps is None:
-            if not self.has_changed:
+            if not self.has_changed or start_s < self._next_s:
                 return False
             self.has_changed = False
             self._steps = self._text.update(stamp_ns, experience_map)
             self._begun_s, self._worked_s = start_s, 0.0
-        is_complete = self._write(start_s + SLICE_S)
-        took_s = time.monotonic() - start_s
-        self._worked_s += took_s
-        self._next_s = start_s + took_s / MAX_LOAD_RATIO
+            self._paused_s = start_s - MAX_SLICE_S / MAX_LOAD_RATIO
+        slice_s = min(MAX_LOAD_RATIO * (start_s - self._paused_s), MAX_SLICE_S)
+        if slice_s < MIN_SLICE_S:
+            return False
+        is_complete = self._write(start_s + slice_s)
+        self._paused_s = time.monotonic()
+        self._worked_s += self._paused_s - start_s
         if is_complete:
             self._publish()
             self._next_s = max(

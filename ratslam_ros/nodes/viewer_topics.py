@@ -22,7 +22,7 @@ from sensor_msgs.msg import CompressedImage, Image, LaserScan, PointCloud2
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.scan import points_of
 from ratslam_ros.core.vision.local_view import FIXED_THRESHOLD, ViewMatch
 from ratslam_ros.history.recorded_images import jpeg_of
@@ -91,6 +91,8 @@ class ViewerTopics:
     def __init__(self, node: Node, run: LiveRun, controls: RosControls) -> None:
         self._node, self._run, self._controls = node, run, controls
         self._subscriptions: list[Any] = []
+        self._frames: dict[str, Pose] = {}
+        """Origin on the map of other frames, which coincide with it at the first pose."""
         self.refused = 0
         """Number of messages that could not be used."""
         self._clear()
@@ -192,7 +194,7 @@ class ViewerTopics:
     def _add(self, record: Record) -> None:
         if record.stamp_ns > 0 and self._run.add(record):
             self._node.get_logger().warning('the stamps have jumped back: a new run begins')
-            for waiting in self._templates, self._pictures, self._views:
+            for waiting in self._templates, self._pictures, self._views, self._frames:
                 waiting.clear()
             self._follow_anew()
 
@@ -210,9 +212,17 @@ class ViewerTopics:
     def _on_pose(self, message: PoseStamped) -> None:
         pose = planar_pose(message.pose)
         if all(map(math.isfinite, pose)):
-            self._add(
-                PoseRecord(stamp_ns(message.header), pose, self._dead_reckoning, self._truth)
-            )
+            dead_reckoning = self._on_map('odom', pose, self._dead_reckoning)
+            truth = self._on_map('world', pose, self._truth)
+            self._add(PoseRecord(stamp_ns(message.header), pose, dead_reckoning, truth))
+
+    def _on_map(self, frame: str, pose: Pose, other: Pose | None) -> Pose | None:
+        """Return a pose in another frame on the map, aligned at the first pose of the run."""
+        if other is None:
+            return None
+        if frame not in self._frames:
+            self._frames[frame] = composed(pose, inverse(other))
+        return composed(self._frames[frame], other)
 
     # Images
 
@@ -244,7 +254,17 @@ class ViewerTopics:
         match, both = self._templates[stamp_ns], self._pictures.pop(stamp_ns)
         views = separated(both)
         if views is not None:
-            self._add(MatchRecord(stamp_ns, match.template_id, *views))
+            shift_px = self._shift_px(match.relative_rad)
+            self._add(MatchRecord(stamp_ns, match.template_id, *views, shift_px))
+
+    def _shift_px(self, relative_rad: float) -> int:
+        """Return the columns by which a view is shifted, as ``LocalView.shift_of`` does."""
+        values = self._controls.values
+        field_rad = math.radians(float(values['local_view.vt_shift_fov_deg']))
+        if values['local_view.vt_panoramic']:
+            field_rad = math.tau
+        width = float(values['local_view.template_x_size'])
+        return round(relative_rad / field_rad * width) if field_rad > 0.0 else 0
 
     # Views
 

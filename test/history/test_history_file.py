@@ -8,6 +8,7 @@ import signal
 import sqlite3
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from records_for_tests import plain, plain_state, random_records
 
+from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.mapping.map_changes import MapChange
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.errors import UnusableInput
@@ -169,6 +171,36 @@ def test_growing_file_is_followed(tmp_path: Path) -> None:
     run.close()
 
 
+def test_writer_waits_for_look_up_before_it_ends(tmp_path: Path) -> None:
+    path = tmp_path / HISTORY_NAME
+    writer = HistoryWriter(path, META)
+    for record in random_records(3, 100):
+        writer.add(record)
+    writer.flush()
+    reader = sqlite3.connect(part_path(path), check_same_thread=False)
+    rows = reader.execute('SELECT * FROM segments')
+    rows.fetchone()
+
+    def end() -> None:
+        rows.close()
+        reader.close()
+
+    timer = threading.Timer(0.2, end)
+    timer.start()
+    writer.close()
+    timer.join()
+    assert writer.problem == ''
+    assert [one.name for one in tmp_path.iterdir()] == [HISTORY_NAME]
+
+
+def test_number_that_does_not_fit_ends_recording(tmp_path: Path) -> None:
+    lines: list[str] = []
+    writer = HistoryWriter(tmp_path / HISTORY_NAME, META, lines.append)
+    assert not writer.add(PoseRecord(1, Pose(float('nan'), 0.0, 0.0)))
+    assert len(lines) == 1
+    assert not writer.is_open
+
+
 WRITER = """
 import sys, time
 from pathlib import Path
@@ -302,7 +334,7 @@ def test_file_stays_within_budget(tmp_path: Path, jpeg_bytes: int) -> None:
     for step in range(seconds * 10):
         at_ns = NS_PER_S + step * NS_PER_S // 10
         count += step % 20 == 0
-        writer.add(PoseRecord(at_ns, (0.1 * step, 1.0, 0.5)))  # type: ignore[arg-type]
+        writer.add(PoseRecord(at_ns, Pose(0.1 * step, 1.0, 0.5)))
         view = ViewRecord(at_ns, 1, False, 0.1, 0.2, 0.0, 'set', 0, 0, Place(0.0, 0.0, 0.0))
         assert writer.add(view)
         if writer.wants(ImageRecord, at_ns, step % 7 == 0):

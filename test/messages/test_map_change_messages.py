@@ -103,7 +103,7 @@ def test_malformed_change_is_refused(path: str, value: Any) -> None:
         decode_map_change(changed(path, value))
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(st.text(max_size=40), st.integers(0, 2000), st.integers(0, 60))
 def test_damaged_change_is_refused_or_decoded(inserted: str, start: int, length: int) -> None:
     text = encode_map_change(CHANGE, 41, 99, 'map')

@@ -88,7 +88,9 @@ class Sender:
 def test_large_map_is_sent_in_slices(
     world: MakeWorld, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    sending = Sender(world, monkeypatch, SLICE_S=-1.0, THREAD_BYTES=1000)
+    sending = Sender(
+        world, monkeypatch, MIN_SLICE_S=-1.0, MAX_SLICE_S=-1.0, THREAD_BYTES=1000
+    )
     graph, sender = chain(COUNT), sending.sender
     sender.has_changed = True
     expected = encode_map(9, graph)
@@ -111,7 +113,7 @@ def test_large_map_is_sent_in_slices(
 def test_finish_sends_the_last_map_at_once(
     world: MakeWorld, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    sending = Sender(world, monkeypatch, SLICE_S=-1.0)
+    sending = Sender(world, monkeypatch, MIN_SLICE_S=-1.0, MAX_SLICE_S=-1.0)
     graph, sender = chain(COUNT), sending.sender
     sender.has_changed = True
     assert not sender.advance(graph, 9, period_s=1.0)

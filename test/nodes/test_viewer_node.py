@@ -132,7 +132,7 @@ def test_subscriptions_end_after_the_grace_time(
     assert made.tester.count_subscribers('/experience_map/changes') == 0
 
 
-def test_poses_carry_odometry_and_truth(viewer: Any) -> None:
+def test_poses_carry_aligned_odometry_and_truth(viewer: Any) -> None:
     from ratslam_ros.nodes.qos import STATE
 
     made = viewer()
@@ -145,8 +145,18 @@ def test_poses_carry_odometry_and_truth(viewer: Any) -> None:
     record = state_of(made).pose
     assert record.stamp_ns == START_NS
     assert record.pose[:2] == (5.0, 2.0)
-    assert record.dead_reckoning[:2] == (3.0, 2.0)
-    assert record.truth[:2] == (4.0, 2.0)
+    assert np.allclose(record.dead_reckoning, record.pose)
+    assert np.allclose(record.truth, record.pose)
+    made.spin(0.2)  # poses are sampled
+    made.send('odom', odometry(9, 3.5))
+    made.send('ground_truth/pose', pose_message(9, 4.75), STATE)
+    made.until(lambda: made.viewer.topics._truth[0] == 4.75)
+    made.until(lambda: made.viewer.topics._dead_reckoning[0] == 3.5)
+    made.send('experience_map/pose', pose_message(9, 5.25), STATE)
+    made.until(lambda: state_of(made).pose.stamp_ns > START_NS)
+    record = state_of(made).pose
+    assert np.allclose(record.dead_reckoning[:2], (5.5, 2.0))
+    assert np.allclose(record.truth[:2], (5.75, 2.0))
 
 
 def test_view_joins_template_action_and_rejection(viewer: Any) -> None:
@@ -218,10 +228,15 @@ def test_match_pictures_are_separated(viewer: Any) -> None:
     assert separated(np.zeros((10, 10), np.uint8)) is None
     made = viewer()
     made.send('local_view/matched', grey_image(START_NS, 'camera', joined(*pair)), VIEW)
-    made.send('local_view/template', string(template_text(START_NS, 7)))
+    values = {'template_x_size': 60, 'vt_shift_fov_deg': 90.0, 'vt_panoramic': False}
+    for name, value in values.items():
+        made.viewer.controls.values[f'local_view.{name}'] = value
+    turn_rad = np.pi / 6
+    made.send('local_view/template', string(template_text(START_NS, 7, relative_rad=turn_rad)))
     made.until(lambda: state_of(made).match is not None)
     match = state_of(made).match
     assert match.template_id == 7
+    assert match.shift_px == 20
     assert np.array_equal([match.view, match.template], pair)
 
 

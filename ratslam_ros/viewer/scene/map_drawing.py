@@ -65,7 +65,8 @@ class MapDrawing:
 
     def __init__(self, canvas: Canvas) -> None:
         self._canvas = canvas
-        self._links_path = canvas.layer('links')
+        # Above the experiences, which would hide the loop closures of a dense map.
+        self._links_path = canvas.layer('links', 0.004)
         self._points_path = canvas.layer('experiences')
         self._clouds: list[Cloud] = []
         self._assets: list[Asset] = []

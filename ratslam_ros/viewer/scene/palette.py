@@ -58,7 +58,7 @@ class Theme:
 LIGHT = Theme(
     background=(255, 255, 255), text=(60, 60, 60), grid=(228, 230, 234),
     driven=(120, 132, 150), experience=(0, 92, 150), recognised=(40, 150, 205),
-    closure=(213, 94, 0), robot=(180, 30, 90), trail=(222, 120, 170),
+    closure=(213, 94, 0), robot=(180, 30, 90), trail=(238, 190, 214),
     dead_reckoning=(140, 140, 140), truth=(0, 138, 100), route=(204, 121, 0),
     goal=(204, 121, 0), scan=(0, 158, 115), rejected=(200, 40, 40), selected=(0, 0, 0),
     unknown=(185, 185, 185), scale_range=(0.86, 0.0),
@@ -67,7 +67,7 @@ LIGHT = Theme(
 DARK = Theme(
     background=(20, 20, 20), text=(215, 215, 215), grid=(44, 47, 52),
     driven=(104, 116, 134), experience=(86, 180, 233), recognised=(70, 140, 200),
-    closure=(255, 140, 40), robot=(255, 120, 190), trail=(170, 80, 125),
+    closure=(255, 140, 40), robot=(255, 120, 190), trail=(96, 48, 72),
     dead_reckoning=(150, 150, 150), truth=(0, 190, 140), route=(240, 228, 66),
     goal=(240, 228, 66), scan=(60, 220, 165), rejected=(255, 90, 90), selected=(255, 255, 255),
     unknown=(90, 90, 90), scale_range=(0.22, 1.0),

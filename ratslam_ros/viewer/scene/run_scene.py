@@ -41,10 +41,10 @@ ROBOT_SIZE = 0.022
 
 LARGEST_ROBOT_M = 30.0
 
-POINT_SIZES = 0.0035, 0.011
+POINT_SIZES = 0.003, 0.007
 """Least and largest diameter of experiences as shares of the camera's distance."""
 
-POINT_SHARE = 0.55
+POINT_SHARE = 0.45
 """Diameter of experiences as a share of the median length of links, between these sizes."""
 
 TICKS = 400
@@ -164,7 +164,7 @@ class RunScene:
         self._place_cells(state)
         self._mark_selection(state, distance_m)
         if self._aims:
-            self._cameras.watch()
+            self._cameras.watch(*self.area())
             if self._framed != (self._bounds.version, self._cells_known):
                 self._framed = self._bounds.version, self._cells_known
                 self._cameras.frame(*self.area())

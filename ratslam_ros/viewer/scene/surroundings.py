@@ -46,7 +46,8 @@ class Bounds:
     def include(self, state: RunState) -> None:
         """Grow until everything of a state is inside, by at least ``GROWTH``."""
         parts = [state.map.poses[:, :2]]
-        for trail in state.trail, state.truth, state.dead_reckoning:
+        # Not dead reckoning: it drifts without bound, and the map would become small.
+        for trail in state.trail, state.truth:
             parts.append(trail.points_m[-1:])
         points = np.concatenate(parts)
         points = points[np.isfinite(points).all(axis=1)]
@@ -125,6 +126,10 @@ class Cameras:
     TOLERANCE = 0.02
     """Deviation, as a share of the distance, by which a user has moved the camera."""
 
+    PATIENCE = 50
+    """Number of updates for which a camera must be elsewhere to count as moved by the user. A page
+    on software rendering may report earlier positions for seconds after a new one was set."""
+
     def __init__(self, server: Any) -> None:
         self._server = server
         self._set: dict[int, tuple[Reals, int]] = {}
@@ -140,11 +145,7 @@ class Cameras:
         for number, client in self._server.get_clients().items():
             if number in self._moved or not client.camera.update_timestamp:
                 continue
-            position, look_at = _above(centre, high - low, client.camera.aspect)
-            client.camera.far = 100.0 * float(position[2])
-            client.camera.position = position
-            client.camera.look_at = look_at
-            self._set[number] = position, 0
+            self._aim(number, client, low, high)
 
     def look(self, low: Reals, high: Reals) -> None:
         """Show an area in all browsers, and again whatever the map grows to."""
@@ -162,22 +163,27 @@ class Cameras:
         nearest = max(min(found, default=default_m), 0.1)
         return float(2.0 ** (round(2.0 * math.log2(nearest)) / 2.0))
 
-    def watch(self) -> None:
-        """Notice which cameras the users have moved."""
+    def watch(self, low: Reals, high: Reals) -> None:
+        """Notice which cameras the users have moved, and show an area in new browsers."""
         for number, client in self._server.get_clients().items():
             if number in self._moved or not client.camera.update_timestamp:
                 continue
-            position = np.array(client.camera.position)
-            known = self._set.get(number)
-            if known is None:
-                self._set[number] = position, 0
+            if number not in self._set:
+                self._aim(number, client, low, high)
                 continue
-            aim, seen = known
-            away = float(np.linalg.norm(position - aim)) > self.TOLERANCE * abs(aim[2]) + 1e-3
-            if not away:
-                self._set[number] = aim, seen + 1
-            elif seen:  # the page has been at the position that was set, and has left it
+            aim, updates = self._set[number]
+            gap_m = float(np.linalg.norm(np.array(client.camera.position) - aim))
+            updates = updates + 1 if gap_m > self.TOLERANCE * abs(aim[2]) else 0
+            self._set[number] = aim, updates
+            if updates > self.PATIENCE:
                 self._moved.add(number)
+
+    def _aim(self, number: int, client: Any, low: Reals, high: Reals) -> None:
+        position, look_at = _above((low + high) / 2, high - low, client.camera.aspect)
+        client.camera.far = 100.0 * float(position[2])
+        client.camera.position = position
+        client.camera.look_at = look_at
+        self._set[number] = position, 0
 
 
 def _above(centre: Reals, size: Reals, aspect: float) -> tuple[Reals, Reals]:

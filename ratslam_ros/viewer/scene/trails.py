@@ -18,7 +18,7 @@ CHUNK = 512
 TAIL = 48
 """Number of points of the thick, fading end: about 5 m."""
 
-JUMP = 10.0
+JUMP = 3.0
 """A step that is this many times the median is a jump of the estimate, and not drawn."""
 
 

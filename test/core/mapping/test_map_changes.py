@@ -119,7 +119,7 @@ def same(a: MapChange, b: MapChange) -> bool:
     )  # fmt: skip
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(STEPS, st.integers(2, 40), st.booleans())
 def test_mirror_of_changes_equals_the_map(
     steps: list[tuple[str, int]], limit: int, sends: bool
