@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from ratslam_ros.cli import main
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.errors import UnusableInput, UnusableParameter
+from ratslam_ros.history.opening import open_run
 from ratslam_ros.recordings import open_recording
 from ratslam_ros.results.trajectory import read_tum
 from ratslam_ros.simulator.config import (
@@ -49,7 +50,13 @@ def test_short_run_writes_all_files(
     summary = json.loads((out / 'summary.json').read_text())
     assert summary['odometry'] == len(truth)
     assert summary['simulator']['plan'] == 'office'
-    assert json.loads((out / 'map.json').read_text())['experiences']
+    experiences = json.loads((out / 'map.json').read_text())['experiences']
+    assert experiences
+    run = open_run(out)
+    state = run.seek(run.end_ns)
+    assert len(state.map) == len(experiences)
+    assert state.scan is not None
+    assert run.image_at(run.end_ns) is not None
     with open_recording(record) as recording:
         selection = recording.select(None, None)
     assert (selection.image_topic, selection.odom_topic) == ('/camera/image/compressed', '/odom')
