@@ -11,6 +11,7 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import IO
 
@@ -292,19 +293,22 @@ class HistoryWriter:
 
 
 def _created(path: Path, meta: HistoryMeta) -> sqlite3.Connection:
+    """Create the file; readers see it only when it is complete, as SQLite cannot wait for them."""
     _remove(path)
+    new = path.with_name(f'.{path.name}.new')
+    _remove(new)
+    with closing(sqlite3.connect(new, isolation_level=None)) as database:
+        for pragma in (
+            f'page_size = {PAGE_BYTES}',
+            'journal_mode = WAL',  # Readers neither wait for the writer nor delay it.
+            f'application_id = {APPLICATION_ID}', f'user_version = {SCHEMA_VERSION}',
+        ):  # fmt: skip
+            database.execute(f'PRAGMA {pragma}')
+        database.executescript(SCHEMA)
+        database.execute("INSERT INTO meta VALUES ('run', ?)", (meta.to_json(),))
+    new.replace(path)
     database = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=2.0)
-    for pragma in (
-        f'page_size = {PAGE_BYTES}',
-        'journal_mode = WAL',  # Readers neither wait for the writer nor delay it.
-        'synchronous = NORMAL',  # A killed process loses nothing that was committed.
-        f'application_id = {APPLICATION_ID}', f'user_version = {SCHEMA_VERSION}',
-    ):  # fmt: skip
-        database.execute(f'PRAGMA {pragma}')
-    database.executescript(SCHEMA)
-    database.execute('BEGIN')
-    database.execute("INSERT INTO meta VALUES ('run', ?)", (meta.to_json(),))
-    database.execute('COMMIT')
+    database.execute('PRAGMA synchronous = NORMAL')  # A killed process loses nothing committed.
     database.execute('BEGIN')
     return database
 

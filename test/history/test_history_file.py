@@ -352,3 +352,28 @@ def test_file_stays_within_budget(tmp_path: Path, jpeg_bytes: int) -> None:
 
 def test_bytes_per_hour_are_within_promise() -> None:
     assert RESERVE_BYTES + 3600 * RATE_BYTES_PER_S <= 50_000_000
+
+
+def test_readers_see_only_complete_files(tmp_path: Path) -> None:
+    path = tmp_path / 'history.sqlite'
+    stop, strange = threading.Event(), []
+
+    def open_again_and_again() -> None:
+        while not stop.is_set():
+            if part_path(path).exists():
+                try:
+                    HistoryRun(part_path(path)).close()
+                except UnusableInput as error:
+                    if part_path(path).exists():
+                        strange.append(str(error))
+
+    reader = threading.Thread(target=open_again_and_again)
+    reader.start()
+    problems = []
+    for _ in range(30):
+        writer = HistoryWriter(path, HistoryMeta('run'), report=problems.append)
+        writer.discard()
+    stop.set()
+    reader.join()
+    assert problems == []
+    assert strange == []
