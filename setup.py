@@ -28,7 +28,7 @@ def installed(folder: str, *patterns: str) -> tuple[str, list[str]]:
 # ros2 run NODE; a machine without ROS is told of "ratslam run NODE".
 NODES = [
     'visual_odometry', 'local_view', 'pose_cells', 'experience_map', 'goal_follower',
-    'landmark_map', 'simulator', 'single_process', 'viewer',
+    'landmark_map', 'simulator', 'viewer', 'single_process',
 ]
 
 ONNX = ['onnxruntime>=1.17']  # for vt_descriptor: model.onnx

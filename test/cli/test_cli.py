@@ -30,8 +30,8 @@ SIZES = [
 ]  # fmt: skip
 SMALL = ['--config', 'default', *SIZES]
 WRITTEN = [
-    'config.yaml', 'dead_reckoning.tum', 'frames.csv', 'map.json', 'map.png', 'matches.png',
-    'summary.json', 'trajectory.tum', 'trajectory_final.tum',
+    'config.yaml', 'dead_reckoning.tum', 'frames.csv', 'history.sqlite', 'map.json',
+    'map.png', 'matches.png', 'summary.json', 'trajectory.tum', 'trajectory_final.tum',
 ]  # fmt: skip
 
 

@@ -132,7 +132,7 @@ class Cameras:
 
     def __init__(self, server: Any) -> None:
         self._server = server
-        self._set: dict[int, tuple[Reals, int]] = {}
+        self._set: dict[int, tuple[Reals, int, float]] = {}
         self._moved: set[int] = set()
 
     def frame(self, low: Reals, high: Reals) -> None:
@@ -168,22 +168,24 @@ class Cameras:
         for number, client in self._server.get_clients().items():
             if number in self._moved or not client.camera.update_timestamp:
                 continue
-            if number not in self._set:
+            # The page is narrower as soon as its panels are docked.
+            if number not in self._set or self._set[number][2] != client.camera.aspect:
                 self._aim(number, client, low, high)
                 continue
-            aim, updates = self._set[number]
+            aim, updates, aspect = self._set[number]
             gap_m = float(np.linalg.norm(np.array(client.camera.position) - aim))
             updates = updates + 1 if gap_m > self.TOLERANCE * abs(aim[2]) else 0
-            self._set[number] = aim, updates
+            self._set[number] = aim, updates, aspect
             if updates > self.PATIENCE:
                 self._moved.add(number)
 
     def _aim(self, number: int, client: Any, low: Reals, high: Reals) -> None:
-        position, look_at = _above((low + high) / 2, high - low, client.camera.aspect)
+        aspect = client.camera.aspect
+        position, look_at = _above((low + high) / 2, high - low, aspect)
         client.camera.far = 100.0 * float(position[2])
         client.camera.position = position
         client.camera.look_at = look_at
-        self._set[number] = position, 0
+        self._set[number] = position, 0, aspect
 
 
 def _above(centre: Reals, size: Reals, aspect: float) -> tuple[Reals, Reals]:
