@@ -9,9 +9,13 @@ import threading
 from collections.abc import Callable, Sequence
 
 from ratslam_ros.core.config import Config
+from ratslam_ros.core.config.config import SHARED
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.viewer.controls import NoControls
 from ratslam_ros.viewer.run_source import Answer
+
+SHARING = 'pose_cells', 'experience_map'
+"""Sections in which the parameters SHARED have the same values."""
 
 Again = Callable[[Sequence[str]], None]
 """Requests a replay with settings, each `section.name=value`."""
@@ -52,12 +56,17 @@ class ReplayControls(NoControls):
         """Change a parameter for the next replay; refuse a value that is not valid."""
         if not isinstance(value, bool | int | float | str):
             return Answer(False, f'{name} is {value!r}; expected a number, text or true or false')
+        names = {name}
+        section, _, key = name.partition('.')
+        if key in SHARED and section in SHARING:
+            names = {f'{one}.{key}' for one in SHARING}
+        values = dict.fromkeys(sorted(names), value)
         with self._lock:
             try:
-                self._config = self._config.with_values({name: value})
+                self._config = self._config.with_values(values)
             except UnusableParameter as error:
                 return Answer(False, str(error))
-            self._changes[name] = value
+            self._changes |= values
             self.parameters = _flat(self._config)
         return Answer(True, f'{name} is {_text(value)} in the next replay')
 

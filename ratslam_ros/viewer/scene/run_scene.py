@@ -33,6 +33,9 @@ LAYERS = (
 MAP_PERIOD_S = 0.5
 """Least time between two drawings of the map; the robot and its trail move at every update."""
 
+CELLS_PERIOD_S = 0.2
+"""Least time between two drawings of the pose cells; packets move less than a cell meanwhile."""
+
 COLOUR_PERIOD_S = 1.0
 """Time between two computations of colours that change although the map does not."""
 
@@ -101,7 +104,7 @@ class RunScene:
         self._bounds = Bounds()
         self._framed: object = None
         self._map_key: object = None
-        self._map_due_s = self._colours_due_s = -math.inf
+        self._map_due_s = self._colours_due_s = self._cells_due_s = -math.inf
         self._state_key: object = None
         self._selected: Pick | None = None
         self._legend: Legend = map_colours('plain', RunState(), LIGHT).legend
@@ -121,7 +124,10 @@ class RunScene:
         theme = self._canvas.theme
         return [
             *self._legend, (theme.trail, 'path of the robot'),
-            (theme.dead_reckoning, 'odometry alone'), (theme.truth, 'ground truth'),
+            *((colour, text) for colour, text, known in (
+                (theme.dead_reckoning, 'odometry alone', self._reckoned.is_drawn),
+                (theme.truth, 'ground truth', self._truth.is_drawn),
+            ) if known),
         ]  # fmt: skip
 
     def show(self, layer: str, on: bool) -> None:
@@ -161,7 +167,9 @@ class RunScene:
         self._robot.draw(state, min(ROBOT_SIZE * distance_m, LARGEST_ROBOT_M))
         self._trail.draw_tail(state.trail, theme.robot)
         self._grid.draw(self._bounds)
-        self._place_cells(state)
+        if is_other or now_s >= self._cells_due_s:
+            self._cells_due_s = now_s + min(CELLS_PERIOD_S, self._period_s)
+            self._place_cells(state)
         self._mark_selection(state, distance_m)
         if self._aims:
             self._cameras.watch(*self.area())

@@ -48,6 +48,11 @@ class TrailDrawing:
         self._key: object = None
         self._tail = Strokes(canvas, f'{self._path}/tail', 4.0) if has_tail else None
 
+    @property
+    def is_drawn(self) -> bool:
+        """Whether there is anything to see."""
+        return any(len(points) for points, _ in self._drawn)
+
     def draw(self, trail: Trail, colour: Rgb) -> None:
         """Draw a trail; send only the chunks that differ."""
         key = (id(trail), trail.version, colour)
