@@ -10,10 +10,13 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
+from browser import chromium, new_page, viser
 from helpers import live_environment
 
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.standalone import StandaloneUnavailable, install
+
+__all__ = ['chromium', 'new_page', 'viser']  # fixtures of all folders with a browser
 
 os.environ.update(live_environment())
 UNAVAILABLE = ''

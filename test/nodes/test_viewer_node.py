@@ -5,7 +5,8 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -378,3 +379,55 @@ def test_diagnostics_of_the_nodes_are_shown(viewer: Any) -> None:
     level, message = controls.diagnostics['experience_map']
     assert level in ('OK', 'WARN')
     assert message
+
+
+@contextmanager
+def spinning(made: Any) -> Iterator[None]:
+    """Spin the nodes in a thread, so that a browser can be driven meanwhile."""
+    stop = threading.Event()
+
+    def spin() -> None:
+        while not stop.is_set():
+            made.executor.spin_once(timeout_sec=0.02)
+
+    thread = threading.Thread(target=spin)
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()
+
+
+def test_click_in_a_browser_sends_goal_and_route_is_drawn(
+    chromium: Any, new_page: Any, world: MakeWorld
+) -> None:
+    from pages import count_pixels, wait_for
+
+    from ratslam_ros.nodes.viewer_node import ViewerNode
+
+    def make(*others: Any, arguments: tuple[str, ...] = ()) -> Any:
+        arguments = (*arguments, '-p', 'viewer:port:=0', '-p', 'viewer:open_browser:=false')
+        made = world(ViewerNode, *others, arguments=arguments)
+        made.viewer = made.nodes[0]
+        made.page = new_page(made.viewer._view.url)
+        made.until(lambda: made.viewer.topics.is_subscribed)
+        return made
+
+    made = with_map(make)
+    page = made.page
+    scene = made.viewer._view._app.scene
+    with spinning(made):
+        page.close_notices()
+        page.open_tab('Drive')
+        colour = next(colour for colour, text in scene.legend() if text == 'experience')
+        shown = page.wait_for_picture(lambda picture: count_pixels(picture, colour) > 20, 'map')
+        near = np.abs(shown.astype(int) - np.array(colour)).max(axis=2) <= 40
+        rows, columns = np.nonzero(near)
+        page.click_at(page.scene_span[0] + int(np.median(columns)), int(np.median(rows)))
+        page.wait_for_text(r'Selected x -?\d')
+        page.click('Go here')
+        wait_for(lambda: state_of(made).route is not None and len(state_of(made).route.points_m))
+        green = scene._canvas.theme.route
+        page.wait_for_picture(lambda picture: count_pixels(picture, green) > 20, 'the route')
+        page.wait_for_text('go to x')

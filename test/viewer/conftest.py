@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import shutil
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -12,25 +11,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from browser import chromium, new_page, viser
 
 if TYPE_CHECKING:
-    from pages import Page, View
+    from pages import View
 
     from ratslam_ros.simulator.recording import SimulatedRun
     from ratslam_ros.viewer.app import ViewApp
     from ratslam_ros.viewer.run_source import Controls, RunSource
     from ratslam_ros.viewer.server import ViewServer
 
+__all__ = ['chromium', 'new_page', 'viser']  # fixtures of all folders with a browser
+
 RECORDING_S = 30.0
-
-FLAGS = (
-    '--headless=new', '--no-sandbox', '--no-first-run', '--disable-quic', '--disable-sync',
-    '--disable-background-networking', '--disable-component-update', '--disable-dev-shm-usage',
-    '--disable-background-timer-throttling', '--disable-renderer-backgrounding',
-    '--disable-backgrounding-occluded-windows', '--hide-scrollbars', '--mute-audio',
-    '--use-angle=swiftshader', '--enable-unsafe-swiftshader',
-)  # fmt: skip
-
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Have one worker run all tests with a browser, which it starts once."""
@@ -38,43 +31,6 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         for item in items:
             if 'chromium' in getattr(item, 'fixturenames', ()):
                 item.add_marker(pytest.mark.xdist_group('browser'))
-
-
-@pytest.fixture(scope='session')
-def viser() -> Any:
-    """Return viser; skip the test if the extra is not installed."""
-    return pytest.importorskip('viser', reason='the extra [view] is not installed')
-
-
-@pytest.fixture(scope='session')
-def chromium(viser: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    """Start Chromium; skip the test if it is not installed."""
-    webdriver = pytest.importorskip('selenium.webdriver', reason='selenium is not installed')
-    binary = shutil.which('chromium') or shutil.which('google-chrome')
-    driver = shutil.which('chromedriver')
-    if binary is None or driver is None:
-        pytest.skip(f'no {"chromedriver" if binary else "chromium"}: apt install chromium-driver')
-    folder = tmp_path_factory.mktemp('chromium')
-    options = webdriver.ChromeOptions()
-    options.binary_location = binary
-    for flag in (*FLAGS, f'--user-data-dir={folder / "profile"}', '--window-size=1280,720'):
-        options.add_argument(flag)
-    service = webdriver.ChromeService(driver, log_output=str(folder / 'chromedriver.log'))
-    started = webdriver.Chrome(options, service)
-    started.set_script_timeout(60)
-    yield started
-    started.quit()
-
-
-@pytest.fixture
-def new_page(chromium: Any) -> Iterator[Callable[[str], Page]]:
-    """Return a function that opens an address in a new tab; they are closed after the test."""
-    from pages import Page
-
-    first = chromium.current_window_handle
-    with ExitStack() as stack:
-        yield lambda url: stack.enter_context(Page(chromium)).open(url)
-    chromium.switch_to.window(first)
 
 
 @pytest.fixture(scope='session')

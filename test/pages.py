@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[1]
 TIMEOUT_S = 60.0
 """Generous, because rendering by software on a loaded machine is slow."""
 
@@ -128,6 +128,33 @@ class Page:
             ),
             f'button {label!r}',
         )  # fmt: skip
+
+    def open_tab(self, label: str) -> None:
+        """Click a tab with the mouse, to which the tabs listen."""
+        script = (
+            "const found = [...document.querySelectorAll('[role=tab]')]"
+            '.find(e => e.innerText.trim() === arguments[0]);'
+            'if (!found) return null; const box = found.getBoundingClientRect();'
+            'return [box.x + box.width / 2, box.y + box.height / 2];'
+        )
+        self.click_at(*wait_for(lambda: self.run(script, label), f'tab {label!r}'))
+
+    def click_at(self, x: float, y: float) -> None:
+        """Click a pixel of the page."""
+        for kind in ('mouseMoved', 'mousePressed', 'mouseReleased'):
+            self._front()
+            self.driver.execute_cdp_cmd('Input.dispatchMouseEvent', {
+                'type': kind, 'x': x, 'y': y, 'button': 'left', 'clickCount': 1,
+            })  # fmt: skip
+
+    def images(self) -> list[str]:
+        """Return the pixels of all pictures of the panels, from top to bottom, as data URLs."""
+        return list(self.run(
+            'return [...document.images].filter(image => image.naturalWidth).map(image => {'
+            "const canvas = document.createElement('canvas');"
+            'canvas.width = image.naturalWidth; canvas.height = image.naturalHeight;'
+            "canvas.getContext('2d').drawImage(image, 0, 0); return canvas.toDataURL(); });"
+        ))
 
     def close_notices(self) -> None:
         """Close notifications, such as that of the slow rendering, which cover the map."""
