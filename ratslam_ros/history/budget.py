@@ -10,7 +10,6 @@ from ratslam_ros.history.records import (
     ImageRecord,
     MatchRecord,
     PoseRecord,
-    Record,
     ScanRecord,
 )
 
@@ -23,11 +22,11 @@ RESERVE_BYTES = 1_000_000
 """Unused bytes that are saved for later, as for the poses that a loop closure moves."""
 
 PERIODS_NS: dict[type, int] = {
-    PoseRecord: NS_PER_S // 10,
-    MapChange: NS_PER_S // 2,
-    CellsRecord: NS_PER_S // 2,
-    MatchRecord: NS_PER_S // 2,
-    ScanRecord: NS_PER_S // 2,
+    PoseRecord: NS_PER_S // 5,
+    MapChange: NS_PER_S,
+    CellsRecord: NS_PER_S,
+    MatchRecord: NS_PER_S,
+    ScanRecord: NS_PER_S,
     ImageRecord: NS_PER_S,
 }
 """Shortest period of every kind that may be left out. A robot moves about 0.1 m in 0.1 s; pictures
@@ -74,11 +73,11 @@ class Budget:
             return True
         return is_special and self.left_bytes > RESERVE_BYTES // 2
 
-    def written(self, record: Record, stamp_ns: int) -> None:
-        """Start the period of a record that was written."""
-        period_ns = PERIODS_NS.get(type(record))
+    def written(self, kind: type, stamp_ns: int) -> None:
+        """Start the period of a kind of which a record was written."""
+        period_ns = PERIODS_NS.get(kind)
         if period_ns is not None:
-            self._due_ns[type(record)] = stamp_ns + (period_ns << self._doublings)
+            self._due_ns[kind] = stamp_ns + (period_ns << self._doublings)
 
     @property
     def map_rows(self) -> int:

@@ -196,7 +196,8 @@ def test_writer_waits_for_look_up_before_it_ends(tmp_path: Path) -> None:
 def test_number_that_does_not_fit_ends_recording(tmp_path: Path) -> None:
     lines: list[str] = []
     writer = HistoryWriter(tmp_path / HISTORY_NAME, META, lines.append)
-    assert not writer.add(PoseRecord(1, Pose(float('nan'), 0.0, 0.0)))
+    writer.add(PoseRecord(1, Pose(float('nan'), 0.0, 0.0)))
+    writer.flush()
     assert len(lines) == 1
     assert not writer.is_open
 
