@@ -29,9 +29,9 @@ PERIODS_NS: dict[type, int] = {
     ScanRecord: NS_PER_S,
     ImageRecord: NS_PER_S,
 }
-"""Shortest period of every kind that may be left out. A robot moves about 0.1 m in 0.1 s; pictures
-change at twice the rate at which a person reads them, but the camera image is large, and read from
-the recording if that is available."""
+"""Shortest period of every kind that may be left out. A robot moves about 0.2 m in 0.2 s; a person
+reads pictures once a second, and a replay spends less time on them than on its map. The camera
+image is read from the recording at its full rate if that is available."""
 
 STRETCHES = 16
 """The periods are doubled for every 1/16 of half the reserve that is used up."""

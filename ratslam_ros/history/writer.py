@@ -29,15 +29,15 @@ from ratslam_ros.history.file import (
     part_path,
 )
 from ratslam_ros.history.packing import compressor
-from ratslam_ros.history.records import PoseRecord, Record, ViewRecord
+from ratslam_ros.history.records import ImageRecord, PoseRecord, Record, ViewRecord
 from ratslam_ros.history.run_state import NS_PER_S, RunState
 
 SEGMENT_NS = NS_PER_S
 """Duration of a segment: what a crash may lose, and what a look-up has to decompress."""
 
 QUEUE_RECORDS = 128
-"""Number of records that are encoded at once: doing the same many times in a row takes half as
-long as doing it between the steps of a run, which displace its code and data from the caches."""
+"""Number of records that are encoded at once: many in a row take half as long as one after every
+step of a run, which displaces their code and data from the caches of the processor."""
 
 QUEUE_NS = 5 * NS_PER_S
 """Time that the records in the queue may span, so that few records are not withheld for long."""
@@ -98,7 +98,7 @@ class HistoryWriter:
         self._budget = Budget()
         self._stamp_ns = 0
         self._queue: list[tuple[Record | Callable[[], Record], int]] = []
-        self._queue_ns = 0
+        self._queue_ns = self._queue_bytes = 0
         self._state = RunState()
         """Sum of all encoded records."""
         self._compressed = compressor()
@@ -175,7 +175,12 @@ class HistoryWriter:
             self._queue_ns = at_ns
         self._queue.append((record, at_ns))
         self._budget.written(kind, at_ns)
-        if len(self._queue) >= QUEUE_RECORDS or at_ns - self._queue_ns >= QUEUE_NS:
+        if isinstance(record, ImageRecord):
+            self._queue_bytes += len(record.jpeg)
+        if (
+            len(self._queue) >= QUEUE_RECORDS or at_ns - self._queue_ns >= QUEUE_NS
+            or self._queue_bytes >= SEGMENT_BYTES
+        ):  # fmt: skip
             self._encode_queue()
         return True
 
@@ -202,6 +207,7 @@ class HistoryWriter:
         except (struct.error, ValueError, OverflowError) as error:
             self._fail(error)  # A number that is not finite, or does not fit.
         self._queue.clear()
+        self._queue_bytes = 0
         if time.monotonic() - self._commit_s >= COMMIT_S:
             self._run(self._commit)
 
@@ -307,6 +313,7 @@ class HistoryWriter:
     def _finish(self, database: sqlite3.Connection) -> None:
         database.execute("INSERT INTO meta VALUES ('ended', '1')")
         database.execute('COMMIT')
+        database.execute('PRAGMA synchronous = NORMAL')
         _end_log(database)
         database.close()
         self._database = None
@@ -340,16 +347,18 @@ def _created(path: Path, meta: HistoryMeta) -> sqlite3.Connection:
     _remove(new)
     with closing(sqlite3.connect(new, isolation_level=None)) as database:
         for pragma in (
+            'synchronous = OFF',
             f'page_size = {PAGE_BYTES}',
             'journal_mode = WAL',  # Readers neither wait for the writer nor delay it.
             f'application_id = {APPLICATION_ID}', f'user_version = {SCHEMA_VERSION}',
         ):  # fmt: skip
             database.execute(f'PRAGMA {pragma}')
-        database.executescript(SCHEMA)
+        database.executescript(f'BEGIN; {SCHEMA} COMMIT;')
         database.execute("INSERT INTO meta VALUES ('run', ?)", (meta.to_json(),))
     new.replace(path)
     database = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=2.0)
-    database.execute('PRAGMA synchronous = NORMAL')  # A killed process loses nothing committed.
+    # A killed process loses nothing committed; a power failure may damage an unfinished file.
+    database.execute('PRAGMA synchronous = OFF')
     database.execute('BEGIN')
     return database
 
