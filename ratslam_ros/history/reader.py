@@ -28,7 +28,7 @@ from ratslam_ros.history.writer import is_locked
 _VIEW = KINDS[ViewRecord]
 
 MAX_CLOSURES = 500
-"""Largest number of listed loop closures: more than a page shows, and read in 3 ms."""
+"""Largest number of listed loop closures: more than a page shows."""
 
 BUSY_S = 2.0
 """Time for which a reader waits while the writer closes the file."""

@@ -19,7 +19,7 @@ from ratslam_ros.core.mapping.map_changes import MapChange
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
 from ratslam_ros.history.budget import Budget
 from ratslam_ros.history.checkpoint import encode_state
-from ratslam_ros.history.encoding import as_stored, encode
+from ratslam_ros.history.encoding import KINDS, as_stored, encode
 from ratslam_ros.history.file import (
     APPLICATION_ID,
     SCHEMA,
@@ -97,7 +97,7 @@ class HistoryWriter:
         self._report = report or _print
         self._budget = Budget()
         self._stamp_ns = 0
-        self._queue: list[tuple[Record | Callable[[], Record], int]] = []
+        self._queue: list[tuple[type[Record], int, Record | Callable[[], Record]]] = []
         self._queue_ns = self._queue_bytes = 0
         self._state = RunState()
         """Sum of all encoded records."""
@@ -173,7 +173,7 @@ class HistoryWriter:
         at_ns = self._stamp_ns = max(stamp_ns, self._stamp_ns)
         if not self._queue:
             self._queue_ns = at_ns
-        self._queue.append((record, at_ns))
+        self._queue.append((kind, at_ns, record))
         self._budget.written(kind, at_ns)
         if isinstance(record, ImageRecord):
             self._queue_bytes += len(record.jpeg)
@@ -186,18 +186,23 @@ class HistoryWriter:
 
     def _encode_queue(self) -> None:
         """Encode the records in the queue, and write the segments that they fill."""
-        state = self._state
+        state, queue, self._queue = self._state, self._queue, []
+        encoded: dict[int, tuple[Record, bytes]] = {}
         try:
-            for record, at_ns in self._queue:
+            # One kind after the other, for the caches.
+            for number in sorted(range(len(queue)), key=lambda number: KINDS[queue[number][0]]):
+                record = queue[number][2]
                 if callable(record):
                     record = record()
+                if type(record) is PoseRecord:
+                    record = as_stored(record)  # Trails must be those that a reader computes.
+                encoded[number] = record, encode(record)
+            for number, (_, at_ns, _) in enumerate(queue):
+                record, data = encoded[number]
                 if self._pending and self._is_full(at_ns):
                     self._write_pending()
                 if not self._pending:
                     self._begin_ns = at_ns
-                if type(record) is PoseRecord:
-                    record = as_stored(record)  # Trails must be those that a reader computes.
-                data = encode(record)
                 self._pending.append(data)
                 self._pending_bytes += len(data)
                 state.apply(record)
@@ -206,7 +211,6 @@ class HistoryWriter:
                     self._pending_views += 1
         except (struct.error, ValueError, OverflowError) as error:
             self._fail(error)  # A number that is not finite, or does not fit.
-        self._queue.clear()
         self._queue_bytes = 0
         if time.monotonic() - self._commit_s >= COMMIT_S:
             self._run(self._commit)
