@@ -10,7 +10,6 @@ from ratslam_ros.history.records import (
     ImageRecord,
     MatchRecord,
     PoseRecord,
-    Record,
     ScanRecord,
 )
 
@@ -23,16 +22,16 @@ RESERVE_BYTES = 1_000_000
 """Unused bytes that are saved for later, as for the poses that a loop closure moves."""
 
 PERIODS_NS: dict[type, int] = {
-    PoseRecord: NS_PER_S // 10,
-    MapChange: NS_PER_S // 2,
-    CellsRecord: NS_PER_S // 2,
-    MatchRecord: NS_PER_S // 2,
-    ScanRecord: NS_PER_S // 2,
+    PoseRecord: NS_PER_S // 5,
+    MapChange: NS_PER_S,
+    CellsRecord: NS_PER_S,
+    MatchRecord: NS_PER_S,
+    ScanRecord: NS_PER_S,
     ImageRecord: NS_PER_S,
 }
-"""Shortest period of every kind that may be left out. A robot moves about 0.1 m in 0.1 s; pictures
-change at twice the rate at which a person reads them, but the camera image is large, and read from
-the recording if that is available."""
+"""Shortest period of every kind that may be left out. A robot moves about 0.2 m in 0.2 s; a person
+reads pictures once a second, and a replay spends less time on them than on its map. The camera
+image is read from the recording at its full rate if that is available."""
 
 STRETCHES = 16
 """The periods are doubled for every 1/16 of half the reserve that is used up."""
@@ -74,11 +73,11 @@ class Budget:
             return True
         return is_special and self.left_bytes > RESERVE_BYTES // 2
 
-    def written(self, record: Record, stamp_ns: int) -> None:
-        """Start the period of a record that was written."""
-        period_ns = PERIODS_NS.get(type(record))
+    def written(self, kind: type, stamp_ns: int) -> None:
+        """Start the period of a kind of which a record was written."""
+        period_ns = PERIODS_NS.get(kind)
         if period_ns is not None:
-            self._due_ns[type(record)] = stamp_ns + (period_ns << self._doublings)
+            self._due_ns[kind] = stamp_ns + (period_ns << self._doublings)
 
     @property
     def map_rows(self) -> int:

@@ -9,6 +9,7 @@ before memory is allocated for it.
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
 
 import numpy as np
 import zstandard
@@ -145,9 +146,12 @@ class Unpacker:
         return planes.view('<f4').reshape(-1).astype(np.float64)
 
 
-def compressed(data: bytes) -> bytes:
-    """Return the data as a zstd frame with its size and a checksum."""
-    return zstandard.ZstdCompressor(COMPRESSION_LEVEL, write_checksum=True).compress(data)
+def compressor() -> Callable[[bytes], bytes]:
+    """Return a function that returns data as a zstd frame with its size and a checksum.
+
+    Its tables are allocated once. It must not be called by two threads at once.
+    """
+    return zstandard.ZstdCompressor(COMPRESSION_LEVEL, write_checksum=True).compress
 
 
 def decompressed(data: bytes) -> bytes:

@@ -27,6 +27,9 @@ from ratslam_ros.history.writer import is_locked
 
 _VIEW = KINDS[ViewRecord]
 
+MAX_CLOSURES = 500
+"""Largest number of listed loop closures: more than a page shows."""
+
 BUSY_S = 2.0
 """Time for which a reader waits while the writer closes the file."""
 
@@ -193,10 +196,14 @@ class HistoryFile:
         )  # fmt: skip
 
     def closures(self, until_ns: int) -> list[ViewRecord]:
-        """Return the views that closed a loop, or would have but for a reason, up to a time."""
+        """Return the newest views that closed a loop, or would have but for a reason.
+
+        At most ``MAX_CLOSURES`` up to a time, oldest first.
+        """
         return self._views(
-            'SELECT record FROM closures WHERE stamp_ns <= ? ORDER BY view', until_ns
-        )
+            'SELECT record FROM closures WHERE stamp_ns <= ? ORDER BY view DESC LIMIT ?',
+            until_ns, MAX_CLOSURES,
+        )[::-1]  # fmt: skip
 
     def last(self, kind: type[Record], until_ns: int, since_ns: int) -> Record | None:
         """Return the last record of a kind up to a time, None if there is none since another."""

@@ -6,12 +6,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from copy import copy
+from functools import partial
 
 import numpy as np
 
 from ratslam_ros.core.common.scan import Scan, points_of
 from ratslam_ros.core.mapping.map_changes import MapChange, MapChangeTracker
 from ratslam_ros.core.pose_cells.active_cells import active_cells
+from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.ratslam import OdometryStep, RatSLAM, Step, ViewStep
 from ratslam_ros.core.vision.local_view import FIXED_THRESHOLD, LocalView
 from ratslam_ros.history.recorded_images import jpeg_of
@@ -121,17 +124,13 @@ class Recorder:
             writer.add(PoseRecord(step.stamp_ns, step.pose, step.dead_reckoning))
 
     def _add_view(self, writer: HistoryWriter, step: ViewStep) -> None:
-        match, action = step.match, step.action
         stamp_ns = self._view_ns = step.stamp_ns
-        threshold = self._threshold if match.threshold == FIXED_THRESHOLD else match.threshold
-        writer.add(ViewRecord(
-            stamp_ns, match.template_id, match.is_new, match.error, threshold,
-            match.relative_rad, action.action, action.source_id, action.target_id, action.place,
-            action.recognised_id, action.agreement, step.reason, step.relocated_to,
-        ))  # fmt: skip
+        writer.add_later(ViewRecord, stamp_ns, partial(_view_record, step, self._threshold))
         self._add_pictures(writer, step)
         if writer.wants(CellsRecord, stamp_ns):
-            self._add_cells(writer, stamp_ns)
+            # Packets are replaced by new ones, never changed, so that a shallow copy keeps them.
+            pose_cells = copy(self._slam.pose_cells)
+            writer.add_later(CellsRecord, stamp_ns, partial(_cells_record, stamp_ns, pose_cells))
         if writer.wants(MapChange, stamp_ns):
             writer.add(
                 self._map.next_change(self._slam.experience_map, stamp_ns, writer.map_rows)
@@ -169,10 +168,23 @@ class Recorder:
                 local_view.picture(template), local_view.shift_of(match.relative_rad),
             ))  # fmt: skip
 
-    def _add_cells(self, writer: HistoryWriter, stamp_ns: int) -> None:
-        active = active_cells(self._slam.pose_cells)
-        shown = active.activity >= MIN_ACTIVITY * np.max(active.activity, initial=0.0)
-        writer.add(CellsRecord(
-            stamp_ns, self._slam.pose_cells.dims, active.cells[shown], active.activity[shown],
-            active.packets, active.injections,
-        ))  # fmt: skip
+
+def _view_record(step: ViewStep, fixed_threshold: float) -> ViewRecord:
+    """Return the record of a view; ``fixed_threshold``: for views without one of their own."""
+    match, action = step.match, step.action
+    threshold = fixed_threshold if match.threshold == FIXED_THRESHOLD else match.threshold
+    return ViewRecord(
+        step.stamp_ns, match.template_id, match.is_new, match.error, threshold,
+        match.relative_rad, action.action, action.source_id, action.target_id, action.place,
+        action.recognised_id, action.agreement, step.reason, step.relocated_to,
+    )  # fmt: skip
+
+
+def _cells_record(stamp_ns: int, pose_cells: PoseCells) -> CellsRecord:
+    """Return the record of the activity, without cells below ``MIN_ACTIVITY``."""
+    active = active_cells(pose_cells)
+    shown = active.activity >= MIN_ACTIVITY * np.max(active.activity, initial=0.0)
+    return CellsRecord(
+        stamp_ns, pose_cells.dims, active.cells[shown], active.activity[shown],
+        active.packets, active.injections,
+    )  # fmt: skip

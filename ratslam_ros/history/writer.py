@@ -19,7 +19,7 @@ from ratslam_ros.core.mapping.map_changes import MapChange
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
 from ratslam_ros.history.budget import Budget
 from ratslam_ros.history.checkpoint import encode_state
-from ratslam_ros.history.encoding import as_stored, encode
+from ratslam_ros.history.encoding import KINDS, as_stored, encode
 from ratslam_ros.history.file import (
     APPLICATION_ID,
     SCHEMA,
@@ -28,12 +28,19 @@ from ratslam_ros.history.file import (
     lock_path,
     part_path,
 )
-from ratslam_ros.history.packing import compressed
-from ratslam_ros.history.records import PoseRecord, Record, ViewRecord
+from ratslam_ros.history.packing import compressor
+from ratslam_ros.history.records import ImageRecord, PoseRecord, Record, ViewRecord
 from ratslam_ros.history.run_state import NS_PER_S, RunState
 
 SEGMENT_NS = NS_PER_S
 """Duration of a segment: what a crash may lose, and what a look-up has to decompress."""
+
+QUEUE_RECORDS = 128
+"""Number of records that are encoded at once: many in a row take half as long as one after every
+step of a run, which displaces their code and data from the caches of the processor."""
+
+QUEUE_NS = 5 * NS_PER_S
+"""Time that the records in the queue may span, so that few records are not withheld for long."""
 
 SEGMENT_BYTES = 2**16
 """Size at which a segment ends early."""
@@ -87,10 +94,14 @@ class HistoryWriter:
         self.path = path
         self.problem = ''
         """Why recording has ended, '' if it has not."""
-        self.state = RunState()
-        """Sum of all written records."""
         self._report = report or _print
         self._budget = Budget()
+        self._stamp_ns = 0
+        self._queue: list[tuple[type[Record], int, Record | Callable[[], Record]]] = []
+        self._queue_ns = self._queue_bytes = 0
+        self._state = RunState()
+        """Sum of all encoded records."""
+        self._compressed = compressor()
         self._pending: list[bytes] = []
         self._pending_bytes = 0
         self._pending_views = 0
@@ -125,7 +136,7 @@ class HistoryWriter:
             stamp_ns: its stamp.
             is_special: it is worth more than others, such as the image of a new template.
         """
-        at_ns = max(stamp_ns, self.state.stamp_ns)
+        at_ns = max(stamp_ns, self._stamp_ns)
         return self._database is not None and self._budget.allows(kind, at_ns, is_special)
 
     @property
@@ -134,38 +145,75 @@ class HistoryWriter:
         return self._budget.map_rows
 
     def add(self, record: Record, is_special: bool = False) -> bool:
-        """Write a record; return whether it was, as some are left out to save space.
+        """Write a record; return whether it is, as some are left out to save space.
 
         Changes of the map are never left out, because later ones rely on them: make them with
-        ``wants`` and ``map_rows``.
+        ``wants`` and ``map_rows``. Arrays of the record must not be changed afterwards.
         """
+        kind = type(record)
+        if kind is not MapChange and not self.wants(kind, record.stamp_ns, is_special):
+            return False
+        return self._enqueue(kind, record.stamp_ns, record)
+
+    def add_later(self, kind: type[Record], stamp_ns: int, make: Callable[[], Record]) -> bool:
+        """Write a record that is made when it is encoded, which is cheaper; see ``add``.
+
+        Args:
+            kind: class of the record, not ``MapChange``.
+            stamp_ns: its stamp.
+            make: makes the record, from values that do not change any more.
+        """
+        return self.wants(kind, stamp_ns) and self._enqueue(kind, stamp_ns, make)
+
+    def _enqueue(
+        self, kind: type[Record], stamp_ns: int, record: Record | Callable[[], Record]
+    ) -> bool:
         if self._database is None:
             return False
-        state = self.state
-        at_ns = max(record.stamp_ns, state.stamp_ns)
-        if type(record) is not MapChange and not self._budget.allows(
-            type(record), at_ns, is_special
-        ):
-            return False
-        if self._pending and self._is_full(at_ns):
-            self._flush()
-        if not self._pending:
-            self._begin_ns = at_ns
+        at_ns = self._stamp_ns = max(stamp_ns, self._stamp_ns)
+        if not self._queue:
+            self._queue_ns = at_ns
+        self._queue.append((kind, at_ns, record))
+        self._budget.written(kind, at_ns)
+        if isinstance(record, ImageRecord):
+            self._queue_bytes += len(record.jpeg)
+        if (
+            len(self._queue) >= QUEUE_RECORDS or at_ns - self._queue_ns >= QUEUE_NS
+            or self._queue_bytes >= SEGMENT_BYTES
+        ):  # fmt: skip
+            self._encode_queue()
+        return True
+
+    def _encode_queue(self) -> None:
+        """Encode the records in the queue, and write the segments that they fill."""
+        state, queue, self._queue = self._state, self._queue, []
+        encoded: dict[int, tuple[Record, bytes]] = {}
         try:
-            if type(record) is PoseRecord:
-                record = as_stored(record)  # Trails must be those that a reader computes.
-            data = encode(record)
+            # One kind after the other, for the caches.
+            for number in sorted(range(len(queue)), key=lambda number: KINDS[queue[number][0]]):
+                record = queue[number][2]
+                if callable(record):
+                    record = record()
+                if type(record) is PoseRecord:
+                    record = as_stored(record)  # Trails must be those that a reader computes.
+                encoded[number] = record, encode(record)
+            for number, (_, at_ns, _) in enumerate(queue):
+                record, data = encoded[number]
+                if self._pending and self._is_full(at_ns):
+                    self._write_pending()
+                if not self._pending:
+                    self._begin_ns = at_ns
+                self._pending.append(data)
+                self._pending_bytes += len(data)
+                state.apply(record)
+                if type(record) is ViewRecord:
+                    self._index(record, data)
+                    self._pending_views += 1
         except (struct.error, ValueError, OverflowError) as error:
             self._fail(error)  # A number that is not finite, or does not fit.
-            return False
-        self._pending.append(data)
-        self._pending_bytes += len(data)
-        self._budget.written(record, at_ns)
-        state.apply(record)
-        if type(record) is ViewRecord:
-            self._index(record, data)
-            self._pending_views += 1
-        return True
+        self._queue_bytes = 0
+        if time.monotonic() - self._commit_s >= COMMIT_S:
+            self._run(self._commit)
 
     def flush(self) -> None:
         """Make all records visible to readers."""
@@ -193,7 +241,7 @@ class HistoryWriter:
 
     def _index(self, view: ViewRecord, data: bytes) -> None:
         """Note a view for the tables of visits and closures."""
-        row = self._first_view + self._pending_views, self.state.stamp_ns, data
+        row = self._first_view + self._pending_views, self._state.stamp_ns, data
         if view.target_id != NO_EXPERIENCE and not view.reason:
             if view.target_id != self._visited_id:
                 self._visits.append((view.target_id, *row))
@@ -220,21 +268,23 @@ class HistoryWriter:
         if self._pending_bytes >= MAX_SEGMENT_BYTES:
             return True
         is_long = at_ns - self._begin_ns >= SEGMENT_NS or self._pending_bytes >= SEGMENT_BYTES
-        return is_long and at_ns > self.state.stamp_ns
+        return is_long and at_ns > self._state.stamp_ns
 
     def _flush(self) -> None:
+        self._encode_queue()
         if self._pending:
-            self._run(self._write_segment)
-            self._pending.clear()
-            self._visits.clear()
-            self._closures.clear()
-            self._pending_bytes = self._pending_views = 0
-        if time.monotonic() - self._commit_s >= COMMIT_S:
-            self._run(self._commit)
+            self._write_pending()
+
+    def _write_pending(self) -> None:
+        self._run(self._write_segment)
+        self._pending.clear()
+        self._visits.clear()
+        self._closures.clear()
+        self._pending_bytes = self._pending_views = 0
 
     def _write_segment(self, database: sqlite3.Connection) -> None:
-        data = compressed(b''.join(self._pending))
-        state = self.state
+        data = self._compressed(b''.join(self._pending))
+        state = self._state
         database.execute(
             'INSERT INTO segments VALUES (?, ?, ?, ?, ?, ?, ?)',
             (
@@ -250,7 +300,7 @@ class HistoryWriter:
         if self._since_checkpoint >= max(
             CHECKPOINT_RATIO * self._checkpoint_bytes, MIN_CHECKPOINT_BYTES
         ):
-            data = compressed(encode_state(state))
+            data = self._compressed(encode_state(state))
             database.execute(
                 'INSERT INTO checkpoints VALUES (?, ?, ?)',
                 (state.record_count, state.stamp_ns, data),
@@ -267,6 +317,7 @@ class HistoryWriter:
     def _finish(self, database: sqlite3.Connection) -> None:
         database.execute("INSERT INTO meta VALUES ('ended', '1')")
         database.execute('COMMIT')
+        database.execute('PRAGMA synchronous = NORMAL')
         _end_log(database)
         database.close()
         self._database = None
@@ -290,6 +341,7 @@ class HistoryWriter:
             self._lock.close()
             self._lock = None
         self._pending.clear()
+        self._queue.clear()
 
 
 def _created(path: Path, meta: HistoryMeta) -> sqlite3.Connection:
@@ -299,16 +351,18 @@ def _created(path: Path, meta: HistoryMeta) -> sqlite3.Connection:
     _remove(new)
     with closing(sqlite3.connect(new, isolation_level=None)) as database:
         for pragma in (
+            'synchronous = OFF',
             f'page_size = {PAGE_BYTES}',
             'journal_mode = WAL',  # Readers neither wait for the writer nor delay it.
             f'application_id = {APPLICATION_ID}', f'user_version = {SCHEMA_VERSION}',
         ):  # fmt: skip
             database.execute(f'PRAGMA {pragma}')
-        database.executescript(SCHEMA)
+        database.executescript(f'BEGIN; {SCHEMA} COMMIT;')
         database.execute("INSERT INTO meta VALUES ('run', ?)", (meta.to_json(),))
     new.replace(path)
     database = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=2.0)
-    database.execute('PRAGMA synchronous = NORMAL')  # A killed process loses nothing committed.
+    # A killed process loses nothing committed; a power failure may damage an unfinished file.
+    database.execute('PRAGMA synchronous = OFF')
     database.execute('BEGIN')
     return database
 

@@ -39,7 +39,7 @@ class LiveHistory:
         if self._writer.problem:
             raise UnusableInput(self._writer.problem)
         self.reader = HistoryRun(part_path(path))
-        """What has been written; it lags behind by about a second."""
+        """What has been written; it lags behind by up to 6 s."""
         self._queue: queue.SimpleQueue[Record | None] = queue.SimpleQueue()
         self._map = MapRelay()
         self._problem = ''

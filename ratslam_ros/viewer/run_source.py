@@ -54,7 +54,10 @@ class RunSource(Protocol):
         """Return the first view of every visit of an experience up to a stamp, oldest first."""
 
     def closures(self, until_ns: int) -> list[ViewRecord]:
-        """Return the views that closed a loop, or would have but for a reason, oldest first."""
+        """Return the newest views that closed a loop, or would have but for a reason.
+
+        They are in order of time; a source limits their number.
+        """
 
 
 @dataclass(frozen=True, slots=True)

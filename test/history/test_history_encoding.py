@@ -18,7 +18,7 @@ from ratslam_ros.history.encoding import KINDS, decode, encode, heads
 from ratslam_ros.history.packing import (
     DamagedHistory,
     Unpacker,
-    compressed,
+    compressor,
     decompressed,
     pack_ints,
 )
@@ -76,7 +76,7 @@ def test_oversized_claim_is_refused_before_decompression() -> None:
 
 
 def test_flipped_bit_is_found_by_checksum() -> None:
-    data = bytearray(compressed(np.random.default_rng(1).bytes(1000)))
+    data = bytearray(compressor()(np.random.default_rng(1).bytes(1000)))
     data[500] ^= 1
     with pytest.raises(DamagedHistory, match='cannot be decompressed'):
         decompressed(bytes(data))

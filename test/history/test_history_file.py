@@ -9,6 +9,7 @@ import sqlite3
 import subprocess
 import sys
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -196,9 +197,56 @@ def test_writer_waits_for_look_up_before_it_ends(tmp_path: Path) -> None:
 def test_number_that_does_not_fit_ends_recording(tmp_path: Path) -> None:
     lines: list[str] = []
     writer = HistoryWriter(tmp_path / HISTORY_NAME, META, lines.append)
-    assert not writer.add(PoseRecord(1, Pose(float('nan'), 0.0, 0.0)))
+    writer.add(PoseRecord(1, Pose(float('nan'), 0.0, 0.0)))
+    writer.flush()
     assert len(lines) == 1
     assert not writer.is_open
+
+
+def test_record_made_later_equals_record_added_at_once(tmp_path: Path) -> None:
+    records = random_records(6, 1500)
+    written(tmp_path / 'a.sqlite', records)
+    writer = HistoryWriter(tmp_path / 'b.sqlite', META)
+    made: list[Record] = []
+    for record in records:
+        if isinstance(record, MapChange):
+            writer.add(record)
+        else:
+            is_kept = writer.wants(type(record), record.stamp_ns)
+
+            def make(record: Record = record) -> Record:
+                made.append(record)
+                return record
+
+            assert writer.add_later(type(record), record.stamp_ns, make) == is_kept
+    writer.close()
+    assert (tmp_path / 'a.sqlite').read_bytes() == (tmp_path / 'b.sqlite').read_bytes()
+    assert 0 < len(made) < len(records)  # those left out are never made
+
+
+def test_queue_is_written_after_few_seconds_of_stamps(tmp_path: Path) -> None:
+    writer = HistoryWriter(tmp_path / HISTORY_NAME, META)
+    view = ViewRecord(0, 1, False, 0.1, 0.2, 0.0, 'set', 0, 0, Place(0.0, 0.0, 0.0))
+    for second in range(1, 20):
+        writer.add(replace(view, stamp_ns=second * NS_PER_S))
+    assert writer._database is not None
+    (end_ns,) = writer._database.execute('SELECT max(end_ns) FROM segments').fetchone()
+    assert end_ns >= 12 * NS_PER_S
+    writer.discard()
+
+
+def test_closures_are_the_newest_in_order(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr('ratslam_ros.history.reader.MAX_CLOSURES', 4)
+    view = ViewRecord(0, 1, False, 0.1, 0.2, 0.0, 'set', 0, 0, Place(0.0, 0.0, 0.0))
+    written(tmp_path / HISTORY_NAME, [
+        replace(view, stamp_ns=second * NS_PER_S, reason='too far') for second in range(1, 20)
+    ])  # fmt: skip
+    run = HistoryRun(tmp_path / HISTORY_NAME)
+    found = [one.stamp_ns // NS_PER_S for one in run.closures(9 * NS_PER_S)]
+    assert found == [6, 7, 8, 9]
+    run.close()
 
 
 WRITER = """
