@@ -269,6 +269,10 @@ def test_layers_colours_and_theme_reach_the_scene(page: Page) -> None:
     assert page.scene.looks == 2
     page.trigger('Dark or light theme')
     assert page.scene.dark and panel.dark.value
+    page.give(panel.full, True)
+    assert page.scene.limit > 10**6
+    page.give(panel.full, False)
+    assert page.scene.limit == 4000
     page.scene.detail = 'every 4th experience is drawn'
     page.update()
     assert panel.detail.visible and 'every 4th' in panel.detail.content

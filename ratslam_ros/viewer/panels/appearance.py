@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 
 import numpy as np
@@ -27,6 +28,10 @@ class AppearancePanel:
         self.overview = gui.add_button(
             'Show the whole map', hint='Move the view back to where all is seen. (O)'
         )
+        self.full = gui.add_checkbox(
+            'Full detail', False,
+            hint='Draw large maps completely: smooth with a graphics card, slow without.',
+        )  # fmt: skip
         self.follow = gui.add_checkbox(
             'Follow robot', False, hint='The view moves along with the robot. (F)'
         )
@@ -37,9 +42,11 @@ class AppearancePanel:
                 for layer in scene.layers
             }
         self._robot: np.ndarray | None = None
+        self._limit = scene.limit
         desk.on_click(self.overview, scene.look_at_all)
         desk.on_change(self.colouring, self._colour)
         desk.on_change(self.dark, self.set_dark)
+        desk.on_change(self.full, self._draw_fully)
         for layer, box in self.layers.items():
             self._switch(layer, box)
         self.set_dark(scene.dark)
@@ -66,6 +73,9 @@ class AppearancePanel:
         self._desk.gui.configure_theme(
             dark_mode=dark, show_logo=False, show_share_button=False, control_width='medium'
         )
+
+    def _draw_fully(self, on: bool) -> None:
+        self._desk.scene.limit = sys.maxsize if on else self._limit
 
     def _colour(self, colouring: str) -> None:
         self._desk.scene.colouring = colouring
