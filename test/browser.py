@@ -54,7 +54,5 @@ def new_page(chromium: Any) -> Iterator[Callable[[str], Page]]:
     """Return a function that opens an address in a new tab; they are closed after the test."""
     from pages import Page
 
-    first = chromium.current_window_handle
     with ExitStack() as stack:
         yield lambda url: stack.enter_context(Page(chromium)).open(url)
-    chromium.switch_to.window(first)

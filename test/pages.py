@@ -78,6 +78,7 @@ class Page:
     def close(self) -> None:
         self._front()
         self.driver.close()
+        self.driver.switch_to.window(self.driver.window_handles[0])
 
     def open(self, url: str) -> Page:
         """Open an address, and wait until the panels are there."""
