@@ -112,6 +112,7 @@ def guard_database(database: sqlite3.Connection, longest: int) -> None:
         database: the connection.
         longest: largest accepted value or row, in bytes.
     """
+    database.text_factory = lambda text: text.decode(errors='replace')
     database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, longest)
     database.setlimit(sqlite3.SQLITE_LIMIT_ATTACHED, 0)
     for setting in ('trusted_schema = OFF', 'cell_size_check = ON', 'mmap_size = 0'):

@@ -49,6 +49,11 @@ MAX_GOALS = 1000
 """Largest accepted number of goals in a request: each is planned a route to."""
 
 
+_NEIGHBOUR: dict[str, type] = {'id': int, 'distance_m': float, 'direction_rad': float}
+_TASK: dict[str, type] = {'number': int, 'goal': str, 'status': str, 'reason': str}
+"""Fields of the objects in a status that are never null."""
+
+
 @dataclass(frozen=True, slots=True)
 class GoalRequest:
     """Places to drive to, in order; see ``Navigator.go_to``."""
@@ -237,16 +242,30 @@ def decode_status(payload: str) -> dict[str, Any]:
     Raises:
         MalformedMessage: the payload does not match the schema.
     """
+    name = 'experience_map/status'
     fields = decode_fields(
-        payload, 'experience_map/status',
+        payload, name,
         {
             'stamp': dict, 'status': str, 'explore': bool, 'reason': str, 'experience_id': int,
             'neighbours': list, 'replanned': int, 'switched': int, 'queue': list,
             'outcomes': list,
         },
     )  # fmt: skip
-    behaviour = str(fields.get('behaviour', ''))
-    return {**fields, 'behaviour': behaviour, 'stamp_ns': decode_stamp(fields['stamp'])}
+    for key, types in (('neighbours', _NEIGHBOUR), ('queue', _TASK), ('outcomes', _TASK)):
+        for entry in fields[key]:
+            if not isinstance(entry, dict):
+                raise MalformedMessage(f'{name}: {key} has {shown(entry)}; expected objects')
+            check_types(entry, name, types)
+    goal = fields.get('goal')
+    if goal is not None:
+        if not isinstance(goal, dict):
+            raise MalformedMessage(f'{name}: goal is {shown(goal)}; expected an object or null')
+        check_types(goal, name, {'x_m': float, 'y_m': float})
+    if fields.get('remaining_s') is not None:
+        check_types(fields, name, {'remaining_s': float})
+    fields.setdefault('behaviour', '')
+    check_types(fields, name, {'behaviour': str})
+    return {**fields, 'stamp_ns': decode_stamp(fields['stamp'])}
 
 
 def _task_fields(task: GoalTask) -> dict[str, Any]:

@@ -70,7 +70,6 @@ class SqliteFile:
             uri=True,
             check_same_thread=False,
         )
-        self._database.text_factory = lambda text: text.decode(errors='replace')
         self._database.set_progress_handler(self._exceeds_step_limit, _CHECK_STEP_COUNT)
         try:
             guard_database(self._database, MAX_MESSAGE_BYTES)

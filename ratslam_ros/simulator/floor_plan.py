@@ -243,6 +243,6 @@ def _length(value: str, line: int) -> float:
 def _require_length(length_m: float, what: str, seen: str | None = None) -> None:
     if not MIN_CELL_M <= length_m <= MAX_CELL_M:
         raise UnusableInput(
-            f'{what} must be {MIN_CELL_M:g} to {MAX_CELL_M:g} m, not '
+            f'{what} must be a positive number of metres, {MIN_CELL_M:g} to {MAX_CELL_M:g}, not '
             f'{(seen or str(length_m))[:40]}'
         )
