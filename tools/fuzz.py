@@ -22,10 +22,12 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import ratslam_ros
+from ratslam_ros.errors import RatslamError
 
 MAX_S = 1.0
 MAX_MEMORY_KIB = 512 * 1024
@@ -60,8 +62,6 @@ class Guard:
 
     def run(self, target: Any, data: bytes, folder: Path) -> None:
         """Pass data to a target; raises Defect."""
-        from ratslam_ros.errors import RatslamError
-
         before = resource.getrusage(resource.RUSAGE_SELF)
         begin_s = time.thread_time()
         self._is_on = True
@@ -92,6 +92,8 @@ class Guard:
         elif event not in FORBIDDEN:
             return
         names = [os.fsdecode(a) for a in arguments if isinstance(a, (str, bytes))]
+        if event in ('os.remove', 'os.rmdir') and not os.path.isabs(names[0]):
+            return  # shutil.rmtree, relative to a folder that it has opened
         if not names or not os.path.realpath(names[0]).startswith(self._folder):
             self.found.append(f'{event} {arguments!r:.200}')
 
@@ -139,6 +141,8 @@ def _fuzz(options: argparse.Namespace, folder: Path) -> int:
     corpus.mkdir(parents=True, exist_ok=True)
     for number, seed in enumerate(fuzz_targets.seeds(options.target)):
         (corpus / f'seed-{number}').write_bytes(seed)
+        with suppress(RatslamError):  # Imports modules, and loads Numba's cache, which is pickled.
+            fuzz_targets.TARGETS[options.target](seed, folder)
     dictionary = folder.parent / 'dictionary'
     dictionary.write_text(''.join(
         '"{}"\n'.format(''.join(f'\\x{byte:02x}' for byte in word))
@@ -150,6 +154,10 @@ def _fuzz(options: argparse.Namespace, folder: Path) -> int:
         if data:
             guard.run(target, data, folder)
 
+    def mutated(data: bytes, most: int, seed: int) -> bytes:
+        changed = fuzz_targets.mutated_json(data, seed) if seed % 2 else None
+        return atheris.Mutate(data, most) if changed is None else changed[:most]
+
     atheris.Setup(
         [
             sys.argv[0], str(corpus), f'-runs={options.runs}', f'-dict={dictionary}',
@@ -157,6 +165,7 @@ def _fuzz(options: argparse.Namespace, folder: Path) -> int:
             '-rss_limit_mb=4096', '-print_final_stats=1',
         ],
         once,
+        **({'custom_mutator': mutated} if options.target == 'payloads' else {}),
     )  # fmt: skip
     atheris.Fuzz()  # ends the process
     return 0

@@ -17,6 +17,7 @@ import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import closing, suppress
 from pathlib import Path
+from random import Random
 from typing import Any
 
 import cv2
@@ -400,6 +401,46 @@ _SEEDS: dict[str, Callable[[], Iterator[bytes]]] = {
     'floor_plan': _floor_plan, 'trajectory': _trajectory,
 }  # fmt: skip
 """Valid inputs of each target."""
+
+VALUES: tuple[Any, ...] = (
+    None, True, -1, 0, 1, 2**31, 2**53, 2**63, -(2**64), 10**30, 0.5, -1e300, 1e308, '', 'a',
+    'a' * 2000, '\ud800', '\n\x1b[31m', [], {}, [[]], [None], [{}], [1, 2, 3], {'sec': 1},
+)  # fmt: skip
+"""Values that replace one in a JSON text."""
+
+
+def mutated_json(data: bytes, seed: int) -> bytes | None:
+    """Return data whose JSON text, after the first byte, has another value somewhere.
+
+    None if it is no JSON text with a value in it.
+    """
+    random = Random(seed)
+    try:
+        content = json.loads(data[1:])
+    except (ValueError, RecursionError):
+        return None
+    places: list[tuple[Any, Any]] = []
+    waiting = [content]
+    while waiting and len(places) < 1000:
+        value = waiting.pop()
+        keys = value if isinstance(value, dict) else range(len(value)) if (
+            isinstance(value, list)
+        ) else ()  # fmt: skip
+        places += [(value, key) for key in keys]
+        waiting += [value[key] for key in keys]
+    if not places:
+        return None
+    for _ in range(random.randint(1, 3)):
+        container, key = random.choice(places)
+        if random.random() < 0.1 and isinstance(container, list):
+            container.append(random.choice(container))
+        elif random.random() < 0.1 and isinstance(container, dict):
+            container.pop(key, None)
+        else:
+            others = random.uniform(-10.0, 10.0), random.randint(0, 99)
+            container[key] = random.choice((*VALUES, *others))
+    return data[:1] + json.dumps(content).encode()
+
 
 DICTIONARY = (
     b'NaN', b'Infinity', b'-1', b'1e999', b'9' * 30, b'null', b'true', b'[]', b'{}', b'\\ud800',
