@@ -46,9 +46,11 @@ _ENCODINGS: dict[str, tuple[int, int, int | None, int | None]] = {
 }
 
 
+_PNG = b'\x89PNG\r\n\x1a\n'
+_PNG_CHUNK_BYTES = 12  # Length, name and checksum of a chunk.
 _SIGNATURES = (
     (0, b'\xff\xd8\xff'),  # JPEG
-    (0, b'\x89PNG\r\n\x1a\n'),
+    (0, _PNG),
     (0, b'BM'),
     (0, b'P1'), (0, b'P2'), (0, b'P3'), (0, b'P4'), (0, b'P5'), (0, b'P6'),
     (0, b'II*\0'), (0, b'MM\0*'),  # TIFF
@@ -183,7 +185,7 @@ class EncodedImage:
                 f'the image is a depth image ({self.encoding!r}): choose a topic of camera images'
             )
         try:
-            pixels = cv2.imdecode(data, flags) if _is_image(data[:16].tobytes()) else None
+            pixels = cv2.imdecode(data, flags) if _is_image(data) else None
         except cv2.error as error:  # For example, the header gives a size above OpenCV's limit.
             raise UndecodableImage(f'OpenCV refuses the image: {error.err}') from None
         if pixels is None:
@@ -226,8 +228,17 @@ def image_of(message: Any) -> Image:
     return EncodedImage(message.data, str(message.format))
 
 
-def _is_image(head: bytes) -> bool:
-    return any(head.startswith(signature, at) for at, signature in _SIGNATURES)
+def _is_image(data: Pixels) -> bool:
+    """Return whether data begins like an image that is decoded, and whether its parts fit."""
+    head = data[:16].tobytes()
+    if not any(head.startswith(signature, at) for at, signature in _SIGNATURES):
+        return False
+    at = len(_PNG)
+    if head.startswith(_PNG):
+        # OpenCV 5.0 allocates as many bytes as a chunk claims to have, up to 4 GB.
+        while at + _PNG_CHUNK_BYTES <= len(data):
+            at += _PNG_CHUNK_BYTES + int.from_bytes(data[at : at + 4].tobytes(), 'big')
+    return at <= len(data)
 
 
 def _convert(pixels: Pixels, code: int, encoding: str) -> Pixels:

@@ -58,7 +58,7 @@ INDEPENDENT = {
     'core': {'errors'},
     'recordings': {'errors', 'images', 'limits'},
     'standalone': set(),
-    'simulator': {'errors', 'limits', 'core', 'results', 'recordings'},
+    'simulator': {'errors', 'limits', 'images', 'core', 'results', 'recordings'},
     'results': {'errors', 'limits', 'images', 'core', 'files', 'messages'},
 }
 """Packages that may import less than their layer permits."""

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import pkgutil
 import resource
 import sys
 import tempfile
@@ -127,10 +126,13 @@ def _fuzz(options: argparse.Namespace, folder: Path) -> int:
     except ImportError:
         print("tools/fuzz.py needs atheris: pip install -e '.[fuzz]'", file=sys.stderr)
         return 2
+    package = Path(ratslam_ros.__file__).parent
+    modules = [
+        '.'.join(path.relative_to(package.parent).with_suffix('').parts)
+        for path in package.rglob('*.py')
+    ]
     others = [
-        module.name
-        for module in pkgutil.walk_packages(ratslam_ros.__path__, 'ratslam_ros.')
-        if not module.name.startswith(INSTRUMENTED)
+        name.removesuffix('.__init__') for name in modules if not name.startswith(INSTRUMENTED)
     ]
     with atheris.instrument_imports(include=['ratslam_ros', 'mcap', 'yaml'], exclude=others):
         import fuzz_targets

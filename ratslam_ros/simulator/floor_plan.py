@@ -10,12 +10,12 @@ from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.limits import read_limited
+from ratslam_ros.images import EncodedImage, UndecodableImage
+from ratslam_ros.limits import MAX_MESSAGE_BYTES, read_limited
 
 # Two loops that share the left half. Corridors are three cells wide, so that a place in the middle
 # row lies on the centre line. Alcoves, a lobby and its pillars distinguish the corridors.
@@ -211,9 +211,12 @@ def _from_picture(path: Path, cell_m: float | None) -> FloorPlan:
     if cell_m is None:
         raise UnusableInput(f'{path}: give the side of a pixel of the picture in metres (cell_m)')
     _require_length(cell_m, 'metres for each pixel')
-    picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-    if picture is None:
-        raise UnusableInput(f'cannot read {path} as a picture: give a PNG file')
+    try:
+        picture = EncodedImage(read_limited(path, MAX_MESSAGE_BYTES, 'a picture')).grey()
+    except (OSError, UndecodableImage) as error:
+        raise UnusableInput(
+            f'cannot read {path} as a picture ({error}): give a PNG file'
+        ) from None
     return _require_closed(FloorPlan(picture[::-1] < FREE_MIN_GREY, cell_m, {}, path.stem))
 
 
