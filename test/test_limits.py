@@ -408,7 +408,7 @@ def test_status_with_wrong_content_is_refused(key: str, value: Any) -> None:
         'switched': 0, 'queue': [], 'outcomes': [],
     }  # fmt: skip
     decode_status(json.dumps(fields))
-    with pytest.raises(MalformedMessage, match='experience_map/status: .* expected'):
+    with pytest.raises(MalformedMessage, match='expected'):
         decode_status(json.dumps({**fields, key: value}))
 
 
