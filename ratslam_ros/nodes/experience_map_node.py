@@ -31,6 +31,12 @@ from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.messages.json_schema import MalformedMessage
+from ratslam_ros.messages.logged import (
+    decode_odometry,
+    decode_scan,
+    encode_odometry,
+    encode_scan,
+)
 from ratslam_ros.messages.mapping import (
     decode_action,
     encode_relocation,
@@ -62,6 +68,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
     SECTION = 'experience_map'
     PARTS = ('goal_recall',)
     MAPS = True
+    REPEATS = ('relocation',)
 
     def __init__(self, initial: Config = Config()) -> None:
         super().__init__(('odometry', 'action'), initial)
@@ -83,10 +90,19 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         self._viewers = self._pose_ns = 0
         self._markers_due = False
         self._reset_state()
-        self._add_input('odometry', {'odom': OdometryMessage}, self._on_odometry)
+        self._add_input(
+            'odometry', {'odom': OdometryMessage}, self._on_odometry,
+            lambda data: self._take_odometry(decode_odometry(data)),
+        )  # fmt: skip
         if self._section.exp_align_scans:
-            self._add_input('scan', {'scan': LaserScan}, self._on_scan)
-        self._add_input('action', {'pose_cells/action': String}, self._on_action)
+            self._add_input(
+                'scan', {'scan': LaserScan}, self._on_scan,
+                lambda data: self._take_scan(decode_scan(data)),
+            )  # fmt: skip
+        self._add_input(
+            'action', {'pose_cells/action': String}, self._on_action,
+            lambda data: self._on_action(String(data=data.decode())),
+        )  # fmt: skip
         self.create_timer(FLUSH_CHECK_PERIOD_S, self._on_timer, clock=self._steady)
 
     @classmethod
@@ -175,17 +191,24 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
 
     def _on_odometry(self, message: OdometryMessage) -> None:
         odometry = accepted_odometry(message, self._motion, self._refuse)
-        if odometry is None:
-            return
+        if odometry is not None:
+            self._take_odometry(odometry)
+
+    def _take_odometry(self, odometry: Odometry) -> None:
         self._push('odometry', odometry.stamp_ns, odometry)
+        self._log('odometry', odometry.stamp_ns, lambda: encode_odometry(odometry))
         if not self._paused:
             self._locate(odometry)
 
     def _on_scan(self, message: LaserScan) -> None:
         scan = accepted_scan(message, self._refuse)
         if scan is not None:
-            self._push('scan', scan.stamp_ns, scan)
-            self._republish_pose()
+            self._take_scan(scan)
+
+    def _take_scan(self, scan: Scan) -> None:
+        self._push('scan', scan.stamp_ns, scan)
+        self._log('scan', scan.stamp_ns, lambda: encode_scan(scan))
+        self._republish_pose()
 
     def _on_action(self, message: String) -> None:
         try:
@@ -223,9 +246,9 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
                 )
         if self._answers is not None:
             relocation = late_join.peer_relocation(update.relocation)
-            self._answers.publish(String(data=encode_relocation(
-                stamp_ns, item.sequence, relocation, item.memory_ns
-            )))  # fmt: skip
+            payload = encode_relocation(stamp_ns, item.sequence, relocation, item.memory_ns)
+            self._answers.publish(String(data=payload))
+            self._log('relocation', stamp_ns, payload.encode)
         self._changes.publish_closures(stamp_ns, item.sequence, update.events)
         if item.action.template_id != NO_TEMPLATE:
             self._action_ns = stamp_ns

@@ -20,10 +20,11 @@ from ratslam_ros.core.common.turn_correction import TurnCorrection
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.id_map import MIN_MEMORY_NS, NO_MEMORY_NS, IdMap
 from ratslam_ros.core.pose_cells.active_cells import active_cells
-from ratslam_ros.core.pose_cells.map_relocation import MapRelocations
+from ratslam_ros.core.pose_cells.map_relocation import ADOPTION_DELAY, MapRelocations
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE, ViewMatch
 from ratslam_ros.messages.json_schema import MalformedMessage
+from ratslam_ros.messages.logged import decode_odometry, encode_odometry
 from ratslam_ros.messages.mapping import (
     decode_relocation,
     decode_template,
@@ -58,6 +59,7 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
     SECTION = 'pose_cells'
     PARTS = ('goal_memory',)
     MAPS = True
+    REPEATS = ('action',)
 
     def __init__(self, initial: Config = Config()) -> None:
         super().__init__(('odometry', 'template'), initial)
@@ -71,11 +73,19 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
         if self.parts:
             self._goals = GoalSeeking(self, self._diagnostics, self.config)
         self._reset_state()
-        self._add_input('odometry', {'odom': OdometryMessage}, self._on_odometry)
+        self._add_input(
+            'odometry', {'odom': OdometryMessage}, self._on_odometry,
+            lambda data: self._take_odometry(decode_odometry(data)),
+        )  # fmt: skip
         self.create_subscription(
-            String, 'experience_map/relocation', self._on_relocation, INPUT
-        )
-        self._add_input('template', {'local_view/template': String}, self._on_template)
+            String, 'experience_map/relocation', self._when_resumed(
+                'relocation', self._on_relocation, self._on_relocation
+            ), INPUT,
+        )  # fmt: skip
+        self._add_input(
+            'template', {'local_view/template': String}, self._on_template,
+            lambda data: self._on_template(String(data=data.decode())),
+        )  # fmt: skip
         self.create_timer(FLUSH_CHECK_PERIOD_S, self._flush, clock=self._steady)
 
     @property
@@ -139,9 +149,12 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
 
     def _on_odometry(self, message: OdometryMessage) -> None:
         odometry = accepted_odometry(message, self._motion, self._refuse)
-        if odometry is None:
-            return
+        if odometry is not None:
+            self._take_odometry(odometry)
+
+    def _take_odometry(self, odometry: Odometry) -> None:
         self._push('odometry', odometry.stamp_ns, odometry)
+        self._log('odometry', odometry.stamp_ns, lambda: encode_odometry(odometry))
 
     def _on_template(self, message: String) -> None:
         try:
@@ -158,16 +171,23 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
         except MalformedMessage as error:
             self._refuse('relocation', str(error))
             return
+        if sequence + ADOPTION_DELAY < self._sequence:
+            return  # repeated by a restarted map, and adopted before
         if memory_ns in (NO_MEMORY_NS, self._memory_ns):
             self._relocations.answer(sequence, relocation)
             self._process_waiting()
+
+    def _on_caught_up(self, are_images_lost: bool) -> None:
+        assert self._keeper is not None
+        for _, data in self._keeper.logged('relocation'):
+            self._on_relocation(String(data=data.decode()))
 
     def _process_held(self) -> None:
         super()._process_held()
         while self._waiting:
             self._process_next(*self._waiting.popleft())
 
-    def _process_item(self, stamp_ns: int, stream: str, item: Odometry | Template) -> None:
+    def _take(self, stamp_ns: int, stream: str, item: Odometry | Template) -> None:
         self._waiting.append((stamp_ns, item))
         self._process_waiting()
 
@@ -190,6 +210,7 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
             self._process_next(stamp_ns, item)
 
     def _process_next(self, stamp_ns: int, item: Odometry | Template) -> None:
+        self._save_before(stamp_ns)
         if isinstance(item, Odometry):
             motion = self._motion.update(item)
             if motion is not None:
@@ -221,6 +242,7 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
         payload = encode_action(stamp_ns, self._sequence, action, self._memory_ns)
         self._sequence += 1
         self._publisher.publish(String(data=payload))
+        self._log('action', stamp_ns, payload.encode)
         if self._active.get_subscription_count() > 0:
             active = self._core.active_experiences()
             self._active.publish(String(data=encode_active(stamp_ns, number, active)))

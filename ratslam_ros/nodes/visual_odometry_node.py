@@ -39,6 +39,7 @@ class VisualOdometryNode(ImageNode):
     """Estimates the motion between images; publishes ``odom`` for each image but the first."""
 
     SECTION = 'visual_odometry'
+    REPEATS = ('odometry',)
 
     def __init__(self, initial: Config = Config()) -> None:
         super().__init__(initial)

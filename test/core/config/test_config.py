@@ -188,7 +188,8 @@ def test_section_of_finds_every_name() -> None:
         assert found == section or name in (
             'odom_source', 'odom_rotation_gain', 'odom_turn_per_m', 'max_odom_gap_s',
             'max_lateness_s', 'flush_after_s', 'watchdog_after_s', 'on_jump_back', 'publish_tf',
-            'odom_frame', 'base_frame', 'image_transport', 'memory_folder', 'forget_share',
+            'odom_frame', 'base_frame', 'image_transport', 'memory_folder', 'map', 'localize',
+            'forget_share',
             'forget_after_s', 'forget_robust_visits', 'map_frame', 'map_period_s',
         )  # fmt: skip
     assert section_of('nonsense') is None
