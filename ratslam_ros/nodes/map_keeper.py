@@ -10,6 +10,7 @@ and continues from its last state when it is restarted itself (nodes/resuming.py
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -33,6 +34,7 @@ from ratslam_ros.nodes.cut_grid import CutGrid, GridCut, Repetitions
 from ratslam_ros.nodes.diagnostics import Diagnostics
 from ratslam_ros.nodes.qos import GOAL
 from ratslam_ros.nodes.resuming import Missed, Resuming, Wanted
+from ratslam_ros.starting import starting
 
 UPDATE_PERIOD_S = 0.05
 """Period of the checks whether a restarted node has received what it missed."""
@@ -42,6 +44,9 @@ FLUSH_TIMEOUT_S = 1.0
 
 CLOSE_TIMEOUT_S = 3.0
 """Longest time for the last write: SIGKILL may follow five seconds after SIGTERM."""
+
+RESUME_TIMEOUT_S = 20.0
+"""Longest time for which a node waits for a neighbour to catch up."""
 
 RECENT_NS = 30_000_000_000
 """Messages this much older than the restored state may still be repeated by neighbours that were
@@ -84,6 +89,8 @@ class MapKeeper:
         self._repetitions = Repetitions()
         self._requests: dict[str, ResendRequest] = {}
         self._resuming: Resuming | None = None
+        self._neighbours_until_s: dict[str, float] = {}
+        self._busy_s = time.monotonic()
         self._lost_after_ns: int | None = None
         self._is_first = True
         self._has_changed = False
@@ -169,6 +176,17 @@ class MapKeeper:
         if stream == 'image' and self._lost_after_ns is not None:
             self._report_lost(stamp_ns)
         return self._repetitions.contains(stream, stamp_ns)
+
+    def settled_s(self) -> float:
+        """Return the time for which no node has been restarting, in s of a steady clock.
+
+        While one is, silent inputs do not mean that nothing will come any more.
+        """
+        now_s = time.monotonic()
+        resuming = any(now_s < end_s for end_s in self._neighbours_until_s.values())
+        if resuming or self._resuming is not None or starting():
+            self._busy_s = now_s
+        return now_s - self._busy_s
 
     def takes(self, stream: str, message: Any, receive: Callable[[Any], None]) -> bool:
         """Return whether a message can be processed now; keep it for later otherwise."""
@@ -259,8 +277,12 @@ class MapKeeper:
         except MalformedMessage as error:
             self._node.get_logger().warning(str(error))
             return
-        if request.node == self._node.get_name() or request.done:
+        if request.node == self._node.get_name():
             return
+        if request.done:
+            self._neighbours_until_s.pop(request.node, None)
+            return
+        self._neighbours_until_s[request.node] = time.monotonic() + RESUME_TIMEOUT_S
         is_new = self._requests.get(request.node) != request
         self._requests[request.node] = request
         if is_new:

@@ -20,7 +20,7 @@ from ratslam_ros.core.config import Config
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.errors import RatslamError
 from ratslam_ros.files import memory as memory_files
-from ratslam_ros.maps import MapStore, read_map
+from ratslam_ros.maps import MapMeta, MapStore, read_map
 from ratslam_ros.nodes.diagnostics import Diagnostics
 from ratslam_ros.nodes.inputs import Input
 from ratslam_ros.nodes.map_keeper import KeptInput, MapKeeper
@@ -118,7 +118,7 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
             self._localise_in(Path(path).expanduser())
             return
         store = MapStore.open(
-            Path(path).expanduser(), [self.SECTION], map_meta(self.config), self._report_store
+            Path(path).expanduser(), [self.SECTION], MapMeta(), self._report_store
         )
         keeper = MapKeeper(
             self, self._diagnostics, store, self.SECTION, self._memory_state, self._newest_ns
@@ -264,7 +264,10 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
 
     def _flush(self) -> None:
         """Process the held messages if all inputs have been silent for flush_after_s."""
-        silent = all(one.silent_s() >= self._section.flush_after_s for one in self._inputs)
+        silent_s = [one.silent_s() for one in self._inputs]
+        if self._keeper is not None:
+            silent_s.append(self._keeper.settled_s())
+        silent = all(one >= self._section.flush_after_s for one in silent_s)
         if silent and self._order.held:
             with self._lock:
                 self._process_held()

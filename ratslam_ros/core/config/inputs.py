@@ -7,7 +7,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ratslam_ros.core.common.turn_correction import TurnCorrection
-from ratslam_ros.core.config.parameter import Section, parameter
+from ratslam_ros.core.config.parameter import NO_FILE, Section, parameter
 
 WHOLE = -1
 """Value of an upper image bound that stands for the edge of the image."""
@@ -59,7 +59,7 @@ class MapFile(LiveInput):
     """The map file that all nodes share."""
 
     map: str = parameter(
-        '', '', 0, 0,
+        NO_FILE, '', 0, 0,
         'Live only: file in which the node saves what it learns while it runs, and from which it '
         'continues when it is started again. Give all nodes the same file. Empty: the map is '
         'kept in memory only.',
