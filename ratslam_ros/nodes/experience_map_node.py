@@ -30,6 +30,8 @@ from ratslam_ros.core.mapping.scan_matching import ScanMatcher
 from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
 from ratslam_ros.core.warm_up import warm_up
+from ratslam_ros.files.config import to_yaml
+from ratslam_ros.maps import MapMeta
 from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.messages.logged import (
     decode_odometry,
@@ -45,6 +47,7 @@ from ratslam_ros.nodes.behaviours import Behaviours
 from ratslam_ros.nodes.convert import accepted_odometry, header_of, pose_message, transform
 from ratslam_ros.nodes.goal_navigation import GoalNavigation
 from ratslam_ros.nodes.map_changes import MapChangePublisher
+from ratslam_ros.nodes.map_operations import MapCoordinator
 from ratslam_ros.nodes.map_sender import MapSender
 from ratslam_ros.nodes.markers import serialised_markers
 from ratslam_ros.nodes.node import FLUSH_CHECK_PERIOD_S, RatslamNode
@@ -87,6 +90,11 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
             warm_up('relocation')  # takes long if nothing is cached, so only if it is used
             self._answers = self.create_publisher(String, 'experience_map/relocation', RESULT)
         self.create_service(Trigger, 'experience_map/relocate', self._on_relocate)
+        assert self._operations is not None
+        self._coordinator = MapCoordinator(
+            self, lambda: str(self._section.memory_folder), self._operations.present_grid,
+            lambda: MapMeta(configuration=to_yaml(self.config)),
+        )  # fmt: skip
         self._viewers = self._pose_ns = 0
         self._markers_due = False
         self._reset_state()

@@ -13,11 +13,12 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from std_msgs.msg import String
+from std_msgs.msg import Int64, String
 
 from ratslam_ros.core.common.state import State
 from ratslam_ros.maps import Cut, MapStore
@@ -35,6 +36,12 @@ from ratslam_ros.nodes.diagnostics import Diagnostics
 from ratslam_ros.nodes.qos import GOAL
 from ratslam_ros.nodes.resuming import Missed, Resuming, Wanted
 from ratslam_ros.starting import starting
+
+CUT = 'ratslam/cut'
+"""Topic with the number of each cut that a node saves."""
+
+MAX_CUT = 2**62
+"""Limit of accepted numbers of cuts."""
 
 UPDATE_PERIOD_S = 0.05
 """Period of the checks whether a restarted node has received what it missed."""
@@ -55,9 +62,12 @@ restarted too; still older ones belong to a recording that has been started agai
 
 @dataclass(frozen=True)
 class KeptInput:
-    """An input of the node. stream: its name; topics: type by topic; receive: takes a message of
-    the past; replay: takes a logged message, None if the stream is not logged; delay_ns: added to
-    the stamps of the messages for their order."""
+    """An input of the node.
+
+    stream: its name. topics: message type by topic. receive: takes a message of the past. replay:
+    takes a logged message, None if the stream is not logged. delay_ns: added to the stamps of the
+    messages for their order.
+    """
 
     stream: str
     topics: Mapping[str, type]
@@ -93,6 +103,7 @@ class MapKeeper:
         self._busy_s = time.monotonic()
         self._lost_after_ns: int | None = None
         self._is_first = True
+        """Whether the first message may belong to another session than the restored state."""
         self._has_changed = False
         self.restored: State | None = None
         """The state of the node to restore; None for a new map."""
@@ -101,6 +112,10 @@ class MapKeeper:
             self.restored = store.restored.states[part]
             self._cut = GridCut(store.restored.cut.number, store.restored.cut.stamp_ns)
             self._grid.restore(self._cut)
+            self._is_first = store.restored.session != store.restored.sessions[-1].number
+        self._saved, self._passed = -1, 0
+        self._cuts = node.create_publisher(Int64, CUT, GOAL)
+        node.create_subscription(Int64, CUT, self._on_cut, GOAL)
         self._answers = node.create_publisher(String, RESENT, GOAL)
         node.create_subscription(String, RESEND, self._on_request, GOAL)
 
@@ -119,10 +134,14 @@ class MapKeeper:
 
     def pause(self) -> None:
         """Save the state after all messages, as no further ones arrive at present."""
-        cut = self._grid.now()
-        if cut is not None and self._has_changed and self._resuming is None:
+        if self._resuming is not None:
+            return
+        cut = self._grid.now(self._passed)
+        if cut is not None and (self._has_changed or cut.number > self._saved):
             self._write(cut)
             self._has_changed = False
+            # A cut with the same number may follow as soon as messages arrive again.
+            self._store.flush(FLUSH_TIMEOUT_S)
 
     def start_run(self) -> None:
         """Expect stamps that are earlier than the last ones."""
@@ -140,6 +159,8 @@ class MapKeeper:
     def _write(self, cut: GridCut) -> None:
         with self._diagnostics.times('map_file'):
             self._store.cut(Cut(cut.number, cut.stamp_ns), {self._part: self._state()})
+        self._saved = cut.number
+        self._cuts.publish(Int64(data=cut.number))
 
     def log(self, stream: str, stamp_ns: int, data: bytes) -> None:
         """Log a message that a restarted node may need."""
@@ -165,7 +186,7 @@ class MapKeeper:
     def is_other_session(self, stamp_ns: int, max_gap_ns: int) -> bool:
         """Return, for the first message, whether it does not follow the restored state."""
         is_first, self._is_first = self._is_first, False
-        if not is_first or self._cut is None or self._store.joins:
+        if not is_first or self._cut is None:
             return False
         if stamp_ns <= self._cut.stamp_ns:
             self._grid.start_run()
@@ -241,7 +262,7 @@ class MapKeeper:
         if are_lost:
             self._lost_after_ns = since_ns
         missed = [
-            Missed(stamp_ns, one.stream, lambda one=one, data=data: one.replay(data))
+            Missed(stamp_ns, one.stream, partial(one.replay, data))
             for one in inputs if one.replay is not None
             for stamp_ns, data in self.logged(one.stream, max(since_ns - one.delay_ns, 0))
         ] + resuming.missed  # fmt: skip
@@ -269,7 +290,12 @@ class MapKeeper:
             'was restarted, and their source does not send them again'
         )
 
-    # Restarts of neighbours
+    # Neighbours
+
+    def _on_cut(self, message: Int64) -> None:
+        """Note the newest cut of all nodes: one without inputs has the same state there."""
+        if 0 <= message.data < MAX_CUT:
+            self._passed = max(self._passed, message.data)
 
     def _on_request(self, message: String) -> None:
         try:

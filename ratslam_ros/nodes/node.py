@@ -20,10 +20,12 @@ from ratslam_ros.core.config import Config
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.errors import RatslamError
 from ratslam_ros.files import memory as memory_files
+from ratslam_ros.files.config import to_yaml
 from ratslam_ros.maps import MapMeta, MapStore, read_map
 from ratslam_ros.nodes.diagnostics import Diagnostics
 from ratslam_ros.nodes.inputs import Input
 from ratslam_ros.nodes.map_keeper import KeptInput, MapKeeper
+from ratslam_ros.nodes.map_operations import MapOperations
 from ratslam_ros.nodes.parameters import NodeParameters
 
 Item = TypeVar('Item')
@@ -74,6 +76,7 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
         self._keeper: MapKeeper | None = None
         """The node's part of the map file, if there is one."""
         self._kept_inputs: list[KeptInput] = []
+        self._operations: MapOperations | None = None
         # With use_sim_time and no /clock, the node must still publish diagnostics.
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=self._steady)
@@ -83,6 +86,10 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
             self.create_service(SetBool, f'{self.SECTION}/mapping', self._on_mapping)
             self.create_service(Trigger, f'{self.SECTION}/save', self._on_save)
             self.create_service(Trigger, f'{self.SECTION}/load', self._on_load)
+            self._operations = MapOperations(
+                self, self.SECTION, self._memory_state, self._replace_memory,
+                lambda: str(self._section.memory_folder),
+            )  # fmt: skip
 
     @classmethod
     def warm_up(cls) -> None:
@@ -117,8 +124,9 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
         if self._section.localize:
             self._localise_in(Path(path).expanduser())
             return
+        meta = MapMeta(configuration=to_yaml(self.config))
         store = MapStore.open(
-            Path(path).expanduser(), [self.SECTION], MapMeta(), self._report_store
+            Path(path).expanduser(), [self.SECTION], meta, self.get_logger().warning
         )
         keeper = MapKeeper(
             self, self._diagnostics, store, self.SECTION, self._memory_state, self._newest_ns
@@ -142,9 +150,6 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
                 self._on_relocated()
             self._mapping = False
             self._set_mapping(False)
-
-    def _report_store(self, text: str) -> None:
-        self.get_logger().warning(text)
 
     def close(self) -> None:
         """Process the messages that are still held, and save the last state."""
@@ -251,6 +256,8 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
 
     def _save_before(self, stamp_ns: int) -> None:
         """Save the state in the map file if that is due before a message is processed."""
+        if self._operations is not None:
+            self._operations.before(stamp_ns)
         if self._keeper is None:
             return
         max_gap_s = getattr(self._section, 'max_odom_gap_s', MAX_GAP_NS * 1e-9)
@@ -272,9 +279,12 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
             with self._lock:
                 self._process_held()
                 self._count_dropped('its inputs', self._order.newest_ns or 0)
-        if silent and self._keeper is not None:
+        if silent:
             with self._lock:
-                self._keeper.pause()
+                if self._operations is not None:
+                    self._operations.pause()
+                if self._keeper is not None:
+                    self._keeper.pause()
 
     def _handle_jump_back(self, stream: str, stamp_ns: int) -> None:
         self._diagnostics.counts['jumps_back'] += 1
@@ -292,8 +302,10 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
             )
             self._process_held()
             self._on_relocated()
-            if self._keeper is not None:
-                self._keeper.start_run()
+        if self._operations is not None:
+            self._operations.start_run()
+        if self._keeper is not None:
+            self._keeper.start_run()
         self._process(self._order.restart())
 
     def _count_dropped(self, stream: str, stamp_ns: int) -> None:
@@ -385,11 +397,7 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
 
     def _on_load(self, request: Any, response: Any) -> Any:
         try:
-            state = memory_files.load(self._memory_path, self.SECTION)
-            with self._lock:
-                self._restore(state)
-                self._order = self._new_order()
-                self._counted = Counts()
+            self._replace_memory(memory_files.load(self._memory_path, self.SECTION))
         except RatslamError as error:
             return self._answer(response, False, str(error))
         except KeyError as error:
@@ -401,6 +409,16 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
             return self._answer(response, False, f'{self._memory_path} does not fit: {error!r}')
         self._diagnostics.clear()
         return self._answer(response, True, f'loaded from {self._memory_path}')
+
+    def _replace_memory(self, state: State) -> None:
+        """Continue with another memory; raise and change nothing if it cannot be used."""
+        with self._lock:
+            self._restore(state)
+            self._on_relocated()
+            self._order = self._new_order()
+            self._counted = Counts()
+            if self._keeper is not None:
+                self._keeper.changed()
 
     def _answer(self, response: Any, success: bool, text: str) -> Any:
         if success:

@@ -54,7 +54,9 @@ def test_value_of_wrong_type_or_range_is_refused(
 ) -> None:
     if isinstance(default, (bool, str)):
         any_name = isinstance(default, str) and not info.choices
-        for wrong in (7, 'two words' if any_name else 'nonsense', None, 2.5, [True], ''):
+        text = 'two words' if any_name else 'nonsense'
+        texts = (text, '') if default != '' else ('a\nb', 'x' * 5000)  # '': path of a file
+        for wrong in (7, None, 2.5, [True], *texts):
             assert name in refused(f'{section}.{name}', wrong)
         return
     assert info.low <= default <= info.high
