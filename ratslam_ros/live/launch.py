@@ -219,8 +219,9 @@ class _Restarts:
         self._processes, self._commands = processes, commands
         self._times_s: dict[str, list[float]] = {name: [] for name in commands}
 
-    def start_again(self) -> None:
-        """Start the commands again that have failed since the last call."""
+    def start_again(self) -> bool:
+        """Start the commands again that have failed; return whether there was one."""
+        has_started = False
         for name, process in self._processes.items():
             if process.poll() in (None, 0, UNUSABLE):
                 continue
@@ -232,6 +233,8 @@ class _Restarts:
                 )
                 self._times_s[name] = [*recent, now_s]
                 self._processes[name] = _start(self._commands[name])
+                has_started = True
+        return has_started
 
 
 def _watch(
@@ -241,9 +244,10 @@ def _watch(
     forwarded, failed, kill_at_s = 0, False, math.inf
     needed = [name for name in processes if name not in optional]
     while True:
-        if restarts is not None and not forwarded and not failed and not signals.count:
-            restarts.start_again()
         running = [name for name, process in processes.items() if process.poll() is None]
+        is_stopping = forwarded or failed or signals.count
+        if restarts is not None and not is_stopping and restarts.start_again():
+            continue
         if not running:
             break
         number = None

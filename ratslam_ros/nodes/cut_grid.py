@@ -67,24 +67,21 @@ class CutGrid:
             return None
         return GridCut(self._run * NUMBERS_PER_RUN + index, index * CUT_PERIOD_NS)
 
-    def now(self, passed: int = 0) -> GridCut | None:
+    def now(self, least: int = 0) -> GridCut | None:
         """Return a cut after the last processed message, for pauses and for the end.
 
-        It has the number of the next point of the grid. If further messages come before that
-        point, the cut at the point replaces it.
+        It has the number of the next point of the grid, because no message before that point is
+        expected.
 
         Args:
-            passed: newest cut of other nodes. If it is later, this node has received no message
-                before it, and has the same state there.
+            least: smallest number, such as that of the newest cut of another node: a node without
+                messages has the same state there.
         """
-        run, index = divmod(passed, NUMBERS_PER_RUN)
         own = 0 if self._last_ns is None else -(-self._last_ns // CUT_PERIOD_NS)
-        if run == self._run and index > own:
-            self._index = index
-            return GridCut(passed, index * CUT_PERIOD_NS)
-        if self._last_ns is None:
-            return None
-        return GridCut(self._run * NUMBERS_PER_RUN + own, self._last_ns)
+        number = max(self._run * NUMBERS_PER_RUN + own, least)
+        if number == 0:
+            return None  # nothing has been processed anywhere
+        return GridCut(number, self._last_ns or 0)
 
 
 class Repetitions:

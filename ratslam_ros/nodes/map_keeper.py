@@ -108,11 +108,13 @@ class MapKeeper:
         self.restored: State | None = None
         """The state of the node to restore; None for a new map."""
         self._cut: GridCut | None = None
-        if store.restored is not None and part in store.restored.states:
-            self.restored = store.restored.states[part]
-            self._cut = GridCut(store.restored.cut.number, store.restored.cut.stamp_ns)
+        saved = store.restored
+        if saved is not None and saved.cut is not None and part in saved.states:
+            self.restored = saved.states[part]
+            self._cut = GridCut(saved.cut.number, saved.cut.stamp_ns)
             self._grid.restore(self._cut)
-            self._is_first = store.restored.session != store.restored.sessions[-1].number
+            is_own = store.joins and saved.sessions[-1].base_ns != self._cut.stamp_ns
+            self._is_first = not is_own
         self._saved, self._passed = -1, 0
         self._cuts = node.create_publisher(Int64, CUT, GOAL)
         node.create_subscription(Int64, CUT, self._on_cut, GOAL)
@@ -136,12 +138,11 @@ class MapKeeper:
         """Save the state after all messages, as no further ones arrive at present."""
         if self._resuming is not None:
             return
-        cut = self._grid.now(self._passed)
-        if cut is not None and (self._has_changed or cut.number > self._saved):
+        least = self._saved + 1 if self._has_changed else 0
+        cut = self._grid.now(max(least, self._passed))
+        if cut is not None and cut.number > self._saved:
             self._write(cut)
             self._has_changed = False
-            # A cut with the same number may follow as soon as messages arrive again.
-            self._store.flush(FLUSH_TIMEOUT_S)
 
     def start_run(self) -> None:
         """Expect stamps that are earlier than the last ones."""

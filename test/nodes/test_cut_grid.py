@@ -70,17 +70,25 @@ def test_restored_grid_continues_the_cuts() -> None:
             ]
 
 
-def test_cut_of_a_pause_is_written_again_on_the_grid() -> None:
+def test_cut_of_a_pause_has_the_number_of_the_next_point() -> None:
     grid = CutGrid()
     assert grid.now() is None
     grid.before(4 * S + 1)
-    pause = grid.now()
-    assert pause == GridCut(3, 4 * S + 1)
+    assert grid.now() == GridCut(3, 4 * S + 1)
     restarted = CutGrid()
-    restarted.restore(pause)
+    restarted.restore(GridCut(3, 4 * S + 1))
     for one in (grid, restarted):
         assert one.before(5 * S) is None
         assert one.before(6 * S + 1) == GridCut(3, 6 * S)
+
+
+def test_node_without_messages_follows_the_cuts_of_others() -> None:
+    grid = CutGrid()
+    assert grid.now(7) == GridCut(7, 0)
+    grid.before(4 * S + 1)
+    assert grid.now(7) == GridCut(7, 4 * S + 1)
+    assert grid.before(100 * S) == GridCut(49, 98 * S)
+    assert grid.now(7) == GridCut(50, 100 * S)
 
 
 def test_earlier_stamps_get_higher_numbers() -> None:
