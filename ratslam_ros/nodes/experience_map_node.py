@@ -159,6 +159,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
             'joining': self._late_join.state(),
             'core': self._core.state(),
             'correction': list(self._motion.correction),
+            'motion': self._motion.state(),
             'goals': self._goals.memory_state(),
             'scans': self._scans.state(),
             **({} if self._relocator is None else {'relocator': self._relocator.state()}),
@@ -167,7 +168,6 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
     def _restore(self, state: State) -> None:
         core = ExperienceMap(self._section)
         core.restore(state['core'])
-        core.gate.restart()
         late_join = LateJoin(core)
         late_join.restore(state['joining'])
         action_ns = int(state['action_ns'])
@@ -185,7 +185,10 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         )
         self._sender.reset()
         self._core.mapping = self._mapping
-        self._motion.restart()
+        if 'motion' in state:
+            self._motion.restore(state['motion'])
+        else:
+            self._motion.restart()
         self._sender.has_changed = True
 
     def close(self) -> None:

@@ -82,16 +82,20 @@ class LandmarkMapNode(RatslamNode[Odometry | Scan]):
         self._core.mapping = mapping
 
     def _memory_state(self) -> State:
-        return {'scan_ns': self._scan_ns, 'core': self._core.state()}
+        return {
+            'scan_ns': self._scan_ns, 'core': self._core.state(), 'motion': self._motion.state(),
+        }  # fmt: skip
 
     def _restore(self, state: State) -> None:
         core = LaserMap(self._section, self.config.line_extraction)
         core.restore(state['core'])
-        core.lose()
         self._scan_ns = int(state['scan_ns'])
         self._core = core
         self._core.mapping = self._mapping
-        self._motion.restart()
+        if 'motion' in state:
+            self._motion.restore(state['motion'])
+        else:
+            self._motion.restart()
         self._changed = True
 
     def close(self) -> None:

@@ -178,6 +178,7 @@ class MapKeeper:
         last_ns = self._grid.last_ns
         age_s = None if saved is None or last_ns is None else (last_ns - saved.stamp_ns) * 1e-9
         return {
+            'map_saved_ns': -1 if saved is None else saved.stamp_ns,
             'map_unsaved_s': 'nothing saved' if age_s is None else round(max(age_s, 0.0), 2),
             'map_state': 'catching up' if self._resuming is not None else 'saving',
         }

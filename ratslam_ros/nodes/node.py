@@ -147,7 +147,7 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
         with self._lock:
             if self.SECTION in saved.states:
                 self._restore(saved.states[self.SECTION])
-                self._on_relocated()
+                self._begin_session()
             self._mapping = False
             self._set_mapping(False)
 
@@ -178,6 +178,10 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
 
     def _on_relocated(self) -> None:
         """Continue with the memory after the robot may have been moved unobserved."""
+
+    def _begin_session(self) -> None:
+        """Continue with a restored memory, although messages and places do not follow it."""
+        self._on_relocated()
 
     def _diagnostic_values(self) -> dict[str, Any]:
         """Return the node's own values for the diagnostics."""
@@ -262,7 +266,7 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
             return
         max_gap_s = getattr(self._section, 'max_odom_gap_s', MAX_GAP_NS * 1e-9)
         if self._keeper.is_other_session(stamp_ns, round(max_gap_s * 1e9)):
-            self._on_relocated()
+            self._begin_session()
         self._keeper.before(stamp_ns)
 
     def _process_held(self) -> None:
@@ -414,7 +418,7 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
         """Continue with another memory; raise and change nothing if it cannot be used."""
         with self._lock:
             self._restore(state)
-            self._on_relocated()
+            self._begin_session()
             self._order = self._new_order()
             self._counted = Counts()
             if self._keeper is not None:

@@ -116,6 +116,10 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
         if self._goals is not None:
             self._goals.relocated()
 
+    def _begin_session(self) -> None:
+        super()._begin_session()
+        self._relocations = MapRelocations()  # the map may not relocate in this session
+
     def _set_mapping(self, mapping: bool) -> None:
         self._core.mapping = mapping
 
@@ -125,6 +129,8 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
             'sequence': self._sequence,
             'numbering': self._numbering.state(),
             'core': self._core.state(),
+            'motion': self._motion.state(),
+            'relocations': self._relocations.state(),
         }
         if self._goals is not None:
             state['goal_memory'] = self._goals.memory_state()
@@ -135,17 +141,22 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
         core.restore(state['core'])
         numbering.restore(state['numbering'])
         memory_ns, sequence = int(state['memory_ns']), int(state['sequence'])
+        relocations = MapRelocations()
+        if 'relocations' in state:
+            relocations.restore(state['relocations'])
         if self._goals is not None:
             self._goals.use_pose_cells(core, state.get('goal_memory'))
         self._memory_ns, self._sequence = memory_ns, sequence
-        self._relocations = MapRelocations()
+        self._relocations = relocations
         self._waiting.clear()
         self._core, self._numbering = core, numbering
         if core.calibration is not None:
             self._motion.correction = core.calibration.correction
-            core.calibration.restart()
         self._core.mapping = self._mapping
-        self._motion.restart()
+        if 'motion' in state:
+            self._motion.restore(state['motion'])
+        else:
+            self._motion.restart()
 
     def _on_odometry(self, message: OdometryMessage) -> None:
         odometry = accepted_odometry(message, self._motion, self._refuse)

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.pose import Pose, heading_of, quaternion_of
+from ratslam_ros.core.common.state import State
 from ratslam_ros.core.common.turn_correction import UNCORRECTED, TurnCorrection
 
 MAX_PLAUSIBLE_VALUE = 1e9
@@ -99,6 +100,24 @@ class MotionFromOdometry:
     def restart(self) -> None:
         """Treat the next message as the first one: no motion is computed for the gap before it."""
         self._last = None
+
+    def state(self) -> State:
+        """Return the last message and the correction, for ``restore``."""
+        last = self._last
+        return {
+            'correction': list(self.correction),
+            'last': None if last is None else [
+                last.stamp_ns, *last.twist, *last.pose, last.scale_known
+            ],
+        }  # fmt: skip
+
+    def restore(self, state: State) -> None:
+        """Restore what ``state`` returned."""
+        correction, last = TurnCorrection(*state['correction']), state['last']
+        if last is not None:
+            stamp_ns, v, w, x_m, y_m, heading_rad, scale_known = last
+            last = Odometry(int(stamp_ns), Twist(v, w), Pose(x_m, y_m, heading_rad), scale_known)
+        self.correction, self._last = correction, last
 
     def reaches(self, stamp_ns: int) -> bool:
         """Return whether a stamp is close enough to the last message for the motion to be known.

@@ -13,6 +13,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.common.state import State
 
 ADOPTION_DELAY = 4
 """Number of views between an action after which the map relocated the robot, and the view before
@@ -34,6 +35,24 @@ class MapRelocations:
     def __init__(self) -> None:
         self._last: int | None = None
         self._relocations: dict[int, MapRelocation] = {}
+
+    def state(self) -> State:
+        """Return the answers that are not adopted yet, for ``restore``."""
+        return {
+            'last': self._last,
+            'relocations': [
+                [number, one.experience_id, one.template_id, *one.offset]
+                for number, one in self._relocations.items()
+            ],
+        }
+
+    def restore(self, state: State) -> None:
+        """Restore what ``state`` returned."""
+        relocations = {
+            int(number): MapRelocation(int(experience_id), int(template_id), Pose(*offset))
+            for number, experience_id, template_id, *offset in state['relocations']
+        }
+        self._last, self._relocations = state['last'], relocations
 
     def answer(self, sequence: int, relocation: MapRelocation | None) -> None:
         """Record the answer of the map to an action; None if it did not relocate the robot."""
