@@ -228,6 +228,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
             self._refuse('action', str(error))
             return
         self._push('action', stamp_ns, Action(action, sequence, memory_ns))
+        self._log('action', stamp_ns, message.data.encode)
         self._republish_pose()
         self._send()
 

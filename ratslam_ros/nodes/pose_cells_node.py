@@ -174,6 +174,8 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
             self._refuse('template', str(error))
             return
         self._push('template', stamp_ns, Template(match, memory_ns))
+        # local_view must know the ids that it has given, even if it was killed at once.
+        self._log('template', stamp_ns, message.data.encode)
 
     def _on_relocation(self, message: String) -> None:
         """Receive the answer of the map to an action, which may relocate the robot."""
