@@ -53,4 +53,5 @@ def decode_scan(data: bytes) -> Scan:
             f'{MAX_BEAM_COUNT} ranges'
         )
     ranges_m = np.frombuffer(data, '<f8', offset=_SCAN.size).astype(np.float64)
-    return Scan(*_SCAN.unpack_from(data), ranges_m)
+    stamp_ns, angle_min_rad, angle_increment_rad = _SCAN.unpack_from(data)
+    return Scan(stamp_ns, angle_min_rad, angle_increment_rad, ranges_m)

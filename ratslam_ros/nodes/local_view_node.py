@@ -105,10 +105,12 @@ class LocalViewNode(ImageNode):
         """Use no id of a template again that was learned from an image that is lost."""
         assert self._keeper is not None
         if are_images_lost:
-            logged = [decode_template(data.decode()) for _, data in self._keeper.logged('template')]
-            ids = [match.template_id for _, match, memory_ns in logged
-                   if memory_ns == self._memory_ns]  # fmt: skip
-            self._core.skip_ids(max(ids, default=NO_TEMPLATE) + 1)
+            last_id = NO_TEMPLATE
+            for _, data in self._keeper.logged('template'):
+                _, match, memory_ns = decode_template(data.decode())
+                if memory_ns == self._memory_ns:
+                    last_id = max(last_id, match.template_id)
+            self._core.skip_ids(last_id + 1)
 
     def _process_image(self, stamp_ns: int, image: NDArray[np.uint8], frame_id: str) -> None:
         with self._diagnostics.times('local_view'):
