@@ -72,6 +72,17 @@ class Motion:
         return self.distance_m * _sinc(0.5 * self.turn_rad)
 
 
+def odometry_state(odometry: Odometry) -> list[int | float | bool]:
+    """Return a message for a saved state."""
+    return [odometry.stamp_ns, *odometry.twist, *odometry.pose, odometry.scale_known]
+
+
+def odometry_from_state(values: list[int | float | bool]) -> Odometry:
+    """Return a message from ``odometry_state``."""
+    stamp_ns, v, w, x, y, heading, scale_known = values
+    return Odometry(int(stamp_ns), Twist(v, w), Pose(x, y, heading), bool(scale_known))
+
+
 class MotionFromOdometry:
     """Conversion of successive odometry messages to motions.
 
@@ -103,21 +114,14 @@ class MotionFromOdometry:
 
     def state(self) -> State:
         """Return the last message and the correction, for ``restore``."""
-        last = self._last
-        return {
-            'correction': list(self.correction),
-            'last': None if last is None else [
-                last.stamp_ns, *last.twist, *last.pose, last.scale_known
-            ],
-        }  # fmt: skip
+        last = None if self._last is None else odometry_state(self._last)
+        return {'last': last, 'correction': list(self.correction)}
 
     def restore(self, state: State) -> None:
-        """Restore what ``state`` returned."""
-        correction, last = TurnCorrection(*state['correction']), state['last']
-        if last is not None:
-            stamp_ns, v, w, x_m, y_m, heading_rad, scale_known = last
-            last = Odometry(int(stamp_ns), Twist(v, w), Pose(x_m, y_m, heading_rad), scale_known)
-        self.correction, self._last = correction, last
+        """Restore what ``state`` returned; the next message follows the last one."""
+        last = state['last']
+        self._last = None if last is None else odometry_from_state(last)
+        self.correction = TurnCorrection(*state['correction'])
 
     def reaches(self, stamp_ns: int) -> bool:
         """Return whether a stamp is close enough to the last message for the motion to be known.

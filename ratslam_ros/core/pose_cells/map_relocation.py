@@ -36,30 +36,27 @@ class MapRelocations:
         self._last: int | None = None
         self._relocations: dict[int, MapRelocation] = {}
 
-    def state(self) -> State:
-        """Return the answers that are not adopted yet, for ``restore``."""
-        return {
-            'last': self._last,
-            'relocations': [
-                [number, one.experience_id, one.template_id, *one.offset]
-                for number, one in self._relocations.items()
-            ],
-        }
-
-    def restore(self, state: State) -> None:
-        """Restore what ``state`` returned."""
-        relocations = {
-            int(number): MapRelocation(int(experience_id), int(template_id), Pose(*offset))
-            for number, experience_id, template_id, *offset in state['relocations']
-        }
-        self._last, self._relocations = state['last'], relocations
-
     def answer(self, sequence: int, relocation: MapRelocation | None) -> None:
         """Record the answer of the map to an action; None if it did not relocate the robot."""
         # A restarted map answers earlier actions again.
         self._last = sequence if self._last is None else max(self._last, sequence)
         if relocation is not None:
             self._relocations[sequence] = relocation
+
+    def state(self) -> State:
+        """Return all answers that are due later, for ``restore``."""
+        return {'last': self._last, 'relocations': [
+            [sequence, one.experience_id, one.template_id, *one.offset]
+            for sequence, one in self._relocations.items()
+        ]}  # fmt: skip
+
+    def restore(self, state: State) -> None:
+        """Restore what ``state`` returned."""
+        self._last = state['last']
+        self._relocations = {
+            sequence: MapRelocation(experience_id, template_id, Pose(*offset))
+            for sequence, experience_id, template_id, *offset in state['relocations']
+        }
 
     def is_awaited(self, sequence: int) -> bool:
         """Return whether a view must wait for the map; False if the map has never answered.

@@ -86,24 +86,24 @@ class VisualOdometry:
         self._p = replace(self._p, camera_fov_deg=camera_fov_deg)
 
     def state(self) -> State:
-        """Return the pose and the profiles of the last image, for ``restore``."""
-        state: State = {'pose': list(self._pose)}
+        """Return the pose and the last image's profiles, for ``restore``."""
+        last = None
         if self._last is not None:
             stamp_ns, shape, rotation, translation = self._last
-            state['last'] = {
-                'stamp_ns': stamp_ns, 'shape': list(shape), 'rotation': rotation,
-                'translation': translation,
+            last = {
+                'stamp_ns': stamp_ns, 'shape': list(shape), 'rotation': rotation.copy(),
+                'translation': translation.copy(),
             }  # fmt: skip
-        return state
+        return {'pose': list(self._pose), 'last': last, 'fov_deg': self._p.camera_fov_deg}
 
     def restore(self, state: State) -> None:
         """Restore what ``state`` returned."""
-        pose, last = Pose(*state['pose']), None
-        if 'last' in state:
-            one = state['last']
-            height, width = one['shape']
-            last = int(one['stamp_ns']), (height, width), one['rotation'], one['translation']
-        self._pose, self._last = pose, last
+        self._pose, last = Pose(*state['pose']), state['last']
+        self._last = None
+        if last is not None:
+            shape = tuple(last['shape'])
+            self._last = last['stamp_ns'], shape, last['rotation'], last['translation']
+        self.set_field_of_view(state['fov_deg'])
 
     def restart(self) -> None:
         """Treat the next image as the first one; the pose is kept."""
