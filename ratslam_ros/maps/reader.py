@@ -7,6 +7,7 @@ from __future__ import annotations
 import shutil
 import sqlite3
 import tempfile
+import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -15,7 +16,7 @@ from typing import TypeVar
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files import memory
 from ratslam_ros.maps.chunks import DamagedMap, digest_of
-from ratslam_ros.maps.locks import PARTS, is_written
+from ratslam_ros.maps.locks import OPENING_S, PARTS, is_opening, is_written
 from ratslam_ros.maps.part import load
 from ratslam_ros.maps.saved_map import MapMeta, SavedMap, loss_note
 from ratslam_ros.maps.schema import (
@@ -28,7 +29,7 @@ from ratslam_ros.maps.schema import (
 )
 from ratslam_ros.maps.sessions import newest, sessions_of
 
-ATTEMPTS = 5
+ATTEMPTS, ATTEMPT_S = 20, 0.05
 """Attempts to read a map while processes begin or end to write it."""
 
 T = TypeVar('T')
@@ -43,7 +44,7 @@ def read_map(path: str | Path) -> SavedMap:
     Raises:
         UnusableInput: it does not exist, is damaged, or is no map.
     """
-    path = Path(path)
+    path = Path(path).resolve()
     if path.is_dir():
         return _read_folder(path)
     return reading(path, lambda database: saved_map(database, path))
@@ -60,6 +61,9 @@ def reading(path: Path, read: Callable[[sqlite3.Connection], T]) -> T:
         UnusableInput: the file cannot be used.
     """
     for attempt in range(ATTEMPTS):
+        until = time.monotonic() + OPENING_S
+        while is_opening(path) and time.monotonic() < until:
+            time.sleep(ATTEMPT_S)
         before = _identity(path)
         is_live = is_written(path)
         try:
@@ -69,8 +73,11 @@ def reading(path: Path, read: Callable[[sqlite3.Connection], T]) -> T:
                 check_layout(database, path)
                 result = read(database)
         except (sqlite3.Error, OSError, DamagedMap) as error:
-            if attempt + 1 < ATTEMPTS and (_identity(path), is_written(path)) != (before, is_live):
-                continue  # A writer began or ended in the meantime.
+            if attempt + 1 < ATTEMPTS and (
+                is_live or is_written(path) or _identity(path) != before
+            ):
+                time.sleep(ATTEMPT_S)  # A writer may be beginning or ending.
+                continue
             raise unusable(path, error) from None
         # An unlocked file was read without locks: it must not have changed.
         if is_live or (_identity(path) == before and not is_written(path)):
@@ -123,6 +130,7 @@ def _opened(path: Path, is_live: bool) -> Iterator[sqlite3.Connection]:
             shutil.copyfile(path, copy)
             shutil.copyfile(beside(path, WAL), beside(copy, WAL))
             with closing(connect(copy)) as database:
+                database.execute('PRAGMA synchronous = OFF')
                 yield database
 
 
