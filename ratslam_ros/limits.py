@@ -155,23 +155,10 @@ def check_tables(database: sqlite3.Connection, path: Path, tables: tuple[str, ..
             )
 
 
-def path_below(folder: Path, name: str) -> Path:
-    """Return the path of a file by a name that was received, within a folder.
+def is_below(path: str, folder: str) -> bool:
+    """Return whether a path that was received is a folder, or a file in it, or below it.
 
     Symbolic links are followed first, so that none leads out of the folder.
-
-    Args:
-        folder: the folder.
-        name: a file name, possibly with folders before it.
-
-    Raises:
-        UnusableInput: the name is no path within the folder.
     """
-    root = folder.expanduser().resolve()
-    is_name = name.isprintable() and name.strip() == name and 0 < len(name) <= 255
-    path = (root / name).resolve() if is_name else root
-    if path == root or not path.is_relative_to(root):
-        raise UnusableInput(
-            f'{name[:100]!r} is no file name within {folder}; expected a relative path without ..'
-        )
-    return path
+    root = Path(folder).expanduser().resolve()
+    return path.isprintable() and Path(path).expanduser().resolve().is_relative_to(root)
