@@ -13,9 +13,11 @@ import json
 import re
 import sqlite3
 import struct
+import tempfile
 import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import closing, suppress
+from functools import cache
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -34,6 +36,7 @@ from ratslam_ros.history.file import APPLICATION_ID, SCHEMA, SCHEMA_VERSION, His
 from ratslam_ros.history.history_run import HistoryRun
 from ratslam_ros.history.packing import compressor
 from ratslam_ros.images import EncodedImage
+from ratslam_ros.maps import MapMeta, read_map, save_map
 from ratslam_ros.messages import goals, map_changes, mapping, pose_cells
 from ratslam_ros.recordings import ImageEvent, OdometryEvent, ScanEvent, Selection, open_recording
 from ratslam_ros.recordings.decode import UndecodableMessage, decode_event
@@ -116,6 +119,20 @@ def history(data: bytes, folder: Path) -> None:
         run.close()
 
 
+def maps(data: bytes, folder: Path) -> None:
+    """Read a map file.
+
+    The first byte selects whether the rest is the file or the outline of a state, which a fuzzer
+    could not compress itself.
+    """
+    path = folder / 'home.map'
+    if data[0] % 2 == 0:
+        path.write_bytes(data[1:])
+    else:
+        path.write_bytes(_map_of(data[1:]))
+    read_map(path)
+
+
 def recordings(data: bytes, folder: Path) -> None:
     """Read a recording. The first byte selects the suffix of the file."""
     path = folder / f'recording{FORMATS[data[0] % len(FORMATS)]}'
@@ -159,7 +176,7 @@ def trajectory(data: bytes, folder: Path) -> None:
 TARGETS: dict[str, Target] = {
     target.__name__: target
     for target in (
-        messages, payloads, images, memory, history, recordings, configuration, floor_plan,
+        messages, payloads, images, memory, history, maps, recordings, configuration, floor_plan,
         trajectory,
     )
 }  # fmt: skip
@@ -204,6 +221,28 @@ def _history_of(segment: bytes, checkpoint: bytes) -> bytes:
             values = (0, 0, segment) if table == 'closures' else (0, 0, 0, segment)
             marks = ', '.join('?' * len(values))
             database.execute(f'INSERT INTO {table} VALUES ({marks})', values)
+        database.commit()
+        return database.serialize()
+
+
+@cache
+def _empty_map() -> bytes:
+    """Return a map file with one part, whose outline is in one chunk."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / 'home.map'
+        state = {'core': {'templates': np.zeros((2, 3), np.uint8)}}
+        save_map(path, {'local_view': state}, MapMeta())
+        data = bytearray(path.read_bytes())
+    data[18:20] = b'\1\1'  # Databases in memory cannot have a write-ahead log.
+    return bytes(data)
+
+
+def _map_of(outline: bytes) -> bytes:
+    """Return a map file with another outline."""
+    with closing(sqlite3.connect(':memory:')) as database:
+        database.deserialize(_empty_map())
+        database.execute("UPDATE chunks SET data = ? WHERE array = ''", (compressor()(outline),))
+        database.execute('UPDATE cuts SET outline_bytes = ?', (len(outline),))
         database.commit()
         return database.serialize()
 
@@ -325,8 +364,6 @@ def mapping_change() -> Any:
 
 
 def _recordings() -> Iterator[bytes]:
-    import tempfile
-
     import zstandard
     from mcap.writer import CompressionType, Writer
     from rosbags.rosbag1 import Writer as Writer1
@@ -391,6 +428,11 @@ def _floor_plan() -> Iterator[bytes]:
     yield b'\3' + cv2.imencode('.png', pixels)[1].tobytes()
 
 
+def _maps() -> Iterator[bytes]:
+    yield b'\0' + _empty_map()
+    yield b'\1{"core":{"templates":{"$array":["|u1",[2,3]]}}}'
+
+
 def _trajectory() -> Iterator[bytes]:
     yield b'# t x y z qx qy qz qw\n1.5 0 0 0 0 0 0 1\n1.6 0.5 0.1 0 0 0 0.5 0.866\n'
 
@@ -398,7 +440,7 @@ def _trajectory() -> Iterator[bytes]:
 _SEEDS: dict[str, Callable[[], Iterator[bytes]]] = {
     'messages': _messages, 'payloads': _payloads, 'images': _images, 'memory': _memory,
     'history': _history, 'recordings': _recordings, 'configuration': _configuration,
-    'floor_plan': _floor_plan, 'trajectory': _trajectory,
+    'maps': _maps, 'floor_plan': _floor_plan, 'trajectory': _trajectory,
 }  # fmt: skip
 """Valid inputs of each target."""
 

@@ -271,7 +271,7 @@ class HistoryFile:
                 finally:
                     if database is not self._database:
                         database.close()
-            except sqlite3.Error as error:
+            except (sqlite3.Error, UnicodeError) as error:  # Errors quote damaged names.
                 raise UnusableInput(
                     f'{self._path} is no readable history ({error}); replay the recording again'
                 ) from None
