@@ -86,7 +86,8 @@ def load_yaml(text: str, loader: Any = None) -> Any:
 
     fast: Any = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
     depth = 0
-    for event in yaml.parse(text, fast):
+    events: Any = yaml.parse(text, fast)
+    for event in events:
         if isinstance(event, yaml.AliasEvent):
             raise ValueError(
                 f'line {event.start_mark.line + 1} has the alias *{event.anchor}; expected the '
