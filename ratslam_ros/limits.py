@@ -88,16 +88,17 @@ def load_yaml(text: str, loader: Any = None) -> Any:
     depth = 0
     events: Any = yaml.parse(text, fast)
     for event in events:
+        line = event.start_mark.line + 1
         if isinstance(event, yaml.AliasEvent):
             raise ValueError(
-                f'line {event.start_mark.line + 1} has the alias *{event.anchor}; expected the '
+                f'line {line} has the alias *{event.anchor}; expected the '
                 'value itself, because aliases are not accepted'
             )
         depth += isinstance(event, yaml.CollectionStartEvent)
         depth -= isinstance(event, yaml.CollectionEndEvent)
         if depth > MAX_YAML_DEPTH:
             raise ValueError(
-                f'line {event.start_mark.line + 1} is nested {depth} levels deep; expected at '
+                f'line {line} is nested {depth} levels deep; expected at '
                 f'most {MAX_YAML_DEPTH}'
             )
     return yaml.load(text, loader or fast)
