@@ -94,9 +94,9 @@ class Experiences:
     def restore(self, state: State) -> None:
         """Restore what ``state`` returned; there must be no experiences yet."""
         self._label_rows.replace(state['experiences'])
-        for number, (label, x, y, theta) in enumerate(listed(state['experiences'])):
-            template_id = int(label)
-            self._experiences.append((template_id, Place(x, y, theta)))
+        self._experiences = [
+            (int(label), Place(*place)) for label, *place in listed(state['experiences'])
+        ]
         created = np.asarray(state.get('created', np.arange(len(self))), np.int64)
         self._created = created.tolist()
         self._creation_count = max(self._created, default=-1) + 1
