@@ -187,6 +187,7 @@ class Relocator:
                 ],
                 'lengths_m': [self._doubt_m, self._evidence_m],
                 'relocated_to': self._relocated_to,
+                'known': None if self._known is None else self._known[0],
             },
         }  # fmt: skip
 
@@ -217,6 +218,8 @@ class Relocator:
         ) = present['counts']  # fmt: skip
         self._doubt_m, self._evidence_m = present['lengths_m']
         self._relocated_to = present['relocated_to']
+        if present['known'] is not None:
+            self._use_known(present['known'])
 
     def step(
         self, stamp_ns: int, action: MapAction, update: MapUpdate
@@ -503,8 +506,12 @@ class Relocator:
             excluded.update(i for i, of in enumerate(graph.components) if of != component)
         placed = self.landmarks.on_map(graph.poses, excluded)
         if self._known is None or not _are_close(placed, self._known[0]):
-            variances = np.tile(VARIANCES, (len(placed), 1))
-            self._known = placed, KnownFeatures(features_of(placed, variances))
+            return self._use_known(placed)
+        return self._known[1]
+
+    def _use_known(self, placed: NDArray[np.float64]) -> KnownFeatures:
+        variances = np.tile(VARIANCES, (len(placed), 1))
+        self._known = placed, KnownFeatures(features_of(placed, variances))
         return self._known[1]
 
 
