@@ -264,7 +264,7 @@ class RatSLAM:
         """
         try:
             self._restore(states)
-        except (KeyError, ValueError, TypeError, IndexError, AttributeError) as error:
+        except (LookupError, ValueError, TypeError, AttributeError, OverflowError) as error:
             raise UnusableInput(
                 f'the saved map is damaged, or of another version ({error!r}); use a backup'
             ) from None

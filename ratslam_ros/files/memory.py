@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.common.state import State
 from ratslam_ros.errors import UnusableInput
+from ratslam_ros.files.state_check import check_state
 
 FORMAT = 1
 CONTENT, ARRAY = 'content', 'array'
@@ -71,7 +72,8 @@ def load(path: Path, part: str) -> State:
         part: expected name of the part.
 
     Raises:
-        UnusableInput: the file is missing, damaged, or of another part or format.
+        UnusableInput: the file is missing, damaged, or of another part or format, or a number in
+            it is out of range.
     """
     try:
         with zipfile.ZipFile(path) as archive:
@@ -93,6 +95,7 @@ def load(path: Path, part: str) -> State:
         raise UnusableInput(f'{path} is damaged or not a memory file ({error})') from None
     if not isinstance(state, dict):
         raise UnusableInput(f'{path} is damaged or not a memory file (its state is no object)')
+    check_state(part, state)
     return state
 
 

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import operator
 import sqlite3
 import threading
 from collections.abc import Iterator
@@ -112,7 +113,9 @@ class HistoryFile:
             "(SELECT value FROM meta WHERE key = 'ended')"
         )
         has_ended = ended is not None
-        return Progress(begin_ns or 0, end_ns or 0, is_alive and not has_ended, has_ended)
+        with self._checking():
+            begin_ns, end_ns = (operator.index(value or 0) for value in (begin_ns, end_ns))
+        return Progress(begin_ns, end_ns, is_alive and not has_ended, has_ended)
 
     def state_at(self, stamp_ns: int) -> RunState:
         """Return the state of the last checkpoint up to a stamp, an empty one if there is none."""
@@ -256,7 +259,8 @@ class HistoryFile:
         """Name the file in errors about damaged data."""
         try:
             yield
-        except (DamagedHistory, ValueError, IndexError, OverflowError) as error:
+        # SQLite does not enforce the types of columns.
+        except (DamagedHistory, ValueError, IndexError, OverflowError, TypeError) as error:
             raise UnusableInput(
                 f'{self._path} is damaged ({error}); replay the recording again'
             ) from None

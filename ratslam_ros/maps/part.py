@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.state import State
+from ratslam_ros.files.state_check import check_state
 from ratslam_ros.maps.chunks import (
     CHUNK_BYTES,
     MAX_OUTLINE_BYTES,
@@ -241,6 +242,7 @@ def load(database: sqlite3.Connection, row: Row) -> tuple[State, Image]:
 
     Raises:
         DamagedMap: a chunk is missing or damaged, or the state is not the one that was saved.
+        UnusableInput: a number in the state is out of range.
     """
     image: Image = {}
 
@@ -255,6 +257,7 @@ def load(database: sqlite3.Connection, row: Row) -> tuple[State, Image]:
     state = unpack(outline, read)
     if state_digest({name: stored.digest for name, stored in image.items()}) != row.digest:
         raise DamagedMap(f'{row.part}: the state is not the one that was saved')
+    check_state(row.part, state)
     return state, image
 
 

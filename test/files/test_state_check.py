@@ -1,0 +1,126 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""States that were saved are accepted; numbers that would lead out of an array are not."""
+
+from __future__ import annotations
+
+import copy
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ratslam_ros.core.common.odometry import Odometry, Twist
+from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.common.scan import checked_scan
+from ratslam_ros.core.ratslam import RatSLAM
+from ratslam_ros.errors import UnusableInput
+from ratslam_ros.files.config import load_config
+from ratslam_ros.files.memory import load, save
+from ratslam_ros.files.state_check import RULES, check_state
+
+States = dict[str, dict[str, Any]]
+STEP_NS = 10**8
+
+
+def driven(slam: RatSLAM, steps: int) -> States:
+    """Drive a circle with twelve views, scans and odometry; return the states."""
+    random = np.random.default_rng(1)
+    views = [random.integers(0, 256, (48, 64), dtype=np.uint8) for _ in range(12)]
+    for step in range(steps):
+        at_ns = (step + 10) * STEP_NS
+        slam.odometry(Odometry(at_ns, Twist(0.5, 0.3), Pose(0.05 * step, 0.0, 0.0)))
+        ranges = 2.0 + np.cos(np.arange(31) + step % 12)
+        slam.scan(checked_scan(at_ns, -1.5, 0.1, 0.1, 10.0, ranges))
+        slam.image(at_ns, views[step % 12])
+    return slam.state()
+
+
+@pytest.fixture(scope='module')
+def states() -> States:
+    config, _ = load_config('navigation')
+    return driven(RatSLAM(config.with_values({
+        'experience_map.exp_align_scans': True, 'goal_memory.goal_memory': True,
+    })), 40)  # fmt: skip
+
+
+@pytest.mark.parametrize('preset', ['auto', 'default', 'navigation'])
+@pytest.mark.parametrize('steps', [0, 1, 5])
+def test_state_of_any_age_is_accepted(preset: str, steps: int) -> None:
+    config, _ = load_config(preset)
+    for part, state in driven(RatSLAM(config), steps).items():
+        check_state(part, state)
+
+
+def test_most_rules_apply_to_a_state(states: States) -> None:
+    for part, state in states.items():
+        check_state(part, state)
+    found = [
+        rule.path for part in RULES for rule in RULES[part] if _has(states[part], rule.path)
+    ]
+    assert len(found) > 0.9 * sum(map(len, RULES.values()))
+
+
+def _has(state: Any, path: str) -> bool:
+    for key in path.split('/'):
+        if key not in state:
+            return False
+        state = state[key]
+    return True
+
+
+@pytest.mark.parametrize(('path', 'value'), [
+    ('experience_map/core/ends', 10**6), ('experience_map/core/ends', -1),
+    ('experience_map/core/poses', math.nan), ('experience_map/core/current', 40),
+    ('experience_map/core/current', None), ('experience_map/core/way_m', 'far'),
+    ('experience_map/scans/ids', 2**40), ('pose_cells/core/gaps/ways_m', None),
+    ('pose_cells/core/transitions', 39), ('pose_cells/core/dims', 0),
+    ('goal_memory/ends', 2**30), ('goal_memory/cells', 10**9),
+    ('pose_cells/core/visits/counts', np.zeros(3, np.int64)),
+    ('experience_map/core/shapes', np.zeros((2, 3))),
+])  # fmt: skip
+def test_number_out_of_range_is_refused(states: States, path: str, value: Any) -> None:
+    changed = copy.deepcopy(states)
+    part, *keys = path.split('/')
+    if part == 'goal_memory':
+        part, keys = 'pose_cells', ['goal_memory', *keys]
+    container: Any = changed[part]
+    for key in keys[:-1]:
+        container = container[key]
+    old = container[keys[-1]]
+    if isinstance(old, (np.ndarray, list)) and len(old) and isinstance(value, (int, float)):
+        if isinstance(old, list):
+            old[0] = value
+        else:
+            old.reshape(-1)[0] = value
+    else:
+        container[keys[-1]] = value
+    with pytest.raises(UnusableInput, match='expected|does not consist'):
+        check_state(part, changed[part])
+
+
+@pytest.mark.parametrize(('key', 'value'), [
+    ('box', np.array([0, 0, 10**6, 14, 14, 14])), ('box', np.zeros(6, np.int64)),
+    ('frame', np.array([0.0, math.nan, 0.0])), ('cells', np.full((14, 14, 14), -1.0)),
+])  # fmt: skip
+def test_packet_outside_of_the_pose_cells_is_refused(
+    states: States, key: str, value: Any
+) -> None:
+    changed = copy.deepcopy(states['pose_cells'])
+    changed['core']['packets'][0][key] = value
+    with pytest.raises(UnusableInput, match='do not lie on'):
+        check_state('pose_cells', changed)
+
+
+def test_memory_file_is_checked(states: States, tmp_path: Path) -> None:
+    path = tmp_path / 'experience_map.npz'
+    state = copy.deepcopy(states['experience_map'])
+    state['scans']['present'] = {}  # holds infinities, which memory files of nodes do not
+    save(path, 'experience_map', state)
+    load(path, 'experience_map')
+    state['core']['ends'][0] = 999
+    save(path, 'experience_map', state)
+    with pytest.raises(UnusableInput, match='core/ends'):
+        load(path, 'experience_map')
