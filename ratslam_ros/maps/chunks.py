@@ -185,7 +185,10 @@ class _Rebuilding:
             if mark == _NUMBER:
                 return _NUMBERS[content]
             if mark == _DICT:
-                return {key: self.rebuilt(item, _joined(path, key)) for key, item in content}
+                content = dict(content)
+                if all(type(key) is str for key in content):
+                    return {key: self.rebuilt(v, _joined(path, key)) for key, v in content.items()}
+                raise TypeError('keys must be texts')
         return {key: self.rebuilt(item, _joined(path, key)) for key, item in value.items()}
 
     def _loaded(self, path: str, name: str, shape: list[int]) -> NDArray[Any]:

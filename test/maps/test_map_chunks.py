@@ -11,8 +11,8 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays, scalar_dtypes
-
 from map_states import same
+
 from ratslam_ros.maps.chunks import (
     CHUNK_BYTES,
     LONG_LIST,
