@@ -27,6 +27,7 @@ from ratslam_ros.maps.schema import (
     remove,
     restrict,
     sync_folder,
+    typed,
 )
 from ratslam_ros.maps.sessions import (
     begin,
@@ -104,11 +105,12 @@ class FileWriter:
         try:
             with closing(connect(self.path, 'mode=ro')) as database:
                 restrict(database)
-                return database.execute(
+                found = database.execute(
                     'SELECT stamp_ns, data FROM log WHERE stream = ? AND stamp_ns > ?'
                     ' ORDER BY stamp_ns', (stream, after_ns),
-                ).fetchall()  # fmt: skip
-        except sqlite3.Error:
+                )  # fmt: skip
+                return list(typed(found, int, bytes))
+        except (sqlite3.Error, UnusableInput):
             return []
 
     def close(self, complete: bool) -> None:
