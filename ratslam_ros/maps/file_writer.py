@@ -199,7 +199,7 @@ class FileWriter:
                 self._session = begin(database, self.parts, self._meta, found)
                 states = self._load(database, rows)  # A damaged map is not changed.
                 database.execute('COMMIT')
-        if found.cut is not None:
+        if rows or found.cut is not None:
             last = max(rows.values(), key=lambda row: (row.session, row.number), default=None)
             cut = found.cut if last is None else Cut(last.number, last.stamp_ns)
             lost = None if found.session == self._session else found.lost
