@@ -12,6 +12,9 @@ import hashlib
 import json
 import math
 from collections.abc import Callable
+from contextlib import suppress
+from itertools import chain
+from types import NoneType
 from typing import Any
 
 import numpy as np
@@ -44,7 +47,9 @@ MAX_STATE_BYTES = 2**32
 MAX_ARRAYS = 2**20
 MAX_DIMENSIONS = 8
 
-_ARRAY, _LIST, _JSON, _NUMBER, _DICT = '$array', '$list', '$json', '$number', '$dict'
+_ARRAY, _LIST, _TABLE, _JSON, _NUMBER, _DICT = (
+    '$array', '$list', '$table', '$json', '$number', '$dict',
+)  # fmt: skip
 _TYPES = {
     np.dtype(name).str: np.dtype(name)
     for name in ('?', 'i1', '<i2', '<i4', '<i8', 'u1', '<u2', '<u4', '<u8', '<f2', '<f4', '<f8')
@@ -121,7 +126,9 @@ def _outlined(value: Any, path: str, arrays: Arrays) -> Any:
         array = np.asarray(value, value.dtype.newbyteorder('<'), order='C')
         if array.dtype.str not in _TYPES:
             raise TypeError(f'{path}: arrays of {value.dtype} cannot be saved')
-        return {_ARRAY: [array.dtype.str, list(array.shape)], **_added(path, array, arrays)}
+        if array.nbytes:
+            arrays[path] = array
+        return {_ARRAY: [array.dtype.str, list(array.shape)]}
     if isinstance(value, np.generic):
         return _outlined(value.item(), path, arrays)
     if isinstance(value, float):
@@ -142,21 +149,29 @@ def _outlined(value: Any, path: str, arrays: Arrays) -> Any:
 def _outlined_list(values: list[Any], path: str, arrays: Arrays) -> Any:
     if len(values) >= LONG_LIST:
         kinds = set(map(type, values))
-        if kinds == {float} or (kinds == {int} and -(2**63) <= min(values) <= max(values) < 2**63):
-            array = np.array(values, '<f8' if kinds == {float} else '<i8')
-            return {_LIST: [array.dtype.str, len(values)], **_added(path, array, arrays)}
+        if kinds == {float} or kinds == {int}:
+            with suppress(OverflowError):  # an integer of more than 64 bits
+                array = np.array(values, '<f8' if kinds == {float} else '<i8')
+                arrays[path] = array
+                return {_LIST: [array.dtype.str, len(values)]}
+        if kinds <= {str, bool, int, NoneType}:
+            arrays[path] = _text(values)
+            return {_JSON: len(arrays[path])}
+        if kinds <= {list, tuple} and len(set(map(len, values))) == 1 and len(values[0]):
+            # A table: columns of one type are much faster to convert than rows of several.
+            cells, width = list(chain.from_iterable(values)), len(values[0])
+            columns = [
+                _outlined_list(cells[n::width], _joined(path, str(n)), arrays)
+                for n in range(width)
+            ]
+            return {_TABLE: columns}
     count = len(arrays)
     items = [_outlined(item, _joined(path, str(n)), arrays) for n, item in enumerate(values)]
     if len(values) < LONG_LIST or len(arrays) > count:
         return items
     array = _text(items)
-    return {_JSON: len(array), **_added(path, array, arrays)}
-
-
-def _added(path: str, array: NDArray[Any], arrays: Arrays) -> dict[str, Any]:
-    if array.nbytes:
-        arrays[path] = array
-    return {}
+    arrays[path] = array
+    return {_JSON: len(array)}
 
 
 class _Rebuilding:
@@ -179,6 +194,13 @@ class _Rebuilding:
             if mark == _LIST:
                 name, length = content
                 return self._loaded(path, name, [length]).tolist()
+            if mark == _TABLE:
+                columns = [
+                    self.rebuilt(item, _joined(path, str(n))) for n, item in enumerate(content)
+                ]
+                if not all(isinstance(column, list) for column in columns):
+                    raise TypeError('a column is not a list')
+                return list(map(list, zip(*columns, strict=True)))
             if mark == _JSON:
                 text = self._loaded(path, '|u1', [content]).tobytes()
                 return _Rebuilding(_no_array).rebuilt(_parsed(text), path)

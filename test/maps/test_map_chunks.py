@@ -61,6 +61,8 @@ def restored(state: dict[str, Any]) -> dict[str, Any]:
 @given(STATES)
 @example({'a': {'b/c': np.zeros(3)}, 'a/b': {'c': np.ones(3)}})
 @example({'a': [0.0, float('nan'), -0.0] * LONG_LIST, 'b': [2**70] * LONG_LIST})
+@example({'a': [[1, 2.0, 'b', None]] * LONG_LIST, 'b': [[]] * LONG_LIST, 'c': [(1,)] * 99})
+@example({'a': [[[1, 2], [3.0, 4]]] * LONG_LIST, 'b': [[{'c': np.zeros(2)}, 1]] * LONG_LIST})
 @example({'a': [True] * LONG_LIST, 'b': [1, 2.0] * LONG_LIST})
 def test_states_survive_packing(state: dict[str, Any]) -> None:
     assert same(restored(state), state)
@@ -129,6 +131,7 @@ def test_chunk_of_other_size_is_refused_before_unpacking() -> None:
     b'{"a":{"$array":["<f8"]}}', b'{"a":{"$number":"one"}}', b'{"a":{"$dict":3}}',
     b'{"a":{"$array":["<f8",[1,1,1,1,1,1,1,1,1]]}}', b'{"a":' + b'[' * 100_000,
     b'{"a":{"$list":["<f8",[1]]}}', b'{"a":NaN}', b'{"a":' + b'1' * 5000 + b'}',
+    b'{"a":{"$table":[[1],[1,2]]}}', b'{"a":{"$table":[1]}}',
     b'{"a":{"$dict":[[1,2]]}}', b'{"a":{"$dict":[[["x"],2]]}}', b'{"a":{"$array":[[],[1]]}}',
 ])  # fmt: skip
 def test_damaged_outlines_are_refused(outline: bytes) -> None:
