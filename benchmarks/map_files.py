@@ -79,7 +79,7 @@ def changed(value: Any, moved: int, number: int) -> Any:
         return {key: changed(item, moved, number) for key, item in value.items()}
     if isinstance(value, np.ndarray) and value.ndim and len(value) >= GROWING_ROWS:
         grown = np.concatenate([value, value[-NEW_ROWS:]])
-        if value.dtype == np.float64 and value.ndim == 2 and value.shape[1] == 3:
+        if moved > 0 and value.dtype == np.float64 and value.ndim == 2 and value.shape[1] == 3:
             grown[-min(moved, len(grown)) :] += 1e-3 * number
         return grown
     if isinstance(value, list) and len(value) >= GROWING_ROWS:
