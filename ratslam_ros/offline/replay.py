@@ -23,7 +23,7 @@ from ratslam_ros.core.vision.local_view import LocalView
 from ratslam_ros.core.vision.visual_odometry import field_of_view_deg
 from ratslam_ros.descriptors import encoder_of
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.event_inputs import odometry_from_event, scan_from_event
+from ratslam_ros.event_inputs import laser_mount, odometry_from_event, scan_from_event
 from ratslam_ros.files.config import to_yaml
 from ratslam_ros.history.file import HISTORY_NAME, HistoryMeta, package_version
 from ratslam_ros.history.recorder import Recorder
@@ -186,6 +186,7 @@ class _Run:
         self._recording = recording
         self.config = config
         self._folder = folder
+        self._mount = laser_mount(recording, selection)
         self._lacks_scans = self.slam.scan_matcher is not None and selection.scan_topic is None
         self._unusable: Counter[str] = Counter()
         self._first_errors: dict[str, str] = {}
@@ -212,7 +213,7 @@ class _Run:
             self._write(self.slam.image(event.stamp_ns, image))
         elif isinstance(event, ScanEvent):
             try:
-                scan = scan_from_event(event)
+                scan = scan_from_event(event, self._mount)
             except UnusableScan as error:
                 self._count_unusable('scan', error)
             else:

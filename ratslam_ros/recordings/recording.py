@@ -9,7 +9,7 @@ from types import TracebackType
 from typing import Self
 
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.recordings.events import Calibration, Event
+from ratslam_ros.recordings.events import Calibration, Event, LaserFrames
 from ratslam_ros.recordings.selection import select
 from ratslam_ros.recordings.stream import Warnings
 from ratslam_ros.recordings.topics import Selection, Topic
@@ -41,6 +41,10 @@ class Recording(ABC):
     def warnings(self) -> list[str]:
         """Problems found, one line each; reading events can add more."""
         return self._warnings.texts
+
+    def warn(self, text: str) -> None:
+        """Add a warning for the user, unless it is there already."""
+        self._warnings.add(text)
 
     def select(
         self,
@@ -94,6 +98,10 @@ class Recording(ABC):
 
     def calibration(self, selection: Selection) -> Calibration | None:
         """Return the calibration of the camera of the selected images, None if not recorded."""
+        return None
+
+    def laser_frames(self, selection: Selection) -> LaserFrames | None:
+        """Return the frames of the selected scans; None if there are none or they are unknown."""
         return None
 
     def is_depth(self, topic: Topic) -> bool:
