@@ -27,6 +27,8 @@ PLOT_EVERY = 5
 PLOT_HEIGHT_PX = 150
 PLOT_FONT, FAINT = '11px sans-serif', 'rgba(128,128,128,0.25)'
 
+MATCH_LABEL = 'View (above) and matched template (below)'
+NO_IMAGE = 'no camera image for this moment'
 NO_PICTURE = np.full((3, 4, 3), 127, np.uint8)
 
 
@@ -36,10 +38,12 @@ class CameraPanel:
     def __init__(self, desk: Desk) -> None:
         self._desk, gui = desk, desk.gui
         self.loader = ImageLoader(desk.post)
-        self.image = gui.add_image(NO_PICTURE, label='Camera', format='jpeg')
-        self.no_image = gui.add_html(block(dim('no camera image for this moment')), visible=False)
+        self.image = gui.add_image(
+            NO_PICTURE, label='Camera', format='jpeg', visible=False
+        )
+        self.no_image = gui.add_html(block(dim(NO_IMAGE)))
         self.text = gui.add_html('')
-        self.match = gui.add_image(NO_PICTURE, label='View (above) and matched template (below)')
+        self.match = gui.add_image(NO_PICTURE, label=MATCH_LABEL, visible=False)
         self.match_text = gui.add_html('')
         axis: viser.uplot.Axis = {
             'stroke': 'gray', 'grid': {'stroke': FAINT}, 'ticks': {'stroke': FAINT},
