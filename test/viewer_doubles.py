@@ -72,6 +72,7 @@ class FakeRun:
         self.title = 'test run'
         self.is_growing = is_growing
         self.notices: Sequence[str] = ()
+        self.required_views: float | None = 5.0
         self.stamps: list[int] = []
         self.records: list[list[Record]] = []
         self.seeks = 0

@@ -100,6 +100,7 @@ class ViewerNode(Node):  # type: ignore[misc]
                 self.topics.unsubscribe()
         if is_wanted:
             self.controls.refresh()
+            self.run.required_views = float(self.controls.values['pose_cells.pc_vt_agree_views'])
             self.topics.request_map()
             self._report(self.topics.missing(SILENCE_S))
 

@@ -35,6 +35,10 @@ class RunSource(Protocol):
     def notices(self) -> Sequence[str]:
         """What the user must know, such as that only the final state can be shown."""
 
+    @property
+    def required_views(self) -> float | None:
+        """Number of views that must agree on a place (``pc_vt_agree_views``), None if unknown."""
+
     def seek(self, stamp_ns: int) -> RunState:
         """Return a new state: that of the last record whose stamp is not later."""
 

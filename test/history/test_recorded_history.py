@@ -27,6 +27,7 @@ from records_for_tests import plain, plain_state
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import Config
+from ratslam_ros.files.config import load_config
 from ratslam_ros.history.file import HISTORY_NAME, part_path
 from ratslam_ros.history.final_run import FinalRun
 from ratslam_ros.history.history_run import HistoryRun
@@ -203,4 +204,12 @@ def test_large_images_are_reduced(tmp_path: Path) -> None:
     shown = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
     assert shown.shape[1] == 320
     assert not part_path(folder / HISTORY_NAME).exists()
+    run.close()
+
+
+def test_history_states_how_many_views_must_agree(results: Path) -> None:
+    run = open_run(results)
+    assert isinstance(run, HistoryRun)
+    config = load_config(str(results / 'config.yaml'))[0]
+    assert run.required_views == config.pose_cells.pc_vt_agree_views > 0
     run.close()

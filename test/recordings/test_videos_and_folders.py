@@ -72,7 +72,7 @@ def test_stray_images_are_refused_and_sequences_are_not(tmp_path, names):
         with open_recording(folder) as recording:
             assert '3 images' in recording.warnings[0]
     else:
-        with pytest.raises(UnusableInput, match='2 images .* a.png and b.png, among 7 files'):
+        with pytest.raises(UnusableInput, match=r'2 images .* a\.png and b\.png, among 7 files'):
             open_recording(folder)
     write_table = folder / 'frames.csv'
     write_table.write_text(f'stamp_s,image\n1.0,{names[0]}\n')

@@ -14,6 +14,7 @@ from ratslam_ros.viewer.panels.export import file_name
 from ratslam_ros.viewer.panels.parameters import declaration, found, hint_text, problem_of
 from ratslam_ros.viewer.panels.pictures import PLOT_POINTS, error_curves, match_picture
 from ratslam_ros.viewer.panels.texts import (
+    agreement_text,
     cells_text,
     closure_text,
     decision_text,
@@ -70,6 +71,22 @@ def test_match_text_compares_error_with_threshold() -> None:
     worse = match_text(replace(new, error=0.05))
     assert worse == 'new template 5: best error 0.0500 exceeds 0.0300'
     assert 'too uniform' in match_text(replace(view, template_id=-1))
+
+
+@pytest.mark.parametrize(
+    ('agreement', 'required', 'text'),
+    [
+        (0.6, 5.0, '3 of 5 views agree'), (1.0, 7.0, '7 of 7 views agree'),
+        (1.0, 2.5, '3 of 2.5 views agree'), (3 / 7, 7.0, '3 of 7 views agree'),
+        (1.0, 0.0, 'no agreement required'), (0.43, None, 'agreement 43%'),
+    ],
+)  # fmt: skip
+def test_agreement_is_a_number_of_views(
+    agreement: float, required: float | None, text: str
+) -> None:
+    view = replace(view_at(25), agreement=agreement)
+    assert agreement_text(view, required) == text
+    assert text in decision_text(view, required)
 
 
 def test_decision_text_names_action_and_reason() -> None:

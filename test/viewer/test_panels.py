@@ -216,7 +216,7 @@ def test_listed_closure_shows_both_images_and_values(page: Page) -> None:
     assert 'enough recognitions agree' in selection.text.content
     assert page.scene.selected.ends == (19, 0)  # type: ignore[attr-defined]
     assert selection.images.content.count('<img') == 2
-    for part in ('0.0100', '0.0300', '100%', 'displacement'):
+    for part in ('0.0100', '0.0300', '5 of 5 views agree', 'displacement'):
         assert part in selection.details.content
     page.give(selection.list, rejected)
     assert 'moves the robot by 4.0 m' in selection.text.content

@@ -82,9 +82,10 @@ class CameraPanel:
             self._request_image(state, stamp_ns)
         view = state.view
         if view is not None:
+            required = self._desk.playback.source.required_views
             symbol = mark('◆', ORANGE) if view.is_new else mark('●', GREEN)
             self.text.content = block(
-                f'{symbol} {strong(match_text(view))}', escape(decision_text(view))
+                f'{symbol} {strong(match_text(view))}', escape(decision_text(view, required))
             )
         else:
             self.text.content = block(dim('no view yet'))

@@ -27,6 +27,7 @@ from ratslam_ros.viewer.panels.html import (
     table,
 )
 from ratslam_ros.viewer.panels.texts import (
+    agreement_text,
     claimed_id,
     closure_text,
     explained,
@@ -232,7 +233,7 @@ class SelectionPanel:
             ('template', f'{view.template_id}'),
             ('match error', f'{view.error:.4f}' if view.error >= 0 else 'not computed'),
             ('threshold', f'{view.threshold:.4f}'),
-            ('agreement', f'{view.agreement:.0%} of the recognitions required'),
+            ('agreement', agreement_text(view, source.required_views)),
             *self._displacement(view, target),
         ]
         self.details.content = block(table(rows))

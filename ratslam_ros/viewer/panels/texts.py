@@ -68,8 +68,8 @@ def match_text(view: ViewRecord) -> str:
     return f'template {view.template_id} matched: error {view.error:.4f} of {view.threshold:.4f}'
 
 
-def decision_text(view: ViewRecord) -> str:
-    """Return what the pose cells and the map made of a view."""
+def decision_text(view: ViewRecord, required_views: float | None = None) -> str:
+    """Return what the pose cells and the map made of a view; see ``agreement_text``."""
     target = view.target_id
     if view.relocated_to >= 0:
         return f'relocated to experience {view.relocated_to} by laser scans'
@@ -77,9 +77,8 @@ def decision_text(view: ViewRecord) -> str:
         return f'rejected: loop closure to experience {claimed_id(view)} {view.reason}'
     recognised = ''
     if view.recognised_id >= 0:
-        recognised = (
-            f'recognised experience {view.recognised_id} (agreement {view.agreement:.0%}); '
-        )
+        agreement = agreement_text(view, required_views)
+        recognised = f'recognised experience {view.recognised_id} ({agreement}); '
     decision = {
         'create': f'experience {target} created',
         'link': f'experience {target} linked',
@@ -87,6 +86,21 @@ def decision_text(view: ViewRecord) -> str:
         'none': f'stays at experience {target}' if target >= 0 else 'no experience yet',
     }[view.action]
     return recognised + decision
+
+
+def agreement_text(view: ViewRecord, required_views: float | None) -> str:
+    """Return how many views agree with a recognition.
+
+    Args:
+        view: the view that was recognised.
+        required_views: number of views that must agree, 0 for none, None if it is unknown.
+    """
+    if required_views is None:
+        return f'agreement {view.agreement:.0%}'
+    if required_views == 0.0:
+        return 'no agreement required'
+    agreeing = math.ceil(view.agreement * required_views - 1e-9)
+    return f'{agreeing} of {required_views:g} views agree'
 
 
 def claimed_id(view: ViewRecord) -> int:
