@@ -179,6 +179,7 @@ class FakeControls:
         self.calls: list[tuple[object, ...]] = []
         self.diagnostics = {'local_view': ('OK', '10.0 Hz'), 'pose_cells': ('ERROR', 'no <odom>')}
         self.places: Sequence[str] = ('kitchen',)
+        self.switches: dict[str, bool] = {}
         self.parameters: dict[str, object] = {
             f'{section}.{name}': value
             for section, values in Config().values().items()

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from ratslam_ros.viewer.run_source import Answer
 
@@ -18,6 +18,7 @@ class NoControls:
         self.actions: frozenset[str] = frozenset()
         self.diagnostics: dict[str, tuple[str, str]] = {}
         self.places: Sequence[str] = ()
+        self.switches: Mapping[str, bool] = {}
         self.parameters: dict[str, object] = {}
 
     def _refused(self) -> Answer:
@@ -48,6 +49,10 @@ class NoControls:
         return self._refused()
 
     def mapping(self, on: bool) -> Answer:
+        """Refuse."""
+        return self._refused()
+
+    def relocate(self) -> Answer:
         """Refuse."""
         return self._refused()
 

@@ -338,8 +338,17 @@ def test_services_answer_for_all_nodes(viewer: Any, tmp_path: Any) -> None:
     controls = made.viewer.controls
     answer = requested(made, lambda: controls.pause_nodes(True))
     assert answer.message == 'experience_map is paused'
+    made.nodes[1]._publish_diagnostics()
+    made.until(lambda: controls.switches == {'explore': False, 'pause_nodes': True})
     assert requested(made, lambda: controls.pause_nodes(False)).success
     assert 'localises only' in requested(made, lambda: controls.mapping(False)).message
+    made.nodes[1]._publish_diagnostics()
+    made.until(
+        lambda: controls.switches == {'explore': False, 'pause_nodes': False, 'mapping': False}
+    )
+    answer = requested(made, controls.relocate)
+    assert not answer.success
+    assert 'exp_relocate' in answer.message
     assert not list(tmp_path.iterdir())
     assert requested(made, controls.save).success
     assert list(tmp_path.iterdir())

@@ -20,7 +20,7 @@ from ratslam_ros.viewer.panels.shortcuts import RESERVED
 
 ALL_ACTIONS = (
     'go_to', 'go_to_place', 'name_place', 'cancel_goals', 'explore', 'pause_nodes', 'mapping',
-    'save', 'load', 'reset', 'set_parameter',
+    'relocate', 'save', 'load', 'reset', 'set_parameter',
 )  # fmt: skip
 
 
