@@ -104,8 +104,7 @@ class ViewerNode(Node):  # type: ignore[misc]
             self.topics.request_map()
             self._report(self.topics.missing(SILENCE_S))
 
-    def _report(self, missing: list[str]) -> None:
-        text = f'no messages on {", ".join(missing)}: are the nodes running?' if missing else ''
+    def _report(self, text: str) -> None:
         if text != self._missing:
             self._missing = text
             self.run.problems.pop('missing', None)

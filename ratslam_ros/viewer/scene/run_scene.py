@@ -123,10 +123,13 @@ class RunScene:
         """Return the colours of the map and what they stand for."""
         theme = self._canvas.theme
         return [
-            *self._legend, (theme.trail, 'path of the robot'),
+            *self._legend, (theme.robot, 'robot'),
+            (theme.trail, 'path of the robot, as estimated at the time'),
             *((colour, text) for colour, text, known in (
                 (theme.dead_reckoning, 'odometry alone', self._reckoned.is_drawn),
                 (theme.truth, 'ground truth', self._truth.is_drawn),
+                (theme.scan, 'laser scan', self._robot.has_scan),
+                (theme.route, 'route and goal', self._robot.has_route),
             ) if known),
         ]  # fmt: skip
 
