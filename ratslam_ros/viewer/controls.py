@@ -8,11 +8,16 @@ from collections.abc import Mapping, Sequence
 
 from ratslam_ros.viewer.run_source import Answer
 
+FINISHED = (
+    'This run is finished, so there is nothing to command. To command a robot, start its nodes '
+    'with "ratslam launch --view".'
+)
+
 
 class NoControls:
     """Controls of a finished run: every request is refused with the same reason."""
 
-    def __init__(self, reason: str = 'This run is finished, so there is nothing to command.'):
+    def __init__(self, reason: str = FINISHED):
         self.reason = reason
         """Why there is nothing to command, for the user."""
         self.actions: frozenset[str] = frozenset()
