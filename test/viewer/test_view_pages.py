@@ -4,12 +4,16 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
 from pages import Page, Relay, wait_for
 from viewer_doubles import FakeControls, FakeRun
+
+STALL_S = 5.0
+"""Duration of a stall of the network."""
 
 NewPage = Callable[[str], Page]
 
@@ -75,9 +79,11 @@ def test_stalled_browser_catches_up_and_stops_no_other(shown: Shown, new_page: N
         stalled = new_page(shown.served.url.replace(f':{port}', f':{relay.port}'))
         stalled.wait_for_text(shown.end)
         relay.stall()
+        end_s = time.monotonic() + STALL_S
         before = shown.end
-        shown.run.grow(4)
-        shown.page.wait_for_text(shown.end)
+        while time.monotonic() < end_s:  # the other page shows every step meanwhile
+            shown.run.grow(1)
+            shown.page.wait_for_text(shown.end)
         stalled.wait_for_text(before)
         relay.resume()
         stalled.wait_for_text(shown.end)
