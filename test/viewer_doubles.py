@@ -148,6 +148,7 @@ class FakeScene:
     def __init__(self) -> None:
         self.colouring, self.dark, self.detail = 'age', False, ''
         self.limit = 4000
+        self.background = 20, 20, 20
         self.shown = dict.fromkeys(self.layers, True)
         self.selected: object = None
         self.looks = 0

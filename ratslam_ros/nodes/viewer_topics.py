@@ -159,7 +159,8 @@ class ViewerTopics:
     def missing(self, silence_s: float) -> str:
         """Return which expected topics are silent and what may be the cause, '' if none is."""
         now_s = time.monotonic()
-        silent, lonely = [], []
+        silent: list[str] = []
+        lonely: list[str] = []
         for topic in EXPECTED:
             if now_s - self._heard_s.get(topic, self._since_s) >= silence_s:
                 name = self._node.resolve_topic_name(topic)

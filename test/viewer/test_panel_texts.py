@@ -20,6 +20,7 @@ from ratslam_ros.viewer.panels.texts import (
     decision_text,
     explained,
     joins,
+    match_picture_text,
     match_text,
     playback_text,
     stamp_text,
@@ -87,6 +88,15 @@ def test_agreement_is_a_number_of_views(
     view = replace(view_at(25), agreement=agreement)
     assert agreement_text(view, required) == text
     assert text in decision_text(view, required)
+
+
+def test_picture_of_an_earlier_match_says_so() -> None:
+    picture = np.zeros((4, 12), np.uint8)
+    match = MatchRecord(BEGIN_NS, 7, picture, picture, -2)
+    assert match_picture_text(match, BEGIN_NS) == (
+        'template 7: shifted 2 px to the left; as compared, 12 × 4 px'
+    )
+    assert 'template 7 0.5 s before: ' in match_picture_text(match, BEGIN_NS + STEP_NS)
 
 
 def test_decision_text_names_action_and_reason() -> None:

@@ -222,6 +222,9 @@ def test_listed_closure_shows_both_images_and_values(page: Page) -> None:
     assert 'moves the robot by 4.0 m' in selection.text.content
     page.give(selection.jump)
     assert page.playback.cursor_ns == page.run.stamps[23]
+    assert selection.list.value == rejected
+    page.give(selection.clear_button)
+    assert selection.list.value == 'choose one'
 
 
 def test_clicked_link_shows_the_view_that_closed_it(page: Page) -> None:
@@ -310,7 +313,9 @@ class FakeClient:
         self.notes: list[tuple[str, str, str]] = []
 
     def get_render(self, height: int, width: int, **more: object) -> np.ndarray:
-        return np.full((height, width, 4), (10, 20, 30, 255), np.uint8)
+        picture = np.full((height, width, 4), (10, 20, 30, 255), np.uint8)
+        picture[1:, :, 3] = 0
+        return picture
 
     def send_file_download(self, name: str, content: bytes, save_immediately: bool) -> None:
         self.files.append((name, content))
@@ -359,7 +364,8 @@ def test_screenshot_is_drawn_and_downloaded_by_the_browser(
     ((name, content),) = browser.files
     assert name == 'test-run-0-05.0.png'
     picture = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
-    assert picture.shape == (30, 40, 4) and tuple(picture[0, 0]) == (30, 20, 10, 255)
+    assert picture.shape == (30, 40, 3) and tuple(picture[0, 0]) == (30, 20, 10)
+    assert tuple(picture[1, 0]) == (20, 20, 20)  # the background of the theme
 
 
 def test_recording_is_downloaded_and_its_failure_shown(

@@ -15,7 +15,7 @@ from ratslam_ros.viewer.panels.desk import Desk
 from ratslam_ros.viewer.panels.html import BLUE, GREEN, ORANGE, RED, block, dim, mark, strong
 from ratslam_ros.viewer.panels.image_loader import ImageLoader
 from ratslam_ros.viewer.panels.pictures import error_curves, match_picture
-from ratslam_ros.viewer.panels.texts import decision_text, match_text
+from ratslam_ros.viewer.panels.texts import decision_text, match_picture_text, match_text
 
 if TYPE_CHECKING:
     import viser
@@ -92,6 +92,8 @@ class CameraPanel:
         if state.match is not self._match:
             self._match = state.match
             self._show_match(state.match)
+        if state.match is not None:
+            self.match_text.content = block(dim(match_picture_text(state.match, stamp_ns)))
         self._show_plot(state, stamp_ns)
 
     def _request_image(self, state: RunState, stamp_ns: int) -> None:
@@ -114,13 +116,6 @@ class CameraPanel:
             self.match_text.content = ''
             return
         self.match.image = match_picture(match)
-        shift = match.shift_px
-        side = 'right' if shift > 0 else 'left'
-        moved = f'shifted {abs(shift)} px to the {side}' if shift else 'no shift'
-        height, width = match.view.shape
-        self.match_text.content = block(
-            dim(f'template {match.template_id}: {moved}; as compared, {width} × {height} px')
-        )
 
     def _show_plot(self, state: RunState, stamp_ns: int) -> None:
         due = self._desk.updates - self._drawn >= PLOT_EVERY

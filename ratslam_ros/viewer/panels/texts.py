@@ -8,7 +8,7 @@ import math
 from collections.abc import Sequence
 from datetime import UTC, datetime
 
-from ratslam_ros.history.records import CellsRecord, ViewRecord
+from ratslam_ros.history.records import CellsRecord, MatchRecord, ViewRecord
 from ratslam_ros.history.run_state import NS_PER_S
 from ratslam_ros.viewer.playback import Playback
 
@@ -66,6 +66,17 @@ def match_text(view: ViewRecord) -> str:
     if view.error < 0:
         return f'template {view.template_id} matched'
     return f'template {view.template_id} matched: error {view.error:.4f} of {view.threshold:.4f}'
+
+
+def match_picture_text(match: MatchRecord, shown_ns: int) -> str:
+    """Return what a picture of a match shows; pictures are recorded less often than views."""
+    shift = match.shift_px
+    side = 'right' if shift > 0 else 'left'
+    moved = f'shifted {abs(shift)} px to the {side}' if shift else 'no shift'
+    height, width = match.view.shape
+    ago_s = (shown_ns - match.stamp_ns) / NS_PER_S
+    before = f' {ago_s:.1f} s before' if ago_s >= 0.05 else ''
+    return f'template {match.template_id}{before}: {moved}; as compared, {width} × {height} px'
 
 
 def decision_text(view: ViewRecord, required_views: float | None = None) -> str:

@@ -18,7 +18,7 @@ from ratslam_ros.viewer.scene.cell_drawing import CellDrawing
 from ratslam_ros.viewer.scene.colouring import Colours, Legend, map_colours
 from ratslam_ros.viewer.scene.map_drawing import LIMIT, MapDrawing
 from ratslam_ros.viewer.scene.nodes import Asset, Canvas, ring
-from ratslam_ros.viewer.scene.palette import DARK, LIGHT, Bytes
+from ratslam_ros.viewer.scene.palette import DARK, LIGHT, Bytes, Rgb
 from ratslam_ros.viewer.scene.picking import Pick
 from ratslam_ros.viewer.scene.robot_drawing import RobotDrawing
 from ratslam_ros.viewer.scene.surroundings import Bounds, Cameras, GridDrawing
@@ -112,6 +112,11 @@ class RunScene:
         self._link_m = 0.25
 
     @property
+    def background(self) -> Rgb:
+        """Colour behind everything."""
+        return (DARK if self.dark else LIGHT).background
+
+    @property
     def detail(self) -> str:
         """How the detail is reduced; '' if it is not."""
         every = self._map.every
@@ -124,7 +129,7 @@ class RunScene:
         theme = self._canvas.theme
         return [
             *self._legend, (theme.robot, 'robot'),
-            (theme.trail, 'path of the robot, as estimated at the time'),
+            (theme.trail, 'path, as estimated at the time'),
             *((colour, text) for colour, text, known in (
                 (theme.dead_reckoning, 'odometry alone', self._reckoned.is_drawn),
                 (theme.truth, 'ground truth', self._truth.is_drawn),
