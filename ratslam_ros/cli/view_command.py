@@ -75,6 +75,8 @@ def _view(options: argparse.Namespace) -> int:
     from ratslam_ros.history.file import HISTORY_NAME, PART
 
     path: Path = options.recording
+    if path.is_file() and path.name in (HISTORY_NAME, HISTORY_NAME + PART, 'map.json'):
+        path = options.recording = path.parent
     if options.export is not None:
         check_export(options.export)
     if any((path / name).is_file() for name in (HISTORY_NAME, HISTORY_NAME + PART, 'map.json')):

@@ -106,7 +106,7 @@ def test_notices_of_the_source_are_shown(page: Page) -> None:
 def test_run_without_records_has_panels_too() -> None:
     with open_page(FakeRun(0, is_growing=True), FakeControls(*ALL_ACTIONS)) as page:
         assert 'waiting for the first data' in page.panels.time.text.content
-        assert 'no view yet' in page.panels.camera.text.content
+        assert 'no view for this moment' in page.panels.camera.text.content
         assert not page.panels.camera.image.visible
         page.run.grow(3)
         page.update(0.1)
@@ -254,7 +254,7 @@ def test_closures_are_those_up_to_the_shown_moment(page: Page) -> None:
     page.at(10)
     for _ in range(10):
         page.update()
-    assert page.panels.selection.list.options == ('none yet',)
+    assert page.panels.selection.list.options == ('none',)
 
 
 # Appearance, shortcuts and cost.

@@ -64,7 +64,7 @@ class CameraPanel:
                 {**axis, 'size': 42},
             ),
             legend={'live': False},
-            height=PLOT_HEIGHT_PX,
+            height=PLOT_HEIGHT_PX, visible=False,
         )  # fmt: skip
         self._drawn = -PLOT_EVERY
         self._match: MatchRecord | None = None
@@ -88,7 +88,7 @@ class CameraPanel:
                 f'{symbol} {strong(match_text(view))}', escape(decision_text(view, required))
             )
         else:
-            self.text.content = block(dim('no view yet'))
+            self.text.content = block(dim('no view for this moment'))
         if state.match is not self._match:
             self._match = state.match
             self._show_match(state.match)
@@ -121,7 +121,9 @@ class CameraPanel:
         due = self._desk.updates - self._drawn >= PLOT_EVERY
         if due and stamp_ns != self._plotted_ns:
             self._drawn, self._plotted_ns = self._desk.updates, stamp_ns
-            self.plot.data = error_curves(state.recent, stamp_ns)
+            curves = error_curves(state.recent, stamp_ns)
+            self.plot.visible = len(curves[0]) > 0
+            self.plot.data = curves
 
 
 def set_jpeg(handle: viser.GuiImageHandle, jpeg: bytes) -> None:

@@ -41,7 +41,7 @@ class CellsPanel:
         required = self._desk.playback.source.required_views
         parts = [strong('Decision')]
         view = state.view
-        parts.append(escape(decision_text(view, required)) if view else dim('no view yet'))
+        parts.append(escape(decision_text(view, required)) if view else dim('no view'))
         parts.append(strong('Activity'))
         parts.append(table(cells_text(state.cells)) if state.cells else dim('not recorded'))
         self.text.content = block(*parts)

@@ -293,4 +293,4 @@ VERDICTS = {
 """Symbol and colour of every verdict."""
 
 NO_VISIT = 'choose a time'
-NO_CLOSURE, NONE_YET = 'choose one', 'none yet'
+NO_CLOSURE, NONE_YET = 'choose one', 'none'

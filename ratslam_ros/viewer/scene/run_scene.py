@@ -56,6 +56,10 @@ TICKS = 400
 TICK_DISTANCES = 80.0
 """Headings are drawn if the camera is nearer than this many median lengths of links."""
 
+LABELS_SHARE = 1.4
+"""Side of what is framed relative to that of the map, so that the labels of the grid are seen;
+beside the pose cells, there is more room than that."""
+
 CELLS_SIDE = 0.42
 """Side of the box of the pose cells as a share of the side of the map."""
 
@@ -188,6 +192,8 @@ class RunScene:
     def area(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the lower and upper corner of all that has been drawn, in m."""
         half, centre = 0.5 * self._bounds.side_m, self._bounds.centre
+        if not self._cells_known:
+            half *= LABELS_SHARE
         low, high = centre - half, centre + half
         if self._cells_known:
             low = low - np.array([2.0 * CELLS_GAP * self._bounds.side_m, 0.0])
