@@ -16,20 +16,6 @@ GREEN, ORANGE, RED, BLUE = (0, 158, 115), (230, 159, 0), (213, 94, 0), (0, 114, 
 LEVELS = {'OK': ('●', GREEN), 'WARN': ('▲', ORANGE), 'ERROR': ('■', RED)}
 """Symbol and colour of the levels of diagnostics."""
 
-STYLE = """<style class="ratslam-pinned">
-[data-scrollarea-viewport] div:has(.ratslam-pinned) { overflow: visible !important; }
-.mantine-Paper-root:has(.ratslam-pinned):not(:has(.mantine-Paper-root .ratslam-pinned)) {
-  position: sticky; top: 0; z-index: 5; border-width: 0 0 1px; padding: 0;
-  margin: calc(-1 * var(--mantine-spacing-xs)) 0 0;
-  > .mantine-Paper-root { display: none; }
-}
-[data-scrollarea-viewport] img[src^="blob:"] {
-  width: 100%; max-height: 23vh; object-fit: contain; object-position: left;
-}
-</style>"""
-"""Style of the page, for what viser has no settings: the folder that contains it stays at the top
-when its panel is scrolled, without border and title, and images are as wide as their panel."""
-
 
 def block(*parts: str) -> str:
     """Return lines of HTML as a block with the margins of viser's other elements."""

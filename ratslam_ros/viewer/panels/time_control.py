@@ -6,7 +6,8 @@ from __future__ import annotations
 
 from ratslam_ros.history.run_state import NS_PER_S, RunState
 from ratslam_ros.viewer.panels.desk import Desk, assign, offer
-from ratslam_ros.viewer.panels.html import ORANGE, STYLE, block, dim, mark, strong
+from ratslam_ros.viewer.panels.html import ORANGE, block, dim, mark, strong
+from ratslam_ros.viewer.panels.page import PAGE
 from ratslam_ros.viewer.panels.texts import playback_text, stamp_text, time_text
 
 SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
@@ -25,7 +26,7 @@ class TimeControl:
         self._desk, gui = desk, desk.gui
         playback = desk.playback
         with gui.add_folder('Time'):
-            gui.add_html(STYLE)
+            gui.add_html(PAGE)
             self.text = gui.add_html('')
             self.scrubber = gui.add_slider(
                 'Time [s]', 0.0, 1.0, SLIDER_STEP_S, 0.0, marks=(),
