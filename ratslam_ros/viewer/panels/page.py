@@ -37,8 +37,8 @@ window.ratslamRelease ??= setInterval(() => {
   };
 }, 500);
 """
-"""Script that frees the memory of lines that are no longer drawn. Viser (1.1) frees only the meshes
-of a removed glTF node, so that a page would grow by several MB per minute."""
+"""Script that frees the memory of lines that are no longer drawn. Viser (1.1) frees only the
+meshes of a removed glTF node, so that a page would keep every map that it has ever drawn."""
 
 PAGE = f'{STYLE}<img alt="" hidden src="data:," onerror="{escape(RELEASE)}">'
 """HTML for the time control. Scripts in inserted HTML do not run; the handler of an image does."""
