@@ -72,6 +72,25 @@ def test_reloaded_page_shows_the_same(shown: Shown) -> None:
     shown.page.wait_for_text('live: following')
 
 
+def test_removed_lines_free_their_memory(shown: Shown) -> None:
+    def count() -> int:
+        return int(
+            shown.page.run('return window.__viserTestpoints.rendererInfo.memory.geometries')
+        )
+
+    def change_theme() -> None:
+        scene.dark = not scene.dark
+
+    scene = shown.served.app.scene
+    wait_for(lambda: count() > 3, 'a drawn map')
+    before = most = count()
+    for _ in range(8):  # every change draws all lines anew
+        shown.served.app.post(change_theme)
+        shown.served.wait_for_updates(5)
+        most = max(most, count())
+    wait_for(lambda: count() <= before + 3, f'{before} geometries again, after {most}')
+
+
 def test_stalled_browser_catches_up_and_stops_no_other(shown: Shown, new_page: NewPage) -> None:
     port = shown.served.server.port
     relay = Relay(port)
