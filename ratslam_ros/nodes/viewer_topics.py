@@ -166,16 +166,24 @@ class ViewerTopics:
             self._laser.close()
             self._laser = None
 
-    def missing(self, silence_s: float) -> list[str]:
-        """Return which expected topics are silent, and whether they have publishers."""
+    def missing(self, silence_s: float) -> str:
+        """Return which expected topics are silent and what may be the cause, '' if none is."""
         now_s = time.monotonic()
-        silent = []
+        silent: list[str] = []
+        lonely: list[str] = []
         for topic in EXPECTED:
             if now_s - self._heard_s.get(topic, self._since_s) >= silence_s:
-                count = publisher_count(self._node, topic)
                 name = self._node.resolve_topic_name(topic)
-                silent.append(f'{name} ({count or "no"} publishers)')
-        return silent
+                (silent if publisher_count(self._node, topic) else lonely).append(name)
+        causes = []
+        if lonely:
+            causes.append(f'no node publishes {", ".join(lonely)}: are the nodes running?')
+        if silent:
+            causes.append(
+                f'no messages on {", ".join(silent)}: do the nodes receive images and odometry? '
+                'The tab Drive shows what each of them waits for.'
+            )
+        return '; '.join(causes)
 
     # Receiving
 

@@ -58,6 +58,7 @@ class ReplayOptions:
     video: file for a video of the growing map, None for none. progress: show a progress bar.
     landmarks: build the map of the node landmark_map, too. history: write history.sqlite.
     images_rate_hz: rate with which the recording was opened, noted in the history.
+    title: name of the run for viewers; '' for that of the recording.
     """
 
     start_s: float = 0.0
@@ -67,6 +68,7 @@ class ReplayOptions:
     landmarks: bool = False
     history: bool = False
     images_rate_hz: float = 10.0
+    title: str = ''
 
 
 @dataclass(frozen=True)
@@ -347,7 +349,7 @@ def _history_meta(
 ) -> HistoryMeta:
     """Describe a replay for its history."""
     return HistoryMeta(
-        recording.name, config.experience_map.map_frame, to_yaml(config),
+        options.title or recording.name, config.experience_map.map_frame, to_yaml(config),
         str(recording.path.absolute()), recording.kind, selection.image_topic or '',
         options.images_rate_hz, package_version(),
     )

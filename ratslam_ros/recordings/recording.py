@@ -14,13 +14,19 @@ from ratslam_ros.recordings.selection import select
 from ratslam_ros.recordings.stream import Warnings
 from ratslam_ros.recordings.topics import Selection, Topic
 
+GENERIC_NAMES = frozenset({
+    'images', 'image', 'imgs', 'img', 'frames', 'rgb', 'color', 'colour', 'grey', 'data',
+    'recording',
+})  # fmt: skip
+"""Names of files and folders that do not name a recording; that of a folder above is used."""
+
 
 class Recording(ABC):
     """A source of images or templates, and optionally of odometry and scans."""
 
     path: Path
     name: str
-    """Name of the file or folder, without suffix."""
+    """Name of the file or folder, without suffix; of a folder above if it is a generic name."""
     kind: str
     """Format, such as 'rosbag2 (mcap)'."""
     topics: tuple[Topic, ...]
@@ -31,8 +37,12 @@ class Recording(ABC):
 
     def __init__(self, path: Path, warnings: Warnings | None = None) -> None:
         self.path = path
-        name = path.resolve().name
-        self.name = name if path.is_dir() else Path(name.removesuffix('.zstd')).stem
+        resolved = path.resolve()
+        name = resolved.name
+        own = name if path.is_dir() else Path(name.removesuffix('.zstd')).stem
+        above = [parent.name for parent in resolved.parents if parent.name]
+        names = [name for name in (own, *above) if name.lower() not in GENERIC_NAMES]
+        self.name = names[0] if names else own
         self._warnings = warnings or Warnings()
         self.skipped = 0
         """Number of messages that were skipped because they could not be decoded."""
