@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ratslam_ros.core.common.compiled import compiled
 from ratslam_ros.core.common.mount import CENTRED, Mount
+from ratslam_ros.core.common.state import State
 from ratslam_ros.errors import UnusableInput
 
 MAX_BEAM_COUNT = 100_000
@@ -39,6 +40,23 @@ class Scan:
     ranges_m: NDArray[np.float64]
     x_m: float = 0.0
     y_m: float = 0.0
+
+
+def scan_state(scan: Scan) -> State:
+    """Return a scan for a saved state."""
+    return {
+        'stamp_ns': scan.stamp_ns, 'angles': [scan.angle_min_rad, scan.angle_increment_rad],
+        'at_m': [scan.x_m, scan.y_m], 'ranges_m': scan.ranges_m.copy(),
+    }  # fmt: skip
+
+
+def scan_from_state(state: State) -> Scan:
+    """Return a scan from ``scan_state``."""
+    (first_rad, step_rad), (x_m, y_m) = state['angles'], state.get('at_m', (0.0, 0.0))
+    return Scan(
+        int(state['stamp_ns']), float(first_rad), float(step_rad), state['ranges_m'], float(x_m),
+        float(y_m),
+    )  # fmt: skip
 
 
 class UnusableScan(UnusableInput):

@@ -15,6 +15,7 @@ from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.odometry import Motion, moved
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.rotation_gain import is_small_error
+from ratslam_ros.core.common.rows import listed
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.common.turn_correction import TurnCorrection
 from ratslam_ros.core.config import ExperienceMapParameters
@@ -169,7 +170,7 @@ class ExperienceMap(ExperienceGraph):
             }
         return {
             'poses': self.poses,
-            'labels': [[template, *place] for template, place in self._labels],
+            'labels': self._label_rows.copy(),
             **self._links.state(),
             **self._components.state(),
             'unlearned': self.unlearned_ends,
@@ -182,6 +183,10 @@ class ExperienceMap(ExperienceGraph):
             'relaxation': self._optimiser.relaxation_state(),
             'planning_work': self._optimiser.planning_work,
             'jumps': self.gate.state(),
+            'present': {
+                'scan_checked_m': self._scan_checked_m, 'scan_confirmed_m': self.scan_confirmed_m,
+                'was_relocated': self._was_relocated,
+            },
             **weighted,
         }
 
@@ -192,7 +197,8 @@ class ExperienceMap(ExperienceGraph):
         self._created_at_m[: len(state['poses'])] = state['made_m']
         self._odometer_m = self._scan_checked_m = state['odometer_m']
         self._recognised_at_m = state.get('recognised_at_m', 0.0)
-        self._labels = [(t, Place(x, y, theta)) for t, x, y, theta in state['labels']]
+        self._label_rows.replace(state['labels'])
+        self._labels = [(int(t), Place(x, y, theta)) for t, x, y, theta in listed(state['labels'])]
         self._links.restore(state)
         self._components.restore(state, len(self))
         self._unlearned = {(i, j) for i, j in state['unlearned'].tolist()}
@@ -202,6 +208,11 @@ class ExperienceMap(ExperienceGraph):
         self._travelled_m = state['way_m']
         self._optimiser.restore(state, len(self))
         self.gate.restore(state['jumps'])
+        if 'present' in state:
+            present = state['present']
+            self._scan_checked_m = present['scan_checked_m']
+            self.scan_confirmed_m = present['scan_confirmed_m']
+            self._was_relocated = present['was_relocated']
 
     def integrate(self, motion: Motion) -> None:
         """Compose one motion with the offset from the current experience.

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,6 +79,22 @@ def uses_odometry(parameters: LocalViewParameters) -> bool:
     return p.vt_match_threshold == AUTOMATIC and p.vt_match_ratio == AUTOMATIC
 
 
+_MATCH_FIELDS = (
+    'template_id', 'is_new', 'error', 'relative_rad', 'threshold', 'related_count',
+)  # fmt: skip
+
+
+def match_state(match: ViewMatch) -> list[Any]:
+    """Return a match for a saved state."""
+    return [*(getattr(match, name) for name in _MATCH_FIELDS), list(match.removed)]
+
+
+def match_from_state(values: list[Any]) -> ViewMatch:
+    """Return a match from ``match_state``."""
+    *fields, removed = values
+    return ViewMatch(**dict(zip(_MATCH_FIELDS, fields, strict=True)), removed=tuple(removed))
+
+
 class ViewMatcher(Protocol):
     """What RatSLAM needs of a local view; a class of your own with this method can replace it."""
 
@@ -118,7 +134,7 @@ class LocalView:
 
     @property
     def templates(self) -> NDArray[np.uint8]:
-        """Copy of all templates, in the order of ``template_ids``: (n, height, width) uint8."""
+        """All templates, in the order of ``template_ids``: (n, height, width) uint8, read only."""
         return self._memory.views()
 
     @property
@@ -195,7 +211,7 @@ class LocalView:
             self.low_texture += 1
             return UNDECODABLE
         self._learn_look_alikes(view)
-        if self._freshness is not None:
+        if self._freshness is not None and self.mapping:
             self._freshness.advance(stamp_ns)
         search = self._memory.search(view)
         first_recent = self._first_recent(search)
@@ -208,7 +224,7 @@ class LocalView:
             is_elsewhere = self._look_alikes.contradicts(recognised.template_id)
             recognised = None if is_elsewhere else recognised
         if recognised is not None:
-            if self._freshness is not None:
+            if self._freshness is not None and self.mapping:
                 self._freshness.observe(recognised.template_id)
             relative_rad = self._relative_rad(recognised.offset)
             return ViewMatch(
@@ -292,6 +308,7 @@ class LocalView:
             state['threshold'] = self._threshold.state()
         if self._look_alikes is not None:
             state['look_alikes'] = self._look_alikes.state()
+        state['low_texture'], state['motion'] = self.low_texture, self._motion.state()
         if self._memory.next_id != len(self):
             state['template_ids'], state['next_id'] = self.template_ids, self._memory.next_id
         if self._freshness is not None:
@@ -319,20 +336,21 @@ class LocalView:
                 f'{size} of uint8: template_y_size and template_x_size '
                 'must equal those of the run that saved them'
             )
-        ids = state.get('template_ids', np.arange(len(templates))).tolist()
-        for template_id, view in zip(ids, templates, strict=True):
-            self._memory.append(view, template_id)
-        self._memory.next_id = int(state.get('next_id', len(templates)))
+        ids = state.get('template_ids', np.arange(len(templates)))
+        self._memory.restore(templates, ids, int(state.get('next_id', len(templates))))
         if self._freshness is not None and 'freshness' in state:
             self._freshness.restore(state['freshness'])
         elif self._freshness is not None:  # saved without a limit
-            for template_id in ids:
+            for template_id in ids.tolist():
                 self._freshness.add(template_id)
         if 'threshold' in state:
             self._threshold.restore(state['threshold'], len(self))
         if self._look_alikes is not None and 'look_alikes' in state:
             self._look_alikes.restore(state['look_alikes'])
             self._threshold.use_ratio(self._look_alikes.ratio)
+        if 'motion' in state:
+            self._motion.restore(state['motion'])
+            self.low_texture = state['low_texture']
 
     def best_match(self, view: View) -> Match | None:
         """Return the best match regardless of the threshold, or None if there are no templates.
