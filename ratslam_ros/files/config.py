@@ -16,6 +16,7 @@ import yaml
 
 from ratslam_ros.core.config import SECTIONS, Config, Value, section_of
 from ratslam_ros.errors import UnusableInput, UnusableParameter
+from ratslam_ros.limits import MAX_CONFIG_BYTES, load_yaml, read_limited
 
 PACKAGE = 'ratslam_ros'
 AUTO = 'auto'
@@ -72,7 +73,7 @@ def load_config(source: str | None) -> tuple[Config, list[str]]:
     if source is None or not path.is_file():
         path = _preset(source or AUTO)
     try:
-        text = path.read_text(encoding='utf-8')
+        text = read_limited(path, MAX_CONFIG_BYTES, 'a configuration').decode()
     except (OSError, UnicodeDecodeError) as error:
         raise UnusableInput(f'{path}: {error}; expected a YAML or INI text file') from None
     try:
@@ -187,7 +188,7 @@ def _typed(value: Any) -> Any:
 
 
 def _yaml_values(text: str) -> Iterator[tuple[str, Value]]:
-    document = yaml.safe_load(text)
+    document = load_yaml(text, yaml.SafeLoader)
     if document is None:
         return
     if not isinstance(document, Mapping):
@@ -203,7 +204,7 @@ def _yaml_values(text: str) -> Iterator[tuple[str, Value]]:
         if section is None:
             continue
         if not isinstance(section, Mapping):
-            raise UnusableParameter(f'{name} is {section!r}; expected parameters below it')
+            raise UnusableParameter(f'{name} is {section!r:.40}; expected parameters below it')
         for item, value in section.items():
             if isinstance(value, Mapping) and SUBSECTION_OF.get(name) == item:
                 for inner, inner_value in value.items():

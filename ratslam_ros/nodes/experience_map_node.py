@@ -30,7 +30,15 @@ from ratslam_ros.core.mapping.scan_matching import ScanMatcher
 from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
 from ratslam_ros.core.warm_up import warm_up
+from ratslam_ros.files.config import to_yaml
+from ratslam_ros.maps import MapMeta
 from ratslam_ros.messages.json_schema import MalformedMessage
+from ratslam_ros.messages.logged import (
+    decode_odometry,
+    decode_scan,
+    encode_odometry,
+    encode_scan,
+)
 from ratslam_ros.messages.mapping import (
     decode_action,
     encode_relocation,
@@ -39,6 +47,7 @@ from ratslam_ros.nodes.behaviours import Behaviours
 from ratslam_ros.nodes.convert import accepted_odometry, header_of, pose_message, transform
 from ratslam_ros.nodes.goal_navigation import GoalNavigation
 from ratslam_ros.nodes.map_changes import MapChangePublisher
+from ratslam_ros.nodes.map_operations import MapCoordinator
 from ratslam_ros.nodes.map_sender import MapSender
 from ratslam_ros.nodes.markers import serialised_markers
 from ratslam_ros.nodes.node import FLUSH_CHECK_PERIOD_S, RatslamNode
@@ -63,6 +72,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
     SECTION = 'experience_map'
     PARTS = ('goal_recall',)
     MAPS = True
+    REPEATS = ('relocation',)
 
     def __init__(self, initial: Config = Config()) -> None:
         super().__init__(('odometry', 'action'), initial)
@@ -86,18 +96,32 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
             warm_up('relocation')  # takes long if nothing is cached, so only if it is used
             self._answers = self.create_publisher(String, 'experience_map/relocation', RESULT)
         self.create_service(Trigger, 'experience_map/relocate', self._on_relocate)
+        assert self._operations is not None
+        self._coordinator = MapCoordinator(
+            self, lambda: str(self._section.memory_folder), self._operations.present_grid,
+            lambda: MapMeta(configuration=to_yaml(self.config)),
+        )  # fmt: skip
         self._viewers = self._pose_ns = 0
         self._markers_due = False
         self._reset_state()
-        self._add_input('odometry', {'odom': OdometryMessage}, self._on_odometry)
+        self._add_input(
+            'odometry', {'odom': OdometryMessage}, self._on_odometry,
+            lambda data: self._take_odometry(decode_odometry(data)),
+        )  # fmt: skip
         self._laser: ScanInput | None = None
         if self._section.exp_align_scans:
             self._laser = ScanInput(
                 self, self._diagnostics.note, lambda: self._frames.known_base, self._refuse,
-                self._use_scan,
+                self._take_scan,
             )  # fmt: skip
-            self._add_input('scan', {'scan': LaserScan}, self._laser.receive)
-        self._add_input('action', {'pose_cells/action': String}, self._on_action)
+            self._add_input(
+                'scan', {'scan': LaserScan}, self._laser.receive,
+                lambda data: self._take_scan(decode_scan(data)),
+            )  # fmt: skip
+        self._add_input(
+            'action', {'pose_cells/action': String}, self._on_action,
+            lambda data: self._on_action(String(data=data.decode())),
+        )  # fmt: skip
         self.create_timer(FLUSH_CHECK_PERIOD_S, self._on_timer, clock=self._steady)
 
     @classmethod
@@ -146,6 +170,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
             'joining': self._late_join.state(),
             'core': self._core.state(),
             'correction': list(self._motion.correction),
+            'motion': self._motion.state(),
             'goals': self._goals.memory_state(),
             'scans': self._scans.state(),
             **({} if self._relocator is None else {'relocator': self._relocator.state()}),
@@ -154,7 +179,6 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
     def _restore(self, state: State) -> None:
         core = ExperienceMap(self._section)
         core.restore(state['core'])
-        core.gate.restart()
         late_join = LateJoin(core)
         late_join.restore(state['joining'])
         action_ns = int(state['action_ns'])
@@ -172,7 +196,10 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         )
         self._sender.reset()
         self._core.mapping = self._mapping
-        self._motion.restart()
+        if 'motion' in state:
+            self._motion.restore(state['motion'])
+        else:
+            self._motion.restart()
         self._sender.has_changed = True
 
     def close(self) -> None:
@@ -187,14 +214,18 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
     def _on_odometry(self, message: OdometryMessage) -> None:
         self._frames.update(message)
         odometry = accepted_odometry(message, self._motion, self._refuse)
-        if odometry is None:
-            return
+        if odometry is not None:
+            self._take_odometry(odometry)
+
+    def _take_odometry(self, odometry: Odometry) -> None:
         self._push('odometry', odometry.stamp_ns, odometry)
+        self._log('odometry', odometry.stamp_ns, lambda: encode_odometry(odometry))
         if not self._paused:
             self._locate(odometry)
 
-    def _use_scan(self, scan: Scan) -> None:
+    def _take_scan(self, scan: Scan) -> None:
         self._push('scan', scan.stamp_ns, scan)
+        self._log('scan', scan.stamp_ns, lambda: encode_scan(scan))
         self._republish_pose()
 
     def _on_action(self, message: String) -> None:
@@ -204,6 +235,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
             self._refuse('action', str(error))
             return
         self._push('action', stamp_ns, Action(action, sequence, memory_ns))
+        self._log('action', stamp_ns, message.data.encode)
         self._republish_pose()
         self._send()
 
@@ -233,9 +265,9 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
                 )
         if self._answers is not None:
             relocation = late_join.peer_relocation(update.relocation)
-            self._answers.publish(String(data=encode_relocation(
-                stamp_ns, item.sequence, relocation, item.memory_ns
-            )))  # fmt: skip
+            payload = encode_relocation(stamp_ns, item.sequence, relocation, item.memory_ns)
+            self._answers.publish(String(data=payload))
+            self._log('relocation', stamp_ns, payload.encode)
         self._changes.publish_closures(stamp_ns, item.sequence, update.events)
         if item.action.template_id != NO_TEMPLATE:
             self._action_ns = stamp_ns

@@ -22,9 +22,10 @@ from ratslam_ros.core.config import Config
 from ratslam_ros.core.driving.exploration import Exploration
 from ratslam_ros.core.driving.goal_follower import GoalFollower, in_robot_frame, remaining_route
 from ratslam_ros.core.driving.steering import Command
+from ratslam_ros.limits import MAX_COORDINATE_M
 from ratslam_ros.messages.goals import BehaviourReport, decode_status, encode_behaviour
 from ratslam_ros.messages.json_schema import MalformedMessage
-from ratslam_ros.nodes.convert import planar_pose, stamp_ns
+from ratslam_ros.nodes.convert import planar_pose, route_points, stamp_ns
 from ratslam_ros.nodes.node import FLUSH_CHECK_PERIOD_S, RatslamNode
 from ratslam_ros.nodes.odometry_frames import FROM_ODOMETRY, OdometryFrames
 from ratslam_ros.nodes.qos import LATCHED, RESULT, STATE
@@ -103,13 +104,16 @@ class GoalFollowerNode(RatslamNode[Scan]):
         self._odom_pose, self._odom_s = pose, time.monotonic()
 
     def _on_pose(self, message: PoseStamped) -> None:
-        self._pose, self._pose_s = planar_pose(message.pose), time.monotonic()
+        pose = planar_pose(message.pose)
+        if not all(abs(value) <= MAX_COORDINATE_M for value in pose):  # NaN is not
+            self._refuse('pose', f'it is {pose}; expected finite numbers')
+            return
+        self._pose, self._pose_s = pose, time.monotonic()
 
     def _on_route(self, message: Path) -> None:
-        positions = [stamped.pose.position for stamped in message.poses]
-        route = np.array([(at.x, at.y) for at in positions], np.float64).reshape(-1, 2)
-        if not np.isfinite(route).all():
-            self._refuse('route', 'its positions are not finite')
+        route = route_points(message)
+        if route is None:
+            self._refuse('route', 'its positions are not finite or too far away')
             return
         self._route, self._route_ns = route, stamp_ns(message.header)
 

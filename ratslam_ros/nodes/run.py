@@ -54,6 +54,8 @@ def run(*kinds: type[Any], args: list[str] | None = None) -> int:
             for kind in kinds:
                 arguments = (initial,) if issubclass(kind, RatslamNode) else ()
                 nodes.append(kind(*arguments))
+                if isinstance(nodes[-1], RatslamNode):
+                    nodes[-1].open_map()
             executor = SingleThreadedExecutor()
             for node in nodes:
                 executor.add_node(node)

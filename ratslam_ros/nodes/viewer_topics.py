@@ -55,7 +55,7 @@ from ratslam_ros.messages.map_changes import (
 )
 from ratslam_ros.messages.mapping import decode_action, decode_template
 from ratslam_ros.messages.pose_cells import decode_packets
-from ratslam_ros.nodes.convert import planar_pose, stamp_ns
+from ratslam_ros.nodes.convert import planar_pose, route_points, stamp_ns
 from ratslam_ros.nodes.inputs import publisher_count
 from ratslam_ros.nodes.match_pictures import separated
 from ratslam_ros.nodes.odometry_frames import FROM_ODOMETRY, OdometryFrames
@@ -383,8 +383,11 @@ class ViewerTopics:
             )
 
     def _on_route(self, message: Path) -> None:
-        points = [(pose.pose.position.x, pose.pose.position.y) for pose in message.poses]
-        self._add(RouteRecord(stamp_ns(message.header), np.array(points).reshape(-1, 2)))
+        points = route_points(message)
+        if points is None:
+            self._refuse('route', 'its positions are not finite or too far away')
+        else:
+            self._add(RouteRecord(stamp_ns(message.header), points))
 
     def _on_status(self, message: String) -> None:
         try:

@@ -6,7 +6,6 @@ import functools
 import json
 from typing import Any
 
-import zstandard
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from ratslam_ros.images import image_of
@@ -18,6 +17,7 @@ from ratslam_ros.recordings.events import (
     ScanEvent,
     TemplateEvent,
 )
+from ratslam_ros.recordings.salvage import decompress_message
 from ratslam_ros.recordings.stream import Message
 from ratslam_ros.recordings.topics import LASER_SCAN, ODOMETRY, ROS1_TF, STRING, TF
 
@@ -47,7 +47,7 @@ def decode(message: Message) -> Any:
     try:
         data = message.data
         if data[:4] == _ZSTD_MAGIC:  # The recorder compressed each message.
-            data = zstandard.ZstdDecompressor().decompressobj().decompress(data)
+            data = decompress_message(data)
         if message.channel.encoding == 'ros1':
             return _store(Stores.ROS1_NOETIC).deserialize_ros1(data, kind)
         return _store(Stores.ROS2_JAZZY).deserialize_cdr(data, kind)
@@ -75,8 +75,9 @@ def template_event(payload: str, log_ns: int) -> TemplateEvent:
     stamp_ns = log_ns
     try:
         stamp = json.loads(payload)['stamp']
-        if type(stamp['sec']) is int and type(stamp['nanosec']) is int:
-            stamp_ns = stamp['sec'] * 1_000_000_000 + stamp['nanosec']
+        sec, nanosec = stamp['sec'], stamp['nanosec']
+        if type(sec) is int and type(nanosec) is int and max(abs(sec), abs(nanosec)) < 2**32:
+            stamp_ns = sec * 1_000_000_000 + nanosec
     except (ValueError, KeyError, TypeError, RecursionError):
         pass  # The consumer validates the payload and reports the problem.
     return TemplateEvent(stamp_ns, log_ns, payload)

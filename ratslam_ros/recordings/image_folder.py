@@ -21,6 +21,7 @@ from pathlib import Path
 
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.images import EncodedImage
+from ratslam_ros.limits import MAX_MESSAGE_BYTES, read_limited
 from ratslam_ros.recordings.events import Event, ImageEvent, OdometryEvent, Orientation
 from ratslam_ros.recordings.recording import Recording
 from ratslam_ros.recordings.topics import IMAGE_FILES, TABLE, Selection, Topic
@@ -150,9 +151,10 @@ class ImageFolder(Recording):
 
     def _load(self, path: Path) -> EncodedImage:
         try:
-            data = path.read_bytes()
-        except OSError as error:
-            self._warnings.add(f'{path} cannot be read: {error.strerror}')
+            data = read_limited(path, MAX_MESSAGE_BYTES, 'an image')
+        except (OSError, UnusableInput) as error:
+            reason = getattr(error, 'strerror', error)
+            self._warnings.add(f'{path} cannot be read: {reason}')
             data = b''
         return EncodedImage(data, path.suffix.lstrip('.').lower())
 

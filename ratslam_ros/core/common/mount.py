@@ -25,6 +25,10 @@ _DIGITS = 9
 transforms by which a mount is described."""
 
 
+_MAX_FRAME_COUNT = 10_000
+"""Frames beyond this number are ignored: a robot has up to some hundred."""
+
+
 class Mount(NamedTuple):
     """Pose of a laser in the frame of the robot, whose x axis points ahead and y axis left.
 
@@ -76,7 +80,7 @@ class FrameTree:
         parent, child = parent.lstrip('/'), child.lstrip('/')  # ROS 1 may begin with a slash
         x, y, z, w = quaternion
         norm = math.sqrt(x * x + y * y + z * z + w * w)
-        if child in self._parents or not (
+        if child in self._parents or len(self._parents) >= _MAX_FRAME_COUNT or not (
             math.isfinite(norm) and norm > 0.0 and all(map(math.isfinite, translation_m))
         ):
             return
