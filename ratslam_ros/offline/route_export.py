@@ -118,8 +118,8 @@ def _edges(experience_map: ExperienceMap, nodes: set[int]) -> _Edges:
 def _thinned(nodes: list[int], edges: _Edges, spacing_m: float) -> tuple[list[int], _Edges]:
     """Keep nodes that are at least a distance apart, and connect them as they were.
 
-    Junctions are kept first, those with most links before others, then the ends of dead ends. Every
-    other node belongs to the kept node that is nearest along the links. Two kept nodes are
+    Junctions are kept first, those with most links before others, then the ends of dead ends.
+    Every other node belongs to the kept node that is nearest along the links. Two kept nodes are
     connected if a link connects nodes that belong to them, so that all connections remain.
     """
     from scipy.sparse import csr_array

@@ -13,8 +13,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-
 from graphs import arrive, drive, new_map
+
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
@@ -26,7 +26,7 @@ from ratslam_ros.results.trajectory import read_tum
 
 
 def loop_with_tail() -> ExperienceMap:
-    """Return a square loop of 4 x 4 places 1 m apart, and a dead end of 3 places from its start."""
+    """Return a square loop of 16 places 1 m apart, and a dead end of 3 places at its start."""
     graph = new_map(exp_loops=0)
     arrive(graph, 0)
     for number in range(1, 16):

@@ -1,0 +1,305 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Map file of a replay: continued, saved while the replay runs, or used to localise only.
+
+A replay saves its whole state between two events, together with the number of events of each
+stream that it has processed. A replay of the same recording therefore continues with the event
+after the last saved one, and builds the same map as without the interruption.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+from ratslam_ros import __version__
+from ratslam_ros.core.common.state import State
+from ratslam_ros.core.config import Config
+from ratslam_ros.core.ratslam import RatSLAM
+from ratslam_ros.errors import RatslamError, UnusableInput
+from ratslam_ros.files.config import to_yaml
+from ratslam_ros.maps import Cut, MapMeta, MapStore, SavedMap, read_map
+from ratslam_ros.recordings import Event, Recording, Selection
+
+CUT_PERIOD_S = 2.0
+"""Wall-clock time between two saved states: what a killed replay has to repeat. Saving a state of
+20,000 views takes some milliseconds of the replay."""
+
+FLUSH_S = 600.0
+"""Longest time to wait at the end until the state is on the disk."""
+
+PROGRESS = 'replay'
+"""Key of the progress of the replay in the part `inputs`."""
+
+STRUCTURE = (
+    'local_view.vt_descriptor', 'local_view.template_x_size', 'local_view.template_y_size',
+    'pose_cells.pc_dim_x', 'pose_cells.pc_dim_y', 'pose_cells.pc_dim_th',
+)  # fmt: skip
+"""Parameters that a map cannot change, because its templates and cells have their sizes."""
+
+
+class ReplayMap:
+    """A map file during a replay.
+
+    Call ``open`` before the first event, ``after`` for each event, and ``finish`` or ``abandon``
+    at the end.
+    """
+
+    def __init__(
+        self, path: Path, localize: bool = False, notify: Callable[[str], None] = print
+    ) -> None:
+        """Choose the file; nothing is read.
+
+        Args:
+            path: the map file.
+            localize: leave the map as it is, and only localise the robot on it.
+            notify: receives lines for the user.
+        """
+        self.path = path
+        self.localize = localize
+        self.skipped = 0
+        """Number of events that the map already contained."""
+        self.last_view_ns = 0
+        """Stamp of the last view of the map that had a template."""
+        self.problem = ''
+        """Why the last state could not be saved; '' if it is saved."""
+        self._notify = notify
+        self._store: MapStore | None = None
+        self._slam: RatSLAM | None = None
+        self._identity: State = {}
+        self._counts: Counter[str] = Counter()
+        self._to_skip: Counter[str] = Counter()
+        self._number = 0
+        self._saved_s = 0.0
+        self._is_complete = False
+        self._is_continued = False
+
+    def configuration(self) -> str:
+        """Return the configuration stored in the map as YAML, '' for a new map.
+
+        Raises:
+            UnusableInput: the file is no map, or there is none to localise on.
+        """
+        if not self.path.exists():
+            if self.localize:
+                raise UnusableInput(
+                    f'{self.path} does not exist; make it first with ratslam replay RECORDING '
+                    f'--map {self.path}'
+                )
+            return ''
+        return read_map(self.path).meta.configuration
+
+    def open(
+        self, slam: RatSLAM, recording: Recording, selection: Selection, config: Config,
+        start_s: float,
+    ) -> None:  # fmt: skip
+        """Open the map, and restore it into a new system.
+
+        Args:
+            slam: the system; nothing has been processed.
+            recording, selection: what is replayed.
+            config: the parameters.
+            start_s: skipped seconds at the start of the recording.
+
+        Raises:
+            UnusableInput: the map cannot be used, or is in use.
+        """
+        self._slam = slam
+        self._identity = _identity(recording, selection, start_s)
+        if self.localize:
+            self._restore(slam, read_map(self.path), config)
+            slam.mapping = False
+            return
+        meta = MapMeta(
+            title=recording.name, ratslam_version=__version__, configuration=to_yaml(config),
+            recording=str(recording.path.absolute()),
+            recording_bytes=self._identity['bytes'], first_ns=recording.start_ns,
+        )  # fmt: skip
+        parts = [*slam.state()]
+        self._store = MapStore.open(self.path, parts, meta, self._notify)
+        try:
+            if self._store.restored is None:
+                self._notify(f'{self.path}: new map')
+            else:
+                self._restore(slam, self._store.restored, config)
+        except BaseException:
+            self._store.close()
+            raise
+        self._saved_s = time.monotonic()
+
+    def _restore(self, slam: RatSLAM, saved: SavedMap, config: Config) -> None:
+        """Restore a map, continue its recording or begin a session, and report it."""
+        _check_structure(self.path, saved.meta.configuration, config)
+        states = dict(saved.states)
+        inputs = dict(states.get('inputs', {}))
+        progress = inputs.pop(PROGRESS, None)
+        if inputs:
+            states['inputs'] = inputs
+        else:
+            states.pop('inputs', None)
+        try:
+            slam.restore(states)
+        except RatslamError as error:
+            raise UnusableInput(f'{self.path} cannot be continued: {error}') from None
+        action_ns = states.get('experience_map', {}).get('action_ns', 0)
+        self.last_view_ns = int(action_ns if progress is None else progress['last_view_ns'])
+        same = progress is not None and progress['identity'] == self._identity
+        verb = 'localises on' if self.localize else 'continues'
+        self._notify(f'{verb} {self.path}: {described(slam, saved)}')
+        for note in saved.notes:
+            self._notify(f'{self.path}: {note}')
+        if not same or self.localize:
+            slam.finish()
+            slam.begin_session()
+            return
+        assert progress is not None
+        self._is_continued = True
+        self._to_skip = Counter(progress['counts'])
+        self._is_complete = bool(progress['complete'])
+        count = self._to_skip.total()
+        if self._is_complete:
+            self._notify(f'the map contains all {count} messages of this recording already')
+        else:
+            self._notify(
+                f'continues this recording after {count} messages that the map contains; the '
+                'results of that part are not written again'
+            )
+
+    @property
+    def is_continued(self) -> bool:
+        """Whether the recording was replayed before, in part or completely."""
+        return self._is_continued
+
+    def remaining(self, events: Iterable[Event]) -> Iterator[Event]:
+        """Yield the events that the map does not contain; the others are not decoded."""
+        for event in events:
+            stream = type(event).__name__
+            if self._to_skip[stream] > 0:
+                self._to_skip[stream] -= 1
+                self._counts[stream] += 1
+                self.skipped += 1
+            else:
+                yield event
+
+    def after(self, event: Event, last_view_ns: int) -> None:
+        """Count a processed event, and save the state if it is due.
+
+        Args:
+            event: the event.
+            last_view_ns: stamp of the last view that had a template, 0 if there was none.
+        """
+        self._counts[type(event).__name__] += 1
+        self._is_complete = False
+        if last_view_ns:
+            self.last_view_ns = last_view_ns
+        if self._store is not None and time.monotonic() - self._saved_s >= CUT_PERIOD_S:
+            self._save()
+
+    def save_before_end(self) -> None:
+        """Save the state with the messages that are still held, so that it can be continued."""
+        if self._store is not None and not self._is_complete:
+            self._save()
+
+    def finish(self, complete: bool, last_view_ns: int) -> None:
+        """Save the last state, and close the file.
+
+        Args:
+            complete: the recording was replayed to its end, and no message is held any more.
+            last_view_ns: as for ``after``.
+        """
+        if self._store is None:
+            return
+        if last_view_ns:
+            self.last_view_ns = last_view_ns
+        if complete and not self._is_complete:
+            self._is_complete = True
+            self._save()
+        if not self._store.flush(FLUSH_S):
+            self.problem = self._store.problem or 'the disk is too slow'
+        self.abandon()
+
+    def abandon(self) -> None:
+        """Close the file with what has been saved."""
+        if self._store is not None:
+            self._store.close()
+            self._store = None
+
+    def summary(self) -> dict[str, Any]:
+        """Return what summary.json contains of the map."""
+        return {
+            'file': str(self.path), 'localize': self.localize, 'messages_before': self.skipped,
+            'saved': not self.problem and not self.localize,
+        }  # fmt: skip
+
+    def _save(self) -> None:
+        assert self._store is not None
+        assert self._slam is not None
+        states = self._slam.state()
+        states['inputs'] = {
+            **states.get('inputs', {}),
+            PROGRESS: {
+                'identity': self._identity, 'counts': dict(sorted(self._counts.items())),
+                'last_view_ns': self.last_view_ns, 'complete': self._is_complete,
+            },
+        }  # fmt: skip
+        self._number += 1
+        stamp_ns = self._slam.order.newest_ns or 0
+        self._store.cut(Cut(self._number, stamp_ns), states)
+        self._saved_s = time.monotonic()
+
+
+def described(slam: RatSLAM, saved: SavedMap) -> str:
+    """Return the size of a map for the user."""
+    graph = slam.experience_map
+    sessions = recordings_of(saved)
+    parts = f', {graph.component_count} parts' if graph.component_count > 1 else ''
+    return f'{_count(len(graph), "place")}, {_count(sessions, "session")}{parts}'
+
+
+def recordings_of(saved: SavedMap) -> int:
+    """Return the number of sessions; a recording that was interrupted counts once."""
+    kinds = [(one.meta.recording, one.meta.first_ns) for one in saved.sessions]
+    return sum(
+        one != before or not one[0]
+        for one, before in zip(kinds, [None, *kinds], strict=False)
+    )
+
+
+def _count(number: int, noun: str) -> str:
+    return f'{number} {noun}' if number == 1 else f'{number} {noun}s'
+
+
+def _identity(recording: Recording, selection: Selection, start_s: float) -> State:
+    """Return what distinguishes a sequence of messages; its path does not."""
+    path = recording.path
+    files = [path] if path.is_file() else sorted(one for one in path.rglob('*') if one.is_file())
+    # SQLite creates the other files while a recording is read.
+    size = sum(one.stat().st_size for one in files if not one.name.endswith(('-shm', '-wal')))
+    topics = [
+        selection.image_topic, selection.odom_topic, selection.scan_topic,
+        selection.template_topic,
+    ]  # fmt: skip
+    return {
+        'name': recording.name, 'kind': recording.kind, 'bytes': size, 'topics': topics,
+        'first_ns': recording.start_ns, 'last_ns': recording.end_ns,
+        'start_ns': round(start_s * 1e9),
+    }  # fmt: skip
+
+
+def _check_structure(path: Path, stored: str, config: Config) -> None:
+    """Raise if a configuration contradicts the sizes of the templates and cells of a map."""
+    from ratslam_ros.files.config import config_from_yaml
+
+    if not stored:
+        return
+    before = config_from_yaml(stored, f'configuration of {path}')
+    for name in STRUCTURE:
+        known, given = before.value(name), config.value(name)
+        if known != given:
+            raise UnusableInput(
+                f'{path} has {name} {known}, but {given} was given: leave it out, or use another '
+                'map'
+            )
