@@ -20,23 +20,38 @@ from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.ratslam import RatSLAM
 from ratslam_ros.errors import RatslamError, UnusableInput
-from ratslam_ros.files.config import to_yaml
+from ratslam_ros.files.config import stored_config, to_yaml
 from ratslam_ros.maps import Cut, MapMeta, MapStore, SavedMap, read_map
-from ratslam_ros.recordings import Event, Recording, Selection
+from ratslam_ros.recordings import (
+    Event,
+    ImageEvent,
+    OdometryEvent,
+    Recording,
+    ScanEvent,
+    Selection,
+    TemplateEvent,
+)
 
 CUT_PERIOD_S = 2.0
 """Wall-clock time between two saved states: what a killed replay has to repeat. Saving a state of
 20,000 views takes some milliseconds of the replay."""
 
-FLUSH_S = 600.0
-"""Longest time to wait at the end until the state is on the disk."""
+FLUSH_S, FLUSH_STEP_S = 600.0, 1.0
+"""Longest time to wait at the end until the state is on the disk, and between two checks whether
+it cannot be written at all."""
 
 PROGRESS = 'replay'
 """Key of the progress of the replay in the part `inputs`."""
 
+STREAMS: dict[type[Event], str] = {
+    ImageEvent: 'image', OdometryEvent: 'odometry', ScanEvent: 'scan', TemplateEvent: 'template',
+}  # fmt: skip
+"""Streams whose messages are counted."""
+
 STRUCTURE = (
-    'local_view.vt_descriptor', 'local_view.template_x_size', 'local_view.template_y_size',
-    'pose_cells.pc_dim_x', 'pose_cells.pc_dim_y', 'pose_cells.pc_dim_th',
+    ('local_view', 'vt_descriptor'), ('local_view', 'template_x_size'),
+    ('local_view', 'template_y_size'), ('pose_cells', 'pc_dim_x'), ('pose_cells', 'pc_dim_y'),
+    ('pose_cells', 'pc_dim_th'),
 )  # fmt: skip
 """Parameters that a map cannot change, because its templates and cells have their sizes."""
 
@@ -49,14 +64,16 @@ class ReplayMap:
     """
 
     def __init__(
-        self, path: Path, localize: bool = False, notify: Callable[[str], None] = print
-    ) -> None:
+        self, path: Path, localize: bool, notify: Callable[[str], None],
+        report: Callable[[str], None],
+    ) -> None:  # fmt: skip
         """Choose the file; nothing is read.
 
         Args:
             path: the map file.
             localize: leave the map as it is, and only localise the robot on it.
-            notify: receives lines for the user.
+            notify: receives lines on what is continued.
+            report: receives lines on problems with the file, and on their end.
         """
         self.path = path
         self.localize = localize
@@ -66,7 +83,7 @@ class ReplayMap:
         """Stamp of the last view of the map that had a template."""
         self.problem = ''
         """Why the last state could not be saved; '' if it is saved."""
-        self._notify = notify
+        self._notify, self._report = notify, report
         self._store: MapStore | None = None
         self._slam: RatSLAM | None = None
         self._identity: State = {}
@@ -74,8 +91,8 @@ class ReplayMap:
         self._to_skip: Counter[str] = Counter()
         self._number = 0
         self._saved_s = 0.0
-        self._is_complete = False
-        self._is_continued = False
+        self._is_complete = self._has_changed = False
+        self._stored = ''
 
     def configuration(self) -> str:
         """Return the configuration stored in the map as YAML, '' for a new map.
@@ -90,7 +107,8 @@ class ReplayMap:
                     f'--map {self.path}'
                 )
             return ''
-        return read_map(self.path).meta.configuration
+        self._stored = read_map(self.path).meta.configuration
+        return self._stored
 
     def open(
         self, slam: RatSLAM, recording: Recording, selection: Selection, config: Config,
@@ -119,7 +137,7 @@ class ReplayMap:
             recording_bytes=self._identity['bytes'], first_ns=recording.start_ns,
         )  # fmt: skip
         parts = [*slam.state()]
-        self._store = MapStore.open(self.path, parts, meta, self._notify)
+        self._store = MapStore.open(self.path, parts, meta, self._report)
         try:
             if self._store.restored is None:
                 self._notify(f'{self.path}: new map')
@@ -132,7 +150,7 @@ class ReplayMap:
 
     def _restore(self, slam: RatSLAM, saved: SavedMap, config: Config) -> None:
         """Restore a map, continue its recording or begin a session, and report it."""
-        _check_structure(self.path, saved.meta.configuration, config)
+        _check_structure(self.path, self._stored, config)
         states = dict(saved.states)
         inputs = dict(states.get('inputs', {}))
         progress = inputs.pop(PROGRESS, None)
@@ -156,8 +174,8 @@ class ReplayMap:
             slam.begin_session()
             return
         assert progress is not None
-        self._is_continued = True
-        self._to_skip = Counter(progress['counts'])
+        self._counts = Counter(progress['counts'])
+        self._to_skip = self._counts.copy()
         self._is_complete = bool(progress['complete'])
         count = self._to_skip.total()
         if self._is_complete:
@@ -168,18 +186,12 @@ class ReplayMap:
                 'results of that part are not written again'
             )
 
-    @property
-    def is_continued(self) -> bool:
-        """Whether the recording was replayed before, in part or completely."""
-        return self._is_continued
-
     def remaining(self, events: Iterable[Event]) -> Iterator[Event]:
         """Yield the events that the map does not contain; the others are not decoded."""
         for event in events:
-            stream = type(event).__name__
+            stream = STREAMS[type(event)]
             if self._to_skip[stream] > 0:
                 self._to_skip[stream] -= 1
-                self._counts[stream] += 1
                 self.skipped += 1
             else:
                 yield event
@@ -191,8 +203,8 @@ class ReplayMap:
             event: the event.
             last_view_ns: stamp of the last view that had a template, 0 if there was none.
         """
-        self._counts[type(event).__name__] += 1
-        self._is_complete = False
+        self._counts[STREAMS[type(event)]] += 1
+        self._has_changed, self._is_complete = True, False
         if last_view_ns:
             self.last_view_ns = last_view_ns
         if self._store is not None and time.monotonic() - self._saved_s >= CUT_PERIOD_S:
@@ -200,7 +212,7 @@ class ReplayMap:
 
     def save_before_end(self) -> None:
         """Save the state with the messages that are still held, so that it can be continued."""
-        if self._store is not None and not self._is_complete:
+        if self._store is not None and self._has_changed:
             self._save()
 
     def finish(self, complete: bool, last_view_ns: int) -> None:
@@ -214,11 +226,14 @@ class ReplayMap:
             return
         if last_view_ns:
             self.last_view_ns = last_view_ns
-        if complete and not self._is_complete:
+        if complete and (self._has_changed or not self._is_complete):
             self._is_complete = True
             self._save()
-        if not self._store.flush(FLUSH_S):
-            self.problem = self._store.problem or 'the disk is too slow'
+        until_s = time.monotonic() + FLUSH_S
+        while not self._store.flush(FLUSH_STEP_S):
+            if self._store.problem or time.monotonic() > until_s:
+                self.problem = self._store.problem or f'{self.path}: the disk is too slow'
+                break
         self.abandon()
 
     def abandon(self) -> None:
@@ -291,15 +306,11 @@ def _identity(recording: Recording, selection: Selection, start_s: float) -> Sta
 
 def _check_structure(path: Path, stored: str, config: Config) -> None:
     """Raise if a configuration contradicts the sizes of the templates and cells of a map."""
-    from ratslam_ros.files.config import config_from_yaml
-
-    if not stored:
-        return
-    before = config_from_yaml(stored, f'configuration of {path}')
-    for name in STRUCTURE:
-        known, given = before.value(name), config.value(name)
-        if known != given:
+    before = stored_config(stored, str(path))[0].values() if stored else config.values()
+    given = config.values()
+    for section, name in STRUCTURE:
+        if before[section][name] != given[section][name]:
             raise UnusableInput(
-                f'{path} has {name} {known}, but {given} was given: leave it out, or use another '
-                'map'
+                f'{path} has {section}.{name} {before[section][name]}, but '
+                f'{given[section][name]} was given: leave it out, or use another map'
             )
