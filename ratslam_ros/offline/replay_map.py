@@ -269,18 +269,21 @@ class ReplayMap:
 def described(slam: RatSLAM, saved: SavedMap) -> str:
     """Return the size of a map for the user."""
     graph = slam.experience_map
-    sessions = recordings_of(saved)
+    sessions = len(session_titles(saved))
     parts = f', {graph.component_count} parts' if graph.component_count > 1 else ''
     return f'{_count(len(graph), "place")}, {_count(sessions, "session")}{parts}'
 
 
-def recordings_of(saved: SavedMap) -> int:
-    """Return the number of sessions; a recording that was interrupted counts once."""
-    kinds = [(one.meta.recording, one.meta.first_ns) for one in saved.sessions]
-    return sum(
-        one != before or not one[0]
-        for one, before in zip(kinds, [None, *kinds], strict=False)
-    )
+def session_titles(saved: SavedMap) -> list[str]:
+    """Return the titles of the sessions; a recording that was interrupted counts once."""
+    titles: list[str] = []
+    before = ('', 0)
+    for one in saved.sessions:
+        recording = one.meta.recording, one.meta.first_ns
+        if recording != before or not recording[0]:
+            titles.append(one.meta.title or f'session {one.number}')
+        before = recording
+    return titles
 
 
 def _count(number: int, noun: str) -> str:
