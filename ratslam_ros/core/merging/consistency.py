@@ -175,7 +175,7 @@ def _wrapped(angles: Reals) -> Reals:
 
 
 def _paths_m(joint: JointMap, experiences: Sequence[int]) -> Reals:
-    """Return (n, n) lengths of the shortest paths over the links of a map, inf if there is none."""
+    """Return (n, n) lengths of the shortest paths over links, inf if there is none."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import dijkstra
 

@@ -19,7 +19,7 @@ from ratslam_ros.core.mapping.link_weights import VIEW_STD, VIEW_STD_RAD, reach_
 from ratslam_ros.core.mapping.loop_closure_gate import FREE_ROTATION_RAD, REQUIRED_COUNT
 from ratslam_ros.core.merging.consistency import best_hypothesis, distinct_places
 from ratslam_ros.core.merging.joint_map import Correspondence, JointMap, residual
-from ratslam_ros.core.merging.scan_places import fitted, scan_correspondences
+from ratslam_ros.core.merging.scan_places import measured, scan_correspondences
 from ratslam_ros.core.merging.view_memory import TemplatePair
 from ratslam_ros.core.vision.look_alikes import LOOK_ALIKE_RATE
 
@@ -33,6 +33,12 @@ some equal walls have up to 0.08, two visits of one place 0.3 to 0.98."""
 
 SCAN_PLACES = 3
 """Number of different places that scans have to prove if views cannot be compared."""
+
+
+A_COPY = 1
+"""Number of places that suffice if one part has exact copies of all views of the other."""
+
+UNMOVED = Pose(0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -55,7 +61,7 @@ class Join:
     seen: int
     refused: str = ''
     correspondences: tuple[Correspondence, ...] = ()
-    transform: Pose = Pose(0.0, 0.0, 0.0)
+    transform: Pose = UNMOVED
     matched: int = 0
     place_count: int = 0
     overlapping: int = 0
@@ -106,53 +112,82 @@ class Joiner:
         self.joins = kept + [one for one in found if one.refused]
 
     def compared(self, known: int, seen: int) -> Join:
-        """Decide whether two parts share places."""
+        """Decide whether two parts share places: by views, and if they do not suffice by scans."""
         joint = self._joint
-        number, component = joint.parts[known]
-        other, other_component = joint.parts[seen]
-        join = Join(known, seen)
-        if number == other:
-            return join
-        sessions = joint.sessions[number], joint.sessions[other]
-        places = self._places(known), self._places(seen)
-        spacing_m = max(one.spacing_m for one in sessions)
-        correspondences = [
+        numbers = joint.parts[known][0], joint.parts[seen][0]
+        if numbers[0] == numbers[1]:
+            return Join(known, seen)
+        spacing_m = max(joint.sessions[number].spacing_m for number in numbers)
+        views, required = self._by_views(known, seen)
+        by_views = Join(known, seen, matched=len(views))
+        if spacing_m <= 0.0:
+            return replace(by_views, refused='the map is too small to have a view spacing')
+        by_views = self._tested(by_views, views, views, required, spacing_m)
+        if not by_views.refused:
+            return by_views
+        scans = scan_correspondences(joint, known, seen)
+        if len(scans) == 0:
+            return by_views
+        by_scans = Join(known, seen, matched=len(scans), by='scans')
+        by_scans = self._tested(by_scans, scans, [*scans, *views], SCAN_PLACES, spacing_m)
+        return by_views if by_scans.refused and views else by_scans
+
+    def _by_views(self, known: int, seen: int) -> tuple[list[Correspondence], int]:
+        """Return the matches of views between two parts, and how many places have to agree."""
+        joint = self._joint
+        (number, component), (other, other_component) = joint.parts[known], joint.parts[seen]
+        first, second = joint.sessions[number].first, joint.sessions[other].first
+        pairs = [
+            pair for pair in self._pairs_of(number, other)
+            if (pair.known, component) in first and (pair.seen, other_component) in second
+        ]  # fmt: skip
+        views = joint.sessions[0].config.pose_cells.pc_vt_agree_views
+        required = max(REQUIRED_COUNT, math.ceil(views))
+        if sum(pair.sad == 0 for pair in pairs) >= min(
+            len(self._places(known)), len(self._places(seen))
+        ):
+            required = A_COPY  # One session continued the map of the other.
+        return [
             Correspondence(
-                sessions[0].first[pair.known, component] + joint.starts[number],
-                sessions[1].first[pair.seen, other_component] + joint.starts[other],
+                first[pair.known, component] + joint.starts[number],
+                second[pair.seen, other_component] + joint.starts[other],
                 Pose(0.0, 0.0, pair.relative_rad),
             )
-            for pair in self._pairs_of(number, other)
-            if (pair.known, component) in sessions[0].first
-            and (pair.seen, other_component) in sessions[1].first
-        ]  # fmt: skip
-        required = max(REQUIRED_COUNT, math.ceil(joint.sessions[0].config.pose_cells.pc_vt_agree_views))
-        if not correspondences:
-            correspondences = scan_correspondences(joint, known, seen)
-            join, required = replace(join, by='scans'), SCAN_PLACES
-        join = replace(join, matched=len(correspondences))
-        if spacing_m <= 0.0:
-            return replace(join, refused='the map is too small to have a view spacing')
+            for pair in pairs
+        ], required
+
+    def _tested(
+        self, join: Join, evidence: Sequence[Correspondence],
+        correspondences: Sequence[Correspondence], required: int, spacing_m: float,
+    ) -> Join:  # fmt: skip
+        """Decide whether correspondences prove that two parts share places.
+
+        Args:
+            join: the parts.
+            evidence: correspondences of one kind.
+            correspondences: all that are used if the parts are joined.
+            required: number of different places that have to agree.
+            spacing_m: view spacing.
+        """
+        joint = self._joint
         hypothesis = best_hypothesis(
-            joint, correspondences, spacing_m, joint.parameters.exp_jump_drift, places[0]
+            joint, evidence, spacing_m, joint.parameters.exp_jump_drift, self._places(join.known)
         )
-        if hypothesis is None or hypothesis.place_count < required:
-            count = 0 if hypothesis is None else hypothesis.place_count
-            return replace(join, place_count=count, refused=(
-                f'{count} places agree, but at least {required} are required'
-            ))  # fmt: skip
-        join = replace(join, place_count=hypothesis.place_count)
-        if hypothesis.is_by_chance:
-            return replace(join, refused=(
-                f'{hypothesis.place_count} places agree, which is likely by chance'
-            ))  # fmt: skip
-        supporting = hypothesis.supporting
+        count = 0 if hypothesis is None else hypothesis.place_count
+        join = replace(join, place_count=count)
+        if hypothesis is None or count < required:
+            return replace(
+                join, refused=f'{count} places agree, but at least {required} are required'
+            )
+        if hypothesis.is_by_chance and required > A_COPY:
+            return replace(join, refused=f'{count} places agree, which is likely by chance')
+        supporting, fits, tried = hypothesis.supporting, 0, 0
         if join.by == 'views':
-            supporting, fits, tried = fitted(joint, supporting)
-            if 2 * fits < tried:
-                return replace(join, refused=(
-                    f'the scans fit at only {fits} of {tried} places that look alike'
-                ))  # fmt: skip
+            supporting, fits, tried = measured(joint, supporting)
+        if 2 * fits < tried:
+            return replace(join, refused=(
+                f'the scans fit at only {fits} of {tried} places that look alike'
+            ))  # fmt: skip
         return self._checked(join, supporting, correspondences, spacing_m)
 
     def _checked(
@@ -172,27 +207,34 @@ class Joiner:
             measured.get((one.known, one.seen), one) for one in correspondences
             if self._agrees(poses, one, spacing_m)
         ]  # fmt: skip
-        share, overlapping = 1.0, len(agreeing)
-        if join.by == 'views':
-            overlap = self._overlap(poses, join, spacing_m)
-            recognised = {one.seen for one in agreeing}
-            share = len(recognised & overlap) / max(len(overlap), 1)
-            overlapping = len(overlap)
+        overlap = self._overlap(poses, join, spacing_m)
+        recognised = {one.seen for one in agreeing if one.same_view} & overlap
+        elsewhere = {
+            one.seen for one in correspondences if one.same_view and one.seen in overlap
+        } - recognised
         join = replace(
-            join, share=share, overlapping=overlapping, transform=transform,
+            join, overlapping=len(overlap), share=len(recognised) / max(len(overlap), 1),
             place_count=distinct_places(poses, [one.seen for one in agreeing], spacing_m),
-        )
-        contradicting = len(correspondences) - len(agreeing)
-        if contradicting >= len(agreeing):
+            transform=transform,
+        )  # fmt: skip
+        if not self._is_comparable(join):
+            return replace(join, share=1.0, correspondences=tuple(agreeing))
+        if len(elsewhere) > len(recognised):
             return replace(join, refused=(
-                f'{len(agreeing)} matches agree, and {contradicting} contradict them'
+                f'{len(recognised)} views are recognised at the same place, and {len(elsewhere)} '
+                'elsewhere'
             ))  # fmt: skip
-        if share < MIN_SHARE:
+        if join.share < MIN_SHARE:
             return replace(join, refused=(
-                f'{100.0 * share:.0f} % of the {overlapping} places that would be shared are '
-                f'recognised, but at least {100.0 * MIN_SHARE:.0f} % are required: they look alike'
+                f'{100.0 * join.share:.0f} % of the {len(overlap)} places that would be shared '
+                f'are recognised, but at least {100.0 * MIN_SHARE:.0f} % are required'
             ))  # fmt: skip
         return replace(join, correspondences=tuple(agreeing))
+
+    def _is_comparable(self, join: Join) -> bool:
+        """Return whether the views of two parts are encoded in the same way."""
+        sessions = [self._joint.sessions[self._joint.parts[i][0]] for i in (join.known, join.seen)]
+        return sessions[0].encoding == sessions[1].encoding
 
     def _overlap(self, poses: Reals, join: Join, spacing_m: float) -> set[int]:
         """Return the places of the seen part that lie at a place of the known part."""
@@ -229,7 +271,7 @@ class Joiner:
     def _place(self, joins: Sequence[Join]) -> None:
         """Place the parts in the frame of the first part that they are joined with, and relax."""
         joint = self._joint
-        frames = [Pose(0.0, 0.0, 0.0)] * len(joint.parts)
+        frames = [UNMOVED] * len(joint.parts)
         cluster = list(range(len(joint.parts)))
         for join in joins:
             here, there = cluster[join.known], cluster[join.seen]
@@ -246,7 +288,7 @@ class Joiner:
                     cluster[part] = into
         poses = joint.poses.copy()
         for part, frame in enumerate(frames):
-            if frame != Pose(0.0, 0.0, 0.0):
+            if frame != UNMOVED:
                 _move(poses, joint.members(part), frame)
         correspondences = [one for join in joins for one in join.correspondences]
         joined = [part for part, at in enumerate(cluster) if cluster.count(at) > 1]

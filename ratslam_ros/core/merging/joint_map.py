@@ -1,7 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Joint map: the experiences and links of all sessions with one numbering, before duplicates are
-fused."""
+"""Joint map: experiences and links of all sessions in one numbering, before fusing."""
 
 from __future__ import annotations
 
@@ -30,8 +29,8 @@ MAX_ITERATIONS = 100
 class Correspondence(NamedTuple):
     """Two experiences of different sessions at one place.
 
-    ``known``, ``seen``: the experiences, by their numbers on the joint map. ``pose``: of the latter
-    in the frame of the former. ``same_view``: whether their views match. ``by_scan``: whether
+    ``known``, ``seen``: the experiences, by their numbers on the joint map. ``pose``: of the
+    latter in the frame of the former. ``same_view``: whether their views match. ``by_scan``: whether
     scans measured the pose; otherwise it follows from the views.
     """
 

@@ -104,13 +104,13 @@ class SessionMap:
         own = {peer: one for peer, one in joining['own']} if 'own' in joining else None
         self.templates = np.full(len(self), UNKNOWN_TEMPLATE, np.int64)
         """(n,) template of each experience, -1 if it is not in the memory."""
-        self.cell_ids: dict[int, int] = {}
-        """Id on the map -> id in the pose cells."""
+        self.map_ids: dict[int, int] = {}
+        """Id in the pose cells -> id on the map."""
         for cell_id, (template_id, *_) in enumerate(self.cell_state['experiences']):
             map_id = cell_id if own is None else own.get(cell_id)
             if map_id is None or map_id >= len(self):
                 continue
-            self.cell_ids[map_id] = cell_id
+            self.map_ids[cell_id] = map_id
             if template_id >= base and template_id - base in self.local_view:
                 self.templates[map_id] = template_id - base
         self.template_base = base

@@ -35,7 +35,9 @@ class TemplatePair(NamedTuple):
     sad: int
 
 
-def match_views(known: SessionMap, seen: SessionMap, threshold: MatchThreshold) -> list[TemplatePair]:
+def match_views(
+    known: SessionMap, seen: SessionMap, threshold: MatchThreshold
+) -> list[TemplatePair]:
     """Return the best match of each template of one session among those of another one.
 
     Matching and threshold are those of the local view, with the parameters of ``known``.
@@ -129,21 +131,23 @@ def merged_look_alikes(
 
 
 def merged_freshness(
-    states: Sequence[State | None], item_of: Callable[[int, int], int], items: Sequence[int]
-) -> State | None:
+    states: Sequence[State | None], item_of: Callable[[int, int], int | None],
+    items: Sequence[int],
+) -> State | None:  # fmt: skip
     """Return the freshness of merged items; the time since an observation stays the same.
 
     Args:
         states: freshness of each session; None if it has none.
-        item_of: function of the number of a session and an item that returns the merged item.
+        item_of: function of the number of a session and an item that returns the merged item;
+            None if it is not known any more.
         items: all merged items.
 
     Returns:
         None if a session has none, so that all items are new.
     """
-    if any(state is None for state in states):
-        return None
     known: list[State] = [state for state in states if state is not None]
+    if len(known) < len(states):
+        return None
     now_ns = max(int(state['now_ns']) for state in known)
     found: dict[int, tuple[int, int, int]] = {}
     for number, state in enumerate(known):
@@ -152,6 +156,8 @@ def merged_freshness(
             state['fades'].tolist(), strict=True,
         ):  # fmt: skip
             merged = item_of(number, item)
+            if merged is None:
+                continue
             seen_ns = int(observed_ns) + now_ns - int(state['now_ns'])
             if merged in found:
                 before = found[merged]
