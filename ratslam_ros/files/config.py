@@ -86,6 +86,20 @@ def load_config(source: str | None) -> tuple[Config, list[str]]:
         raise UnusableInput(f'{path} cannot be read: {reason}') from None
 
 
+def config_from_yaml(text: str) -> Config:
+    """Return the configuration that ``to_yaml`` has written.
+
+    Raises:
+        UnusableInput: the text is no configuration.
+        UnusableParameter: a parameter is unknown or out of range.
+    """
+    try:
+        return Config().with_values(dict(_yaml_values(text)))
+    except (yaml.YAMLError, ValueError) as error:
+        reason = ' '.join(str(error).split())[:200]
+        raise UnusableInput(f'the configuration cannot be read: {reason}') from None
+
+
 def _preset(name: str) -> Path:
     available = presets()
     if name not in available:

@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
+from ratslam_ros.core.mapping.id_map import MIN_MEMORY_NS
 from ratslam_ros.core.mapping.links import Links
+from ratslam_ros.core.mapping.scan_matching import ScanMatcher
 from ratslam_ros.core.merging.fusing import Fused, fuse
 from ratslam_ros.core.merging.joining import Join, Joiner
 from ratslam_ros.core.merging.joint_map import JointMap, residual, settle
@@ -220,10 +222,29 @@ def _states(
         graph['scans'] = merged_scans(joint, fused)
     if any('relocator' in part for part in parts):
         graph['relocator'] = merged_relocator(joint, fused, poses)
-    return {
-        'local_view': {'core': view}, 'pose_cells': {'core': cells.state()},
-        'experience_map': graph,
-    }  # fmt: skip
+    return _with_numbering(
+        {'local_view': {'core': view}, 'pose_cells': {'core': cells.state()},
+         'experience_map': graph}, len(poses),
+    )  # fmt: skip
+
+
+def _with_numbering(states: dict[str, State], count: int) -> dict[str, State]:
+    """Add what only the nodes need: all have the same ids, and no message is on its way."""
+    ids: State = {'memory_ns': MIN_MEMORY_NS, 'forgotten': 0, 'base': 0, 'end': 0}
+    numbering: State = {**ids, 'end': count, 'own': [[i, i] for i in range(count)]}
+    states['local_view']['memory_ns'] = MIN_MEMORY_NS
+    states['pose_cells'].update(memory_ns=MIN_MEMORY_NS, sequence=0, numbering=ids)
+    states['experience_map'].update(
+        action_ns=0, joining={
+            'missed': 0, 'forgotten': 0, 'next': 0, 'first_sequence': 0, 'numbering': numbering,
+        },
+    )  # fmt: skip
+    if 'scans' not in states['experience_map']:
+        states['experience_map']['scans'] = ScanMatcher().state()
+    calibration = states['pose_cells']['core'].get('calibration')
+    if calibration is not None:
+        states['experience_map']['correction'] = calibration['correction']
+    return states
 
 
 def _set_apart(table: NDArray[np.float64], components: NDArray[np.int64], gap_m: float) -> None:

@@ -4,7 +4,8 @@
 
 Finding a place is what a lost robot does: the landmarks around an experience of one map are
 matched with all landmarks of the other one by joint compatibility, without a prior, and the scans
-have to agree with those that are stored there.
+have to agree with those that are stored there. People who were there contradict some beams, so a single place is
+only likely; several that are consistent with each other are proven.
 """
 
 from __future__ import annotations
@@ -19,9 +20,10 @@ from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.landmarks.relocalisation import KnownFeatures, relocalise
 from ratslam_ros.core.mapping.icp import align
 from ratslam_ros.core.mapping.place_landmarks import VARIANCES, features_of, moved_landmark
-from ratslam_ros.core.mapping.place_scans import PlaceScans, is_proven
+from ratslam_ros.core.mapping.place_scans import KNOWN_SHARE, PlaceScans
 from ratslam_ros.core.mapping.relocator import (
     COMPARED_COUNT,
+    DOUBTFUL_SHARE,
     LEAST_EVIDENCE_M,
     PAIRS_COUNT,
     PRIOR_SD_M,
@@ -103,7 +105,7 @@ def _queries(joint: JointMap, part: int) -> list[int]:
 def _located(
     joint: JointMap, at: int, landmarks: Reals, features: KnownFeatures, places: PlaceScans
 ) -> Pose | None:
-    """Return the pose of an experience on the map of another part, None if it is not proven."""
+    """Return the pose of an experience on the map of another part, None if it is unclear."""
     own = joint.pose_of(at)
     seen = _in_frame(own, landmarks)
     seen = seen[np.hypot(seen[:, 0], seen[:, 1]) < MAX_RANGE_M]
@@ -119,17 +121,23 @@ def _located(
     )  # fmt: skip
     around = around[:COMPARED_COUNT]
     scans = [scan.astype(np.float64) for one in around if (scan := _scan(joint, one)) is not None]
-    proven = []
+    likely = []
     for candidate in candidates:
-        aligned = places.aligned(candidate.pose, scans[0], PRIOR_SD_M)
-        if aligned is None:
+        to_there = composed(candidate.pose, inverse(own))
+        for one, points in zip(around, scans, strict=True):
+            there = joint.pose_of(one)
+            aligned = places.aligned(composed(to_there, there), points, PRIOR_SD_M)
+            if aligned is not None:
+                break
+        else:
             continue
-        pose = composed(aligned[0], composed(inverse(joint.pose_of(around[0])), own))
+        pose = composed(aligned[0], composed(inverse(there), own))
         to_there = composed(pose, inverse(own))
         poses = [composed(to_there, joint.pose_of(one)) for one in around]
-        if is_proven(places.agreement(poses, scans)):
-            proven.append(pose)
-    return proven[0] if len(proven) == 1 else None
+        agreement = places.agreement(poses, scans)
+        if agreement.share >= DOUBTFUL_SHARE and agreement.known_share >= KNOWN_SHARE:
+            likely.append(pose)
+    return likely[0] if len(likely) == 1 else None
 
 
 def _with_scans(joint: JointMap, part: int) -> list[int]:
