@@ -11,6 +11,7 @@ between the known ones, or another view of a known one, and each of them can be 
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -22,7 +23,7 @@ from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.mapping.links import Link
 from ratslam_ros.core.merging.joining import Joiner
-from ratslam_ros.core.merging.joint_map import JointMap
+from ratslam_ros.core.merging.joint_map import JointMap, is_same_place
 from ratslam_ros.core.pose_cells.lengths import Lengths
 from ratslam_ros.core.pose_cells.torus import Torus
 
@@ -62,7 +63,7 @@ def fuse(joint: JointMap, joiner: Joiner, lengths: Lengths, torus: Torus) -> Fus
         lengths: lengths of the pose cells of the merged map.
         torus: their extents.
     """
-    duplicates = _duplicate_templates(joint, joiner)
+    duplicates = _duplicate_templates(joint, joiner, lengths.scale_m)
     templates: dict[tuple[int, int], int] = {}
     learned: list[tuple[int, int]] = []
     for number, session in enumerate(joint.sessions):
@@ -95,18 +96,31 @@ def fuse(joint: JointMap, joiner: Joiner, lengths: Lengths, torus: Torus) -> Fus
 
 
 def _duplicate_templates(
-    joint: JointMap, joiner: Joiner
+    joint: JointMap, joiner: Joiner, spacing_m: float
 ) -> dict[tuple[int, int], tuple[int, int]]:
     """Return the templates that match one of an earlier session at the same place.
 
     Session and template -> the earliest session with a match, and its template.
     """
+    poses: dict[tuple[int, int], list[tuple[int, Pose]]] = {}
+    for number, session in enumerate(joint.sessions):
+        for template, experience, offset in session.anchors:
+            at = joint.starts[number] + experience
+            pose = composed(Pose(*joiner.poses[at].tolist()), offset)
+            cluster = joiner.cluster_of[int(joint.part_of[at])]
+            poses.setdefault((number, template), []).append((cluster, pose))
     duplicates: dict[tuple[int, int], tuple[int, int]] = {}
-    for join in joiner.joins:
-        for one in join.correspondences:
-            if one.same_view:
-                seen, known = _template(joint, one.seen), _template(joint, one.known)
-                duplicates[seen] = min(duplicates.get(seen, known), known)
+    for known, seen in itertools.combinations(range(len(joint.sessions)), 2):
+        if not joiner.are_joined(known, seen):
+            continue
+        for pair in joiner.pairs_of(known, seen):
+            key = seen, pair.seen
+            if key not in duplicates and any(
+                cluster == other and is_same_place(pose, there, pair.relative_rad, spacing_m)
+                for cluster, pose in poses.get((known, pair.known), ())
+                for other, there in poses.get(key, ())
+            ):
+                duplicates[key] = known, pair.known
     return duplicates
 
 

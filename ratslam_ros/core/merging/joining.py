@@ -36,7 +36,8 @@ SCAN_PLACES = 3
 
 
 A_COPY = 1
-"""Number of places that suffice if one part has exact copies of all views of the other."""
+"""Number of places that suffice if one part has exact copies of half of the other's views: cameras
+do not take the same image twice."""
 
 UNMOVED = Pose(0.0, 0.0, 0.0)
 
@@ -80,7 +81,7 @@ class Joiner:
             pairs_of: function of the numbers of two sessions that returns the matching templates;
                 empty if their views cannot be compared.
         """
-        self._joint, self._pairs_of = joint, pairs_of
+        self._joint, self.pairs_of = joint, pairs_of
         self.joins: list[Join] = []
         """Result for each pair of parts that have a match, the most certain first."""
         self.poses: Reals = joint.poses.copy()
@@ -111,6 +112,15 @@ class Joiner:
             found[found.index(one)] = replace(one, refused=reason, correspondences=())
         self.joins = kept + [one for one in found if one.refused]
 
+    def are_joined(self, known: int, seen: int) -> bool:
+        """Return whether parts of two sessions are in one frame."""
+        clusters: list[set[int]] = [
+            {self.cluster_of[part] for part, (owner, _) in enumerate(self._joint.parts)
+             if owner == number}
+            for number in (known, seen)
+        ]  # fmt: skip
+        return not clusters[0].isdisjoint(clusters[1])
+
     def compared(self, known: int, seen: int) -> Join:
         """Decide whether two parts share places: by views, and if they do not suffice by scans."""
         joint = self._joint
@@ -138,14 +148,13 @@ class Joiner:
         (number, component), (other, other_component) = joint.parts[known], joint.parts[seen]
         first, second = joint.sessions[number].first, joint.sessions[other].first
         pairs = [
-            pair for pair in self._pairs_of(number, other)
+            pair for pair in self.pairs_of(number, other)
             if (pair.known, component) in first and (pair.seen, other_component) in second
         ]  # fmt: skip
         views = joint.sessions[0].config.pose_cells.pc_vt_agree_views
         required = max(REQUIRED_COUNT, math.ceil(views))
-        if sum(pair.sad == 0 for pair in pairs) >= min(
-            len(self._places(known)), len(self._places(seen))
-        ):
+        copies = sum(pair.sad == 0 for pair in pairs)
+        if 2 * copies >= min(len(self._places(known)), len(self._places(seen))):
             required = A_COPY  # One session continued the map of the other.
         return [
             Correspondence(

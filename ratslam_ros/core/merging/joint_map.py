@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.config import ExperienceMapParameters
+from ratslam_ros.core.mapping.link_weights import reach_m
 from ratslam_ros.core.mapping.links import Link, Links
+from ratslam_ros.core.mapping.loop_closure_gate import FREE_ROTATION_RAD
 from ratslam_ros.core.mapping.optimiser import PoseGraphOptimiser
 from ratslam_ros.core.merging.session import SessionMap
 
@@ -156,5 +158,22 @@ def settle(
 def residual(poses: Reals, one: Correspondence) -> tuple[float, float]:
     """Return distance in m and rotation in rad by which poses deviate from a correspondence."""
     known, seen = Pose(*poses[one.known].tolist()), Pose(*poses[one.seen].tolist())
-    error = composed(inverse(composed(known, one.pose)), seen)
+    return _deviation(composed(known, one.pose), seen)
+
+
+def is_same_place(known: Pose, seen: Pose, relative_rad: float, spacing_m: float) -> bool:
+    """Return whether two matching views were learned close enough to be of one place.
+
+    Args:
+        known, seen: poses at which the views were learned.
+        relative_rad: rotation between them according to the match.
+        spacing_m: view spacing.
+    """
+    expected = composed(known, Pose(0.0, 0.0, relative_rad))
+    away_m, turned_rad = _deviation(expected, seen)
+    return away_m <= reach_m(0.0, 0.0, spacing_m) and turned_rad <= FREE_ROTATION_RAD
+
+
+def _deviation(expected: Pose, found: Pose) -> tuple[float, float]:
+    error = composed(inverse(expected), found)
     return math.hypot(error.x_m, error.y_m), abs(wrap(error.heading_rad))

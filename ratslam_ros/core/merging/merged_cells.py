@@ -15,16 +15,14 @@ its own, as after a gap of the odometry, until views or scans recognise it.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
 
-from ratslam_ros.core.common.pose import Pose, composed, inverse
+from ratslam_ros.core.common.pose import Pose, composed
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.merging.fusing import Fused
 from ratslam_ros.core.merging.joint_map import JointMap
-from ratslam_ros.core.merging.session import UNKNOWN_TEMPLATE, SessionMap
 from ratslam_ros.core.merging.view_memory import merged_freshness
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
 from ratslam_ros.core.pose_cells.odometry_calibration import OdometryCalibration
@@ -121,7 +119,7 @@ class MergedCells:
         """Return the places of templates: for `memories`, unwrapped, and their components."""
         found: dict[tuple[int, int], tuple[Place, Unwrapped]] = {}
         for number, session in enumerate(self._joint.sessions):
-            for template_id, map_id, offset in associations(session):
+            for template_id, map_id, offset in session.anchors:
                 merged = self._fused.templates.get((number, template_id))
                 if merged is None:
                     continue
@@ -171,47 +169,3 @@ class MergedCells:
                 if a is not None and b is not None:
                     distances.connect(a, b, length_m)
         return distances.state()
-
-
-def associations(session: SessionMap) -> list[tuple[int, int, Pose]]:
-    """Return the associations of templates with places in the pose cells of a session.
-
-    Returns:
-        Template, experience on the map, and the pose of the association in the frame of that
-        experience: the first one of the template in the component, or else the nearest one.
-    """
-    state, cell_m = session.cell_state, session.lengths.cell_m
-    planes_per_rad = session.config.pose_cells.pc_dim_th / math.tau
-    positions = state['unrolled']
-    count = len(state['experiences'])
-    components, numbers = [0] * count, [0] * len(positions['memories'])
-    places = [place for _, *place in state['experiences']]
-    if 'components' in state:
-        saved = state['components']
-        components, numbers, places = saved['experiences'], saved['memories'], saved['places']
-    poses = [
-        Pose(x * cell_m, y * cell_m, place[2] / planes_per_rad)
-        for (x, y), place in zip(positions['experiences'], places, strict=True)
-    ]
-    first: dict[tuple[int, int], int] = {}
-    for cell_id, map_id in sorted(session.map_ids.items()):
-        template = int(session.templates[map_id])
-        if template != UNKNOWN_TEMPLATE:
-            first.setdefault((template, components[cell_id]), cell_id)
-    found = []
-    for (template_id, _x, _y, theta, *_), (x, y), component in zip(
-        state['memories'], positions['memories'], numbers, strict=True
-    ):
-        pose = Pose(x * cell_m, y * cell_m, theta / planes_per_rad)
-        template = template_id - session.template_base
-        cell_id = first.get((template, component))
-        if cell_id is None:
-            near = [
-                (math.dist(poses[one][:2], pose[:2]), one) for one in session.map_ids
-                if components[one] == component
-            ]
-            cell_id = min(near)[1] if near else None
-        if cell_id is not None:
-            offset = composed(inverse(poses[cell_id]), pose)
-            found.append((template, session.map_ids[cell_id], offset))
-    return found

@@ -5,12 +5,15 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config, LocalViewParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
@@ -36,6 +39,18 @@ ENCODING = (
     'vt_min_patch_normalisation_std', 'vt_panoramic',
 )  # fmt: skip
 """Parameters of the local view on which the bytes of a view depend."""
+
+
+class Anchor(NamedTuple):
+    """Where the pose cells have placed a template.
+
+    ``experience``: the one created there or, if there is none, the nearest one in the component.
+    ``offset``: pose of the place in its frame.
+    """
+
+    template: int
+    experience: int
+    offset: Pose
 
 
 @dataclass(frozen=True)
@@ -123,6 +138,8 @@ class SessionMap:
             key = int(self.templates[map_id]), int(self.components[map_id])
             if key[0] != UNKNOWN_TEMPLATE:
                 self.first.setdefault(key, map_id)
+        self.anchors = _anchors(self)
+        """Places of templates in the pose cells; a template has one in each component."""
 
     def __len__(self) -> int:
         """Return the number of experiences."""
@@ -154,6 +171,45 @@ class SessionMap:
             found.update(repr((array.dtype.str, array.shape)).encode())
             found.update(np.ascontiguousarray(array).tobytes())
         return found.hexdigest()
+
+
+def _anchors(session: SessionMap) -> list[Anchor]:
+    """Return the associations of templates with places in the pose cells of a session."""
+    state, cell_m = session.cell_state, session.lengths.cell_m
+    planes_per_rad = session.config.pose_cells.pc_dim_th / math.tau
+    positions = state['unrolled']
+    count = len(state['experiences'])
+    components, numbers = [0] * count, [0] * len(positions['memories'])
+    places = [place for _, *place in state['experiences']]
+    if 'components' in state:
+        saved = state['components']
+        components, numbers, places = saved['experiences'], saved['memories'], saved['places']
+    poses = [
+        Pose(x * cell_m, y * cell_m, place[2] / planes_per_rad)
+        for (x, y), place in zip(positions['experiences'], places, strict=True)
+    ]
+    first: dict[tuple[int, int], int] = {}
+    for cell_id, map_id in sorted(session.map_ids.items()):
+        template = int(session.templates[map_id])
+        if template != UNKNOWN_TEMPLATE:
+            first.setdefault((template, components[cell_id]), cell_id)
+    found = []
+    for (template_id, _x, _y, theta, *_), (x, y), component in zip(
+        state['memories'], positions['memories'], numbers, strict=True
+    ):
+        pose = Pose(x * cell_m, y * cell_m, theta / planes_per_rad)
+        template = template_id - session.template_base
+        cell_id = first.get((template, component))
+        if cell_id is None or poses[cell_id][:2] != pose[:2]:
+            near = [
+                (math.dist(poses[one][:2], pose[:2]), one) for one in session.map_ids
+                if components[one] == component
+            ]
+            cell_id = min(near)[1] if near else None
+        if cell_id is not None:
+            offset = composed(inverse(poses[cell_id]), pose)
+            found.append(Anchor(template, session.map_ids[cell_id], offset))
+    return found
 
 
 def in_canonical_order(sessions: list[SessionMap]) -> list[SessionMap]:
