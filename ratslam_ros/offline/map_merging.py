@@ -52,13 +52,9 @@ def merge_files(paths: Sequence[Path], out: Path, force: bool = False) -> str:
     """
     if out.exists() and not force:
         raise UnusableInput(f'{out} exists; give another name with -o, or add --force')
-    sessions = [_named(session, path, paths) for path in paths for session in [read_session(path)]]
+    sessions = [_named(read_session(path), path, paths) for path in paths]
     merged = merge_sessions(sessions, encoder_of)
-    meta = MapMeta(
-        title=' + '.join(merged.names), configuration=to_yaml(merged.config),
-    )  # fmt: skip
-    if out.exists():
-        out.unlink()
+    meta = MapMeta(title=' + '.join(merged.names), configuration=to_yaml(merged.config))
     save_map(out, merged.states, meta)
     report = out.with_name(f'{out.name}.json')
     report.write_text(json.dumps(report_of(merged), indent=2) + '\n', encoding='utf-8')
