@@ -113,6 +113,11 @@ def stored_config(text: str, where: str) -> tuple[Config, list[str]]:
     return config, notices
 
 
+def config_from_yaml(text: str) -> Config:
+    """Return the configuration that ``to_yaml`` has written; see ``stored_config``."""
+    return stored_config(text, 'the configuration')[0]
+
+
 def _preset(name: str) -> Path:
     available = presets()
     if name not in available:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import os
 import sqlite3
+import time
 from collections.abc import Mapping, Sequence
 from contextlib import closing, suppress
 from pathlib import Path
@@ -14,10 +15,12 @@ from ratslam_ros.core.common.state import State
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.maps.chunks import Compressor, pack
 from ratslam_ros.maps.locks import MapLock
-from ratslam_ros.maps.part import Image, PartWriter, Row, Written, load
+from ratslam_ros.maps.part import Image, PartWriter, Row, Written, load, rows_of
 from ratslam_ros.maps.reader import unusable
 from ratslam_ros.maps.saved_map import Cut, MapMeta, SavedMap, loss_note
 from ratslam_ros.maps.schema import (
+    WAL,
+    beside,
     check_layout,
     connect,
     create,
@@ -25,14 +28,17 @@ from ratslam_ros.maps.schema import (
     sync_folder,
 )
 from ratslam_ros.maps.sessions import (
-    Newest,
     begin,
+    drop_after,
     join,
     newest,
     remove_old_cuts,
     resumed_rows,
     sessions_of,
 )
+
+ATTEMPTS, ATTEMPT_S = 20, 0.05
+"""Attempts to end the log while readers are active, at the end of a session."""
 
 LOG_NS = 30_000_000_000
 """Stamps that a stream of the log spans: a node restarts in a few seconds."""
@@ -46,15 +52,15 @@ class FileWriter:
 
     def __init__(self, path: Path, parts: tuple[str, ...], meta: MapMeta) -> None:
         """Open the map and begin or join a session; see ``MapStore.open``."""
-        self.path, self.parts = path, parts
+        if path.is_dir():
+            raise UnusableInput(f'{path} is a folder; expected the name of a map file')
+        self.path, self.parts = path.resolve(), parts
         self._meta = meta
         self.restored: SavedMap | None = None
         self.joins = False
         compressor = Compressor()
         self._writers = {part: PartWriter(part, compressor) for part in parts}
         self._session = 0
-        self._last: Row | None = None
-        """Newest row that this process has written."""
         self._log_ns: dict[str, int] = {}
         self._lock: MapLock | None = None
         self._database: sqlite3.Connection | None = None
@@ -87,12 +93,11 @@ class FileWriter:
                 with suppress(sqlite3.Error):
                     database.execute('ROLLBACK')
                 raise
-        except (OSError, sqlite3.Error) as error:
+        except (OSError, sqlite3.Error, UnusableInput) as error:
             self._disconnect()  # The next attempt checks the file anew.
             raise unwritable(self.path, error) from None
         for entry in written:
             self._writers[entry.row.part].adopt(entry)
-            self._last = entry.row
         for part, versions in removed.items():
             self._writers[part].forget(versions)
 
@@ -125,8 +130,9 @@ class FileWriter:
                         'UPDATE members SET ended = 1 WHERE session = ? AND part = ?',
                         [(self._session, part) for part in self.parts],
                     )
-                self._disconnect()  # The last connection moves the log into the file.
+                self._disconnect()
                 if not lock.others():
+                    self._end_log()
                     sync_folder(self.path)
                     lock.remove()
         except (OSError, sqlite3.Error, UnusableInput):
@@ -183,40 +189,37 @@ class FileWriter:
                 rows = resumed_rows(database, found, self.parts)
                 self._session = found.session
                 self.joins = join(database, self._session, self.parts, found.number)
+                for part in self.parts:
+                    drop_after(database, part, rows.get(part))
+                database.execute('COMMIT')  # The others need not wait.
+                states = self._load(database, rows)
             else:
                 rows = {part: row for part, row in found.rows.items() if part in self.parts}
                 self._session = begin(database, self.parts, self._meta, found)
-            images, states = self._load(database, rows)
-            database.execute('COMMIT')
-        for part, writer in self._writers.items():
-            writer.start(database, rows.get(part), images.get(part, {}))
+                states = self._load(database, rows)  # A damaged map is not changed.
+                database.execute('COMMIT')
         if found.cut is not None:
-            self.restored = self._saved_map(found, rows, states)
-            self.restored.sessions.extend(sessions)
+            last = max(rows.values(), key=lambda row: (row.session, row.number), default=None)
+            cut = found.cut if last is None else Cut(last.number, last.stamp_ns)
+            lost = None if found.session == self._session else found.lost
+            self.restored = SavedMap(
+                self.path, sessions[-1].meta, cut, states, sessions,
+                [] if lost is None else [loss_note(lost, found.cut)],
+                {part: row.digest for part, row in rows.items()}, lost,
+            )  # fmt: skip
 
-    def _load(
-        self, database: sqlite3.Connection, rows: Mapping[str, Row]
-    ) -> tuple[dict[str, Image], dict[str, State]]:
-        images, states = {}, {}
-        try:
-            for part, row in rows.items():
-                states[part], images[part] = load(database, row)
-        except UnusableInput as error:
-            raise unusable(self.path, error) from None
-        return images, states
-
-    def _saved_map(
-        self, found: Newest, rows: Mapping[str, Row], states: dict[str, State]
-    ) -> SavedMap:
-        """Return what this process restores."""
-        last = max(rows.values(), key=lambda row: (row.session, row.number), default=None)
-        cut = None if last is None else Cut(last.number, last.stamp_ns)
-        lost = None if found.session == self._session else found.lost
-        notes = [] if lost is None else [loss_note(lost, found.cut)]
-        digests = {part: row.digest for part, row in rows.items()}
-        return SavedMap(
-            self.path, self._meta, cut or found.cut, states, [], notes, digests, lost
-        )  # fmt: skip
+    def _load(self, database: sqlite3.Connection, rows: Mapping[str, Row]) -> dict[str, State]:
+        """Return the states at cuts, after which the next ones are written."""
+        states: dict[str, State] = {}
+        for part, writer in self._writers.items():
+            row, image = rows.get(part), Image()
+            if row is not None:
+                try:
+                    states[part], image = load(database, row)
+                except UnusableInput as error:
+                    raise unusable(self.path, error) from None
+            writer.start(database, row, image)
+        return states
 
     def _connect(self) -> sqlite3.Connection:
         status = os.stat(self.path)
@@ -255,13 +258,16 @@ class FileWriter:
             if not self.path.exists():
                 create(self.path)
             database = self._connect()
-            if self._is_own(database):
-                return
             database.execute('BEGIN IMMEDIATE')
+            if self._is_own(database):
+                for part, writer in self._writers.items():
+                    # A transaction that failed in its last moment may be there after all.
+                    drop_after(database, part, writer.row)
+                database.execute('COMMIT')
+                return
             found = newest(database)
             own = [part for part in self.parts if part in found.rows]
             if own or (found.session and not lock.others()):
-                self._disconnect()
                 raise UnusableInput(
                     f'{self.path} was replaced by another map; move that one away, and this one '
                     'is written again'
@@ -272,7 +278,6 @@ class FileWriter:
             else:
                 self._session = begin(database, self.parts, self._meta, found)
             database.execute('COMMIT')
-            self._last = None
             for writer in self._writers.values():
                 writer.start(database, None, {})
 
@@ -281,10 +286,21 @@ class FileWriter:
         (session,) = database.execute('SELECT coalesce(max(session), 0) FROM sessions').fetchone()
         if session != self._session:
             return False
-        if self._last is None:
-            return True
-        found = database.execute('SELECT digest FROM cuts WHERE id = ?', (self._last.id,))
-        return bool(found.fetchone() == (self._last.digest,))
+        rows = [writer.row for writer in self._writers.values() if writer.row is not None]
+        return all(rows_of(database, 'id = ?', [row.id]) == [row] for row in rows)
+
+    def _end_log(self) -> None:
+        """Move the write-ahead log into the file, as the last writer.
+
+        SQLite does so when the last connection is closed; readers may have one for a moment.
+        """
+        for _ in range(ATTEMPTS):
+            if not beside(self.path, WAL).exists():
+                return
+            with closing(connect(self.path)) as database:
+                database.execute('SELECT count(*) FROM members').fetchone()
+            if beside(self.path, WAL).exists():
+                time.sleep(ATTEMPT_S)
 
     def _disconnect(self) -> None:
         database, self._database = self._database, None
@@ -302,6 +318,8 @@ class FileWriter:
 def unwritable(path: Path, error: Exception) -> UnusableInput:
     """Return in one line why a map cannot be written."""
     text = str(error)
+    if isinstance(error, UnusableInput):
+        return error
     if isinstance(error, sqlite3.DatabaseError) and (
         'not a database' in text or 'malformed' in text
     ):

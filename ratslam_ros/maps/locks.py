@@ -25,8 +25,8 @@ PARTS = (
 )  # fmt: skip
 """Parts of the system that have a state; the order is that of the bytes in the lock file."""
 
-OPENING_S = 10.0
-"""Time to wait while another process opens or closes the map."""
+OPENING_S = 30.0
+"""Time to wait while another process opens or closes the map, and perhaps restores it."""
 
 TRY_S = 0.02
 PROBES = 10

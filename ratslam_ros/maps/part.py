@@ -92,6 +92,8 @@ class PartWriter:
 
     def __init__(self, part: str, compressor: Compressor) -> None:
         self.part = part
+        self.row: Row | None = None
+        """The previous cut."""
         self._compressor = compressor
         self._image: Image = {}
         self._superseded: defaultdict[tuple[int, int], list[Chunk]] = defaultdict(list)
@@ -106,7 +108,7 @@ class PartWriter:
             row: the cut; None if there is none, and nothing of the part in the file.
             image: arrays of the cut, from ``load``.
         """
-        self._image = image
+        self.row, self._image = row, image
         self._superseded.clear()
         if row is None:
             return
@@ -162,7 +164,7 @@ class PartWriter:
 
     def adopt(self, written: Written) -> None:
         """Make a cut the previous one of the next."""
-        self._image = written.image
+        self.row, self._image = written.row, written.image
         for since, chunks in written.superseded.items():
             self._superseded[since, written.row.id] += chunks
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 import shutil
 import sqlite3
 import tempfile
+import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -28,7 +29,8 @@ from ratslam_ros.maps.schema import (
 )
 from ratslam_ros.maps.sessions import newest, sessions_of
 
-ATTEMPTS = 5
+ATTEMPTS = 20
+ATTEMPT_S = 0.1
 """Attempts to read a map while processes begin or end to write it."""
 
 T = TypeVar('T')
@@ -43,7 +45,7 @@ def read_map(path: str | Path) -> SavedMap:
     Raises:
         UnusableInput: it does not exist, is damaged, or is no map.
     """
-    path = Path(path)
+    path = Path(path).resolve()
     if path.is_dir():
         return _read_folder(path)
     return reading(path, lambda database: saved_map(database, path))
@@ -69,8 +71,11 @@ def reading(path: Path, read: Callable[[sqlite3.Connection], T]) -> T:
                 check_layout(database, path)
                 result = read(database)
         except (sqlite3.Error, OSError, DamagedMap) as error:
-            if attempt + 1 < ATTEMPTS and (_identity(path), is_written(path)) != (before, is_live):
-                continue  # A writer began or ended in the meantime.
+            if attempt + 1 < ATTEMPTS and (
+                is_live or is_written(path) or _identity(path) != before
+            ):
+                time.sleep(ATTEMPT_S)  # A writer may be beginning or ending.
+                continue
             raise unusable(path, error) from None
         # An unlocked file was read without locks: it must not have changed.
         if is_live or (_identity(path) == before and not is_written(path)):

@@ -126,15 +126,10 @@ def begin(
     if base.session:
         # Without a cut of the last session, that of the session before it is the newest.
         after = -(2**63) if base.number is None else base.number + 1
-        dropped = rows_of(
-            database, 'session = ? AND number >= ?', [base.session, after]
-        )  # fmt: skip
-        stale = [row for row in rows_of(database, '1', []) if row.part not in base.rows]
-        for row in {row.id: row for row in [*dropped, *stale]}.values():
-            database.execute('DELETE FROM cuts WHERE id = ?', (row.id,))
-        for part in {row.part for row in [*dropped, *stale]}:
-            kept = base.rows[part].id if part in base.rows else 0
-            database.execute('DELETE FROM chunks WHERE part = ? AND since > ?', (part, kept))
+        dropped = rows_of(database, 'session = ? AND number >= ?', [base.session, after])
+        unused = {row.part for row in rows_of(database, '1', [])} - base.rows.keys()
+        for part in sorted(unused | {row.part for row in dropped}):
+            drop_after(database, part, base.rows.get(part))
     database.execute('DELETE FROM log')
     session = base.session + 1
     lost_from_ns, lost_to_ns = base.lost or (None, None)
@@ -149,6 +144,13 @@ def begin(
         database.execute(f'DELETE FROM {table} WHERE session <= ?', (session - MAX_SESSIONS,))
     join(database, session, parts, None)
     return session
+
+
+def drop_after(database: sqlite3.Connection, part: str, row: Row | None) -> None:
+    """Delete the cuts of a part after one of them, or all, within a transaction."""
+    last = 0 if row is None else row.id
+    database.execute('DELETE FROM cuts WHERE part = ? AND id > ?', (part, last))
+    database.execute('DELETE FROM chunks WHERE part = ? AND since > ?', (part, last))
 
 
 def join(
