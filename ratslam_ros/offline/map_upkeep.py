@@ -121,7 +121,8 @@ def info_text(info: dict[str, Any]) -> str:
         *(('missing', line) for line in info['missing'] or ['nothing']),
         *(('in use', line) for line in [info['in_use']] if line),
         ('written by', f'ratslam_ros {info["ratslam_version"] or "of an unknown version"}'),
-        ('parameters', ', '.join(f'{k}={v}' for k, v in info['parameters'].items()) or 'default'),
+        ('parameters', f'{len(info["parameters"])} differ from the defaults; --parameters '
+                       'prints all'),
         *(('notice', line) for line in info['notices']),
         ('digest', info['digest']),
     ]
@@ -228,6 +229,7 @@ def compact(path: Path) -> str:
             remove(new)
             with closing(connect(path)) as database:
                 database.execute('PRAGMA wal_checkpoint(TRUNCATE)')
+                database.setlimit(sqlite3.SQLITE_LIMIT_ATTACHED, 1)  # VACUUM INTO attaches it.
                 database.execute('VACUUM INTO ?', (str(new),))
             with closing(connect(new)) as database:
                 database.execute('PRAGMA journal_mode = WAL')  # as in every map
@@ -277,8 +279,10 @@ def locked(path: Path) -> Iterator[None]:
         try:
             with lock.opening():
                 lock.take(PARTS)
-                yield
-                lock.remove()
+                try:
+                    yield
+                finally:
+                    lock.remove()
         finally:
             lock.close()
     except (OSError, sqlite3.Error) as error:
