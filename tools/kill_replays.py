@@ -31,6 +31,7 @@ from typing import Any
 
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.warm_up import warm_up
+from ratslam_ros.files.config import load_config
 from ratslam_ros.maps import file_writer, locks, read_map, schema, store
 from ratslam_ros.offline import replay_map
 from ratslam_ros.offline.replay import ReplayOptions, replay
@@ -287,7 +288,7 @@ def main() -> int:
     parser.add_argument('--period', type=float, default=0.1, help='time between two cuts, in s')
     options = parser.parse_args()
     warm_up()
-    job = Job(options.recording, Config(), options.duration, options.period)
+    job = Job(options.recording, load_config(None)[0], options.duration, options.period)
     with tempfile.TemporaryDirectory(prefix='kills-') as folder:
         tally = kill_replays(
             job, options.kills, options.seed, Path(folder),

@@ -92,7 +92,7 @@ class ReplayMap:
         self._number = 0
         self._saved_s = 0.0
         self._is_complete = self._has_changed = False
-        self._stored = ''
+        self._saved: SavedMap | None = None
 
     def configuration(self) -> str:
         """Return the configuration stored in the map as YAML, '' for a new map.
@@ -100,21 +100,25 @@ class ReplayMap:
         Raises:
             UnusableInput: the file is no map, or there is none to localise on.
         """
-        if not self.path.exists():
-            if self.localize:
-                raise UnusableInput(
-                    f'{self.path} does not exist; make it first with ratslam replay RECORDING '
-                    f'--map {self.path}'
-                )
-            return ''
-        self._stored = read_map(self.path).meta.configuration
-        return self._stored
+        saved = self._read()
+        return '' if saved is None else saved.meta.configuration
+
+    def _read(self) -> SavedMap | None:
+        """Read the map once; None if there is no file yet."""
+        if self._saved is None and self.path.exists():
+            self._saved = read_map(self.path)
+        if self._saved is None and self.localize:
+            raise UnusableInput(
+                f'{self.path} does not exist; make it first with ratslam replay RECORDING --map '
+                f'{self.path}'
+            )
+        return self._saved
 
     def open(
         self, slam: RatSLAM, recording: Recording, selection: Selection, config: Config,
         start_s: float,
     ) -> None:  # fmt: skip
-        """Open the map, and restore it into a new system.
+        """Restore the map into a new system, and open the file.
 
         Args:
             slam: the system; nothing has been processed.
@@ -123,68 +127,66 @@ class ReplayMap:
             start_s: skipped seconds at the start of the recording.
 
         Raises:
-            UnusableInput: the map cannot be used, or is in use.
+            UnusableInput: the map cannot be used, or is in use. The file is unchanged then.
         """
         self._slam = slam
         self._identity = _identity(recording, selection, start_s)
+        saved = self._read()
+        lines = [f'{self.path}: new map']
+        digests: dict[str, bytes] = {}
+        if saved is not None and saved.states:
+            _check_structure(saved, config)
+            lines = self._restore(slam, saved)
+            digests = saved.digests
         if self.localize:
-            self._restore(slam, read_map(self.path), config)
             slam.mapping = False
-            return
-        meta = MapMeta(
-            title=recording.name, ratslam_version=__version__, configuration=to_yaml(config),
-            recording=str(recording.path.absolute()),
-            recording_bytes=self._identity['bytes'], first_ns=recording.start_ns,
-        )  # fmt: skip
-        parts = [*slam.state()]
-        self._store = MapStore.open(self.path, parts, meta, self._report)
-        try:
-            if self._store.restored is None:
-                self._notify(f'{self.path}: new map')
-            else:
-                self._restore(slam, self._store.restored, config)
-        except BaseException:
-            self._store.close()
-            raise
+        else:
+            meta = MapMeta(
+                title=recording.name, ratslam_version=__version__, configuration=to_yaml(config),
+                recording=str(recording.path.absolute()),
+                recording_bytes=self._identity['bytes'], first_ns=recording.start_ns,
+            )  # fmt: skip
+            self._store = MapStore.open(self.path, [*slam.state()], meta, self._report)
+            found = {} if self._store.restored is None else self._store.restored.digests
+            if any(digest != digests.get(part) for part, digest in found.items()):
+                self.abandon()
+                raise UnusableInput(f'{self.path} was changed in the meantime; try again')
+        for line in lines:
+            self._notify(line)
+        self._saved = None  # The states are not needed twice.
         self._saved_s = time.monotonic()
 
-    def _restore(self, slam: RatSLAM, saved: SavedMap, config: Config) -> None:
-        """Restore a map, continue its recording or begin a session, and report it."""
-        _check_structure(self.path, self._stored, config)
+    def _restore(self, slam: RatSLAM, saved: SavedMap) -> list[str]:
+        """Restore a map; continue its recording, or begin a session; return the lines on it."""
         states = dict(saved.states)
         inputs = dict(states.get('inputs', {}))
         progress = inputs.pop(PROGRESS, None)
         if inputs:
             states['inputs'] = inputs
-        else:
-            states.pop('inputs', None)
         try:
             slam.restore(states)
         except RatslamError as error:
             raise UnusableInput(f'{self.path} cannot be continued: {error}') from None
         action_ns = states.get('experience_map', {}).get('action_ns', 0)
         self.last_view_ns = int(action_ns if progress is None else progress['last_view_ns'])
-        same = progress is not None and progress['identity'] == self._identity
         verb = 'localises on' if self.localize else 'continues'
-        self._notify(f'{verb} {self.path}: {described(slam, saved)}')
-        for note in saved.notes:
-            self._notify(f'{self.path}: {note}')
-        if not same or self.localize:
+        lines = [f'{verb} {self.path}: {described(slam, saved)}']
+        lines += [f'{self.path}: {note}' for note in saved.notes]
+        if self.localize or progress is None or progress['identity'] != self._identity:
             slam.finish()
             slam.begin_session()
-            return
-        assert progress is not None
+            return lines
         self._counts = Counter(progress['counts'])
         self._to_skip = self._counts.copy()
         self._is_complete = bool(progress['complete'])
         count = self._to_skip.total()
         if self._is_complete:
-            self._notify(f'the map contains all {count} messages of this recording already')
-        else:
-            self._notify(
-                f'continues this recording after {count} messages that the map contains; the '
-                'results of that part are not written again'
-            )
+            return [*lines, f'the map contains all {count} messages of this recording already']
+        return [
+            *lines,
+            f'continues this recording after {count} messages that the map contains; the results '
+            'of that part are not written again',
+        ]
 
     def remaining(self, events: Iterable[Event]) -> Iterator[Event]:
         """Yield the events that the map does not contain; the others are not decoded."""
@@ -307,13 +309,15 @@ def _identity(recording: Recording, selection: Selection, start_s: float) -> Sta
     }  # fmt: skip
 
 
-def _check_structure(path: Path, stored: str, config: Config) -> None:
+def _check_structure(saved: SavedMap, config: Config) -> None:
     """Raise if a configuration contradicts the sizes of the templates and cells of a map."""
-    before = stored_config(stored, str(path))[0].values() if stored else config.values()
+    if not saved.meta.configuration:
+        return  # Restoring compares the sizes, too.
+    before = stored_config(saved.meta.configuration, str(saved.path))[0].values()
     given = config.values()
     for section, name in STRUCTURE:
         if before[section][name] != given[section][name]:
             raise UnusableInput(
-                f'{path} has {section}.{name} {before[section][name]}, but '
+                f'{saved.path} has {section}.{name} {before[section][name]}, but '
                 f'{given[section][name]} was given: leave it out, or use another map'
             )
