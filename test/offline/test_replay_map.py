@@ -6,8 +6,12 @@ from __future__ import annotations
 
 import hashlib
 import itertools
+import multiprocessing
 import os
+import resource
+import signal
 import sys
+import time
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -47,9 +51,14 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def run(
     bag: Path, folder: Path, *, stop_after: int | None = None, localize: bool = False,
     duration_s: float | None = None, config: Config = CONFIG, map_name: str = 'a.map',
-    lines: list[str] | None = None,
+    lines: list[str] | None = None, signal_after: int | None = None,
+    number: signal.Signals = signal.SIGTERM,
 ) -> tuple[ReplayOutcome, ReplayMap]:  # fmt: skip
-    """Replay with the map in a folder; ``stop_after``: as if killed after so many events."""
+    """Replay with the map in a folder.
+
+    ``stop_after``: number of events after which it ends as if it was killed. ``signal_after``:
+    number of events after which it receives a signal.
+    """
     lines = [] if lines is None else lines
     map_file = ReplayMap(folder / map_name, localize, lines.append, lines.append)
     map_file.configuration()
@@ -59,6 +68,8 @@ def run(
     with open_recording(bag) as recording:
         if stop_after is not None:
             _stop(recording, stop_after)
+        if signal_after is not None:
+            _send(recording, signal_after, number)
         outcome = replay(recording, recording.select(), config, folder / 'results', options)
     return outcome, map_file
 
@@ -71,6 +82,19 @@ def _stop(recording: Recording, count: int) -> None:
         raise StoppedError
 
     recording.read_events = first  # type: ignore[method-assign]
+
+
+def _send(recording: Recording, count: int, number: signal.Signals) -> None:
+    events = recording.read_events
+
+    def signalled(*args: Any) -> Iterator[Event]:
+        for place, event in enumerate(events(*args)):
+            if place == count:
+                os.kill(os.getpid(), number)
+                time.sleep(0.05)  # This thread reads ahead.
+            yield event
+
+    recording.read_events = signalled  # type: ignore[method-assign]
 
 
 def result_of(folder: Path) -> tuple[bytes, str]:
@@ -206,12 +230,54 @@ def test_other_file_than_a_map_is_refused_unchanged(
     assert (tmp_path / 'a.map').read_bytes() == text
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason='root may write everywhere')
-def test_read_only_folder_is_refused(bag: Path, tmp_path: Path) -> None:
-    folder = tmp_path / 'locked'
-    folder.mkdir(mode=0o500)
-    with pytest.raises(UnusableInput, match='cannot'):
-        run(bag, folder)
+@pytest.mark.skipif(not Path('/proc/self').exists(), reason='/proc is a folder without files')
+def test_folder_that_cannot_be_written_is_refused_in_one_line(
+    bag: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(UnusableInput, match=r'/proc/a\.map cannot be') as error:
+        run(bag, tmp_path, map_name='/proc/a.map')
+    assert len(str(error.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGINT])
+def test_stop_signal_saves_the_map_to_be_continued_exactly(
+    number: signal.Signals, bag: Path, undisturbed: Path, tmp_path: Path
+) -> None:
+    lines: list[str] = []
+    outcome, map_file = run(bag, tmp_path, lines=lines, signal_after=100, number=number)
+    assert outcome.interrupted
+    assert map_file.problem == ''
+    assert sorted(path.name for path in tmp_path.glob('a.map*')) == ['a.map']
+    progress = read_map(tmp_path / 'a.map').states['inputs'][replay_map.PROGRESS]
+    assert 0 < sum(progress['counts'].values()) < 180
+    run(bag, tmp_path)
+    assert result_of(tmp_path) == result_of(undisturbed)
+
+
+def test_full_disk_is_reported_once_and_loses_nothing(
+    bag: Path, undisturbed: Path, tmp_path: Path
+) -> None:
+    run(bag, tmp_path, duration_s=1.0)
+    before = read_map(tmp_path / 'a.map')
+    context = multiprocessing.get_context('fork')
+    receiver, sender = context.Pipe(duplex=False)
+
+    def limited() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, 40_000))
+        lines: list[str] = []
+        _, map_file = run(bag, tmp_path, lines=lines)
+        sender.send((lines, map_file.problem))
+
+    process = context.Process(target=limited)
+    process.start()
+    process.join(60.0)
+    assert receiver.poll()
+    lines, problem = receiver.recv()
+    assert problem
+    assert lines.count(f'{problem}; mapping continues in memory, and saving is tried again') == 1
+    assert read_map(tmp_path / 'a.map').digest == before.digest
+    run(bag, tmp_path)
+    assert result_of(tmp_path) == result_of(undisturbed)
 
 
 def test_missing_folder_of_the_map_is_created(bag: Path, tmp_path: Path) -> None:
@@ -219,7 +285,7 @@ def test_missing_folder_of_the_map_is_created(bag: Path, tmp_path: Path) -> None
     assert read_map(tmp_path / 'maps' / 'office.map').states
 
 
-def test_vanished_map_is_reported_and_results_are_written(
+def test_unsaved_map_is_reported_and_results_are_written(
     bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from ratslam_ros.maps import file_writer
@@ -238,11 +304,11 @@ def test_vanished_map_is_reported_and_results_are_written(
 
 def test_killed_replays_end_with_identical_maps(bag: Path, tmp_path: Path) -> None:
     job = Job(bag, CONFIG, None, period_s=0.002)
-    tally = kill_replays(job, 12, seed=3, folder=tmp_path, per_map=3)
+    tally = kill_replays(job, 8, seed=3, folder=tmp_path, per_map=3)
     assert tally.failures == []
     assert tally.identical == tally.maps > 0
     assert tally.behind == 0
-    assert tally.kills.total() == 12
+    assert tally.kills.total() == 8
 
 
 def test_remaining_events_are_counted_by_stream(bag: Path, tmp_path: Path) -> None:
