@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""``ratslam map``: inspect, check, export, prune and compact map files."""
+"""``ratslam map``: inspect, check, export, merge, prune and compact map files."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import json
 import sys
 from pathlib import Path
 
+from ratslam_ros.cli.merge_command import add_merge
 from ratslam_ros.cli.options import DONE, Commands, positive_number
 from ratslam_ros.console import print_notice
 from ratslam_ros.errors import UnusableInput
@@ -21,7 +22,7 @@ FORMATS = ('json', 'graphml', 'tum', 'g2o', 'geojson')
 
 def add_map(commands: Commands) -> None:
     """Add ``ratslam map`` with its own commands."""
-    parser = commands.add_parser('map', help='inspect, check, export and maintain map files')
+    parser = commands.add_parser('map', help='inspect, check, export, merge and maintain map files')
     actions = parser.add_subparsers(title='commands', metavar='COMMAND', required=True)
     info = actions.add_parser('info', help='print what a map contains')
     _add_file(info)
@@ -41,6 +42,7 @@ def add_map(commands: Commands) -> None:
     export.add_argument('--spacing', type=_distance, default=0.0, metavar='M',
                         help='with geojson: least distance between two nodes (default: keep all)')
     export.set_defaults(run=_export)
+    add_merge(actions)
     prune = actions.add_parser(
         'prune', help='reduce a map to a number of places; the map before stays as FILE.bak'
     )

@@ -14,6 +14,7 @@ import json
 import math
 from collections import Counter, defaultdict
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,9 @@ from numpy.typing import NDArray
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.link_learning import TIMED_OUT
 from ratslam_ros.errors import UnusableInput
+
+if TYPE_CHECKING:  # SciPy loads slowly
+    from scipy.sparse import csr_array
 
 MAX_IDS = 65_536
 """The route server of ROS 2 Jazzy has 16 bits for the ids of nodes and edges."""
@@ -66,7 +70,7 @@ def route_graph_json(
     nodes, notices = _largest_component(experience_map)
     edges = _edges(experience_map, set(nodes))
     if spacing_m > 0.0:
-        nodes, edges = _thinned(nodes, edges, spacing_m)
+        nodes, edges = _thinned(nodes, edges, experience_map.poses[nodes, :2], spacing_m)
     if not edges:
         raise UnusableInput(
             f'the graph has {len(nodes)} nodes and no edge, and the route server refuses a graph '
@@ -115,33 +119,48 @@ def _edges(experience_map: ExperienceMap, nodes: set[int]) -> _Edges:
     return edges
 
 
-def _thinned(nodes: list[int], edges: _Edges, spacing_m: float) -> tuple[list[int], _Edges]:
+def _thinned(
+    nodes: list[int], edges: _Edges, points_m: NDArray[np.float64], spacing_m: float
+) -> tuple[list[int], _Edges]:
     """Keep nodes that are at least a distance apart, and connect them as they were.
 
-    Junctions are kept first, those with most links before others, then the ends of dead ends.
-    Every other node belongs to the kept node that is nearest along the links. Two kept nodes are
+    Junctions are kept first, then ends of dead ends, then the others outwards from these. Every
+    other node belongs to the kept node that is nearest along the links. Two kept nodes are
     connected if a link connects nodes that belong to them, so that all connections remain.
+
+    Args:
+        nodes: experiences.
+        edges: between them.
+        points_m: (n, 2) positions of the nodes.
+        spacing_m: the distance, along the links.
     """
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import dijkstra
 
     row_of = {node: row for row, node in enumerate(nodes)}
     ends = np.array([(row_of[a], row_of[b]) for a, b in edges], np.int32).reshape(-1, 2)
-    # Both directions have the same length here, so that distances are symmetric.
-    lengths_m = [
-        max(min(edge.length_m, edges[b, a].length_m), LEAST_LENGTH_M)
-        for (a, b), edge in edges.items()
-    ]
-    graph = csr_array((np.array(lengths_m), (ends[:, 0], ends[:, 1])), shape=(len(nodes),) * 2)
-    degrees = np.bincount(ends[:, 0], minlength=len(nodes)).tolist()
+    # On the map, because a recognised view links places at a distance as if they were the same.
+    steps_m = np.hypot(*(points_m[ends[:, 0]] - points_m[ends[:, 1]]).T)
+    lengths_m = np.maximum(steps_m, LEAST_LENGTH_M)
+    graph = csr_array((lengths_m, (ends[:, 0], ends[:, 1])), shape=(len(nodes),) * 2)
     kept: list[int] = []
     covered = np.zeros(len(nodes), np.bool_)
-    for row in sorted(range(len(nodes)), key=lambda row: _rank(degrees[row], row)):
-        if not covered[row]:
-            kept.append(row)
-            # Nodes exactly at the spacing remain.
-            limit_m = math.nextafter(spacing_m, 0.0)
-            covered |= np.isfinite(dijkstra(graph, indices=row, limit=limit_m))
+
+    def keep(rows: list[int]) -> None:
+        for row in rows:
+            if not covered[row]:
+                kept.append(row)
+                # Nodes exactly at the spacing remain.
+                limit_m = math.nextafter(spacing_m, 0.0)
+                covered[np.isfinite(dijkstra(graph, indices=row, limit=limit_m))] = True
+
+    degrees = np.bincount(ends[:, 0], minlength=len(nodes))
+    branches = np.array([_branch_count(graph, row, spacing_m) for row in range(len(nodes))])
+    order = np.lexsort((-degrees, -branches))
+    keep([row for row in order.tolist() if branches[row] >= 3])
+    keep(np.flatnonzero(degrees == 1).tolist())
+    from_m = dijkstra(graph, indices=kept or [0], min_only=True)
+    keep(np.argsort(from_m, kind='stable').tolist())
     kept.sort()
     _, previous, sources = dijkstra(
         graph, indices=kept, min_only=True, return_predecessors=True
@@ -149,11 +168,19 @@ def _thinned(nodes: list[int], edges: _Edges, spacing_m: float) -> tuple[list[in
     return [nodes[row] for row in kept], _quotient(nodes, edges, previous, sources)
 
 
-def _rank(degree: int, row: int) -> tuple[int, int, int]:
-    """Return the order of nodes for thinning: junctions, then ends, then all others."""
-    if degree >= 3:
-        return 0, -degree, row
-    return (1 if degree == 1 else 2), 0, row
+def _branch_count(graph: csr_array, row: int, spacing_m: float) -> int:
+    """Return into how many branches the map continues around a node: 3 or more at a junction.
+
+    Branches are the connected parts of what is one to two spacings away. At smaller distances,
+    views that were recognised several times look like junctions.
+    """
+    from scipy.sparse.csgraph import connected_components, dijkstra
+
+    distances_m = dijkstra(graph, indices=row, limit=2.0 * spacing_m)
+    ring = np.flatnonzero(np.isfinite(distances_m) & (distances_m >= spacing_m))
+    if len(ring) < 3:
+        return len(ring)
+    return int(connected_components(graph[ring][:, ring], directed=False)[0])
 
 
 def _quotient(
