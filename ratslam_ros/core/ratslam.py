@@ -9,17 +9,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry, moved
+from ratslam_ros.core.common.odometry import (
+    Motion,
+    MotionFromOdometry,
+    Odometry,
+    moved,
+    odometry_from_state,
+    odometry_state,
+)
 from ratslam_ros.core.common.pose import Pose, composed
-from ratslam_ros.core.common.scan import Scan
+from ratslam_ros.core.common.scan import Scan, scan_from_state, scan_state
 from ratslam_ros.core.common.stamp_order import Counts, Released, StampOrder
+from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.goal_memory.goal_memory import GoalMemory
 from ratslam_ros.core.mapping.experience_map import ExperienceMap, PrunedExperience
@@ -35,10 +44,12 @@ from ratslam_ros.core.vision.local_view import (
     ViewMatch,
     ViewMatcher,
     delayed_ns,
+    match_from_state,
+    match_state,
     uses_odometry,
 )
 from ratslam_ros.core.vision.visual_odometry import VisualOdometry
-from ratslam_ros.errors import UnusableParameter
+from ratslam_ros.errors import UnusableInput, UnusableParameter
 
 Stopwatch = Callable[[str], AbstractContextManager[object]]
 
@@ -191,6 +202,134 @@ class RatSLAM:
             steps += self._match_images(self._views.flush())
         return steps + self._process(self.order.flush())
 
+    # State
+
+    @property
+    def mapping(self) -> bool:
+        """Whether anything is learned; False: the robot is only localised on the map."""
+        return self.pose_cells.mapping
+
+    @mapping.setter
+    def mapping(self, mapping: bool) -> None:
+        if isinstance(self.local_view, LocalView):
+            self.local_view.mapping = mapping
+        self.pose_cells.mapping = self.experience_map.mapping = mapping
+
+    def state(self) -> dict[str, State]:
+        """Return everything, for ``restore``: a state for each part.
+
+        A run that continues from it gives the same results, byte for byte, as one that was not
+        interrupted.
+
+        Raises:
+            UnusableInput: the local view is of a class of your own.
+        """
+        if not isinstance(self.local_view, LocalView):
+            raise UnusableInput(
+                f'the local view is a {type(self.local_view).__name__}, whose memory cannot be '
+                'saved; expected a LocalView'
+            )
+        matcher, relocator = self.scan_matcher, self.relocator
+        states: dict[str, State] = {
+            'local_view': {'core': self.local_view.state(), 'has_matched': self._has_matched},
+            'pose_cells': {
+                'core': self.pose_cells.state(), 'motion': self._motion.state(),
+                'relocations': self._relocations.state(), 'sequence': self._view_count,
+                **({} if self.goal_memory is None else {'goal_memory': self.goal_memory.state()}),
+            },
+            'experience_map': {
+                'core': self.experience_map.state(), 'correction': list(self._motion.correction),
+                'dead_reckoning': list(self.dead_reckoning),
+                **({} if matcher is None else {'scans': matcher.state()}),
+                **({} if relocator is None else {'relocator': relocator.state()}),
+            },
+            'inputs': {
+                'order': self.order.state(_item_state), 'images': self._images.state(_image_state),
+                'refused': self._refused,
+                **({} if self._views is None else {'views': self._views.state(_item_state)}),
+            },
+        }  # fmt: skip
+        if self.visual_odometry is not None:
+            states['visual_odometry'] = {'core': self.visual_odometry.state()}
+        return states
+
+    def restore(self, states: Mapping[str, State]) -> None:
+        """Restore what ``state`` returned, or the states of nodes; nothing must be learned yet.
+
+        Without the part `inputs`, which only a single process has, the inputs begin anew: see
+        ``begin_session``.
+
+        Raises:
+            UnusableInput: the states do not fit the parameters. This object must not be used then.
+        """
+        try:
+            self._restore(states)
+        except (KeyError, ValueError, TypeError, IndexError, AttributeError) as error:
+            raise UnusableInput(
+                f'the saved map is damaged, or of another version ({error!r}); use a backup'
+            ) from None
+
+    def _restore(self, states: Mapping[str, State]) -> None:
+        if isinstance(self.local_view, LocalView) and 'local_view' in states:
+            self.local_view.restore(states['local_view']['core'])
+            self._has_matched = states['local_view'].get('has_matched', True)
+        cells = states.get('pose_cells')
+        if cells is not None:
+            self.pose_cells.restore(cells['core'])
+            if self.goal_memory is not None and 'goal_memory' in cells:
+                self.goal_memory.restore(cells['goal_memory'])
+            if 'motion' in cells:
+                self._motion.restore(cells['motion'])
+                self._relocations.restore(cells['relocations'])
+            elif self.pose_cells.calibration is not None:
+                self._motion.correction = self.pose_cells.calibration.correction
+            self._view_count = cells['sequence']
+        graph = states.get('experience_map')
+        if graph is not None:
+            self.experience_map.restore(graph['core'])
+            self.dead_reckoning = Pose(*graph.get('dead_reckoning', self.experience_map.pose))
+            if self.scan_matcher is not None and 'scans' in graph:
+                self.scan_matcher.restore(graph['scans'])
+            if self.relocator is not None and 'relocator' in graph:
+                self.relocator.restore(graph['relocator'])
+        if self.visual_odometry is not None and 'visual_odometry' in states:
+            self.visual_odometry.restore(states['visual_odometry']['core'])
+        inputs = states.get('inputs')
+        if inputs is None:
+            self._motion.restart()
+            return
+        self.order.restore(inputs['order'], _item_from_state)
+        self._images.restore(inputs['images'], _image_from_state)
+        self._refused = inputs['refused']
+        if self._views is not None and 'views' in inputs:
+            self._views.restore(inputs['views'], _item_from_state)
+
+    def begin_session(self) -> None:
+        """Continue the map with inputs that do not follow the last ones: another drive, or robot.
+
+        Held messages are dropped, and stamps may begin anywhere. The motion since the last session
+        is unknown: the robot is in a separate component until it recognises a place.
+        """
+        lateness_ns = self.order.max_lateness_ns
+        self.order = StampOrder(self.order.streams, lateness_ns)
+        self._images = StampOrder(('image',), 0)
+        if self._views is not None:
+            self._views = StampOrder(self._views.streams, self._views.max_lateness_ns)
+        if isinstance(self.local_view, LocalView):
+            self.local_view.relocated()
+        if self.visual_odometry is not None:
+            self.visual_odometry.restart()
+        self._motion.restart()
+        if len(self.experience_map) == 0:
+            return
+        unknown = Motion(0.0, 0.0, 0.0, False)
+        self.pose_cells.integrate(unknown)
+        if self.goal_memory is not None:
+            self.goal_memory.integrate(unknown, self.pose_cells)
+        self.experience_map.integrate(unknown)
+        if self.scan_matcher is not None:
+            self.scan_matcher.integrate(0, unknown)
+
     # Outputs
 
     @property
@@ -312,3 +451,32 @@ class RatSLAM:
             stamp_ns, match, action, update.pruned, update.rejected, relocated_to,
             update.reason,
         )
+
+
+def _item_state(item: Odometry | Scan | ViewMatch | NDArray[np.uint8] | None) -> State:
+    """Return a held message for a saved state."""
+    if isinstance(item, Odometry):
+        return {'odometry': odometry_state(item)}
+    if isinstance(item, Scan):
+        return {'scan': scan_state(item)}
+    if isinstance(item, ViewMatch):
+        return {'match': match_state(item)}
+    return {'image': _image_state(item)}
+
+
+def _item_from_state(state: State) -> Any:
+    """Return a held message from ``_item_state``."""
+    ((kind, value),) = state.items()
+    decode: dict[str, Callable[[Any], Any]] = {
+        'odometry': odometry_from_state, 'scan': scan_from_state, 'match': match_from_state,
+        'image': _image_from_state,
+    }  # fmt: skip
+    return decode[kind](value)
+
+
+def _image_state(image: NDArray[np.uint8] | None) -> Any:
+    return None if image is None else np.array(image)
+
+
+def _image_from_state(value: Any) -> NDArray[np.uint8] | None:
+    return None if value is None else np.asarray(value, np.uint8)

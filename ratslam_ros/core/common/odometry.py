@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.pose import Pose, heading_of, quaternion_of
+from ratslam_ros.core.common.state import State
 from ratslam_ros.core.common.turn_correction import UNCORRECTED, TurnCorrection
 
 MAX_PLAUSIBLE_VALUE = 1e9
@@ -71,6 +72,17 @@ class Motion:
         return self.distance_m * _sinc(0.5 * self.turn_rad)
 
 
+def odometry_state(odometry: Odometry) -> list[int | float | bool]:
+    """Return a message for a saved state."""
+    return [odometry.stamp_ns, *odometry.twist, *odometry.pose, odometry.scale_known]
+
+
+def odometry_from_state(values: list[int | float | bool]) -> Odometry:
+    """Return a message from ``odometry_state``."""
+    stamp_ns, v, w, x, y, heading, scale_known = values
+    return Odometry(int(stamp_ns), Twist(v, w), Pose(x, y, heading), bool(scale_known))
+
+
 class MotionFromOdometry:
     """Conversion of successive odometry messages to motions.
 
@@ -99,6 +111,17 @@ class MotionFromOdometry:
     def restart(self) -> None:
         """Treat the next message as the first one: no motion is computed for the gap before it."""
         self._last = None
+
+    def state(self) -> State:
+        """Return the last message and the correction, for ``restore``."""
+        last = None if self._last is None else odometry_state(self._last)
+        return {'last': last, 'correction': list(self.correction)}
+
+    def restore(self, state: State) -> None:
+        """Restore what ``state`` returned; the next message follows the last one."""
+        last = state['last']
+        self._last = None if last is None else odometry_from_state(last)
+        self.correction = TurnCorrection(*state['correction'])
 
     def reaches(self, stamp_ns: int) -> bool:
         """Return whether a stamp is close enough to the last message for the motion to be known.

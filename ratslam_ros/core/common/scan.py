@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ratslam_ros.core.common.compiled import compiled
+from ratslam_ros.core.common.state import State
 from ratslam_ros.errors import UnusableInput
 
 MAX_BEAM_COUNT = 100_000
@@ -35,6 +36,20 @@ class Scan:
     angle_min_rad: float
     angle_increment_rad: float
     ranges_m: NDArray[np.float64]
+
+
+def scan_state(scan: Scan) -> State:
+    """Return a scan for a saved state."""
+    return {
+        'stamp_ns': scan.stamp_ns, 'angles': [scan.angle_min_rad, scan.angle_increment_rad],
+        'ranges_m': scan.ranges_m.copy(),
+    }  # fmt: skip
+
+
+def scan_from_state(state: State) -> Scan:
+    """Return a scan from ``scan_state``."""
+    first_rad, step_rad = state['angles']
+    return Scan(int(state['stamp_ns']), float(first_rad), float(step_rad), state['ranges_m'])
 
 
 class UnusableScan(UnusableInput):

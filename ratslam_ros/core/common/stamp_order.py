@@ -9,8 +9,12 @@ does not depend on scheduling (docs/algorithm.md, "Time and order").
 from __future__ import annotations
 
 import heapq
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Generic, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
+
+from ratslam_ros.core.common.state import State
+from ratslam_ros.errors import UnusableInput
 
 Item = TypeVar('Item')
 
@@ -66,6 +70,20 @@ class _Stream(Generic[Item]):
     def unconfirmed_count(self) -> int:
         """Number of messages held because of an unconfirmed forward jump."""
         return len(self._unconfirmed)
+
+    def state(self, encode: Callable[[Item], Any]) -> State:
+        return {
+            'refused': self.refused, 'gaps': self.gaps, 'last_ns': self.last_ns,
+            'old_end_ns': self.old_end_ns, 'max_step_ns': self._max_step_ns,
+            'restart_run': _encoded(self.restart_run, encode),
+            'unconfirmed': _encoded(self._unconfirmed, encode),
+        }  # fmt: skip
+
+    def restore(self, state: State, decode: Callable[[Any], Item]) -> None:
+        self.refused, self.gaps, self.last_ns = state['refused'], state['gaps'], state['last_ns']
+        self.old_end_ns, self._max_step_ns = state['old_end_ns'], state['max_step_ns']
+        self.restart_run = [(ns, decode(item)) for ns, item in state['restart_run']]
+        self._unconfirmed = [(ns, decode(item)) for ns, item in state['unconfirmed']]
 
     def push(self, stamp_ns: int, item: Item) -> list[tuple[int, Item]]:
         """Add one message and return all messages that are accepted now, in order."""
@@ -171,13 +189,19 @@ class StampOrder(Generic[Item]):
         """
         self._rank = {stream: rank for rank, stream in enumerate(streams)}
         self._names = streams
-        self._max_lateness_ns = max_lateness_ns
+        self.max_lateness_ns = max_lateness_ns
+        """Longest time to wait for other streams, measured in stamps."""
         self._streams: list[_Stream[Item]] = [_Stream() for _ in streams]
         self._late = 0
         self._newest_ns: int | None = None
         self._released: tuple[int, int] | None = None
         # (stamp, rank) is unique, so that the heap never compares items.
         self._held: list[tuple[int, int, Item]] = []
+
+    @property
+    def streams(self) -> tuple[str, ...]:
+        """Names of the streams."""
+        return self._names
 
     @property
     def counts(self) -> Counts:
@@ -262,6 +286,45 @@ class StampOrder(Generic[Item]):
                 out += self.push(name, *message)
         return out
 
+    def state(self, encode: Callable[[Item], Any]) -> State:
+        """Return all held messages and counts, for ``restore``.
+
+        Args:
+            encode: returns a message as a part of a state.
+        """
+        return {
+            'streams': [stream.state(encode) for stream in self._streams],
+            'late': self._late, 'newest_ns': self._newest_ns,
+            'released': None if self._released is None else list(self._released),
+            'held': [
+                [stamp_ns, rank, encode(item)]
+                for stamp_ns, rank, item in sorted(self._held, key=_key)
+            ],
+        }  # fmt: skip
+
+    def restore(self, state: State, decode: Callable[[Any], Item]) -> None:
+        """Restore what ``state`` returned; the streams must be the same.
+
+        Args:
+            state: the state.
+            decode: returns a message from what ``encode`` returned.
+
+        Raises:
+            UnusableInput: the state has another number of streams.
+        """
+        if len(state['streams']) != len(self._streams):
+            raise UnusableInput(
+                f'the state has {len(state["streams"])} input streams; expected '
+                f'{len(self._streams)}: laser and odometry must be used as in the run that saved'
+            )
+        for stream, saved in zip(self._streams, state['streams'], strict=True):
+            stream.restore(saved, decode)
+        self._late, self._newest_ns = state['late'], state['newest_ns']
+        released = state['released']
+        self._released = None if released is None else (released[0], released[1])
+        # A sorted list is a heap.
+        self._held = [(stamp_ns, rank, decode(item)) for stamp_ns, rank, item in state['held']]
+
     def _is_from_before_restart(self, stream: _Stream[Item], stamp_ns: int) -> bool:
         """Return whether a message of a stream that lags behind predates the restart."""
         if stream.old_end_ns is None or self._newest_ns is None:
@@ -287,7 +350,7 @@ class StampOrder(Generic[Item]):
 
     def _is_due(self, stamp_ns: int, rank: int) -> bool:
         assert self._newest_ns is not None
-        if self._newest_ns - stamp_ns > self._max_lateness_ns:
+        if self._newest_ns - stamp_ns > self.max_lateness_ns:
             return True
         return all(
             stream.last_ns is not None and stream.last_ns >= stamp_ns
@@ -299,6 +362,10 @@ class StampOrder(Generic[Item]):
         stamp_ns, rank, item = heapq.heappop(self._held)
         self._released = (stamp_ns, rank)
         return Released(stamp_ns, self._names[rank], item)
+
+
+def _encoded(messages: list[tuple[int, Item]], encode: Callable[[Item], Any]) -> list[Any]:
+    return [[stamp_ns, encode(item)] for stamp_ns, item in messages]
 
 
 def _key(held: tuple[int, int, Item]) -> tuple[int, int]:

@@ -421,7 +421,14 @@ class GoalMemory:
             'ends': np.array(self._ends, np.int32).reshape(-1, 2),
             'mu_s': np.array(self._mu_s, np.float64),
             'goals': [[name, *place] for name, place in self.goals.items()],
-        }
+            'present': {
+                'travel_s': self._travel_s, 'observations': self._observations,
+                'peak': None if self._previous_peak is None else list(self._previous_peak),
+                'activity': None if self._previous is None else [
+                    [cell, share] for cell, share in self._previous.items()
+                ],
+            },
+        }  # fmt: skip
 
     def restore(self, state: State) -> None:
         """Restore what ``state`` returned; the goal memory must be empty.
@@ -443,3 +450,9 @@ class GoalMemory:
         self.goals = {name: Place(*place) for name, *place in state['goals']}
         self._recalled = None
         self.relocated()
+        if 'present' in state:
+            present = state['present']
+            self._travel_s, self._observations = present['travel_s'], present['observations']
+            peak, activity = present['peak'], present['activity']
+            self._previous_peak = None if peak is None else Place(*peak)
+            self._previous = None if activity is None else dict(map(tuple, activity))

@@ -182,6 +182,10 @@ class ExperienceMap(ExperienceGraph):
             'relaxation': self._optimiser.relaxation_state(),
             'planning_work': self._optimiser.planning_work,
             'jumps': self.gate.state(),
+            'present': {
+                'scan_checked_m': self._scan_checked_m, 'scan_confirmed_m': self.scan_confirmed_m,
+                'was_relocated': self._was_relocated,
+            },
             **weighted,
         }
 
@@ -202,6 +206,11 @@ class ExperienceMap(ExperienceGraph):
         self._travelled_m = state['way_m']
         self._optimiser.restore(state, len(self))
         self.gate.restore(state['jumps'])
+        if 'present' in state:
+            present = state['present']
+            self._scan_checked_m = present['scan_checked_m']
+            self.scan_confirmed_m = present['scan_confirmed_m']
+            self._was_relocated = present['was_relocated']
 
     def integrate(self, motion: Motion) -> None:
         """Compose one motion with the offset from the current experience.

@@ -125,12 +125,14 @@ class LoopClosureGate:
             ],
             'lost': self.accepts_next, 'doubting': self.rejecting,
             'refused': self.rejected_count, 'believed': self.relocation_count,
+            'agreeing': self.agreeing_count,
         }  # fmt: skip
 
     def restore(self, state: State) -> None:
         """Restore what ``state`` returned; the gate must be new."""
         self.accepts_next, self.rejecting = state['lost'], state['doubting']
         self.rejected_count, self.relocation_count = state['refused'], state['believed']
+        self.agreeing_count = state.get('agreeing', 0)
         self._spots.extend(
             Spot(x_m, y_m, here and Pose(*here), claimed and Pose(*claimed))
             for x_m, y_m, here, claimed in state['spots']

@@ -166,12 +166,29 @@ class Relocator:
         return self._lost_m is not None
 
     def state(self) -> State:
-        """Return the landmarks and counts, for ``restore``; recent scans are not included."""
+        """Return the landmarks, counts and recent scans, for ``restore``."""
+        frames = list(self._keyframes)
         return {
             'landmarks': self.landmarks.state(),
             'misplaced': sorted(self._misplaced | self._doubted),
             'counts': self.counts.copy(),
-        }
+            'present': {
+                'misplaced': sorted(self._misplaced), 'doubted': sorted(self._doubted),
+                'restarts': self._restarts,
+                'odometry': [[*frame.odometry, frame.odometer_m] for frame in frames],
+                'points': [frame.points.copy() for frame in frames],
+                'landmarks': [frame.landmarks.copy() for frame in frames],
+                'views': [[*odometry, *claimed] for odometry, claimed in self._views],
+                'created': [[number, at_m] for number, at_m in self._created.items()],
+                'lost_m': self._lost_m,
+                'counts': [
+                    self._relocations, self._agreeing, self._contradicting, self._doubt_count,
+                    self._searched,
+                ],
+                'lengths_m': [self._doubt_m, self._evidence_m],
+                'relocated_to': self._relocated_to,
+            },
+        }  # fmt: skip
 
     def restore(self, state: State) -> None:
         """Restore what ``state`` returned."""
@@ -179,6 +196,27 @@ class Relocator:
         self._misplaced = set(state['misplaced'])
         self.counts = dict(state['counts'])
         self._restart()
+        if 'present' in state:
+            self._restore_present(state['present'])
+
+    def _restore_present(self, present: State) -> None:
+        self._misplaced, self._doubted = set(present['misplaced']), set(present['doubted'])
+        self._restarts = present['restarts']
+        self._keyframes.extend(
+            _Keyframe(Pose(*odometry), odometer_m, points, landmarks)
+            for (*odometry, odometer_m), points, landmarks in zip(
+                present['odometry'], present['points'], present['landmarks'], strict=True
+            )
+        )  # fmt: skip
+        self._views.extend((Pose(*view[:3]), Pose(*view[3:])) for view in present['views'])
+        self._created = dict(map(tuple, present['created']))
+        self._lost_m = present['lost_m']
+        (
+            self._relocations, self._agreeing, self._contradicting, self._doubt_count,
+            self._searched,
+        ) = present['counts']  # fmt: skip
+        self._doubt_m, self._evidence_m = present['lengths_m']
+        self._relocated_to = present['relocated_to']
 
     def step(
         self, stamp_ns: int, action: MapAction, update: MapUpdate

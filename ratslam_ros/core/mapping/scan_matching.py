@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.odometry import Motion, moved
 from ratslam_ros.core.common.pose import Pose, composed, inverse
-from ratslam_ros.core.common.scan import Scan, points_of
+from ratslam_ros.core.common.scan import Scan, points_of, scan_from_state, scan_state
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.mapping.icp import PRIOR_SD_RAD, Alignment, align
 from ratslam_ros.core.pose_cells.map_action import MapAction
@@ -231,20 +231,41 @@ class ScanMatcher:
         return known
 
     def state(self) -> State:
-        """Return the scans of all experiences, for ``restore``; the buffers are not included."""
+        """Return the scans of all experiences and the buffers, for ``restore``."""
         scans = list(self._references.values())
         return {
+            'present': {
+                'scans': [scan_state(scan) for _, _, scan in self._scans],
+                'track_ns': np.array([stamp_ns for stamp_ns, _ in self._track], np.int64),
+                'track': np.array([pose for _, pose in self._track]).reshape(-1, 3),
+                'odometry': list(self._odometry_pose),
+                'variances_m2': [self._variance_m2, self._variance_before_m2],
+                'restarts': self.restarts,
+            },
             'ids': np.array(list(self._references), np.int64),
             'sizes': np.array([len(points) for points in scans], np.int64),
             'points': np.concatenate(scans) if scans else np.empty((0, 2), np.float32),
         }
 
     def restore(self, state: State) -> None:
-        """Replace all stored scans by what ``state`` returned."""
+        """Replace everything by what ``state`` returned; in older states, buffers are empty."""
         ends = np.cumsum(state['sizes'])
         scans = np.split(state['points'], ends[:-1]) if len(ends) else []
         self._references = dict(zip(state['ids'].tolist(), scans, strict=True))
         self.restart()
+        present = state.get('present')
+        if present is not None:
+            for saved in present['scans']:
+                scan = scan_from_state(saved)
+                self._scans.append((scan.stamp_ns, points_of(scan), scan))
+            self._track.extend(
+                (stamp_ns, Pose(*pose)) for stamp_ns, pose in zip(
+                    present['track_ns'].tolist(), present['track'].tolist(), strict=True
+                )
+            )  # fmt: skip
+            self._odometry_pose = Pose(*present['odometry'])
+            self._variance_m2, self._variance_before_m2 = present['variances_m2']
+            self.restarts = present['restarts']
 
     def _points_at(self, stamp_ns: int) -> NDArray[np.float64] | None:
         """Return the last scan at or before a stamp, (n, 2) m in the robot's frame at that stamp.

@@ -7,6 +7,8 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Set
 
+import numpy as np
+
 from ratslam_ros.core.common.freshness import Freshness
 from ratslam_ros.core.common.odometry import Motion, moved
 from ratslam_ros.core.common.pose import Pose
@@ -54,6 +56,8 @@ class Experiences:
         has_freshness = parameters.exp_max > 0 and parameters.exp_forget == 'freshness'
         self._freshness = Freshness.of(parameters) if has_freshness else None
         self._since_current = Pose(0.0, 0.0, 0.0)
+        self._learns = True
+        self._has_removed = False
 
     def __len__(self) -> int:
         return len(self._experiences)
@@ -79,13 +83,22 @@ class Experiences:
             'components': self._components.copy(),
             'places': [list(one.place) for one in self._located],
             **({} if self._freshness is None else {'freshness': self._freshness.state()}),
-        }
+            # Without pruning, the experiences of a template are in the order of their ids.
+            **({} if not self._has_removed else {'of_template': np.array(
+                [(t, i) for t, numbers in self._of_template.items() for i in numbers], np.int64
+            ).reshape(-1, 2)}),
+        }  # fmt: skip
 
     def restore(self, state: State) -> None:
         """Restore what ``state`` returned; there must be no experiences yet."""
         for number, (template_id, x, y, theta) in enumerate(state['experiences']):
             self._experiences.append((template_id, Place(x, y, theta)))
             self._of_template.setdefault(template_id, []).append(number)
+        if 'of_template' in state:
+            self._has_removed = True
+            self._of_template = {}
+            for template_id, number in state['of_template'].tolist():
+                self._of_template.setdefault(template_id, []).append(number)
         positions = state['unrolled']['experiences']
         places = [place for _, place in self._experiences]
         self._components = [0] * len(places)
@@ -123,7 +136,7 @@ class Experiences:
     def forget_templates(self, template_ids: Collection[int]) -> None:
         """Remove the associations of templates; their experiences stay, as places on the map."""
         for template_id in template_ids:
-            self._of_template.pop(template_id, None)
+            self._has_removed |= self._of_template.pop(template_id, None) is not None
 
     def rescale(self, factor: float) -> None:
         """Multiply all places by a factor; labels stay, because the map has received them."""
@@ -203,7 +216,8 @@ class Experiences:
         Returns:
             The action for the experience map.
         """
-        if self._freshness is not None and self.current_id != NO_EXPERIENCE:
+        self._learns = learn
+        if self._freshness is not None and self.current_id != NO_EXPERIENCE and learn:
             self._freshness.observe(self.current_id)  # the robot is still there
         if joined:
             there = self._nearest(seen, joined & set(self._of_template.get(seen.template_id, ())))
@@ -338,6 +352,7 @@ class Experiences:
 
     def _prune(self, experience_id: int) -> None:
         """Remove an experience so that its id can be reused; its template stays associated."""
+        self._has_removed = True
         template_id, _ = self._experiences[experience_id]
         others = self._of_template.pop(template_id, [experience_id])  # none if it is forgotten
         others.remove(experience_id)
@@ -347,15 +362,16 @@ class Experiences:
         self._distances.remove(experience_id)
 
     def _visit(self, target_id: int) -> Action:
-        self._visits.visit(target_id)
-        if self._freshness is not None:
-            self._freshness.observe(target_id)
+        if self._learns:
+            self._visits.visit(target_id)
+            if self._freshness is not None:
+                self._freshness.observe(target_id)
         return 'link' if self._change_to(target_id) else 'set'
 
     def _change_to(self, target_id: int) -> bool:
         """Make an experience current; return whether this transition is new."""
-        is_new = self._transitions.add(self.current_id, target_id)
-        if self._p.exp_max > 0:
+        is_new = self._learns and self._transitions.add(self.current_id, target_id)
+        if self._learns and self._p.exp_max > 0:
             distance_m = math.hypot(*self._since_current[:2])
             self._distances.connect(self.current_id, target_id, distance_m)
         self.current_id = target_id

@@ -141,6 +141,8 @@ class Lengths:
     _pairs: LogHistogram = field(default_factory=LogHistogram)
 
     def __post_init__(self) -> None:
+        self.is_learning = True
+        """Whether estimates follow what is seen; they stay while the map is only used."""
         p = self.parameters
         self.is_automatic = AUTOMATIC in (
             p.pc_cell_x_size, p.pc_vt_agree_cells, p.pc_vt_agree_spacing, p.pc_vt_agree_near,
@@ -172,7 +174,7 @@ class Lengths:
 
     def integrate(self, distance_m: float) -> None:
         """Add the length of one motion."""
-        if self.is_automatic:
+        if self.is_automatic and self.is_learning:
             self._gap.length_m += abs(distance_m)
 
     def interrupt(self) -> None:
@@ -192,7 +194,7 @@ class Lengths:
             Factor by which all places in cells have to be multiplied, because the size of the
             cells has just been determined; otherwise 1.
         """
-        if not self.is_automatic:
+        if not (self.is_automatic and self.is_learning):
             return 1.0
         gap = self._gap
         if not is_new:
@@ -218,6 +220,8 @@ class Lengths:
 
     def add_pair(self, distance_cells: float) -> None:
         """Add the distance between two hypotheses."""
+        if not self.is_learning:
+            return
         self._pairs.add(distance_cells * self.cell_m)
         if self._pairs.count >= MIN_PAIRS_COUNT:
             self.scatter_m = self._pairs.median()

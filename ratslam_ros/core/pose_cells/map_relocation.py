@@ -13,6 +13,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.common.state import State
 
 ADOPTION_DELAY = 4
 """Number of views between an action after which the map relocated the robot, and the view before
@@ -40,6 +41,21 @@ class MapRelocations:
         self._last = sequence
         if relocation is not None:
             self._relocations[sequence] = relocation
+
+    def state(self) -> State:
+        """Return all answers that are due later, for ``restore``."""
+        return {'last': self._last, 'relocations': [
+            [sequence, one.experience_id, one.template_id, *one.offset]
+            for sequence, one in self._relocations.items()
+        ]}  # fmt: skip
+
+    def restore(self, state: State) -> None:
+        """Restore what ``state`` returned."""
+        self._last = state['last']
+        self._relocations = {
+            sequence: MapRelocation(experience_id, template_id, Pose(*offset))
+            for sequence, experience_id, template_id, *offset in state['relocations']
+        }
 
     def is_awaited(self, sequence: int) -> bool:
         """Return whether a view must wait for the map; False if the map has never answered.

@@ -31,7 +31,7 @@ from ratslam_ros.errors import UnusableInput
 _STATE_KEYS = (
     'dims', 'packets', 'memories', 'unrolled', 'messages', 'last_template', 'experiences',
     'transitions', 'visits', 'gaps', 'current', 'since_current', 'stepped', 'agreement',
-    'calibration', 'freshness',
+    'calibration', 'freshness', 'of_template',
 )  # fmt: skip
 """Order of the keys in memory files."""
 
@@ -151,6 +151,11 @@ class PoseCells:
                 **evidence['components'], 'experiences': experiences['components'],
                 'places': experiences['places'],
             }  # fmt: skip
+        saved['present'] = {
+            'view': list(self._last_view), 'odometry': list(self._odometry),
+            'at_views': [list(pose) for pose in self._at_views],
+            'unlocated': evidence['unlocated'],
+        }  # fmt: skip
         return saved
 
     def restore(self, state: State) -> None:
@@ -178,6 +183,12 @@ class PoseCells:
         if 'components' in state:
             saved = state['components']
             self._component, self._gap_count = saved['current'], saved['gaps']
+        if 'present' in state:
+            present = state['present']
+            template_id, turn_planes = present['view']
+            self._last_view = template_id, turn_planes
+            self._odometry = Pose(*present['odometry'])
+            self._at_views.extend(Pose(*pose) for pose in present['at_views'])
 
     def integrate(self, motion: Motion) -> None:
         """Advance the network by one step: competition, then path integration of the motion.
@@ -188,6 +199,7 @@ class PoseCells:
             self._separate()
             return
         self._odometry = moved(self._odometry, motion)
+        self.lengths.is_learning = self.mapping
         self.lengths.integrate(motion.distance_m)
         chord = motion.chord_m / self.lengths.cell_m
         turn = motion.turn_rad * self._torus.planes_per_rad
@@ -222,7 +234,9 @@ class PoseCells:
         """
         if match.removed:
             self.forget(match.removed)
-        self._experiences.advance(stamp_ns)
+        self.lengths.is_learning = self.mapping
+        if self.mapping:
+            self._experiences.advance(stamp_ns)
         is_again = match.template_id == self._last_view[0]
         self._at_views.append(self._odometry)
         self._last_view = match.template_id, match.relative_rad * self._torus.planes_per_rad
@@ -238,11 +252,11 @@ class PoseCells:
         target_id = self._experiences.current_id
         correction = None
         if self.calibration is not None:
-            if action != 'none':
+            if action != 'none' and self.mapping:
                 self.calibration.visit(target_id, match.relative_rad, action == 'create')
             # Look-alikes rarely agree as often as the correction of the odometry requires.
             is_certain = agreement == 1.0 and recognised_id not in (NO_EXPERIENCE, target_id)
-            if is_certain and not is_again:
+            if is_certain and not is_again and self.mapping:
                 self.calibration.visit(recognised_id, match.relative_rad, created=False)
             correction = self.calibration.correction
         is_at_none = target_id == NO_EXPERIENCE

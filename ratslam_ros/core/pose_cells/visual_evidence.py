@@ -117,6 +117,7 @@ class VisualEvidence:
                 'claimed': [list(position) for position in self.recent],
                 'memories': [list(a.unwrapped) for a in associations.values()],
             },
+            'unlocated': [list(key) for key in self._unlocated],
             'messages': self._messages,
             'last_template': self._last_template,
             'agreement': self._agreement.state(),
@@ -144,6 +145,8 @@ class VisualEvidence:
         self._messages = state['messages']
         self._last_template = state['last_template']
         self._agreement.restore(state['agreement'])
+        if 'present' in state:
+            self._unlocated = [(key[0], key[1]) for key in state['present']['unlocated']]
 
     def integrate(self, chord_cells: float, turn_planes: float) -> None:
         """Move the pose hypotheses by one motion of the robot."""

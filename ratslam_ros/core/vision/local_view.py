@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,6 +77,22 @@ def uses_odometry(parameters: LocalViewParameters) -> bool:
     """Return whether a local view with these parameters follows the robot by odometry."""
     p = parameters
     return p.vt_match_threshold == AUTOMATIC and p.vt_match_ratio == AUTOMATIC
+
+
+_MATCH_FIELDS = (
+    'template_id', 'is_new', 'error', 'relative_rad', 'threshold', 'related_count',
+)  # fmt: skip
+
+
+def match_state(match: ViewMatch) -> list[Any]:
+    """Return a match for a saved state."""
+    return [*(getattr(match, name) for name in _MATCH_FIELDS), list(match.removed)]
+
+
+def match_from_state(values: list[Any]) -> ViewMatch:
+    """Return a match from ``match_state``."""
+    *fields, removed = values
+    return ViewMatch(**dict(zip(_MATCH_FIELDS, fields, strict=True)), removed=tuple(removed))
 
 
 class ViewMatcher(Protocol):
@@ -195,7 +211,7 @@ class LocalView:
             self.low_texture += 1
             return UNDECODABLE
         self._learn_look_alikes(view)
-        if self._freshness is not None:
+        if self._freshness is not None and self.mapping:
             self._freshness.advance(stamp_ns)
         search = self._memory.search(view)
         first_recent = self._first_recent(search)
@@ -208,7 +224,7 @@ class LocalView:
             is_elsewhere = self._look_alikes.contradicts(recognised.template_id)
             recognised = None if is_elsewhere else recognised
         if recognised is not None:
-            if self._freshness is not None:
+            if self._freshness is not None and self.mapping:
                 self._freshness.observe(recognised.template_id)
             relative_rad = self.relative_rad(recognised.offset)
             return ViewMatch(
@@ -292,6 +308,7 @@ class LocalView:
             state['threshold'] = self._threshold.state()
         if self._look_alikes is not None:
             state['look_alikes'] = self._look_alikes.state()
+        state['low_texture'], state['motion'] = self.low_texture, self._motion.state()
         if self._memory.next_id != len(self):
             state['template_ids'], state['next_id'] = self.template_ids, self._memory.next_id
         if self._freshness is not None:
@@ -333,6 +350,9 @@ class LocalView:
         if self._look_alikes is not None and 'look_alikes' in state:
             self._look_alikes.restore(state['look_alikes'])
             self._threshold.use_ratio(self._look_alikes.ratio)
+        if 'motion' in state:
+            self._motion.restore(state['motion'])
+            self.low_texture = state['low_texture']
 
     def best_match(self, view: View) -> Match | None:
         """Return the best match regardless of the threshold, or None if there are no templates.

@@ -144,6 +144,7 @@ class LookAlikes:
             'now': np.array(
                 [*self._pose, self._path_m, self._part, self._time_s, self._period_s, self._due_s]
             ),
+            'seen_at_m': self._seen_at_m,
         }
 
     def restore(self, state: State) -> None:
@@ -163,7 +164,10 @@ class LookAlikes:
         self._pose, self._path_m, self._part = Pose(x_m, y_m, heading_rad), path_m, int(part)
         self._time_s, self._period_s, self._due_s = time_s, period_s, due_s
         self._estimate()
-        self.relocated()
+        if 'seen_at_m' in state:
+            self._seen_at_m = state['seen_at_m']
+        else:  # saved by a version that always took the robot to have been carried
+            self.relocated()
 
     @property
     def _place(self) -> _Place:

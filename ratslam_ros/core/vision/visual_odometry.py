@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.compiled import compiled
 from ratslam_ros.core.common.odometry import Motion, Odometry, Twist, moved
 from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import VisualOdometryParameters
 from ratslam_ros.core.vision.image_window import Window, contiguous, window_of
 
@@ -83,6 +84,26 @@ class VisualOdometry:
     def set_field_of_view(self, camera_fov_deg: float) -> None:
         """Set the field of view, in degrees, used from the next image on."""
         self._p = replace(self._p, camera_fov_deg=camera_fov_deg)
+
+    def state(self) -> State:
+        """Return the pose and the last image's profiles, for ``restore``."""
+        last = None
+        if self._last is not None:
+            stamp_ns, shape, rotation, translation = self._last
+            last = {
+                'stamp_ns': stamp_ns, 'shape': list(shape), 'rotation': rotation.copy(),
+                'translation': translation.copy(),
+            }  # fmt: skip
+        return {'pose': list(self._pose), 'last': last, 'fov_deg': self._p.camera_fov_deg}
+
+    def restore(self, state: State) -> None:
+        """Restore what ``state`` returned."""
+        self._pose, last = Pose(*state['pose']), state['last']
+        self._last = None
+        if last is not None:
+            shape = tuple(last['shape'])
+            self._last = last['stamp_ns'], shape, last['rotation'], last['translation']
+        self.set_field_of_view(state['fov_deg'])
 
     def restart(self) -> None:
         """Treat the next image as the first one; the pose is kept."""
