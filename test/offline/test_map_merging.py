@@ -9,7 +9,7 @@ import json
 from pathlib import Path
 
 import pytest
-from shared_worlds import Robot, states_of
+from shared_worlds import Robot
 
 from ratslam_ros.cli.merge_command import add_merge
 from ratslam_ros.errors import UnusableInput
@@ -18,7 +18,7 @@ from ratslam_ros.maps import MapMeta, read_map, save_map
 
 
 def save(path: Path, robot: Robot) -> Path:
-    save_map(path, states_of(robot.slam), MapMeta(configuration=to_yaml(robot.config)))
+    save_map(path, robot.slam.state(), MapMeta(configuration=to_yaml(robot.config)))
     return path
 
 
