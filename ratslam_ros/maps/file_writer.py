@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import os
 import sqlite3
-import time
 from collections.abc import Mapping, Sequence
 from contextlib import closing, suppress
 from pathlib import Path
@@ -19,11 +18,13 @@ from ratslam_ros.maps.part import Image, PartWriter, Row, Written, load, rows_of
 from ratslam_ros.maps.reader import unusable
 from ratslam_ros.maps.saved_map import Cut, MapMeta, SavedMap, loss_note
 from ratslam_ros.maps.schema import (
-    WAL,
+    NEW,
     beside,
     check_layout,
     connect,
     create,
+    end_log,
+    remove,
     restrict,
     sync_folder,
 )
@@ -36,9 +37,6 @@ from ratslam_ros.maps.sessions import (
     resumed_rows,
     sessions_of,
 )
-
-ATTEMPTS, ATTEMPT_S = 20, 0.05
-"""Attempts to end the log while readers are active, at the end of a session."""
 
 LOG_NS = 30_000_000_000
 """Stamps that a stream of the log spans: a node restarts in a few seconds."""
@@ -69,10 +67,10 @@ class FileWriter:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._open()
         except (OSError, sqlite3.Error) as error:
-            self._release()
+            self.release()
             raise unwritable(path, error) from None
         except BaseException:
-            self._release()
+            self.release()
             raise
 
     def write(
@@ -132,13 +130,13 @@ class FileWriter:
                     )
                 self._disconnect()
                 if not lock.others():
-                    self._end_log()
+                    end_log(self.path)
                     sync_folder(self.path)
                     lock.remove()
         except (OSError, sqlite3.Error, UnusableInput):
             pass  # What is in the file and its log is complete; the next process opens both.
         finally:
-            self._release()
+            self.release()
 
     def _write(
         self, database: sqlite3.Connection, work: tuple[Cut, Mapping[str, State]] | None,
@@ -179,6 +177,7 @@ class FileWriter:
         self._lock = MapLock(self.path)
         with self._lock.opening():
             self._lock.take(self.parts)
+            remove(beside(self.path, NEW))  # of a process that was killed
             if not self.path.exists():
                 create(self.path)
             database = self._connect()
@@ -289,26 +288,14 @@ class FileWriter:
         rows = [writer.row for writer in self._writers.values() if writer.row is not None]
         return all(rows_of(database, 'id = ?', [row.id]) == [row] for row in rows)
 
-    def _end_log(self) -> None:
-        """Move the write-ahead log into the file, as the last writer.
-
-        SQLite does so when the last connection is closed; readers may have one for a moment.
-        """
-        for _ in range(ATTEMPTS):
-            if not beside(self.path, WAL).exists():
-                return
-            with closing(connect(self.path)) as database:
-                database.execute('SELECT count(*) FROM members').fetchone()
-            if beside(self.path, WAL).exists():
-                time.sleep(ATTEMPT_S)
-
     def _disconnect(self) -> None:
         database, self._database = self._database, None
         if database is not None:
             with suppress(sqlite3.Error):
                 database.close()
 
-    def _release(self) -> None:
+    def release(self) -> None:
+        """Close the file and release the locks, as if the process had ended."""
         self._disconnect()
         if self._lock is not None:
             self._lock.close()

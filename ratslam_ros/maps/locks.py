@@ -138,14 +138,23 @@ class MapLock:
         return text.decode('ascii', 'replace') or 'unknown'
 
 
+def is_opening(path: Path) -> bool:
+    """Return whether a process opens, closes or replaces the map now."""
+    return _is_locked(path, range(1))
+
+
 def is_written(path: Path) -> bool:
-    """Return whether a process writes the map now."""
+    """Return whether a process writes parts of the map now."""
+    return _is_locked(path, range(1, 1 + len(PARTS)))
+
+
+def _is_locked(path: Path, parts: Sequence[int]) -> bool:
     try:
         file = os.open(beside(path, LOCK), os.O_RDONLY | os.O_CLOEXEC)
     except OSError:
         return False
     try:
-        for byte in range(1 + len(PARTS)):
+        for byte in parts:
             if not _take(file, byte, shared=True):
                 return True
             _release(file, byte)

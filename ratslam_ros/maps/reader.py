@@ -16,7 +16,7 @@ from typing import TypeVar
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files import memory
 from ratslam_ros.maps.chunks import DamagedMap, digest_of
-from ratslam_ros.maps.locks import PARTS, is_written
+from ratslam_ros.maps.locks import OPENING_S, PARTS, is_opening, is_written
 from ratslam_ros.maps.part import load
 from ratslam_ros.maps.saved_map import MapMeta, SavedMap, loss_note
 from ratslam_ros.maps.schema import (
@@ -29,8 +29,7 @@ from ratslam_ros.maps.schema import (
 )
 from ratslam_ros.maps.sessions import newest, sessions_of
 
-ATTEMPTS = 20
-ATTEMPT_S = 0.1
+ATTEMPTS, ATTEMPT_S = 20, 0.05
 """Attempts to read a map while processes begin or end to write it."""
 
 T = TypeVar('T')
@@ -62,6 +61,9 @@ def reading(path: Path, read: Callable[[sqlite3.Connection], T]) -> T:
         UnusableInput: the file cannot be used.
     """
     for attempt in range(ATTEMPTS):
+        until = time.monotonic() + OPENING_S
+        while is_opening(path) and time.monotonic() < until:
+            time.sleep(ATTEMPT_S)
         before = _identity(path)
         is_live = is_written(path)
         try:
@@ -128,6 +130,7 @@ def _opened(path: Path, is_live: bool) -> Iterator[sqlite3.Connection]:
             shutil.copyfile(path, copy)
             shutil.copyfile(beside(path, WAL), beside(copy, WAL))
             with closing(connect(copy)) as database:
+                database.execute('PRAGMA synchronous = OFF')
                 yield database
 
 

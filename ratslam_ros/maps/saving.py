@@ -11,6 +11,7 @@ from contextlib import closing
 from pathlib import Path
 
 from ratslam_ros.core.common.state import State
+from ratslam_ros.errors import UnusableInput
 from ratslam_ros.maps.chunks import Compressor, pack
 from ratslam_ros.maps.file_writer import unwritable
 from ratslam_ros.maps.locks import PARTS, MapLock
@@ -18,11 +19,11 @@ from ratslam_ros.maps.part import PartWriter, Row
 from ratslam_ros.maps.saved_map import Cut, MapMeta
 from ratslam_ros.maps.schema import (
     NEW,
-    WAL,
     beside,
     build,
     check_layout,
     connect,
+    end_log,
     remove,
     restrict,
     sync_folder,
@@ -57,7 +58,7 @@ def save_map(
                 try:
                     build(new)
                     _fill(new, states, meta, cut)
-                    _apply_log(path)
+                    _end_earlier(path)
                     os.replace(new, path)
                 except BaseException:
                     remove(new)
@@ -82,14 +83,20 @@ def _fill(new: Path, states: Mapping[str, State], meta: MapMeta, cut: Cut) -> No
         database.execute('COMMIT')
 
 
-def _apply_log(path: Path) -> None:
-    """End the write-ahead log of the map that is replaced.
+def _end_earlier(path: Path) -> None:
+    """End the write-ahead log of the map that is replaced, durably.
 
     SQLite would otherwise apply it to the new file.
     """
     if not path.exists():
         remove(path)  # a log without a map
-    elif path.stat().st_size or beside(path, WAL).exists():
+    else:
         with closing(connect(path)) as database:
             restrict(database)
             check_layout(database, path)
+        if not end_log(path):
+            raise UnusableInput(
+                f'{path} is being read by another program; close that program, or choose another '
+                'file'
+            )
+    sync_folder(path)

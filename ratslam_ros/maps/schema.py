@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import os
 import sqlite3
+import time
 from contextlib import closing, suppress
 from functools import cache
 from pathlib import Path
@@ -51,7 +52,7 @@ MAX_FILE_BYTES = 2**36
 MAX_VALUE_BYTES = 2**26
 """Largest value of a row that SQLite may allocate, 64 MB; a chunk has 8 kB."""
 
-WAL, SHM, NEW, LOCK = '-wal', '-shm', '.new', '-lock'
+WAL, SHM, JOURNAL, NEW, LOCK = '-wal', '-shm', '-journal', '.new', '-lock'
 
 
 def beside(path: Path, suffix: str) -> Path:
@@ -119,9 +120,11 @@ def create(path: Path) -> None:
     Raises:
         OSError, sqlite3.Error: the file cannot be created.
     """
+    remove(path)  # SQLite would apply the log of a map that was deleted to the new one.
     new = beside(path, NEW)
     remove(new)
     build(new)
+    sync_folder(path)
     try:
         os.link(new, path)  # Unlike a rename, it never replaces a file.
     except FileExistsError:
@@ -143,9 +146,33 @@ def build(path: Path) -> None:
 
 
 def remove(path: Path) -> None:
-    """Remove a database with its log."""
-    for suffix in (WAL, SHM, ''):
+    """Remove a database with all files of SQLite beside it."""
+    for suffix in (WAL, SHM, JOURNAL, ''):
         beside(path, suffix).unlink(missing_ok=True)
+
+
+ATTEMPTS, ATTEMPT_S = 20, 0.05
+"""Attempts to end a log while readers are active."""
+
+
+def end_log(path: Path) -> bool:
+    """Move the write-ahead log into the file; return whether it is gone.
+
+    SQLite does so when the last connection is closed; readers may have one for a moment. The
+    caller holds the lock on the map, and no writer has it open.
+
+    Raises:
+        sqlite3.Error, UnusableInput: the map cannot be used.
+    """
+    for attempt in range(ATTEMPTS):
+        if not beside(path, WAL).exists():
+            return True
+        if attempt:
+            time.sleep(ATTEMPT_S)
+        with closing(connect(path)) as database:
+            restrict(database)
+            check_layout(database, path)
+    return not beside(path, WAL).exists()
 
 
 def sync_folder(path: Path) -> None:

@@ -222,13 +222,13 @@ def _states(
         graph['scans'] = merged_scans(joint, fused)
     if any('relocator' in part for part in parts):
         graph['relocator'] = merged_relocator(joint, fused, poses)
-    return _with_numbering(
+    return with_numbering(
         {'local_view': {'core': view}, 'pose_cells': {'core': cells.state()},
          'experience_map': graph}, len(poses),
     )  # fmt: skip
 
 
-def _with_numbering(states: dict[str, State], count: int) -> dict[str, State]:
+def with_numbering(states: dict[str, State], count: int) -> dict[str, State]:
     """Add what only the nodes need: all have the same ids, and no message is on its way."""
     ids: State = {'memory_ns': MIN_MEMORY_NS, 'forgotten': 0, 'base': 0, 'end': 0}
     numbering: State = {**ids, 'end': count, 'own': [[i, i] for i in range(count)]}
