@@ -9,6 +9,7 @@ import json
 import sys
 from pathlib import Path
 
+from ratslam_ros.cli.merge_command import add_merge
 from ratslam_ros.cli.options import DONE, Commands, positive_number
 from ratslam_ros.console import print_notice
 from ratslam_ros.errors import UnusableInput
@@ -41,6 +42,7 @@ def add_map(commands: Commands) -> None:
     export.add_argument('--spacing', type=_distance, default=0.0, metavar='M',
                         help='with geojson: least distance between two nodes (default: keep all)')
     export.set_defaults(run=_export)
+    add_merge(actions)
     prune = actions.add_parser(
         'prune', help='reduce a map to a number of places; the map before stays as FILE.bak'
     )
