@@ -42,7 +42,6 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import pdist
 
 from ratslam_ros.core.common.pose import Pose, composed
-from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.merging.merge import JoinReport, MergedMap, merge_sessions
 from ratslam_ros.core.merging.session import Session
@@ -104,20 +103,6 @@ class Recorded:
     unit: str
 
 
-def states_of(slam: RatSLAM) -> dict[str, State]:
-    """Return the learned states of a system."""
-    graph: State = {'core': slam.experience_map.state()}
-    if slam.scan_matcher is not None:
-        graph['scans'] = slam.scan_matcher.state()
-    if slam.relocator is not None:
-        graph['relocator'] = slam.relocator.state()
-    views: State = slam.local_view.state()  # type: ignore[attr-defined]
-    return {
-        'local_view': {'core': views}, 'pose_cells': {'core': slam.pose_cells.state()},
-        'experience_map': graph,
-    }  # fmt: skip
-
-
 def run(
     recording: Recording, config: Config, name: str, start_s: float, duration_s: float | None
 ) -> Run:
@@ -142,7 +127,7 @@ def run(
             stamp_ns, match, _ = decode_template(event.payload)
             take(slam.image(stamp_ns, _noise_image(match.template_id)))
     take(slam.finish())
-    return Run(Session(name, config, states_of(slam)), frames)
+    return Run(Session(name, config, slam.state()), frames)
 
 
 @cache
@@ -338,7 +323,7 @@ def day(
 ) -> tuple[Session, dict[str, tuple[float, float]]]:
     """Explore, name places, and return the session and the true positions of its places."""
     places = navigation.explore_and_name(loop, 60.0 * minutes)
-    states = states_of(loop.ratslam)
+    states = loop.ratslam.state()
     names = {place: f'{place} of {name}' for place in places}
     for place, new_name in names.items():
         loop.navigator.goals.rename(place, new_name)
@@ -370,15 +355,9 @@ def map_error_m(merged: MergedMap, loops: dict[str, ClosedLoop]) -> tuple[float,
 
 def use_map(loop: ClosedLoop, merged: MergedMap, loops: dict[str, ClosedLoop]) -> None:
     """Let a robot that has not moved yet continue in a merged map."""
-    slam, graph = loop.ratslam, merged.states['experience_map']
-    slam.local_view.restore(merged.states['local_view']['core'])  # type: ignore[attr-defined]
-    slam.pose_cells.restore(merged.states['pose_cells']['core'])
-    slam.experience_map.restore(graph['core'])
-    if slam.scan_matcher is not None:
-        slam.scan_matcher.restore(graph['scans'])
-    if slam.relocator is not None and 'relocator' in graph:
-        slam.relocator.restore(graph['relocator'])
-    loop.navigator.goals.restore(graph['goals'])
+    loop.ratslam.restore(merged.states)
+    loop.ratslam.begin_session()
+    loop.navigator.goals.restore(merged.states['experience_map']['goals'])
     loop.log.truth_of = {i: pose for i, (_, pose) in true_poses(merged, loops).items()}
 
 

@@ -13,7 +13,6 @@ from helpers import START_NS, twist
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.angles import wrap
-from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.config.parameter import Value
 from ratslam_ros.core.merging.merge import MergedMap
@@ -109,23 +108,14 @@ class Robot:
 
     def session(self, name: str) -> Session:
         """Return the map."""
-        return Session(name, self.config, states_of(self.slam))
-
-
-def states_of(slam: RatSLAM) -> dict[str, State]:
-    return {
-        'local_view': {'core': slam.local_view.state()},
-        'pose_cells': {'core': slam.pose_cells.state()},
-        'experience_map': {'core': slam.experience_map.state()},
-    }
+        return Session(name, self.config, self.slam.state())
 
 
 def continued(merged: MergedMap) -> RatSLAM:
     """Return a system that continues in a merged map."""
     slam = RatSLAM(merged.config)
-    slam.local_view.restore(merged.states['local_view']['core'])
-    slam.pose_cells.restore(merged.states['pose_cells']['core'])
-    slam.experience_map.restore(merged.states['experience_map']['core'])
+    slam.restore(merged.states)
+    slam.begin_session()
     return slam
 
 

@@ -20,12 +20,18 @@ def add_merge(commands: Commands) -> None:
         '-o', '--out', type=Path, required=True, metavar='FILE',
         help='the merged map; report and plot are written beside it (FILE.json, FILE.png)',
     )  # fmt: skip
+    merge.add_argument(
+        '--config', metavar='FILE|PRESET',
+        help='configuration of maps that do not record it, such as folders of memory files',
+    )  # fmt: skip
     merge.add_argument('--force', action='store_true', help='replace an existing FILE')
     merge.set_defaults(run=_merge)
 
 
 def _merge(options: argparse.Namespace) -> int:
+    from ratslam_ros.files.config import load_config
     from ratslam_ros.offline.map_merging import merge_files
 
-    print(merge_files(options.maps, options.out, options.force))
+    config = load_config(options.config)[0] if options.config else None
+    print(merge_files(options.maps, options.out, options.force, config))
     return DONE

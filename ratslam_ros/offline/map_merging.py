@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from ratslam_ros.core.config import Config
 from ratslam_ros.core.merging.merge import MergedMap, merge_sessions
 from ratslam_ros.core.merging.session import Session
 from ratslam_ros.descriptors import encoder_of
@@ -21,28 +22,37 @@ from ratslam_ros.maps import MapMeta, read_map, save_map
 from ratslam_ros.results.merge_plots import MergedPlaces, draw_merged
 
 
-def read_session(path: Path) -> Session:
+def read_session(path: Path, config: Config | None = None) -> Session:
     """Read a map for merging.
 
+    Args:
+        path: the map file, or a folder with memory files.
+        config: configuration of a map that does not record it.
+
     Raises:
-        UnusableInput: it cannot be read, or does not record its configuration.
+        UnusableInput: it cannot be read, or its configuration is unknown.
     """
     saved = read_map(path)
-    if not saved.meta.configuration:
+    if saved.meta.configuration:
+        config = config_from_yaml(saved.meta.configuration)
+    if config is None:
         raise UnusableInput(
-            f'{path} does not record its configuration, with which its views are encoded: open it '
-            'once with `ratslam launch --map`, and stop that again'
+            f'{path} does not record its configuration, with which its views are encoded: give '
+            'it with --config'
         )
-    return Session(path.name, config_from_yaml(saved.meta.configuration), saved.states)
+    return Session(path.name, config, saved.states)
 
 
-def merge_files(paths: Sequence[Path], out: Path, force: bool = False) -> str:
+def merge_files(
+    paths: Sequence[Path], out: Path, force: bool = False, config: Config | None = None
+) -> str:
     """Merge maps into a new one, and write a report and a plot beside it.
 
     Args:
         paths: the maps.
         out: the merged map, FILE; the report is FILE.json, the plot FILE.png.
         force: whether an existing file is replaced.
+        config: configuration of maps that do not record it.
 
     Returns:
         The report as text.
@@ -52,7 +62,7 @@ def merge_files(paths: Sequence[Path], out: Path, force: bool = False) -> str:
     """
     if out.exists() and not force:
         raise UnusableInput(f'{out} exists; give another name with -o, or add --force')
-    sessions = [_named(read_session(path), path, paths) for path in paths]
+    sessions = [_named(read_session(path, config), path, paths) for path in paths]
     merged = merge_sessions(sessions, encoder_of)
     meta = MapMeta(title=' + '.join(merged.names), configuration=to_yaml(merged.config))
     save_map(out, merged.states, meta)

@@ -18,8 +18,8 @@ from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.mapping.link_weights import VIEW_STD, VIEW_STD_RAD, reach_m
 from ratslam_ros.core.mapping.loop_closure_gate import FREE_ROTATION_RAD, REQUIRED_COUNT
 from ratslam_ros.core.merging.consistency import best_hypothesis, distinct_places
-from ratslam_ros.core.merging.joint_map import Correspondence, JointMap, residual
-from ratslam_ros.core.merging.scan_places import measured, scan_correspondences
+from ratslam_ros.core.merging.joint_map import Correspondence, JointMap, relative, residual
+from ratslam_ros.core.merging.scan_places import has_scans, measured, scan_correspondences
 from ratslam_ros.core.merging.view_memory import TemplatePair
 from ratslam_ros.core.vision.look_alikes import LOOK_ALIKE_RATE
 
@@ -190,13 +190,13 @@ class Joiner:
             )
         if hypothesis.is_by_chance and required > A_COPY:
             return replace(join, refused=f'{count} places agree, which is likely by chance')
-        supporting, fits, tried = hypothesis.supporting, 0, 0
+        supporting = hypothesis.supporting
         if join.by == 'views':
             supporting, fits, tried = measured(joint, supporting)
-        if 2 * fits < tried:
-            return replace(join, refused=(
-                f'the scans fit at only {fits} of {tried} places that look alike'
-            ))  # fmt: skip
+            if 2 * fits < tried:
+                return replace(join, refused=(
+                    f'the scans fit at only {fits} of {tried} places that look alike'
+                ))  # fmt: skip
         return self._checked(join, supporting, correspondences, spacing_m)
 
     def _checked(
@@ -211,11 +211,13 @@ class Joiner:
         _move(poses, members, transform)
         among = np.concatenate([joint.members(join.known), members])
         poses = joint.relaxed(poses, supporting, among)
-        measured = {(one.known, one.seen): one for one in supporting}
-        agreeing = [
-            measured.get((one.known, one.seen), one) for one in correspondences
-            if self._agrees(poses, one, spacing_m)
-        ]  # fmt: skip
+        agreeing = [one for one in correspondences if self._agrees(poses, one, spacing_m)]
+        links = tuple(one for one in agreeing if one.by_scan) + measured(
+            joint, [
+                one._replace(pose=relative(poses, one)) if has_scans(joint, one) else one
+                for one in agreeing if not one.by_scan
+            ],
+        ).kept  # fmt: skip
         overlap = self._overlap(poses, join, spacing_m)
         recognised = {one.seen for one in agreeing if one.same_view} & overlap
         elsewhere = {
@@ -227,7 +229,7 @@ class Joiner:
             transform=transform,
         )  # fmt: skip
         if not self._is_comparable(join):
-            return replace(join, share=1.0, correspondences=tuple(agreeing))
+            return replace(join, share=1.0, correspondences=links)
         if len(elsewhere) > len(recognised):
             return replace(join, refused=(
                 f'{len(recognised)} views are recognised at the same place, and {len(elsewhere)} '
@@ -238,7 +240,7 @@ class Joiner:
                 f'{100.0 * join.share:.0f} % of the {len(overlap)} places that would be shared '
                 f'are recognised, but at least {100.0 * MIN_SHARE:.0f} % are required'
             ))  # fmt: skip
-        return replace(join, correspondences=tuple(agreeing))
+        return replace(join, correspondences=links)
 
     def _is_comparable(self, join: Join) -> bool:
         """Return whether the views of two parts are encoded in the same way."""

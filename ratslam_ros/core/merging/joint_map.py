@@ -155,6 +155,12 @@ def settle(
             break
 
 
+def relative(poses: Reals, one: Correspondence) -> Pose:
+    """Return the pose of the seen experience in the frame of the known one."""
+    known, seen = Pose(*poses[one.known].tolist()), Pose(*poses[one.seen].tolist())
+    return composed(inverse(known), seen)
+
+
 def residual(poses: Reals, one: Correspondence) -> tuple[float, float]:
     """Return distance in m and rotation in rad by which poses deviate from a correspondence."""
     known, seen = Pose(*poses[one.known].tolist()), Pose(*poses[one.seen].tolist())

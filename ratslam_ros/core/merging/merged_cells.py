@@ -23,6 +23,7 @@ from ratslam_ros.core.common.pose import Pose, composed
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.merging.fusing import Fused
 from ratslam_ros.core.merging.joint_map import JointMap
+from ratslam_ros.core.merging.session import rows_of
 from ratslam_ros.core.merging.view_memory import merged_freshness
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
 from ratslam_ros.core.pose_cells.odometry_calibration import OdometryCalibration
@@ -138,7 +139,7 @@ class MergedCells:
     def _transitions(self) -> list[list[int]]:
         pairs = set()
         for number, session in enumerate(self._joint.sessions):
-            for ends in session.cell_state['transitions']:
+            for ends in rows_of(session.cell_state['transitions']):
                 source, target = self._new_id(number, ends[0]), self._new_id(number, ends[1])
                 if source is not None and target is not None and source != target:
                     pairs.add((source, target))

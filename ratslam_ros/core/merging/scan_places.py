@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,15 +44,24 @@ MAX_QUERY_COUNT = 50
 """Number of places that are looked for; of more, evenly spaced ones."""
 
 
-def measured(
-    joint: JointMap, correspondences: Sequence[Correspondence]
-) -> tuple[tuple[Correspondence, ...], int, int]:
-    """Align the scans of experiences whose views match.
+class Measured(NamedTuple):
+    """Correspondences that scans do not contradict, measured by the scans if there are any.
 
-    Returns:
-        The correspondences that scans do not contradict, measured by the scans if there are any;
-        and the numbers of alignments that fit and that were tried.
+    ``fits``, ``tried``: numbers of alignments that fit and that were tried.
     """
+
+    kept: tuple[Correspondence, ...]
+    fits: int
+    tried: int
+
+
+def has_scans(joint: JointMap, one: Correspondence) -> bool:
+    """Return whether both experiences have scans."""
+    return _scan(joint, one.known) is not None and _scan(joint, one.seen) is not None
+
+
+def measured(joint: JointMap, correspondences: Sequence[Correspondence]) -> Measured:
+    """Align the scans of experiences whose views match; their poses are the priors."""
     kept, fits, tried = [], 0, 0
     for one in correspondences:
         known, seen = _scan(joint, one.known), _scan(joint, one.seen)
@@ -63,7 +73,7 @@ def measured(
         if found is not None:
             fits += 1
             kept.append(one._replace(pose=found.pose, by_scan=True))
-    return tuple(kept), fits, tried
+    return Measured(tuple(kept), fits, tried)
 
 
 def scan_correspondences(joint: JointMap, known: int, seen: int) -> list[Correspondence]:

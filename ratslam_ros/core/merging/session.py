@@ -8,7 +8,7 @@ import hashlib
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -121,7 +121,8 @@ class SessionMap:
         """(n,) template of each experience, -1 if it is not in the memory."""
         self.map_ids: dict[int, int] = {}
         """Id in the pose cells -> id on the map."""
-        for cell_id, (template_id, *_) in enumerate(self.cell_state['experiences']):
+        for cell_id, row in enumerate(rows_of(self.cell_state['experiences'])):
+            template_id = int(row[0])
             map_id = cell_id if own is None else own.get(cell_id)
             if map_id is None or map_id >= len(self):
                 continue
@@ -173,20 +174,27 @@ class SessionMap:
         return found.hexdigest()
 
 
+def rows_of(table: Any) -> list[Any]:
+    """Return the rows of a table, which a state holds as an array or as a list."""
+    return table.tolist() if isinstance(table, np.ndarray) else list(table)
+
+
 def _anchors(session: SessionMap) -> list[Anchor]:
     """Return the associations of templates with places in the pose cells of a session."""
     state, cell_m = session.cell_state, session.lengths.cell_m
     planes_per_rad = session.config.pose_cells.pc_dim_th / math.tau
     positions = state['unrolled']
-    count = len(state['experiences'])
+    rows = rows_of(state['experiences'])
+    count = len(rows)
     components, numbers = [0] * count, [0] * len(positions['memories'])
-    places = [place for _, *place in state['experiences']]
+    places = [place for _, *place in rows]
     if 'components' in state:
         saved = state['components']
-        components, numbers, places = saved['experiences'], saved['memories'], saved['places']
+        components, numbers = list(saved['experiences']), list(saved['memories'])
+        places = rows_of(saved['places'])
     poses = [
         Pose(x * cell_m, y * cell_m, place[2] / planes_per_rad)
-        for (x, y), place in zip(positions['experiences'], places, strict=True)
+        for (x, y), place in zip(rows_of(positions['experiences']), places, strict=True)
     ]
     first: dict[tuple[int, int], int] = {}
     for cell_id, map_id in sorted(session.map_ids.items()):
@@ -195,10 +203,10 @@ def _anchors(session: SessionMap) -> list[Anchor]:
             first.setdefault((template, components[cell_id]), cell_id)
     found = []
     for (template_id, _x, _y, theta, *_), (x, y), component in zip(
-        state['memories'], positions['memories'], numbers, strict=True
+        rows_of(state['memories']), rows_of(positions['memories']), numbers, strict=True
     ):
         pose = Pose(x * cell_m, y * cell_m, theta / planes_per_rad)
-        template = template_id - session.template_base
+        template = int(template_id) - session.template_base
         cell_id = first.get((template, component))
         if cell_id is None or poses[cell_id][:2] != pose[:2]:
             near = [
