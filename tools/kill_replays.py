@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Kill replays that keep their map in a file, start them again, and compare the final maps.
 
-usage: python tools/kill_replays.py RECORDING [--kills 200] [--seed 1] [--duration S] [--period S]
+usage: python tools/kill_replays.py RECORDING [--kills 200] [--seed 1] [--config FILE|PRESET]
+           [--duration S] [--period S]
 
 Half of the kills (SIGKILL) come at random times, half at named points of the program: before and
 after the statements of the writer, when the file is created, and when it is closed. A replay is
@@ -148,7 +149,8 @@ def run(job: Job, folder: Path, pipe: Connection, point: str, count: int) -> Non
 
     map_file.open = opened  # type: ignore[method-assign]
     with open_recording(job.recording) as recording:
-        replay(recording, recording.select(), job.config, folder / 'results', options)
+        selection = recording.select(scans=job.config.experience_map.exp_align_scans)
+        replay(recording, selection, job.config, folder / 'results', options)
 
 
 def _report(line: str) -> None:
@@ -284,11 +286,12 @@ def main() -> int:
     parser.add_argument('recording', type=Path)
     parser.add_argument('--kills', type=int, default=200)
     parser.add_argument('--seed', type=int, default=1)
+    parser.add_argument('--config', metavar='FILE|PRESET', help='default: auto')
     parser.add_argument('--duration', type=float, help='seconds of the recording to replay')
     parser.add_argument('--period', type=float, default=0.1, help='time between two cuts, in s')
     options = parser.parse_args()
     warm_up()
-    job = Job(options.recording, load_config(None)[0], options.duration, options.period)
+    job = Job(options.recording, load_config(options.config)[0], options.duration, options.period)
     with tempfile.TemporaryDirectory(prefix='kills-') as folder:
         tally = kill_replays(
             job, options.kills, options.seed, Path(folder),

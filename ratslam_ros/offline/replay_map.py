@@ -15,12 +15,12 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from ratslam_ros import __version__
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.ratslam import RatSLAM
 from ratslam_ros.errors import RatslamError, UnusableInput
 from ratslam_ros.files.config import stored_config, to_yaml
+from ratslam_ros.history.file import package_version
 from ratslam_ros.maps import Cut, MapMeta, MapStore, SavedMap, read_map
 from ratslam_ros.recordings import (
     Event,
@@ -142,7 +142,7 @@ class ReplayMap:
             slam.mapping = False
         else:
             meta = MapMeta(
-                title=recording.name, ratslam_version=__version__, configuration=to_yaml(config),
+                title=recording.name, ratslam_version=package_version(), configuration=to_yaml(config),
                 recording=str(recording.path.absolute()),
                 recording_bytes=self._identity['bytes'], first_ns=recording.start_ns,
             )  # fmt: skip
