@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
 from map_states import META, kill, opened, write
+
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.maps import Cut, MapMeta, MapStore, read_map, save_map
 from ratslam_ros.maps.file_writer import FileWriter
@@ -113,6 +113,22 @@ def test_process_that_crashes_before_its_first_cut_has_to_catch_up(tmp_path: Pat
     assert cells.restored is not None
     assert cells.restored.states == {CELLS: {'n': 7}}
     assert numbers(path) == {VIEWS: 7, CELLS: 7}
+    views.close()
+    cells.close()
+
+
+def test_process_rejoins_before_the_map_has_a_common_cut(tmp_path: Path) -> None:
+    path = tmp_path / 'a.map'
+    views, cells = opened(path, VIEWS), opened(path, CELLS)
+    put(views, 3)
+    kill(views)
+    views = opened(path, VIEWS)
+    assert views.joins
+    assert views.restored is not None
+    assert views.restored.states == {VIEWS: {'n': 3}}
+    put(views, 4)
+    put(cells, 4)
+    assert numbers(path) == {VIEWS: 4, CELLS: 4}
     views.close()
     cells.close()
 
