@@ -22,7 +22,9 @@ FORMATS = ('json', 'graphml', 'tum', 'g2o', 'geojson')
 
 def add_map(commands: Commands) -> None:
     """Add ``ratslam map`` with its own commands."""
-    parser = commands.add_parser('map', help='inspect, check, export, merge and maintain map files')
+    parser = commands.add_parser(
+        'map', help='inspect, check, export, merge and maintain map files'
+    )
     actions = parser.add_subparsers(title='commands', metavar='COMMAND', required=True)
     info = actions.add_parser('info', help='print what a map contains')
     _add_file(info)

@@ -174,10 +174,6 @@ class _Run:
         self._map = options.map_file
         self._landmarks: LandmarkMapping | None = None
         if options.landmarks:
-            if self._map is not None:
-                raise UnusableInput(
-                    'a map file of a replay contains no landmarks: leave out --landmarks or --map'
-                )
             if visual_odometry or selection.scan_topic is None:
                 raise UnusableInput(
                     'landmarks need recorded odometry and scans, but the recording has no '
@@ -185,7 +181,9 @@ class _Run:
                 )
             self._landmarks = LandmarkMapping(config)
         if self._map is not None:
-            self._map.open(self.slam, recording, selection, config, options.start_s)
+            self._map.open(
+                self.slam, recording, selection, config, options.start_s, self._landmarks
+            )
         self._recorder: Recorder | None = None
         if options.history:
             meta = _history_meta(recording, selection, config, options)
@@ -270,6 +268,7 @@ class _Run:
         if self._map is not None:
             self._map.save_before_end()
         self._write(self.slam.finish())
+        landmarks = '' if self._landmarks is None else self._landmarks.finish()
         if self._map is not None:
             self._map.finish(complete, self._last_view_ns)
         wall_s = self.elapsed_s
@@ -317,7 +316,7 @@ class _Run:
             summary['map'] = self._map.summary()
             results.last_view_ns = self._map.last_view_ns
         if self._landmarks is not None:
-            results.write('landmarks.json', self._landmarks.finish())
+            results.write('landmarks.json', landmarks)
             summary['landmarks'] = len(self._landmarks.laser_map)
         results.finish(self.slam.experience_map, self.config, summary)
         if self._recorder is not None:

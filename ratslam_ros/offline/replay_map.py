@@ -22,6 +22,7 @@ from ratslam_ros.errors import RatslamError, UnusableInput
 from ratslam_ros.files.config import stored_config, to_yaml
 from ratslam_ros.history.file import package_version
 from ratslam_ros.maps import Cut, MapMeta, MapStore, SavedMap, read_map
+from ratslam_ros.offline.landmark_mapping import LandmarkMapping
 from ratslam_ros.recordings import (
     Event,
     ImageEvent,
@@ -86,6 +87,7 @@ class ReplayMap:
         self._notify, self._report = notify, report
         self._store: MapStore | None = None
         self._slam: RatSLAM | None = None
+        self._landmarks: LandmarkMapping | None = None
         self._identity: State = {}
         self._counts: Counter[str] = Counter()
         self._to_skip: Counter[str] = Counter()
@@ -116,7 +118,7 @@ class ReplayMap:
 
     def open(
         self, slam: RatSLAM, recording: Recording, selection: Selection, config: Config,
-        start_s: float,
+        start_s: float, landmarks: LandmarkMapping | None = None,
     ) -> None:  # fmt: skip
         """Restore the map into a new system, and open the file.
 
@@ -125,12 +127,14 @@ class ReplayMap:
             recording, selection: what is replayed.
             config: the parameters.
             start_s: skipped seconds at the start of the recording.
+            landmarks: the landmark map that is built, too; None for none.
 
         Raises:
             UnusableInput: the map cannot be used, or is in use. The file is unchanged then.
         """
-        self._slam = slam
+        self._slam, self._landmarks = slam, landmarks
         self._identity = _identity(recording, selection, start_s)
+        self._identity['landmarks'] = landmarks is not None
         saved = self._read()
         lines = [f'{self.path}: new map']
         digests: dict[str, bytes] = {}
@@ -140,13 +144,15 @@ class ReplayMap:
             digests = saved.digests
         if self.localize:
             slam.mapping = False
+            if landmarks is not None:
+                landmarks.laser_map.mapping = False
         else:
             meta = MapMeta(
-                title=recording.name, ratslam_version=package_version(), configuration=to_yaml(config),
-                recording=str(recording.path.absolute()),
+                title=recording.name, ratslam_version=package_version(),
+                configuration=to_yaml(config), recording=str(recording.path.absolute()),
                 recording_bytes=self._identity['bytes'], first_ns=recording.start_ns,
             )  # fmt: skip
-            self._store = MapStore.open(self.path, [*slam.state()], meta, self._report)
+            self._store = MapStore.open(self.path, [*self._states()], meta, self._report)
             found = {} if self._store.restored is None else self._store.restored.digests
             if any(digest != digests.get(part) for part, digest in found.items()):
                 self.abandon()
@@ -165,6 +171,8 @@ class ReplayMap:
             states['inputs'] = inputs
         try:
             slam.restore(states)
+            if self._landmarks is not None and 'landmark_map' in states:
+                self._landmarks.restore(states['landmark_map'])
         except RatslamError as error:
             raise UnusableInput(f'{self.path} cannot be continued: {error}') from None
         action_ns = states.get('experience_map', {}).get('action_ns', 0)
@@ -175,6 +183,8 @@ class ReplayMap:
         if self.localize or progress is None or progress['identity'] != self._identity:
             slam.finish()
             slam.begin_session()
+            if self._landmarks is not None:
+                self._landmarks.begin_session()
             return lines
         self._counts = Counter(progress['counts'])
         self._to_skip = self._counts.copy()
@@ -251,10 +261,17 @@ class ReplayMap:
             'saved': not self.problem and not self.localize,
         }  # fmt: skip
 
+    def _states(self) -> dict[str, State]:
+        assert self._slam is not None
+        states = self._slam.state()
+        if self._landmarks is not None:
+            states['landmark_map'] = self._landmarks.state()
+        return states
+
     def _save(self) -> None:
         assert self._store is not None
         assert self._slam is not None
-        states = self._slam.state()
+        states = self._states()
         states['inputs'] = {
             **states.get('inputs', {}),
             PROGRESS: {
