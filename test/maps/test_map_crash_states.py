@@ -28,7 +28,7 @@ def scratch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_every_crash_leaves_the_state_before_or_after(scratch: Path) -> None:
     operations, states, problems = check_crashes(40, 2, limit=150, seed=1, scratch=scratch)
     assert problems == []
-    assert states == 150
+    assert states >= 150
     assert operations > 300
 
 
@@ -49,7 +49,7 @@ def test_missing_sync_of_the_folder_is_found(
     for module in ('schema', 'saving', 'file_writer'):
         monkeypatch.setattr(f'ratslam_ros.maps.{module}.sync_folder', lambda path: None)
     assert schema.sync_folder(scratch) is None
-    assert check_crashes(40, 1, limit=300, seed=1, scratch=scratch)[-1]
+    assert check_crashes(40, 1, limit=10, seed=1, scratch=scratch)[-1]
 
 
 @pytest.mark.parametrize(('failure', 'fails_for'), [('EIO', 1), ('ENOSPC', 4)])
