@@ -110,6 +110,7 @@ def view_replay(options: argparse.Namespace) -> int:
         options: those of ``ratslam replay`` and of the web server.
     """
     from ratslam_ros.recordings import open_recording
+    from ratslam_ros.viewer.controls import NoControls
     from ratslam_ros.viewer.replay_controls import ReplayControls
 
     config = config_of(options)
@@ -121,6 +122,9 @@ def view_replay(options: argparse.Namespace) -> int:
     words = ['replay', *words_of(options.parser, options, VIEW_OPTIONS)]
     if '--quiet' not in words:
         words += ['--quiet'] * options.quiet
+    if getattr(options, 'map', None) is not None:
+        fixed = NoControls('The map is kept in a file, so the parameters stay as they are.')
+        return _view_child(options, words, name, lambda again: fixed)
     return _view_child(options, words, name, lambda again: ReplayControls(config, again))
 
 
