@@ -16,7 +16,7 @@ from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
-from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry
+from ratslam_ros.core.common.odometry import Motion, MotionFromOdometry, Odometry
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.common.state import State
@@ -150,6 +150,17 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         self._core.gate.restart()
         self._behaviours.reset()
 
+    def _drop_tasks(self) -> None:
+        self._goals.drop_goals()
+
+    def _begin_session(self) -> None:
+        self._motion.restart()
+        self._behaviours.reset()
+        if len(self._core):
+            unknown = Motion(0.0, 0.0, 0.0, False)
+            self._core.integrate(unknown)
+            self._scans.integrate(0, unknown)
+
     def _set_mapping(self, mapping: bool) -> None:
         self._core.mapping = mapping
 
@@ -169,10 +180,14 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         core = ExperienceMap(self._section)
         core.restore(state['core'])
         late_join = LateJoin(core)
-        late_join.restore(state['joining'])
-        action_ns = int(state['action_ns'])
+        if 'joining' in state:
+            late_join.restore(state['joining'])
+        else:
+            late_join.assume()  # saved by a replay
+        action_ns = int(state.get('action_ns', 0))
         scans = ScanMatcher()
-        scans.restore(state['scans'])
+        if 'scans' in state or 'joining' in state:
+            scans.restore(state['scans'])
         relocator = Relocator(core, scans) if self._relocates else None
         if relocator is not None and 'relocator' in state:
             relocator.restore(state['relocator'])

@@ -132,6 +132,8 @@ class MapOperations:
                 memory_files.save(path, self._part, state)
             except RatslamError as error:
                 self._answer(command, False, str(error))
+            except Exception as error:  # a defect must not leave the others waiting
+                self._answer(command, False, f'{path} cannot be written: {error!r}')
             else:
                 self._answer(command, True, f'{self._part} is written')
 
