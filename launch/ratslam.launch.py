@@ -4,7 +4,6 @@
 
 import shutil
 import tempfile
-from functools import partial
 from pathlib import Path
 
 from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
@@ -14,23 +13,15 @@ from launch.actions import (
     LogInfo,
     OpaqueFunction,
     RegisterEventHandler,
-    Shutdown,
 )
 from launch.event_handlers import OnShutdown
-from launch.events.process import ProcessExited
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from ratslam_ros.errors import RatslamError
 from ratslam_ros.files.config import load_config, to_yaml
-from ratslam_ros.live.launch import (
-    MAX_RESTARTS,
-    OPTIONAL,
-    UNUSABLE,
-    nodes,
-    remappings,
-    with_map,
-)
+from ratslam_ros.live.launch import MAX_RESTARTS, OPTIONAL, nodes, remappings, with_map
+from ratslam_ros.live.required import ending_launch
 
 YES_OR_NO = ['true', 'false']
 
@@ -126,7 +117,10 @@ def _start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
             # With a map file, a node that is started again continues from there.
             respawn=bool(given('map')),
             respawn_max_retries=MAX_RESTARTS,
-            on_exit=None if name in OPTIONAL else partial(_ended, name, bool(given('map'))),
+            # The nodes are useless without one another, and would map incompletely.
+            on_exit=(
+                None if name in OPTIONAL else ending_launch(name, is_restarted=bool(given('map')))
+            ),
         )
         for name, arguments in nodes(
             *(given(name) == 'true'
@@ -138,15 +132,6 @@ def _start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
     rviz = _rviz(use_sim_time) if given('rviz') == 'true' else []
     logged = [LogInfo(msg=notice) for notice in notices]
     return [*logged, RegisterEventHandler(remove_folder), *started, *rviz]
-
-
-def _ended(
-    name: str, is_restarted: bool, event: ProcessExited, context: LaunchContext
-) -> list[LaunchDescriptionEntity]:
-    """End the others: they are useless without the node, and would map incompletely."""
-    if is_restarted and event.returncode not in (0, UNUSABLE):
-        return []
-    return [Shutdown(reason=f'{name} has ended')]
 
 
 def _parameters(
