@@ -233,8 +233,8 @@ def _method(function: Callable[..., Any]) -> Callable[..., Any]:
 class File:
     """Content of a file: what is durable, and writes that are not."""
 
-    def __init__(self) -> None:
-        self.durable = bytearray()
+    def __init__(self, content: bytes = b'') -> None:
+        self.durable = bytearray(content)
         self.waiting: list[tuple[Any, ...]] = []
 
     def sync(self) -> None:
@@ -309,6 +309,8 @@ def crash_states(
             if kind == 'sync folder':
                 waiting.clear()
                 durable_names = dict(names)
+            elif kind == 'put':  # a file with durable content
+                names[values[0]] = durable_names[values[0]] = File(values[1])
             elif kind == 'sync':
                 names[values[0]].sync()
             elif kind in ('write', 'truncate'):

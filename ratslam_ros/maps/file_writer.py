@@ -67,10 +67,10 @@ class FileWriter:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._open()
         except (OSError, sqlite3.Error) as error:
-            self.release()
+            self._abandon()
             raise unwritable(path, error) from None
         except BaseException:
-            self.release()
+            self._abandon()
             raise
 
     def write(
@@ -293,6 +293,15 @@ class FileWriter:
         if database is not None:
             with suppress(sqlite3.Error):
                 database.close()
+
+    def _abandon(self) -> None:
+        """End after a failed opening."""
+        self._disconnect()
+        if self._lock is not None:
+            with suppress(OSError, UnusableInput), self._lock.opening():
+                if not self._lock.others():
+                    self._lock.remove()
+        self.release()
 
     def release(self) -> None:
         """Close the file and release the locks, as if the process had ended."""

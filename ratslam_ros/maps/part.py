@@ -292,16 +292,16 @@ def _read(
         (row.part, name, count, row.id),
     ).fetchall()
     if [position for position, *_ in found] != list(range(count)):
-        raise DamagedMap(f'{row.part}/{name}: {len(found)} of {count} chunks are there')
+        raise DamagedMap(f'{row.part}{name}: {len(found)} of {count} chunks are there')
     chunks = []
     for position, _, frame in found:
         if not isinstance(frame, bytes):
-            raise DamagedMap(f'{row.part}/{name}: a chunk is not binary')
+            raise DamagedMap(f'{row.part}{name}: a chunk is not binary')
         expected = min(size - position * CHUNK_BYTES, CHUNK_BYTES)
         chunks.append(decompressed(frame, expected, kind.itemsize))
     data = b''.join(chunks)
     if kind.kind == 'b' and max(data, default=0) > 1:
-        raise DamagedMap(f'{row.part}/{name}: a flag is neither 0 nor 1')
+        raise DamagedMap(f'{row.part}{name}: a flag is neither 0 nor 1')
     array = np.frombuffer(data, kind).reshape(shape)
     hashes = [chunk_hash(chunk) for chunk in chunks]
     since = np.array([since for _, since, _ in found], np.int64)
