@@ -35,13 +35,17 @@ def read(part: str) -> Any:
     return load(FOLDER / f'{part}.npz', part)
 
 
+ADDED = frozenset({'present', 'motion', 'low_texture', 'agreeing', 'of_template', 'seen_at_m'})
+"""Keys that states have since the files were written: what a run needs to continue exactly."""
+
+
 def assert_same(found: Any, saved: Any, at: str) -> None:
     """Compare two states, tuples and lists alike, arrays by type and content."""
     if isinstance(saved, np.ndarray):
         assert found.dtype == saved.dtype, at
         assert np.array_equal(found, saved), at
     elif isinstance(saved, dict):
-        assert list(found) == list(saved), at
+        assert [key for key in found if key not in ADDED] == list(saved), at
         for key, value in saved.items():
             assert_same(found[key], value, f'{at}.{key}')
     elif isinstance(saved, list):

@@ -239,7 +239,8 @@ class ScanMatcher:
                 'track_ns': np.array([stamp_ns for stamp_ns, _ in self._track], np.int64),
                 'track': np.array([pose for _, pose in self._track]).reshape(-1, 3),
                 'odometry': list(self._odometry_pose),
-                'variances_m2': [self._variance_m2, self._variance_before_m2],
+                # An array, because JSON has no infinity.
+                'variances_m2': np.array([self._variance_m2, self._variance_before_m2]),
                 'restarts': self.restarts,
             },
             'ids': np.array(list(self._references), np.int64),
@@ -264,7 +265,7 @@ class ScanMatcher:
                 )
             )  # fmt: skip
             self._odometry_pose = Pose(*present['odometry'])
-            self._variance_m2, self._variance_before_m2 = present['variances_m2']
+            self._variance_m2, self._variance_before_m2 = present['variances_m2'].tolist()
             self.restarts = present['restarts']
 
     def _points_at(self, stamp_ns: int) -> NDArray[np.float64] | None:

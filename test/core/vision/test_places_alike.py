@@ -120,7 +120,6 @@ def test_a_restored_local_view_continues_the_estimate() -> None:
     one, other = LocalView(PARAMETERS), LocalView(PARAMETERS)
     drive(one, images[:250])
     other.restore(one.state())
-    one.relocated()  # the robot of the restored memory may have been carried
     one.follow(message(250)), other.follow(message(250))
     for image in images[250:]:
         assert one.match(image) == other.match(image)
