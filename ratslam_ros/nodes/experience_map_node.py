@@ -90,7 +90,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         self._goals = GoalNavigation(
             self, self._diagnostics, lambda: self.config, self._refuse, self._frames
         )
-        self._behaviours = Behaviours(self, self._refuse)
+        self._behaviours = Behaviours(self, self._refuse, self._log)
         self._answers: Any = None
         if self._relocates:
             warm_up('relocation')  # takes long if nothing is cached, so only if it is used
@@ -161,6 +161,11 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         self._core.gate.restart()
         self._behaviours.reset()
 
+    def _on_caught_up(self, are_images_lost: bool) -> None:
+        assert self._keeper is not None
+        for _, data in self._keeper.logged('behaviour'):
+            self._behaviours.replay(data.decode())
+
     def _drop_tasks(self) -> None:
         self._goals.drop_goals()
 
@@ -182,6 +187,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
             'core': self._core.state(),
             'correction': list(self._motion.correction),
             'motion': self._motion.state(),
+            'behaviours': self._behaviours.state(),
             'goals': self._goals.memory_state(),
             'scans': self._scans.state(),
             **({} if self._relocator is None else {'relocator': self._relocator.state()}),
@@ -209,6 +215,9 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         self._motion.correction = TurnCorrection(
             *state.get('correction', self._section.turn_correction)
         )
+        self._behaviours.reset()
+        if 'behaviours' in state:
+            self._behaviours.restore(state['behaviours'])
         self._sender.reset()
         self._core.mapping = self._mapping
         if 'motion' in state:
