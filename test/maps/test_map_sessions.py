@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
 from map_states import META, kill, opened, write
+
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.maps import Cut, MapMeta, MapStore, read_map, save_map
 from ratslam_ros.maps.file_writer import FileWriter

@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
 from map_states import LONG_S, META, growing_state, kill, opened, same, write
+
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.maps import Cut, MapStore, read_map, save_map
 from ratslam_ros.maps.file_writer import FileWriter
