@@ -285,14 +285,15 @@ def crash_states(
     Args:
         operations: of a disk.
         generator: chooses the sectors that reach the disk.
-        limit: number of states, spread over all; 0 for all.
+        limit: number of states, besides those after the last operation; 0 for all.
 
     Yields:
         Number of operations before the crash, variant, and content by name.
     """
     chosen = [(at, n) for at in range(len(operations) + 1) for n in range(len(VARIANTS))]
     if limit and limit < len(chosen):
-        chosen = sorted(generator.sample(chosen, limit))
+        last = chosen[-len(VARIANTS) :]  # Everything has been acknowledged there.
+        chosen = sorted({*generator.sample(chosen, limit), *last})
     wanted: dict[int, list[int]] = {}
     for at, number in chosen:
         wanted.setdefault(at, []).append(number)

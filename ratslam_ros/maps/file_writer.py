@@ -27,6 +27,7 @@ from ratslam_ros.maps.schema import (
     remove,
     restrict,
     sync_folder,
+    typed,
 )
 from ratslam_ros.maps.sessions import (
     begin,
@@ -104,11 +105,12 @@ class FileWriter:
         try:
             with closing(connect(self.path, 'mode=ro')) as database:
                 restrict(database)
-                return database.execute(
+                found = database.execute(
                     'SELECT stamp_ns, data FROM log WHERE stream = ? AND stamp_ns > ?'
                     ' ORDER BY stamp_ns', (stream, after_ns),
-                ).fetchall()  # fmt: skip
-        except sqlite3.Error:
+                )  # fmt: skip
+                return list(typed(found, int, bytes))
+        except (sqlite3.Error, UnusableInput):
             return []
 
     def close(self, complete: bool) -> None:
@@ -197,7 +199,7 @@ class FileWriter:
                 self._session = begin(database, self.parts, self._meta, found)
                 states = self._load(database, rows)  # A damaged map is not changed.
                 database.execute('COMMIT')
-        if found.cut is not None:
+        if rows or found.cut is not None:
             last = max(rows.values(), key=lambda row: (row.session, row.number), default=None)
             cut = found.cut if last is None else Cut(last.number, last.stamp_ns)
             lost = None if found.session == self._session else found.lost

@@ -117,6 +117,22 @@ def test_process_that_crashes_before_its_first_cut_has_to_catch_up(tmp_path: Pat
     cells.close()
 
 
+def test_process_rejoins_before_the_map_has_a_common_cut(tmp_path: Path) -> None:
+    path = tmp_path / 'a.map'
+    views, cells = opened(path, VIEWS), opened(path, CELLS)
+    put(views, 3)
+    kill(views)
+    views = opened(path, VIEWS)
+    assert views.joins
+    assert views.restored is not None
+    assert views.restored.states == {VIEWS: {'n': 3}}
+    put(views, 4)
+    put(cells, 4)
+    assert numbers(path) == {VIEWS: 4, CELLS: 4}
+    views.close()
+    cells.close()
+
+
 def test_part_that_joins_late_does_not_set_the_map_back(tmp_path: Path) -> None:
     path = tmp_path / 'a.map'
     views = opened(path, VIEWS)
