@@ -20,7 +20,7 @@ from launch_ros.actions import Node
 
 from ratslam_ros.errors import RatslamError
 from ratslam_ros.files.config import load_config, to_yaml
-from ratslam_ros.live.launch import OPTIONAL, nodes, remappings, with_map
+from ratslam_ros.live.launch import MAX_RESTARTS, OPTIONAL, nodes, remappings, with_map
 from ratslam_ros.live.required import ending_launch
 
 YES_OR_NO = ['true', 'false']
@@ -114,10 +114,13 @@ def _start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
             )),
             ros_arguments=['--log-level', given('log_level')],
             output='screen',
-            # With a map file, a node that is started again continues from there. Without one, the
-            # nodes are useless without one another, and would map incompletely.
+            # With a map file, a node that is started again continues from there.
             respawn=bool(given('map')),
-            on_exit=None if name in OPTIONAL or given('map') else ending_launch(name),
+            respawn_max_retries=MAX_RESTARTS,
+            # The nodes are useless without one another, and would map incompletely.
+            on_exit=(
+                None if name in OPTIONAL else ending_launch(name, is_restarted=bool(given('map')))
+            ),
         )
         for name, arguments in nodes(
             *(given(name) == 'true'

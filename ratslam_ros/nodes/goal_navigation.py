@@ -90,11 +90,12 @@ class GoalNavigation:
 
         Args:
             experience_map: the new map.
-            state: the named places saved with it; None: none.
+            state: the named places and unfinished goals saved with it; None: none.
         """
         navigator = Navigator(self._config().goal_recall, experience_map)
         if state is not None:
             navigator.goals.restore(state)
+            navigator.restore_queue(state.get('queue', ()))
         experience_map.on_pruned.append(navigator.remove_pruned)
         self._map, self._navigator = experience_map, navigator
         self._reset_state()
@@ -109,8 +110,12 @@ class GoalNavigation:
         self._times_key: tuple[Any, ...] = ()
 
     def memory_state(self) -> State:
-        """Return the named places, for ``use_map``."""
-        return self._navigator.goals.state()
+        """Return the named places and the queue of goals, for ``use_map``."""
+        return {**self._navigator.goals.state(), 'queue': self._navigator.queue_state()}
+
+    def drop_goals(self) -> None:
+        """Drop the goals of an earlier session: the robot must not start to drive by itself."""
+        self._cancel('the map was loaded')
 
     def report_blocked(self) -> bool:
         """Report a blocked attempt; return whether the map shall count it."""

@@ -55,20 +55,20 @@ class LandmarkMapNode(RatslamNode[Odometry | Scan]):
         self._sent = False
         self._viewers = 0
         self._reset_state()
+        self._add_input(
+            'odometry', {'odom': OdometryMessage}, self._on_odometry,
+            lambda data: self._take_odometry(decode_odometry(data)),
+        )  # fmt: skip
         self._frames = OdometryFrames(
             self._section.odom_frame, FROM_ODOMETRY, self._diagnostics.note
         )
         self._laser = ScanInput(
             self, self._diagnostics.note, lambda: self._frames.known_base, self._refuse,
-            self._take_scan,
-        )  # fmt: skip
-        self._add_input(
-            'odometry', {'odom': OdometryMessage}, self._on_odometry,
-            lambda data: self._take_odometry(decode_odometry(data)),
+            self._use_scan,
         )  # fmt: skip
         self._add_input(
             'scan', {'scan': LaserScan}, self._laser.receive,
-            lambda data: self._take_scan(decode_scan(data)),
+            lambda data: self._use_scan(decode_scan(data)),
         )  # fmt: skip
         self.create_timer(FLUSH_CHECK_PERIOD_S, self._on_timer, clock=self._steady)
 
@@ -123,7 +123,7 @@ class LandmarkMapNode(RatslamNode[Odometry | Scan]):
         if not self._paused:
             self._publish_tf(odometry)
 
-    def _take_scan(self, scan: Scan) -> None:
+    def _use_scan(self, scan: Scan) -> None:
         self._push('scan', scan.stamp_ns, scan)
         self._log('scan', scan.stamp_ns, lambda: encode_scan(scan))
 

@@ -288,7 +288,7 @@ def test_missing_nodes_are_named_in_the_answers(viewer: Any) -> None:
     answer = requested(made, lambda: controls.explore(True))
     assert answer.message == 'goal_follower does not answer: is it running?'
     answer = requested(made, controls.save)
-    assert answer.message == 'no node offers save: are the nodes running?'
+    assert answer.message == no_map
 
 
 def with_map(viewer: Any, *arguments: str) -> Any:

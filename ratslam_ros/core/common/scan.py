@@ -46,17 +46,16 @@ def scan_state(scan: Scan) -> State:
     """Return a scan for a saved state."""
     return {
         'stamp_ns': scan.stamp_ns, 'angles': [scan.angle_min_rad, scan.angle_increment_rad],
-        'ranges_m': scan.ranges_m.copy(), 'mount_m': [scan.x_m, scan.y_m],
+        'ranges_m': scan.ranges_m.copy(), 'position_m': [scan.x_m, scan.y_m],
     }  # fmt: skip
 
 
 def scan_from_state(state: State) -> Scan:
     """Return a scan from ``scan_state``."""
     first_rad, step_rad = state['angles']
-    x_m, y_m = state.get('mount_m', (0.0, 0.0))
+    x_m, y_m = state.get('position_m', (0.0, 0.0))
     return Scan(
-        int(state['stamp_ns']), float(first_rad), float(step_rad), state['ranges_m'], float(x_m),
-        float(y_m),
+        int(state['stamp_ns']), float(first_rad), float(step_rad), state['ranges_m'], x_m, y_m
     )
 
 

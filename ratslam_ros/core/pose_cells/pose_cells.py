@@ -187,6 +187,11 @@ class PoseCells:
             self._odometry = Pose(*present['odometry'])
             self._at_views.extend(Pose(*pose) for pose in present['at_views'])
 
+    @property
+    def next_template_id(self) -> int:
+        """Id above those of the templates of all experiences."""
+        return self._experiences.next_template_id
+
     def integrate(self, motion: Motion) -> None:
         """Advance the network by one step: competition, then path integration of the motion.
 
