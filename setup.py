@@ -31,6 +31,7 @@ NODES = [
     'landmark_map', 'simulator', 'viewer', 'single_process',
 ]
 
+FUZZ = ['atheris>=3.0']  # for tools/fuzz.py; there are wheels for Linux on x86_64
 ONNX = ['onnxruntime>=1.17']  # for vt_descriptor: model.onnx
 TEST = ['hypothesis>=6.90', 'pytest>=7.4']  # the versions of Ubuntu 24.04 suffice
 STUDY = ['optuna>=4.0']  # for ratslam study
@@ -80,6 +81,7 @@ setup(
         'zstandard>=0.22',
     ],
     extras_require={
+        'fuzz': FUZZ,
         'onnx': ONNX,
         'test': TEST,  # by this name colcon knows that pytest runs the tests
         'dev': [

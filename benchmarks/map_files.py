@@ -1,12 +1,10 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Cost of map files: size, bytes and processor time per cut, and time of the hand-over.
+"""Map files: time and size of the states that a live system saves every two seconds, and what
+it costs to write them.
 
-    python benchmarks/map_files.py [--experiences 20000] [--cuts 20]
-
-A RatSLAM learns 1,000 experiences from random views. Its state is repeated until it has as many
-experiences as asked for, and changes as in 2 s of driving: rows are appended, and some or all
-poses are moved, as by a relaxation.
+Maps of several sizes are made of random views along a winding route without returns, with a laser
+scan for every experience. Run it with ``PYTHONPATH=. python benchmarks/map_files.py``.
 """
 
 from __future__ import annotations
@@ -15,7 +13,7 @@ import argparse
 import statistics
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -23,128 +21,145 @@ import numpy as np
 
 from ratslam_ros.core.common.odometry import Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.common.state import State
-from ratslam_ros.core.config import Config
 from ratslam_ros.core.ratslam import RatSLAM
-from ratslam_ros.maps import Cut, MapMeta, MapStore, read_map, save_map
+from ratslam_ros.files.config import load_config
+from ratslam_ros.maps import Cut, MapMeta, MapStore, read_map
 
-LEARNED = 1000
-NEW_ROWS = 16
-"""New experiences within 2 s: 8 views per second that all differ."""
-MOVED_ROWS = 200
-GROWING_ROWS = 500
-"""Arrays and lists of at least this length grow with the map."""
-
-
-def main() -> None:
-    """Measure, and print tables."""
-    parser = argparse.ArgumentParser(description='Measure the cost of map files.')
-    parser.add_argument('--experiences', type=int, default=20_000)
-    parser.add_argument('--cuts', type=int, default=20)
-    options = parser.parse_args()
-    states = scaled(learned_states(), options.experiences / LEARNED)
-    print_sizes(states, options.experiences)
-    print_cuts(states, options.cuts)
+SIZES = 1_000, 5_000, 20_000
+REPETITIONS = 9
+BEAMS = 361
+STEP_NS = 100_000_000
 
 
-def learned_states() -> dict[str, State]:
-    """Return the states of a RatSLAM with many experiences."""
-    slam = RatSLAM(Config())
-    generator = np.random.default_rng(1)
-    number = 0
-    while len(slam.experience_map) < LEARNED:
-        slam.odometry(Odometry(number * 10**8, Twist(0.3, 0.05), Pose(0.0, 0.0, 0.0)))
-        small = generator.integers(0, 255, (12, 16), np.uint8)
-        slam.image(number * 10**8 + 5, np.kron(small, np.ones((10, 10), np.uint8)))
-        number += 1
-    return slam.state()
+def drive(slam: RatSLAM, steps: int, first: int) -> None:
+    """Drive on, with a new place at every step."""
+    rng = np.random.default_rng(first)
+    height, width = 48, 64
+    for n in range(first, first + steps):
+        at_ns = (n + 1) * STEP_NS
+        slam.odometry(Odometry(at_ns, Twist(5.0, 0.3), Pose(0.0, 0.0, 0.0)))
+        ranges = rng.uniform(2.0, 7.5, BEAMS)
+        slam.scan(Scan(at_ns, -np.pi / 2, np.pi / (BEAMS - 1), ranges))
+        blocks = rng.integers(0, 256, (height // 8, width // 8), np.uint8)
+        slam.image(at_ns, np.kron(blocks, np.ones((8, 8), np.uint8)))
 
 
-def scaled(value: Any, factor: float) -> Any:
-    """Return a state whose growing arrays and lists are repeated."""
-    if isinstance(value, dict):
-        return {key: scaled(item, factor) for key, item in value.items()}
-    if isinstance(value, np.ndarray) and value.ndim and len(value) >= GROWING_ROWS:
-        return np.resize(value, (round(len(value) * factor), *value.shape[1:]))
-    if isinstance(value, list) and len(value) >= GROWING_ROWS:
-        return (value * (int(factor) + 1))[: round(len(value) * factor)]
-    if isinstance(value, list):
-        return [scaled(item, factor) for item in value]
-    return value
+def parts(slam: RatSLAM) -> dict[str, Callable[[], State]]:
+    """Return the function of each part that returns its state."""
+    assert slam.scan_matcher is not None
+    found: dict[str, Callable[[], State]] = {
+        'local_view': slam.local_view.state,  # type: ignore[attr-defined]
+        'pose_cells': slam.pose_cells.state,
+        'experience_map': slam.experience_map.state, 'scans': slam.scan_matcher.state,
+    }  # fmt: skip
+    if slam.relocator is not None:
+        found['relocator'] = slam.relocator.state
+    if slam.goal_memory is not None:
+        found['goal_memory'] = slam.goal_memory.state
+    return found
 
 
-def changed(value: Any, moved: int, number: int) -> Any:
-    """Return a state with appended rows, and with some of its newest poses moved."""
-    if isinstance(value, dict):
-        return {key: changed(item, moved, number) for key, item in value.items()}
-    if isinstance(value, np.ndarray) and value.ndim and len(value) >= GROWING_ROWS:
-        grown = np.concatenate([value, value[-NEW_ROWS:]])
-        if moved > 0 and value.dtype == np.float64 and value.ndim == 2 and value.shape[1] == 3:
-            grown[-min(moved, len(grown)) :] += 1e-3 * number
-        return grown
-    if isinstance(value, list) and len(value) >= GROWING_ROWS:
-        return value + value[-NEW_ROWS:]
-    return value
+def values(state: Any) -> Iterator[int]:
+    """Yield the bytes of all arrays and other values."""
+    if isinstance(state, np.ndarray):
+        yield state.nbytes
+    elif isinstance(state, dict):
+        for value in state.values():
+            yield from values(value)
+    elif isinstance(state, (list, tuple)):
+        for value in state:
+            yield from values(value)
+    else:
+        yield 8
 
 
-def print_sizes(states: dict[str, State], count: int) -> None:
-    """Print the size of the map by part."""
-    print('| part | bytes per experience in the file | time to save | time to read |')
-    print('| --- | --- | --- | --- |')
+def writing_costs(slam: RatSLAM, step: int) -> str:
+    """Return a row: what each cut writes after two seconds of driving, and what it costs."""
+    hand_over_ms, processor_ms, written = [], [], []
     with tempfile.TemporaryDirectory() as folder:
-        for name, some in [*((part, {part: state}) for part, state in states.items()),
-                           ('all', states)]:  # fmt: skip
-            path = Path(folder) / f'{name}.map'
-            save_s = seconds(lambda path=path, some=some: save_map(path, some, MapMeta()))
-            read_s = seconds(lambda path=path: read_map(path))
-            size = path.stat().st_size / count
-            print(f'| {name} | {size:.0f} | {save_s:.2f} s | {read_s:.2f} s |')
-
-
-def print_cuts(states: dict[str, State], count: int) -> None:
-    """Print what a cut costs after typical changes."""
-    print()
-    print('| since the previous cut | written per cut | processor time per cut | hand-over: '
-          'median | largest |')  # fmt: skip
-    print('| --- | --- | --- | --- | --- |')
-    for title, moved in (
-        ('nothing', -1), (f'{NEW_ROWS} new rows', 0),
-        (f'{NEW_ROWS} new rows, {MOVED_ROWS} moved', MOVED_ROWS),
-        (f'{NEW_ROWS} new rows, all moved', 10**9),
-    ):  # fmt: skip
-        with tempfile.TemporaryDirectory() as folder:
-            store = MapStore.open(Path(folder) / 'a.map', list(states), MapMeta(), print)
-            store.cut(Cut(0, 0), states)
-            store.flush(60.0)
-            before = written_bytes()
-            current, hand_over, processor = states, [], []
-            for number in range(1, count + 1):
-                if moved >= 0:
-                    current = changed(current, moved, number)
-                start_s, begin = time.process_time(), time.perf_counter()
-                store.cut(Cut(number, number), current)
-                hand_over.append(time.perf_counter() - begin)
-                store.flush(60.0)
-                processor.append(time.process_time() - start_s)
-            size = (written_bytes() - before) / count
-            store.close()
-        print(
-            f'| {title} | {size / 1000:.0f} kB | {1000 * statistics.median(processor):.1f} ms | '
-            f'{1e6 * statistics.median(hand_over):.0f} µs | {1e6 * max(hand_over):.0f} µs |'
-        )
+        path = Path(folder) / 'a.map'
+        states = slam.state()
+        store = MapStore.open(path, list(states), MapMeta(), print)
+        for number in range(REPETITIONS + 1):
+            states = slam.state()
+            bytes_before, processor_s = written_bytes(), time.process_time()
+            start_s = time.perf_counter()
+            store.cut(Cut(number, number), states)
+            handed_s = time.perf_counter()
+            assert store.flush(600.0)
+            if number:  # The first cut writes everything.
+                hand_over_ms.append((handed_s - start_s) * 1e3)
+                processor_ms.append((time.process_time() - processor_s) * 1e3)
+                written.append((written_bytes() - bytes_before) / 1e3)
+            drive(slam, 20, step)
+            step += 20
+        store.close()
+        start_s = time.perf_counter()
+        read_map(path)
+        read_s = time.perf_counter() - start_s
+        size_mb = path.stat().st_size / 1e6
+    return (
+        f'| {len(slam.experience_map)} | {statistics.median(written):.0f} | '
+        f'{statistics.median(processor_ms):.1f} | {statistics.median(hand_over_ms):.3f} | '
+        f'{max(hand_over_ms):.3f} | {size_mb:.1f} | {read_s:.2f} |'
+    )
 
 
 def written_bytes() -> int:
-    """Return the bytes that this process has written to files so far (Linux)."""
+    """Return the bytes that this process has written to files (Linux)."""
     lines = Path('/proc/self/io').read_text().splitlines()
     return next(int(line.split()[1]) for line in lines if line.startswith('wchar'))
 
 
-def seconds(step: Callable[[], object]) -> float:
-    """Return the time that a step takes."""
-    begin = time.perf_counter()
-    step()
-    return time.perf_counter() - begin
+def main() -> None:
+    """Print a table: part, experiences, median and longest time of its state, and its size."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('--preset', default='default', help='configuration (default: default)')
+    parser.add_argument('--sizes', type=int, nargs='+', default=SIZES, help='experiences')
+    arguments = parser.parse_args()
+    config = load_config(arguments.preset)[0].with_values({
+        'experience_map.exp_align_scans': True, 'experience_map.exp_relocate': 'both',
+        'goal_memory.goal_memory': True, 'local_view.vt_match_threshold': 0.01,
+        'pose_cells.exp_delta_pc_threshold': 0.5, 'pose_cells.pc_cell_x_size': 0.5,
+    })  # fmt: skip
+    slam = RatSLAM(config)
+    size_before: dict[str, tuple[int, int]] = {}
+    print('| Experiences | Part | Median ms | Longest ms | Bytes | Bytes for each |')
+    print('|---:|:---|---:|---:|---:|---:|')
+    step = 0
+    costs: list[str] = []
+    for size in sorted(arguments.sizes):
+        while len(slam.experience_map) < size:
+            drive(slam, 50, step)
+            step += 50
+        times_ms: dict[str, list[float]] = {}
+        kept: dict[str, State] = {}
+        for _ in range(REPETITIONS):
+            drive(slam, 20, step)  # what two seconds at 10 Hz add
+            step += 20
+            for name, state in parts(slam).items():
+                start_s = time.perf_counter()
+                saved = state()
+                times_ms.setdefault(name, []).append((time.perf_counter() - start_s) * 1e3)
+                kept[name] = saved
+        count = len(slam.experience_map)
+        for name, saved in kept.items():
+            taken = sorted(times_ms[name])
+            total = sum(values(saved))
+            before, bytes_before = size_before.get(name, (0, 0))
+            each = (total - bytes_before) / (count - before)
+            size_before[name] = count, total
+            print(f'| {count} | {name} | {taken[len(taken) // 2]:.2f} | {taken[-1]:.2f} | '
+                  f'{total} | {each:.0f} |', flush=True)  # fmt: skip
+        costs.append(writing_costs(slam, step))
+        step += 20 * (REPETITIONS + 1)
+    print()
+    print('| Experiences | kB written per cut | Processor ms per cut | Hand-over ms: median '
+          '| longest | File MB | Reading s |')  # fmt: skip
+    print('|---:|---:|---:|---:|---:|---:|---:|')
+    print('\n'.join(costs))
 
 
 if __name__ == '__main__':

@@ -23,9 +23,9 @@ top-1 on all other places, where both directions of a corridor have half the wei
 were tuned on some of the data, are not chosen.
 
 VPR-Bench: the images of `query` and `ref` are ordered by the numbers in their names.
-`ground_truth.csv` has the columns query and ref_list (numbers separated by spaces). Without it,
-`ground_truth_new.npy` or `ground_truth.npy` is read, a pickled array of rows (query, references):
-use only files that you trust.
+`ground_truth.csv` has the columns query and ref_list (numbers separated by spaces). The pickled
+`ground_truth_new.npy` of the dataset is not read, because pickles run code: write the table of it
+once, in Python, if you trust the file.
 
 Laps (rc_car_loops, donkeycar_track). `LocalView` processes all images in order, except those whose
 stamp does not increase. `lap_phase.csv` contains the lap of each frame and its place on the lap,
@@ -386,11 +386,7 @@ def ground_truth(folder: Path) -> list[tuple[int, set[int]]]:
         with table.open(newline='') as file:
             rows = list(csv.DictReader(file))
         return [(int(row['query']), {int(i) for i in row['ref_list'].split()}) for row in rows]
-    for name in ('ground_truth_new.npy', 'ground_truth.npy'):
-        if (folder / name).is_file():
-            pairs = np.load(folder / name, allow_pickle=True)
-            return [(int(pair[0]), {int(i) for i in np.atleast_1d(pair[1])}) for pair in pairs]
-    raise SystemExit(f'{folder} has no ground_truth.csv, ground_truth_new.npy or ground_truth.npy')
+    raise SystemExit(f'{folder} has no ground_truth.csv with the columns query and ref_list')
 
 
 def images_of(folder: Path) -> list[Image]:

@@ -13,7 +13,6 @@ from launch.actions import (
     LogInfo,
     OpaqueFunction,
     RegisterEventHandler,
-    Shutdown,
 )
 from launch.event_handlers import OnShutdown
 from launch.substitutions import LaunchConfiguration
@@ -21,7 +20,8 @@ from launch_ros.actions import Node
 
 from ratslam_ros.errors import RatslamError
 from ratslam_ros.files.config import load_config, to_yaml
-from ratslam_ros.live.launch import OPTIONAL, nodes, remappings
+from ratslam_ros.live.launch import MAX_RESTARTS, OPTIONAL, nodes, remappings, with_map
+from ratslam_ros.live.required import ending_launch
 
 YES_OR_NO = ['true', 'false']
 
@@ -67,6 +67,13 @@ ARGUMENTS = [
         'publish_tf', default_value='', choices=['', *YES_OR_NO],
         description='publish the transform map -> odom (empty: publish_tf of the parameters)'),
     DeclareLaunchArgument(
+        'map', default_value='',
+        description='file in which the map is saved while mapping, and from which it is continued '
+        '(empty: in memory only); nodes that are killed are then started again'),
+    DeclareLaunchArgument(
+        'localize', default_value='false', choices=YES_OR_NO,
+        description='true: only localise in the map file, which stays unchanged'),
+    DeclareLaunchArgument(
         'viewer', default_value='false', choices=YES_OR_NO,
         description='show the run in a browser; its address is printed (docs/ros.md)'),
     DeclareLaunchArgument(
@@ -88,7 +95,8 @@ def _start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
         return LaunchConfiguration(name).perform(context)
 
     text, notices = _parameters(
-        given('config'), given('image_transport'), given('publish_tf')
+        given('config'), given('image_transport'), given('publish_tf'), given('map'),
+        given('localize') == 'true',
     )
     folder = Path(tempfile.mkdtemp(prefix='ratslam-'))
     parameters = folder / 'parameters.yaml'
@@ -106,8 +114,13 @@ def _start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
             )),
             ros_arguments=['--log-level', given('log_level')],
             output='screen',
+            # With a map file, a node that is started again continues from there.
+            respawn=bool(given('map')),
+            respawn_max_retries=MAX_RESTARTS,
             # The nodes are useless without one another, and would map incompletely.
-            on_exit=None if name in OPTIONAL else Shutdown(reason=f'{name} has ended'),
+            on_exit=(
+                None if name in OPTIONAL else ending_launch(name, is_restarted=bool(given('map')))
+            ),
         )
         for name, arguments in nodes(
             *(given(name) == 'true'
@@ -121,7 +134,9 @@ def _start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
     return [*logged, RegisterEventHandler(remove_folder), *started, *rviz]
 
 
-def _parameters(config: str, image_transport: str, publish_tf: str) -> tuple[str, list[str]]:
+def _parameters(
+    config: str, image_transport: str, publish_tf: str, map_file: str, localize: bool
+) -> tuple[str, list[str]]:
     """Return the parameters of all nodes as the text of one file, and notices about them."""
     try:
         values, notices = load_config(config)
@@ -131,7 +146,7 @@ def _parameters(config: str, image_transport: str, publish_tf: str) -> tuple[str
             changes['local_view.image_transport'] = image_transport
         if publish_tf:
             changes['experience_map.publish_tf'] = publish_tf == 'true'
-        return to_yaml(values.with_values(changes)), notices
+        return to_yaml(with_map(values.with_values(changes), map_file, localize)), notices
     except RatslamError as error:
         raise RuntimeError(str(error)) from None  # launch shows it in one line
 

@@ -9,6 +9,8 @@ imported on first use, because a node needs only a part of them and has to start
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from ratslam_ros.limits import limit_images
+
 if TYPE_CHECKING:
     from ratslam_ros.core.common.odometry import Odometry, Twist
     from ratslam_ros.core.common.pose import Pose
@@ -34,6 +36,8 @@ if TYPE_CHECKING:
     )
 
 __version__ = '0.1.0'
+
+limit_images()  # before any module imports OpenCV
 
 _HOME = {
     'Config': 'core.config',

@@ -14,10 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 from ratslam_ros.errors import RatslamError
+from ratslam_ros.limits import MAX_PIXELS
 
 Pixels = npt.NDArray[np.uint8]
 
-MAX_PIXELS = 2**28  # More than any camera has, and few enough to fit into memory.
 DEPTH_ENCODINGS = frozenset({'16uc1', '32fc1'})
 
 _NO_CONVERSION = None
@@ -45,6 +45,20 @@ _ENCODINGS: dict[str, tuple[int, int, int | None, int | None]] = {
     'yuyv': (2, 2, cv2.COLOR_YUV2GRAY_YUY2, cv2.COLOR_YUV2BGR_YUY2),
 }
 
+
+_PNG = b'\x89PNG\r\n\x1a\n'
+_PNG_CHUNK_BYTES = 12  # Length, name and checksum of a chunk.
+_SIGNATURES = (
+    (0, b'\xff\xd8\xff'),  # JPEG
+    (0, _PNG),
+    (0, b'BM'),
+    (0, b'P1'), (0, b'P2'), (0, b'P3'), (0, b'P4'), (0, b'P5'), (0, b'P6'),
+    (0, b'II*\0'), (0, b'MM\0*'),  # TIFF
+    (8, b'WEBP'),
+    (4, b'jP  \r\n\x87\n'), (0, b'\xff\x4f\xff\x51'),  # JPEG 2000
+)  # fmt: skip
+"""Position and first bytes of the formats that cameras and datasets use. OpenCV has decoders of
+others, such as GIF, AVIF and OpenEXR, which no recording needs."""
 
 _PAIRED_PIXELS = {cv2.COLOR_YUV2BGR_UYVY, cv2.COLOR_YUV2BGR_YUY2}
 """Conversions in which two pixels share their colour; OpenCV 4.6 does not check for odd widths."""
@@ -117,7 +131,7 @@ class RawImage:
         layout = _ENCODINGS.get(self.encoding.lower())
         if layout is None:
             raise UndecodableImage(
-                f'the image encoding {self.encoding!r} is not supported: expected one of '
+                f'the image encoding {self.encoding[:40]!r} is not supported: expected one of '
                 f'{", ".join(_ENCODINGS)}; convert the topic, for instance with image_proc'
             )
         pixel_bytes, channels, grey, bgr = layout
@@ -171,13 +185,13 @@ class EncodedImage:
                 f'the image is a depth image ({self.encoding!r}): choose a topic of camera images'
             )
         try:
-            pixels = cv2.imdecode(data, flags) if len(data) else None
+            pixels = cv2.imdecode(data, flags) if _is_image(data) else None
         except cv2.error as error:  # For example, the header gives a size above OpenCV's limit.
             raise UndecodableImage(f'OpenCV refuses the image: {error.err}') from None
         if pixels is None:
             raise UndecodableImage(
                 f'{len(data)} bytes are not a complete JPEG, PNG or other image that OpenCV reads'
-                + (f' (the message says {self.encoding!r})' if self.encoding else '')
+                + (f' (the message says {self.encoding[:40]!r})' if self.encoding else '')
             )
         return np.asarray(pixels, np.uint8)
 
@@ -212,6 +226,19 @@ def image_of(message: Any) -> Image:
     if hasattr(message, 'encoding'):
         return RawImage(message)
     return EncodedImage(message.data, str(message.format))
+
+
+def _is_image(data: Pixels) -> bool:
+    """Return whether data begins like an image that is decoded, and whether its parts fit."""
+    head = data[:16].tobytes()
+    if not any(head.startswith(signature, at) for at, signature in _SIGNATURES):
+        return False
+    at = len(_PNG)
+    if head.startswith(_PNG):
+        # OpenCV 5.0 allocates as many bytes as a chunk claims to have, up to 4 GB.
+        while at + _PNG_CHUNK_BYTES <= len(data):
+            at += _PNG_CHUNK_BYTES + int.from_bytes(data[at : at + 4].tobytes(), 'big')
+    return at <= len(data)
 
 
 def _convert(pixels: Pixels, code: int, encoding: str) -> Pixels:

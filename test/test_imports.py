@@ -33,12 +33,13 @@ CORE_LAYERS = [
     ['vision', 'landmarks'],
     ['pose_cells'],
     ['mapping', 'goal_memory'],
-    ['navigation'],
+    ['navigation', 'merging'],
     ['driving'],
     ['ratslam', 'warm_up'],
 ]
 LAYERS = [
     ['errors'],
+    ['limits'],
     [
         'compilation', 'images', 'timing', 'quick_start', 'signals', 'console', 'standalone',
         'starting',
@@ -55,10 +56,10 @@ LAYERS = [
 ]
 INDEPENDENT = {
     'core': {'errors'},
-    'recordings': {'errors', 'images'},
+    'recordings': {'errors', 'images', 'limits'},
     'standalone': set(),
-    'simulator': {'errors', 'core', 'results', 'recordings'},
-    'results': {'errors', 'images', 'core', 'files', 'messages'},
+    'simulator': {'errors', 'limits', 'images', 'core', 'results', 'recordings'},
+    'results': {'errors', 'limits', 'images', 'core', 'files', 'messages'},
 }
 """Packages that may import less than their layer permits."""
 

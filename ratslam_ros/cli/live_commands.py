@@ -42,6 +42,11 @@ def add_live(commands: Commands) -> None:
                         help='drive to goals: publish cmd_vel, computed from a laser scan')
     launch.add_argument('--landmarks', action='store_true',
                         help='map corners and edges of walls by a laser scan (landmark_map)')
+    launch.add_argument('--map', default='', metavar='FILE',
+                        help='save the map in this file while mapping, and continue from it '
+                             '(default: in memory only)')
+    launch.add_argument('--localize', action='store_true',
+                        help='only localise in the map file, which stays unchanged')
     add_view_options(launch)
     launch.add_argument('--use-sim-time', action='store_true',
                         help='take the time from /clock, which ratslam play --clock publishes')
@@ -129,6 +134,8 @@ def _launch(options: argparse.Namespace) -> int:
             scan_topic=options.scan_topic,
             cmd_vel_topic=options.cmd_vel_topic,
             log_level=options.log_level,
+            map=options.map,
+            localize=options.localize,
         ),
     )
 
@@ -141,6 +148,15 @@ def _viewer_parameters(options: argparse.Namespace) -> dict[str, object]:
 
 
 def _play(options: argparse.Namespace) -> int:
+    try:
+        return _play_until_end(options)
+    except KeyboardInterrupt:
+        if not options.ros_args:
+            raise
+        return DONE  # In a launch file it is a node, and nodes end cleanly by Ctrl-C.
+
+
+def _play_until_end(options: argparse.Namespace) -> int:
     from ratslam_ros.live import ros
     from ratslam_ros.recordings import open_recording
 

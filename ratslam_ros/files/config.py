@@ -16,6 +16,7 @@ import yaml
 
 from ratslam_ros.core.config import SECTIONS, Config, Value, section_of
 from ratslam_ros.errors import UnusableInput, UnusableParameter
+from ratslam_ros.limits import MAX_CONFIG_BYTES, load_yaml, read_limited
 
 PACKAGE = 'ratslam_ros'
 AUTO = 'auto'
@@ -72,7 +73,7 @@ def load_config(source: str | None) -> tuple[Config, list[str]]:
     if source is None or not path.is_file():
         path = _preset(source or AUTO)
     try:
-        text = path.read_text(encoding='utf-8')
+        text = read_limited(path, MAX_CONFIG_BYTES, 'a configuration').decode()
     except (OSError, UnicodeDecodeError) as error:
         raise UnusableInput(f'{path}: {error}; expected a YAML or INI text file') from None
     try:
@@ -84,6 +85,38 @@ def load_config(source: str | None) -> tuple[Config, list[str]]:
     except (yaml.YAMLError, configparser.Error, ValueError) as error:
         reason = ' '.join(str(error).split())[:200]
         raise UnusableInput(f'{path} cannot be read: {reason}') from None
+
+
+def stored_config(text: str, where: str) -> tuple[Config, list[str]]:
+    """Return a configuration that ``to_yaml`` of this or another version has written.
+
+    Args:
+        text: the configuration.
+        where: what contains it, for the messages.
+
+    Returns:
+        The configuration, and a notice about parameters that this version does not have.
+
+    Raises:
+        UnusableInput: the text is no configuration.
+        UnusableParameter: a value is out of range.
+    """
+    try:
+        values = dict(_yaml_values(text))
+    except (yaml.YAMLError, UnusableInput, UnusableParameter):
+        raise UnusableInput(f'{where}: the stored configuration is damaged') from None
+    known = {
+        f'{section}.{name}' for section, cls in SECTIONS.items() for name, *_ in cls.parameters()
+    }
+    unknown = sorted(values.keys() - known)
+    config = Config().with_values({name: values[name] for name in values if name in known})
+    notices = [f'{where}: unknown parameters are ignored: {", ".join(unknown)}'] if unknown else []
+    return config, notices
+
+
+def config_from_yaml(text: str) -> Config:
+    """Return the configuration that ``to_yaml`` has written; see ``stored_config``."""
+    return stored_config(text, 'the configuration')[0]
 
 
 def _preset(name: str) -> Path:
@@ -187,7 +220,7 @@ def _typed(value: Any) -> Any:
 
 
 def _yaml_values(text: str) -> Iterator[tuple[str, Value]]:
-    document = yaml.safe_load(text)
+    document = load_yaml(text, yaml.SafeLoader)
     if document is None:
         return
     if not isinstance(document, Mapping):
@@ -203,7 +236,7 @@ def _yaml_values(text: str) -> Iterator[tuple[str, Value]]:
         if section is None:
             continue
         if not isinstance(section, Mapping):
-            raise UnusableParameter(f'{name} is {section!r}; expected parameters below it')
+            raise UnusableParameter(f'{name} is {section!r:.40}; expected parameters below it')
         for item, value in section.items():
             if isinstance(value, Mapping) and SUBSECTION_OF.get(name) == item:
                 for inner, inner_value in value.items():

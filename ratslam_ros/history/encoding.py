@@ -41,7 +41,7 @@ from ratslam_ros.history.records import (
     ViewRecord,
 )
 
-MAX_EXPERIENCES = 10_000_000
+MAX_EXPERIENCES = 1_000_000
 """Largest accepted number of experiences; a reader allocates memory for all of them."""
 
 MAX_MM = 2**53

@@ -45,6 +45,8 @@ CREATE TABLE closures (
 );
 """
 
+TABLES = 'meta', 'segments', 'checkpoints', 'visits', 'closures'
+
 _TYPES = {'str': str, 'float': float, 'int': int}
 
 

@@ -13,22 +13,22 @@ from typing import Any, NamedTuple
 
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.history.checkpoint import decode_state
+from ratslam_ros.history.closures import MAX_CLOSURES
 from ratslam_ros.history.encoding import KINDS, LATEST_ONLY, decode, heads
 from ratslam_ros.history.file import (
     APPLICATION_ID,
     PART,
     SCHEMA_VERSION,
+    TABLES,
     HistoryMeta,
 )
-from ratslam_ros.history.packing import DamagedHistory, decompressed
+from ratslam_ros.history.packing import MAX_BYTES, DamagedHistory, decompressed
 from ratslam_ros.history.records import PoseRecord, Record, ViewRecord
 from ratslam_ros.history.run_state import RunState
 from ratslam_ros.history.writer import is_locked
+from ratslam_ros.limits import check_tables, guard_database
 
 _VIEW = KINDS[ViewRecord]
-
-MAX_CLOSURES = 500
-"""Largest number of listed loop closures: more than a page shows."""
 
 BUSY_S = 2.0
 """Time for which a reader waits while the writer closes the file."""
@@ -77,6 +77,7 @@ class HistoryFile:
                     f'{path} has schema version {version}, expected {SCHEMA_VERSION}; '
                     'use the version of ratslam_ros that wrote it, or replay the recording again'
                 )
+            check_tables(database, path, TABLES)
             row = database.execute("SELECT value FROM meta WHERE key = 'run'").fetchone()
             if row is None:
                 raise UnusableInput(f'{path} describes no run; replay the recording again')
@@ -268,7 +269,7 @@ class HistoryFile:
                 finally:
                     if database is not self._database:
                         database.close()
-            except sqlite3.Error as error:
+            except (sqlite3.Error, UnicodeError) as error:  # Errors quote damaged names.
                 raise UnusableInput(
                     f'{self._path} is no readable history ({error}); replay the recording again'
                 ) from None
@@ -281,6 +282,7 @@ class HistoryFile:
             raise UnusableInput(f'{self._path} does not exist; give a results folder')
         uri = f'{self._path.absolute().as_uri()}?mode=ro'
         database = sqlite3.connect(uri, uri=True, check_same_thread=False, timeout=BUSY_S)
+        guard_database(database, MAX_BYTES)
         if not self.is_part:
             self._database = database
         return database

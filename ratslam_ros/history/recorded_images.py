@@ -13,12 +13,15 @@ import numpy as np
 
 from ratslam_ros.errors import RatslamError
 from ratslam_ros.history.file import HistoryMeta
-from ratslam_ros.images import EncodedImage, Image, Pixels
+from ratslam_ros.images import EncodedImage, Image, Pixels, UndecodableImage
 from ratslam_ros.recordings import ImageEvent, Recording, Selection, open_recording
 from ratslam_ros.recordings.video import Video
 
 JPEG_QUALITY = 80
 """Quality of images that are shown one at a time; artefacts are hardly visible."""
+
+MAX_JPEG_PX = 65500
+"""Largest side of an image that libjpeg writes."""
 
 WINDOW_NS = 500_000_000
 """Deviation of the delay between stamp and recording time for which an image is looked for."""
@@ -122,7 +125,10 @@ def jpeg_of(image: Image, width_px: int | None = None, quality: int = JPEG_QUALI
             1: cv2.IMREAD_COLOR, 2: cv2.IMREAD_REDUCED_COLOR_2, 4: cv2.IMREAD_REDUCED_COLOR_4,
             8: cv2.IMREAD_REDUCED_COLOR_8,
         }[factor]  # fmt: skip
-        decoded = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+        try:
+            decoded = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+        except cv2.error:  # Its size is above the limit; the usual decoder reports it.
+            decoded = None
         pixels = image.bgr() if decoded is None else np.asarray(decoded, np.uint8)
     else:
         pixels = image.bgr()
@@ -135,6 +141,11 @@ def encoded_jpeg(pixels: Pixels, width_px: int | None, quality: int) -> bytes:
     if width_px is not None and width > width_px:
         size = width_px, max(round(height * width_px / width), 1)
         pixels = np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA), np.uint8)
+    if max(pixels.shape[:2]) > MAX_JPEG_PX:
+        raise UndecodableImage(
+            f'an image of {width} x {height} pixels cannot be written as JPEG; expected at most '
+            f'{MAX_JPEG_PX} pixels on each side'
+        )
     _, data = cv2.imencode('.jpg', pixels, [cv2.IMWRITE_JPEG_QUALITY, quality])
     return data.tobytes()
 

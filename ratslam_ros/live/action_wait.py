@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 import time
 from collections import deque
+from collections.abc import Callable
 from typing import Any
 
 import rclpy
@@ -37,16 +38,21 @@ class ActionWait:
     DELIVERY_SPREAD_S is allowed for.
     """
 
-    def __init__(self, node: Any, odometry_is_played: bool) -> None:
+    def __init__(
+        self, node: Any, odometry_is_played: bool, are_nodes_restarting: Callable[[], bool]
+    ) -> None:
         """Subscribe to the actions.
 
         Args:
             node: the node of the player.
             odometry_is_played: False if visual_odometry estimates odometry from the images.
+            are_nodes_restarting: returns whether a node is starting or catching up, so that
+                actions take longer.
         """
         self.missed = 0
         """Number of actions that did not arrive in time."""
         self._node = node
+        self._are_nodes_restarting = are_nodes_restarting
         self._lockstep = Lockstep(odometry_is_played)
         self._awaited: set[int] = set()
         self._received: deque[tuple[int, float]] = deque()
@@ -79,6 +85,8 @@ class ActionWait:
         end_s = time.monotonic() + ACTION_TIMEOUT_S
         while awaited := [s for s in self._awaited if before_ns is None or s < before_ns]:
             rclpy.spin_once(self._node, timeout_sec=0.1)
+            if self._are_nodes_restarting():
+                end_s = time.monotonic() + ACTION_TIMEOUT_S
             if time.monotonic() < end_s:
                 continue
             topic = self._node.resolve_topic_name(ACTION)

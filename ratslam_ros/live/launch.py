@@ -17,8 +17,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ratslam_ros.console import print_notice
-from ratslam_ros.core.config import Config
+from ratslam_ros.core.config import SECTIONS, Config
+from ratslam_ros.core.config.inputs import MapFile
+from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.files.config import to_yaml
+from ratslam_ros.live.required import UNUSABLE
 from ratslam_ros.signals import StopSignals
 
 SHUTDOWN_TIMEOUT_S = 20.0
@@ -28,6 +31,10 @@ OPTIONAL = frozenset({'viewer'})
 """Nodes that the others do not need: if one ends, the others go on."""
 
 POLL_S = 0.05
+
+MAX_RESTARTS, RESTARTS_WITHIN_S = 5, 60.0
+"""A node that ends more often than this within this time is not started again."""
+
 PARAMETERS_FILE = 'parameters.yaml'
 FORWARDED_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -51,6 +58,8 @@ class LaunchOptions:
     scan_topic: str = ''
     cmd_vel_topic: str = ''
     log_level: str = ''
+    map: str = ''
+    localize: bool = False
 
 
 def nodes(
@@ -108,12 +117,33 @@ def ros_arguments(options: LaunchOptions, parameters: Path) -> list[str]:
     return arguments
 
 
+def with_map(config: Config, path: str, localize: bool) -> Config:
+    """Return a configuration whose nodes use a map file; '' leaves it unchanged.
+
+    Raises:
+        UnusableParameter: ``localize`` is given without a file.
+    """
+    if not path:
+        if localize:
+            raise UnusableParameter('localize needs the map in which to localise; give its file')
+        return config
+    sections = [name for name, kind in SECTIONS.items() if issubclass(kind, MapFile)]
+    file = str(Path(path).expanduser().absolute())
+    return config.with_values({
+        f'{section}.{name}': value for section in sections
+        for name, value in (('map', file), ('localize', localize))
+    })  # fmt: skip
+
+
 def launch(config: Config, options: LaunchOptions) -> int:
     """Run the nodes until they are interrupted.
+
+    With a map file, a node that crashes or is killed is started again, and continues from there.
 
     Returns:
         The exit code: 1 if a node ended by itself or with an error, otherwise 0.
     """
+    config = with_map(config, options.map, options.localize)
     with tempfile.TemporaryDirectory(prefix='ratslam-') as folder:
         parameters = Path(folder) / PARAMETERS_FILE
         parameters.write_text(to_yaml(config), encoding='utf-8')
@@ -127,22 +157,23 @@ def launch(config: Config, options: LaunchOptions) -> int:
         if options.viewer:
             for name, value in options.viewer_parameters.items():
                 commands['viewer'] += ['-p', f'{name}:={json.dumps(value)}']
-        return supervise(commands)
+        return supervise(commands, respawn=bool(options.map))
 
 
 def supervise(
     commands: Mapping[str, Sequence[str]], grace_s: float = SHUTDOWN_TIMEOUT_S,
-    optional: Container[str] = OPTIONAL,
+    optional: Container[str] = OPTIONAL, respawn: bool = False,
 ) -> int:  # fmt: skip
     """Run commands until all have ended.
 
     A stop signal is forwarded to the commands; a second one kills them. If a command ends by
-    itself, the others are stopped too, unless it is optional.
+    itself, the others are stopped too, unless it is optional or started again.
 
     Args:
         commands: command lines by name.
         grace_s: time from the stop signal until the commands are killed.
         optional: names of commands that the others do not need.
+        respawn: start commands again that were killed or ended with an error.
 
     Returns:
         The exit code: 0 if all commands ended without error after a stop signal, otherwise 1.
@@ -152,7 +183,8 @@ def supervise(
         try:
             for name, command in commands.items():
                 processes[name] = _start(command)
-            return _watch(processes, signals, grace_s, optional)
+            restarts = _Restarts(processes, commands) if respawn else None
+            return _watch(processes, signals, grace_s, optional, restarts)
         finally:
             for process in processes.values():  # After any error, none may be left.
                 if process.poll() is None:
@@ -175,13 +207,47 @@ def end_with_parent() -> Callable[[], object] | None:
     return lambda: libc.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
+class _Restarts:
+    """Starts commands again that were killed or ended with an error, but not without limit."""
+
+    def __init__(
+        self, processes: dict[str, subprocess.Popen[bytes]],
+        commands: Mapping[str, Sequence[str]],
+    ) -> None:  # fmt: skip
+        self._processes, self._commands = processes, commands
+        self._times_s: dict[str, list[float]] = {name: [] for name in commands}
+
+    def start_again(self) -> bool:
+        """Start the commands again that have failed; return whether there was one."""
+        has_started = False
+        for name, process in self._processes.items():
+            if process.poll() in (None, 0, UNUSABLE):
+                continue
+            now_s = time.monotonic()
+            recent = [one for one in self._times_s[name] if now_s - one < RESTARTS_WITHIN_S]
+            if len(recent) < MAX_RESTARTS:
+                print_notice(
+                    f'ratslam launch: {_endings(self._processes, [name])}; starting it again'
+                )
+                self._times_s[name] = [*recent, now_s]
+                self._processes[name] = _start(self._commands[name])
+                has_started = True
+        return has_started
+
+
 def _watch(
     processes: Mapping[str, subprocess.Popen[bytes]], signals: StopSignals, grace_s: float,
-    optional: Container[str],
+    optional: Container[str], restarts: _Restarts | None,
 ) -> int:  # fmt: skip
     forwarded, failed, kill_at_s = 0, False, math.inf
     needed = [name for name in processes if name not in optional]
-    while running := [name for name, process in processes.items() if process.poll() is None]:
+    while True:
+        running = [name for name, process in processes.items() if process.poll() is None]
+        is_stopping = forwarded or failed or signals.count
+        if restarts is not None and not is_stopping and restarts.start_again():
+            continue
+        if not running:
+            break
         number = None
         if signals.count > 1 or time.monotonic() > kill_at_s:
             print_notice(f'ratslam launch: killing {", ".join(running)}')

@@ -12,6 +12,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import Any
 
+import rclpy
 from nav_msgs.msg import Odometry
 from rclpy.duration import Duration
 from rosgraph_msgs.msg import Clock
@@ -21,12 +22,21 @@ from tf2_msgs.msg import TFMessage
 
 from ratslam_ros.console import ProgressBar, print_notice
 from ratslam_ros.errors import UnusableInput
+from ratslam_ros.event_inputs import laser_mount
 from ratslam_ros.live import ros
 from ratslam_ros.live.action_wait import ACTION, ACTION_TIMEOUT_S, POLL_S, ActionWait
 from ratslam_ros.live.clock import ClockThread
-from ratslam_ros.live.messages import camera_info, message_of, transform_of
+from ratslam_ros.live.messages import (
+    BASE_FRAME,
+    camera_info,
+    message_of,
+    mount_of,
+    transform_of,
+)
 from ratslam_ros.live.pacing import Pacing
-from ratslam_ros.nodes.qos import CLOCK, PLAYED, STATE
+from ratslam_ros.live.resender import Resender
+from ratslam_ros.live.sending import send
+from ratslam_ros.nodes.qos import CLOCK, PLAYED, STATE, STATIC
 from ratslam_ros.recordings import Event, ImageEvent, Recording, Selection
 from ratslam_ros.recordings.prefetch import Prefetch
 from ratslam_ros.recordings.topics import (
@@ -77,7 +87,6 @@ SILENT_WAIT_S = 1.0
 START_TIMEOUT_S = 180.0
 """Longest time to wait for nodes that are starting on this machine."""
 
-SEND_TIMEOUT_S = 30.0
 ACKNOWLEDGE_TIMEOUT_S = 10.0
 
 
@@ -166,9 +175,17 @@ class _Player:
         )
         # Nothing else publishes odom -> base_link in place of the robot.
         self._tf = node.create_publisher(TFMessage, '/tf', STATE) if Odometry in kinds else None
+        self._tf_static = None
+        frames = recording.laser_frames(selection) if selection.scan_topic is not None else None
+        if frames is not None and frames.laser not in ('', BASE_FRAME):
+            self._tf_static = node.create_publisher(TFMessage, '/tf_static', STATIC)
+            mount = mount_of(frames.laser, laser_mount(recording, selection), recording.start_ns)
+            self._tf_static.publish(TFMessage(transforms=[mount]))
         self._clock = node.create_publisher(Clock, '/clock', CLOCK) if options.clock else None
+        self._resender = Resender(node, {TOPICS[kind]: kind for kind in kinds})
         self._actions = (
-            ActionWait(node, selection.odom_topic is not None) if options.lockstep else None
+            ActionWait(node, selection.odom_topic is not None, self._are_nodes_restarting)
+            if options.lockstep else None
         )
 
     def wait_for_subscribers(self) -> None:
@@ -271,6 +288,7 @@ class _Player:
                     if self._clock is not None:
                         stack.enter_context(ClockThread(self._clock, pacing))
                 time.sleep(pacing.wait_s(event.log_ns))
+                self._answer_requests()
                 if self._actions is not None:
                     self._actions.wait_before(event)
                 self._publish(event, message)
@@ -278,6 +296,7 @@ class _Player:
                 bar.update(pacing.played_s)
             if self._actions is not None:
                 self._actions.wait()
+                self._answer_requests()
             if pacing is not None:
                 self._played_s += pacing.played_s
 
@@ -289,11 +308,25 @@ class _Player:
             assert self._calibration is not None
             send(self._camera_info, camera_info(self._calibration.message, message.header))
         send(self._publishers[topic], message)
+        self._resender.add(topic, event.stamp_ns, message)
         if self._tf is not None and isinstance(message, Odometry):
             transform = transform_of(message)
             if transform is not None:
                 self._tf.publish(TFMessage(transforms=[transform]))
         self._counts[topic] += 1
+
+    def _answer_requests(self) -> None:
+        """Send messages again that restarted nodes ask for; in lockstep, wait for these nodes."""
+        rclpy.spin_once(self._node, timeout_sec=0.0)
+        if self._actions is None or not self._are_nodes_restarting():
+            return
+        print_notice('waiting for nodes that were restarted')
+        end_s = time.monotonic() + START_TIMEOUT_S
+        while self._are_nodes_restarting() and time.monotonic() < end_s:
+            rclpy.spin_once(self._node, timeout_sec=POLL_S)
+
+    def _are_nodes_restarting(self) -> bool:
+        return self._resender.resuming or bool(starting())
 
     def _missing(self) -> list[str]:
         """Return the missing publishers and subscribers, in words."""
@@ -329,29 +362,6 @@ class _Player:
                 f'warning: {publisher.topic_name}: not all messages were received within '
                 f'{ACKNOWLEDGE_TIMEOUT_S:g} s of the last one'
             )
-
-
-def send(publisher: Any, message: Any, timeout_s: float = SEND_TIMEOUT_S) -> None:
-    """Publish a message; repeat it while the middleware refuses it.
-
-    Fast DDS waits 0.1 s for slow subscribers, and then refuses the message.
-
-    Raises:
-        UnusableInput: the message is still refused after `timeout_s`.
-    """
-    end_s = time.monotonic() + timeout_s
-    while True:
-        try:
-            publisher.publish(message)
-        except RuntimeError as error:
-            if time.monotonic() > end_s:
-                raise UnusableInput(
-                    f'{publisher.topic_name}: publishing failed for {timeout_s:g} s ({error}); '
-                    'look for a subscriber that hangs'
-                ) from None
-            time.sleep(POLL_S)
-        else:
-            return
 
 
 def _subscriber_count(publisher: Any) -> int:

@@ -72,7 +72,7 @@ def reading(path: Path, read: Callable[[sqlite3.Connection], T]) -> T:
                 database.execute('BEGIN')
                 check_layout(database, path)
                 result = read(database)
-        except (sqlite3.Error, OSError, DamagedMap) as error:
+        except (sqlite3.Error, OSError, UnicodeError, DamagedMap) as error:
             if attempt + 1 < ATTEMPTS and (
                 is_live or is_written(path) or _identity(path) != before
             ):

@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,23 +20,38 @@ from ratslam_ros.core.navigation.goals import Goal, Position, Target
 from ratslam_ros.core.navigation.navigator import GoalTask
 from ratslam_ros.core.navigation.route_following import Guidance
 from ratslam_ros.core.navigation.route_planner import TemporalMap
+from ratslam_ros.limits import MAX_COORDINATE_M
 from ratslam_ros.messages.json_schema import (
     MAX_ID,
+    MAX_PAYLOAD_CHARACTERS,
     NS_PER_S,
     SCHEMA_VERSION,
     MalformedMessage,
     check_range,
+    check_text,
     check_types,
     decode_fields,
     decode_stamp,
     encode_json,
     encode_stamp,
+    shown,
 )
 
 MAX_OUTCOMES = 10
 """Number of ended goals listed in the status."""
 
 MAX_BEHAVIOUR_CHARACTERS = 100
+
+MAX_NAME_CHARACTERS = 100
+"""Largest accepted name of a place."""
+
+MAX_GOALS = 1000
+"""Largest accepted number of goals in a request: each is planned a route to."""
+
+
+_NEIGHBOUR: dict[str, type] = {'id': int, 'distance_m': float, 'direction_rad': float}
+_TASK: dict[str, type] = {'number': int, 'goal': str, 'status': str, 'reason': str}
+"""Fields of the objects in a status that are never null."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +98,9 @@ def decode_goal(payload: str) -> GoalRequest:
     if 'goals' in fields:
         targets = fields['goals']
         if not isinstance(targets, list) or not targets:
-            raise MalformedMessage(f'{name}: goals is {targets!r}; expected a list of goals')
+            raise MalformedMessage(f'{name}: goals is {shown(targets)}; expected a list of goals')
+        if len(targets) > MAX_GOALS:
+            raise MalformedMessage(f'{name}: {len(targets)} goals; expected at most {MAX_GOALS}')
         _check_keys(fields, name, ('goals', *options))
     check_types(fields, name, {key: options[key] for key in options if key in fields})
     allowed = () if 'goals' in fields else tuple(options)
@@ -97,22 +115,25 @@ def decode_goal(payload: str) -> GoalRequest:
 
 def _target(fields: Any, name: str, allowed: Sequence[str]) -> Target:
     if not isinstance(fields, dict):
-        raise MalformedMessage(f'{name}: {fields!r} is not a goal; expected an object')
+        raise MalformedMessage(f'{name}: {shown(fields)} is not a goal; expected an object')
     kinds: tuple[Mapping[str, type], ...] = (
         {'name': str}, {'experience_id': int}, {'x_m': float, 'y_m': float},
     )  # fmt: skip
     given = [types for types in kinds if not types.keys().isdisjoint(fields)]
     if len(given) != 1:
         raise MalformedMessage(
-            f'{name}: {_shown(fields)} names {len(given) or "no"} places; expected one by name, '
+            f'{name}: {shown(fields)} names {len(given) or "no"} places; expected one by name, '
             'by experience_id, or by x_m and y_m'
         )
     [types] = given
     check_types(fields, name, types)
     _check_keys(fields, name, (*types, *allowed))
     if 'x_m' in types:
+        for key in types:
+            check_range(name, key, fields[key], -MAX_COORDINATE_M, MAX_COORDINATE_M)
         return Position(fields['x_m'], fields['y_m'])
     if 'name' in types:
+        check_text(name, 'name', fields['name'], MAX_NAME_CHARACTERS)
         return str(fields['name'])
     check_range(name, 'experience_id', fields['experience_id'], 0, MAX_ID)
     return int(fields['experience_id'])
@@ -131,9 +152,11 @@ def decode_name(payload: str) -> NameRequest:
         fields, topic, {key: types[key] for key in types if key == 'name' or key in fields}
     )
     _check_keys(fields, topic, tuple(types))
+    for key in ('name', 'rename_to'):
+        check_text(topic, key, fields.get(key, ''), MAX_NAME_CHARACTERS)
     request = NameRequest(**{key: fields[key] for key in types if key in fields})
     if request.remove and request.rename_to is not None:
-        raise MalformedMessage(f'{topic}: {_shown(fields)}; expected rename_to or remove')
+        raise MalformedMessage(f'{topic}: {shown(fields)}; expected rename_to or remove')
     return request
 
 
@@ -219,16 +242,30 @@ def decode_status(payload: str) -> dict[str, Any]:
     Raises:
         MalformedMessage: the payload does not match the schema.
     """
+    name = 'experience_map/status'
     fields = decode_fields(
-        payload, 'experience_map/status',
+        payload, name,
         {
             'stamp': dict, 'status': str, 'explore': bool, 'reason': str, 'experience_id': int,
             'neighbours': list, 'replanned': int, 'switched': int, 'queue': list,
             'outcomes': list,
         },
     )  # fmt: skip
-    behaviour = str(fields.get('behaviour', ''))
-    return {**fields, 'behaviour': behaviour, 'stamp_ns': decode_stamp(fields['stamp'])}
+    for key, types in (('neighbours', _NEIGHBOUR), ('queue', _TASK), ('outcomes', _TASK)):
+        for entry in fields[key]:
+            if not isinstance(entry, dict):
+                raise MalformedMessage(f'{name}: {key} has {shown(entry)}; expected objects')
+            check_types(entry, name, types)
+    goal = fields.get('goal')
+    if goal is not None:
+        if not isinstance(goal, dict):
+            raise MalformedMessage(f'{name}: goal is {shown(goal)}; expected an object or null')
+        check_types(goal, name, {'x_m': float, 'y_m': float})
+    if fields.get('remaining_s') is not None:
+        check_types(fields, name, {'remaining_s': float})
+    fields.setdefault('behaviour', '')
+    check_types(fields, name, {'behaviour': str})
+    return {**fields, 'stamp_ns': decode_stamp(fields['stamp'])}
 
 
 def _task_fields(task: GoalTask) -> dict[str, Any]:
@@ -271,10 +308,10 @@ def encode_times(times: TemporalMap) -> str:
 
 def _typed(payload: str, name: str) -> dict[str, Any]:
     """Return the fields of a payload typed by a person; ``schema_version`` may be left out."""
-    try:
-        fields = json.loads(payload)
-    except (ValueError, RecursionError):
-        fields = None
+    fields = None
+    if len(payload) < MAX_PAYLOAD_CHARACTERS:
+        with suppress(ValueError, RecursionError):
+            fields = json.loads(payload)
     if isinstance(fields, dict) and 'schema_version' not in fields:
         version = f'"schema_version":{SCHEMA_VERSION}{"," if fields else ""}'
         payload = f'{{{version}{payload.lstrip()[1:]}'
@@ -284,11 +321,5 @@ def _typed(payload: str, name: str) -> dict[str, Any]:
 def _check_keys(fields: Mapping[str, Any], name: str, known: Sequence[str]) -> None:
     unknown = fields.keys() - {*known, 'schema_version'}
     if unknown:
-        raise MalformedMessage(
-            f'{name}: {", ".join(sorted(unknown))} is unknown here; expected {", ".join(known)}'
-        )
-
-
-def _shown(fields: object) -> str:
-    text = repr(fields)
-    return text if len(text) < 100 else f'{text[:97]}...'
+        some = ', '.join(shown(key)[1:-1] for key in sorted(unknown)[:5])
+        raise MalformedMessage(f'{name}: {some} is unknown here; expected {", ".join(known)}')

@@ -24,10 +24,12 @@ from ratslam_ros.messages.json_schema import (
     SCHEMA_VERSION,
     MalformedMessage,
     check_range,
+    check_text,
     decode_fields,
     decode_stamp,
     encode_json,
     encode_stamp,
+    shown,
 )
 
 CHANGES, CLOSURES = 'experience_map/changes', 'experience_map/closures'
@@ -44,6 +46,9 @@ MAX_ROWS = 1_000_000
 MAX_THOUSANDTHS = 10**12
 """Largest accepted coordinate, length or duration: a million km, or 30 years."""
 
+
+MAX_CHANGES_CHARACTERS = 2**28
+"""Largest accepted payload of ``experience_map/changes``: ``MAX_ROWS`` links have half of it."""
 
 TURN_MRAD = 6284
 """Largest accepted angle: a whole turn, so that angles need not be wrapped the same way."""
@@ -134,7 +139,7 @@ def decode_map_change(payload: str) -> MapChangeMessage:
     fields = decode_fields(payload, CHANGES, {
         'stamp': dict, 'frame_id': str, 'sender': int, 'sequence': int, 'restart': bool,
         'experience_count': int, 'current_experience_id': int, 'pending': int,
-    })  # fmt: skip
+    }, MAX_CHANGES_CHARACTERS)  # fmt: skip
     count = fields['experience_count']
     for key, low, high in (
         ('sender', 0, MAX_COUNT), ('sequence', 0, MAX_COUNT), ('pending', 0, MAX_COUNT),
@@ -142,7 +147,6 @@ def decode_map_change(payload: str) -> MapChangeMessage:
         ('current_experience_id', NO_EXPERIENCE, max(count, 0) - 1),
     ):  # fmt: skip
         check_range(CHANGES, key, fields[key], low, high)
-    _check_length('frame_id', fields['frame_id'])
     change = MapChange(
         decode_stamp(fields['stamp']), count, fields['current_experience_id'], fields['restart'],
         _decode_experiences(fields, count), _decode_links(fields, count),
@@ -211,9 +215,8 @@ def decode_closure(payload: str) -> tuple[int, int, ClosureEvent]:
     outcome = fields['outcome']
     if outcome not in ('closed', 'rejected', 'relocated'):
         raise MalformedMessage(
-            f'{CLOSURES}: outcome is {outcome!r}; expected closed, rejected or relocated'
+            f'{CLOSURES}: outcome is {shown(outcome)}; expected closed, rejected or relocated'
         )
-    _check_length('reason', fields['reason'], CLOSURES)
     event = ClosureEvent(outcome, fields['source_id'], fields['target_id'], fields['reason'])
     return decode_stamp(fields['stamp']), fields['sequence'], event
 
@@ -248,9 +251,11 @@ def _decode_links(fields: Mapping[str, Any], count: int) -> LinkRows:
     ) = _decode_columns(fields, 'links', LINK_COLUMNS, count)  # fmt: skip
     names = fields['links'].get('names') if len(sources) else []
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        raise MalformedMessage(f'{CHANGES}: links.names is {names!r}; expected an array of names')
+        raise MalformedMessage(
+            f'{CHANGES}: links.names is {shown(names)}; expected an array of names'
+        )
     for name in names:
-        _check_length('links.names', name)
+        check_text(CHANGES, 'links.names', name, MAX_NAME_LENGTH)
     if len(sources) and int(behaviours.max()) >= len(names):
         raise MalformedMessage(
             f'{CHANGES}: links.behaviours has {int(behaviours.max())}; expected a row of names, '
@@ -273,7 +278,7 @@ def _decode_columns(
     """
     table = fields.get(key, {})
     if not isinstance(table, dict):
-        raise MalformedMessage(f'{CHANGES}: {key} is {table!r:.40}; expected an object')
+        raise MalformedMessage(f'{CHANGES}: {key} is {shown(table)}; expected an object')
     length = None
     decoded = []
     for name, low, high in columns:
@@ -283,7 +288,7 @@ def _decode_columns(
         # bool is a subclass of int
         if not isinstance(values, list) or not set(map(type, values)) <= {int}:
             raise MalformedMessage(
-                f'{CHANGES}: {key}.{name} is {values!r:.40}; expected an array of integers'
+                f'{CHANGES}: {key}.{name} is {shown(values)}; expected an array of integers'
             )
         length = len(values) if length is None else length
         if len(values) != length or length > MAX_ROWS:
@@ -300,10 +305,3 @@ def _decode_columns(
     if key == 'experiences' and len(np.unique(decoded[0])) != length:
         raise MalformedMessage(f'{CHANGES}: {key}.ids are repeated; expected each once')
     return decoded
-
-
-def _check_length(key: str, text: str, name: str = CHANGES) -> None:
-    if len(text) > MAX_NAME_LENGTH:
-        raise MalformedMessage(
-            f'{name}: {key} has {len(text)} characters; expected at most {MAX_NAME_LENGTH}'
-        )

@@ -29,6 +29,7 @@ from ratslam_ros.messages.json_schema import (
     decode_stamp,
     encode_json,
     encode_stamp,
+    shown,
 )
 
 MAX_COUNT = 2**63 - 1
@@ -102,7 +103,7 @@ def _decode_removed(ids: Any) -> tuple[int, ...]:
     """Return the ids of removed templates."""
     name = 'local_view/template'
     if not isinstance(ids, list):
-        raise MalformedMessage(f'{name}: removed is {ids!r}; expected an array of ids')
+        raise MalformedMessage(f'{name}: removed is {shown(ids)}; expected an array of ids')
     for template_id in ids:
         check_types({'removed': template_id}, name, {'removed': int})
         check_range(name, 'removed', template_id, 0, MAX_ID)
@@ -163,7 +164,9 @@ def decode_action(payload: str) -> tuple[int, int, MapAction, int]:
     )  # fmt: skip
     kind = fields['action']
     if kind not in ('create', 'link', 'set', 'none'):
-        raise MalformedMessage(f'{name}: action is {kind!r}; expected create, link, set or none')
+        raise MalformedMessage(
+            f'{name}: action is {shown(kind)}; expected create, link, set or none'
+        )
     min_id = -1 if kind == 'none' else 0
     for key, low, high in (
         ('sequence', 0, MAX_COUNT), ('source_id', -1, MAX_ID), ('target_id', min_id, MAX_ID),
@@ -233,7 +236,7 @@ def decode_relocation(payload: str) -> tuple[int, MapRelocation | None, int]:
     if place is None:
         return fields['sequence'], None, fields['memory']
     if not isinstance(place, dict):
-        raise MalformedMessage(f'{name}: relocation is {place!r}; expected an object')
+        raise MalformedMessage(f'{name}: relocation is {shown(place)}; expected an object')
     check_types(place, name, {
         'experience_id': int, 'template_id': int, 'relative_x_m': float, 'relative_y_m': float,
         'relative_rad': float,
@@ -255,7 +258,7 @@ def _decode_correction(name: str, fields: Any) -> TurnCorrection | None:
     if fields is None:
         return None
     if not isinstance(fields, dict):
-        raise MalformedMessage(f'{name}: correction is {fields!r}; expected an object')
+        raise MalformedMessage(f'{name}: correction is {shown(fields)}; expected an object')
     check_types(fields, name, {'gain': float, 'per_m_rad': float})
     check_range(name, 'gain', fields['gain'], 1.0 / MAX_GAIN, MAX_GAIN)
     check_range(name, 'per_m_rad', fields['per_m_rad'], -MAX_TURN_PER_M_RAD, MAX_TURN_PER_M_RAD)

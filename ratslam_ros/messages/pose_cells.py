@@ -17,6 +17,7 @@ from ratslam_ros.messages.json_schema import (
     decode_stamp,
     encode_json,
     encode_stamp,
+    shown,
 )
 
 MAX_CELLS = 100_000
@@ -54,7 +55,7 @@ def decode_packets(
     )
     dims = fields['dims']
     if len(dims) != 3:
-        raise MalformedMessage(f'{name}: dims is {dims!r:.40}; expected x, y and theta')
+        raise MalformedMessage(f'{name}: dims is {shown(dims)}; expected x, y and theta')
     for cells in dims:
         check_types({'dims': cells}, name, {'dims': int})
         check_range(name, 'dims', cells, 1, MAX_CELLS)
@@ -63,7 +64,7 @@ def decode_packets(
         for row in fields[key]:
             if not isinstance(row, list) or len(row) != 4:
                 raise MalformedMessage(
-                    f'{name}: {key} has {row!r:.40}; expected x, y, theta and activity'
+                    f'{name}: {key} has {shown(row)}; expected x, y, theta and activity'
                 )
             at = dict(zip(('x', 'y', 'theta', 'activity'), row, strict=True))
             check_types(at, name, dict.fromkeys(at, float))

@@ -12,12 +12,14 @@ from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, Quaternion, TransformStamped
 from geometry_msgs.msg import Pose as PoseMessage
 from nav_msgs.msg import Odometry as OdometryMessage
+from nav_msgs.msg import Path
 from numpy.typing import NDArray
 from sensor_msgs.msg import Image, PointCloud2, PointField
 from std_msgs.msg import Header
 
 from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry, Twist
 from ratslam_ros.core.common.pose import Pose, heading_of, quaternion_of
+from ratslam_ros.limits import MAX_COORDINATE_M
 from ratslam_ros.messages.json_schema import NS_PER_S
 
 UNKNOWN_SCALE_VARIANCE = 1e6
@@ -74,6 +76,13 @@ def planar_pose(message: PoseMessage) -> Pose:
     q = message.orientation
     heading_rad = heading_of(q.x, q.y, q.z, q.w)
     return Pose(float(message.position.x), float(message.position.y), heading_rad)
+
+
+def route_points(message: Path) -> NDArray[np.float64] | None:
+    """Return the (n, 2) positions of a path in m; None if one is not finite or too far away."""
+    positions = [stamped.pose.position for stamped in message.poses]
+    points = np.array([(at.x, at.y) for at in positions], np.float64).reshape(-1, 2)
+    return points if (np.abs(points) <= MAX_COORDINATE_M).all() else None  # NaN is not
 
 
 def pose_message(pose: Pose) -> PoseMessage:

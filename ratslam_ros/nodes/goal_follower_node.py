@@ -22,13 +22,15 @@ from ratslam_ros.core.config import Config
 from ratslam_ros.core.driving.exploration import Exploration
 from ratslam_ros.core.driving.goal_follower import GoalFollower, in_robot_frame, remaining_route
 from ratslam_ros.core.driving.steering import Command
+from ratslam_ros.limits import MAX_COORDINATE_M
 from ratslam_ros.messages.goals import BehaviourReport, decode_status, encode_behaviour
 from ratslam_ros.messages.json_schema import MalformedMessage
-from ratslam_ros.nodes.convert import planar_pose, stamp_ns
+from ratslam_ros.nodes.convert import planar_pose, route_points, stamp_ns
 from ratslam_ros.nodes.node import FLUSH_CHECK_PERIOD_S, RatslamNode
+from ratslam_ros.nodes.odometry_frames import FROM_ODOMETRY, OdometryFrames
 from ratslam_ros.nodes.qos import LATCHED, RESULT, STATE
 from ratslam_ros.nodes.run import run
-from ratslam_ros.nodes.scans import accepted_scan
+from ratslam_ros.nodes.scans import ScanInput
 
 INPUT_CHECK_PERIOD_S = 0.05
 """Period of the checks whether the inputs needed for driving have arrived."""
@@ -54,7 +56,14 @@ class GoalFollowerNode(RatslamNode[Scan]):
         self._task = 'none'
         self._tries_failed = 0
         self._reset_state()
-        self._add_input('scan', {'scan': LaserScan}, self._on_scan)
+        self._frames = OdometryFrames(
+            FROM_ODOMETRY, FROM_ODOMETRY, self._diagnostics.note
+        )
+        self._laser = ScanInput(
+            self, self._diagnostics.note, lambda: self._frames.known_base, self._refuse,
+            self._use_scan,
+        )  # fmt: skip
+        self._add_input('scan', {'scan': LaserScan}, self._laser.receive)
         self._add_input('odometry', {'odom': OdometryMessage}, self._on_odometry)
         self.create_subscription(PoseStamped, 'experience_map/pose', self._on_pose, STATE)
         self.create_subscription(Path, 'experience_map/route', self._on_route, LATCHED)
@@ -83,12 +92,11 @@ class GoalFollowerNode(RatslamNode[Scan]):
 
     # Inputs
 
-    def _on_scan(self, message: LaserScan) -> None:
-        scan = accepted_scan(message, self._refuse)
-        if scan is not None:
-            self._push('scan', scan.stamp_ns, scan)
+    def _use_scan(self, scan: Scan) -> None:
+        self._push('scan', scan.stamp_ns, scan)
 
     def _on_odometry(self, message: OdometryMessage) -> None:
+        self._frames.update(message)
         pose = planar_pose(message.pose.pose)
         if not all(math.isfinite(value) for value in pose):
             self._refuse('odometry', f'its pose is not finite: {pose}')
@@ -96,13 +104,16 @@ class GoalFollowerNode(RatslamNode[Scan]):
         self._odom_pose, self._odom_s = pose, time.monotonic()
 
     def _on_pose(self, message: PoseStamped) -> None:
-        self._pose, self._pose_s = planar_pose(message.pose), time.monotonic()
+        pose = planar_pose(message.pose)
+        if not all(abs(value) <= MAX_COORDINATE_M for value in pose):  # NaN is not
+            self._refuse('pose', f'it is {pose}; expected finite numbers')
+            return
+        self._pose, self._pose_s = pose, time.monotonic()
 
     def _on_route(self, message: Path) -> None:
-        positions = [stamped.pose.position for stamped in message.poses]
-        route = np.array([(at.x, at.y) for at in positions], np.float64).reshape(-1, 2)
-        if not np.isfinite(route).all():
-            self._refuse('route', 'its positions are not finite')
+        route = route_points(message)
+        if route is None:
+            self._refuse('route', 'its positions are not finite or too far away')
             return
         self._route, self._route_ns = route, stamp_ns(message.header)
 
@@ -167,6 +178,7 @@ class GoalFollowerNode(RatslamNode[Scan]):
 
     def _check_inputs(self) -> None:
         """Stop the robot at every check while it has a task but an input is missing."""
+        self._laser.update()
         self._choose_task()
         missing = self._missing_input() if self._task != 'none' else ''
         if not missing:

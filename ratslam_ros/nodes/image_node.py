@@ -37,7 +37,7 @@ class ImageNode(RatslamNode[Message]):
         if transport != 'auto':
             wanted = 'image' if transport == 'raw' else 'image/compressed'
             topics = {wanted: topics[wanted]}
-        self._add_input('image', topics, self._on_image)
+        self._add_input('image', topics, self._on_image, resume=self._process_message)
         self.create_timer(FLUSH_CHECK_PERIOD_S, self._flush, clock=self._steady)
 
     def close(self) -> None:

@@ -21,12 +21,19 @@ from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.landmarks.laser_map import STREAMS, LaserMap
 from ratslam_ros.messages.landmarks import encode_landmarks
+from ratslam_ros.messages.logged import (
+    decode_odometry,
+    decode_scan,
+    encode_odometry,
+    encode_scan,
+)
 from ratslam_ros.nodes.convert import accepted_odometry, transform
 from ratslam_ros.nodes.markers import landmark_markers
 from ratslam_ros.nodes.node import FLUSH_CHECK_PERIOD_S, RatslamNode
+from ratslam_ros.nodes.odometry_frames import FROM_ODOMETRY, OdometryFrames
 from ratslam_ros.nodes.qos import LATCHED, STATE
 from ratslam_ros.nodes.run import run
-from ratslam_ros.nodes.scans import accepted_scan
+from ratslam_ros.nodes.scans import ScanInput
 
 MAX_MAP_LOAD_RATIO = 0.1
 """Largest share of a core for sending the map: a large map is sent at a longer period."""
@@ -48,8 +55,21 @@ class LandmarkMapNode(RatslamNode[Odometry | Scan]):
         self._sent = False
         self._viewers = 0
         self._reset_state()
-        self._add_input('odometry', {'odom': OdometryMessage}, self._on_odometry)
-        self._add_input('scan', {'scan': LaserScan}, self._on_scan)
+        self._add_input(
+            'odometry', {'odom': OdometryMessage}, self._on_odometry,
+            lambda data: self._take_odometry(decode_odometry(data)),
+        )  # fmt: skip
+        self._frames = OdometryFrames(
+            self._section.odom_frame, FROM_ODOMETRY, self._diagnostics.note
+        )
+        self._laser = ScanInput(
+            self, self._diagnostics.note, lambda: self._frames.known_base, self._refuse,
+            self._use_scan,
+        )  # fmt: skip
+        self._add_input(
+            'scan', {'scan': LaserScan}, self._laser.receive,
+            lambda data: self._use_scan(decode_scan(data)),
+        )  # fmt: skip
         self.create_timer(FLUSH_CHECK_PERIOD_S, self._on_timer, clock=self._steady)
 
     def _reset_state(self) -> None:
@@ -70,16 +90,20 @@ class LandmarkMapNode(RatslamNode[Odometry | Scan]):
         self._core.mapping = mapping
 
     def _memory_state(self) -> State:
-        return {'scan_ns': self._scan_ns, 'core': self._core.state()}
+        return {
+            'scan_ns': self._scan_ns, 'core': self._core.state(), 'motion': self._motion.state(),
+        }  # fmt: skip
 
     def _restore(self, state: State) -> None:
         core = LaserMap(self._section, self.config.line_extraction)
         core.restore(state['core'])
-        core.lose()
         self._scan_ns = int(state['scan_ns'])
         self._core = core
         self._core.mapping = self._mapping
-        self._motion.restart()
+        if 'motion' in state:
+            self._motion.restore(state['motion'])
+        else:
+            self._motion.restart()
         self._changed = True
 
     def close(self) -> None:
@@ -88,17 +112,20 @@ class LandmarkMapNode(RatslamNode[Odometry | Scan]):
         self._send_map()
 
     def _on_odometry(self, message: OdometryMessage) -> None:
+        self._frames.update(message)
         odometry = accepted_odometry(message, self._motion, self._refuse)
-        if odometry is None:
-            return
+        if odometry is not None:
+            self._take_odometry(odometry)
+
+    def _take_odometry(self, odometry: Odometry) -> None:
         self._push('odometry', odometry.stamp_ns, odometry)
+        self._log('odometry', odometry.stamp_ns, lambda: encode_odometry(odometry))
         if not self._paused:
             self._publish_tf(odometry)
 
-    def _on_scan(self, message: LaserScan) -> None:
-        scan = accepted_scan(message, self._refuse)
-        if scan is not None:
-            self._push('scan', scan.stamp_ns, scan)
+    def _use_scan(self, scan: Scan) -> None:
+        self._push('scan', scan.stamp_ns, scan)
+        self._log('scan', scan.stamp_ns, lambda: encode_scan(scan))
 
     def _process_item(self, stamp_ns: int, stream: str, item: Odometry | Scan) -> None:
         if isinstance(item, Odometry):
@@ -123,12 +150,13 @@ class LandmarkMapNode(RatslamNode[Odometry | Scan]):
             pose = composed(self._core.pose, ahead)
             self._tf.publish(TFMessage(transforms=[
                 transform(
-                    odometry.stamp_ns, p.odom_frame, p.map_frame,
+                    odometry.stamp_ns, self._frames.odom, p.map_frame,
                     composed(odometry.pose, inverse(pose)),
                 )
             ]))  # fmt: skip
 
     def _on_timer(self) -> None:
+        self._laser.update()
         self._flush()
         if self._changed and time.monotonic() >= self._next_map_s:
             self._send_map()

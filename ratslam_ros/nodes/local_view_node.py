@@ -19,6 +19,8 @@ from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.id_map import MIN_MEMORY_NS, NO_MEMORY_NS
 from ratslam_ros.core.vision.local_view import (
     FIXED_THRESHOLD,
+    NO_TEMPLATE,
+    ODOMETRY_DELAY_NS,
     UNDECODABLE,
     LocalView,
     ViewMatch,
@@ -26,7 +28,8 @@ from ratslam_ros.core.vision.local_view import (
     uses_odometry,
 )
 from ratslam_ros.descriptors import encoder_of
-from ratslam_ros.messages.mapping import encode_template
+from ratslam_ros.messages.logged import decode_odometry
+from ratslam_ros.messages.mapping import decode_template, encode_template
 from ratslam_ros.nodes.convert import grey_image, odometry_of
 from ratslam_ros.nodes.image_node import ImageNode
 from ratslam_ros.nodes.match_pictures import joined
@@ -39,6 +42,7 @@ class LocalViewNode(ImageNode):
 
     SECTION = 'local_view'
     MAPS = True
+    REPEATS = ('template',)
 
     def __init__(self, initial: Config = Config()) -> None:
         super().__init__(initial)
@@ -51,7 +55,10 @@ class LocalViewNode(ImageNode):
             raise
         self._reset_state()
         if uses_odometry(self._section):
-            self._add_input('odometry', {'odom': OdometryMessage}, self._on_odometry)
+            self._add_input(
+                'odometry', {'odom': OdometryMessage}, self._on_odometry,
+                lambda data: self._follow(decode_odometry(data)), delay_ns=ODOMETRY_DELAY_NS,
+            )  # fmt: skip
         self._subscribe_to_images()
 
     def _reset_state(self) -> None:
@@ -69,7 +76,9 @@ class LocalViewNode(ImageNode):
     def _restore(self, state: State) -> None:
         core = LocalView(self._section, self._encoder)
         core.restore(state['core'])
-        self._memory_ns = int(state['memory_ns'])
+        # A replay has no other memory that its ids could be confused with.
+        assumed_ns = MIN_MEMORY_NS if len(core) else NO_MEMORY_NS
+        self._memory_ns = int(state.get('memory_ns', assumed_ns))
         self._core = core
         self._core.mapping = self._mapping
 
@@ -79,7 +88,9 @@ class LocalViewNode(ImageNode):
         return StampOrder(('image',), 0)
 
     def _on_odometry(self, message: OdometryMessage) -> None:
-        odometry = odometry_of(message)
+        self._follow(odometry_of(message))
+
+    def _follow(self, odometry: Odometry) -> None:
         with self._lock:
             self._push('odometry', delayed_ns(odometry.stamp_ns), odometry)
 
@@ -91,6 +102,17 @@ class LocalViewNode(ImageNode):
             self._core.follow(item)
         else:
             super()._process_item(stamp_ns, stream, item)
+
+    def _on_caught_up(self, are_images_lost: bool) -> None:
+        """Use no id of a template again that was learned from an image that is lost."""
+        assert self._keeper is not None
+        if are_images_lost:
+            last_id = NO_TEMPLATE
+            for _, data in self._keeper.logged('template'):
+                _, match, memory_ns = decode_template(data.decode())
+                if memory_ns == self._memory_ns:
+                    last_id = max(last_id, match.template_id)
+            self._core.skip_ids(last_id + 1)
 
     def _process_image(self, stamp_ns: int, image: NDArray[np.uint8], frame_id: str) -> None:
         with self._diagnostics.times('local_view'):
@@ -108,6 +130,7 @@ class LocalViewNode(ImageNode):
         self._last = match
         payload = encode_template(stamp_ns, match, self._memory_ns)
         self._publisher.publish(String(data=payload))
+        self._log('template', stamp_ns, payload.encode)
 
     def _publish_matched(
         self, stamp_ns: int, image: NDArray[np.uint8], frame_id: str, match: ViewMatch

@@ -13,14 +13,19 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
+from ratslam_ros.core.common.odometry import MAX_GAP_NS
 from ratslam_ros.core.common.stamp_order import Counts, Released, StampOrder
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.errors import RatslamError
 from ratslam_ros.files import memory as memory_files
+from ratslam_ros.files.config import to_yaml
+from ratslam_ros.maps import MapMeta, MapStore, read_map
 from ratslam_ros.nodes.diagnostics import Diagnostics
 from ratslam_ros.nodes.inputs import Input
+from ratslam_ros.nodes.map_keeper import KeptInput, MapKeeper
+from ratslam_ros.nodes.map_operations import MapOperations
 from ratslam_ros.nodes.parameters import NodeParameters
 
 Item = TypeVar('Item')
@@ -43,6 +48,8 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
     """Further sections of parameters that the node reads, for its optional functions."""
     MAPS = False
     """Whether the node learns, and so has the services ``mapping``, ``save`` and ``load``."""
+    REPEATS: tuple[str, ...] = ()
+    """Streams that the node sends again after a restart from a map file."""
 
     def __init__(self, streams: tuple[str, ...], initial: Config) -> None:
         """Create the node.
@@ -66,6 +73,10 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
         self._counted = Counts()
         self._paused = False
         self._mapping = True
+        self._keeper: MapKeeper | None = None
+        """The node's part of the map file, if there is one."""
+        self._kept_inputs: list[KeptInput] = []
+        self._operations: MapOperations | None = None
         # With use_sim_time and no /clock, the node must still publish diagnostics.
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=self._steady)
@@ -75,6 +86,10 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
             self.create_service(SetBool, f'{self.SECTION}/mapping', self._on_mapping)
             self.create_service(Trigger, f'{self.SECTION}/save', self._on_save)
             self.create_service(Trigger, f'{self.SECTION}/load', self._on_load)
+            self._operations = MapOperations(
+                self, self.SECTION, self._memory_state, self._replace_memory,
+                lambda: str(self._section.memory_folder),
+            )  # fmt: skip
 
     @classmethod
     def warm_up(cls) -> None:
@@ -95,10 +110,57 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
     def _section(self) -> Any:
         return getattr(self.config, self.SECTION)
 
+    def open_map(self) -> None:
+        """Restore the state from the map file, if one is given, and save it there from now on.
+
+        Call it once, before the node receives messages.
+
+        Raises:
+            UnusableInput: the file cannot be used, or its map does not fit the parameters.
+        """
+        path = getattr(self._section, 'map', '')
+        if not path:
+            return
+        if self._section.localize:
+            self._localise_in(Path(path).expanduser())
+            return
+        meta = MapMeta(configuration=to_yaml(self.config))
+        store = MapStore.open(
+            Path(path).expanduser(), [self.SECTION], meta, self.get_logger().warning
+        )
+        keeper = MapKeeper(
+            self, self._diagnostics, store, self.SECTION, self._memory_state, self._newest_ns
+        )
+        try:
+            with self._lock:
+                if keeper.restored is not None:
+                    self._restore(keeper.restored)
+                    if not store.joins:
+                        self._drop_tasks()
+        except BaseException:
+            store.close()
+            raise
+        self._keeper = keeper
+        keeper.resume(self._kept_inputs, self.REPEATS, self._lock, self._on_caught_up)
+
+    def _localise_in(self, path: Path) -> None:
+        """Restore the state from a map file that stays unchanged, and stop learning."""
+        saved = read_map(path)
+        with self._lock:
+            if self.SECTION in saved.states:
+                self._restore(saved.states[self.SECTION])
+                self._drop_tasks()
+                self._begin_session()
+            self._mapping = False
+            self._set_mapping(False)
+
     def close(self) -> None:
-        """Process the messages that are still held."""
+        """Process the messages that are still held, and save the last state."""
         with self._lock:
             self._process_held()
+            if self._keeper is not None:
+                self._keeper.close()
+                self._keeper = None
 
     # Implemented by subclasses
 
@@ -114,8 +176,18 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
         """Drop received messages that are not in the stamp order yet; return their number."""
         return 0
 
+    def _on_caught_up(self, are_images_lost: bool) -> None:
+        """Prepare for the messages that were sent while the node was restarted."""
+
     def _on_relocated(self) -> None:
         """Continue with the memory after the robot may have been moved unobserved."""
+
+    def _drop_tasks(self) -> None:
+        """Drop what an earlier session was asked to do."""
+
+    def _begin_session(self) -> None:
+        """Continue with a restored memory, although messages and places do not follow it."""
+        self._on_relocated()
 
     def _diagnostic_values(self) -> dict[str, Any]:
         """Return the node's own values for the diagnostics."""
@@ -124,9 +196,44 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
     # Inputs, in stamp order
 
     def _add_input(
-        self, name: str, topics: dict[str, type], callback: Callable[[Any], None]
-    ) -> None:
-        self._inputs.append(Input(self, self._diagnostics, name, topics, callback))
+        self, name: str, topics: dict[str, type], callback: Callable[[Any], None],
+        replay: Callable[[bytes], None] | None = None,
+        resume: Callable[[Any], None] | None = None, delay_ns: int = 0,
+    ) -> None:  # fmt: skip
+        """Subscribe to one stream.
+
+        Args:
+            name: name of the stream.
+            topics: message type by topic; see ``Input``.
+            callback: receives each message.
+            replay: takes a message from the log of the map file, as ``_log`` wrote it.
+            resume: receives messages that were sent while the node was restarted; None: callback.
+            delay_ns: what is added to the stamps for the stamp order.
+        """
+        late = resume or callback
+        self._kept_inputs.append(KeptInput(name, topics, late, replay, delay_ns))
+        receive = self._when_resumed(name, callback, late)
+        self._inputs.append(Input(self, self._diagnostics, name, topics, receive))
+
+    def _when_resumed(
+        self, stream: str, callback: Callable[[Any], None], late: Callable[[Any], None]
+    ) -> Callable[[Any], None]:
+        """Return a callback that keeps messages for ``late`` while the node catches up."""
+
+        def receive(message: Any) -> None:
+            if self._keeper is None or self._keeper.takes(stream, message, late):
+                callback(message)
+
+        return receive
+
+    def _log(self, stream: str, stamp_ns: int, data: Callable[[], bytes]) -> None:
+        """Log a message in the map file, for neighbours that are restarted."""
+        if self._keeper is not None:
+            self._keeper.log(stream, stamp_ns, data())
+
+    def _newest_ns(self, stream: str) -> int:
+        newest_ns = self._order.newest_of(stream) if stream in self._streams else None
+        return newest_ns or 0
 
     def _new_order(self) -> StampOrder[Item]:
         lateness_s = getattr(self._section, 'max_lateness_s', 0.0)
@@ -136,6 +243,8 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
         """Put a message into the stamp order, and process all messages this releases."""
         if self._paused:
             self._diagnostics.counts['paused'] += 1
+            return
+        if self._keeper is not None and self._keeper.is_repeated(stream, stamp_ns):
             return
         self._process(self._order.push(stream, stamp_ns, item))
         if self._order.jumped_back:
@@ -148,7 +257,23 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
 
     def _process(self, released: Iterable[Released[Item]]) -> None:
         for stamp_ns, stream, item in released:
-            self._process_item(stamp_ns, stream, item)
+            self._take(stamp_ns, stream, item)
+
+    def _take(self, stamp_ns: int, stream: str, item: Item) -> None:
+        """Take the next message in stamp order."""
+        self._save_before(stamp_ns)
+        self._process_item(stamp_ns, stream, item)
+
+    def _save_before(self, stamp_ns: int) -> None:
+        """Save the state in the map file if that is due before a message is processed."""
+        if self._operations is not None:
+            self._operations.before(stamp_ns)
+        if self._keeper is None:
+            return
+        max_gap_s = getattr(self._section, 'max_odom_gap_s', MAX_GAP_NS * 1e-9)
+        if self._keeper.is_other_session(stamp_ns, round(max_gap_s * 1e9)):
+            self._begin_session()
+        self._keeper.before(stamp_ns)
 
     def _process_held(self) -> None:
         """Process all messages that are held."""
@@ -156,15 +281,25 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
 
     def _flush(self) -> None:
         """Process the held messages if all inputs have been silent for flush_after_s."""
-        silent = all(one.silent_s() >= self._section.flush_after_s for one in self._inputs)
+        silent_s = [one.silent_s() for one in self._inputs]
+        if self._keeper is not None:
+            silent_s.append(self._keeper.settled_s())
+        silent = all(one >= self._section.flush_after_s for one in silent_s)
         if silent and self._order.held:
             with self._lock:
                 self._process_held()
                 self._count_dropped('its inputs', self._order.newest_ns or 0)
+        if silent:
+            with self._lock:
+                if self._operations is not None:
+                    self._operations.pause()
+                if self._keeper is not None:
+                    self._keeper.pause()
 
     def _handle_jump_back(self, stream: str, stamp_ns: int) -> None:
         self._diagnostics.counts['jumps_back'] += 1
-        if self._section.on_jump_back == 'start_over':
+        # A recording that is played again must not delete a map on disk.
+        if self._section.on_jump_back == 'start_over' and self._keeper is None:
             self.get_logger().warning(
                 f'the stamps of {stream} have jumped back: starting with an empty memory '
                 '(on_jump_back)'
@@ -177,6 +312,10 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
             )
             self._process_held()
             self._on_relocated()
+        if self._operations is not None:
+            self._operations.start_run()
+        if self._keeper is not None:
+            self._keeper.start_run()
         self._process(self._order.restart())
 
     def _count_dropped(self, stream: str, stamp_ns: int) -> None:
@@ -215,6 +354,8 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
             if not self._mapping and not self._paused:
                 values['memory'] = 'localisation only'
             values |= self._diagnostic_values()
+            if self._keeper is not None:
+                values |= self._keeper.diagnostic_values()
         self._diagnostics.publish(values, self._state())
 
     def _state(self) -> str:
@@ -266,11 +407,7 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
 
     def _on_load(self, request: Any, response: Any) -> Any:
         try:
-            state = memory_files.load(self._memory_path, self.SECTION)
-            with self._lock:
-                self._restore(state)
-                self._order = self._new_order()
-                self._counted = Counts()
+            self._replace_memory(memory_files.load(self._memory_path, self.SECTION))
         except RatslamError as error:
             return self._answer(response, False, str(error))
         except KeyError as error:
@@ -282,6 +419,17 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
             return self._answer(response, False, f'{self._memory_path} does not fit: {error!r}')
         self._diagnostics.clear()
         return self._answer(response, True, f'loaded from {self._memory_path}')
+
+    def _replace_memory(self, state: State) -> None:
+        """Continue with another memory; raise and change nothing if it cannot be used."""
+        with self._lock:
+            self._restore(state)
+            self._drop_tasks()
+            self._on_relocated()
+            self._order = self._new_order()
+            self._counted = Counts()
+            if self._keeper is not None:
+                self._keeper.changed()
 
     def _answer(self, response: Any, success: bool, text: str) -> Any:
         if success:

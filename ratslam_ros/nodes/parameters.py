@@ -28,6 +28,7 @@ from ratslam_ros.core.config import (
 )
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.files.config import load_config
+from ratslam_ros.limits import is_below
 
 AnySection = TypeVar('AnySection', bound=Section)
 
@@ -77,6 +78,7 @@ class NodeParameters:
         self._section = section
         self.config = self._given(initial)
         values = self.config.values()
+        self._folder = str(values[section].get('memory_folder', ''))
         for name, key in self._keys.items():
             of, _, short = key.partition('.')
             if node.has_parameter(name):
@@ -112,6 +114,14 @@ class NodeParameters:
         values: dict[str, Any] = {
             self._keys[p.name]: p.value for p in parameters if p.name in self._keys
         }
+        for key, value in values.items():
+            folder = self._folder
+            if key.endswith('.memory_folder') and not is_below(str(value), folder):
+                # Everyone who reaches the node could have it write and read elsewhere.
+                return SetParametersResult(successful=False, reason=(
+                    f'memory_folder is {value!r:.100}; expected a folder below {folder}, with '
+                    'which the node was started'
+                ))  # fmt: skip
         try:
             self.config = _with_values(self.config, values)
         except UnusableParameter as error:

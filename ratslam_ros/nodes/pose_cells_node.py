@@ -14,16 +14,17 @@ from nav_msgs.msg import Odometry as OdometryMessage
 from sensor_msgs.msg import Image, PointCloud2
 from std_msgs.msg import String
 
-from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry
+from ratslam_ros.core.common.odometry import Motion, MotionFromOdometry, Odometry
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.common.turn_correction import TurnCorrection
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.id_map import MIN_MEMORY_NS, NO_MEMORY_NS, IdMap
 from ratslam_ros.core.pose_cells.active_cells import active_cells
-from ratslam_ros.core.pose_cells.map_relocation import MapRelocations
+from ratslam_ros.core.pose_cells.map_relocation import ADOPTION_DELAY, MapRelocations
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE, ViewMatch
 from ratslam_ros.messages.json_schema import MalformedMessage
+from ratslam_ros.messages.logged import decode_odometry, encode_odometry
 from ratslam_ros.messages.mapping import (
     decode_relocation,
     decode_template,
@@ -58,6 +59,7 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
     SECTION = 'pose_cells'
     PARTS = ('goal_memory',)
     MAPS = True
+    REPEATS = ('action',)
 
     def __init__(self, initial: Config = Config()) -> None:
         super().__init__(('odometry', 'template'), initial)
@@ -71,11 +73,19 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
         if self.parts:
             self._goals = GoalSeeking(self, self._diagnostics, self.config)
         self._reset_state()
-        self._add_input('odometry', {'odom': OdometryMessage}, self._on_odometry)
+        self._add_input(
+            'odometry', {'odom': OdometryMessage}, self._on_odometry,
+            lambda data: self._take_odometry(decode_odometry(data)),
+        )  # fmt: skip
         self.create_subscription(
-            String, 'experience_map/relocation', self._on_relocation, INPUT
-        )
-        self._add_input('template', {'local_view/template': String}, self._on_template)
+            String, 'experience_map/relocation', self._when_resumed(
+                'relocation', self._on_relocation, self._on_relocation
+            ), INPUT,
+        )  # fmt: skip
+        self._add_input(
+            'template', {'local_view/template': String}, self._on_template,
+            lambda data: self._on_template(String(data=data.decode())),
+        )  # fmt: skip
         self.create_timer(FLUSH_CHECK_PERIOD_S, self._flush, clock=self._steady)
 
     @property
@@ -106,6 +116,16 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
         if self._goals is not None:
             self._goals.relocated()
 
+    def _begin_session(self) -> None:
+        self._motion.restart()
+        # The map may not answer in this session.
+        self._relocations.restore({**self._relocations.state(), 'last': None})
+        if len(self._core):
+            unknown = Motion(0.0, 0.0, 0.0, False)
+            self._core.integrate(unknown)
+            if self._goals is not None:
+                self._goals.integrate(0, unknown)
+
     def _set_mapping(self, mapping: bool) -> None:
         self._core.mapping = mapping
 
@@ -115,6 +135,8 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
             'sequence': self._sequence,
             'numbering': self._numbering.state(),
             'core': self._core.state(),
+            'motion': self._motion.state(),
+            'relocations': self._relocations.state(),
         }
         if self._goals is not None:
             state['goal_memory'] = self._goals.memory_state()
@@ -123,25 +145,37 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
     def _restore(self, state: State) -> None:
         core, numbering = PoseCells(self._section), IdMap()
         core.restore(state['core'])
-        numbering.restore(state['numbering'])
-        memory_ns, sequence = int(state['memory_ns']), int(state['sequence'])
+        if 'numbering' in state:
+            numbering.restore(state['numbering'])
+        elif len(core):
+            numbering.assume(core.next_template_id)  # a replay has no other memory
+        assumed_ns = MIN_MEMORY_NS if len(core) else NO_MEMORY_NS
+        memory_ns, sequence = int(state.get('memory_ns', assumed_ns)), int(state['sequence'])
+        relocations = MapRelocations()
+        if 'relocations' in state:
+            relocations.restore(state['relocations'])
         if self._goals is not None:
             self._goals.use_pose_cells(core, state.get('goal_memory'))
         self._memory_ns, self._sequence = memory_ns, sequence
-        self._relocations = MapRelocations()
+        self._relocations = relocations
         self._waiting.clear()
         self._core, self._numbering = core, numbering
         if core.calibration is not None:
             self._motion.correction = core.calibration.correction
-            core.calibration.restart()
         self._core.mapping = self._mapping
-        self._motion.restart()
+        if 'motion' in state:
+            self._motion.restore(state['motion'])
+        else:
+            self._motion.restart()
 
     def _on_odometry(self, message: OdometryMessage) -> None:
         odometry = accepted_odometry(message, self._motion, self._refuse)
-        if odometry is None:
-            return
+        if odometry is not None:
+            self._take_odometry(odometry)
+
+    def _take_odometry(self, odometry: Odometry) -> None:
         self._push('odometry', odometry.stamp_ns, odometry)
+        self._log('odometry', odometry.stamp_ns, lambda: encode_odometry(odometry))
 
     def _on_template(self, message: String) -> None:
         try:
@@ -150,6 +184,8 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
             self._refuse('template', str(error))
             return
         self._push('template', stamp_ns, Template(match, memory_ns))
+        # local_view must know the ids that it has given, even if it was killed at once.
+        self._log('template', stamp_ns, message.data.encode)
 
     def _on_relocation(self, message: String) -> None:
         """Receive the answer of the map to an action, which may relocate the robot."""
@@ -158,16 +194,23 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
         except MalformedMessage as error:
             self._refuse('relocation', str(error))
             return
+        if sequence + ADOPTION_DELAY < self._sequence:
+            return  # repeated by a restarted map, and adopted before
         if memory_ns in (NO_MEMORY_NS, self._memory_ns):
             self._relocations.answer(sequence, relocation)
             self._process_waiting()
+
+    def _on_caught_up(self, are_images_lost: bool) -> None:
+        assert self._keeper is not None
+        for _, data in self._keeper.logged('relocation'):
+            self._on_relocation(String(data=data.decode()))
 
     def _process_held(self) -> None:
         super()._process_held()
         while self._waiting:
             self._process_next(*self._waiting.popleft())
 
-    def _process_item(self, stamp_ns: int, stream: str, item: Odometry | Template) -> None:
+    def _take(self, stamp_ns: int, stream: str, item: Odometry | Template) -> None:
         self._waiting.append((stamp_ns, item))
         self._process_waiting()
 
@@ -190,6 +233,7 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
             self._process_next(stamp_ns, item)
 
     def _process_next(self, stamp_ns: int, item: Odometry | Template) -> None:
+        self._save_before(stamp_ns)
         if isinstance(item, Odometry):
             motion = self._motion.update(item)
             if motion is not None:
@@ -221,6 +265,7 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
         payload = encode_action(stamp_ns, self._sequence, action, self._memory_ns)
         self._sequence += 1
         self._publisher.publish(String(data=payload))
+        self._log('action', stamp_ns, payload.encode)
         if self._active.get_subscription_count() > 0:
             active = self._core.active_experiences()
             self._active.publish(String(data=encode_active(stamp_ns, number, active)))

@@ -17,6 +17,7 @@ from sensor_msgs.msg import CameraInfo
 from tf2_msgs.msg import TFMessage
 
 from ratslam_ros.core.common.odometry import Odometry
+from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.vision.visual_odometry import VisualOdometry, field_of_view_deg
 from ratslam_ros.nodes.convert import UNKNOWN_SCALE_VARIANCE, header_of, pose_message, transform
@@ -39,6 +40,7 @@ class VisualOdometryNode(ImageNode):
     """Estimates the motion between images; publishes ``odom`` for each image but the first."""
 
     SECTION = 'visual_odometry'
+    REPEATS = ('odometry',)
 
     def __init__(self, initial: Config = Config()) -> None:
         super().__init__(initial)
@@ -64,6 +66,25 @@ class VisualOdometryNode(ImageNode):
 
     def _on_relocated(self) -> None:
         self._core.restart()
+
+    def _memory_state(self) -> State:
+        return {
+            'core': self._core.state(), 'variances': list(self._variances),
+            'last_ns': self._last_ns, 'fov_deg': self._fov_deg,
+        }  # fmt: skip
+
+    def _restore(self, state: State) -> None:
+        fov_deg = state.get('fov_deg', self._fov_deg)
+        core = VisualOdometry(self._section)
+        core.restore(state['core'])
+        if fov_deg is not None:
+            core.set_field_of_view(fov_deg)
+        variances = [float(one) for one in state.get('variances', (0.0, 0.0))]
+        self._core, self._variances, self._fov_deg = core, variances, fov_deg
+        self._last_ns = state.get('last_ns')
+
+    def _set_mapping(self, mapping: bool) -> None:
+        """Odometry from images learns nothing."""
 
     def _process_message(self, message: Message) -> None:
         """Process an image, once the field of view is known if camera_info has a publisher."""

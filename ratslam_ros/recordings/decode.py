@@ -6,8 +6,7 @@ import functools
 import json
 from typing import Any
 
-import zstandard
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from ratslam_ros.images import image_of
 from ratslam_ros.recordings.events import (
@@ -18,8 +17,9 @@ from ratslam_ros.recordings.events import (
     ScanEvent,
     TemplateEvent,
 )
+from ratslam_ros.recordings.salvage import decompress_message
 from ratslam_ros.recordings.stream import Message
-from ratslam_ros.recordings.topics import LASER_SCAN, ODOMETRY, STRING
+from ratslam_ros.recordings.topics import LASER_SCAN, ODOMETRY, ROS1_TF, STRING, TF
 
 _ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'  # Unambiguous: the first byte of a CDR message is zero.
 
@@ -47,7 +47,7 @@ def decode(message: Message) -> Any:
     try:
         data = message.data
         if data[:4] == _ZSTD_MAGIC:  # The recorder compressed each message.
-            data = zstandard.ZstdDecompressor().decompressobj().decompress(data)
+            data = decompress_message(data)
         if message.channel.encoding == 'ros1':
             return _store(Stores.ROS1_NOETIC).deserialize_ros1(data, kind)
         return _store(Stores.ROS2_JAZZY).deserialize_cdr(data, kind)
@@ -75,8 +75,9 @@ def template_event(payload: str, log_ns: int) -> TemplateEvent:
     stamp_ns = log_ns
     try:
         stamp = json.loads(payload)['stamp']
-        if type(stamp['sec']) is int and type(stamp['nanosec']) is int:
-            stamp_ns = stamp['sec'] * 1_000_000_000 + stamp['nanosec']
+        sec, nanosec = stamp['sec'], stamp['nanosec']
+        if type(sec) is int and type(nanosec) is int and max(abs(sec), abs(nanosec)) < 2**32:
+            stamp_ns = sec * 1_000_000_000 + nanosec
     except (ValueError, KeyError, TypeError, RecursionError):
         pass  # The consumer validates the payload and reports the problem.
     return TemplateEvent(stamp_ns, log_ns, payload)
@@ -106,6 +107,7 @@ def _scan_event(content: Any, log_ns: int) -> ScanEvent:
         float(content.range_min),
         float(content.range_max),
         content.ranges,
+        str(content.header.frame_id),
     )
 
 
@@ -119,4 +121,8 @@ def _stamp_ns(content: Any) -> int:
 
 @functools.cache
 def _store(version: Stores) -> Any:
-    return get_typestore(version)
+    store = get_typestore(version)
+    if version == Stores.ROS1_NOETIC:  # which lacks the types of /tf
+        for name in (TF, ROS1_TF):
+            store.register(get_types_from_msg('geometry_msgs/TransformStamped[] transforms', name))
+    return store

@@ -13,6 +13,11 @@ from ratslam_ros.recordings.mcap_file import MCAP_MAGIC
 from ratslam_ros.recordings.rosbag1 import ROSBAG1_MAGIC
 from ratslam_ros.recordings.sqlite_file import SQLITE_MAGIC
 
+_SMALL_BYTES = 2**30
+_MAX_RATIO = 1000
+"""Files may unpack to 1 GiB, or to 1000 times their size; recordings of images without any texture
+reach 300. A file that fills the disk would harm other programs."""
+
 ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
 
 
@@ -60,8 +65,16 @@ class Workspace:
         target, whole = self._new(path.name.removesuffix('.zstd')), True
         try:
             with path.open('rb') as packed, target.open('wb') as plain:
+                most = max(_SMALL_BYTES, _MAX_RATIO * path.stat().st_size)
                 try:
-                    zstandard.ZstdDecompressor().copy_stream(packed, plain)
+                    for piece in zstandard.ZstdDecompressor().read_to_iter(packed):
+                        most -= len(piece)
+                        if most < 0:
+                            raise UnusableInput(
+                                f'{path} unpacks to more than {_MAX_RATIO} times its size: '
+                                'expected a recording; unpack it with "zstd -d" if it is one'
+                            )
+                        plain.write(piece)
                 except zstandard.ZstdError:
                     whole = False
                 whole = whole and packed.tell() == path.stat().st_size

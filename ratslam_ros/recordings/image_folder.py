@@ -21,6 +21,7 @@ from pathlib import Path
 
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.images import EncodedImage
+from ratslam_ros.limits import MAX_MESSAGE_BYTES, read_limited
 from ratslam_ros.recordings.events import Event, ImageEvent, OdometryEvent, Orientation
 from ratslam_ros.recordings.recording import Recording
 from ratslam_ros.recordings.topics import IMAGE_FILES, TABLE, Selection, Topic
@@ -41,10 +42,6 @@ IMAGE_SUFFIXES = frozenset(
     }
 )
 IMAGES_TOPIC, ODOMETRY_TOPIC = 'images', 'odometry'
-GENERIC_NAMES = frozenset(
-    {'images', 'image', 'imgs', 'img', 'frames', 'rgb', 'color', 'colour', 'grey', 'data'}
-)
-"""Names of folders and tables that do not name a recording; that of a folder above is used."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,9 +104,6 @@ class ImageFolder(Recording):
             UnusableInput: the table, the rate or the folder cannot be used.
         """
         super().__init__(path)
-        above = [parent.name for parent in path.resolve().parents if parent.name]
-        names = [name for name in (self.name, *above) if name.lower() not in GENERIC_NAMES]
-        self.name = names[0] if names else self.name
         folder = path if path.is_dir() else path.parent
         table = find_table(path) if path.is_dir() else path
         if table is not None:
@@ -120,7 +114,8 @@ class ImageFolder(Recording):
                 for index, image in enumerate(image_files(folder))
             ]
             self._warnings.add(
-                f'{folder} holds no table of times: an image rate of {rate_hz:g} Hz is assumed'
+                f'{folder} holds {len(self._rows)} images and no table of times: an image rate '
+                f'of {rate_hz:g} Hz is assumed'
             )
         else:
             raise UnusableInput(f'the rate of the images is {rate_hz:g} Hz: expected more than 0')
@@ -156,9 +151,10 @@ class ImageFolder(Recording):
 
     def _load(self, path: Path) -> EncodedImage:
         try:
-            data = path.read_bytes()
-        except OSError as error:
-            self._warnings.add(f'{path} cannot be read: {error.strerror}')
+            data = read_limited(path, MAX_MESSAGE_BYTES, 'an image')
+        except (OSError, UnusableInput) as error:
+            reason = getattr(error, 'strerror', error)
+            self._warnings.add(f'{path} cannot be read: {reason}')
             data = b''
         return EncodedImage(data, path.suffix.lstrip('.').lower())
 

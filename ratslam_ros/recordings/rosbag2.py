@@ -9,6 +9,7 @@ from typing import Any
 import yaml
 
 from ratslam_ros.errors import UnusableInput
+from ratslam_ros.limits import load_yaml, read_limited
 from ratslam_ros.recordings.bag import BagRecording
 from ratslam_ros.recordings.files import Workspace, first_bytes, storage_kind
 from ratslam_ros.recordings.image_folder import natural_key
@@ -18,6 +19,7 @@ from ratslam_ros.recordings.sqlite_file import SqliteFile
 from ratslam_ros.recordings.stream import Storage, Warnings
 
 METADATA = 'metadata.yaml'
+MAX_METADATA_BYTES = 2**25  # 100,000 files or topics.
 BAG_SUFFIXES = ('.mcap', '.db3', '.bag', '.mcap.zstd', '.db3.zstd')
 
 
@@ -163,8 +165,8 @@ def _read_metadata(folder: Path, warnings: Warnings) -> _Metadata:
     if not path.is_file():
         return _Metadata()
     try:
-        loader = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
-        about: Any = yaml.load(path.read_text(errors='replace'), loader)
+        text = read_limited(path, MAX_METADATA_BYTES, 'the metadata of a recording')
+        about: Any = load_yaml(text.decode(errors='replace'))
         about = about['rosbag2_bagfile_information']
         return _Metadata(
             [str(name) for name in about['relative_file_paths']],
@@ -184,7 +186,9 @@ def _read_metadata(folder: Path, warnings: Warnings) -> _Metadata:
                 for topic in about['topics_with_message_count']
             },
         )
-    except (OSError, yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+    except (
+        OSError, UnusableInput, yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError,
+    ) as error:  # fmt: skip
+        reason = str(error).splitlines()[0][:200] if str(error) else type(error).__name__
         warnings.add(f'{path} is damaged ({reason}): the files in the folder are read without it')
         return _Metadata()

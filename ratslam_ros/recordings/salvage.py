@@ -10,6 +10,8 @@ from typing import Any
 import lz4.frame
 import zstandard
 
+from ratslam_ros.limits import MAX_CHUNK_BYTES, MAX_MESSAGE_BYTES
+
 _PIECE_BYTES = 1 << 14  # Small, because everything after the last complete piece is lost.
 _MAX_ROW_ID = 1 << 62
 
@@ -32,7 +34,7 @@ def recovery_message(
 
 
 def decompress(data: bytes, compression: str, size: int = 0) -> tuple[bytes, bool]:
-    """Decompress data up to the first damage.
+    """Decompress data up to the first damage, and up to the size that the file states.
 
     Args:
         data: the compressed bytes.
@@ -40,32 +42,72 @@ def decompress(data: bytes, compression: str, size: int = 0) -> tuple[bytes, boo
         size: length of the result according to the file; 0 if unknown.
 
     Returns:
-        The decompressed bytes, and whether they are complete.
+        The decompressed bytes, and whether they are complete. More than ``MAX_CHUNK_BYTES`` are
+        not decompressed at all.
     """
     if compression in ('', 'none'):
         return data, not size or len(data) == size
+    if size > MAX_CHUNK_BYTES:
+        return b'', False
+    most = size or MAX_CHUNK_BYTES
     try:
         if compression == 'zstd':
-            return zstandard.decompress(data, max_output_size=size), True
-        if compression == 'lz4':
-            return lz4.frame.decompress(data), True
-        if compression == 'bz2':
-            return bz2.decompress(data), True
+            if zstandard.frame_content_size(data) <= most:  # It is -1 if unknown.
+                return zstandard.decompress(data, max_output_size=size), True
+        elif compression in ('lz4', 'bz2'):
+            decompressor = _decompressor(compression)
+            plain = decompressor.decompress(data, max_length=most)
+            if not decompressor.eof:  # The end mark may follow the last byte.
+                decompressor.decompress(b'', max_length=1)
+            if decompressor.eof:
+                return plain, True
+        else:
+            return b'', False
     except Exception:  # Each of the three libraries raises its own types.
-        return _decompress_pieces(data, compression), False
-    return b'', False
+        pass
+    return _decompress_pieces(data, compression, most), False
 
 
-def _decompress_pieces(data: bytes, compression: str) -> bytes:
-    stream: Any = {
-        'zstd': lambda: zstandard.ZstdDecompressor().decompressobj(),
-        'lz4': lz4.frame.LZ4FrameDecompressor,
-        'bz2': bz2.BZ2Decompressor,
-    }[compression]()
+def decompress_message(data: bytes) -> bytes:
+    """Decompress a message that the recorder compressed by zstd.
+
+    Raises:
+        ValueError: it has more than ``MAX_MESSAGE_BYTES``.
+        zstandard.ZstdError: it is damaged.
+    """
+    size = zstandard.frame_content_size(data)
+    plain: bytes
+    if size > MAX_MESSAGE_BYTES:
+        plain = b''
+    elif size >= 0:
+        return zstandard.decompress(data)
+    else:
+        plain = zstandard.ZstdDecompressor().stream_reader(data).read(MAX_MESSAGE_BYTES + 1)
+        size = len(plain)
+    if size > MAX_MESSAGE_BYTES:
+        raise ValueError(f'it has {size} bytes or more; expected at most {MAX_MESSAGE_BYTES}')
+    return plain
+
+
+def _decompressor(compression: str) -> Any:
+    return bz2.BZ2Decompressor() if compression == 'bz2' else lz4.frame.LZ4FrameDecompressor()
+
+
+def _decompress_pieces(data: bytes, compression: str, most: int) -> bytes:
+    """Return the bytes before the first damage, at most ``most``."""
     plain = bytearray()
     try:
-        for begin in range(0, len(data), _PIECE_BYTES):
-            plain += stream.decompress(data[begin : begin + _PIECE_BYTES])
+        if compression == 'zstd':
+            reader = zstandard.ZstdDecompressor().stream_reader(data)
+            while piece := reader.read(min(_PIECE_BYTES, most - len(plain))):
+                plain += piece
+        else:
+            stream = _decompressor(compression)
+            for begin in range(0, len(data), _PIECE_BYTES):
+                if stream.eof or len(plain) == most:
+                    break
+                piece = data[begin : begin + _PIECE_BYTES]
+                plain += stream.decompress(piece, max_length=most - len(plain))
     except Exception:  # The output before the damage is kept.
         pass
     return bytes(plain)

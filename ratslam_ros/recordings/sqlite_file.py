@@ -14,6 +14,7 @@ from typing import Any
 from urllib.parse import quote
 
 from ratslam_ros.errors import UnusableInput
+from ratslam_ros.limits import MAX_MESSAGE_BYTES, check_tables, guard_database
 from ratslam_ros.recordings.salvage import readable_rows, recovery_message
 from ratslam_ros.recordings.stream import (
     Channel,
@@ -69,9 +70,9 @@ class SqliteFile:
             uri=True,
             check_same_thread=False,
         )
-        self._database.text_factory = lambda text: text.decode(errors='replace')
         self._database.set_progress_handler(self._exceeds_step_limit, _CHECK_STEP_COUNT)
         try:
+            guard_database(self._database, MAX_MESSAGE_BYTES)
             self._channels = self._read_channels()
             start, end = self._read_times()
         except (sqlite3.Error, ValueError, TypeError) as error:
@@ -170,6 +171,7 @@ class SqliteFile:
                 'expected the tables topics and messages of a rosbag2 recording; give the .db3 '
                 'file or the folder that "ros2 bag record" wrote'
             )
+        check_tables(self._database, self.path, ('topics', 'messages'))
         return {
             int(number): Channel(str(name), str(kind), str(encoding))
             for number, name, kind, encoding in self._query(

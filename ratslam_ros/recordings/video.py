@@ -13,6 +13,7 @@ import numpy as np
 
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.images import Frame, Pixels
+from ratslam_ros.limits import MAX_PIXELS
 from ratslam_ros.recordings.events import Event, ImageEvent
 from ratslam_ros.recordings.recording import Recording
 from ratslam_ros.recordings.topics import VIDEO, Selection, Topic
@@ -111,6 +112,14 @@ class _Capture:
             raise UnusableInput(
                 f'{path} cannot be opened as a video: expected one that OpenCV can decode; '
                 f'convert it, for instance with "ffmpeg -i {path.name} converted.mp4"'
+            )
+        width = int(self._capture.get(cv2.CAP_PROP_FRAME_WIDTH))
+        height = int(self._capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
+        if width * height > MAX_PIXELS:
+            self._capture.release()
+            raise UnusableInput(
+                f'{path} has frames of {width} x {height} pixels; expected at most {MAX_PIXELS} '
+                'pixels; scale it down'
             )
         rate = float(self._capture.get(cv2.CAP_PROP_FPS))
         self.rate_hz = rate if math.isfinite(rate) and 0.0 < rate <= 10_000.0 else 0.0

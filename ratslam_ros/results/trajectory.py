@@ -9,6 +9,7 @@ from array import array
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -17,6 +18,8 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.common.pose import Pose, quaternion_of
 from ratslam_ros.errors import UnusableInput
+from ratslam_ros.limits import MAX_COORDINATE_M
+from ratslam_ros.limits import MAX_LINE_CHARACTERS as MAX_LINE
 from ratslam_ros.messages.json_schema import NS_PER_S
 
 Floats = NDArray[np.float64]
@@ -87,6 +90,9 @@ def read_tum(path: str | Path, at_most: int | None = None) -> Trajectory:
                                 f'expected {COLUMNS}') from None
         if not all(map(math.isfinite, pose)):
             raise UnusableInput(f'{where}: NaN or infinity; remove the line')
+        if max(abs(x), abs(y)) > MAX_COORDINATE_M:
+            raise UnusableInput(f'{where}: the position ({x:g}, {y:g}) is farther than '
+                                f'{MAX_COORDINATE_M:g} m from the origin; expected metres')
         norm = qx * qx + qy * qy + qz * qz + qw * qw
         if not 0.5 < norm < 2.0:
             raise UnusableInput(f'{where}: the quaternion {qx:g} {qy:g} {qz:g} {qw:g} is not of '
@@ -150,7 +156,10 @@ def _lines(path: Path) -> Iterator[tuple[int, str]]:
     """Yield number, counted from 1, and text of the lines that are not empty or a comment."""
     try:
         with path.open(encoding='utf-8') as file:
-            for number, line in enumerate(file, start=1):
+            for number, line in enumerate(iter(partial(file.readline, MAX_LINE), ''), start=1):
+                if len(line) == MAX_LINE:
+                    raise UnusableInput(f'{path}, line {number}: longer than {MAX_LINE} '
+                                        f'characters, expected {COLUMNS}')
                 if line.strip() and not line.lstrip().startswith('#'):
                     yield number, line
     except (OSError, UnicodeDecodeError) as error:

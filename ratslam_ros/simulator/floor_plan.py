@@ -10,11 +10,12 @@ from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.errors import UnusableInput
+from ratslam_ros.images import EncodedImage, UndecodableImage
+from ratslam_ros.limits import MAX_MESSAGE_BYTES, read_limited
 
 # Two loops that share the left half. Corridors are three cells wide, so that a place in the middle
 # row lies on the centre line. Alcoves, a lobby and its pillars distinguish the corridors.
@@ -44,6 +45,14 @@ WALL, FREE = '#', '. '
 
 FREE_MIN_GREY = 128
 """Grey level, 0 to 255, from which on a pixel of a picture is free."""
+
+MAX_CELLS = 2**22
+"""Largest accepted number of cells: 100 m x 100 m with cells of 5 cm."""
+
+MAX_TEXT_BYTES = 4 * MAX_CELLS
+
+MIN_CELL_M, MAX_CELL_M = 0.001, 1000.0
+"""Smallest and largest accepted side of a cell: finer than a laser measures, and a district."""
 
 _PLANS = files('ratslam_ros') / 'simulator' / 'plans'
 
@@ -165,7 +174,7 @@ def load_floor_plan(
         loaded = parse_floor_plan((_PLANS / f'{plan}.txt').read_text('utf-8'))
     else:
         try:
-            text = path.read_text('utf-8')
+            text = read_limited(path, MAX_TEXT_BYTES, 'a floor plan').decode()
         except (OSError, UnicodeDecodeError) as error:
             raise UnusableInput(
                 f'cannot read the floor plan {str(plan)!r} ({error}): give a text file, a .png or '
@@ -202,14 +211,22 @@ def _from_picture(path: Path, cell_m: float | None) -> FloorPlan:
     if cell_m is None:
         raise UnusableInput(f'{path}: give the side of a pixel of the picture in metres (cell_m)')
     _require_length(cell_m, 'metres for each pixel')
-    picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-    if picture is None:
-        raise UnusableInput(f'cannot read {path} as a picture: give a PNG file')
+    try:
+        picture = EncodedImage(read_limited(path, MAX_MESSAGE_BYTES, 'a picture')).grey()
+    except (OSError, UndecodableImage) as error:
+        raise UnusableInput(
+            f'cannot read {path} as a picture ({error}): give a PNG file'
+        ) from None
     return _require_closed(FloorPlan(picture[::-1] < FREE_MIN_GREY, cell_m, {}, path.stem))
 
 
 def _require_closed(plan: FloorPlan) -> FloorPlan:
     solid = plan.solid
+    if solid.size > MAX_CELLS:
+        raise UnusableInput(
+            f'a floor plan has {solid.shape[1]} x {solid.shape[0]} cells; expected at most '
+            f'{MAX_CELLS} cells: draw it with larger ones'
+        )
     if not (solid[0].all() and solid[-1].all() and solid[:, 0].all() and solid[:, -1].all()):
         raise UnusableInput(
             'a floor plan must be closed: draw # (in a picture: dark pixels) all around its edge'
@@ -227,7 +244,8 @@ def _length(value: str, line: int) -> float:
 
 
 def _require_length(length_m: float, what: str, seen: str | None = None) -> None:
-    if not 0.0 < length_m < math.inf:
+    if not MIN_CELL_M <= length_m <= MAX_CELL_M:
         raise UnusableInput(
-            f'{what} must be a positive number of metres, not {seen or length_m}'
+            f'{what} must be a positive number of metres, {MIN_CELL_M:g} to {MAX_CELL_M:g}, not '
+            f'{(seen or str(length_m))[:40]}'
         )

@@ -44,8 +44,17 @@ def _configuration() -> str:
     """Return the Cyclone DDS configuration (XML) for ROS's environment variables.
 
     Raises:
-        ValueError: ROS_AUTOMATIC_DISCOVERY_RANGE has an invalid value.
+        ValueError: ROS_AUTOMATIC_DISCOVERY_RANGE has an invalid value, or ROS_SECURITY_STRATEGY
+            requires DDS security.
     """
+    if (
+        os.environ.get('ROS_SECURITY_ENABLE') == 'true'
+        and os.environ.get('ROS_SECURITY_STRATEGY') == 'Enforce'
+    ):
+        raise ValueError(
+            'ROS_SECURITY_STRATEGY=Enforce: there is no DDS security without ROS; use ROS 2, or '
+            'unset it if everyone on the network may control the nodes'
+        )
     discovery_range = os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE') or 'SUBNET'
     if os.environ.get('ROS_LOCALHOST_ONLY') == '1':
         discovery_range = 'LOCALHOST'

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.history.run_state import NS_PER_S, RunState
+from ratslam_ros.images import EncodedImage, UndecodableImage
 from ratslam_ros.viewer.panels.html import BLUE, ORANGE
 from ratslam_ros.viewer.panels.texts import decision_text, match_text, time_text
 from ratslam_ros.viewer.run_source import RunSource
@@ -232,7 +233,9 @@ class _Frames:
             'time': f'{time_text(seconds, 0)} of {self._length} (min:s)',
             'counts': f'places: {len(state.map)} · links: {state.map.link_count} · '
                       f'loop closures: {self._closed}',
-            'decision': '' if view is None else f'{match_text(view)}; {decision_text(view)}',
+            'decision': '' if view is None else (
+                f'{match_text(view)}; {decision_text(view, self._source.required_views)}'
+            ),
             'image': len(overlay.images) - 1,
             'views': len(overlay.views),
         })  # fmt: skip
@@ -266,8 +269,9 @@ class _Frames:
 
 def _small(jpeg: bytes) -> bytes | None:
     """Return an image at most as wide as it is shown; None if it cannot be decoded."""
-    pixels = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
-    if pixels is None:
+    try:
+        pixels = EncodedImage(jpeg).bgr()
+    except UndecodableImage:
         return None
     height, width = pixels.shape[:2]
     if width <= IMAGE_WIDTH_PX:

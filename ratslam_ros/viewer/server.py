@@ -11,6 +11,7 @@ resolves to 127.0.0.1 is of no use.
 
 from __future__ import annotations
 
+import asyncio
 import errno
 import hmac
 import http
@@ -41,6 +42,13 @@ LOOPBACK = frozenset({'127.0.0.1', 'localhost', '::1'})
 
 MAX_MESSAGE_BYTES = 16 * 2**20
 """Largest message from a browser: a screenshot of 4K as PNG. Events are below 1 kB."""
+
+MAX_CONNECTIONS = 64
+"""Largest number of open connections. A page has one, and a browser opens some in advance."""
+
+MAX_RATE_HZ, BURST = 1000.0, 1000
+"""Largest mean rate of messages of one connection, and number that may come at once. A dragged
+slider or camera sends 60 a second; more wait in the connection, which slows their sender down."""
 
 REFUSED_MESSAGES = frozenset({
     'FileTransferStartUpload',  # No panel takes files, and viser would keep them in memory.
@@ -229,7 +237,7 @@ class _Connections:
     def add(self, transport: Any) -> None:
         """Note an open connection."""
         self._open.add(transport)
-        if self._aborted:
+        if self._aborted or len(self._open) > MAX_CONNECTIONS:
             transport.abort()
 
     def remove(self, transport: Any) -> None:
@@ -259,6 +267,7 @@ def _connection_class(connections: _Connections) -> Any:
     class Connection(ServerConnection):
         def connection_made(self, transport: Any) -> None:
             super().connection_made(transport)
+            self._free_s = 0.0
             connections.add(transport)
 
         def connection_lost(self, exc: Exception | None) -> None:
@@ -268,6 +277,10 @@ def _connection_class(connections: _Connections) -> Any:
         async def recv(self, decode: bool | None = None) -> Any:
             while True:
                 data = await super().recv(decode)
+                now_s = asyncio.get_running_loop().time()
+                self._free_s = max(self._free_s, now_s - BURST / MAX_RATE_HZ) + 1.0 / MAX_RATE_HZ
+                if self._free_s > now_s:
+                    await asyncio.sleep(self._free_s - now_s)
                 try:
                     if isinstance(data, bytes) and head.decode(data).type in permitted:
                         return data

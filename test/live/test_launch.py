@@ -17,6 +17,7 @@ import yaml
 from processes import wait_for
 
 from ratslam_ros.core.config import Config
+from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.live import launch as module
 from ratslam_ros.live.launch import (
     LaunchOptions,
@@ -25,6 +26,7 @@ from ratslam_ros.live.launch import (
     remappings,
     ros_arguments,
     supervise,
+    with_map,
 )
 
 ROOT = Path(__file__).parents[2]
@@ -73,7 +75,8 @@ def test_raw_or_compressed_camera_topic_is_accepted(given: str) -> None:
 def test_nodes_share_one_parameter_file(monkeypatch: pytest.MonkeyPatch) -> None:
     seen: dict[str, list[str]] = {}
 
-    def inspect(commands: dict[str, list[str]]) -> int:
+    def inspect(commands: dict[str, list[str]], respawn: bool) -> int:
+        assert not respawn
         seen.update(commands)
         values = yaml.safe_load(Path(commands['pose_cells'][-1]).read_text('utf-8'))
         assert values['/**/pose_cells']['ros__parameters']['pc_dim_x'] == 31
@@ -147,6 +150,41 @@ def test_killed_process_is_named_with_its_signal(tmp_path: Path, capfd) -> None:
     code = 'import os, signal; os.kill(os.getpid(), signal.SIGKILL)'
     assert supervise({'a': python(code), 'b': child(tmp_path / 'b', STOPS)}) == 1
     assert 'a was ended by SIGKILL; stopping b' in capfd.readouterr().err
+
+
+def test_killed_process_is_started_again_with_a_map(tmp_path: Path, capfd) -> None:
+    a, count = tmp_path / 'a', tmp_path / 'count'
+    command = python(
+        'import os, signal, sys, time\n'
+        f'with open({str(count)!r}, "a") as file: file.write("x")\n'
+        f'if os.path.getsize({str(count)!r}) < 3: os.kill(os.getpid(), signal.SIGKILL)\n'
+        f'{STOPS}\nopen({str(a)!r}, "w").close()\ntime.sleep(60)'
+    )
+    with interrupts(a):
+        assert supervise({'a': command}, respawn=True) == 0
+    assert count.read_text() == 'xxx'
+    assert capfd.readouterr().err.count('a was ended by SIGKILL; starting it again') == 2
+
+
+def test_process_that_keeps_failing_is_not_started_for_ever(capfd) -> None:
+    assert supervise({'a': python('raise SystemExit(3)')}, respawn=True) == 1
+    assert capfd.readouterr().err.count('starting it again') == module.MAX_RESTARTS
+
+
+def test_unusable_map_ends_the_nodes_at_once(capfd) -> None:
+    assert supervise({'a': python('raise SystemExit(2)')}, respawn=True) == 1
+    assert 'starting it again' not in capfd.readouterr().err
+
+
+def test_map_is_given_to_all_nodes_that_keep_state() -> None:
+    config = with_map(Config(), '~/office map.ratslam', localize=True)
+    for section in ('visual_odometry', 'local_view', 'pose_cells', 'experience_map',
+                    'landmark_map'):  # fmt: skip
+        values = config.values()[section]
+        assert values['map'] == str(Path.home() / 'office map.ratslam')
+        assert values['localize'] is True
+    with pytest.raises(UnusableParameter, match='needs the map'):
+        with_map(Config(), '', localize=True)
 
 
 def test_optional_command_may_end(tmp_path: Path) -> None:

@@ -885,3 +885,14 @@ def test_an_input_that_has_ended_is_no_warning(world: MakeWorld) -> None:
     made.tester.destroy_publisher(made.publishers.pop('odom'))
     made.until(lambda: odom.state == 'finished')
     assert 'odometry' not in node._diagnostics.missing
+
+
+def test_memory_folder_stays_below_that_of_start(world: MakeWorld, tmp_path: Path) -> None:
+    from rclpy.parameter import Parameter
+
+    made, _ = experience_map(world, '-p', f'memory_folder:={tmp_path}/maps')
+    (node,) = made.nodes
+    for folder, is_accepted in ((f'{tmp_path}/maps/home', True), (f'{tmp_path}/other', False)):
+        (result,) = node.set_parameters([Parameter('memory_folder', value=folder)])
+        assert result.successful is is_accepted, result.reason
+    assert node.get_parameter('memory_folder').value == f'{tmp_path}/maps/home'

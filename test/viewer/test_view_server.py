@@ -15,7 +15,7 @@ from urllib.parse import urlsplit
 import pytest
 
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.viewer.server import MAX_MESSAGE_BYTES, ViewServer
+from ratslam_ros.viewer.server import MAX_CONNECTIONS, MAX_MESSAGE_BYTES, ViewServer
 
 FORBIDDEN, OK = 403, 200
 
@@ -232,3 +232,55 @@ def test_stop_ends_silent_connections(viser: Any) -> None:
 def test_start_prints_nothing(viser: Any, capfd: pytest.CaptureFixture[str]) -> None:
     ViewServer(port=0).stop()
     assert capfd.readouterr() == ('', '')
+
+
+def test_connections_are_limited(server: ViewServer) -> None:
+    opened = [
+        socket.create_connection(('127.0.0.1', server.port)) for _ in range(MAX_CONNECTIONS + 5)
+    ]
+    try:
+        for one in opened:
+            one.settimeout(0.05)
+        ended = 0
+        for _ in range(100):
+            ended = 0
+            for one in opened:
+                try:
+                    ended += one.recv(1) == b''
+                except TimeoutError:
+                    continue
+                except ConnectionError:
+                    ended += 1
+            if ended >= 5:
+                break
+        assert 5 <= ended < len(opened)
+    finally:
+        for one in opened:
+            one.close()
+    deadline_s = time.monotonic() + 30.0
+    while time.monotonic() < deadline_s:  # The server notices closed connections after a while.
+        try:
+            status, _ = get(server, page_of(server))
+        except (OSError, http.client.HTTPException):
+            continue
+        assert status == OK
+        return
+    raise AssertionError('the server refuses connections although all others are closed')
+
+
+def test_flood_of_messages_waits(viser: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    from ratslam_ros.viewer import server as module
+
+    monkeypatch.setattr(module, 'MAX_RATE_HZ', 100.0)
+    monkeypatch.setattr(module, 'BURST', 10)
+    one = ViewServer(port=0)
+    try:
+        with connect(one) as connection:
+            begin_s = time.monotonic()
+            for _ in range(110):
+                connection.send(message('Unknown'))
+            connection.send(b'\xc1')  # invalid, which closes the connection when it is its turn
+            assert is_closed(connection)
+            assert time.monotonic() - begin_s > 0.9  # 100 messages at 100 Hz
+    finally:
+        one.stop()

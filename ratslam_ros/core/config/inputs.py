@@ -7,7 +7,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ratslam_ros.core.common.turn_correction import TurnCorrection
-from ratslam_ros.core.config.parameter import Section, parameter
+from ratslam_ros.core.config.parameter import NO_FILE, Section, parameter
 
 WHOLE = -1
 """Value of an upper image bound that stands for the edge of the image."""
@@ -55,7 +55,27 @@ class ImageInput(LiveInput):
 
 
 @dataclass(frozen=True)
-class Memory(LiveInput):
+class MapFile(LiveInput):
+    """The map file that all nodes share."""
+
+    map: str = parameter(
+        NO_FILE, '', 0, 0,
+        'Live only: file in which the node saves what it learns while it runs, and from which it '
+        'continues when it is started again. Give all nodes the same file. Empty: the map is '
+        'kept in memory only.',
+        'set to a file to keep the map after the end of the nodes, or after a power cut',
+        'leave empty if every run starts with an empty map',
+    )  # fmt: skip
+    localize: bool = parameter(
+        False, '', 0, 1,
+        'Live only: only localise in the map file, which stays unchanged: nothing is learned, '
+        'saved or adapted.',
+        'the map is complete and must not change',
+        'new places must be mapped')  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Memory(MapFile):
     """Location of saved memory files."""
 
     memory_folder: str = parameter(

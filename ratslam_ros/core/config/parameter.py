@@ -17,6 +17,12 @@ Value = bool | int | float | str
 AUTOMATIC = -1
 """Value of a number that is estimated from the inputs instead of being set."""
 
+NO_FILE = ''
+"""Default of parameters that are paths of files, which may contain spaces."""
+
+MAX_PATH_LENGTH = 4096
+"""Longest path that Linux accepts, in characters."""
+
 
 @dataclass(frozen=True)
 class ParameterInfo:
@@ -35,7 +41,7 @@ class ParameterInfo:
     lower_if: str
     """Condition under which to lower the value or leave a switch off; for strings, full advice."""
     choices: tuple[str, ...] = ()
-    """Valid strings; if empty, any string without whitespace is valid."""
+    """Valid strings; if empty, any string without whitespace is valid, or any path."""
     automatic: bool = False
     """Whether ``AUTOMATIC`` is valid as well."""
 
@@ -101,6 +107,13 @@ def _checked(name: str, value: Any, default: Value, info: ParameterInfo) -> Valu
         if isinstance(value, (bool, int)) and value in (0, 1):
             return bool(value)
         raise UnusableParameter(f'{name} is {value!r}; expected true or false')
+    if default == NO_FILE:
+        if isinstance(value, str) and value.isprintable() and len(value) <= MAX_PATH_LENGTH:
+            return value
+        raise UnusableParameter(
+            f'{name} is {str(value)[:80]!r}; expected the path of a file, of up to '
+            f'{MAX_PATH_LENGTH} printable characters'
+        )
     if isinstance(default, str):
         if isinstance(value, str) and (value in info.choices or _is_name(value, info)):
             return value

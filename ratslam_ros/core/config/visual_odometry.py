@@ -6,12 +6,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ratslam_ros.core.config.inputs import CROP_MAX, WHOLE, ImageInput
+from ratslam_ros.core.config.inputs import CROP_MAX, WHOLE, ImageInput, MapFile
 from ratslam_ros.core.config.parameter import parameter
 
 
 @dataclass(frozen=True)
-class VisualOdometryParameters(ImageInput):
+class VisualOdometryParameters(ImageInput, MapFile):
     """Estimation of speed and turn rate from camera images."""
 
     vtrans_image_x_min: int = parameter(

@@ -38,7 +38,8 @@ class MapRelocations:
 
     def answer(self, sequence: int, relocation: MapRelocation | None) -> None:
         """Record the answer of the map to an action; None if it did not relocate the robot."""
-        self._last = sequence
+        # A restarted map answers earlier actions again.
+        self._last = sequence if self._last is None else max(self._last, sequence)
         if relocation is not None:
             self._relocations[sequence] = relocation
 

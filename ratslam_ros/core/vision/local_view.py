@@ -134,7 +134,7 @@ class LocalView:
 
     @property
     def templates(self) -> NDArray[np.uint8]:
-        """Copy of all templates, in the order of ``template_ids``: (n, height, width) uint8."""
+        """All templates, in the order of ``template_ids``: (n, height, width) uint8, read only."""
         return self._memory.views()
 
     @property
@@ -226,7 +226,7 @@ class LocalView:
         if recognised is not None:
             if self._freshness is not None and self.mapping:
                 self._freshness.observe(recognised.template_id)
-            relative_rad = self._relative_rad(recognised.offset)
+            relative_rad = self.relative_rad(recognised.offset)
             return ViewMatch(
                 recognised.template_id, False, error, relative_rad, threshold, related_count
             )
@@ -299,6 +299,10 @@ class LocalView:
             self._freshness.add(template_id)
         return template_id
 
+    def skip_ids(self, next_id: int) -> None:
+        """Give new templates ids from ``next_id`` on, if that is above all ids in use."""
+        self._memory.next_id = max(self._memory.next_id, next_id)
+
     def state(self) -> State:
         """Return everything learned, for ``restore``."""
         state: State = {'templates': self.templates}
@@ -336,14 +340,12 @@ class LocalView:
                 f'{size} of uint8: template_y_size and template_x_size '
                 'must equal those of the run that saved them'
             )
-        ids = state.get('template_ids', np.arange(len(templates))).tolist()
-        for template_id, view in zip(ids, templates, strict=True):
-            self._memory.append(view, template_id)
-        self._memory.next_id = int(state.get('next_id', len(templates)))
+        ids = state.get('template_ids', np.arange(len(templates)))
+        self._memory.restore(templates, ids, int(state.get('next_id', len(templates))))
         if self._freshness is not None and 'freshness' in state:
             self._freshness.restore(state['freshness'])
         elif self._freshness is not None:  # saved without a limit
-            for template_id in ids:
+            for template_id in ids.tolist():
                 self._freshness.add(template_id)
         if 'threshold' in state:
             self._threshold.restore(state['threshold'], len(self))
@@ -361,7 +363,8 @@ class LocalView:
         """
         return self._memory.search(view).best()
 
-    def _relative_rad(self, offset: int) -> float:
+    def relative_rad(self, offset: int) -> float:
+        """Return the heading relative to that of a template, for the offset of their match."""
         p = self._p
         if self._layout.panoramic:
             return wrap(-2.0 * math.pi * offset / p.template_x_size)

@@ -54,7 +54,9 @@ def test_value_of_wrong_type_or_range_is_refused(
 ) -> None:
     if isinstance(default, (bool, str)):
         any_name = isinstance(default, str) and not info.choices
-        for wrong in (7, 'two words' if any_name else 'nonsense', None, 2.5, [True], ''):
+        text = 'two words' if any_name else 'nonsense'
+        texts = (text, '') if default != '' else ('a\nb', 'x' * 5000)  # '': path of a file
+        for wrong in (7, None, 2.5, [True], *texts):
             assert name in refused(f'{section}.{name}', wrong)
         return
     assert info.low <= default <= info.high
@@ -188,7 +190,8 @@ def test_section_of_finds_every_name() -> None:
         assert found == section or name in (
             'odom_source', 'odom_rotation_gain', 'odom_turn_per_m', 'max_odom_gap_s',
             'max_lateness_s', 'flush_after_s', 'watchdog_after_s', 'on_jump_back', 'publish_tf',
-            'odom_frame', 'base_frame', 'image_transport', 'memory_folder', 'forget_share',
+            'odom_frame', 'base_frame', 'image_transport', 'memory_folder', 'map', 'localize',
+            'forget_share',
             'forget_after_s', 'forget_robust_visits', 'map_frame', 'map_period_s',
         )  # fmt: skip
     assert section_of('nonsense') is None

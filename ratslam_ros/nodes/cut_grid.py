@@ -1,0 +1,115 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Moments, in stamps, at which every node writes its part of the map file.
+
+All nodes use the same grid of stamps and process their messages in stamp order. Cut k therefore
+holds the effects of exactly the messages with stamps up to k * CUT_PERIOD_NS in the file of every
+node, although the nodes do not communicate about it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+CUT_PERIOD_NS = 2_000_000_000
+"""Distance of the cuts. A saved map is at most five seconds old: this, plus the time by which the
+streams wait for each other (max_lateness_s, 2 s) and the time of writing."""
+
+NUMBERS_PER_RUN = 2**40
+"""Numbers of cuts for each run of increasing stamps: more than 60,000 years of them."""
+
+
+@dataclass(frozen=True)
+class GridCut:
+    """A cut: its number, which increases with time, and the last stamp that it includes."""
+
+    number: int
+    stamp_ns: int
+
+
+class CutGrid:
+    """Detects at which messages a cut is due, and numbers the cuts."""
+
+    def __init__(self) -> None:
+        self._run = 0
+        self._index: int | None = None
+        self._last_ns: int | None = None
+
+    @property
+    def last_ns(self) -> int | None:
+        """Stamp of the last message that was processed, None before the first."""
+        return self._last_ns
+
+    def restore(self, cut: GridCut) -> None:
+        """Continue after a cut."""
+        self._run, number = divmod(cut.number, NUMBERS_PER_RUN)
+        # A cut between two points of the grid is written again once its point is reached.
+        self._index = number if cut.stamp_ns >= number * CUT_PERIOD_NS else number - 1
+        self._last_ns = cut.stamp_ns
+
+    def start_run(self) -> None:
+        """Start a run of stamps, which may be earlier than those of the last one."""
+        self._run += 1
+        self._index = self._last_ns = None
+
+    def before(self, stamp_ns: int) -> GridCut | None:
+        """Return the cut that is due before a message with a stamp is processed, if any.
+
+        The number is that of the newest point of the grid before the stamp. The state is that of
+        all points since the last message, because no message lies between.
+        """
+        index = (stamp_ns - 1) // CUT_PERIOD_NS
+        previous, self._last_ns = self._index, stamp_ns
+        if previous is not None and index <= previous:
+            return None
+        self._index = index
+        if previous is None:  # nothing has been processed yet
+            return None
+        return GridCut(self._run * NUMBERS_PER_RUN + index, index * CUT_PERIOD_NS)
+
+    def now(self, least: int = 0) -> GridCut | None:
+        """Return a cut after the last processed message, for pauses and for the end.
+
+        It has the number of the next point of the grid, because no message before that point is
+        expected.
+
+        Args:
+            least: smallest number, such as that of the newest cut of another node: a node without
+                messages has the same state there.
+        """
+        own = 0 if self._last_ns is None else -(-self._last_ns // CUT_PERIOD_NS)
+        number = max(self._run * NUMBERS_PER_RUN + own, least)
+        if number == 0:
+            return None  # nothing has been processed anywhere
+        return GridCut(number, self._last_ns or 0)
+
+
+class Repetitions:
+    """Recognises messages that a restarted neighbour sends a second time."""
+
+    def __init__(self) -> None:
+        self._spans: dict[str, tuple[int, int]] = {}
+
+    def expect(self, stream: str, after_ns: int, newest_ns: int) -> None:
+        """Expect a stream to repeat its messages since a stamp.
+
+        Args:
+            stream: name of the stream.
+            after_ns: messages with later stamps may be repeated.
+            newest_ns: newest stamp that has been received. The first message after it ends the
+                repetition.
+        """
+        if stream in self._spans:
+            before_ns, end_ns = self._spans[stream]
+            after_ns, newest_ns = min(after_ns, before_ns), max(newest_ns, end_ns)
+        self._spans[stream] = after_ns, newest_ns
+
+    def contains(self, stream: str, stamp_ns: int) -> bool:
+        """Return whether a message has been received before."""
+        if stream not in self._spans:
+            return False
+        after_ns, newest_ns = self._spans[stream]
+        if stamp_ns > newest_ns:
+            del self._spans[stream]
+            return False
+        return stamp_ns > after_ns

@@ -1,0 +1,174 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Restart of a node: what it missed, from its neighbours, from sources that can resend, and live.
+
+A restarted node continues from the last state that it saved. Until it has received everything
+since then, it only collects messages. Its neighbours answer its request when their logs are in the
+map file, and sources of images when they have sent them again.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from rclpy.node import Node
+from std_msgs.msg import String
+
+from ratslam_ros.messages.json_schema import NS_PER_S, MalformedMessage
+from ratslam_ros.messages.resending import (
+    RESEND,
+    RESENT,
+    ResendAnswer,
+    ResendRequest,
+    decode_answer,
+    encode_request,
+    resent_topic,
+)
+from ratslam_ros.nodes.convert import stamp_ns
+from ratslam_ros.nodes.qos import GOAL, INPUT
+
+REQUEST_PERIOD_S = 0.25
+"""Period at which a request is repeated, because its receivers may not be connected yet."""
+
+LEAST_S = 1.0
+"""Shortest time of collecting, in which DDS connects a new node to its neighbours."""
+
+MOST_S = 5.0
+"""Longest time of collecting. A neighbour that was killed remains visible for up to 10 s."""
+
+NEIGHBOURS = frozenset(
+    {'visual_odometry', 'local_view', 'pose_cells', 'experience_map', 'landmark_map'}
+)
+"""Nodes that answer requests."""
+
+
+class Missed(NamedTuple):
+    """A message that is delivered after the restart."""
+
+    stamp_ns: int
+    stream: str
+    deliver: Callable[[], None]
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """An input of a restarted node.
+
+    stream: its name. kind: type of the messages. after_ns: last stamp that the node has.
+    callback: receives a message.
+    """
+
+    stream: str
+    kind: type
+    after_ns: int
+    callback: Callable[[Any], None]
+
+
+class Resuming:
+    """Collects the messages that a restarted node missed."""
+
+    def __init__(
+        self, node: Node, wanted: Mapping[str, Wanted], repeats: tuple[str, ...], since_ns: int
+    ) -> None:
+        """Subscribe, and send the first request.
+
+        Args:
+            node: the restarted node.
+            wanted: inputs by topic.
+            repeats: streams that the node will send again.
+            since_ns: last stamp in the state that the node continues from.
+        """
+        self._node = node
+        self._wanted = wanted
+        self._request = ResendRequest(
+            time.time_ns(), node.get_name(), {t: one.after_ns for t, one in wanted.items()},
+            repeats, since_ns,
+        )  # fmt: skip
+        self.missed: list[Missed] = []
+        """Everything received, in the order of arrival."""
+        self.is_complete = False
+        """Whether a source has sent all its messages since ``since_ns`` again."""
+        self._resent = dict.fromkeys(wanted, 0)
+        self._promised: dict[str, int] = {}
+        self._answered: set[str] = set()
+        self._start_s = self._next_s = time.monotonic()
+        self._requests = node.create_publisher(String, RESEND, GOAL)
+        self._subscriptions = [
+            node.create_subscription(String, RESENT, self._on_answer, GOAL),
+            *(
+                node.create_subscription(
+                    one.kind, resent_topic(topic), self._receiver(topic, one), INPUT
+                )
+                for topic, one in wanted.items()
+            ),
+        ]
+
+    def keep(self, stream: str, message: Any, callback: Callable[[Any], None]) -> None:
+        """Keep a message until the node has caught up."""
+        self.missed.append(Missed(stamp_of(message), stream, lambda: callback(message)))
+
+    def update(self) -> bool:
+        """Repeat the request if it is due; return whether everything has arrived."""
+        now_s = time.monotonic()
+        if now_s >= self._next_s:
+            self._next_s = now_s + REQUEST_PERIOD_S
+            self._requests.publish(String(data=encode_request(self._request)))
+        took_s = now_s - self._start_s
+        return took_s >= MOST_S or (took_s >= LEAST_S and self._has_all())
+
+    def close(self) -> None:
+        """Announce that the node has caught up, and end the subscriptions."""
+        done = ResendRequest(self._request.number, self._request.node, done=True)
+        self._requests.publish(String(data=encode_request(done)))
+        for subscription in self._subscriptions:
+            self._node.destroy_subscription(subscription)
+
+    def _has_all(self) -> bool:
+        names = {
+            name for name, space in self._node.get_node_names_and_namespaces()
+            if space == self._node.get_namespace()
+        }
+        if not (names & NEIGHBOURS) - {self._node.get_name()} <= self._answered:
+            return False
+        for topic in self._wanted:
+            again = self._node.resolve_topic_name(resent_topic(topic))
+            if topic in self._promised:
+                if self._resent[topic] < self._promised[topic]:
+                    return False
+            elif self._node.count_publishers(again):
+                return False
+        return True
+
+    def _receiver(self, topic: str, one: Wanted) -> Callable[[Any], None]:
+        def receive(message: Any) -> None:
+            self._resent[topic] += 1
+            self.keep(one.stream, message, one.callback)
+
+        return receive
+
+    def _on_answer(self, message: String) -> None:
+        try:
+            answer: ResendAnswer = decode_answer(message.data)
+        except MalformedMessage as error:
+            self._node.get_logger().warning(str(error))
+            return
+        if answer.number != self._request.number:
+            return
+        self._answered.add(answer.node)
+        self._promised.update(answer.counts)
+        self.is_complete |= bool(answer.counts) and answer.complete
+
+
+def stamp_of(message: Any) -> int:
+    """Return the stamp of a message in its header or JSON text; 0 if it has none."""
+    if hasattr(message, 'header'):
+        return stamp_ns(message.header)
+    try:
+        stamp = json.loads(message.data)['stamp']
+        return int(stamp['sec']) * NS_PER_S + int(stamp['nanosec'])
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return 0  # the node reports malformed messages

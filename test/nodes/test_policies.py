@@ -1,0 +1,98 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The SROS 2 policy permits what the nodes use, and nothing else."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import subprocess
+import sys
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+POLICY = ElementTree.parse(ROOT / 'policies' / 'ratslam.policy.xml').getroot()
+LISTS = {
+    'topics': ('topic', {'publish', 'subscribe'}), 'services': ('service', {'reply', 'request'}),
+}  # fmt: skip
+
+
+def tool() -> Any:
+    path = ROOT / 'tools' / 'sros2_policies.py'
+    spec = importlib.util.spec_from_file_location('sros2_policies', path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def permitted(node: str, kind: str) -> set[str]:
+    return {
+        str(entry.text)
+        for profile in POLICY.iter('profile') if profile.get('node') == node
+        for group in profile if group.get(kind) == 'ALLOW'
+        for entry in group
+    }  # fmt: skip
+
+
+def test_policy_has_the_layout_of_its_schema() -> None:
+    """As policy.xsd of sros2 has it: elements, attributes and values; an enclave per node."""
+    assert (POLICY.tag, POLICY.get('version')) == ('policy', '0.2.0')
+    (enclaves,) = POLICY
+    assert enclaves.tag == 'enclaves'
+    for enclave in enclaves:
+        assert enclave.tag == 'enclave' and set(enclave.attrib) == {'path'}
+        (profiles,) = enclave
+        (profile,) = profiles
+        assert (profiles.tag, profile.tag) == ('profiles', 'profile')
+        assert set(profile.attrib) == {'ns', 'node'}
+        assert enclave.get('path') == f'/ratslam/{profile.get("node")}'
+        for group in profile:
+            item, kinds = LISTS[group.tag]
+            assert set(group.attrib) <= kinds and set(group.attrib.values()) == {'ALLOW'}
+            assert len(group) > 0
+            for entry in group:
+                assert entry.tag == item and not entry.attrib
+                assert re.fullmatch(r'[~/]?[a-z_]+(/[a-z_]+)*', str(entry.text)), entry.text
+
+
+def test_policy_is_up_to_date(world: Callable[..., Any]) -> None:
+    world()  # skipped without a middleware
+    done = subprocess.run(
+        [sys.executable, ROOT / 'tools' / 'sros2_policies.py', '--check'], capture_output=True,
+        text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_all_nodes_have_a_policy() -> None:
+    nodes = {str(profile.get('node')) for profile in POLICY.iter('profile')}
+    text = (ROOT / 'setup.py').read_text(encoding='utf-8')
+    listed = set(re.findall(r"'(\w+)'", text.split('NODES = [')[1].split(']')[0]))
+    assert nodes == listed - {'single_process'}  # the nodes of it in one process
+
+
+def test_viewer_may_call_what_its_controls_call() -> None:
+    source = ''.join(
+        (ROOT / 'ratslam_ros' / 'nodes' / name).read_text(encoding='utf-8')
+        for name in ('viewer_controls.py', 'viewer_topics.py')
+    )
+    called = set(re.findall(r"_call_all\(\w+, '(\w+)'", source))
+    called |= set(re.findall(r"\{(?:name|node)\}/(\w+)'", source))
+    called |= set(re.findall(r"(?:Trigger|SetBool), 'experience_map/(\w+)'", source))
+    assert called == tool().REQUESTED
+
+
+@pytest.mark.parametrize('topic', ['cmd_vel', '/tf', 'pose_cells/action', 'ratslam/map_command'])
+def test_viewer_may_not_publish_results(topic: str) -> None:
+    assert topic not in permitted('viewer', 'publish')
+
+
+def test_only_the_goal_follower_drives() -> None:
+    nodes = [str(profile.get('node')) for profile in POLICY.iter('profile')]
+    assert [n for n in nodes if 'cmd_vel' in permitted(n, 'publish')] == ['goal_follower']

@@ -1,0 +1,415 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Inputs from others are refused before they cost memory or time, and never run code.
+
+docs/security.md lists every input with its limit and the test here that proves it.
+"""
+
+from __future__ import annotations
+
+import ast
+import bz2
+import io
+import json
+import os
+import sqlite3
+import subprocess
+import sys
+import zipfile
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import cv2
+import lz4.frame
+import numpy as np
+import pytest
+import zstandard
+
+from ratslam_ros.errors import UnusableInput
+from ratslam_ros.files import memory
+from ratslam_ros.files.config import load_config
+from ratslam_ros.history.file import SCHEMA, SCHEMA_VERSION, HistoryMeta
+from ratslam_ros.history.history_run import HistoryRun
+from ratslam_ros.history.recorded_images import encoded_jpeg
+from ratslam_ros.images import EncodedImage, UndecodableImage
+from ratslam_ros.limits import MAX_CHUNK_BYTES, MAX_PIXELS, MAX_YAML_DEPTH, is_below
+from ratslam_ros.messages.goals import MAX_GOALS, decode_goal, decode_name, decode_status
+from ratslam_ros.messages.json_schema import MAX_PAYLOAD_CHARACTERS, MalformedMessage
+from ratslam_ros.messages.mapping import decode_template
+from ratslam_ros.recordings import files as recording_files
+from ratslam_ros.recordings import open_recording, salvage
+from ratslam_ros.recordings.decode import UndecodableMessage, decode, template_event
+from ratslam_ros.recordings.rosbag2 import METADATA, _read_metadata
+from ratslam_ros.recordings.salvage import decompress
+from ratslam_ros.recordings.stream import Channel, Message, Warnings
+from ratslam_ros.results.trajectory import read_tum
+from ratslam_ros.simulator import floor_plan
+
+ROOT = Path(__file__).parents[1]
+ZEROS = bytes(2**24)
+
+
+# Code
+
+
+def test_nothing_unpickles_or_evaluates_inputs() -> None:
+    forbidden = {'pickle', 'cPickle', '_pickle', 'marshal', 'shelve', 'dill', 'joblib'}
+    # Writes message classes from the project's own definitions; see the module.
+    permitted = {'ratslam_ros/standalone/types.py': {'exec'}}
+    for folder in ('ratslam_ros', 'tools', 'benchmarks', 'examples', 'launch'):
+        for path in sorted((ROOT / folder).rglob('*.py')):
+            name = path.relative_to(ROOT).as_posix()
+            found: set[str] = set()
+            for node in ast.walk(ast.parse(path.read_text(encoding='utf-8'))):
+                if isinstance(node, ast.Import):
+                    found |= forbidden & {alias.name.split('.')[0] for alias in node.names}
+                elif isinstance(node, ast.ImportFrom):
+                    found |= forbidden & {str(node.module).split('.')[0]}
+                elif isinstance(node, ast.Call):
+                    called = node.func
+                    if isinstance(called, ast.Name):
+                        found |= {'eval', 'exec'} & {called.id}
+                    found |= {
+                        'allow_pickle' for keyword in node.keywords
+                        if keyword.arg == 'allow_pickle'
+                        and not (isinstance(keyword.value, ast.Constant)
+                                 and keyword.value.value is False)
+                    }  # fmt: skip
+                elif isinstance(node, ast.Attribute):
+                    found |= {'enable_load_extension', 'unsafe_load', 'UnsafeLoader',
+                              'full_load', 'FullLoader'} & {node.attr}  # fmt: skip
+            assert found <= permitted.get(name, set()), name
+
+
+def test_memory_file_with_pickle_is_refused_unread(tmp_path: Path) -> None:
+    class Trap:
+        def __reduce__(self) -> Any:
+            return os.mkdir, (str(tmp_path / 'trapped'),)
+
+    content = json.dumps({'format': 1, 'part': 'a', 'state': {'core': {'array': 'array_0'}}})
+    np.savez(
+        tmp_path / 'a.npz', content=np.array(content), array_0=np.array([Trap()], object)
+    )
+    with pytest.raises(UnusableInput, match='expected numbers'):
+        memory.load(tmp_path / 'a.npz', 'a')
+    assert not (tmp_path / 'trapped').exists()
+
+
+# Images
+
+
+def test_image_size_is_checked_before_memory_is_used() -> None:
+    program = """
+import ratslam_ros, resource, struct, zlib
+from ratslam_ros.images import EncodedImage, UndecodableImage
+from ratslam_ros.limits import MAX_PIXELS
+
+def chunk(kind, data):
+    return struct.pack('>I', len(data)) + kind + data + struct.pack(
+        '>I', zlib.crc32(kind + data))
+
+def png(width, height):
+    rows = zlib.compress(bytes((width + 1) * min(height, 500)))
+    head = struct.pack('>IIBBBBB', width, height, 8, 0, 0, 0, 0)
+    parts = chunk(b'IHDR', head) + chunk(b'IDAT', rows) + chunk(b'IEND', b'')
+    return b'\\x89PNG\\r\\n\\x1a\\n' + parts
+
+EncodedImage(png(64, 48)).grey()
+before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+try:
+    EncodedImage(png(2**14, MAX_PIXELS // 2**14 + 1)).grey()
+except UndecodableImage as error:
+    print(error)
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
+"""
+    done = subprocess.run(
+        [sys.executable, '-c', program], capture_output=True, text=True, check=True
+    )
+    reason, grown_kib = done.stdout.splitlines()
+    assert 'OpenCV refuses the image' in reason
+    assert int(grown_kib) < 2**14  # 1/4 of the picture
+
+
+def test_png_with_chunk_beyond_its_end_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    data = bytearray(cv2.imencode('.png', np.zeros((6, 8), np.uint8))[1].tobytes())
+    assert EncodedImage(bytes(data)).grey().shape == (6, 8)
+    at = data.index(b'IDAT') - 4
+    data[at : at + 4] = b'\xff' * 4
+    monkeypatch.delattr(cv2, 'imdecode')  # It would allocate 4 GB.
+    with pytest.raises(UndecodableImage, match='not a complete JPEG'):
+        EncodedImage(bytes(data)).grey()
+
+
+@pytest.mark.parametrize('data', [b'GIF89a' + bytes(30), b'\0\0\0\x1cftypavif' + bytes(30)])
+def test_unusual_image_format_is_refused(data: bytes) -> None:
+    with pytest.raises(UndecodableImage, match='not a complete JPEG'):
+        EncodedImage(data).grey()
+
+
+@pytest.mark.parametrize('suffix', ['.png', '.jpg', '.bmp', '.pgm', '.tiff', '.webp'])
+def test_usual_image_format_is_decoded(suffix: str) -> None:
+    data = cv2.imencode(suffix, np.full((6, 8), 100, np.uint8))[1]
+    assert EncodedImage(data).grey().shape == (6, 8)
+
+
+def test_image_too_tall_for_jpeg_is_refused() -> None:
+    with pytest.raises(UndecodableImage, match='cannot be written as JPEG'):
+        encoded_jpeg(np.zeros((65_501, 2), np.uint8), 640, 80)
+
+
+# Recordings
+
+
+PACKERS: dict[str, Callable[[bytes], bytes]] = {
+    'zstd': zstandard.compress, 'lz4': lz4.frame.compress, 'bz2': bz2.compress,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize('compression', sorted(PACKERS))
+def test_chunk_is_decompressed_up_to_its_stated_size(compression: str) -> None:
+    packed = PACKERS[compression](ZEROS)
+    assert len(packed) < 2**17
+    assert decompress(packed, compression, len(ZEROS)) == (ZEROS, True)
+    plain, is_whole = decompress(packed, compression, 1000)
+    assert (plain, is_whole) == (bytes(1000), False)
+    assert decompress(packed, compression, MAX_CHUNK_BYTES + 1) == (b'', False)
+
+
+def test_chunk_of_unknown_size_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(salvage, 'MAX_CHUNK_BYTES', 2**20)
+    for compression, pack in PACKERS.items():
+        plain, is_whole = decompress(pack(ZEROS), compression)
+        assert (len(plain), is_whole) == (2**20, False)
+
+
+@pytest.mark.parametrize('with_size', [True, False])
+def test_compressed_message_is_limited(
+    monkeypatch: pytest.MonkeyPatch, with_size: bool
+) -> None:
+    monkeypatch.setattr(salvage, 'MAX_MESSAGE_BYTES', 2**20)
+    packed = zstandard.ZstdCompressor(write_content_size=with_size).compress(ZEROS)
+    message = Message(0, Channel('/a', 'std_msgs/msg/String', 'cdr'), packed)
+    with pytest.raises(UndecodableMessage, match='expected at most 1048576'):
+        decode(message)
+
+
+def test_compressed_recording_may_not_fill_the_disk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recording_files, '_SMALL_BYTES', 2**20)
+    path = tmp_path / 'drive.mcap.zstd'
+    path.write_bytes(zstandard.compress(ZEROS))
+    with pytest.raises(UnusableInput, match='1000 times its size'):
+        open_recording(path)
+
+
+@pytest.mark.parametrize('topics', [
+    'CREATE VIEW topics AS SELECT 1 AS id, 2 AS name, 3 AS type, 4 AS serialization_format',
+    'CREATE TABLE topics (id INTEGER, name TEXT, type TEXT, serialization_format TEXT '
+    'GENERATED ALWAYS AS (hex(zeroblob(100))))',
+    'CREATE VIRTUAL TABLE topics USING fts5(id, name, type, serialization_format)',
+])  # fmt: skip
+def test_recording_database_that_computes_is_refused(tmp_path: Path, topics: str) -> None:
+    path = tmp_path / 'drive.db3'
+    with closing(sqlite3.connect(path)) as database:
+        database.executescript(
+            f'{topics}; CREATE TABLE messages (id INTEGER PRIMARY KEY, topic_id INTEGER, '
+            'timestamp INTEGER, data BLOB);'
+        )
+    with pytest.raises(UnusableInput, match='expected'):
+        open_recording(path)
+
+
+def test_stamp_of_recorded_json_is_in_range() -> None:
+    huge = '{"stamp":{"sec":' + '9' * 4000 + ',"nanosec":0}}'
+    assert template_event(huge, 7).stamp_ns == 7
+
+
+@pytest.mark.parametrize('text', [
+    'a: &a [1, 1]\nb: &b [*a, *a]\nrosbag2_bagfile_information: *b\n', '[' * 100_000,
+])  # fmt: skip
+def test_bomb_in_metadata_is_reported_as_damage(tmp_path: Path, text: str) -> None:
+    (tmp_path / METADATA).write_text(text)
+    warnings = Warnings()
+    assert _read_metadata(tmp_path, warnings).files == []
+    assert 'is damaged' in warnings.texts[0]
+
+
+# Memory files
+
+
+def saved(folder: Path) -> Path:
+    path = folder / 'a.npz'
+    memory.save(path, 'a', {'core': np.arange(1000.0), 'number': 1})
+    return path
+
+
+def changed(path: Path, change: Callable[[dict[str, bytes]], None]) -> None:
+    """Write the entries of an archive again, after a change."""
+    with zipfile.ZipFile(path) as archive:
+        entries = {name: archive.read(name) for name in archive.namelist()}
+    change(entries)
+    with zipfile.ZipFile(path, 'w', zipfile.ZIP_DEFLATED) as archive:
+        for name, data in entries.items():
+            archive.writestr(name, data)
+
+
+def test_memory_file_is_limited_by_unpacked_size(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = saved(tmp_path)
+    assert np.array_equal(memory.load(path, 'a')['core'], np.arange(1000.0))
+    monkeypatch.setattr(memory, 'MAX_BYTES', 8000)
+    with pytest.raises(UnusableInput, match='expected at most'):
+        memory.load(path, 'a')
+
+
+def test_array_larger_than_its_data_is_refused(tmp_path: Path) -> None:
+    path = saved(tmp_path)
+
+    def claim(entries: dict[str, bytes]) -> None:
+        packed = io.BytesIO()
+        np.lib.format.write_array_header_1_0(
+            packed, {'shape': (2**45,), 'fortran_order': False, 'descr': '<f8'}
+        )
+        entries['array_0.npy'] = packed.getvalue() + bytes(80)
+
+    changed(path, claim)
+    with pytest.raises(UnusableInput, match='has 80 bytes'):
+        memory.load(path, 'a')
+
+
+def test_array_is_read_once(tmp_path: Path) -> None:
+    path = saved(tmp_path)
+
+    def repeat(entries: dict[str, bytes]) -> None:
+        state = {'core': [{'array': 'array_0'}] * 1000}
+        packed = io.BytesIO()
+        np.save(packed, np.array(json.dumps({'format': 1, 'part': 'a', 'state': state})))
+        entries['content.npy'] = packed.getvalue()
+
+    changed(path, repeat)
+    with pytest.raises(UnusableInput, match='damaged'):
+        memory.load(path, 'a')
+
+
+@pytest.mark.parametrize('path', [
+    '/etc', '..', '{0}/../other', '{0}/link/other', '{0}-other', '{0}/a\n', '~',
+])  # fmt: skip
+def test_received_path_stays_below_folder(tmp_path: Path, path: str) -> None:
+    folder = tmp_path / 'maps'
+    folder.mkdir()
+    (folder / 'link').symlink_to(tmp_path)
+    assert not is_below(path.format(folder), str(folder))
+    assert is_below(f'{folder}/home', str(folder)) and is_below(str(folder), str(folder))
+
+
+# Histories
+
+
+@pytest.mark.parametrize('change', [
+    'DROP TABLE closures; CREATE VIEW closures AS SELECT 1 AS view, 2 AS stamp_ns, 3 AS record',
+    'DROP TABLE visits',
+    'DROP TABLE segments; CREATE TABLE segments (first_record INTEGER PRIMARY KEY, records, '
+    'begin_ns, end_ns, first_view, views, data BLOB GENERATED ALWAYS AS (zeroblob(1e9)))',
+])  # fmt: skip
+def test_history_with_other_tables_is_refused(tmp_path: Path, change: str) -> None:
+    path = tmp_path / 'history.sqlite'
+    with closing(sqlite3.connect(path)) as database:
+        database.executescript(SCHEMA)
+        database.execute('PRAGMA application_id = 1381190728')
+        database.execute(f'PRAGMA user_version = {SCHEMA_VERSION}')
+        database.execute('INSERT INTO meta VALUES (?, ?)', ('run', HistoryMeta('a').to_json()))
+        database.commit()
+        HistoryRun(path).close()
+        database.executescript(change)
+    with pytest.raises(UnusableInput, match='expected'):
+        HistoryRun(path)
+
+
+# Configurations, plans, trajectories
+
+
+@pytest.mark.parametrize(('text', 'reason'), [
+    ('local_view: &a {vt_max: 50}\npose_cells: *a\n', 'has the alias'),
+    ('a: ' + '[' * 100_000, 'cannot be read'),
+    ('a: ' + '[' * (MAX_YAML_DEPTH + 1) + ']' * (MAX_YAML_DEPTH + 1), 'levels deep'),
+    ('#' * 2**20 + '\n', 'more than 1048576 bytes'),
+    ('local_view: !!python/object/apply:os.system ["true"]', 'cannot be read'),
+    ('local_view: {vt_max: .nan}', 'vt_max'),
+])  # fmt: skip
+def test_hostile_configuration_is_refused(tmp_path: Path, text: str, reason: str) -> None:
+    path = tmp_path / 'config.yaml'
+    path.write_text(text)
+    with pytest.raises(Exception, match=reason) as caught:
+        load_config(str(path))
+    assert type(caught.value).__name__ in ('UnusableInput', 'UnusableParameter')
+
+
+def test_floor_plan_of_too_many_cells_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / 'plan.txt'
+    path.write_text('cell_m: 0.5\n' + '####\n' * 5)
+    floor_plan.load_floor_plan(path)
+    monkeypatch.setattr(floor_plan, 'MAX_CELLS', 19)
+    with pytest.raises(UnusableInput, match='at most 19 cells'):
+        floor_plan.load_floor_plan(path)
+
+
+def test_trajectory_with_endless_line_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / 'truth.tum'
+    path.write_text('0' * 10_001)
+    with pytest.raises(UnusableInput, match='longer than 10000'):
+        read_tum(path)
+    path.write_text('1 1e300 0 0 0 0 0 1\n')
+    with pytest.raises(UnusableInput, match='farther than'):
+        read_tum(path)
+
+
+# Messages
+
+
+@pytest.mark.parametrize(('payload', 'reason'), [
+    ('{"name":"\\ud800"}', 'printable'),
+    ('{"name":"a\\u001b[31m"}', 'printable'),
+    (json.dumps({'name': 'a' * 101}), 'at most 100'),
+    (json.dumps({'goals': [{'name': 'a'}] * (MAX_GOALS + 1)}), 'at most 1000'),
+    ('{"x_m":1e12,"y_m":0}', 'x_m is 1000000000000.0'),
+    ('"' + 'a' * MAX_PAYLOAD_CHARACTERS + '"', 'characters; expected at most'),
+    ('[' * 100_000, 'not JSON'),
+    ('{"x_m":' + '9' * 5000 + ',"y_m":0}', 'not JSON'),
+])  # fmt: skip
+def test_hostile_goal_is_refused_in_short(payload: str, reason: str) -> None:
+    with pytest.raises(MalformedMessage, match=reason) as caught:
+        decode_goal(payload)
+    assert len(str(caught.value)) < 400
+
+
+def test_hostile_name_and_template_are_refused() -> None:
+    with pytest.raises(MalformedMessage, match='rename_to'):
+        decode_name('{"name":"a","rename_to":"\\n"}')
+    with pytest.raises(MalformedMessage, match='expected dict') as caught:
+        decode_template(json.dumps({'schema_version': 1, 'stamp': 'a' * 100_000}))
+    assert len(str(caught.value)) < 300
+
+
+@pytest.mark.parametrize(('key', 'value'), [
+    ('queue', [1]), ('queue', [{'number': 'a'}]), ('outcomes', [[]]), ('neighbours', [{'id': 1}]),
+    ('goal', 5), ('goal', {'x_m': 'a', 'y_m': 1.0}), ('remaining_s', 'soon'), ('behaviour', 5),
+])  # fmt: skip
+def test_status_with_wrong_content_is_refused(key: str, value: Any) -> None:
+    fields: dict[str, Any] = {
+        'schema_version': 1, 'stamp': {'sec': 1, 'nanosec': 0}, 'status': 'none',
+        'explore': False, 'reason': '', 'experience_id': 0, 'neighbours': [], 'replanned': 0,
+        'switched': 0, 'queue': [], 'outcomes': [],
+    }  # fmt: skip
+    decode_status(json.dumps(fields))
+    with pytest.raises(MalformedMessage, match='expected'):
+        decode_status(json.dumps({**fields, key: value}))
+
+
+def test_limit_of_images_is_that_of_opencv() -> None:
+    assert int(os.environ['OPENCV_IO_MAX_IMAGE_PIXELS']) == MAX_PIXELS

@@ -1,0 +1,225 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Writes policies/ratslam.policy.xml, the SROS 2 policy of all nodes, from their interfaces.
+
+    python tools/sros2_policies.py            writes the policy
+    python tools/sros2_policies.py --check    exit code 1 if it is not up to date
+
+Every node is created with all of its optional functions, without ROS on the stand-in. It may
+publish, subscribe, reply and request exactly what it creates then, and what it creates only for a
+while: see ``_add_temporary``. docs/security.md describes the use of the policy.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+from xml.sax.saxutils import escape, quoteattr
+
+POLICY = Path(__file__).parents[1] / 'policies' / 'ratslam.policy.xml'
+
+OPTIONS = (
+    'exp_align_scans:=true', 'exp_relocate:=both', 'fov_from_camera_info:=true',
+    'goal_memory.goal_memory:=true', 'vt_match_ratio:=-1.0', 'use_sim_time:=true',
+)  # fmt: skip
+"""Parameters that add interfaces."""
+
+INPUTS = {
+    'visual_odometry': ('image', 'image/compressed'), 'local_view': ('image', 'image/compressed'),
+    'pose_cells': ('odom', 'local_view/template'),
+    'experience_map': ('odom', 'scan', 'pose_cells/action'), 'landmark_map': ('odom', 'scan'),
+}  # fmt: skip
+"""Inputs of the nodes that learn, which a restarted node asks its neighbours to send again."""
+
+KEPT = 'ratslam/cut', 'ratslam/resend', 'ratslam/resent'
+"""Topics by which nodes with a map file agree on cuts, and ask for messages that they missed."""
+
+Interfaces = dict[str, set[str]]
+KINDS = 'publish', 'subscribe', 'reply', 'request'
+
+
+def interfaces() -> dict[str, Interfaces]:
+    """Return the names that each node uses, by kind, with absolute topics beginning with /."""
+    from ratslam_ros.standalone import install
+
+    install()
+    import rclpy
+
+    with tempfile.TemporaryDirectory() as folder:
+        arguments = [*OPTIONS, f'map:={folder}/all.map', f'memory_folder:={folder}']
+        given = [word for option in arguments for word in ('-p', option)]
+        rclpy.init(args=['--ros-args', *given])
+        try:
+            found = {
+                kind.SECTION: _of_node(kind, folder) for kind in _node_classes()
+            }
+        finally:
+            rclpy.try_shutdown()
+    _add_temporary(found)
+    return found
+
+
+def _node_classes() -> list[Any]:
+    from ratslam_ros.nodes.experience_map_node import ExperienceMapNode
+    from ratslam_ros.nodes.goal_follower_node import GoalFollowerNode
+    from ratslam_ros.nodes.landmark_map_node import LandmarkMapNode
+    from ratslam_ros.nodes.local_view_node import LocalViewNode
+    from ratslam_ros.nodes.pose_cells_node import PoseCellsNode
+    from ratslam_ros.nodes.simulator_node import SimulatorNode
+    from ratslam_ros.nodes.viewer_node import ViewerNode
+    from ratslam_ros.nodes.visual_odometry_node import VisualOdometryNode
+
+    return [
+        VisualOdometryNode, LocalViewNode, PoseCellsNode, ExperienceMapNode, GoalFollowerNode,
+        LandmarkMapNode, SimulatorNode, ViewerNode,
+    ]
+
+
+def _of_node(kind: Any, folder: str) -> Interfaces:
+    """Create a node and return its interfaces."""
+    if kind.SECTION == 'viewer':
+        return _of_viewer()
+    node = kind()
+    try:
+        return _listed(node)
+    finally:
+        if hasattr(node, 'close'):
+            node.close()
+        node.destroy_node()
+
+
+def _of_viewer() -> Interfaces:
+    """Return the interfaces of the viewer without opening a page."""
+    import rclpy
+
+    from ratslam_ros.nodes.viewer_controls import RosControls
+    from ratslam_ros.nodes.viewer_topics import ViewerTopics
+    from ratslam_ros.viewer.live_run import LiveRun
+
+    node = rclpy.create_node('viewer')
+    run = LiveRun('policy', None)
+    try:
+        topics = ViewerTopics(node, run, RosControls(node))
+        topics.subscribe()
+        return _listed(node)
+    finally:
+        run.close()
+        node.destroy_node()
+
+
+def _listed(node: Any) -> Interfaces:
+    found: Interfaces = {
+        'publish': {publisher.topic_name for publisher in node.publishers},
+        'subscribe': {subscription.topic_name for subscription in node.subscriptions},
+        'reply': {service.srv_name for service in node.services},
+        'request': {client.srv_name for client in node.clients},
+    }
+    # What rclpy creates on every node; the stand-in does not create all of it.
+    found['publish'] |= {'/rosout', '/parameter_events'}
+    found['subscribe'] |= {'/clock', '/parameter_events'}
+    found['reply'].add(f'/{node.get_name()}/get_type_description')
+    return {
+        kind: {_relative(name, node.get_name()) for name in names}
+        for kind, names in found.items()
+    }
+
+
+ABSOLUTE = frozenset({
+    '/tf', '/tf_static', '/clock', '/diagnostics', '/rosout', '/parameter_events',
+})  # fmt: skip
+"""Topics that are not below the namespace of the nodes."""
+
+
+def _relative(name: str, node: str) -> str:
+    """Return a name as in the source of a node: relative, private after ~, or absolute."""
+    if name in ABSOLUTE:
+        return name
+    name = name.replace('~/', f'/{node}/')
+    if name.startswith(f'/{node}/') and name.rpartition('/')[2] in PARAMETER_SERVICES:
+        return f'~{name.removeprefix(f"/{node}/")}'
+    return name.removeprefix('/')
+
+
+PARAMETER_SERVICES = frozenset({
+    'describe_parameters', 'get_parameter_types', 'get_parameters', 'list_parameters',
+    'set_parameters', 'set_parameters_atomically', 'get_type_description',
+})  # fmt: skip
+
+REQUESTED = frozenset({
+    'pause', 'mapping', 'save', 'load', 'reset', 'list_parameters', 'get_parameters',
+    'set_parameters', 'list_goals', 'cancel_goal', 'send_all',
+})  # fmt: skip
+"""Services that the viewer calls, by the last part of their names."""
+
+VIEWED = (
+    'visual_odometry', 'local_view', 'pose_cells', 'experience_map', 'goal_follower',
+    'landmark_map',
+)  # fmt: skip
+"""Nodes that the viewer controls."""
+
+
+def _add_temporary(found: dict[str, Interfaces]) -> None:
+    """Add what nodes create only with a map file, or when a user requests something."""
+    for name, topics in INPUTS.items():
+        found[name]['publish'] |= set(KEPT)
+        found[name]['subscribe'] |= {*KEPT, *(f'ratslam/resent/{topic}' for topic in topics)}
+    for name in VIEWED:
+        found['viewer']['request'] |= {
+            service.replace('~', f'{name}/') for service in found[name]['reply']
+            if re.split('[~/]', service)[-1] in REQUESTED
+        }  # fmt: skip
+
+
+def policy_text(found: dict[str, Interfaces]) -> str:
+    """Return the policy as XML, in the order of its names."""
+    lines = [
+        '<?xml version="1.0" encoding="UTF-8"?>',
+        '<!-- Written by tools/sros2_policies.py from the interfaces of the nodes. -->',
+        '<policy version="0.2.0">',
+        '  <enclaves>',
+    ]
+    for node, names in found.items():
+        lines += [
+            f'    <enclave path={quoteattr(f"/ratslam/{node}")}>',
+            '      <profiles>',
+            f'        <profile ns="/" node={quoteattr(node)}>',
+        ]
+        for kind in ('reply', 'request', 'publish', 'subscribe'):
+            group, item = ('topics', 'topic') if 'sub' in kind or 'pub' in kind else (
+                'services', 'service'
+            )  # fmt: skip
+            if names[kind]:
+                lines += [
+                    f'          <{group} {kind}="ALLOW">',
+                    *(
+                        f'            <{item}>{escape(name)}</{item}>'
+                        for name in sorted(names[kind])
+                    ),
+                    f'          </{group}>',
+                ]
+        lines += ['        </profile>', '      </profiles>', '    </enclave>']
+    return '\n'.join([*lines, '  </enclaves>', '</policy>', ''])
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Write or check the policy."""
+    parser = argparse.ArgumentParser(description=str(__doc__).split('\n')[0])
+    parser.add_argument('--check', action='store_true', help='write nothing; compare only')
+    options = parser.parse_args(arguments)
+    text = policy_text(interfaces())
+    if options.check:
+        is_same = POLICY.is_file() and POLICY.read_text(encoding='utf-8') == text
+        print('up to date' if is_same else f'{POLICY} differs: run tools/sros2_policies.py')
+        return 0 if is_same else 1
+    POLICY.parent.mkdir(exist_ok=True)
+    POLICY.write_text(text, encoding='utf-8')
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())
