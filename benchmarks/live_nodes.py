@@ -2,11 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Latency from image to map, and CPU share of each live node.
 
-    python benchmarks/live_nodes.py [--seconds 30] [--visual-odometry]
+    python benchmarks/live_nodes.py [--seconds 30] [--visual-odometry] [--map]
 
 This script publishes images of 640x480 (rgb8) at 30 Hz and odometry at 50 Hz, stamped when they
 are sent, to nodes that run as separate processes. It uses whichever runtime ``import rclpy``
-finds: rclpy in a shell with ROS 2, its stand-in otherwise. Linux only.
+finds: rclpy in a shell with ROS 2, its stand-in otherwise. Linux only. With --map, the nodes save
+a map file; the step times are those of taking the state, which is all that delays a message.
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ def main() -> int:
     parser.add_argument('--seconds', type=float, default=30.0)
     parser.add_argument('--visual-odometry', action='store_true',
                         help='odometry from the camera: four nodes instead of three')
+    parser.add_argument('--map', action='store_true', help='save a map file while mapping')
     options = parser.parse_args()
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     os.environ.setdefault('ROS_DOMAIN_ID', '97')
@@ -52,7 +54,7 @@ def main() -> int:
     if options.visual_odometry:
         names.insert(0, 'visual_odometry')
     with tempfile.TemporaryDirectory() as folder, ros.node('benchmark', ()) as node:
-        nodes = start(names, Path(folder))
+        nodes = start(names, Path(folder), options.map)
         try:
             bench = Bench(node, options.visual_odometry)
             bench.run(WARM_UP_S)
@@ -71,13 +73,15 @@ def main() -> int:
     return 0
 
 
-def start(names: list[str], folder: Path) -> dict[str, subprocess.Popen[bytes]]:
+def start(names: list[str], folder: Path, has_map: bool) -> dict[str, subprocess.Popen[bytes]]:
     """Start the nodes and wait until they are ready."""
     environment = {**os.environ, 'PYTHONPATH': os.pathsep.join(
         [str(ROOT), os.environ.get('PYTHONPATH', '')]).rstrip(os.pathsep)}  # fmt: skip
     nodes = {}
     for name in names:
         settings = ['-p', 'map_period_s:=0.0'] if name == 'experience_map' else []
+        if has_map:
+            settings += ['-p', f'map:={folder / "bench.ratslam"}']
         with (folder / name).open('wb') as log:
             nodes[name] = subprocess.Popen(
                 [sys.executable, '-m', 'ratslam_ros', 'run', name, '--ros-args', *settings],
@@ -94,12 +98,13 @@ class Bench:
     """Publishes inputs on schedule and records the arrival times of the results."""
 
     def __init__(self, node: Any, visual_odometry: bool) -> None:
+        from diagnostic_msgs.msg import DiagnosticArray
         from geometry_msgs.msg import PoseStamped
         from nav_msgs.msg import Odometry
         from sensor_msgs.msg import Image
         from std_msgs.msg import String
 
-        from ratslam_ros.nodes.qos import INPUT, LATCHED, RESULT
+        from ratslam_ros.nodes.qos import INPUT, LATCHED, RESULT, STATE
 
         self._node = node
         self._images = node.create_publisher(Image, 'image', RESULT)
@@ -109,6 +114,9 @@ class Bench:
         node.create_subscription(String, 'pose_cells/action', self._on_action, INPUT)
         node.create_subscription(String, 'experience_map/map', self._on_map, LATCHED)
         node.create_subscription(PoseStamped, 'experience_map/pose', self._on_pose, INPUT)
+        node.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, STATE)
+        self.saving_ms: dict[str, tuple[str, str]] = {}
+        """Median and 99th percentile of the time in which each node takes its state, in ms."""
         self._messages = [self._image(view) for view in range(VIEWS)]
         self._sent_s: dict[int, float] = {}
         self._acted: dict[int, float] = {}
@@ -202,6 +210,13 @@ class Bench:
         end = message.data.index('}', at) + 1
         self._applied[stamp_of('{' + message.data[at:end] + '}')] = time.monotonic()
 
+    def _on_diagnostics(self, message: Any) -> None:
+        for status in message.status:
+            values = {item.key: item.value for item in status.values}
+            if 'map_file_p99_ms' in values:
+                name = status.name.rpartition(' ')[2]
+                self.saving_ms[name] = values['map_file_median_ms'], values['map_file_p99_ms']
+
     def _on_pose(self, message: Any) -> None:
         stamp = message.header.stamp
         self._poses.append((stamp.sec * 10**9 + stamp.nanosec, time.monotonic()))
@@ -233,19 +248,24 @@ def report(bench: Bench, shares: dict[str, float], codes: dict[str, int]) -> str
         f'runtime: {"rclpy" if real else "stand-in"}, {bench.images} images of {WIDTH}x{HEIGHT} '
         f'at {IMAGE_HZ:g} Hz, odometry at {ODOMETRY_HZ:g} Hz',
         '',
-        '| from sending the image to | images | median ms | p99 ms | worst ms |',
-        '| --- | --- | --- | --- | --- |',
+        '| from sending the image to | images | median ms | p99 ms | p99.9 ms | worst ms |',
+        '| --- | --- | --- | --- | --- | --- |',
     ]
     for name, values in bench.latencies_ms().items():
         if values:
             lines.append(
                 f'| {name} | {len(values)} | {np.median(values):.1f} | '
-                f'{np.percentile(values, 99):.1f} | {max(values):.1f} |'
+                f'{np.percentile(values, 99):.1f} | {np.percentile(values, 99.9):.1f} | '
+                f'{max(values):.1f} |'
             )
     lines += ['', '| node | share of a core | exit code |', '| --- | --- | --- |']
     for name, share in shares.items():
         lines.append(f'| {name} | {100 * share:.1f} % | {codes[name]} |')
     lines.append(f'| together | {100 * sum(shares.values()):.1f} % | |')
+    if bench.saving_ms:
+        lines += ['', '| taking the state | median ms | p99 ms |', '| --- | --- | --- |']
+        lines += [f'| {name} | {one} | {other} |' for name, (one, other) in
+                  sorted(bench.saving_ms.items())]  # fmt: skip
     return '\n'.join(lines)
 
 

@@ -1,6 +1,7 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Map files: time and size of the states that a live system saves every two seconds.
+"""Map files: time and size of the states that a live system saves every two seconds, and what
+it costs to write them.
 
 Maps of several sizes are made of random views along a winding route without returns, with a laser
 scan for every experience. Run it with ``PYTHONPATH=. python benchmarks/map_files.py``.
@@ -9,8 +10,11 @@ scan for every experience. Run it with ``PYTHONPATH=. python benchmarks/map_file
 from __future__ import annotations
 
 import argparse
+import statistics
+import tempfile
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,6 +25,7 @@ from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.ratslam import RatSLAM
 from ratslam_ros.files.config import load_config
+from ratslam_ros.maps import Cut, MapMeta, MapStore, read_map
 
 SIZES = 1_000, 5_000, 20_000
 REPETITIONS = 9
@@ -70,6 +75,44 @@ def values(state: Any) -> Iterator[int]:
         yield 8
 
 
+def writing_costs(slam: RatSLAM, step: int) -> str:
+    """Return a row: what each cut writes after two seconds of driving, and what it costs."""
+    hand_over_ms, processor_ms, written = [], [], []
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / 'a.map'
+        states = slam.state()
+        store = MapStore.open(path, list(states), MapMeta(), print)
+        for number in range(REPETITIONS + 1):
+            states = slam.state()
+            bytes_before, processor_s = written_bytes(), time.process_time()
+            start_s = time.perf_counter()
+            store.cut(Cut(number, number), states)
+            handed_s = time.perf_counter()
+            assert store.flush(600.0)
+            if number:  # The first cut writes everything.
+                hand_over_ms.append((handed_s - start_s) * 1e3)
+                processor_ms.append((time.process_time() - processor_s) * 1e3)
+                written.append((written_bytes() - bytes_before) / 1e3)
+            drive(slam, 20, step)
+            step += 20
+        store.close()
+        start_s = time.perf_counter()
+        read_map(path)
+        read_s = time.perf_counter() - start_s
+        size_mb = path.stat().st_size / 1e6
+    return (
+        f'| {len(slam.experience_map)} | {statistics.median(written):.0f} | '
+        f'{statistics.median(processor_ms):.1f} | {statistics.median(hand_over_ms):.3f} | '
+        f'{max(hand_over_ms):.3f} | {size_mb:.1f} | {read_s:.2f} |'
+    )
+
+
+def written_bytes() -> int:
+    """Return the bytes that this process has written to files (Linux)."""
+    lines = Path('/proc/self/io').read_text().splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith('wchar'))
+
+
 def main() -> None:
     """Print a table: part, experiences, median and longest time of its state, and its size."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -86,6 +129,7 @@ def main() -> None:
     print('| Experiences | Part | Median ms | Longest ms | Bytes | Bytes for each |')
     print('|---:|:---|---:|---:|---:|---:|')
     step = 0
+    costs: list[str] = []
     for size in sorted(arguments.sizes):
         while len(slam.experience_map) < size:
             drive(slam, 50, step)
@@ -109,6 +153,13 @@ def main() -> None:
             size_before[name] = count, total
             print(f'| {count} | {name} | {taken[len(taken) // 2]:.2f} | {taken[-1]:.2f} | '
                   f'{total} | {each:.0f} |', flush=True)  # fmt: skip
+        costs.append(writing_costs(slam, step))
+        step += 20 * (REPETITIONS + 1)
+    print()
+    print('| Experiences | kB written per cut | Processor ms per cut | Hand-over ms: median '
+          '| longest | File MB | Reading s |')  # fmt: skip
+    print('|---:|---:|---:|---:|---:|---:|---:|')
+    print('\n'.join(costs))
 
 
 if __name__ == '__main__':

@@ -13,7 +13,6 @@ from launch.actions import (
     LogInfo,
     OpaqueFunction,
     RegisterEventHandler,
-    Shutdown,
 )
 from launch.event_handlers import OnShutdown
 from launch.substitutions import LaunchConfiguration
@@ -21,7 +20,8 @@ from launch_ros.actions import Node
 
 from ratslam_ros.errors import RatslamError
 from ratslam_ros.files.config import load_config, to_yaml
-from ratslam_ros.live.launch import OPTIONAL, nodes, remappings, with_map
+from ratslam_ros.live.launch import MAX_RESTARTS, OPTIONAL, nodes, remappings, with_map
+from ratslam_ros.live.required import ending_launch
 
 YES_OR_NO = ['true', 'false']
 
@@ -114,11 +114,12 @@ def _start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
             )),
             ros_arguments=['--log-level', given('log_level')],
             output='screen',
-            # With a map file, a node that is started again continues from there. Without one, the
-            # nodes are useless without one another, and would map incompletely.
+            # With a map file, a node that is started again continues from there.
             respawn=bool(given('map')),
+            respawn_max_retries=MAX_RESTARTS,
+            # The nodes are useless without one another, and would map incompletely.
             on_exit=(
-                None if name in OPTIONAL or given('map') else Shutdown(reason=f'{name} has ended')
+                None if name in OPTIONAL else ending_launch(name, is_restarted=bool(given('map')))
             ),
         )
         for name, arguments in nodes(

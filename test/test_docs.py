@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Documentation: generated files are up to date, and everything that the pages name exists."""
 
+import argparse
 import json
 import re
 import shlex
@@ -46,6 +47,14 @@ def commands(text: str) -> list[str]:
     blocks = [block.replace('\\\n', ' ') for block in blocks]
     lines = [line.strip() for block in blocks for line in block.splitlines()]
     return [re.split(r'\s[#>]\s', line)[0] for line in lines if line.startswith('ratslam ')]
+
+
+def parsers(top: argparse.ArgumentParser) -> list[argparse.ArgumentParser]:
+    """Return the parsers of all commands, and of their own commands."""
+    if top._subparsers is None:
+        return [top]
+    choices = top._subparsers._group_actions[0].choices
+    return [one for inner in choices.values() for one in parsers(inner)]
 
 
 def anchors(text: str) -> set[str]:
@@ -204,8 +213,7 @@ def test_parameters_and_options_of_page_exist(path: Path):
     for section, name in re.findall(r'`(\w+)\.(\w+)(?:=[^`]*)?`', text):
         if section in SECTIONS and name != 'py':
             assert name in {known for known, _, _ in SECTIONS[section].parameters()}, name
-    actions = parser()._subparsers._group_actions[0].choices.values()
-    options = {option for parser in actions for option in parser._option_string_actions}
+    options = {option for one in parsers(parser()) for option in one._option_string_actions}
     for script in SCRIPTS:
         options |= set(re.findall(r"add_argument\(\s*'(--[a-z-]+)'", script.read_text('utf-8')))
     for option in re.findall(r'`(--[a-z-]+)', text):

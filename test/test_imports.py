@@ -33,7 +33,7 @@ CORE_LAYERS = [
     ['vision', 'landmarks'],
     ['pose_cells'],
     ['mapping', 'goal_memory'],
-    ['navigation'],
+    ['navigation', 'merging'],
     ['driving'],
     ['ratslam', 'warm_up'],
 ]

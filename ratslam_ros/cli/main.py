@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 from ratslam_ros import __version__
 from ratslam_ros.cli.live_commands import add_live
+from ratslam_ros.cli.map_command import add_map
 from ratslam_ros.cli.options import DONE, INTERRUPTED, UNUSABLE, Parser
 from ratslam_ros.cli.recording_commands import add_info, add_replay, add_tune
 from ratslam_ros.cli.result_commands import add_evaluate, add_plot
@@ -64,6 +65,7 @@ def parser() -> Parser:
     add_info(commands)
     add_replay(commands)
     add_view(commands)
+    add_map(commands)
     add_demo(commands)
     add_simulate(commands)
     add_evaluate(commands)

@@ -14,6 +14,7 @@ from ratslam_ros.cli.options import (
     DONE,
     IMAGES_RATE_HZ,
     INTERRUPTED,
+    UNUSABLE,
     Commands,
     add_config,
     add_out,
@@ -28,12 +29,14 @@ from ratslam_ros.cli.options import (
     print_warnings,
     read_truth,
     results_folder,
+    select_topics,
 )
 from ratslam_ros.console import print_notice
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 
 if TYPE_CHECKING:
     from ratslam_ros.core.config import Config
+    from ratslam_ros.offline.replay_map import ReplayMap
     from ratslam_ros.recordings import Recording, Selection
     from ratslam_ros.results.trajectory import Trajectory
 
@@ -55,6 +58,11 @@ def add_replay(commands: Commands) -> None:
     replay.add_argument('--no-history', action='store_true',
                         help='do not write history.sqlite, from which `ratslam view` shows any '
                              'moment of the run')
+    replay.add_argument('--map', type=Path, metavar='FILE',
+                        help='save the map in this file while it is built; if there is one, '
+                             'continue it')
+    replay.add_argument('--localize', action='store_true',
+                        help='with --map: leave the map unchanged, and only localise the robot')
     add_out(replay, 'results/NAME-TIME, with the link results/latest')
     replay.add_argument('--quiet', action='store_true', help='no progress bar, no summary')
     add_view_options(replay)
@@ -93,35 +101,38 @@ def _replay(options: argparse.Namespace) -> int:
     from ratslam_ros.results.plots import draw_all
     from ratslam_ros.results.writer import link_latest
 
-    config = config_of(options)
+    map_file = _map_of(options)
+    config, is_stored = _map_config(options, map_file)
     truth = read_truth(options.truth)
     with open_recording(options.recording, images_rate_hz=options.images_rate) as recording:
-        selection = recording.select(
-            options.image_topic, options.odom_topic, options.visual_odometry,
-            options.scan_topic, config.experience_map.exp_align_scans or options.landmarks,
-        )  # fmt: skip
+        selection = select_topics(options, recording, config)
         if not options.quiet:
             for notice in selection.notices:
                 print_notice(notice)
         compile_kernels()
-        if options.config is None and not options.no_inspect:
+        if options.config is None and not options.no_inspect and not is_stored:
             config = _inspected(options, recording, selection, config)
         folder = results_folder(options, recording.name)
         outcome = replay(
             recording, selection, config, folder,
             ReplayOptions(
                 options.start, options.duration, options.video, not options.quiet,
-                options.landmarks, not options.no_history, options.images_rate,
+                options.landmarks, not options.no_history, options.images_rate, map_file=map_file,
             ),
         )  # fmt: skip
         print_warnings(recording.warnings)
-        print_warnings(_empty_map_warnings(outcome.summary))
+        if map_file is None or not map_file.skipped:
+            print_warnings(_empty_map_warnings(outcome.summary))
         print_warnings(_loss_warnings(outcome.summary))
     if options.out is None:
         link_latest(folder)
     plots = draw_all(folder, truth, config.local_view.vt_match_threshold)
     if outcome.interrupted:
         print_notice(f'interrupted: the results so far are in {folder}')
+    if map_file is not None and map_file.problem:
+        print_notice(f'the map was not saved: {map_file.problem}')
+        return UNUSABLE
+    if outcome.interrupted:
         return INTERRUPTED
     if not options.quiet:
         print(_summary_text(outcome.summary))
@@ -129,6 +140,9 @@ def _replay(options: argparse.Namespace) -> int:
             _print_errors(folder, truth)
         for path in plots:
             print(path)
+        if map_file is not None:
+            print(_map_text(map_file, outcome.summary))
+            return DONE
         source = Source(
             options.recording, outcome.config, selection.odom_topic is None, _topics(options),
             _given(options),
@@ -136,6 +150,47 @@ def _replay(options: argparse.Namespace) -> int:
         for line in advise(outcome.observations, outcome.summary, source):
             print(f'advice: {line}')
     return DONE
+
+
+def _map_of(options: argparse.Namespace) -> ReplayMap | None:
+    """Return the map file of a replay, None if there is none."""
+    from ratslam_ros.offline.replay_map import ReplayMap
+
+    if options.map is None:
+        if options.localize:
+            raise UnusableInput('--localize needs the map to localise on: give --map FILE')
+        return None
+
+    def notify(line: str) -> None:
+        if not options.quiet:
+            print_notice(line)
+
+    return ReplayMap(options.map, options.localize, notify, print_notice)
+
+
+def _map_config(
+    options: argparse.Namespace, map_file: ReplayMap | None
+) -> tuple[Config, bool]:
+    """Return the configuration, and whether it is the one stored in the map.
+
+    ``--set`` changes the stored one, ``--config`` replaces it.
+    """
+    from ratslam_ros.files.config import parse_setting, stored_config
+
+    stored = '' if map_file is None else map_file.configuration()
+    if not stored or options.config is not None:
+        return config_of(options), False
+    config, notices = stored_config(stored, str(options.map))
+    for notice in notices:
+        print_notice(notice)
+    return config.with_values(dict(parse_setting(text) for text in options.settings)), True
+
+
+def _map_text(map_file: ReplayMap, summary: Mapping[str, Any]) -> str:
+    """Return the line on the map file for the summary."""
+    if map_file.localize:
+        return f'localised on {map_file.path}: nothing was learned, and the file is unchanged'
+    return f'{map_file.path}: {summary["experiences"]} places, saved'
 
 
 def _topics(options: argparse.Namespace) -> tuple[str, ...]:

@@ -87,6 +87,38 @@ def load_config(source: str | None) -> tuple[Config, list[str]]:
         raise UnusableInput(f'{path} cannot be read: {reason}') from None
 
 
+def stored_config(text: str, where: str) -> tuple[Config, list[str]]:
+    """Return a configuration that ``to_yaml`` of this or another version has written.
+
+    Args:
+        text: the configuration.
+        where: what contains it, for the messages.
+
+    Returns:
+        The configuration, and a notice about parameters that this version does not have.
+
+    Raises:
+        UnusableInput: the text is no configuration.
+        UnusableParameter: a value is out of range.
+    """
+    try:
+        values = dict(_yaml_values(text))
+    except (yaml.YAMLError, UnusableInput, UnusableParameter):
+        raise UnusableInput(f'{where}: the stored configuration is damaged') from None
+    known = {
+        f'{section}.{name}' for section, cls in SECTIONS.items() for name, *_ in cls.parameters()
+    }
+    unknown = sorted(values.keys() - known)
+    config = Config().with_values({name: values[name] for name in values if name in known})
+    notices = [f'{where}: unknown parameters are ignored: {", ".join(unknown)}'] if unknown else []
+    return config, notices
+
+
+def config_from_yaml(text: str) -> Config:
+    """Return the configuration that ``to_yaml`` has written; see ``stored_config``."""
+    return stored_config(text, 'the configuration')[0]
+
+
 def _preset(name: str) -> Path:
     available = presets()
     if name not in available:
@@ -120,6 +152,19 @@ def to_yaml(config: Config) -> str:
         for name, value in values.items():
             lines.append(f'{_indent(section)}{name}: {_written(value)}\n')
     return ''.join(lines)
+
+
+def from_yaml(text: str) -> Config:
+    """Return the configuration that ``to_yaml`` has formatted.
+
+    Raises:
+        UnusableInput: the text is something else.
+        UnusableParameter: a parameter is unknown or out of range.
+    """
+    try:
+        return Config().with_values(dict(_yaml_values(text)))
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise UnusableInput(f'the configuration is damaged ({error})') from None
 
 
 def documented_yaml() -> str:

@@ -44,9 +44,9 @@ def save(path: Path, part: str, state: State) -> None:
         UnusableInput: the file cannot be written.
     """
     arrays: dict[str, NDArray[Any]] = {}
+    # States have infinite values, such as a distance that was never driven.
     content = json.dumps(
-        {'format': FORMAT, 'part': part, 'state': _without_arrays(state, arrays)},
-        allow_nan=False,
+        {'format': FORMAT, 'part': part, 'state': _without_arrays(state, arrays)}
     )
     entries: dict[str, Any] = {CONTENT: np.array(content), **arrays}
     fresh = path.with_name(f'.{path.name}.{os.getpid()}')

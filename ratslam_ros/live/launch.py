@@ -21,6 +21,7 @@ from ratslam_ros.core.config import SECTIONS, Config
 from ratslam_ros.core.config.inputs import MapFile
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.files.config import to_yaml
+from ratslam_ros.live.required import UNUSABLE
 from ratslam_ros.signals import StopSignals
 
 SHUTDOWN_TIMEOUT_S = 20.0
@@ -33,9 +34,6 @@ POLL_S = 0.05
 
 MAX_RESTARTS, RESTARTS_WITHIN_S = 5, 60.0
 """A node that ends more often than this within this time is not started again."""
-
-UNUSABLE = 2
-"""Exit code of a node that cannot use its parameters or its map file: it is not started again."""
 
 PARAMETERS_FILE = 'parameters.yaml'
 FORWARDED_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)

@@ -12,6 +12,9 @@ import hashlib
 import json
 import math
 from collections.abc import Callable
+from contextlib import suppress
+from itertools import chain
+from types import NoneType
 from typing import Any
 
 import numpy as np
@@ -44,7 +47,9 @@ MAX_STATE_BYTES = 2**32
 MAX_ARRAYS = 2**20
 MAX_DIMENSIONS = 8
 
-_ARRAY, _LIST, _JSON, _NUMBER, _DICT = '$array', '$list', '$json', '$number', '$dict'
+_ARRAY, _LIST, _TABLE, _JSON, _NUMBER, _DICT = (
+    '$array', '$list', '$table', '$json', '$number', '$dict',
+)  # fmt: skip
 _TYPES = {
     np.dtype(name).str: np.dtype(name)
     for name in ('?', 'i1', '<i2', '<i4', '<i8', 'u1', '<u2', '<u4', '<u8', '<f2', '<f4', '<f8')
@@ -85,7 +90,7 @@ def unpack(outline: bytes, load: Load) -> State:
         DamagedMap: the outline is damaged.
     """
     try:
-        state = _Rebuilding(load).rebuilt(json.loads(outline), '')
+        state = _Rebuilding(load).rebuilt(_parsed(outline), '')
     except (ValueError, TypeError, KeyError, RecursionError, OverflowError) as error:
         raise DamagedMap(f'the outline of a state is damaged ({error})') from None
     if not isinstance(state, dict):
@@ -98,9 +103,18 @@ def _text(value: Any) -> NDArray[np.uint8]:
     return np.frombuffer(data, np.uint8)
 
 
+def _parsed(text: bytes) -> Any:
+    return json.loads(text, parse_constant=_refuse)
+
+
+def _refuse(name: str) -> None:
+    raise ValueError(f'{name} is not JSON')
+
+
 def _joined(path: str, key: str) -> str:
+    """Return the path of an item, a JSON pointer (RFC 6901)."""
     key = key.replace('~', '~0').replace('/', '~1')
-    return f'{path}/{key}' if path else key
+    return f'{path}/{key}'
 
 
 def _outlined(value: Any, path: str, arrays: Arrays) -> Any:
@@ -112,7 +126,9 @@ def _outlined(value: Any, path: str, arrays: Arrays) -> Any:
         array = np.asarray(value, value.dtype.newbyteorder('<'), order='C')
         if array.dtype.str not in _TYPES:
             raise TypeError(f'{path}: arrays of {value.dtype} cannot be saved')
-        return {_ARRAY: [array.dtype.str, list(array.shape)], **_added(path, array, arrays)}
+        if array.nbytes:
+            arrays[path] = array
+        return {_ARRAY: [array.dtype.str, list(array.shape)]}
     if isinstance(value, np.generic):
         return _outlined(value.item(), path, arrays)
     if isinstance(value, float):
@@ -133,21 +149,29 @@ def _outlined(value: Any, path: str, arrays: Arrays) -> Any:
 def _outlined_list(values: list[Any], path: str, arrays: Arrays) -> Any:
     if len(values) >= LONG_LIST:
         kinds = set(map(type, values))
-        if kinds == {float} or (kinds == {int} and -(2**63) <= min(values) <= max(values) < 2**63):
-            array = np.array(values, '<f8' if kinds == {float} else '<i8')
-            return {_LIST: [array.dtype.str, len(values)], **_added(path, array, arrays)}
+        if kinds == {float} or kinds == {int}:
+            with suppress(OverflowError):  # an integer of more than 64 bits
+                array = np.array(values, '<f8' if kinds == {float} else '<i8')
+                arrays[path] = array
+                return {_LIST: [array.dtype.str, len(values)]}
+        if kinds <= {str, bool, int, NoneType}:
+            arrays[path] = _text(values)
+            return {_JSON: len(arrays[path])}
+        if kinds <= {list, tuple} and len(set(map(len, values))) == 1 and len(values[0]):
+            # A table: columns of one type are much faster to convert than rows of several.
+            cells, width = list(chain.from_iterable(values)), len(values[0])
+            columns = [
+                _outlined_list(cells[n::width], _joined(path, str(n)), arrays)
+                for n in range(width)
+            ]
+            return {_TABLE: columns}
     count = len(arrays)
     items = [_outlined(item, _joined(path, str(n)), arrays) for n, item in enumerate(values)]
     if len(values) < LONG_LIST or len(arrays) > count:
         return items
     array = _text(items)
-    return {_JSON: len(array), **_added(path, array, arrays)}
-
-
-def _added(path: str, array: NDArray[Any], arrays: Arrays) -> dict[str, Any]:
-    if array.nbytes:
-        arrays[path] = array
-    return {}
+    arrays[path] = array
+    return {_JSON: len(array)}
 
 
 class _Rebuilding:
@@ -170,13 +194,23 @@ class _Rebuilding:
             if mark == _LIST:
                 name, length = content
                 return self._loaded(path, name, [length]).tolist()
+            if mark == _TABLE:
+                columns = [
+                    self.rebuilt(item, _joined(path, str(n))) for n, item in enumerate(content)
+                ]
+                if not all(isinstance(column, list) for column in columns):
+                    raise TypeError('a column is not a list')
+                return list(map(list, zip(*columns, strict=True)))
             if mark == _JSON:
                 text = self._loaded(path, '|u1', [content]).tobytes()
-                return _Rebuilding(_no_array).rebuilt(json.loads(text), path)
+                return _Rebuilding(_no_array).rebuilt(_parsed(text), path)
             if mark == _NUMBER:
                 return _NUMBERS[content]
             if mark == _DICT:
-                return {key: self.rebuilt(item, _joined(path, key)) for key, item in content}
+                content = dict(content)
+                if all(type(key) is str for key in content):
+                    return {key: self.rebuilt(v, _joined(path, key)) for key, v in content.items()}
+                raise TypeError('keys must be texts')
         return {key: self.rebuilt(item, _joined(path, key)) for key, item in value.items()}
 
     def _loaded(self, path: str, name: str, shape: list[int]) -> NDArray[Any]:

@@ -17,7 +17,7 @@ from ratslam_ros.core.common.scan import MAX_BEAM_COUNT, Scan
 from ratslam_ros.messages.json_schema import MalformedMessage
 
 _ODOMETRY = struct.Struct('<q5d?')
-_SCAN = struct.Struct('<q2d')
+_SCAN = struct.Struct('<q4d')
 
 
 def encode_odometry(odometry: Odometry) -> bytes:
@@ -40,7 +40,9 @@ def decode_odometry(data: bytes) -> Odometry:
 
 def encode_scan(scan: Scan) -> bytes:
     """Return a scan as bytes; all its values are kept exactly."""
-    head = _SCAN.pack(scan.stamp_ns, scan.angle_min_rad, scan.angle_increment_rad)
+    head = _SCAN.pack(
+        scan.stamp_ns, scan.angle_min_rad, scan.angle_increment_rad, scan.x_m, scan.y_m
+    )
     return head + np.ascontiguousarray(scan.ranges_m, '<f8').tobytes()
 
 
@@ -53,5 +55,5 @@ def decode_scan(data: bytes) -> Scan:
             f'{MAX_BEAM_COUNT} ranges'
         )
     ranges_m = np.frombuffer(data, '<f8', offset=_SCAN.size).astype(np.float64)
-    stamp_ns, angle_min_rad, angle_increment_rad = _SCAN.unpack_from(data)
-    return Scan(stamp_ns, angle_min_rad, angle_increment_rad, ranges_m)
+    stamp_ns, angle_min_rad, angle_increment_rad, x_m, y_m = _SCAN.unpack_from(data)
+    return Scan(stamp_ns, angle_min_rad, angle_increment_rad, ranges_m, x_m, y_m)

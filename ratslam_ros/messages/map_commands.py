@@ -161,3 +161,16 @@ def encode_map_status(
         'state': state, 'done': done, 'waiting': waiting, 'message': message[:MAX_TEXT],
     }  # fmt: skip
     return encode_json(fields)
+
+
+def decode_map_status(payload: str) -> tuple[bool | None, str]:
+    """Return whether the operation has succeeded, None while it is running, and the message.
+
+    Raises:
+        MalformedMessage: the payload does not match the schema.
+    """
+    fields = decode_fields(payload, STATUS, {'state': str, 'message': str})
+    states = {'running': None, 'done': True, 'failed': False}
+    if fields['state'] not in states or len(fields['message']) > MAX_TEXT:
+        raise MalformedMessage(f'{STATUS}: expected a state of {", ".join(states)}')
+    return states[fields['state']], fields['message']

@@ -16,7 +16,7 @@ from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
-from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry
+from ratslam_ros.core.common.odometry import Motion, MotionFromOdometry, Odometry
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.common.state import State
@@ -51,9 +51,10 @@ from ratslam_ros.nodes.map_operations import MapCoordinator
 from ratslam_ros.nodes.map_sender import MapSender
 from ratslam_ros.nodes.markers import serialised_markers
 from ratslam_ros.nodes.node import FLUSH_CHECK_PERIOD_S, RatslamNode
+from ratslam_ros.nodes.odometry_frames import OdometryFrames
 from ratslam_ros.nodes.qos import LATCHED, RESULT, STATE
 from ratslam_ros.nodes.run import run
-from ratslam_ros.nodes.scans import accepted_scan
+from ratslam_ros.nodes.scans import ScanInput
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,8 +84,13 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         self._pose_publisher = self.create_publisher(PoseStamped, 'experience_map/pose', STATE)
         self._tf = self.create_publisher(TFMessage, '/tf', STATE)
         self._changes = MapChangePublisher(self, self._section.map_frame)
-        self._goals = GoalNavigation(self, self._diagnostics, lambda: self.config, self._refuse)
-        self._behaviours = Behaviours(self, self._refuse)
+        self._frames = OdometryFrames(
+            self._section.odom_frame, self._section.base_frame, self._diagnostics.note
+        )
+        self._goals = GoalNavigation(
+            self, self._diagnostics, lambda: self.config, self._refuse, self._frames
+        )
+        self._behaviours = Behaviours(self, self._refuse, self._log)
         self._answers: Any = None
         if self._relocates:
             warm_up('relocation')  # takes long if nothing is cached, so only if it is used
@@ -102,10 +108,15 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
             'odometry', {'odom': OdometryMessage}, self._on_odometry,
             lambda data: self._take_odometry(decode_odometry(data)),
         )  # fmt: skip
+        self._laser: ScanInput | None = None
         if self._section.exp_align_scans:
+            self._laser = ScanInput(
+                self, self._diagnostics.note, lambda: self._frames.known_base, self._refuse,
+                self._use_scan,
+            )  # fmt: skip
             self._add_input(
-                'scan', {'scan': LaserScan}, self._on_scan,
-                lambda data: self._take_scan(decode_scan(data)),
+                'scan', {'scan': LaserScan}, self._laser.receive,
+                lambda data: self._use_scan(decode_scan(data)),
             )  # fmt: skip
         self._add_input(
             'action', {'pose_cells/action': String}, self._on_action,
@@ -150,6 +161,22 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         self._core.gate.restart()
         self._behaviours.reset()
 
+    def _on_caught_up(self, are_images_lost: bool) -> None:
+        assert self._keeper is not None
+        for _, data in self._keeper.logged('behaviour'):
+            self._behaviours.replay(data.decode())
+
+    def _drop_tasks(self) -> None:
+        self._goals.drop_goals()
+
+    def _begin_session(self) -> None:
+        self._motion.restart()
+        self._behaviours.reset()
+        if len(self._core):
+            unknown = Motion(0.0, 0.0, 0.0, False)
+            self._core.integrate(unknown)
+            self._scans.integrate(0, unknown)
+
     def _set_mapping(self, mapping: bool) -> None:
         self._core.mapping = mapping
 
@@ -160,6 +187,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
             'core': self._core.state(),
             'correction': list(self._motion.correction),
             'motion': self._motion.state(),
+            'behaviours': self._behaviours.state(),
             'goals': self._goals.memory_state(),
             'scans': self._scans.state(),
             **({} if self._relocator is None else {'relocator': self._relocator.state()}),
@@ -169,10 +197,14 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         core = ExperienceMap(self._section)
         core.restore(state['core'])
         late_join = LateJoin(core)
-        late_join.restore(state['joining'])
-        action_ns = int(state['action_ns'])
+        if 'joining' in state:
+            late_join.restore(state['joining'])
+        else:
+            late_join.assume()  # saved by a replay
+        action_ns = int(state.get('action_ns', 0))
         scans = ScanMatcher()
-        scans.restore(state['scans'])
+        if 'scans' in state or 'joining' in state:
+            scans.restore(state['scans'])
         relocator = Relocator(core, scans) if self._relocates else None
         if relocator is not None and 'relocator' in state:
             relocator.restore(state['relocator'])
@@ -183,6 +215,9 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         self._motion.correction = TurnCorrection(
             *state.get('correction', self._section.turn_correction)
         )
+        self._behaviours.reset()
+        if 'behaviours' in state:
+            self._behaviours.restore(state['behaviours'])
         self._sender.reset()
         self._core.mapping = self._mapping
         if 'motion' in state:
@@ -201,6 +236,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
     # Inputs
 
     def _on_odometry(self, message: OdometryMessage) -> None:
+        self._frames.update(message)
         odometry = accepted_odometry(message, self._motion, self._refuse)
         if odometry is not None:
             self._take_odometry(odometry)
@@ -211,12 +247,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         if not self._paused:
             self._locate(odometry)
 
-    def _on_scan(self, message: LaserScan) -> None:
-        scan = accepted_scan(message, self._refuse)
-        if scan is not None:
-            self._take_scan(scan)
-
-    def _take_scan(self, scan: Scan) -> None:
+    def _use_scan(self, scan: Scan) -> None:
         self._push('scan', scan.stamp_ns, scan)
         self._log('scan', scan.stamp_ns, lambda: encode_scan(scan))
         self._republish_pose()
@@ -352,12 +383,14 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         if p.publish_tf and all(math.isfinite(value) for value in self._odom_pose):
             odom_on_map = composed(self._pose, inverse(self._odom_pose))
             self._tf.publish(TFMessage(transforms=[
-                transform(self._pose_ns, p.map_frame, p.odom_frame, odom_on_map)
+                transform(self._pose_ns, p.map_frame, self._frames.odom, odom_on_map)
             ]))  # fmt: skip
 
     # The map
 
     def _on_timer(self) -> None:
+        if self._laser is not None:
+            self._laser.update()
         self._flush()
         self._send()
         viewers = self._markers.get_subscription_count()

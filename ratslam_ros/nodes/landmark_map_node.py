@@ -30,9 +30,10 @@ from ratslam_ros.messages.logged import (
 from ratslam_ros.nodes.convert import accepted_odometry, transform
 from ratslam_ros.nodes.markers import landmark_markers
 from ratslam_ros.nodes.node import FLUSH_CHECK_PERIOD_S, RatslamNode
+from ratslam_ros.nodes.odometry_frames import FROM_ODOMETRY, OdometryFrames
 from ratslam_ros.nodes.qos import LATCHED, STATE
 from ratslam_ros.nodes.run import run
-from ratslam_ros.nodes.scans import accepted_scan
+from ratslam_ros.nodes.scans import ScanInput
 
 MAX_MAP_LOAD_RATIO = 0.1
 """Largest share of a core for sending the map: a large map is sent at a longer period."""
@@ -58,9 +59,16 @@ class LandmarkMapNode(RatslamNode[Odometry | Scan]):
             'odometry', {'odom': OdometryMessage}, self._on_odometry,
             lambda data: self._take_odometry(decode_odometry(data)),
         )  # fmt: skip
+        self._frames = OdometryFrames(
+            self._section.odom_frame, FROM_ODOMETRY, self._diagnostics.note
+        )
+        self._laser = ScanInput(
+            self, self._diagnostics.note, lambda: self._frames.known_base, self._refuse,
+            self._use_scan,
+        )  # fmt: skip
         self._add_input(
-            'scan', {'scan': LaserScan}, self._on_scan,
-            lambda data: self._take_scan(decode_scan(data)),
+            'scan', {'scan': LaserScan}, self._laser.receive,
+            lambda data: self._use_scan(decode_scan(data)),
         )  # fmt: skip
         self.create_timer(FLUSH_CHECK_PERIOD_S, self._on_timer, clock=self._steady)
 
@@ -104,6 +112,7 @@ class LandmarkMapNode(RatslamNode[Odometry | Scan]):
         self._send_map()
 
     def _on_odometry(self, message: OdometryMessage) -> None:
+        self._frames.update(message)
         odometry = accepted_odometry(message, self._motion, self._refuse)
         if odometry is not None:
             self._take_odometry(odometry)
@@ -114,12 +123,7 @@ class LandmarkMapNode(RatslamNode[Odometry | Scan]):
         if not self._paused:
             self._publish_tf(odometry)
 
-    def _on_scan(self, message: LaserScan) -> None:
-        scan = accepted_scan(message, self._refuse)
-        if scan is not None:
-            self._take_scan(scan)
-
-    def _take_scan(self, scan: Scan) -> None:
+    def _use_scan(self, scan: Scan) -> None:
         self._push('scan', scan.stamp_ns, scan)
         self._log('scan', scan.stamp_ns, lambda: encode_scan(scan))
 
@@ -146,12 +150,13 @@ class LandmarkMapNode(RatslamNode[Odometry | Scan]):
             pose = composed(self._core.pose, ahead)
             self._tf.publish(TFMessage(transforms=[
                 transform(
-                    odometry.stamp_ns, p.odom_frame, p.map_frame,
+                    odometry.stamp_ns, self._frames.odom, p.map_frame,
                     composed(odometry.pose, inverse(pose)),
                 )
             ]))  # fmt: skip
 
     def _on_timer(self) -> None:
+        self._laser.update()
         self._flush()
         if self._changed and time.monotonic() >= self._next_map_s:
             self._send_map()

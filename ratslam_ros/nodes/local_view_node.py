@@ -76,7 +76,9 @@ class LocalViewNode(ImageNode):
     def _restore(self, state: State) -> None:
         core = LocalView(self._section, self._encoder)
         core.restore(state['core'])
-        self._memory_ns = int(state['memory_ns'])
+        # A replay has no other memory that its ids could be confused with.
+        assumed_ns = MIN_MEMORY_NS if len(core) else NO_MEMORY_NS
+        self._memory_ns = int(state.get('memory_ns', assumed_ns))
         self._core = core
         self._core.mapping = self._mapping
 

@@ -132,6 +132,8 @@ class MapOperations:
                 memory_files.save(path, self._part, state)
             except RatslamError as error:
                 self._answer(command, False, str(error))
+            except Exception as error:  # a defect must not leave the others waiting
+                self._answer(command, False, f'{path} cannot be written: {error!r}')
             else:
                 self._answer(command, True, f'{self._part} is written')
 
@@ -154,8 +156,10 @@ class MapOperations:
             self._answer(command, True, f'loaded from {path}')
 
     def _answer(self, command: MapCommand, success: bool, text: str) -> None:
-        log = self._node.get_logger()
-        (log.info if success else log.error)(text)
+        if success:  # a line of code must always log with the same severity
+            self._node.get_logger().info(text)
+        else:
+            self._node.get_logger().error(text)
         result = MapResult(command.number, self._node.get_name(), success, text)
         self._results.publish(String(data=encode_result(result)))
 
@@ -286,7 +290,10 @@ class MapCoordinator:
         done = 'saved to' if self._request.operation == SAVE else 'loaded from'
         text = '; '.join(texts) or f'the map of {", ".join(self._nodes)} is {done} {path}'
         self._report('failed' if texts else 'done', text)
-        (self._node.get_logger().error if texts else self._node.get_logger().info)(text)
+        if texts:
+            self._node.get_logger().error(text)
+        else:
+            self._node.get_logger().info(text)
         self._request, self._writing = None, False
 
     def _report(self, state: str, text: str) -> None:

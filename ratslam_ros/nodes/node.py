@@ -135,6 +135,8 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
             with self._lock:
                 if keeper.restored is not None:
                     self._restore(keeper.restored)
+                    if not store.joins:
+                        self._drop_tasks()
         except BaseException:
             store.close()
             raise
@@ -147,6 +149,7 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
         with self._lock:
             if self.SECTION in saved.states:
                 self._restore(saved.states[self.SECTION])
+                self._drop_tasks()
                 self._begin_session()
             self._mapping = False
             self._set_mapping(False)
@@ -178,6 +181,9 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
 
     def _on_relocated(self) -> None:
         """Continue with the memory after the robot may have been moved unobserved."""
+
+    def _drop_tasks(self) -> None:
+        """Drop what an earlier session was asked to do."""
 
     def _begin_session(self) -> None:
         """Continue with a restored memory, although messages and places do not follow it."""
@@ -418,7 +424,8 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
         """Continue with another memory; raise and change nothing if it cannot be used."""
         with self._lock:
             self._restore(state)
-            self._begin_session()
+            self._drop_tasks()
+            self._on_relocated()
             self._order = self._new_order()
             self._counted = Counts()
             if self._keeper is not None:

@@ -14,7 +14,7 @@ from nav_msgs.msg import Odometry as OdometryMessage
 from sensor_msgs.msg import Image, PointCloud2
 from std_msgs.msg import String
 
-from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry
+from ratslam_ros.core.common.odometry import Motion, MotionFromOdometry, Odometry
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.common.turn_correction import TurnCorrection
 from ratslam_ros.core.config import Config
@@ -117,8 +117,14 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
             self._goals.relocated()
 
     def _begin_session(self) -> None:
-        super()._begin_session()
-        self._relocations = MapRelocations()  # the map may not relocate in this session
+        self._motion.restart()
+        # The map may not answer in this session.
+        self._relocations.restore({**self._relocations.state(), 'last': None})
+        if len(self._core):
+            unknown = Motion(0.0, 0.0, 0.0, False)
+            self._core.integrate(unknown)
+            if self._goals is not None:
+                self._goals.integrate(0, unknown)
 
     def _set_mapping(self, mapping: bool) -> None:
         self._core.mapping = mapping
@@ -139,8 +145,12 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
     def _restore(self, state: State) -> None:
         core, numbering = PoseCells(self._section), IdMap()
         core.restore(state['core'])
-        numbering.restore(state['numbering'])
-        memory_ns, sequence = int(state['memory_ns']), int(state['sequence'])
+        if 'numbering' in state:
+            numbering.restore(state['numbering'])
+        elif len(core):
+            numbering.assume(core.next_template_id)  # a replay has no other memory
+        assumed_ns = MIN_MEMORY_NS if len(core) else NO_MEMORY_NS
+        memory_ns, sequence = int(state.get('memory_ns', assumed_ns)), int(state['sequence'])
         relocations = MapRelocations()
         if 'relocations' in state:
             relocations.restore(state['relocations'])

@@ -19,8 +19,10 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
 from ratslam_ros.core.config import SECTIONS, SETTABLE, Config, Value
-from ratslam_ros.messages.json_schema import encode_json
-from ratslam_ros.nodes.qos import GOAL
+from ratslam_ros.messages.json_schema import MalformedMessage, encode_json
+from ratslam_ros.messages.map_commands import STATUS as MAP_STATUS
+from ratslam_ros.messages.map_commands import decode_map_status
+from ratslam_ros.nodes.qos import GOAL, LATCHED
 from ratslam_ros.viewer.run_source import Answer
 
 NODES = (
@@ -54,7 +56,7 @@ LEVELS = 'OK', 'WARN', 'ERROR', 'STALE'
 
 ACTIONS = frozenset({
     'go_to', 'go_to_place', 'name_place', 'cancel_goals', 'explore', 'pause_nodes', 'mapping',
-    'save', 'load', 'reset', 'set_parameter',
+    'relocate', 'save', 'load', 'reset', 'set_parameter',
 })  # fmt: skip
 
 
@@ -75,10 +77,14 @@ class RosControls:
         self._clients: dict[str, Any] = {}
         self._lock = threading.Lock()
         self._reported: dict[str, tuple[str, str, float]] = {}
+        self._memories: dict[str, str] = {}
+        """State of the memory of every node, as it is in the diagnostics."""
         self._refreshed_s = 0.0
         self._changed = threading.Condition()
         self._status: dict[str, Any] | None = None
         self._statuses = 0
+        self._map_result, self._map_results = Answer(False, ''), 0
+        node.create_subscription(String, MAP_STATUS, self._on_map_status, LATCHED)
         self.places: Sequence[str] = ()
         """Names of the named places."""
         self.values: dict[str, Value] = _all_values()
@@ -99,6 +105,18 @@ class RosControls:
             shown[name] = level, message
         return shown
 
+    @property
+    def switches(self) -> dict[str, bool]:
+        """Whether ``explore``, ``mapping`` and ``pause_nodes`` are on, if it is known."""
+        heard = self.diagnostics
+        memories = {text for name, text in list(self._memories.items()) if name in heard}
+        found = {'explore': bool(self.values['goal_follower.explore'])}
+        if memories:
+            found['pause_nodes'] = 'paused' in memories
+            if memories != {'paused'}:  # Nodes that do not learn are always mapping.
+                found['mapping'] = 'localisation only' not in memories
+        return found
+
     # The thread that spins
 
     def on_diagnostics(self, message: DiagnosticArray) -> None:
@@ -111,6 +129,9 @@ class RosControls:
                 self._reported[name] = (
                     LEVELS[min(number, len(LEVELS) - 1)], status.message, time.monotonic()
                 )  # fmt: skip
+                values = {value.key: value.value for value in status.values}
+                if 'memory' in values:
+                    self._memories[name] = values['memory']
 
     def on_status(self, fields: dict[str, Any]) -> None:
         """Store the status of the goals, for which requests wait."""
@@ -206,13 +227,17 @@ class RosControls:
         """Switch learning on or off."""
         return self._call_all(SetBool, 'mapping', SetBool.Request(data=bool(on)), ANSWER_S)
 
+    def relocate(self) -> Answer:
+        """Search for the place of the robot by its laser scans."""
+        return self._call(Trigger, 'experience_map/relocate', Trigger.Request(), SAVING_S)
+
     def save(self) -> Answer:
-        """Save the memory of all nodes."""
-        return self._call_all(Trigger, 'save', Trigger.Request(), SAVING_S)
+        """Save the map of all nodes in one file."""
+        return self._change_map('ratslam/save_map')
 
     def load(self) -> Answer:
-        """Load the saved memory of all nodes."""
-        return self._call_all(Trigger, 'load', Trigger.Request(), SAVING_S)
+        """Load the saved map of all nodes."""
+        return self._change_map('ratslam/load_map')
 
     def reset(self) -> Answer:
         """Empty the memory of all nodes."""
@@ -275,6 +300,29 @@ class RosControls:
             False, 'experience_map has not answered the goal: does it receive odometry?'
         )
 
+    def _change_map(self, service: str) -> Answer:
+        """Save or load the map, and wait for the result, which is a message of its own."""
+        with self._changed:
+            count = self._map_results
+        answer = self._call(Trigger, service, Trigger.Request())
+        if not answer.success:
+            return answer
+        with self._changed:
+            if not self._changed.wait_for(lambda: self._map_results > count, SAVING_S):
+                return Answer(False, f'no result within {SAVING_S:g} s: {answer.message}')
+            return self._map_result
+
+    def _on_map_status(self, message: String) -> None:
+        try:
+            success, text = decode_map_status(message.data)
+        except MalformedMessage:
+            return
+        with self._changed:
+            if success is not None:
+                self._map_result = Answer(success, text)
+                self._map_results += 1
+                self._changed.notify_all()
+
     def _reason(self) -> str:
         for name, (level, message) in self.diagnostics.items():
             if name.rpartition('/')[2] == 'experience_map' and level != 'OK':
@@ -301,7 +349,7 @@ class RosControls:
 
     def _response(self, kind: Any, name: str, request: Any, timeout_s: float) -> Any:
         """Return the response of a service, or an Answer if there is none."""
-        node = name.partition('/')[0]
+        node = name.partition('/')[0].replace('ratslam', 'experience_map')
         client = self._client(kind, name)
         if not client.wait_for_service(timeout_sec=DISCOVERY_S):
             return _no_answer(node)

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
+from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +24,7 @@ from ratslam_ros.core.vision.local_view import LocalView
 from ratslam_ros.core.vision.visual_odometry import field_of_view_deg
 from ratslam_ros.descriptors import encoder_of
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.event_inputs import odometry_from_event, scan_from_event
+from ratslam_ros.event_inputs import laser_mount, odometry_from_event, scan_from_event
 from ratslam_ros.files.config import to_yaml
 from ratslam_ros.history.file import HISTORY_NAME, HistoryMeta, package_version
 from ratslam_ros.history.recorder import Recorder
@@ -31,6 +32,7 @@ from ratslam_ros.history.writer import HistoryWriter
 from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.messages.mapping import decode_template
 from ratslam_ros.offline.landmark_mapping import LandmarkMapping
+from ratslam_ros.offline.replay_map import ReplayMap
 from ratslam_ros.offline.replay_video import ReplayVideo
 from ratslam_ros.recordings import (
     Event,
@@ -58,6 +60,8 @@ class ReplayOptions:
     video: file for a video of the growing map, None for none. progress: show a progress bar.
     landmarks: build the map of the node landmark_map, too. history: write history.sqlite.
     images_rate_hz: rate with which the recording was opened, noted in the history.
+    title: name of the run for viewers; '' for that of the recording.
+    map_file: map to be continued, None for a map that ends with the replay.
     """
 
     start_s: float = 0.0
@@ -67,6 +71,8 @@ class ReplayOptions:
     landmarks: bool = False
     history: bool = False
     images_rate_hz: float = 10.0
+    title: str = ''
+    map_file: ReplayMap | None = None
 
 
 @dataclass(frozen=True)
@@ -115,7 +121,9 @@ def replay(
             stop = stack.enter_context(StopSignals())
             if options.video is not None:
                 run.video = stack.enter_context(ReplayVideo(options.video, run.slam))
-            events = recording.events(selection, options.start_s, options.duration_s)
+            events = run.remaining(
+                recording.events(selection, options.start_s, options.duration_s)
+            )
             decoded = stack.enter_context(prefetch_images(events, run.times))
             bar = stack.enter_context(
                 ProgressBar(
@@ -131,12 +139,14 @@ def replay(
                     raise KeyboardInterrupt
     except KeyboardInterrupt:
         if run.results is None:
+            run.abandon()
             raise  # No results yet: those of an earlier run in the folder stay.
         interrupted = True
     except BaseException:
         run.abandon()
         raise
-    return ReplayOutcome(run.finish(), interrupted, run.config, run.observations)
+    complete = not interrupted and options.duration_s is None
+    return ReplayOutcome(run.finish(complete), interrupted, run.config, run.observations)
 
 
 class _Run:
@@ -155,13 +165,13 @@ class _Run:
         if visual_odometry:
             config = calibrated(config, recording, selection)
         p = config.local_view
-        self._local_view = LocalView(p, encoder_of(p))
         self.slam = RatSLAM(
             config,
             visual_odometry=visual_odometry,
             stopwatch=self.times,
-            local_view=self._local_view,
+            local_view=LocalView(p, encoder_of(p)),
         )
+        self._map = options.map_file
         self._landmarks: LandmarkMapping | None = None
         if options.landmarks:
             if visual_odometry or selection.scan_topic is None:
@@ -170,6 +180,10 @@ class _Run:
                     f'{"odometry" if visual_odometry else "scans"}: leave out --landmarks'
                 )
             self._landmarks = LandmarkMapping(config)
+        if self._map is not None:
+            self._map.open(
+                self.slam, recording, selection, config, options.start_s, self._landmarks
+            )
         self._recorder: Recorder | None = None
         if options.history:
             meta = _history_meta(recording, selection, config, options)
@@ -186,10 +200,15 @@ class _Run:
         self._recording = recording
         self.config = config
         self._folder = folder
+        self._mount = laser_mount(recording, selection)
         self._lacks_scans = self.slam.scan_matcher is not None and selection.scan_topic is None
         self._unusable: Counter[str] = Counter()
         self._first_errors: dict[str, str] = {}
         self._start_s = time.perf_counter()
+
+    def remaining(self, events: Iterator[Event]) -> Iterator[Event]:
+        """Return the events that the map does not contain yet."""
+        return events if self._map is None else self._map.remaining(events)
 
     def feed(self, event: Event, image: NDArray[np.uint8] | None) -> None:
         """Process one event.
@@ -199,6 +218,11 @@ class _Run:
             image: its decoded (H, W) uint8 grey image, None if there is none.
         """
         self.span.add(event.log_ns)
+        self._process(event, image)
+        if self._map is not None:
+            self._map.after(event, self._last_view_ns)
+
+    def _process(self, event: Event, image: NDArray[np.uint8] | None) -> None:
         if isinstance(event, OdometryEvent):
             odometry = odometry_from_event(event)
             self._write(self.slam.odometry(odometry))
@@ -212,7 +236,7 @@ class _Run:
             self._write(self.slam.image(event.stamp_ns, image))
         elif isinstance(event, ScanEvent):
             try:
-                scan = scan_from_event(event)
+                scan = scan_from_event(event, self._mount)
             except UnusableScan as error:
                 self._count_unusable('scan', error)
             else:
@@ -229,9 +253,24 @@ class _Run:
                 return
             self._write(self.slam.template(stamp_ns, match))
 
-    def finish(self) -> dict[str, Any]:
-        """Process all held messages, write all files, and return the summary."""
+    @property
+    def _last_view_ns(self) -> int:
+        """Stamp of the last view of this replay with a template, 0 if there is none."""
+        return 0 if self.results is None else self.results.last_view_ns
+
+    def finish(self, complete: bool = False) -> dict[str, Any]:
+        """Process all held messages, write all files, and return the summary.
+
+        Args:
+            complete: the recording was replayed to its end. Otherwise the map file keeps the
+                messages that are held, so that the replay can be continued.
+        """
+        if self._map is not None:
+            self._map.save_before_end()
         self._write(self.slam.finish())
+        landmarks = '' if self._landmarks is None else self._landmarks.finish()
+        if self._map is not None:
+            self._map.finish(complete, self._last_view_ns)
         wall_s = self.elapsed_s
         results = self.results or self._new_results()
         warnings = self._recording.warnings
@@ -245,6 +284,8 @@ class _Run:
                 f'{count} {kind} messages were not used, the first: {self._first_errors[kind]}'
             )
         counts = self.slam.counts
+        local_view = self.slam.local_view
+        low_texture = local_view.low_texture if isinstance(local_view, LocalView) else 0
         summary = {
             'frames': results.frames,
             'odometry': results.odometry,
@@ -255,10 +296,10 @@ class _Run:
             **self._gap_counts(results),
             **{k: round(v, 6) for k, v in self.slam.pose_cells.lengths.report().items()},
             'dropped': (
-                results.without_view - self._local_view.low_texture + self._unusable.total()
+                results.without_view - low_texture + self._unusable.total()
                 + self._recording.skipped
             ),
-            'low_texture': self._local_view.low_texture,
+            'low_texture': low_texture,
             'late': counts.late,
             'refused': counts.refused,
             'duration_s': round(self.span.duration_s, 3),
@@ -271,8 +312,11 @@ class _Run:
         calibration = self.slam.pose_cells.calibration
         if calibration is not None:
             summary['odom_calibration'] = calibration.summary()
+        if self._map is not None:
+            summary['map'] = self._map.summary()
+            results.last_view_ns = self._map.last_view_ns
         if self._landmarks is not None:
-            results.write('landmarks.json', self._landmarks.finish())
+            results.write('landmarks.json', landmarks)
             summary['landmarks'] = len(self._landmarks.laser_map)
         results.finish(self.slam.experience_map, self.config, summary)
         if self._recorder is not None:
@@ -294,6 +338,8 @@ class _Run:
 
     def abandon(self) -> None:
         """End after an error: write the results, or keep those of an earlier run."""
+        if self._map is not None:
+            self._map.abandon()
         if self.results is None:
             return
         if (self._folder / 'map.json').exists():
@@ -346,7 +392,7 @@ def _history_meta(
 ) -> HistoryMeta:
     """Describe a replay for its history."""
     return HistoryMeta(
-        recording.name, config.experience_map.map_frame, to_yaml(config),
+        options.title or recording.name, config.experience_map.map_frame, to_yaml(config),
         str(recording.path.absolute()), recording.kind, selection.image_topic or '',
         options.images_rate_hz, package_version(),
     )

@@ -65,7 +65,8 @@ class Results:
         self._recognised_id = NO_EXPERIENCE
         self.without_view = 0
         """Number of frames with template -1: images that could not be decoded or used."""
-        self._last_view_ns = 0
+        self.last_view_ns = 0
+        """Stamp of the last view with a template, which is that of map.json."""
         self._gaps: list[tuple[int, float]] = []
         """Stamp of the odometry message at the end of each gap, and length of the gap in s."""
         self._unplaced: list[OdometryStep] = []
@@ -113,7 +114,7 @@ class Results:
         self.templates += match.is_new
         self.without_view += match.template_id == NO_TEMPLATE
         if match.template_id != NO_TEMPLATE:
-            self._last_view_ns = step.stamp_ns
+            self.last_view_ns = step.stamp_ns
         if step.pruned is not None:
             self._places.prune(step.pruned)
         if action.action == 'create':
@@ -175,7 +176,7 @@ class Results:
         for file in self._files:
             file.close()
             os.replace(file.name, file.name.removesuffix('.part'))
-        map_json = encode_map(self._last_view_ns, experience_map)
+        map_json = encode_map(self.last_view_ns, experience_map)
         _replace(self.folder / 'map.json', map_json)  # Same bytes as the topic experience_map/map.
         _replace(self.folder / 'config.yaml', to_yaml(config))
         _replace(self.folder / 'summary.json', json.dumps(summary, indent=2) + '\n')

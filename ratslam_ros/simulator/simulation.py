@@ -98,6 +98,7 @@ class Simulator:
         options: SimulationOptions | None = None,
         obstacle_events: Sequence[ObstacleEvent] = (),
         people: int = 0,
+        appearance_seed: int | None = None,
     ) -> None:
         """Build the world and place the robot and the people in it.
 
@@ -108,6 +109,8 @@ class Simulator:
             options: world, robot and sensors; None for the defaults.
             obstacle_events: obstacles to add and remove during the run, in any order.
             people: number of people who walk about.
+            appearance_seed: seed of the appearance of the walls, to return to a world on another
+                day; None: `seed`.
 
         Raises:
             UnusableInput: the robot does not fit at its start, or the people do not all fit.
@@ -117,7 +120,10 @@ class Simulator:
         streams = RandomStreams.from_seed(seed)
         self.options = options
         self.plan = plan
-        self.world = build_world(plan, streams.decoration, options.world)
+        decoration = streams.decoration
+        if appearance_seed is not None:
+            decoration = RandomStreams.from_seed(appearance_seed).decoration
+        self.world = build_world(plan, decoration, options.world)
         self._robot = Robot(start, streams.wheel_slip, options.robot)
         self._require_room(start)
         self._odometry = WheelOdometry(options.robot)

@@ -19,7 +19,6 @@ from states import Event, continues_exactly
 from ratslam_ros.core.common.odometry import Odometry
 from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.ratslam import RatSLAM, Step
 from ratslam_ros.core.vision.local_view import ViewMatch
 
@@ -47,7 +46,7 @@ VARIANTS = {
     'automatic, forgetting': {**AUTOMATIC, **FORGETTING},
     'goal memory': {'goal_memory.goal_memory': True, 'pose_cells.pc_vt_agree_views': 3.0},
     'late odometry': {
-        'pose_cells.max_lateness_s': 1.0, 'local_view.max_lateness_s': 1.0, **AUTOMATIC,
+        'pose_cells.max_lateness_s': 3.0, 'local_view.max_lateness_s': 3.0, **AUTOMATIC,
     },
 }  # fmt: skip
 
@@ -102,7 +101,6 @@ def random_cuts(events: Sequence[Event], count: int, seed: int) -> list[int]:
 def test_a_run_continues_exactly_from_its_state(variant: str, tmp_path: Path) -> None:
     config = SMALL.with_values(VARIANTS[variant])
     events = circles(200, delayed=3 if 'late' in variant else 0)
-    assert len(PoseCells(config.pose_cells)) == 0
     cuts = random_cuts(events, 3, len(variant))
     assert continues_exactly(partial(RatSLAM, config), events, cuts, tmp_path) == []
 

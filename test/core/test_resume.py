@@ -17,6 +17,7 @@ from rooms import Line, scan_in
 from ratslam_ros.core.common.odometry import Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import Config
+from ratslam_ros.core.learned import learned
 from ratslam_ros.core.ratslam import RatSLAM
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files import memory
@@ -172,44 +173,11 @@ def test_localisation_learns_nothing(name: str) -> None:
     slam.finish()
     slam.begin_session()
     slam.mapping = False
-    before = learned(slam)
+    before = learned(slam.state())
     fed(slam, calls)
     slam.finish()
-    np.testing.assert_equal(learned(slam), before)
+    np.testing.assert_equal(learned(slam.state()), before)
     assert slam.experience_map.current_id >= 0  # it is localised all the same
-
-
-def learned(slam: RatSLAM) -> dict[str, Any]:
-    """Return the state without the robot's pose and what it has just seen."""
-    states = slam.state()
-    cells, graph = states['pose_cells']['core'], states['experience_map']['core']
-    kept = {
-        'local_view': {
-            key: value for key, value in states['local_view']['core'].items()
-            if key not in ('motion', 'low_texture')
-        },
-        'cells': {
-            key: cells[key] for key in ('experiences', 'transitions', 'visits', 'gaps', 'lengths',
-                                        'calibration', 'freshness', 'of_template')
-            if key in cells
-        },
-        'memories': [memory[:5] for memory in cells['memories']],
-        'graph': {
-            key: graph[key] for key in ('poses', 'labels', 'ends', 'shapes', 'notes', 'failures')
-        },
-        'goals': {
-            key: value
-            for key, value in states['pose_cells'].get('goal_memory', {}).items()
-            if key != 'present'
-        },
-    }  # fmt: skip
-    for key in ('scans', 'relocator'):
-        part = states['experience_map'].get(key, {})
-        kept[key] = {name: part[name] for name in ('ids', 'points', 'landmarks') if name in part}
-    calibration = kept['cells'].get('calibration')
-    if calibration is not None:  # what is measured of the present path is not used
-        calibration.pop('travelled')
-    return kept
 
 
 def test_states_of_other_parameters_are_refused() -> None:

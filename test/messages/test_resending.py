@@ -68,13 +68,14 @@ def test_logged_odometry_keeps_every_bit() -> None:
 
 
 def test_logged_scan_keeps_every_bit() -> None:
-    scan = Scan(5, -1.5, 0.1, np.array([0.1, math.inf, 3.0]))
+    scan = Scan(5, -1.5, 0.1, np.array([0.1, math.inf, 3.0]), 0.3, -0.2)
     found = decode_scan(encode_scan(scan))
     assert (found.stamp_ns, found.angle_min_rad, found.angle_increment_rad) == (5, -1.5, 0.1)
+    assert (found.x_m, found.y_m) == (0.3, -0.2)
     assert found.ranges_m.tobytes() == scan.ranges_m.tobytes()
 
 
-@pytest.mark.parametrize('size', [0, 23, 24, 31, 33])
+@pytest.mark.parametrize('size', [0, 39, 40, 47, 50])
 def test_log_entry_of_another_size_is_refused(size: int) -> None:
     with pytest.raises(MalformedMessage, match='expected'):
         decode_odometry(bytes(size))

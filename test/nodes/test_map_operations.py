@@ -184,7 +184,7 @@ def test_file_that_is_no_map_is_refused_unchanged(world: MakeWorld, tmp_path: Pa
     file = tmp_path / 'notes.txt'
     file.write_text('no map')
     made = world(PoseCellsNode, arguments=('-p', f'map:={file}'))
-    with pytest.raises(UnusableInput, match='notes.txt'):
+    with pytest.raises(UnusableInput, match=r'notes\.txt'):
         made.nodes[0].open_map()
     assert file.read_text() == 'no map'
 

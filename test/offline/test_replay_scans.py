@@ -35,8 +35,10 @@ from ratslam_ros.core.common.scan import Scan, UnusableScan, checked_scan
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.ratslam import RatSLAM
 from ratslam_ros.errors import UnusableInput
+from ratslam_ros.maps import read_map
 from ratslam_ros.messages.mapping import encode_map
 from ratslam_ros.offline.replay import ReplayOptions, replay
+from ratslam_ros.offline.replay_map import ReplayMap
 from ratslam_ros.recordings import open_recording
 from ratslam_ros.results.evaluation import evaluate
 from ratslam_ros.results.trajectory import read_tum, tum_line
@@ -371,3 +373,21 @@ def test_landmarks_without_scans_are_refused(tmp_path: Path) -> None:
     with open_recording(bag) as recording, pytest.raises(UnusableInput, match='no scans'):
         options = ReplayOptions(progress=False, landmarks=True)
         replay(recording, recording.select(scans=True), WITHOUT, tmp_path / 'out', options)
+
+
+def test_map_with_scans_and_landmarks_is_continued_exactly(bag: Path, tmp_path: Path) -> None:
+    def run(name: str, *parts_s: float | None) -> tuple[str, bytes, bytes]:
+        folder = tmp_path / name
+        for duration_s in parts_s:
+            map_file = ReplayMap(folder / 'a.map', False, print, print)
+            options = ReplayOptions(
+                duration_s=duration_s, progress=False, landmarks=True, map_file=map_file
+            )
+            config = CONFIG.with_values({'experience_map.exp_relocate': 'both'})
+            with open_recording(bag) as recording:
+                selection = recording.select(scans=True)
+                replay(recording, selection, config, folder, options)
+        results = [(folder / file).read_bytes() for file in ('map.json', 'landmarks.json')]
+        return read_map(folder / 'a.map').digest, results[0], results[1]
+
+    assert run('in_parts', 1.05, 3.0, 4.33, None) == run('undisturbed', None)

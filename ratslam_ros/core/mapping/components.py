@@ -64,9 +64,7 @@ class Components:
             self.current = into
 
     def state(self) -> State:
-        """Return ``{'components': ...}`` for ``restore``; empty if there has been no gap."""
-        if self.gap_count == 0:
-            return {}
+        """Return ``{'components': ...}`` for ``restore``."""
         return {'components': {
             'current': self.current, 'gaps': self.gap_count,
             'experiences': np.array(self._of, np.int64),

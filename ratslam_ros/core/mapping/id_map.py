@@ -62,6 +62,10 @@ class IdMap:
             'end': self._end,
         }  # fmt: skip
 
+    def assume(self, count: int) -> None:
+        """Use the ids below ``count`` unchanged, as those of a memory without a stamp."""
+        self.memory_ns, self._base, self._end = MIN_MEMORY_NS, 0, count
+
     def restore(self, state: State) -> None:
         """Restore what ``state`` returned."""
         self.memory_ns, self.restarts = state['memory_ns'], state['forgotten']
@@ -110,6 +114,11 @@ class DenseIdMap(IdMap):
         super().restore(state)
         self._own_ids = {peer_id: own for peer_id, own in listed(state['own'])}
         self._rows.replace(state['own'])
+
+    def assume(self, count: int) -> None:
+        """Use the ids below ``count`` unchanged, as those of a memory without a stamp."""
+        super().assume(count)
+        self._own_ids = {number: number for number in range(count)}
 
     def has(self, peer_id: int) -> bool:
         """Return whether an id of the present memory has an own id."""

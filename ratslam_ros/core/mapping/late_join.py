@@ -27,7 +27,8 @@ class LateJoin:
         """Number of actions that never arrived, including those before the map started."""
         self.restarts = 0
         """Number of times the pose cells restarted, or loaded an older memory."""
-        self._next = 0
+        self._next: int | None = 0
+        """Number of the next action; None: that of whichever comes first."""
         self.first_sequence: int | None = None
         """Sequence number of the first action received; above 0 the map started late."""
 
@@ -43,6 +44,11 @@ class LateJoin:
         self.missed, self.restarts = state['missed'], state['forgotten']
         self._next, self.first_sequence = state['next'], state['first_sequence']
         self._ids.restore(state['numbering'])
+
+    def assume(self) -> None:
+        """Use the ids of the map unchanged: it was built together with its pose cells."""
+        self._ids.assume(len(self._map))
+        self._next = None
 
     def peer_relocation(self, relocation: MapRelocation | None) -> MapRelocation | None:
         """Return a relocation with the ids of the pose cells; None if they do not know its place.
@@ -68,7 +74,9 @@ class LateJoin:
             sequence: sequence number of the action; a gap counts as missed actions.
             memory_ns: stamp of the memory of the pose cells that the ids belong to.
         """
-        if self.first_sequence is None:
+        if self._next is None:
+            self.first_sequence = 0
+        elif self.first_sequence is None:
             self.first_sequence = self.missed = sequence
         elif sequence < self._next:  # pose cells were restarted, or loaded an older memory
             self.restarts += 1

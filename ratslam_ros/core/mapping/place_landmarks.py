@@ -75,6 +75,24 @@ class PlaceLandmarks:
             else:
                 self._insert(experience_id, shape)
 
+    def add_counted(
+        self, experience_id: int, shape: Shape, visits: int, poses: NDArray[np.float64],
+    ) -> None:  # fmt: skip
+        """Add a landmark of another map; one that is known already gets its observations.
+
+        Args:
+            experience_id: the experience that it is stored with.
+            shape: in the frame of that experience.
+            visits: number of experiences that observed it.
+            poses: (m, 3) poses of all experiences.
+        """
+        x_m, y_m, direction_rad, _ = moved_landmark(Pose(*poses[experience_id].tolist()), shape)
+        same = nearest_same(self._placed(poses), (x_m, y_m, direction_rad, shape[3]))
+        if same >= 0:
+            self._visits[same] += visits
+        else:
+            self._insert(experience_id, shape, visits)
+
     def remove_owned(self, experience_ids: Collection[int]) -> None:
         """Remove the landmarks that some experiences observed first."""
         self._keep(~np.isin(self._owners, np.array(sorted(experience_ids), np.int64)))
@@ -117,14 +135,15 @@ class PlaceLandmarks:
         self._shapes = np.array(state['shapes'], np.float64).reshape(-1, BAR_SIZE)
         self._visits = np.array(state['visits'], np.int64)
 
-    def _insert(self, experience_id: int, shape: Shape) -> None:
+    def _insert(self, experience_id: int, shape: Shape, visits: int = 1) -> None:
         if len(self) < MAX_LANDMARK_COUNT:
             self._owners = np.append(self._owners, experience_id)
             self._shapes = np.concatenate([self._shapes, [shape]])
-            self._visits = np.append(self._visits, 1)
+            self._visits = np.append(self._visits, visits)
         else:
             row = int(self._visits.argmin())
-            self._owners[row], self._shapes[row], self._visits[row] = experience_id, shape, 1
+            self._owners[row], self._shapes[row] = experience_id, shape
+            self._visits[row] = visits
 
     def _keep(self, rows: NDArray[np.bool_]) -> None:
         self._owners, self._shapes = self._owners[rows], self._shapes[rows]

@@ -8,6 +8,7 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config.goal_recall import GoalRecallParameters
@@ -121,6 +122,20 @@ class Navigator:
         self._count += len(tasks)
         self._queue.extend(tasks)
         return tasks
+
+    def queue_state(self) -> list[list[Any]]:
+        """Return the unfinished goals, for ``restore_queue``."""
+        return [
+            [task.goal.experience_id, *task.goal.offset, task.goal.name, task.asked,
+             task.timeout_s] for task in self._queue
+        ]  # fmt: skip
+
+    def restore_queue(self, rows: Sequence[Sequence[Any]]) -> None:
+        """Append unfinished goals of an earlier session; their time limits begin anew."""
+        for experience_id, x_m, y_m, heading_rad, name, asked, timeout_s in rows:
+            goal = Goal(int(experience_id), Pose(x_m, y_m, heading_rad), str(name))
+            self._queue.append(GoalTask(self._count, goal, str(asked), timeout_s))
+            self._count += 1
 
     def cancel(self, reason: str = 'on request', number: int | None = None) -> int:
         """Cancel the goal with a number, or all unfinished goals; return how many."""

@@ -75,6 +75,11 @@ class Experiences:
         """Return the place of an experience; it moves if its component joins another one."""
         return self._located[experience_id]
 
+    @property
+    def next_template_id(self) -> int:
+        """Id above those of the templates of all experiences."""
+        return max((template_id for template_id, _ in self._experiences), default=-1) + 1
+
     def state(self) -> State:
         """Return all experiences and transitions, for ``restore``."""
         return {

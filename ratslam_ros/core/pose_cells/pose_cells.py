@@ -143,14 +143,11 @@ class PoseCells:
         saved = {key: state[key] for key in _STATE_KEYS if key in state}
         if self.lengths.is_automatic:
             saved['lengths'] = self.lengths.state()
-        has_removed = evidence['components']['made'] != len(evidence['memories'])
-        if self._gap_count or self.lengths.is_automatic or has_removed:
-            # Otherwise as in earlier versions.
-            saved['components'] = {
-                'current': self._component, 'gaps': self._gap_count,
-                **evidence['components'], 'experiences': experiences['components'],
-                'places': experiences['places'],
-            }  # fmt: skip
+        saved['components'] = {
+            'current': self._component, 'gaps': self._gap_count,
+            **evidence['components'], 'experiences': experiences['components'],
+            'places': experiences['places'],
+        }  # fmt: skip
         saved['present'] = {
             'view': list(self._last_view), 'odometry': list(self._odometry),
             'at_views': [list(pose) for pose in self._at_views],
@@ -189,6 +186,11 @@ class PoseCells:
             self._last_view = template_id, turn_planes
             self._odometry = Pose(*present['odometry'])
             self._at_views.extend(Pose(*pose) for pose in present['at_views'])
+
+    @property
+    def next_template_id(self) -> int:
+        """Id above those of the templates of all experiences."""
+        return self._experiences.next_template_id
 
     def integrate(self, motion: Motion) -> None:
         """Advance the network by one step: competition, then path integration of the motion.

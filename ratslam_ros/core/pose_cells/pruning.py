@@ -51,6 +51,10 @@ class VisitHistory:
         self._counts[experience_id] += 1
         self._last[experience_id] = self._now
 
+    def retain(self, experience_id: int) -> None:
+        """Exclude an experience from further selections, until ten others were visited."""
+        self._last[experience_id] = self._now
+
     def may_go(self, distances: DistanceGraph) -> NDArray[np.bool_]:
         """Return which experiences may be pruned, at least one.
 

@@ -226,7 +226,7 @@ class LocalView:
         if recognised is not None:
             if self._freshness is not None and self.mapping:
                 self._freshness.observe(recognised.template_id)
-            relative_rad = self._relative_rad(recognised.offset)
+            relative_rad = self.relative_rad(recognised.offset)
             return ViewMatch(
                 recognised.template_id, False, error, relative_rad, threshold, related_count
             )
@@ -363,7 +363,8 @@ class LocalView:
         """
         return self._memory.search(view).best()
 
-    def _relative_rad(self, offset: int) -> float:
+    def relative_rad(self, offset: int) -> float:
+        """Return the heading relative to that of a template, for the offset of their match."""
         p = self._p
         if self._layout.panoramic:
             return wrap(-2.0 * math.pi * offset / p.template_x_size)

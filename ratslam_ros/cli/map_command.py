@@ -1,0 +1,137 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""``ratslam map``: inspect, check, export, merge, prune and compact map files."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+from ratslam_ros.cli.merge_command import add_merge
+from ratslam_ros.cli.options import DONE, Commands, positive_number
+from ratslam_ros.console import print_notice
+from ratslam_ros.errors import UnusableInput
+
+DAMAGED = 1
+"""Exit code of ``map check`` if it finds a problem."""
+
+FORMATS = ('json', 'graphml', 'tum', 'g2o', 'geojson')
+
+
+def add_map(commands: Commands) -> None:
+    """Add ``ratslam map`` with its own commands."""
+    parser = commands.add_parser(
+        'map', help='inspect, check, export, merge and maintain map files'
+    )
+    actions = parser.add_subparsers(title='commands', metavar='COMMAND', required=True)
+    info = actions.add_parser('info', help='print what a map contains')
+    _add_file(info)
+    info.add_argument('--json', action='store_true', help='print JSON')
+    info.add_argument('--parameters', action='store_true',
+                      help='print the configuration as YAML instead, for --config')
+    info.set_defaults(run=_info)
+    check = actions.add_parser('check', help='check a map; the exit code is 1 if it is damaged')
+    _add_file(check)
+    check.set_defaults(run=_check)
+    export = actions.add_parser('export', help='write a map in the format of another program')
+    _add_file(export)
+    export.add_argument('--format', choices=FORMATS,
+                        help='json, graphml, tum, g2o, or geojson for the Nav2 route server '
+                             '(default: by the name of the file)')
+    export.add_argument('-o', '--out', type=Path, metavar='FILE', help='file (default: print)')
+    export.add_argument('--spacing', type=_distance, default=0.0, metavar='M',
+                        help='with geojson: least distance between two nodes (default: keep all)')
+    export.set_defaults(run=_export)
+    add_merge(actions)
+    prune = actions.add_parser(
+        'prune', help='reduce a map to a number of places; the map before stays as FILE.bak'
+    )
+    _add_file(prune)
+    prune.add_argument('--max-experiences', type=positive_number, required=True, metavar='N',
+                       help='number of places that stay')
+    prune.set_defaults(run=_prune)
+    compact = actions.add_parser(
+        'compact', help='rewrite a map without unused space; the map before stays as FILE.bak'
+    )
+    _add_file(compact)
+    compact.set_defaults(run=_compact)
+
+
+def _add_file(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument('file', type=Path, metavar='FILE',
+                        help='the map, or a folder with memory files of nodes')
+
+
+def _distance(text: str) -> float:
+    value = float(text)
+    if not 0.0 < value < float('inf'):
+        raise argparse.ArgumentTypeError(f'{text} is not a distance of more than 0 m')
+    return value
+
+
+def _info(options: argparse.Namespace) -> int:
+    from ratslam_ros.maps import read_map
+    from ratslam_ros.offline.map_upkeep import info_text, map_info
+
+    if options.parameters:
+        print(read_map(options.file).meta.configuration, end='')
+        return DONE
+    info = map_info(options.file)
+    print(json.dumps(info, indent=2) if options.json else info_text(info))
+    return DONE
+
+
+def _check(options: argparse.Namespace) -> int:
+    from ratslam_ros.offline.map_upkeep import problems
+
+    found, notices = problems(options.file)
+    for line in notices:
+        print_notice(line)
+    for line in found:
+        print(line)
+    if found:
+        return DAMAGED
+    print(f'{options.file}: no problem found')
+    return DONE
+
+
+def _export(options: argparse.Namespace) -> int:
+    from ratslam_ros.maps import read_map
+    from ratslam_ros.offline.map_export import exported, write_durably
+    from ratslam_ros.offline.map_upkeep import config_of_map, experience_map_of
+
+    form = options.format
+    if form is None:
+        form = '' if options.out is None else options.out.suffix.removeprefix('.').lower()
+        if form not in FORMATS:
+            raise UnusableInput(f'give the format: --format {"|".join(FORMATS)}')
+    if options.spacing and form != 'geojson':
+        raise UnusableInput('--spacing thins the graph for the route server: use it with geojson')
+    saved = read_map(options.file)
+    config, notices = config_of_map(saved)
+    graph, stamp_ns = experience_map_of(saved, config)
+    text, more = exported(graph, stamp_ns, form, options.spacing)
+    for notice in (*notices, *more):
+        print_notice(notice)
+    if options.out is None:
+        sys.stdout.write(text)
+    else:
+        write_durably(options.out, text)
+        print(options.out)
+    return DONE
+
+
+def _prune(options: argparse.Namespace) -> int:
+    from ratslam_ros.offline.map_pruning import prune
+
+    print(prune(options.file, options.max_experiences))
+    return DONE
+
+
+def _compact(options: argparse.Namespace) -> int:
+    from ratslam_ros.offline.map_upkeep import compact
+
+    print(compact(options.file))
+    return DONE

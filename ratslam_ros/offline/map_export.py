@@ -1,0 +1,152 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Export of the experience map to formats of other programs (docs/maps.md, "Export")."""
+
+from __future__ import annotations
+
+import io
+import math
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.mapping.link_weights import VIEW_STD, VIEW_STD_RAD, link_weights
+from ratslam_ros.errors import UnusableInput
+from ratslam_ros.messages.mapping import encode_map
+from ratslam_ros.offline.route_export import route_graph_json
+from ratslam_ros.results.trajectory import tum_line
+
+FORMATS = ('json', 'graphml', 'tum', 'g2o', 'geojson')
+
+
+def exported(
+    experience_map: ExperienceMap, stamp_ns: int, form: str, spacing_m: float = 0.0
+) -> tuple[str, list[str]]:
+    """Return the text of a map in another format, and notices for the user.
+
+    Args:
+        experience_map: the map.
+        stamp_ns: stamp of its last view.
+        form: one of ``FORMATS``.
+        spacing_m: least distance of the nodes for geojson; 0 keeps all.
+
+    Raises:
+        UnusableInput: the map has no place, or does not fit the format.
+    """
+    if not len(experience_map):
+        raise UnusableInput('the map has no place yet: nothing to export')
+    if form == 'geojson':
+        return route_graph_json(experience_map, spacing_m)
+    writers: dict[str, Callable[[], str]] = {
+        'json': lambda: encode_map(stamp_ns, experience_map),
+        'graphml': lambda: _graphml(experience_map),
+        'tum': lambda: _tum(experience_map),
+        'g2o': lambda: _g2o(experience_map),
+    }
+    return writers[form](), []
+
+
+def write_durably(path: Path, text: str) -> None:
+    """Replace a file; the earlier one stays until the new one is on the disk.
+
+    Raises:
+        UnusableInput: it cannot be written.
+    """
+    fresh = path.with_name(f'.{path.name}.{os.getpid()}')
+    try:
+        with fresh.open('w', encoding='utf-8', newline='\n') as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        fresh.replace(path)
+    except OSError as error:
+        fresh.unlink(missing_ok=True)
+        raise UnusableInput(
+            f'{path} cannot be written ({error.strerror}); choose another file'
+        ) from None
+
+
+def _graphml(experience_map: ExperienceMap) -> str:
+    """Return a directed graph with the poses of the places, and lengths and times of the links."""
+    try:
+        import networkx
+    except ImportError:
+        raise UnusableInput(
+            'GraphML is written by networkx, which is not installed: pip install networkx'
+        ) from None
+    graph = networkx.DiGraph(frame_id=experience_map.frame_id)
+    components = experience_map.components
+    for one in experience_map.experiences():
+        graph.add_node(
+            one.id, x_m=one.pose.x_m, y_m=one.pose.y_m, heading_rad=one.pose.heading_rad,
+            template_id=one.template_id, component=components[one.id],
+        )  # fmt: skip
+    for link in experience_map.links():
+        graph.add_edge(
+            link.source_id, link.target_id, distance_m=link.distance_m,
+            heading_rad=link.heading_rad, facing_rad=link.facing_rad, duration_s=link.duration_s,
+            behaviour=link.behaviour, count=link.count, recognised=link.recognised,
+        )  # fmt: skip
+    out = io.BytesIO()
+    networkx.write_graphml_xml(graph, out)
+    return out.getvalue().decode('utf-8')
+
+
+def _tum(experience_map: ExperienceMap) -> str:
+    """Return the poses of the places as a TUM trajectory, with the id as time in seconds."""
+    lines = ['# id x y z qx qy qz qw: places of a map; the first column is the id of the place\n']
+    lines += [
+        tum_line(one.id * 1_000_000_000, one.pose) for one in experience_map.experiences()
+    ]
+    return ''.join(lines)
+
+
+def _g2o(experience_map: ExperienceMap) -> str:
+    """Return the pose graph with the information matrices of its links.
+
+    The first place of every component is fixed, because the links do not determine its pose.
+    """
+    lines = [
+        f'VERTEX_SE2 {number} {" ".join(map(repr, pose))}'
+        for number, pose in enumerate(experience_map.poses.tolist())
+    ]
+    first: dict[int, int] = {}
+    for number, component in enumerate(experience_map.components):
+        first.setdefault(component, number)
+    lines += [f'FIX {number}' for number in first.values()]
+    for link, (position, heading) in zip(
+        experience_map.links(), information(experience_map).tolist(), strict=True
+    ):
+        pose = ' '.join(map(repr, link.relative_pose))
+        lines.append(
+            f'EDGE_SE2 {link.source_id} {link.target_id} {pose} '
+            f'{position!r} 0.0 0.0 {position!r} 0.0 {heading!r}'
+        )
+    return '\n'.join(lines) + '\n'
+
+
+def information(experience_map: ExperienceMap) -> NDArray[np.float64]:
+    """Return the inverse variances of all links: position in 1/m^2 and heading in 1/rad^2.
+
+    The variances are those of core/mapping/link_weights.py. They are in view spacings, which are
+    taken from the map, or else from the median length of its links. The standard deviation of the
+    heading has the ratio to that of the position that it has for a recognised view.
+
+    Returns:
+        (links, 2).
+    """
+    links = experience_map.link_table
+    spacing_m = experience_map.state().get('view_spacing_m', 0.0)
+    if spacing_m <= 0.0:
+        lengths_m = links.shapes[:, 0]
+        driven_m = lengths_m[lengths_m > 0.0]
+        spacing_m = float(np.median(driven_m)) if len(driven_m) else 1.0
+    weights = link_weights(links.shapes, links.recognised, links.shares, spacing_m)
+    per_rad = (VIEW_STD / VIEW_STD_RAD) ** 2
+    result = np.column_stack([weights / (spacing_m * spacing_m), weights * per_rad])
+    assert math.isfinite(float(result.sum()))
+    return result

@@ -1,0 +1,141 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Implementation of ``ratslam map merge``: read maps, merge them, and write map, report and plot."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ratslam_ros.core.config import Config
+from ratslam_ros.core.merging.merge import MergedMap, merge_sessions
+from ratslam_ros.core.merging.session import Session
+from ratslam_ros.descriptors import encoder_of
+from ratslam_ros.errors import UnusableInput
+from ratslam_ros.files.config import config_from_yaml, to_yaml
+from ratslam_ros.maps import MapMeta, read_map, save_map
+from ratslam_ros.results.merge_plots import MergedPlaces, draw_merged
+
+
+def read_session(path: Path, config: Config | None = None) -> Session:
+    """Read a map for merging.
+
+    Args:
+        path: the map file, or a folder with memory files.
+        config: configuration of a map that does not record it.
+
+    Raises:
+        UnusableInput: it cannot be read, or its configuration is unknown.
+    """
+    saved = read_map(path)
+    if saved.meta.configuration:
+        config = config_from_yaml(saved.meta.configuration)
+    if config is None:
+        raise UnusableInput(
+            f'{path} does not record its configuration, with which its views are encoded: give '
+            'it with --config'
+        )
+    return Session(path.name, config, saved.states)
+
+
+def merge_files(
+    paths: Sequence[Path], out: Path, force: bool = False, config: Config | None = None
+) -> str:
+    """Merge maps into a new one, and write a report and a plot beside it.
+
+    Args:
+        paths: the maps.
+        out: the merged map, FILE; the report is FILE.json, the plot FILE.png.
+        force: whether an existing file is replaced.
+        config: configuration of maps that do not record it.
+
+    Returns:
+        The report as text.
+
+    Raises:
+        UnusableInput: a map cannot be read or merged, or the file exists or cannot be written.
+    """
+    if out.exists() and not force:
+        raise UnusableInput(f'{out} exists; give another name with -o, or add --force')
+    sessions = [_named(read_session(path, config), path, paths) for path in paths]
+    merged = merge_sessions(sessions, encoder_of)
+    meta = MapMeta(title=' + '.join(merged.names), configuration=to_yaml(merged.config))
+    save_map(out, merged.states, meta)
+    report = out.with_name(f'{out.name}.json')
+    report.write_text(json.dumps(report_of(merged), indent=2) + '\n', encoding='utf-8')
+    plot = draw_merged(plotted(merged), out.with_name(f'{out.name}.png'))
+    return '\n'.join([*report_lines(merged), f'{out}', f'{report}', f'{plot}'])
+
+
+def _named(session: Session, path: Path, paths: Sequence[Path]) -> Session:
+    """Return a session with a name that no other one has."""
+    if sum(other.name == path.name for other in paths) == 1:
+        return session
+    return Session(str(path), session.config, session.states)
+
+
+def report_of(merged: MergedMap) -> dict[str, Any]:
+    """Return the report as JSON values."""
+    core = merged.states['experience_map']['core']
+    return {
+        'schema_version': 1,
+        'sessions': [
+            {'name': name, 'templates': templates, 'experiences': experiences}
+            for name, templates, experiences in zip(
+                merged.names, merged.templates, merged.experiences, strict=True
+            )
+        ],
+        'merged': {
+            'templates': len(merged.states['local_view']['core']['templates']),
+            'experiences': len(core['labels']), 'links': len(core['ends']),
+            'components': merged.components,
+        },
+        'fused': {
+            'templates': sum(merged.templates)
+            - len(merged.states['local_view']['core']['templates']),
+            'experiences': sum(merged.experiences) - len(core['labels']),
+        },
+        'joins': [asdict(join) for join in merged.joins],
+    }  # fmt: skip
+
+
+def report_lines(merged: MergedMap) -> list[str]:
+    """Return the report for a terminal."""
+    report = report_of(merged)
+    lines = [f'{"session":32}{"templates":>11}{"experiences":>13}']
+    for row in report['sessions']:
+        lines.append(f'{row["name"]:32.32}{row["templates"]:11}{row["experiences"]:13}')
+    total = report['merged']
+    lines.append(f'{"merged":32}{total["templates"]:11}{total["experiences"]:13}')
+    if len(merged.names) == 1:
+        lines.append('all maps are equal: nothing had to be merged')
+    for join in merged.joins:
+        if join.refused:
+            lines.append(f'{join.known} and {join.seen} are not joined: {join.refused}')
+        else:
+            lines.append(
+                f'{join.known} and {join.seen} share {join.places} places, by {join.by} '
+                f'({100.0 * join.share:.0f} % of {join.overlapping} overlapping ones recognised, '
+                f'residual {join.residual_m:.2f} m)'
+            )
+    if total['components'] > 1:
+        lines.append(
+            f'{total["components"]} components remain: their relative poses are unknown until a '
+            'robot is recognised in both'
+        )
+    return lines
+
+
+def plotted(merged: MergedMap) -> MergedPlaces:
+    """Return what the plot shows."""
+    core = merged.states['experience_map']['core']
+    return MergedPlaces(
+        core['poses'], np.asarray(core['ends'], np.int64), merged.names, merged.experience_ids
+    )
+
+

@@ -1,0 +1,58 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Implementation of ``ratslam map prune``."""
+
+from __future__ import annotations
+
+import dataclasses
+import sqlite3
+from contextlib import closing
+from pathlib import Path
+
+from ratslam_ros.core.merging.pruned_map import pruned_states
+from ratslam_ros.core.merging.session import Session, SessionMap
+from ratslam_ros.descriptors import encoder_of
+from ratslam_ros.errors import UnusableInput
+from ratslam_ros.maps import read_map, save_map
+from ratslam_ros.maps.file_writer import unwritable
+from ratslam_ros.maps.schema import connect
+from ratslam_ros.offline.map_upkeep import config_of_map, locked, make_backup
+
+
+def prune(path: Path, count: int) -> str:
+    """Reduce a map to a number of places; return what has been done.
+
+    The map before stays as FILE.bak. At any moment there is a complete map under its name.
+
+    Args:
+        path: the map file.
+        count: largest number of places.
+
+    Raises:
+        UnusableInput: the map is in use, damaged or incomplete, or cannot be pruned so far.
+    """
+    if path.is_dir():
+        raise UnusableInput(f'{path} is a memory folder; expected a map file')
+    saved = read_map(path)
+    session = SessionMap(
+        Session(path.name, config_of_map(saved)[0], saved.states), encoder_of
+    )  # fmt: skip
+    before = len(session)
+    if before <= count:
+        return f'{path}: {before} places, no more than {count}: nothing is pruned'
+    states = pruned_states(session, count)
+    landmarks = saved.states.get('landmark_map')
+    if landmarks is not None:
+        states['landmark_map'] = landmarks
+    with locked(path):
+        try:
+            with closing(connect(path)) as database:  # The backup is to be one file.
+                database.execute('PRAGMA wal_checkpoint(TRUNCATE)')
+        except sqlite3.Error as error:
+            raise unwritable(path, error) from None
+        backup = make_backup(path)
+    title = f'{saved.meta.title}, pruned' if saved.meta.title else 'pruned'
+    meta = dataclasses.replace(saved.meta, title=title, recording='', recording_bytes=0)
+    save_map(path, states, meta, saved.cut)
+    after = len(states['experience_map']['core']['labels'])
+    return f'{path}: {before} places before, {after} now; the map before is {backup}'

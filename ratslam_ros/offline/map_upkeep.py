@@ -1,0 +1,294 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Implementation of ``ratslam map info``, ``check`` and ``compact``."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sqlite3
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import closing, contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from ratslam_ros.core.config import Config
+from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.ratslam import RatSLAM
+from ratslam_ros.core.vision.local_view import LocalView
+from ratslam_ros.descriptors import encoder_of
+from ratslam_ros.errors import RatslamError, UnusableInput
+from ratslam_ros.files.config import stored_config
+from ratslam_ros.maps import PARTS, SavedMap, read_map
+from ratslam_ros.maps.file_writer import unwritable
+from ratslam_ros.maps.locks import MapLock, is_written
+from ratslam_ros.maps.part import load, rows_of
+from ratslam_ros.maps.reader import reading
+from ratslam_ros.maps.saved_map import seconds
+from ratslam_ros.maps.schema import NEW, WAL, beside, connect, remove, sync_folder
+from ratslam_ros.offline.replay_map import PROGRESS, session_titles
+
+BACKUP = '.bak'
+
+
+def config_of_map(saved: SavedMap) -> tuple[Config, list[str]]:
+    """Return the configuration of a map, or the default one, and notices.
+
+    Raises:
+        UnusableInput: it is damaged.
+    """
+    if not saved.meta.configuration:
+        return Config(), [f'{saved.path} does not contain its configuration; the default is used']
+    return stored_config(saved.meta.configuration, str(saved.path))
+
+
+def experience_map_of(saved: SavedMap, config: Config) -> tuple[ExperienceMap, int]:
+    """Return the experience map, and the stamp of its last view in ns.
+
+    Raises:
+        UnusableInput: the map has no places, or they are damaged.
+    """
+    state = saved.states.get('experience_map', {})
+    if 'core' not in state:
+        raise UnusableInput(f'{saved.path} has no places: nothing of the experience map was saved')
+    graph = ExperienceMap(config.experience_map)
+    try:
+        graph.restore(state['core'])
+    except RatslamError:
+        raise
+    except Exception as error:  # The content can be anything.
+        raise UnusableInput(
+            f'{saved.path}: the experience map does not fit ({error!r}); use a backup'
+        ) from None
+    progress = saved.states.get('inputs', {}).get(PROGRESS, {})
+    return graph, int(progress.get('last_view_ns', state.get('action_ns', 0)))
+
+
+def map_info(path: Path) -> dict[str, Any]:
+    """Return what is known of a map, by the names that are printed.
+
+    Raises:
+        UnusableInput: the file cannot be used.
+    """
+    saved = read_map(path)
+    config, notices = config_of_map(saved)
+    graph, _ = experience_map_of(saved, config)
+    view = saved.states.get('local_view', {}).get('core', {})
+    goals = saved.states.get('experience_map', {}).get('goals', {}).get('named', [])
+    scans = saved.states.get('experience_map', {}).get('scans', {}).get('ids', [])
+    default = Config().values()
+    changed = {
+        f'{section}.{name}': value
+        for section, values in config.values().items() for name, value in values.items()
+        if default[section][name] != value
+    }  # fmt: skip
+    sizes = Counter(graph.components)
+    return {
+        'file': str(path),
+        'bytes': sum(one.stat().st_size for one in _files(path)),
+        'places': len(graph), 'links': graph.link_count,
+        'components': sorted(sizes.values(), reverse=True),
+        'templates': len(view.get('templates', ())), 'scans': len(scans), 'goals': len(goals),
+        'sessions': session_titles(saved),
+        'parts': sorted(saved.states),
+        'saved_at': None if saved.cut is None else seconds(saved.cut.stamp_ns),
+        'missing': list(saved.notes),
+        'in_use': _in_use(path),
+        'ratslam_version': saved.meta.ratslam_version,
+        'parameters': changed,
+        'notices': notices,
+        'digest': saved.digest,
+    }  # fmt: skip
+
+
+def info_text(info: dict[str, Any]) -> str:
+    """Format what ``map_info`` returned for a terminal."""
+    components, places = info['components'], info['places']
+    parts = 'in one part' if len(components) < 2 else (
+        f'in {len(components)} parts of {", ".join(map(str, components))}, whose position '
+        'relative to each other is unknown'
+    )
+    per_place = f', {info["bytes"] / places / 1e3:.1f} kB per place' if places else ''
+    rows = [
+        ('size', f'{info["bytes"] / 1e6:.2f} MB{per_place}'),
+        ('places', f'{places} {parts}; {info["links"]} links'),
+        ('templates', str(info['templates'])),
+        *((name, str(info[name])) for name in ('scans', 'goals') if info[name]),
+        ('sessions', f'{len(info["sessions"])}: {", ".join(info["sessions"])}'),
+        ('parts', ', '.join(info['parts'])),
+        ('saved at', 'unknown' if info['saved_at'] is None else f'stamp {info["saved_at"]} s'),
+        *(('missing', line) for line in info['missing'] or ['nothing']),
+        *(('in use', line) for line in [info['in_use']] if line),
+        ('written by', f'ratslam_ros {info["ratslam_version"] or "of an unknown version"}'),
+        ('parameters', f'{len(info["parameters"])} differ from the defaults; --parameters '
+                       'prints all'),
+        *(('notice', line) for line in info['notices']),
+        ('digest', info['digest']),
+    ]
+    return '\n'.join([info['file'], *(f'  {name:12}{value}' for name, value in rows)])
+
+
+def problems(path: Path) -> tuple[list[str], list[str]]:
+    """Check a map: the database, every saved state, and whether the newest one can be used.
+
+    Returns:
+        Problems and notices, in one line each.
+
+    Raises:
+        UnusableInput: there is no such file.
+    """
+    if not path.exists():
+        raise UnusableInput(f'{path} does not exist; expected a map file or a memory folder')
+    found: list[str] = []
+    if path.is_file():
+        try:
+            found += reading(path, lambda database: _database_problems(database, path))
+        except UnusableInput as error:
+            return [str(error)], []
+    try:
+        saved = read_map(path)
+        if saved.states:
+            restored(saved)
+    except RatslamError as error:
+        return [*found, str(error)], []
+    notices = [f'{path}: {note}' for note in saved.notes]
+    in_use = _in_use(path)
+    if in_use:
+        notices.append(f'{path}: {in_use}')
+    return found, notices
+
+
+def restored(saved: SavedMap) -> RatSLAM:
+    """Restore a map into a new system.
+
+    Raises:
+        UnusableInput: it does not fit.
+    """
+    config = config_of_map(saved)[0]
+    try:
+        slam = RatSLAM(
+            config, visual_odometry='visual_odometry' in saved.states,
+            local_view=LocalView(config.local_view, encoder_of(config.local_view)),
+        )
+        states = {part: dict(state) for part, state in saved.states.items()}
+        states.get('inputs', {}).pop(PROGRESS, None)
+        slam.restore(states)
+    except RatslamError as error:
+        raise UnusableInput(f'{saved.path} cannot be restored: {error}') from None
+    except Exception as error:  # The content can be anything.
+        raise UnusableInput(f'{saved.path} cannot be restored ({error!r})') from None
+    return slam
+
+
+def _database_problems(database: sqlite3.Connection, path: Path) -> list[str]:
+    found = [
+        f'{path}: {text}' for (text,) in database.execute('PRAGMA quick_check') if text != 'ok'
+    ]
+    for row in rows_of(database, '1', []):
+        try:
+            load(database, row)
+        except UnusableInput as error:
+            found.append(
+                f'{path}: {row.part} at stamp {seconds(row.stamp_ns)} s is damaged: {error}'
+            )
+    return found
+
+
+def _files(path: Path) -> list[Path]:
+    if path.is_dir():
+        return sorted(path.glob('*.npz'))
+    return [file for file in (path, beside(path, WAL)) if file.exists()]
+
+
+def _in_use(path: Path) -> str:
+    """Return why there is more than one file, '' if there is one."""
+    if path.is_dir() or not beside(path, WAL).exists():
+        return ''
+    if is_written(path):
+        return f'a program writes it now; until it ends, {path.name}{WAL} belongs to the map'
+    return (
+        f'the last program did not end properly, so {path.name}{WAL} belongs to the map: keep '
+        'both files together; the next use of the map makes one of them'
+    )
+
+
+def compact(path: Path) -> str:
+    """Rewrite a map without unused space; return what has been done.
+
+    The map before stays as FILE.bak. At any moment there is a complete map under its name.
+
+    Raises:
+        UnusableInput: the map is in use or damaged, or the folder cannot be written.
+    """
+    before = sum(one.stat().st_size for one in _files(path))
+    digest = read_map(path).digest
+    with locked(path):
+        new = beside(path, NEW)
+        try:
+            remove(new)
+            with closing(connect(path)) as database:
+                database.execute('PRAGMA wal_checkpoint(TRUNCATE)')
+                database.setlimit(sqlite3.SQLITE_LIMIT_ATTACHED, 1)  # VACUUM INTO attaches it.
+                database.execute('VACUUM INTO ?', (str(new),))
+            with closing(connect(new)) as database:
+                database.execute('PRAGMA journal_mode = WAL')  # as in every map
+            if read_map(new).digest != digest:
+                raise UnusableInput(f'{path} could not be copied exactly; check the disk')
+            _sync(new)
+            make_backup(path)
+            os.replace(new, path)
+            sync_folder(path)
+        except BaseException:
+            with suppress(OSError):
+                remove(new)
+            raise
+    after = path.stat().st_size
+    return (
+        f'{path}: {before / 1e6:.2f} MB before, {after / 1e6:.2f} MB now; the map before is '
+        f'{beside(path, BACKUP)}'
+    )
+
+
+def make_backup(path: Path) -> Path:
+    """Keep a map, which is one complete file, as FILE.bak too.
+
+    An earlier backup stays until the new one is complete.
+    """
+    backup, fresh = beside(path, BACKUP), beside(path, f'{BACKUP}{NEW}')
+    fresh.unlink(missing_ok=True)
+    try:
+        os.link(path, fresh)
+    except OSError:  # a file system without hard links
+        shutil.copyfile(path, fresh)
+        _sync(fresh)
+    os.replace(fresh, backup)
+    sync_folder(path)
+    return backup
+
+
+@contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """Exclude all other writers of a map.
+
+    Raises:
+        UnusableInput: a program writes the map, or its folder cannot be written.
+    """
+    try:
+        lock = MapLock(path)
+        try:
+            with lock.opening():
+                lock.take(PARTS)
+                try:
+                    yield
+                finally:
+                    lock.remove()
+        finally:
+            lock.close()
+    except (OSError, sqlite3.Error) as error:
+        raise unwritable(path, error) from None
+
+
+def _sync(path: Path) -> None:
+    with path.open('rb') as file:
+        os.fsync(file.fileno())

@@ -1,0 +1,340 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Map file of a replay: continued, saved while the replay runs, or used to localise only.
+
+A replay saves its whole state between two events, together with the number of events of each
+stream that it has processed. A replay of the same recording therefore continues with the event
+after the last saved one, and builds the same map as without the interruption.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+from ratslam_ros.core.common.state import State
+from ratslam_ros.core.config import Config
+from ratslam_ros.core.ratslam import RatSLAM
+from ratslam_ros.errors import RatslamError, UnusableInput
+from ratslam_ros.files.config import stored_config, to_yaml
+from ratslam_ros.history.file import package_version
+from ratslam_ros.maps import Cut, MapMeta, MapStore, SavedMap, read_map
+from ratslam_ros.offline.landmark_mapping import LandmarkMapping
+from ratslam_ros.recordings import (
+    Event,
+    ImageEvent,
+    OdometryEvent,
+    Recording,
+    ScanEvent,
+    Selection,
+    TemplateEvent,
+)
+
+CUT_PERIOD_S = 2.0
+"""Wall-clock time between two saved states: what a killed replay has to repeat. Saving a state of
+20,000 views takes some milliseconds of the replay."""
+
+FLUSH_S, FLUSH_STEP_S = 600.0, 1.0
+"""Longest time to wait at the end until the state is on the disk, and between two checks whether
+it cannot be written at all."""
+
+PROGRESS = 'replay'
+"""Key of the progress of the replay in the part `inputs`."""
+
+STREAMS: dict[type[Event], str] = {
+    ImageEvent: 'image', OdometryEvent: 'odometry', ScanEvent: 'scan', TemplateEvent: 'template',
+}  # fmt: skip
+"""Streams whose messages are counted."""
+
+STRUCTURE = (
+    ('local_view', 'vt_descriptor'), ('local_view', 'template_x_size'),
+    ('local_view', 'template_y_size'), ('pose_cells', 'pc_dim_x'), ('pose_cells', 'pc_dim_y'),
+    ('pose_cells', 'pc_dim_th'),
+)  # fmt: skip
+"""Parameters that a map cannot change, because its templates and cells have their sizes."""
+
+
+class ReplayMap:
+    """A map file during a replay.
+
+    Call ``open`` before the first event, ``after`` for each event, and ``finish`` or ``abandon``
+    at the end.
+    """
+
+    def __init__(
+        self, path: Path, localize: bool, notify: Callable[[str], None],
+        report: Callable[[str], None],
+    ) -> None:  # fmt: skip
+        """Choose the file; nothing is read.
+
+        Args:
+            path: the map file.
+            localize: leave the map as it is, and only localise the robot on it.
+            notify: receives lines on what is continued.
+            report: receives lines on problems with the file, and on their end.
+        """
+        self.path = path
+        self.localize = localize
+        self.skipped = 0
+        """Number of events that the map already contained."""
+        self.last_view_ns = 0
+        """Stamp of the last view of the map that had a template."""
+        self.problem = ''
+        """Why the last state could not be saved; '' if it is saved."""
+        self._notify, self._report = notify, report
+        self._store: MapStore | None = None
+        self._slam: RatSLAM | None = None
+        self._landmarks: LandmarkMapping | None = None
+        self._identity: State = {}
+        self._counts: Counter[str] = Counter()
+        self._to_skip: Counter[str] = Counter()
+        self._number = 0
+        self._saved_s = 0.0
+        self._is_complete = self._has_changed = False
+        self._saved: SavedMap | None = None
+
+    def configuration(self) -> str:
+        """Return the configuration stored in the map as YAML, '' for a new map.
+
+        Raises:
+            UnusableInput: the file is no map, or there is none to localise on.
+        """
+        saved = self._read()
+        return '' if saved is None else saved.meta.configuration
+
+    def _read(self) -> SavedMap | None:
+        """Read the map once; None if there is no file yet."""
+        if self._saved is None and self.path.exists():
+            self._saved = read_map(self.path)
+        if self._saved is None and self.localize:
+            raise UnusableInput(
+                f'{self.path} does not exist; make it first with ratslam replay RECORDING --map '
+                f'{self.path}'
+            )
+        return self._saved
+
+    def open(
+        self, slam: RatSLAM, recording: Recording, selection: Selection, config: Config,
+        start_s: float, landmarks: LandmarkMapping | None = None,
+    ) -> None:  # fmt: skip
+        """Restore the map into a new system, and open the file.
+
+        Args:
+            slam: the system; nothing has been processed.
+            recording, selection: what is replayed.
+            config: the parameters.
+            start_s: skipped seconds at the start of the recording.
+            landmarks: the landmark map that is built, too; None for none.
+
+        Raises:
+            UnusableInput: the map cannot be used, or is in use. The file is unchanged then.
+        """
+        self._slam, self._landmarks = slam, landmarks
+        self._identity = _identity(recording, selection, start_s)
+        self._identity['landmarks'] = landmarks is not None
+        saved = self._read()
+        lines = [f'{self.path}: new map']
+        digests: dict[str, bytes] = {}
+        if saved is not None and saved.states:
+            _check_structure(saved, config)
+            lines = self._restore(slam, saved)
+            digests = saved.digests
+        if self.localize:
+            slam.mapping = False
+            if landmarks is not None:
+                landmarks.laser_map.mapping = False
+        else:
+            meta = MapMeta(
+                title=recording.name, ratslam_version=package_version(),
+                configuration=to_yaml(config), recording=str(recording.path.absolute()),
+                recording_bytes=self._identity['bytes'], first_ns=recording.start_ns,
+            )  # fmt: skip
+            self._store = MapStore.open(self.path, [*self._states()], meta, self._report)
+            found = {} if self._store.restored is None else self._store.restored.digests
+            if any(digest != digests.get(part) for part, digest in found.items()):
+                self.abandon()
+                raise UnusableInput(f'{self.path} was changed in the meantime; try again')
+        for line in lines:
+            self._notify(line)
+        self._saved = None  # The states are not needed twice.
+        self._saved_s = time.monotonic()
+
+    def _restore(self, slam: RatSLAM, saved: SavedMap) -> list[str]:
+        """Restore a map; continue its recording, or begin a session; return the lines on it."""
+        states = dict(saved.states)
+        inputs = dict(states.get('inputs', {}))
+        progress = inputs.pop(PROGRESS, None)
+        if inputs:
+            states['inputs'] = inputs
+        try:
+            slam.restore(states)
+            if self._landmarks is not None and 'landmark_map' in states:
+                self._landmarks.restore(states['landmark_map'])
+        except RatslamError as error:
+            raise UnusableInput(f'{self.path} cannot be continued: {error}') from None
+        action_ns = states.get('experience_map', {}).get('action_ns', 0)
+        self.last_view_ns = int(action_ns if progress is None else progress['last_view_ns'])
+        verb = 'localises on' if self.localize else 'continues'
+        lines = [f'{verb} {self.path}: {described(slam, saved)}']
+        lines += [f'{self.path}: {note}' for note in saved.notes]
+        if self.localize or progress is None or progress['identity'] != self._identity:
+            slam.finish()
+            slam.begin_session()
+            if self._landmarks is not None:
+                self._landmarks.begin_session()
+            return lines
+        self._counts = Counter(progress['counts'])
+        self._to_skip = self._counts.copy()
+        self._is_complete = bool(progress['complete'])
+        count = self._to_skip.total()
+        if self._is_complete:
+            return [*lines, f'the map contains all {count} messages of this recording already']
+        return [
+            *lines,
+            f'continues this recording after {count} messages that the map contains; the results '
+            'of that part are not written again',
+        ]
+
+    def remaining(self, events: Iterable[Event]) -> Iterator[Event]:
+        """Yield the events that the map does not contain; the others are not decoded."""
+        for event in events:
+            stream = STREAMS[type(event)]
+            if self._to_skip[stream] > 0:
+                self._to_skip[stream] -= 1
+                self.skipped += 1
+            else:
+                yield event
+
+    def after(self, event: Event, last_view_ns: int) -> None:
+        """Count a processed event, and save the state if it is due.
+
+        Args:
+            event: the event.
+            last_view_ns: stamp of the last view that had a template, 0 if there was none.
+        """
+        self._counts[STREAMS[type(event)]] += 1
+        self._has_changed, self._is_complete = True, False
+        if last_view_ns:
+            self.last_view_ns = last_view_ns
+        if self._store is not None and time.monotonic() - self._saved_s >= CUT_PERIOD_S:
+            self._save()
+
+    def save_before_end(self) -> None:
+        """Save the state with the messages that are still held, so that it can be continued."""
+        if self._store is not None and self._has_changed:
+            self._save()
+
+    def finish(self, complete: bool, last_view_ns: int) -> None:
+        """Save the last state, and close the file.
+
+        Args:
+            complete: the recording was replayed to its end, and no message is held any more.
+            last_view_ns: as for ``after``.
+        """
+        if self._store is None:
+            return
+        if last_view_ns:
+            self.last_view_ns = last_view_ns
+        if complete and (self._has_changed or not self._is_complete):
+            self._is_complete = True
+            self._save()
+        until_s = time.monotonic() + FLUSH_S
+        while not self._store.flush(FLUSH_STEP_S):
+            if self._store.problem or time.monotonic() > until_s:
+                self.problem = self._store.problem or f'{self.path}: the disk is too slow'
+                break
+        self.abandon()
+
+    def abandon(self) -> None:
+        """Close the file with what has been saved."""
+        if self._store is not None:
+            self._store.close()
+            self._store = None
+
+    def summary(self) -> dict[str, Any]:
+        """Return what summary.json contains of the map."""
+        return {
+            'file': str(self.path), 'localize': self.localize, 'messages_before': self.skipped,
+            'saved': not self.problem and not self.localize,
+        }  # fmt: skip
+
+    def _states(self) -> dict[str, State]:
+        assert self._slam is not None
+        states = self._slam.state()
+        if self._landmarks is not None:
+            states['landmark_map'] = self._landmarks.state()
+        return states
+
+    def _save(self) -> None:
+        assert self._store is not None
+        assert self._slam is not None
+        states = self._states()
+        states['inputs'] = {
+            **states.get('inputs', {}),
+            PROGRESS: {
+                'identity': self._identity, 'counts': dict(sorted(self._counts.items())),
+                'last_view_ns': self.last_view_ns, 'complete': self._is_complete,
+            },
+        }  # fmt: skip
+        self._number += 1
+        stamp_ns = self._slam.order.newest_ns or 0
+        self._store.cut(Cut(self._number, stamp_ns), states)
+        self._saved_s = time.monotonic()
+
+
+def described(slam: RatSLAM, saved: SavedMap) -> str:
+    """Return the size of a map for the user."""
+    graph = slam.experience_map
+    sessions = len(session_titles(saved))
+    parts = f', {graph.component_count} parts' if graph.component_count > 1 else ''
+    return f'{_count(len(graph), "place")}, {_count(sessions, "session")}{parts}'
+
+
+def session_titles(saved: SavedMap) -> list[str]:
+    """Return the titles of the sessions; a recording that was interrupted counts once."""
+    titles: list[str] = []
+    before = ('', 0)
+    for one in saved.sessions:
+        recording = one.meta.recording, one.meta.first_ns
+        if recording != before or not recording[0]:
+            titles.append(one.meta.title or f'session {one.number}')
+        before = recording
+    return titles
+
+
+def _count(number: int, noun: str) -> str:
+    return f'{number} {noun}' if number == 1 else f'{number} {noun}s'
+
+
+def _identity(recording: Recording, selection: Selection, start_s: float) -> State:
+    """Return what distinguishes a sequence of messages; its path does not."""
+    path = recording.path
+    files = [path] if path.is_file() else sorted(one for one in path.rglob('*') if one.is_file())
+    # SQLite creates the other files while a recording is read.
+    size = sum(one.stat().st_size for one in files if not one.name.endswith(('-shm', '-wal')))
+    topics = [
+        selection.image_topic, selection.odom_topic, selection.scan_topic,
+        selection.template_topic,
+    ]  # fmt: skip
+    return {
+        'name': recording.name, 'kind': recording.kind, 'bytes': size, 'topics': topics,
+        'first_ns': recording.start_ns, 'last_ns': recording.end_ns,
+        'start_ns': round(start_s * 1e9),
+    }  # fmt: skip
+
+
+def _check_structure(saved: SavedMap, config: Config) -> None:
+    """Raise if a configuration contradicts the sizes of the templates and cells of a map."""
+    if not saved.meta.configuration:
+        return  # Restoring compares the sizes, too.
+    before = stored_config(saved.meta.configuration, str(saved.path))[0].values()
+    given = config.values()
+    for section, name in STRUCTURE:
+        if before[section][name] != given[section][name]:
+            raise UnusableInput(
+                f'{saved.path} has {section}.{name} {before[section][name]}, but '
+                f'{given[section][name]} was given: leave it out, or use another map'
+            )

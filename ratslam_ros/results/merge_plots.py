@@ -1,0 +1,80 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Plot of a map that was merged of several sessions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ratslam_ros.results.plots import (
+    BLACK,
+    BLUE,
+    GREEN,
+    PALE_GREY,
+    SEPARATE,
+    VERMILLION,
+    add_legend_below,
+    equal_axes,
+    new_figure,
+    save_figure,
+)
+
+COLOURS = (BLUE, VERMILLION, GREEN, *SEPARATE)
+"""Colours of the sessions, in turn."""
+
+
+@dataclass(frozen=True)
+class MergedPlaces:
+    """A merged map for the plot.
+
+    Attributes:
+        poses: (n, 3) x, y in m and heading in rad of the experiences.
+        link_ends: (links, 2) experiences.
+        names: names of the sessions.
+        experience_ids: for each session the experiences that it contains.
+    """
+
+    poses: NDArray[np.float64]
+    link_ends: NDArray[np.int64]
+    names: Sequence[str]
+    experience_ids: Sequence[NDArray[np.int64]]
+
+
+def draw_merged(places: MergedPlaces, path: Path) -> Path:
+    """Draw the experiences in the colour of their session; those of several ones are ringed.
+
+    Raises:
+        UnusableInput: the file cannot be written.
+    """
+    from matplotlib.collections import LineCollection
+
+    at = places.poses[:, :2]
+    owners = np.zeros((len(at), len(places.names)), np.bool_)
+    for session, ids in enumerate(places.experience_ids):
+        owners[ids, session] = True
+    figure = new_figure(8.0, 7.6)
+    axes = figure.add_subplot()
+    axes.add_collection(
+        LineCollection(list(at[places.link_ends]), colors=PALE_GREY, linewidths=0.8, zorder=1)
+    )
+    is_shared = owners.sum(axis=1) > 1
+    axes.scatter(
+        *at[is_shared].T, s=16.0, facecolors='none', edgecolors=BLACK, linewidths=0.4, zorder=3,
+        label=f'in several sessions: {int(is_shared.sum())}',
+    )  # fmt: skip
+    first = owners.argmax(axis=1)
+    for session, name in enumerate(places.names):
+        own = first == session
+        axes.scatter(
+            *at[own].T, s=7.0, color=COLOURS[session % len(COLOURS)], linewidths=0.0,
+            zorder=2, label=f'{name}: {int(owners[:, session].sum())}, {int(own.sum())} of them new',
+        )  # fmt: skip
+    axes.set_title('merged map: experiences by the session that contributed them')
+    equal_axes(axes)
+    add_legend_below(figure, axes, columns=2)
+    return save_figure(figure, path)

@@ -1,0 +1,324 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""``ratslam map``: info, check, export, prune and compact, in this process."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import sqlite3
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import circles, write_bag
+
+from ratslam_ros.cli import main
+from ratslam_ros.maps import MapMeta, MapStore, read_map
+from ratslam_ros.offline import map_upkeep
+from ratslam_ros.offline.map_upkeep import config_of_map, experience_map_of
+
+SETTINGS = (
+    'local_view.template_x_size=16', 'local_view.template_y_size=8',
+    'local_view.vt_shift_match=2', 'pose_cells.pc_cell_x_size=0.2',
+    'pose_cells.exp_delta_pc_threshold=1.0',
+)  # fmt: skip
+
+
+def replayed(bag: Path, folder: Path, *words: str) -> int:
+    settings = [word for one in SETTINGS for word in ('--set', one)]
+    return main([
+        'replay', str(bag), '--config', 'default', *settings, '--map', str(folder / 'a.map'),
+        '--out', str(folder / 'results'), '--no-history', *words,
+    ])  # fmt: skip
+
+
+@pytest.fixture(scope='module')
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_bag(tmp_path_factory.mktemp('bag') / 'circles', circles(laps=3, radius_m=5.0))
+
+
+@pytest.fixture(scope='module')
+def mapped(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp('mapped')
+    assert replayed(bag, folder, '--quiet') == 0
+    return folder
+
+
+@pytest.fixture
+def copied(mapped: Path, tmp_path: Path) -> Path:
+    """Return a copy of the map."""
+    return Path(shutil.copy(mapped / 'a.map', tmp_path / 'a.map'))
+
+
+def test_info_prints_sizes_sessions_and_digest(
+    copied: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(['map', 'info', str(copied)]) == 0
+    text = capsys.readouterr().out
+    assert main(['map', 'info', str(copied), '--json']) == 0
+    info = json.loads(capsys.readouterr().out)
+    saved = read_map(copied)
+    assert info['places'] == len(saved.states['experience_map']['core']['labels']) > 20
+    assert info['templates'] == len(saved.states['local_view']['core']['templates']) > 20
+    assert info['sessions'] == ['circles']
+    assert info['missing'] == []
+    assert info['digest'] == saved.digest
+    assert info['bytes'] == copied.stat().st_size
+    for part in (f'{info["places"]} in one part', '1: circles', saved.digest, 'nothing'):
+        assert part in text
+
+
+def test_stored_parameters_are_a_configuration(
+    bag: Path, copied: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(['map', 'info', str(copied), '--parameters']) == 0
+    config = tmp_path / 'stored.yaml'
+    config.write_text(capsys.readouterr().out)
+    again = tmp_path / 'again'
+    assert main(['replay', str(bag), '--config', str(config), '--out', str(again),
+                 '--quiet', '--no-history']) == 0  # fmt: skip
+    assert main(['map', 'export', str(copied), '--format', 'json']) == 0
+    assert capsys.readouterr().out == (again / 'map.json').read_text()
+
+
+def test_json_export_equals_map_of_the_replay(mapped: Path, tmp_path: Path) -> None:
+    out = tmp_path / 'map.json'
+    assert main(['map', 'export', str(mapped / 'a.map'), '-o', str(out)]) == 0
+    assert out.read_bytes() == (mapped / 'results' / 'map.json').read_bytes()
+
+
+@pytest.mark.parametrize('form', ['json', 'graphml', 'tum', 'g2o', 'geojson'])
+def test_export_takes_its_format_from_the_name(
+    form: str, copied: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if form == 'graphml':
+        pytest.importorskip('networkx')
+    out = tmp_path / f'out.{form}'
+    assert main(['map', 'export', str(copied), '-o', str(out)]) == 0
+    assert capsys.readouterr().out.strip() == str(out)
+    assert out.stat().st_size > 1000
+
+
+@pytest.mark.parametrize(
+    ('words', 'reason'),
+    [((), 'give the format'), (('-o', 'map.txt'), 'give the format'),
+     (('--format', 'json', '--spacing', '2'), 'use it with geojson'),
+     (('--format', 'geojson', '--spacing', '500'), 'smaller --spacing')],
+)  # fmt: skip
+def test_wrong_export_is_one_line(
+    words: tuple[str, ...], reason: str, copied: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(['map', 'export', str(copied), *words]) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1
+    assert reason in lines[0]
+
+
+def test_check_of_sound_map_finds_nothing(
+    copied: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = copied.read_bytes()
+    assert main(['map', 'check', str(copied)]) == 0
+    assert 'no problem found' in capsys.readouterr().out
+    assert copied.read_bytes() == before
+
+
+def test_check_finds_every_damaged_chunk(copied: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with sqlite3.connect(copied) as database:
+        rows = database.execute('SELECT rowid FROM chunks').fetchall()
+        database.execute("UPDATE chunks SET data = x'00' WHERE rowid = ?", rows[len(rows) // 2])
+    database.close()
+    assert main(['map', 'check', str(copied)]) == 1
+    assert 'is damaged' in capsys.readouterr().out
+
+
+def test_check_finds_damaged_pages(copied: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data = bytearray(copied.read_bytes())
+    data[4096:8192] = os.urandom(4096)
+    copied.write_bytes(data)
+    assert main(['map', 'check', str(copied)]) == 1
+    assert str(copied) in capsys.readouterr().out
+
+
+def test_check_reports_log_of_interrupted_program(
+    copied: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with sqlite3.connect(copied) as database:
+        database.execute('PRAGMA journal_mode = WAL')
+        database.execute("UPDATE sessions SET meta = meta || ' '")
+        database.commit()
+        for suffix in ('', '-wal'):
+            shutil.copy(f'{copied}{suffix}', f'{copied}.killed{suffix}')
+    database.close()
+    killed = f'{copied}.killed'
+    assert main(['map', 'check', killed]) == 0
+    assert 'did not end properly' in capsys.readouterr().err
+    assert main(['map', 'compact', killed]) == 0
+    capsys.readouterr()
+    assert not Path(f'{killed}-wal').exists()
+    assert main(['map', 'check', killed]) == 0
+    assert 'did not end' not in capsys.readouterr().err
+
+
+@pytest.mark.parametrize('action', ['info', 'check', 'compact'])
+def test_missing_map_is_one_line(
+    action: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(['map', action, str(tmp_path / 'none.map')]) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1
+    assert 'does not exist' in lines[0]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_compact_keeps_the_content_and_a_backup(
+    copied: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with sqlite3.connect(copied) as database:
+        database.execute("INSERT INTO log VALUES ('odometry', 1, zeroblob(300000))")
+        database.commit()
+        database.execute('DELETE FROM log')
+    database.close()
+    before, digest = copied.read_bytes(), read_map(copied).digest
+    assert main(['map', 'compact', str(copied)]) == 0
+    assert copied.stat().st_size < len(before) - 250_000
+    assert read_map(copied).digest == digest
+    assert Path(f'{copied}.bak').read_bytes() == before
+    assert sorted(path.name for path in copied.parent.glob('a.map*')) == ['a.map', 'a.map.bak']
+    assert main(['map', 'check', str(copied)]) == 0
+
+
+@pytest.mark.parametrize('words', [('compact',), ('prune', '--max-experiences', '25')])
+def test_failing_disk_never_loses_the_map(
+    words: tuple[str, ...], copied: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    digest = read_map(copied).digest
+    action, *more = words
+    refused = 0
+    for number in range(1, 50):
+        path, left = copied.with_name(f'{number}.map'), [number]
+        shutil.copy(copied, path)
+        with monkeypatch.context() as patch:
+            for name in ('link', 'replace', 'fsync'):
+                patch.setattr(os, name, _failing(getattr(os, name), left))
+            code = main(['map', action, str(path), *more])
+        if code == 0:  # Some failures do no harm, such as that of a hard link.
+            assert read_map(f'{path}.bak').digest == digest
+        else:
+            refused += 1
+            assert code == 2
+            assert 'No space left' in capsys.readouterr().err
+            assert read_map(path).digest == digest
+        assert main(['map', 'check', str(path)]) == 0
+        capsys.readouterr()
+        if left[0] > 0:
+            break
+    assert code == 0
+    assert refused >= 3
+
+
+def _failing(function: Callable[..., Any], left: list[int]) -> Callable[..., Any]:
+    def fails(*args: Any, **kwargs: Any) -> Any:
+        left[0] -= 1
+        if left[0] == 0:
+            raise OSError(28, 'No space left on device')
+        return function(*args, **kwargs)
+
+    return fails
+
+
+def test_compact_of_map_in_use_is_refused(
+    copied: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    store = MapStore.open(copied, ['pose_cells'], MapMeta(), lambda line: None)
+    try:
+        assert main(['map', 'compact', str(copied)]) == 2
+        assert 'in use' in capsys.readouterr().err
+    finally:
+        store.close()
+
+
+def test_prune_leaves_a_connected_map_in_which_the_robot_is_localised(
+    bag: Path, copied: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    saved = read_map(copied)
+    before, _ = experience_map_of(saved, config_of_map(saved)[0])
+    assert main(['map', 'prune', str(copied), '--max-experiences', '20']) == 0
+    assert f'{len(before)} places before, 20 now' in capsys.readouterr().out
+    assert read_map(f'{copied}.bak').digest == saved.digest
+    assert main(['map', 'check', str(copied)]) == 0
+    after = read_map(copied)
+    graph, _ = experience_map_of(after, config_of_map(after)[0])
+    assert len(graph) == 20
+    assert graph.component_count == before.component_count == 1
+    known = {tuple(pose) for pose in before.poses.tolist()}
+    assert known >= {tuple(pose) for pose in graph.poses.tolist()}
+    ends = graph.link_ends
+    assert {0} | set(np.unique(ends).tolist()) == set(range(20))
+    reached = {0}
+    for _ in range(20):
+        reached |= {b for a, b in [*ends.tolist(), *ends[:, ::-1].tolist()] if a in reached}
+    assert len(reached) == 20
+    digest = after.digest
+    assert replayed(bag, copied.parent, '--quiet', '--localize') == 0
+    summary = json.loads((copied.parent / 'results' / 'summary.json').read_text())
+    assert summary['experiences'] == 20
+    assert summary['loop_closures'] > 10
+    assert read_map(copied).digest == digest
+
+
+def test_prune_to_more_places_than_there_are_changes_nothing(
+    copied: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = copied.read_bytes()
+    assert main(['map', 'prune', str(copied), '--max-experiences', '5000']) == 0
+    assert 'nothing is pruned' in capsys.readouterr().out
+    assert main(['map', 'prune', str(copied), '--max-experiences', '5']) == 2
+    assert copied.read_bytes() == before
+
+
+def test_replay_with_map_prints_what_it_continues(
+    bag: Path, copied: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert replayed(bag, copied.parent) == 0
+    captured = capsys.readouterr()
+    assert f'continues {copied}: ' in captured.err
+    assert 'places, 1 session' in captured.err
+    assert 'contains all 180 messages of this recording already' in captured.err
+    assert 'places, saved' in captured.out
+
+
+def test_replay_uses_the_configuration_of_the_map(
+    bag: Path, copied: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = copied.parent / 'results'
+    words = ['replay', str(bag), '--map', str(copied), '--localize', '--out', str(folder),
+             '--no-history']  # fmt: skip
+    assert main(words) == 0
+    assert 'nothing was learned, and the file is unchanged' in capsys.readouterr().out
+    assert 'template_x_size: 16\n' in (folder / 'config.yaml').read_text()
+    assert main([*words, '--set', 'local_view.template_x_size=24']) == 2
+    assert 'has local_view.template_x_size 16, but 24 was given' in capsys.readouterr().err
+
+
+def test_localise_without_map_is_one_line(
+    bag: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(['replay', str(bag), '--localize']) == 2
+    assert '--localize needs the map' in capsys.readouterr().err
+
+
+def test_backup_is_copied_where_there_are_no_hard_links(
+    copied: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(95, 'Operation not supported')
+
+    monkeypatch.setattr(os, 'link', refuse)
+    backup = map_upkeep.make_backup(copied)
+    assert backup.read_bytes() == copied.read_bytes()

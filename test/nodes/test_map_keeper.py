@@ -1,0 +1,89 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Nodes with a map file in this process: restart, repetitions and the exact state of each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from helpers import START_NS, template_text
+
+MakeWorld = Callable[..., Any]
+S = 1_000_000_000
+
+
+def drive(made: Any, first: int, last: int) -> None:
+    """Send odometry and templates to the pose cells."""
+    from nav_msgs.msg import Odometry
+    from std_msgs.msg import String
+
+    from ratslam_ros.nodes.convert import header_of
+
+    for n in range(first, last):
+        stamp_ns = START_NS + n * S // 5
+        odometry = Odometry(header=header_of(stamp_ns, 'odom'))
+        odometry.twist.twist.linear.x = 1.0
+        odometry.pose.pose.orientation.w = 1.0
+        made.send('odom', odometry)
+        is_new = n < 15
+        text = template_text(stamp_ns, n if is_new else n - 15, error=0.5, is_new=is_new)
+        made.send('local_view/template', String(data=text))
+        made.spin(0.01)
+
+
+def actions(made: Any) -> list[Any]:
+    from std_msgs.msg import String
+
+    found: list[Any] = made.listen(String, 'pose_cells/action')
+    return found
+
+
+def crash(made: Any) -> None:
+    """End a node without closing its map file; its writer ends, as the file is still locked."""
+    [node] = made.nodes
+    keeper, node._keeper = node._keeper, None
+    keeper._store.flush(5.0)
+    keeper._store._writer._lock.close()  # a killed process holds no locks
+    made.close()
+    made.close = lambda: None
+
+
+def test_restarted_node_repeats_the_actions_of_the_first_run(
+    world: MakeWorld, tmp_path: Path
+) -> None:
+    """It gets what it missed from the log, and its actions are those of one undisturbed run."""
+    from ratslam_ros.maps import MapMeta, MapStore
+    from ratslam_ros.nodes.pose_cells_node import PoseCellsNode
+
+    file = ('-p', f'map:={tmp_path / "office.ratslam"}', '-p', 'flush_after_s:=60.0')
+    made = world(PoseCellsNode, arguments=file)
+    made.nodes[0].open_map()
+    made.until(lambda: made.nodes[0]._keeper._resuming is None)
+    whole = actions(made)
+    drive(made, 0, 40)
+    made.until(lambda: len(whole) == 40)
+    expected = [message.data for message in whole]
+    made.nodes[0]._keeper._store.flush(5.0)
+    saved = made.nodes[0]._keeper._store.acknowledged
+    assert saved is not None
+    # Another node of the session is running, so that the killed one joins it again.
+    other = MapStore.open(
+        tmp_path / 'office.ratslam', ['experience_map'], MapMeta(), lambda text: None
+    )
+    try:
+        crash(made)
+        again = world(PoseCellsNode, arguments=file)
+        node = again.nodes[0]
+        repeated = actions(again)
+        node.open_map()
+        assert node._keeper._store.joins
+        again.until(lambda: node._keeper._resuming is None)
+        again.until(lambda: bool(repeated))
+        start = expected.index(repeated[0].data)
+        assert START_NS + (start - 1) * S // 5 <= saved.stamp_ns < START_NS + start * S // 5
+        again.until(lambda: len(repeated) == 40 - start)
+        assert [message.data for message in repeated] == expected[start:]
+    finally:
+        other.close()

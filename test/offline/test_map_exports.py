@@ -1,0 +1,270 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Exports of maps, read back without the code that wrote them."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from graphs import arrive, drive, new_map
+
+from ratslam_ros.core.common.odometry import Motion
+from ratslam_ros.core.common.pose import Pose, composed, inverse
+from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.errors import UnusableInput
+from ratslam_ros.messages.mapping import encode_map
+from ratslam_ros.offline import route_export
+from ratslam_ros.offline.map_export import exported, information, write_durably
+from ratslam_ros.results.trajectory import read_tum
+
+
+def loop_with_tail() -> ExperienceMap:
+    """Return a square loop of 16 places 1 m apart, and a dead end of 3 places at its start."""
+    graph = new_map(exp_loops=0)
+    arrive(graph, 0)
+    for number in range(1, 16):
+        turn = math.pi / 2 if number % 4 == 1 and number > 1 else 0.0
+        drive(graph, Motion(0.0, 0.0, turn), Motion(2.0, 1.0, 0.0))
+        arrive(graph, number, relative_rad=0.0)
+    drive(graph, Motion(2.0, 1.0, 0.0))
+    arrive(graph, 0)
+    for number in (16, 17, 18):
+        drive(graph, Motion(3.0, 1.0, 0.0))
+        arrive(graph, number)
+    return graph
+
+
+def route_server_graph(text: str) -> tuple[dict[int, Any], dict[int, Any]]:
+    """Read nodes and edges by the rules of the route server; fail where it would."""
+    exact: list[str] = []
+    content = json.loads(text, parse_float=lambda digits: exact.append(digits) or float(digits))
+    assert content['type'] == 'FeatureCollection'
+    assert all('.' in digits for digits in exact)
+    nodes, edges, ids = {}, {}, []
+    for feature in content['features']:
+        assert feature['type'] == 'Feature'
+        properties = feature['properties']
+        ids.append(properties['id'])
+        kind, coordinates = feature['geometry']['type'], feature['geometry']['coordinates']
+        if kind == 'Point':
+            assert [type(value) for value in coordinates] == [float, float]
+            nodes[properties['id']] = properties | {'at': tuple(coordinates)}
+        else:
+            assert kind == 'LineString'
+            edges[properties['id']] = properties | {'line': coordinates}
+    assert nodes
+    assert edges
+    assert len(set(ids)) == len(ids)
+    assert 0 <= min(ids) <= max(ids) < 65_536
+    for edge in edges.values():
+        assert edge['startid'] in nodes
+        assert edge['endid'] in nodes
+        assert all(type(edge['metadata'][key]) is float for key in ('abs_time_taken', 'penalty'))
+        ends = [list(nodes[edge[key]]['at']) for key in ('startid', 'endid')]
+        assert edge['line'] == ends
+    return nodes, edges
+
+
+def test_geojson_has_two_directed_edges_per_link() -> None:
+    graph = loop_with_tail()
+    text, notices = exported(graph, 0, 'geojson')
+    nodes, edges = route_server_graph(text)
+    assert notices == []
+    assert {node: value['at'] for node, value in nodes.items()} == {
+        i: (pytest.approx(x, abs=6e-4), pytest.approx(y, abs=6e-4))
+        for i, (x, y, _) in enumerate(graph.poses.tolist())
+    }
+    assert {value['frame'] for value in nodes.values()} == {'map'}
+    pairs = Counter((edge['startid'], edge['endid']) for edge in edges.values())
+    driven = {(link.source_id, link.target_id) for link in graph.links()}
+    assert pairs == Counter(driven | {(b, a) for a, b in driven})
+    times = {edge['metadata']['abs_time_taken'] for edge in edges.values()}
+    assert times == {2.0, 3.0}
+
+
+def test_geojson_edge_has_time_of_its_own_direction() -> None:
+    graph = new_map(exp_loops=0)
+    arrive(graph, 0)
+    drive(graph, Motion(2.0, 1.0, 0.0))
+    arrive(graph, 1)
+    drive(graph, Motion(5.0, -1.0, 0.0))
+    arrive(graph, 0)
+    _, edges = route_server_graph(exported(graph, 0, 'geojson')[0])
+    found = {
+        (edge['startid'], edge['endid']): edge['metadata']['abs_time_taken']
+        for edge in edges.values()
+    }
+    assert found == {(0, 1): 2.0, (1, 0): 5.0}
+
+
+def test_geojson_penalty_counts_time_outs() -> None:
+    graph = new_map(exp_loops=0)
+    arrive(graph, 0)
+    drive(graph, Motion(2.0, 1.0, 0.0))
+    arrive(graph, 1, behaviour='left_wall')
+    drive(graph, Motion(2.0, 1.0, 0.0))
+    arrive(graph, 2, behaviour='left_wall')
+    graph.unlearn_blocked('left_wall', 0.0, Pose(0.9, 0.0, 0.0))
+    _, edges = route_server_graph(exported(graph, 0, 'geojson')[0])
+    found = {
+        (edge['startid'], edge['endid']): edge['metadata']['penalty'] for edge in edges.values()
+    }
+    assert found[0, 1] + found[1, 2] == 1.0
+    assert found[0, 1] == found[1, 0]
+
+
+def test_thinned_geojson_keeps_junctions_spacing_and_times() -> None:
+    graph = loop_with_tail()
+    nodes, edges = route_server_graph(exported(graph, 0, 'geojson', 3.0)[0])
+    places = {value['metadata']['experience_id'] for value in nodes.values()}
+    assert 0 in places  # the junction
+    assert 18 in places  # the end of the dead end
+    assert len(nodes) < 8
+    lengths = [edge['metadata']['length_m'] for edge in edges.values()]
+    assert min(lengths) >= 3.0
+    networkx = pytest.importorskip('networkx')
+    routes = networkx.DiGraph()
+    for edge in edges.values():
+        routes.add_edge(edge['startid'], edge['endid'], s=edge['metadata']['abs_time_taken'])
+    assert networkx.is_strongly_connected(routes)
+    assert all(routes.has_edge(b, a) for a, b in routes.edges)
+    of_place = {value['metadata']['experience_id']: node for node, value in nodes.items()}
+    assert networkx.shortest_path_length(routes, of_place[0], of_place[18], 's') == 9.0
+    around = [routes.edges[a, b]['s'] for a, b in routes.edges if of_place[18] not in (a, b)]
+    assert sum(around) == 2 * 16 * 2.0  # the loop is closed, in both directions
+
+
+def test_thinned_geojson_of_random_maps_stays_connected() -> None:
+    networkx = pytest.importorskip('networkx')
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        graph = new_map(exp_loops=0)
+        arrive(graph, 0)
+        for _ in range(60):
+            drive(graph, Motion(float(rng.uniform(0.5, 3.0)), float(rng.uniform(0.0, 2.0)), 0.3))
+            is_new = rng.uniform() < 0.6
+            arrive(graph, len(graph) if is_new else int(rng.integers(len(graph))))
+        spacing_m = float(rng.uniform(0.5, 3.0))
+        nodes, edges = route_server_graph(exported(graph, 0, 'geojson', spacing_m)[0])
+        routes = networkx.DiGraph((edge['startid'], edge['endid']) for edge in edges.values())
+        assert len(routes) == len(nodes) < len(graph)
+        assert networkx.is_strongly_connected(routes)
+
+
+def test_geojson_without_edges_is_refused() -> None:
+    graph = new_map()
+    with pytest.raises(UnusableInput, match='no place yet'):
+        exported(graph, 0, 'geojson')
+    arrive(graph, 0)
+    with pytest.raises(UnusableInput, match='no edge'):
+        exported(graph, 0, 'geojson')
+    with pytest.raises(UnusableInput, match='smaller --spacing'):
+        exported(loop_with_tail(), 0, 'geojson', 1000.0)
+
+
+def test_geojson_of_too_large_map_names_a_spacing_that_fits(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    assert route_export.MAX_IDS == 65_536
+    monkeypatch.setattr(route_export, 'MAX_IDS', 150)
+    graph = new_map(exp_loops=0)
+    arrive(graph, 0)
+    for number in range(1, 60):
+        drive(graph, Motion(1.0, 0.5, 0.0))
+        arrive(graph, number)
+    with pytest.raises(UnusableInput, match='60 nodes and 118 edges need 178 ids') as error:
+        exported(graph, 0, 'geojson')
+    spacing_m = float(str(error.value).rsplit(' ', 1)[1])
+    nodes, edges = route_server_graph(exported(graph, 0, 'geojson', spacing_m)[0])
+    assert 30 < len(nodes) + len(edges) < 150
+
+
+def test_geojson_exports_the_largest_component_and_reports_the_others() -> None:
+    graph = loop_with_tail()
+    drive(graph, Motion(5.0, 0.0, 0.0, is_known=False))
+    for number in (19, 20):
+        arrive(graph, number)
+        drive(graph, Motion(1.0, 1.0, 0.0))
+    text, notices = exported(graph, 0, 'geojson')
+    nodes, _ = route_server_graph(text)
+    assert len(nodes) == 19
+    assert notices == [
+        '2 places are left out: they are in another part of the map, whose position relative to '
+        'the exported one is unknown'
+    ]
+
+
+def test_json_export_equals_the_map_of_a_replay() -> None:
+    graph = loop_with_tail()
+    assert exported(graph, 5_000_000_000, 'json')[0] == encode_map(5_000_000_000, graph)
+
+
+def test_graphml_contains_lengths_and_times() -> None:
+    pytest.importorskip('networkx')
+    graph = loop_with_tail()
+    root = ElementTree.fromstring(exported(graph, 0, 'graphml')[0])
+    space = '{http://graphml.graphdrawing.org/xmlns}'
+    names = {key.get('id'): key.get('attr.name') for key in root.iter(f'{space}key')}
+    edges = {}
+    for edge in root.iter(f'{space}edge'):
+        values = {names[one.get('key')]: one.text for one in edge.iter(f'{space}data')}
+        ends = int(edge.get('source', '')), int(edge.get('target', ''))
+        edges[ends] = float(values['distance_m'] or ''), float(values['duration_s'] or '')
+    assert edges == {
+        (link.source_id, link.target_id): (link.distance_m, link.duration_s)
+        for link in graph.links()
+    }
+    assert len(list(root.iter(f'{space}node'))) == len(graph)
+    assert root.find(f'{space}graph').get('edgedefault') == 'directed'  # type: ignore[union-attr]
+
+
+def test_tum_export_is_read_as_trajectory(tmp_path: Path) -> None:
+    graph = loop_with_tail()
+    write_durably(tmp_path / 'map.tum', exported(graph, 0, 'tum')[0])
+    trajectory = read_tum(tmp_path / 'map.tum')
+    assert (trajectory.stamp_ns == np.arange(len(graph)) * 1_000_000_000).all()
+    assert np.allclose(trajectory.position_m, graph.poses[:, :2], atol=1e-8)
+
+
+def test_g2o_export_has_consistent_edges_and_information() -> None:
+    graph = loop_with_tail()
+    drive(graph, Motion(5.0, 0.0, 0.0, is_known=False))
+    arrive(graph, 19)
+    lines = [line.split() for line in exported(graph, 0, 'g2o')[0].splitlines()]
+    poses = {int(i): Pose(*map(float, rest)) for kind, i, *rest in lines if kind == 'VERTEX_SE2'}
+    assert len(poses) == len(graph)
+    assert [line for line in lines if line[0] == 'FIX'] == [['FIX', '0'], ['FIX', '19']]
+    edges = [line[1:] for line in lines if line[0] == 'EDGE_SE2']
+    assert len(edges) == graph.link_count
+    for i, j, *rest in edges:
+        relative, matrix = list(map(float, rest[:3])), list(map(float, rest[3:]))
+        expected = composed(inverse(poses[int(i)]), poses[int(j)])
+        assert relative[:2] == pytest.approx(expected[:2], abs=1e-9)
+        assert matrix[1] == matrix[2] == matrix[4] == 0.0
+        assert matrix[0] == matrix[3] > 0.0
+        assert matrix[5] > 0.0
+
+
+def test_information_of_longer_odometry_is_smaller() -> None:
+    graph = new_map(exp_loops=0)
+    arrive(graph, 0)
+    for number, length_m in ((1, 1.0), (2, 1.0), (3, 4.0)):
+        drive(graph, Motion(1.0, length_m, 0.0))
+        arrive(graph, number)
+    values = information(graph)
+    # The standard deviation after one view spacing, here 1 m, is 0.2 m; lengths of zero: 0.02 m.
+    assert values[0, 0] == pytest.approx(1.0 / (0.2**2 + 0.02**2))
+    assert values[2, 0] == pytest.approx(1.0 / (4.0 * 0.2**2 + 0.02**2))
+
+
+def test_export_to_missing_folder_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(UnusableInput, match='cannot be written'):
+        write_durably(tmp_path / 'missing' / 'map.json', '')
+    assert list(tmp_path.iterdir()) == []
