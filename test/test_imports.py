@@ -35,7 +35,7 @@ CORE_LAYERS = [
     ['mapping', 'goal_memory'],
     ['navigation', 'merging'],
     ['driving'],
-    ['ratslam', 'warm_up'],
+    ['ratslam', 'warm_up', 'learned'],
 ]
 LAYERS = [
     ['errors'],
