@@ -230,7 +230,7 @@ def _empty_map() -> bytes:
     """Return a map file with one part, whose outline is in one chunk."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / 'home.map'
-        state = {'core': {'templates': np.zeros((2, 3), np.uint8)}}
+        state = {'core': {'templates': np.zeros((2, 1, 3), np.uint8)}}
         save_map(path, {'local_view': state}, MapMeta())
         data = bytearray(path.read_bytes())
     data[18:20] = b'\1\1'  # Databases in memory cannot have a write-ahead log.
@@ -430,7 +430,7 @@ def _floor_plan() -> Iterator[bytes]:
 
 def _maps() -> Iterator[bytes]:
     yield b'\0' + _empty_map()
-    yield b'\1{"core":{"templates":{"$array":["|u1",[2,3]]}}}'
+    yield b'\1{"core":{"templates":{"$array":["|u1",[2,1,3]]}}}'
 
 
 def _trajectory() -> Iterator[bytes]:
