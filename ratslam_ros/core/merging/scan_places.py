@@ -4,8 +4,8 @@
 
 Finding a place is what a lost robot does: the landmarks around an experience of one map are
 matched with all landmarks of the other one by joint compatibility, without a prior, and the scans
-have to agree with those that are stored there. People who were there contradict some beams, so a single place is
-only likely; several that are consistent with each other are proven.
+have to agree with those that are stored there. People who were there contradict some beams, so a
+single place is only likely; several that are consistent with each other are proven.
 """
 
 from __future__ import annotations
@@ -77,7 +77,9 @@ def has_scans(joint: JointMap, one: Correspondence) -> bool:
 
 def measured(joint: JointMap, correspondences: Sequence[Correspondence]) -> Measured:
     """Align the scans of experiences whose views match; their poses are the priors."""
-    precise, loose, fits, tried = [], [], 0, 0
+    precise: list[Correspondence] = []
+    loose: list[Correspondence] = []
+    fits = tried = 0
     for one in correspondences:
         known, seen = _scan(joint, one.known), _scan(joint, one.seen)
         if known is None or seen is None:
