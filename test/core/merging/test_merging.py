@@ -301,6 +301,20 @@ def test_incomplete_map_is_refused() -> None:
         merge_sessions([replace(session, states=states)])
 
 
+@pytest.mark.parametrize(
+    ('part', 'key', 'value'),
+    [('pose_cells', 'memories', [[1, 2]]), ('experience_map', 'labels', None),
+     ('local_view', 'templates', 7), ('pose_cells', 'unrolled', {})],
+)  # fmt: skip
+def test_damaged_map_is_refused_in_one_line(part: str, key: str, value: object) -> None:
+    session = robot(0, 60).session('broken')
+    core = {**session.states[part]['core'], key: value}
+    states = {**session.states, part: {**session.states[part], 'core': core}}
+    with pytest.raises(UnusableInput, match='broken is damaged') as error:
+        merge_sessions([replace(session, states=states)])
+    assert '\n' not in str(error.value)
+
+
 def test_no_map_is_refused() -> None:
     with pytest.raises(UnusableInput, match='no map to merge'):
         merge_sessions([])
