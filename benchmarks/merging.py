@@ -4,6 +4,7 @@
 
     python benchmarks/merging.py halves [--data ../shared/data]
     python benchmarks/merging.py others [--data ../shared/data]
+    python benchmarks/merging.py many
     python benchmarks/merging.py floors [--minutes 8] [--plan NAME] [--seed 1]
 
 halves: each half of a recording is a session. The map of both is compared with that of the whole
@@ -14,6 +15,7 @@ others: pairs of maps of different places: the demos of different seeds have the
     and partly equal walls. None may be joined. Then the limit on the share of recognised places
     is chosen without each recording in turn, between the extremes of the others, and tested on
     that recording.
+many: a demo as eight sessions of 50 s, merged at once and one after the other.
 floors: a floor of the simulator on two days. On the second one, the light is other, five people
     walk about, and a box stands in the way. Merged map and sessions are compared with the truth.
     Then a robot starts in the merged map, finds itself, and drives to places that were named on
@@ -76,6 +78,7 @@ HALL_VIEWS = {
 }  # fmt: skip
 """Encoding of the noise images: equal or unrelated."""
 
+SESSIONS_COUNT, SESSION_S = 8, 50.0
 GOALS_COUNT = 5
 FIND_S = 300.0
 """Time within which the robot has to find itself on the merged map."""
@@ -292,6 +295,28 @@ def report_others(data: Path) -> None:
         )
 
 
+def report_many() -> None:
+    """Print sizes of the merged map of more and more sessions."""
+    config, _ = load_config('auto')
+    with tempfile.TemporaryDirectory() as temporary:
+        made = write_recording(Path(temporary) / 'demo', 1)
+        with open_recording(made.recording) as recording:
+            sessions = [
+                run(recording, config, f'{k}', k * SESSION_S, SESSION_S).session
+                for k in range(SESSIONS_COUNT)
+            ]
+    for count in (1, 2, 4, SESSIONS_COUNT):
+        merged = merge_sessions(sessions[:count])
+        total = sum(merged.experiences)
+        print(f'{count} sessions, {total:5} experiences: {size(merged)}, {merged.components} '
+              'components')  # fmt: skip
+    growing = sessions[0]
+    for session in sessions[1:]:
+        merged = merge_sessions([growing, session])
+        growing = Session('growing', merged.config, merged.states)
+    print(f'one after the other: {size(merged)}, {merged.components} components')
+
+
 # Floors of the simulator
 
 
@@ -419,7 +444,7 @@ def report_floor(plan: str, minutes: float, seed: int) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument('experiment', choices=('halves', 'others', 'floors'))
+    parser.add_argument('experiment', choices=('halves', 'others', 'many', 'floors'))
     parser.add_argument('--data', type=Path, default=ROOT.parent / 'shared' / 'data')
     parser.add_argument('--minutes', type=float, default=8.0, help='exploration of each day')
     parser.add_argument('--plan', choices=FLOORS, help='floor plan (default: all)')
@@ -430,6 +455,8 @@ def main() -> None:
         report_halves(options.data)
     elif options.experiment == 'others':
         report_others(options.data)
+    elif options.experiment == 'many':
+        report_many()
     else:
         for plan in [options.plan] if options.plan else FLOORS:
             report_floor(plan, options.minutes, options.seed)
