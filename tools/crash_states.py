@@ -127,11 +127,7 @@ class Work:
         if part in self._writers:
             self._writers.pop(part).release()
             log.write_bytes(content)
-            for operation in (
-                ('create', log.name), ('write', log.name, 0, content), ('sync', log.name),
-                ('sync folder',),
-            ):  # fmt: skip
-                self._disk.note(*operation)
+            self._disk.note('put', log.name, content)
 
     def _new_state(self) -> dict[str, Any]:
         ends = self._generator.integers(0, 100, (self._rows, 2))

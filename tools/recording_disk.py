@@ -233,8 +233,8 @@ def _method(function: Callable[..., Any]) -> Callable[..., Any]:
 class File:
     """Content of a file: what is durable, and writes that are not."""
 
-    def __init__(self) -> None:
-        self.durable = bytearray()
+    def __init__(self, content: bytes = b'') -> None:
+        self.durable = bytearray(content)
         self.waiting: list[tuple[Any, ...]] = []
 
     def sync(self) -> None:
@@ -285,14 +285,15 @@ def crash_states(
     Args:
         operations: of a disk.
         generator: chooses the sectors that reach the disk.
-        limit: number of states, spread over all; 0 for all.
+        limit: number of states, besides those after the last operation; 0 for all.
 
     Yields:
         Number of operations before the crash, variant, and content by name.
     """
     chosen = [(at, n) for at in range(len(operations) + 1) for n in range(len(VARIANTS))]
     if limit and limit < len(chosen):
-        chosen = sorted(generator.sample(chosen, limit))
+        last = chosen[-len(VARIANTS) :]  # Everything has been acknowledged there.
+        chosen = sorted({*generator.sample(chosen, limit), *last})
     wanted: dict[int, list[int]] = {}
     for at, number in chosen:
         wanted.setdefault(at, []).append(number)
@@ -309,6 +310,8 @@ def crash_states(
             if kind == 'sync folder':
                 waiting.clear()
                 durable_names = dict(names)
+            elif kind == 'put':  # a file with durable content
+                names[values[0]] = durable_names[values[0]] = File(values[1])
             elif kind == 'sync':
                 names[values[0]].sync()
             elif kind in ('write', 'truncate'):

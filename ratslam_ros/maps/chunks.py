@@ -85,7 +85,7 @@ def unpack(outline: bytes, load: Load) -> State:
         DamagedMap: the outline is damaged.
     """
     try:
-        state = _Rebuilding(load).rebuilt(json.loads(outline), '')
+        state = _Rebuilding(load).rebuilt(_parsed(outline), '')
     except (ValueError, TypeError, KeyError, RecursionError, OverflowError) as error:
         raise DamagedMap(f'the outline of a state is damaged ({error})') from None
     if not isinstance(state, dict):
@@ -98,9 +98,18 @@ def _text(value: Any) -> NDArray[np.uint8]:
     return np.frombuffer(data, np.uint8)
 
 
+def _parsed(text: bytes) -> Any:
+    return json.loads(text, parse_constant=_refuse)
+
+
+def _refuse(name: str) -> None:
+    raise ValueError(f'{name} is not JSON')
+
+
 def _joined(path: str, key: str) -> str:
+    """Return the path of an item, a JSON pointer (RFC 6901)."""
     key = key.replace('~', '~0').replace('/', '~1')
-    return f'{path}/{key}' if path else key
+    return f'{path}/{key}'
 
 
 def _outlined(value: Any, path: str, arrays: Arrays) -> Any:
@@ -172,11 +181,14 @@ class _Rebuilding:
                 return self._loaded(path, name, [length]).tolist()
             if mark == _JSON:
                 text = self._loaded(path, '|u1', [content]).tobytes()
-                return _Rebuilding(_no_array).rebuilt(json.loads(text), path)
+                return _Rebuilding(_no_array).rebuilt(_parsed(text), path)
             if mark == _NUMBER:
                 return _NUMBERS[content]
             if mark == _DICT:
-                return {key: self.rebuilt(item, _joined(path, key)) for key, item in content}
+                content = dict(content)
+                if all(type(key) is str for key in content):
+                    return {key: self.rebuilt(v, _joined(path, key)) for key, v in content.items()}
+                raise TypeError('keys must be texts')
         return {key: self.rebuilt(item, _joined(path, key)) for key, item in value.items()}
 
     def _loaded(self, path: str, name: str, shape: list[int]) -> NDArray[Any]:

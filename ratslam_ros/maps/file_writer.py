@@ -27,6 +27,7 @@ from ratslam_ros.maps.schema import (
     remove,
     restrict,
     sync_folder,
+    typed,
 )
 from ratslam_ros.maps.sessions import (
     begin,
@@ -67,10 +68,10 @@ class FileWriter:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._open()
         except (OSError, sqlite3.Error) as error:
-            self.release()
+            self._abandon()
             raise unwritable(path, error) from None
         except BaseException:
-            self.release()
+            self._abandon()
             raise
 
     def write(
@@ -104,11 +105,12 @@ class FileWriter:
         try:
             with closing(connect(self.path, 'mode=ro')) as database:
                 restrict(database)
-                return database.execute(
+                found = database.execute(
                     'SELECT stamp_ns, data FROM log WHERE stream = ? AND stamp_ns > ?'
                     ' ORDER BY stamp_ns', (stream, after_ns),
-                ).fetchall()  # fmt: skip
-        except sqlite3.Error:
+                )  # fmt: skip
+                return list(typed(found, int, bytes))
+        except (sqlite3.Error, UnusableInput):
             return []
 
     def close(self, complete: bool) -> None:
@@ -197,7 +199,7 @@ class FileWriter:
                 self._session = begin(database, self.parts, self._meta, found)
                 states = self._load(database, rows)  # A damaged map is not changed.
                 database.execute('COMMIT')
-        if found.cut is not None:
+        if rows or found.cut is not None:
             last = max(rows.values(), key=lambda row: (row.session, row.number), default=None)
             cut = found.cut if last is None else Cut(last.number, last.stamp_ns)
             lost = None if found.session == self._session else found.lost
@@ -293,6 +295,15 @@ class FileWriter:
         if database is not None:
             with suppress(sqlite3.Error):
                 database.close()
+
+    def _abandon(self) -> None:
+        """End after a failed opening."""
+        self._disconnect()
+        if self._lock is not None:
+            with suppress(OSError, UnusableInput), self._lock.opening():
+                if not self._lock.others():
+                    self._lock.remove()
+        self.release()
 
     def release(self) -> None:
         """Close the file and release the locks, as if the process had ended."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import sqlite3
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -35,6 +35,8 @@ from ratslam_ros.maps.chunks import (
     state_digest,
     unpack,
 )
+from ratslam_ros.maps.locks import PARTS
+from ratslam_ros.maps.schema import typed
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,10 +115,11 @@ class PartWriter:
         if row is None:
             return
         versions: dict[Chunk, list[int]] = defaultdict(list)
-        for name, position, since in database.execute(
+        rows = database.execute(
             'SELECT array, position, since FROM chunks WHERE part = ?'
             ' ORDER BY array, position, since', (self.part,),
-        ):  # fmt: skip
+        )  # fmt: skip
+        for name, position, since in typed(rows, str, int, int):
             versions[name, position].append(since)
         for (name, position), found in versions.items():
             stored = image.get(name)
@@ -261,22 +264,16 @@ def load(database: sqlite3.Connection, row: Row) -> tuple[State, Image]:
 def rows_of(database: sqlite3.Connection, condition: str, values: Iterable[Any]) -> list[Row]:
     """Return the cuts that meet a condition in SQL, in the order in which they were written."""
     found = database.execute(f'SELECT * FROM cuts WHERE {condition} ORDER BY id', tuple(values))
-    rows = [Row(*values) for values in found]
+    rows = [Row(*values) for values in typed(found, int, int, str, int, int, int, bytes)]
     for row in rows:
-        if not (
-            isinstance(row.part, str) and isinstance(row.digest, bytes)
-            and all(
-                type(value) is int
-                for value in (row.id, row.session, row.number, row.stamp_ns, row.outline_bytes)
-            )
-        ):  # fmt: skip
-            raise DamagedMap('the table of cuts contains other types than expected')
+        check_part(row.part)
     return rows
 
 
-def digests_of(image: Mapping[str, StoredArray]) -> dict[str, bytes]:
-    """Return the digests of arrays by their names."""
-    return {name: stored.digest for name, stored in image.items()}
+def check_part(part: str) -> None:
+    """Check the name of a part; raises DamagedMap."""
+    if part not in PARTS:
+        raise DamagedMap(f'it has an unknown part {part[:40]!r}')
 
 
 def _read(
@@ -292,16 +289,14 @@ def _read(
         (row.part, name, count, row.id),
     ).fetchall()
     if [position for position, *_ in found] != list(range(count)):
-        raise DamagedMap(f'{row.part}/{name}: {len(found)} of {count} chunks are there')
+        raise DamagedMap(f'{row.part}{name}: {len(found)} of {count} chunks are there')
     chunks = []
-    for position, _, frame in found:
-        if not isinstance(frame, bytes):
-            raise DamagedMap(f'{row.part}/{name}: a chunk is not binary')
+    for position, _, frame in typed(found, int, int, bytes):
         expected = min(size - position * CHUNK_BYTES, CHUNK_BYTES)
         chunks.append(decompressed(frame, expected, kind.itemsize))
     data = b''.join(chunks)
     if kind.kind == 'b' and max(data, default=0) > 1:
-        raise DamagedMap(f'{row.part}/{name}: a flag is neither 0 nor 1')
+        raise DamagedMap(f'{row.part}{name}: a flag is neither 0 nor 1')
     array = np.frombuffer(data, kind).reshape(shape)
     hashes = [chunk_hash(chunk) for chunk in chunks]
     since = np.array([since for _, since, _ in found], np.int64)

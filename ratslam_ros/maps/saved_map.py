@@ -15,6 +15,9 @@ from ratslam_ros.maps.chunks import DamagedMap
 
 NS_PER_S = 1_000_000_000
 
+MAX_META = 2**20
+"""Longest accepted description of a session; a configuration has 20,000 characters."""
+
 
 @dataclass(frozen=True, slots=True)
 class Cut:
@@ -61,6 +64,8 @@ class MapMeta:
             DamagedMap: it is damaged.
         """
         try:
+            if len(text) > MAX_META:
+                raise ValueError(f'{len(text)} characters, expected at most {MAX_META}')
             values: Any = json.loads(text)
             known: dict[str, Any] = {}
             for entry in fields(cls):

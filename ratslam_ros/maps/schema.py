@@ -7,11 +7,18 @@ from __future__ import annotations
 import os
 import sqlite3
 import time
+from collections.abc import Iterable, Iterator
 from contextlib import closing, suppress
 from functools import cache
 from pathlib import Path
+from types import NoneType
+from typing import Any
 
 from ratslam_ros.errors import UnusableInput
+from ratslam_ros.maps.chunks import DamagedMap
+
+NULLABLE = (int, NoneType)
+"""Types of a column of integers that may be NULL."""
 
 APPLICATION_ID = 0x52534C4D  # 'RSLM'
 FORMAT = 1
@@ -110,6 +117,19 @@ def check_layout(database: sqlite3.Connection, path: Path) -> None:
             f'{path} is damaged or was changed by another program: its tables are not those of '
             f'map format {FORMAT}; use a backup'
         )
+
+
+def typed(rows: Iterable[Any], *kinds: type | tuple[type, ...]) -> Iterator[Any]:
+    """Yield rows whose values have the expected types: SQLite stores any type in any column.
+
+    Raises:
+        DamagedMap: a value has another type.
+    """
+    for row in rows:
+        for value, kind in zip(row, kinds, strict=True):
+            if not isinstance(value, kind):
+                raise DamagedMap(f'a row contains {type(value).__name__}, expected {kind}')
+        yield row
 
 
 def create(path: Path) -> None:

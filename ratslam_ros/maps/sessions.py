@@ -13,8 +13,9 @@ import sqlite3
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from ratslam_ros.maps.part import Row, rows_of
+from ratslam_ros.maps.part import Row, check_part, rows_of
 from ratslam_ros.maps.saved_map import Cut, MapMeta, SessionRow
+from ratslam_ros.maps.schema import NULLABLE, typed
 
 KEPT_CUTS = 16
 """Number of the newest cuts of a part that stay, besides the one that all parts have. A part may
@@ -78,7 +79,7 @@ def newest(database: sqlite3.Connection) -> Newest:
     last = max(rows.values(), key=lambda row: (row.session, row.number), default=None)
     cut = None if last is None else Cut(last.number, last.stamp_ns)
     stamps = [row.stamp_ns for row in present if number is None or row.number > number]
-    (logged_ns,) = database.execute('SELECT max(stamp_ns) FROM log').fetchone()
+    ((logged_ns,),) = typed(database.execute('SELECT max(stamp_ns) FROM log'), NULLABLE)
     if logged_ns is not None:
         stamps.append(logged_ns)
     lost = None
@@ -92,12 +93,16 @@ def newest(database: sqlite3.Connection) -> Newest:
 
 def members_of(database: sqlite3.Connection, session: int) -> tuple[Member, ...]:
     """Return the parts of a session."""
-    return tuple(
-        Member(part, joined, bool(ended))
-        for part, joined, ended in database.execute(
-            'SELECT part, joined, ended FROM members WHERE session = ? ORDER BY part', (session,)
-        )
+    found = database.execute(
+        'SELECT part, joined, ended FROM members WHERE session = ? ORDER BY part', (session,)
     )
+    members = tuple(
+        Member(part, joined, bool(ended))
+        for part, joined, ended in typed(found, str, NULLABLE, int)
+    )
+    for member in members:
+        check_part(member.part)
+    return members
 
 
 def common_number(members: Sequence[Member], rows: Sequence[Row]) -> int | None:
@@ -217,12 +222,15 @@ def sessions_of(database: sqlite3.Connection) -> list[SessionRow]:
         'SELECT session, base_ns, lost_from_ns, lost_to_ns, meta FROM sessions ORDER BY session'
     ).fetchall()
     rows = []
-    for session, base_ns, lost_from_ns, lost_to_ns, meta in found:
+    for session, base_ns, lost_from_ns, lost_to_ns, meta in typed(
+        found, int, NULLABLE, NULLABLE, NULLABLE, str
+    ):
         members = members_of(database, session)
         rows.append(
             SessionRow(
                 session, MapMeta.from_json(meta), tuple(member.part for member in members),
-                base_ns, None if lost_from_ns is None else (lost_from_ns, lost_to_ns),
+                base_ns,
+                None if lost_from_ns is None or lost_to_ns is None else (lost_from_ns, lost_to_ns),
                 bool(members) and all(member.ended for member in members),
             )
         )  # fmt: skip

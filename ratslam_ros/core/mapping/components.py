@@ -9,6 +9,9 @@ Not in the papers.
 
 from __future__ import annotations
 
+import numpy as np
+
+from ratslam_ros.core.common.rows import listed
 from ratslam_ros.core.common.state import State
 
 
@@ -61,11 +64,10 @@ class Components:
             self.current = into
 
     def state(self) -> State:
-        """Return ``{'components': ...}`` for ``restore``; empty if there has been no gap."""
-        if self.gap_count == 0:
-            return {}
+        """Return ``{'components': ...}`` for ``restore``."""
         return {'components': {
-            'current': self.current, 'gaps': self.gap_count, 'experiences': self.numbers(),
+            'current': self.current, 'gaps': self.gap_count,
+            'experiences': np.array(self._of, np.int64),
         }}  # fmt: skip
 
     def restore(self, state: State, count: int) -> None:
@@ -75,4 +77,4 @@ class Components:
         """
         saved = state.get('components', {'current': 0, 'gaps': 0, 'experiences': [0] * count})
         self.current, self.gap_count = saved['current'], saved['gaps']
-        self._of = list(saved['experiences'])
+        self._of = [int(number) for number in listed(saved['experiences'])]

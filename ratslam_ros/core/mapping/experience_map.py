@@ -15,6 +15,7 @@ from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.odometry import Motion, moved
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.rotation_gain import is_small_error
+from ratslam_ros.core.common.rows import listed
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.common.turn_correction import TurnCorrection
 from ratslam_ros.core.config import ExperienceMapParameters
@@ -169,7 +170,7 @@ class ExperienceMap(ExperienceGraph):
             }
         return {
             'poses': self.poses,
-            'labels': [[template, *place] for template, place in self._labels],
+            'labels': self._label_rows.copy(),
             **self._links.state(),
             **self._components.state(),
             'unlearned': self.unlearned_ends,
@@ -196,7 +197,8 @@ class ExperienceMap(ExperienceGraph):
         self._created_at_m[: len(state['poses'])] = state['made_m']
         self._odometer_m = self._scan_checked_m = state['odometer_m']
         self._recognised_at_m = state.get('recognised_at_m', 0.0)
-        self._labels = [(t, Place(x, y, theta)) for t, x, y, theta in state['labels']]
+        self._label_rows.replace(state['labels'])
+        self._labels = [(int(t), Place(x, y, theta)) for t, x, y, theta in listed(state['labels'])]
         self._links.restore(state)
         self._components.restore(state, len(self))
         self._unlearned = {(i, j) for i, j in state['unlearned'].tolist()}

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.common.rows import Rows
 from ratslam_ros.core.mapping.components import Components
 from ratslam_ros.core.mapping.links import Link, Links
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
@@ -46,6 +47,7 @@ class ExperienceGraph:
         self._poses = np.empty((64, 3), np.float64)
         self._created_at_m = np.zeros(len(self._poses))
         self._labels: list[tuple[int, Place]] = []
+        self._label_rows = Rows(4)
         self._links = Links()
         self._components = Components()
         self._unlearned: set[tuple[int, int]] = set()
@@ -207,6 +209,7 @@ class ExperienceGraph:
             self._poses[action.target_id] = pose
             self._created_at_m[action.target_id] = odometer_m
             self._labels[action.target_id] = label
+            self._label_rows[action.target_id] = action.template_id, *action.place
             self._replacement_count += 1
             return
         if n == len(self._poses):
@@ -216,3 +219,4 @@ class ExperienceGraph:
         self._poses[n] = pose
         self._created_at_m[n] = odometer_m
         self._labels.append(label)
+        self._label_rows.append((action.template_id, *action.place))

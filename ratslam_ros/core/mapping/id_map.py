@@ -4,6 +4,9 @@
 
 from __future__ import annotations
 
+import numpy as np
+
+from ratslam_ros.core.common.rows import Rows, listed
 from ratslam_ros.core.common.state import State
 
 NO_MEMORY_NS = 0
@@ -82,27 +85,31 @@ class DenseIdMap(IdMap):
     def __init__(self) -> None:
         super().__init__()
         self._own_ids: dict[int, int] = {}
+        self._rows = Rows(2, np.int64)
 
     def set_memory(self, memory_ns: int) -> bool:
         """Set the peer's memory, and return whether it replaces another one."""
         replaced = super().set_memory(memory_ns)
         if replaced:
             self._own_ids.clear()
+            self._rows.clear()
         return replaced
 
     def restart(self) -> None:
         """Map all ids to new own ids from now on, also if the memory stamp stays the same."""
         super().restart()
         self._own_ids.clear()
+        self._rows.clear()
 
     def state(self) -> State:
         """Return the mapping, for ``restore``."""
-        return {**super().state(), 'own': [list(pair) for pair in self._own_ids.items()]}
+        return {**super().state(), 'own': self._rows.copy()}
 
     def restore(self, state: State) -> None:
         """Restore what ``state`` returned."""
         super().restore(state)
-        self._own_ids = {peer_id: own for peer_id, own in state['own']}
+        self._own_ids = {peer_id: own for peer_id, own in listed(state['own'])}
+        self._rows.replace(state['own'])
 
     def has(self, peer_id: int) -> bool:
         """Return whether an id of the present memory has an own id."""
@@ -120,5 +127,6 @@ class DenseIdMap(IdMap):
         own = self._own_ids.get(peer_id)
         if own is None:
             own = self._own_ids[peer_id] = self._end
+            self._rows.append((peer_id, own))
             self._end += 1
         return own

@@ -69,6 +69,9 @@ class Links:
         self._failures = np.empty((64, 2), np.int64)
         self._recognised = np.zeros(64, np.bool_)
         self._shares = np.ones(64)
+        self._counts = np.empty(64, np.int64)
+        self._behaviours = np.empty(64, np.int32)
+        self._behaviour_numbers: dict[str, int] = {}
         self.notes: list[tuple[str, int]] = []
         """Behaviour and count of each link, by row."""
         # Deleting links changes rows but not serial numbers, which ascend with the rows.
@@ -164,6 +167,8 @@ class Links:
             self._serials = with_capacity(self._serials, 2 * row)
             self._recognised = with_capacity(self._recognised, 2 * row)
             self._shares = with_capacity(self._shares, 2 * row)
+            self._counts = with_capacity(self._counts, 2 * row)
+            self._behaviours = with_capacity(self._behaviours, 2 * row)
         self._ends[row] = link.source_id, link.target_id
         self._shapes[row] = link.distance_m, link.heading_rad, link.facing_rad
         self._durations_s[row] = link.duration_s
@@ -173,7 +178,14 @@ class Links:
         self._serials[row] = self._next_serial
         self._next_serial += 1
         self.notes.append((link.behaviour, link.count))
+        self._store_note(row)
         self.version += 1
+
+    def _store_note(self, row: int) -> None:
+        """Store behaviour and count of a link in the columns that are saved."""
+        behaviour, self._counts[row] = self.notes[row]
+        number = self._behaviour_numbers.setdefault(behaviour, len(self._behaviour_numbers))
+        self._behaviours[row] = number
 
     def average(self, row: int, again: Link) -> None:
         """Average a link with a repetition of its transition, each weighted one half.
@@ -189,6 +201,7 @@ class Links:
         self._durations_s[row] = 0.5 * (self._durations_s[row] + again.duration_s)
         known, count = self.notes[row]
         self.notes[row] = again.behaviour or known, count + again.count
+        self._store_note(row)
         self._failures[row] = 0
         self.version += 1
 
@@ -204,7 +217,7 @@ class Links:
         gone = np.zeros(len(self), np.bool_)
         gone[rows] = True
         kept = len(self) - int(gone.sum())
-        for column in (self._recognised, self._shares):
+        for column in (self._recognised, self._shares, self._counts, self._behaviours):
             column[:kept] = column[: len(self)][~gone]
         _move_up(
             gone, self._ends, self._shapes, self._durations_s, self._failures, self._serials
@@ -248,10 +261,10 @@ class Links:
         return {
             'ends': self.ends.copy(),
             'shapes': self.shapes.copy(),
-            'notes': [
-                [duration, *note]
-                for duration, note in zip(self.durations_s.tolist(), self.notes, strict=True)
-            ],
+            'durations_s': self.durations_s.copy(),
+            'counts': self._counts[: len(self)].copy(),
+            'behaviours': self._behaviours[: len(self)].copy(),
+            'behaviour_names': list(self._behaviour_numbers),
             'failures': self.failures.copy(),
             **recognitions,
         }
@@ -260,9 +273,22 @@ class Links:
         """Replace all links by what ``state`` returned."""
         self._ends = with_capacity(state['ends'])
         self._shapes = with_capacity(state['shapes'])
-        self._durations_s = with_capacity(np.array([duration for duration, *_ in state['notes']]))
-        self.notes = [(name, count) for _, name, count in state['notes']]
+        if 'notes' in state:  # saved by an earlier version
+            durations_s = np.array([duration for duration, *_ in state['notes']], np.float64)
+            self.notes = [(name, count) for _, name, count in state['notes']]
+        else:
+            durations_s, names = state['durations_s'], state['behaviour_names']
+            self._behaviour_numbers = {name: number for number, name in enumerate(names)}
+            behaviours, counts = state['behaviours'].tolist(), state['counts'].tolist()
+            self.notes = [
+                (names[number], count) for number, count in zip(behaviours, counts, strict=True)
+            ]
+        self._durations_s = with_capacity(durations_s)
         links = len(self)
+        self._counts = with_capacity(np.empty(links, np.int64))
+        self._behaviours = with_capacity(np.empty(links, np.int32))
+        for row in range(links):
+            self._store_note(row)
         self._failures = with_capacity(state['failures'])
         self._recognised = with_capacity(state.get('recognised', np.zeros(links, np.bool_)))
         self._shares = with_capacity(state.get('shares', np.ones(links)))

@@ -14,6 +14,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections import deque
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -22,6 +23,7 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.pose import Pose, composed, inverse
+from ratslam_ros.core.common.rows import listed
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config.line_extraction import LineExtractionParameters
 from ratslam_ros.core.config.relocalisation import RelocalisationParameters
@@ -170,16 +172,18 @@ class Relocator:
         frames = list(self._keyframes)
         return {
             'landmarks': self.landmarks.state(),
-            'misplaced': sorted(self._misplaced | self._doubted),
+            'misplaced': np.sort(_ids(self._misplaced | self._doubted)),
             'counts': self.counts.copy(),
             'present': {
-                'misplaced': sorted(self._misplaced), 'doubted': sorted(self._doubted),
+                'misplaced': np.sort(_ids(self._misplaced)),
+                'doubted': np.sort(_ids(self._doubted)),
                 'restarts': self._restarts,
                 'odometry': [[*frame.odometry, frame.odometer_m] for frame in frames],
                 'points': [frame.points.copy() for frame in frames],
                 'landmarks': [frame.landmarks.copy() for frame in frames],
                 'views': [[*odometry, *claimed] for odometry, claimed in self._views],
-                'created': [[number, at_m] for number, at_m in self._created.items()],
+                'created': _ids(self._created.keys()),
+                'created_at_m': np.array(list(self._created.values()), np.float64),
                 'lost_m': self._lost_m,
                 'counts': [
                     self._relocations, self._agreeing, self._contradicting, self._doubt_count,
@@ -187,20 +191,22 @@ class Relocator:
                 ],
                 'lengths_m': [self._doubt_m, self._evidence_m],
                 'relocated_to': self._relocated_to,
+                'known': None if self._known is None else self._known[0],
             },
         }  # fmt: skip
 
     def restore(self, state: State) -> None:
         """Restore what ``state`` returned."""
         self.landmarks.restore(state['landmarks'])
-        self._misplaced = set(state['misplaced'])
+        self._misplaced = set(listed(state['misplaced']))
         self.counts = dict(state['counts'])
         self._restart()
         if 'present' in state:
             self._restore_present(state['present'])
 
     def _restore_present(self, present: State) -> None:
-        self._misplaced, self._doubted = set(present['misplaced']), set(present['doubted'])
+        self._misplaced = set(listed(present['misplaced']))
+        self._doubted = set(listed(present['doubted']))
         self._restarts = present['restarts']
         self._keyframes.extend(
             _Keyframe(Pose(*odometry), odometer_m, points, landmarks)
@@ -209,7 +215,8 @@ class Relocator:
             )
         )  # fmt: skip
         self._views.extend((Pose(*view[:3]), Pose(*view[3:])) for view in present['views'])
-        self._created = dict(map(tuple, present['created']))
+        created, at_m = listed(present['created']), listed(present['created_at_m'])
+        self._created = dict(zip(created, at_m, strict=True))
         self._lost_m = present['lost_m']
         (
             self._relocations, self._agreeing, self._contradicting, self._doubt_count,
@@ -217,6 +224,8 @@ class Relocator:
         ) = present['counts']  # fmt: skip
         self._doubt_m, self._evidence_m = present['lengths_m']
         self._relocated_to = present['relocated_to']
+        if present['known'] is not None:
+            self._use_known(present['known'])
 
     def step(
         self, stamp_ns: int, action: MapAction, update: MapUpdate
@@ -503,9 +512,17 @@ class Relocator:
             excluded.update(i for i, of in enumerate(graph.components) if of != component)
         placed = self.landmarks.on_map(graph.poses, excluded)
         if self._known is None or not _are_close(placed, self._known[0]):
-            variances = np.tile(VARIANCES, (len(placed), 1))
-            self._known = placed, KnownFeatures(features_of(placed, variances))
+            return self._use_known(placed)
         return self._known[1]
+
+    def _use_known(self, placed: NDArray[np.float64]) -> KnownFeatures:
+        variances = np.tile(VARIANCES, (len(placed), 1))
+        self._known = placed, KnownFeatures(features_of(placed, variances))
+        return self._known[1]
+
+
+def _ids(experience_ids: Collection[int]) -> NDArray[np.int64]:
+    return np.fromiter(experience_ids, np.int64, len(experience_ids))
 
 
 def _are_close(a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:

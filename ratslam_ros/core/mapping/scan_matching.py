@@ -50,6 +50,11 @@ CONFIRMING_SD_M, CONFIRMING_OFFSET_M = 0.1, 0.5
 bare corridor the standard deviation exceeds it."""
 
 
+SAVED_TOGETHER = 64
+"""Number of experiences whose scans are saved in one array. A new scan has its array built anew,
+all others are handed out again: 20,000 scans are tens of megabytes."""
+
+
 class ScanMatch(NamedTuple):
     """Poses of the robot relative to the current and the target experience, None if unknown."""
 
@@ -74,6 +79,14 @@ class Observed(NamedTuple):
     scan_pose: Pose
 
 
+class _Saved(NamedTuple):
+    """Scans of some experiences as they are saved; never changed: ids, sizes and all points."""
+
+    ids: NDArray[np.int64]
+    sizes: NDArray[np.int64]
+    points: NDArray[np.float32]
+
+
 class ScanMatcher:
     """Stores the scan of each experience, and aligns later scans with it."""
 
@@ -82,6 +95,7 @@ class ScanMatcher:
         self._track: deque[tuple[int, Pose]] = deque()
         self._odometry_pose = Pose(0.0, 0.0, 0.0)
         self._references: dict[int, NDArray[np.float32]] = {}
+        self._saved: dict[int, _Saved] = {}
         self._variance_m2 = self._variance_before_m2 = math.inf
         """Largest position variance of the robot on the map, now and before the last action."""
         self.restarts = 0
@@ -158,6 +172,7 @@ class ScanMatcher:
         if action.action == 'create':
             there = None
             self._references.pop(action.target_id, None)
+            self._saved.pop(action.target_id // SAVED_TOGETHER, None)
             if points is not None:
                 self._references[action.target_id] = transformed(points, view).astype(np.float32)
         self._variance_before_m2 = self._variance_m2
@@ -232,26 +247,44 @@ class ScanMatcher:
 
     def state(self) -> State:
         """Return the scans of all experiences and the buffers, for ``restore``."""
-        scans = list(self._references.values())
+        groups = {i // SAVED_TOGETHER for i in self._references}
+        saved = [self._saved_group(number) for number in sorted(groups)]
         return {
             'present': {
                 'scans': [scan_state(scan) for _, _, scan in self._scans],
                 'track_ns': np.array([stamp_ns for stamp_ns, _ in self._track], np.int64),
                 'track': np.array([pose for _, pose in self._track]).reshape(-1, 3),
                 'odometry': list(self._odometry_pose),
-                'variances_m2': [self._variance_m2, self._variance_before_m2],
+                # Infinite while the pose is unknown, which JSON cannot express.
+                'variances_m2': np.array([self._variance_m2, self._variance_before_m2]),
                 'restarts': self.restarts,
             },
-            'ids': np.array(list(self._references), np.int64),
-            'sizes': np.array([len(points) for points in scans], np.int64),
-            'points': np.concatenate(scans) if scans else np.empty((0, 2), np.float32),
-        }
+            'ids': _joined([one.ids for one in saved]),
+            'sizes': _joined([one.sizes for one in saved]),
+            'points': [one.points for one in saved],
+        }  # fmt: skip
+
+    def _saved_group(self, number: int) -> _Saved:
+        """Return the scans of a group of experiences; it is built anew if one has changed."""
+        saved = self._saved.get(number)
+        if saved is None:
+            first = number * SAVED_TOGETHER
+            ids = [i for i in range(first, first + SAVED_TOGETHER) if i in self._references]
+            scans = [self._references[i] for i in ids]
+            saved = self._saved[number] = _Saved(
+                np.array(ids, np.int64), np.array([len(scan) for scan in scans], np.int64),
+                np.concatenate(scans),
+            )  # fmt: skip
+        return saved
 
     def restore(self, state: State) -> None:
         """Replace everything by what ``state`` returned; in older states, buffers are empty."""
-        ends = np.cumsum(state['sizes'])
-        scans = np.split(state['points'], ends[:-1]) if len(ends) else []
+        ends, points = np.cumsum(state['sizes']), state['points']
+        if isinstance(points, list):  # earlier versions have saved one array
+            points = np.concatenate(points) if points else np.empty((0, 2), np.float32)
+        scans = np.split(points, ends[:-1]) if len(ends) else []
         self._references = dict(zip(state['ids'].tolist(), scans, strict=True))
+        self._saved.clear()
         self.restart()
         present = state.get('present')
         if present is not None:
@@ -264,7 +297,7 @@ class ScanMatcher:
                 )
             )  # fmt: skip
             self._odometry_pose = Pose(*present['odometry'])
-            self._variance_m2, self._variance_before_m2 = present['variances_m2']
+            self._variance_m2, self._variance_before_m2 = present['variances_m2'].tolist()
             self.restarts = present['restarts']
 
     def _points_at(self, stamp_ns: int) -> NDArray[np.float64] | None:
@@ -299,6 +332,10 @@ class ScanMatcher:
                 return composed(pose, Pose(share * x, share * y, share * heading))
             after = at_ns, pose
         return None
+
+
+def _joined(parts: list[NDArray[np.int64]]) -> NDArray[np.int64]:
+    return np.concatenate(parts) if parts else np.empty(0, np.int64)
 
 
 def transformed(points: NDArray[np.float64], pose: Pose) -> NDArray[np.float64]:

@@ -8,10 +8,12 @@ import math
 from collections.abc import Collection, Set
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ratslam_ros.core.common.freshness import Freshness
 from ratslam_ros.core.common.odometry import Motion, moved
 from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.common.rows import Rows, listed
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import PoseCellsParameters
 from ratslam_ros.core.pose_cells.experience_activity import activity
@@ -49,6 +51,10 @@ class Experiences:
         self._experiences: list[tuple[int, Place]] = []
         self._located: list[Located] = []
         self._components: list[int] = []
+        self._creation_count = 0
+        self._created: list[int] = []
+        # Template and place of each; place, unwrapped position, component and rank of creation.
+        self._label_rows, self._located_rows = Rows(4), Rows(7)
         self._of_template: dict[int, list[int]] = {}
         self._transitions = _Transitions()
         self._visits = VisitHistory()
@@ -57,7 +63,6 @@ class Experiences:
         self._freshness = Freshness.of(parameters) if has_freshness else None
         self._since_current = Pose(0.0, 0.0, 0.0)
         self._learns = True
-        self._has_removed = False
 
     def __len__(self) -> int:
         return len(self._experiences)
@@ -73,49 +78,52 @@ class Experiences:
     def state(self) -> State:
         """Return all experiences and transitions, for ``restore``."""
         return {
-            'unrolled': {'experiences': [list(one.unwrapped) for one in self._located]},
-            'experiences': [[template_id, *place] for template_id, place in self._experiences],
+            'unrolled': {'experiences': self._located_rows.values[:, 3:5].copy()},
+            'experiences': self._label_rows.copy(),
             'transitions': self._transitions.pairs(),
             'visits': self._visits.state(),
             'gaps': self._distances.state(),
             'current': self.current_id,
             'since_current': list(self._since_current),
-            'components': self._components.copy(),
-            'places': [list(one.place) for one in self._located],
+            'components': self._located_rows.values[:, 5].astype(np.int64),
+            'places': self._located_rows.values[:, :3].copy(),
             **({} if self._freshness is None else {'freshness': self._freshness.state()}),
-            # Without pruning, the experiences of a template are in the order of their ids.
-            **({} if not self._has_removed else {'of_template': np.array(
-                [(t, i) for t, numbers in self._of_template.items() for i in numbers], np.int64
-            ).reshape(-1, 2)}),
-        }  # fmt: skip
+            'created': self._located_rows.values[:, 6].astype(np.int64),
+        }
 
     def restore(self, state: State) -> None:
         """Restore what ``state`` returned; there must be no experiences yet."""
-        for number, (template_id, x, y, theta) in enumerate(state['experiences']):
-            self._experiences.append((template_id, Place(x, y, theta)))
+        self._label_rows.replace(state['experiences'])
+        self._experiences = [
+            (int(label), Place(*place)) for label, *place in listed(state['experiences'])
+        ]
+        created = np.asarray(state.get('created', np.arange(len(self))), np.int64)
+        self._created = created.tolist()
+        self._creation_count = max(self._created, default=-1) + 1
+        # The experiences of a template are in the order in which they were created.
+        for number in np.argsort(created).tolist():
+            template_id = self._experiences[number][0]
             self._of_template.setdefault(template_id, []).append(number)
-        if 'of_template' in state:
-            self._has_removed = True
-            self._of_template = {}
-            for template_id, number in state['of_template'].tolist():
-                self._of_template.setdefault(template_id, []).append(number)
-        positions = state['unrolled']['experiences']
+        positions = listed(state['unrolled']['experiences'])
         places = [place for _, place in self._experiences]
         self._components = [0] * len(places)
         if 'components' in state:
-            places = [Place(*place) for place in state['components']['places']]
-            self._components = list(state['components']['experiences'])
+            places = [Place(*place) for place in listed(state['components']['places'])]
+            self._components = [int(c) for c in listed(state['components']['experiences'])]
         self._located = [
-            Located(place, tuple(position))
+            Located(place, (position[0], position[1]))
             for place, position in zip(places, positions, strict=True)
         ]
-        for source, target in state['transitions']:
+        for number in range(len(self._located)):
+            self._store(number)
+        transitions = [(int(i), int(j)) for i, j in listed(state['transitions'])]
+        for source, target in transitions:
             self._transitions.add(source, target)
         self.current_id = state['current']
         self._visits.restore(state['visits'])
         self._distances.restore(state['gaps'])
         if self._p.exp_max > 0:  # without a limit distances are not recorded: estimate them
-            for source, target in state['transitions']:
+            for source, target in transitions:
                 if source != NO_EXPERIENCE and not self._distances.are_neighbours(source, target):
                     cells = math.dist(
                         self._located[source].unwrapped, self._located[target].unwrapped
@@ -136,13 +144,14 @@ class Experiences:
     def forget_templates(self, template_ids: Collection[int]) -> None:
         """Remove the associations of templates; their experiences stay, as places on the map."""
         for template_id in template_ids:
-            self._has_removed |= self._of_template.pop(template_id, None) is not None
+            self._of_template.pop(template_id, None)
 
     def rescale(self, factor: float) -> None:
         """Multiply all places by a factor; labels stay, because the map has received them."""
         for i, (place, (x, y)) in enumerate(self._located):
             unwrapped = x * factor, y * factor
             self._located[i] = Located(self._torus.wrapped(unwrapped, place.theta), unwrapped)
+            self._store(i)
 
     def integrate(self, motion: Motion) -> None:
         """Add a motion to the displacement since the current experience."""
@@ -172,6 +181,7 @@ class Experiences:
             if number == component:
                 self._located[i] = registration.moved(self._located[i])
                 self._components[i] = into
+                self._store(i)
 
     def active(
         self, seen: Observation, recent: Collection[Unwrapped]
@@ -330,16 +340,31 @@ class Experiences:
             self._experiences[new_id] = seen.template_id, place
             self._located[new_id] = Located(place, seen.unwrapped)
             self._components[new_id] = seen.component
+            self._created[new_id] = self._creation_count
+            self._label_rows[new_id] = seen.template_id, *place
         else:
             self._experiences.append((seen.template_id, place))
             self._located.append(Located(place, seen.unwrapped))
             self._components.append(seen.component)
+            self._created.append(self._creation_count)
+            self._label_rows.append((seen.template_id, *place))
+        self._creation_count += 1
+        self._store(new_id)
         self._of_template.setdefault(seen.template_id, []).append(new_id)
         self._visits.create(new_id)
         if self._freshness is not None:
             self._freshness.add(new_id)
         self._change_to(new_id)
         return 'create'
+
+    def _store(self, number: int) -> None:
+        """Store where an experience is in the table that is saved."""
+        place, unwrapped = self._located[number]
+        row = *place, *unwrapped, self._components[number], self._created[number]
+        if number == len(self._located_rows):
+            self._located_rows.append(row)
+        else:
+            self._located_rows[number] = row
 
     def _prune_candidate(self) -> int:
         if self._freshness is None:
@@ -352,7 +377,6 @@ class Experiences:
 
     def _prune(self, experience_id: int) -> None:
         """Remove an experience so that its id can be reused; its template stays associated."""
-        self._has_removed = True
         template_id, _ = self._experiences[experience_id]
         others = self._of_template.pop(template_id, [experience_id])  # none if it is forgotten
         others.remove(experience_id)
@@ -393,6 +417,7 @@ class _Transitions:
     def __init__(self) -> None:
         self._targets: dict[int, set[int]] = {}
         self._sources: dict[int, set[int]] = {}
+        self._rows = Rows(2, np.int64)
 
     def add(self, source: int, target: int) -> bool:
         """Add a transition; return whether it is new."""
@@ -401,6 +426,7 @@ class _Transitions:
             return False
         targets.add(target)
         self._sources.setdefault(target, set()).add(source)
+        self._rows.append((source, target))
         return True
 
     def remove(self, experience_id: int) -> None:
@@ -409,7 +435,10 @@ class _Transitions:
             self._sources[target].discard(experience_id)
         for source in self._sources.pop(experience_id, ()):
             self._targets[source].discard(experience_id)
+        self._rows.keep((self._rows.values != experience_id).all(axis=1))
 
-    def pairs(self) -> list[list[int]]:
-        """Return all transitions as [source, target], sorted."""
-        return sorted([i, j] for i, targets in self._targets.items() for j in targets)
+    def pairs(self) -> NDArray[np.int64]:
+        """Return all transitions, (n, 2) source and target, sorted."""
+        # The source before the first experience is -1.
+        numbers = np.sort(((self._rows.values[:, 0] + 1) << 32) + self._rows.values[:, 1])
+        return np.stack([(numbers >> 32) - 1, numbers & 0xFFFFFFFF], axis=1)

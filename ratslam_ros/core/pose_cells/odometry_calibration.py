@@ -16,6 +16,7 @@ import numpy as np
 
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.common.rotation_gain import estimate_correction
+from ratslam_ros.core.common.rows import Rows
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.common.turn_correction import TurnCorrection
 
@@ -39,7 +40,7 @@ class _Visit(NamedTuple):
     turn_rad: float
     length_m: float
     relative_rad: float
-    number: int
+    number: float
 
 
 class OdometryCalibration:
@@ -53,13 +54,15 @@ class OdometryCalibration:
         self.loops = 0
         """Number of loops that the correction explains, 0 before the first estimate."""
         self._turn_rad = self._length_m = 0.0
-        self._visits: dict[int, _Visit] = {}
+        self._visits: dict[int, int] = {}  # row of each experience
+        self._visit_rows = Rows(5)
         self._visit_count = self._loop_count = 0
         self._closed: deque[tuple[float, float, float]] = deque(maxlen=MAX_LOOPS_COUNT)
 
     def restart(self) -> None:
         """Forget where the robot was after an unknown motion, through which no loop leads."""
         self._visits.clear()
+        self._visit_rows.clear()
 
     def integrate(self, motion: Motion) -> None:
         """Add a motion, whose turn was corrected by ``correction``."""
@@ -70,9 +73,13 @@ class OdometryCalibration:
         """Record that an experience became current, and renew the estimate if it is due."""
         number = self._visit_count
         self._visit_count += 1
-        last = self._visits.get(experience_id)
+        row = self._visits.setdefault(experience_id, len(self._visit_rows))
+        last = None if row == len(self._visit_rows) else _Visit(*self._visit_rows[row][1:])
         here = _Visit(self._turn_rad, self._length_m, relative_rad, number)
-        self._visits[experience_id] = here
+        if last is None:
+            self._visit_rows.append((experience_id, *here))
+        else:
+            self._visit_rows[row] = experience_id, *here
         if created or last is None or number - last.number <= NEWEST_VISITS_COUNT:
             return
         self._closed.append((
@@ -104,7 +111,7 @@ class OdometryCalibration:
             'correction': list(self.correction),
             'loops': self.loops,
             'travelled': [self._turn_rad, self._length_m],
-            'visits': [[i, *visit] for i, visit in self._visits.items()],
+            'visits': self._visit_rows.copy(),
             'counts': [self._visit_count, self._loop_count],
             'closed': [list(loop) for loop in self._closed],
         }
@@ -114,7 +121,9 @@ class OdometryCalibration:
         self.correction = TurnCorrection(*state['correction'])
         self.loops = state['loops']
         self._turn_rad, self._length_m = state['travelled']
-        self._visits = {i: _Visit(*visit) for i, *visit in state['visits']}
+        self._visit_rows.replace(state['visits'])
+        ids = self._visit_rows.values[:, 0].tolist()
+        self._visits = {int(i): row for row, i in enumerate(ids)}
         self._visit_count, self._loop_count = state['counts']
         self._closed.clear()
         self._closed.extend(tuple(loop) for loop in state['closed'])

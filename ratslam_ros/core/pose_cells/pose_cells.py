@@ -31,7 +31,7 @@ from ratslam_ros.errors import UnusableInput
 _STATE_KEYS = (
     'dims', 'packets', 'memories', 'unrolled', 'messages', 'last_template', 'experiences',
     'transitions', 'visits', 'gaps', 'current', 'since_current', 'stepped', 'agreement',
-    'calibration', 'freshness', 'of_template',
+    'calibration', 'freshness', 'created',
 )  # fmt: skip
 """Order of the keys in memory files."""
 
@@ -143,14 +143,11 @@ class PoseCells:
         saved = {key: state[key] for key in _STATE_KEYS if key in state}
         if self.lengths.is_automatic:
             saved['lengths'] = self.lengths.state()
-        has_removed = evidence['components']['made'] != len(evidence['memories'])
-        if self._gap_count or self.lengths.is_automatic or has_removed:
-            # Otherwise as in earlier versions.
-            saved['components'] = {
-                'current': self._component, 'gaps': self._gap_count,
-                **evidence['components'], 'experiences': experiences['components'],
-                'places': experiences['places'],
-            }  # fmt: skip
+        saved['components'] = {
+            'current': self._component, 'gaps': self._gap_count,
+            **evidence['components'], 'experiences': experiences['components'],
+            'places': experiences['places'],
+        }  # fmt: skip
         saved['present'] = {
             'view': list(self._last_view), 'odometry': list(self._odometry),
             'at_views': [list(pose) for pose in self._at_views],

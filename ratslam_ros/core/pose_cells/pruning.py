@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ratslam_ros.core.common.rows import Rows
 from ratslam_ros.core.common.state import State
 
 RECENT_VISITS_COUNT = 10
@@ -107,6 +108,8 @@ class DistanceGraph:
 
     def __init__(self) -> None:
         self._neighbours_m: list[dict[int, float]] = []
+        self._edges: dict[tuple[int, int], int] = {}  # row of each pair, the lower id first
+        self._rows = Rows(3)
         self._gaps_m = np.zeros(64)
 
     def are_neighbours(self, a: int, b: int) -> bool:
@@ -138,6 +141,7 @@ class DistanceGraph:
             neighbours_m = self._neighbours_m[one]
             neighbours_m[other] = min(distance_m, neighbours_m.get(other, distance_m))
             self._update_gap(one)
+        self._store(min(a, b), max(a, b))
 
     def remove(self, experience_id: int) -> None:
         """Remove an experience and connect all its neighbours to the nearest one of them."""
@@ -147,6 +151,7 @@ class DistanceGraph:
         self._update_gap(experience_id)
         for other in neighbours_m:
             del self._neighbours_m[other][experience_id]
+            self._drop(min(experience_id, other), max(experience_id, other))
             self._update_gap(other)
         if neighbours_m:
             nearest = min(neighbours_m, key=lambda other: (neighbours_m[other], other))
@@ -155,21 +160,30 @@ class DistanceGraph:
 
     def state(self) -> State:
         """Return all distances, for ``restore``."""
-        edges = [
-            (one, other, distance_m)
-            for one, neighbours_m in enumerate(self._neighbours_m)
-            for other, distance_m in sorted(neighbours_m.items()) if one < other
-        ]  # fmt: skip
-        return {
-            'ends': np.array([edge[:2] for edge in edges], np.int64).reshape(-1, 2),
-            'ways_m': np.array([edge[2] for edge in edges], np.float64),
-        }
+        ends = self._rows.values[:, :2].astype(np.int64)
+        order = np.argsort((ends[:, 0] << 32) + ends[:, 1])
+        return {'ends': ends[order], 'ways_m': self._rows.values[order, 2]}
 
     def restore(self, state: State) -> None:
         """Add the distances that ``state`` returned; the graph must be empty."""
         ends, distances_m = state['ends'].tolist(), state['ways_m'].tolist()
         for (a, b), distance_m in zip(ends, distances_m, strict=True):
             self.connect(a, b, distance_m)
+
+    def _store(self, a: int, b: int) -> None:
+        """Store the distance of a pair in the table that is saved."""
+        row = self._edges.setdefault((a, b), len(self._rows))
+        if row == len(self._rows):
+            self._rows.append((a, b, self._neighbours_m[a][b]))
+        else:
+            self._rows[row] = a, b, self._neighbours_m[a][b]
+
+    def _drop(self, a: int, b: int) -> None:
+        row = self._edges.pop((a, b))
+        self._rows.remove(row)
+        if row < len(self._rows):
+            one, other, _ = self._rows[row]
+            self._edges[int(one), int(other)] = row
 
     def _grow(self, count: int) -> None:
         while len(self._neighbours_m) < count:

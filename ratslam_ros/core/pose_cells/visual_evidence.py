@@ -10,6 +10,9 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numpy as np
+
+from ratslam_ros.core.common.rows import Rows, listed
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import PoseCellsParameters
 from ratslam_ros.core.pose_cells.agreement import Agreement
@@ -72,6 +75,7 @@ class _Association:
         order: number of associations made before.
         decay: decay of the template when it was last updated.
         message: number of the template message of that update.
+        row: row in the tables that are saved.
     """
 
     place: Place
@@ -79,6 +83,7 @@ class _Association:
     order: int
     decay: float
     message: int
+    row: int
 
 
 class VisualEvidence:
@@ -93,6 +98,8 @@ class VisualEvidence:
         self._agreement = Agreement(torus, lengths, p.pc_vt_agree_views, p.pc_vt_agree_recent)
         # By template and component, in the order in which they were made.
         self._associations: dict[tuple[int, int], _Association] = {}
+        # Template, component, place, unwrapped position, order, decay and message of each.
+        self._rows = Rows(10)
         self._components = [0]
         self._made_count = 0
         # Made since the first view after the last motion; misplaced if odometry is missing.
@@ -107,40 +114,38 @@ class VisualEvidence:
 
     def state(self) -> State:
         """Return everything learned, for ``restore``."""
-        associations = self._associations
+        table = self._rows.values
         return {
-            'memories': [
-                [template_id, *a.place, a.order, a.decay, a.message]
-                for (template_id, _), a in associations.items()
-            ],
+            'memories': table[:, [0, 2, 3, 4, 7, 8, 9]],
             'unrolled': {
                 'claimed': [list(position) for position in self.recent],
-                'memories': [list(a.unwrapped) for a in associations.values()],
+                'memories': table[:, 5:7].copy(),
             },
             'unlocated': [list(key) for key in self._unlocated],
             'messages': self._messages,
             'last_template': self._last_template,
             'agreement': self._agreement.state(),
             'components': {
-                'memories': [component for _, component in associations],
+                'memories': table[:, 1].astype(np.int64),
                 'alive': self._components.copy(), 'made': self._made_count,
             },
         }  # fmt: skip
 
     def restore(self, state: State) -> None:
         """Restore what ``state`` returned; nothing must have been learned before."""
-        positions = state['unrolled']['memories']
+        positions = listed(state['unrolled']['memories'])
         numbers, self._made_count = [0] * len(positions), len(positions)
         if 'components' in state:
             saved = state['components']
-            numbers, self._made_count = saved['memories'], saved['made']
+            numbers, self._made_count = listed(saved['memories']), saved['made']
             self._components = list(saved['alive'])
         for (template_id, x, y, theta, order, decay, message), position, number in zip(
-            state['memories'], positions, numbers, strict=True
+            listed(state['memories']), positions, numbers, strict=True
         ):
-            self._associations[template_id, number] = _Association(
-                Place(x, y, theta), tuple(position), order, decay, message
+            a = _Association(
+                Place(x, y, theta), (position[0], position[1]), int(order), decay, int(message), 0
             )
+            self._add((int(template_id), int(number)), a)
         self.recent.extend(tuple(position) for position in state['unrolled']['claimed'])
         self._messages = state['messages']
         self._last_template = state['last_template']
@@ -159,7 +164,7 @@ class VisualEvidence:
         This includes the associations that were made while odometry was missing already.
         """
         for key in self._unlocated:
-            del self._associations[key]
+            self._remove(key)
         self._unlocated.clear()
         self._components.append(component)
         self._agreement.discard()
@@ -178,7 +183,9 @@ class VisualEvidence:
             elif (template_id, into) not in self._associations:
                 a.place, a.unwrapped = registration.moved(Located(a.place, a.unwrapped))
                 kept[template_id, into] = a
-        self._associations = kept
+        self._associations, self._rows = {}, Rows(10)
+        for key, a in kept.items():
+            self._add(key, a)
         self._unlocated.clear()
         self._components.remove(component)
         self._agreement.discard(component)
@@ -198,7 +205,8 @@ class VisualEvidence:
         """
         removed = set(template_ids)
         for key in [(i, number) for i in removed for number in self._components]:
-            self._associations.pop(key, None)
+            if key in self._associations:
+                self._remove(key)
         self._unlocated = [key for key in self._unlocated if key[0] not in removed]
         if len(self._components) > 1:
             used = {number for _, number in self._associations} | {component}
@@ -220,6 +228,8 @@ class VisualEvidence:
         for known in self._associations.values():
             known.unwrapped = known.unwrapped[0] * factor, known.unwrapped[1] * factor
             known.place = self._torus.wrapped(known.unwrapped, known.place.theta)
+        for key, known in self._associations.items():
+            self._store(key, known)
 
     def observe(
         self, seen: Observation, learn: bool, is_first: bool = False
@@ -245,6 +255,22 @@ class VisualEvidence:
         self._last_template = seen.template_id
         return relocation or injection
 
+    def _add(self, key: tuple[int, int], a: _Association) -> None:
+        self._associations[key] = a
+        a.row = len(self._rows)
+        self._rows.append((*key, *a.place, *a.unwrapped, a.order, a.decay, a.message))
+
+    def _store(self, key: tuple[int, int], a: _Association) -> None:
+        """Store an association that has changed in the table that is saved."""
+        self._rows[a.row] = *key, *a.place, *a.unwrapped, a.order, a.decay, a.message
+
+    def _remove(self, key: tuple[int, int]) -> None:
+        row = self._associations.pop(key).row
+        self._rows.remove(row)
+        if row < len(self._rows):
+            template_id, component = self._rows[row][:2]
+            self._associations[int(template_id), int(component)].row = row
+
     def _recall(self, seen: Observation, learn: bool) -> Injection | None:
         p = self._p
         self.agreement = 0.0
@@ -252,10 +278,10 @@ class VisualEvidence:
         known = self._associations.get(key)
         if known is None:
             if learn:
-                self._associations[key] = _Association(
+                self._add(key, _Association(
                     seen.place, seen.unwrapped, self._made_count, p.vt_active_decay,
-                    self._messages,
-                )  # fmt: skip
+                    self._messages, 0,
+                ))  # fmt: skip
                 self._made_count += 1
                 self._unlocated.append(key)
             return None
@@ -271,6 +297,7 @@ class VisualEvidence:
         known.message = self._messages
         if seen.template_id == self._last_template:
             known.decay += p.vt_active_decay
+        self._store(key, known)
         place = Place(known.place.x, known.place.y, known.place.theta + seen.turn_planes)
         loss = math.exp(min(1.2 * known.decay, 10.0))  # above e^3.4 the energy is negative
         energy = p.pc_vt_inject_energy / 30.0 * (30.0 - loss)

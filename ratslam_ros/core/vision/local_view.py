@@ -134,7 +134,7 @@ class LocalView:
 
     @property
     def templates(self) -> NDArray[np.uint8]:
-        """Copy of all templates, in the order of ``template_ids``: (n, height, width) uint8."""
+        """All templates, in the order of ``template_ids``: (n, height, width) uint8, read only."""
         return self._memory.views()
 
     @property
@@ -336,14 +336,12 @@ class LocalView:
                 f'{size} of uint8: template_y_size and template_x_size '
                 'must equal those of the run that saved them'
             )
-        ids = state.get('template_ids', np.arange(len(templates))).tolist()
-        for template_id, view in zip(ids, templates, strict=True):
-            self._memory.append(view, template_id)
-        self._memory.next_id = int(state.get('next_id', len(templates)))
+        ids = state.get('template_ids', np.arange(len(templates)))
+        self._memory.restore(templates, ids, int(state.get('next_id', len(templates))))
         if self._freshness is not None and 'freshness' in state:
             self._freshness.restore(state['freshness'])
         elif self._freshness is not None:  # saved without a limit
-            for template_id in ids:
+            for template_id in ids.tolist():
                 self._freshness.add(template_id)
         if 'threshold' in state:
             self._threshold.restore(state['threshold'], len(self))

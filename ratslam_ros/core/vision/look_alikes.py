@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.common.odometry import Motion, moved
 from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.common.rows import Rows
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.vision.encoder import Layout, View
 from ratslam_ros.core.vision.match_threshold import RELATED_RATIO
@@ -69,7 +70,8 @@ class LookAlikes:
         self._table = np.empty((MAX_VIEW_COUNT, _NEAREST + 1))
         self._count = 0
         self._differences: list[int] = []
-        self._templates: dict[int, _Place] = {}
+        self._templates: dict[int, int] = {}  # row of each template
+        self._places = Rows(5)
         self._pose = Pose(0.0, 0.0, 0.0)
         self._path_m, self._part, self._time_s = 0.0, 0, 0.0
         self._seen_at_m = 0.0
@@ -118,16 +120,24 @@ class LookAlikes:
 
     def learned(self, template_id: int) -> None:
         """Remember where a template is learned."""
-        self._templates[template_id] = self._place
+        self._templates[template_id] = len(self._places)
+        self._places.append((template_id, *self._place))
 
     def forget(self, template_id: int) -> None:
         """Forget where a template was learned."""
-        self._templates.pop(template_id, None)
+        row = self._templates.pop(template_id, None)
+        if row is not None:
+            self._places.remove(row)
+            if row < len(self._places):
+                self._templates[int(self._places[row][0])] = row
 
     def contradicts(self, template_id: int) -> bool:
         """Return whether odometry shows that the robot is not where a template was learned."""
-        place = self._templates.get(template_id)
-        if place is None or place.part != self._part:
+        row = self._templates.get(template_id)
+        if row is None:
+            return False
+        place = _Place(*self._places[row][1:])
+        if place.part != self._part:
             return False
         dx_m, dy_m = place.x_m - self._pose.x_m, place.y_m - self._pose.y_m
         least_m = max(DIRECTNESS * (self._path_m - place.path_m), UNRELATED_LAGS * self._lag_m)
@@ -139,8 +149,8 @@ class LookAlikes:
             'views': self._memory.views(),
             'samples': self._table[: self._count].copy(),
             'differences': np.array(self._differences, np.int64),
-            'template_ids': np.array(list(self._templates), np.int64),
-            'templates': np.array(list(self._templates.values()), np.float64).reshape(-1, 4),
+            'template_ids': self._places.values[:, 0].astype(np.int64),
+            'templates': self._places.values[:, 1:].copy(),
             'now': np.array(
                 [*self._pose, self._path_m, self._part, self._time_s, self._period_s, self._due_s]
             ),
@@ -150,16 +160,15 @@ class LookAlikes:
     def restore(self, state: State) -> None:
         """Restore what ``state`` returned; the robot may have been carried since."""
         self._memory = TemplateMemory(self._layout)
-        for view in state['views']:
-            self._memory.append(view)
+        views = state['views']
+        self._memory.restore(views, np.arange(len(views)), len(views))
         self._count = len(state['samples'])
         self._table[: self._count] = state['samples']
         self._seen_at_m = float(self._table[self._count - 1, 2]) if self._count else 0.0
         self._differences = [int(value) for value in state['differences']]
-        self._templates = {
-            int(name): _Place(*map(float, row))
-            for name, row in zip(state['template_ids'], state['templates'], strict=True)
-        }
+        names = np.asarray(state['template_ids'], np.int64)
+        self._templates = {name: row for row, name in enumerate(names.tolist())}
+        self._places.replace(np.column_stack([names, state['templates']]))
         x_m, y_m, heading_rad, path_m, part, time_s, period_s, due_s = map(float, state['now'])
         self._pose, self._path_m, self._part = Pose(x_m, y_m, heading_rad), path_m, int(part)
         self._time_s, self._period_s, self._due_s = time_s, period_s, due_s

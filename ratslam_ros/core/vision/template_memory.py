@@ -155,6 +155,10 @@ class TemplateMemory:
         self._id_of_slot = array('q')
         # All ids in ascending order, and their slots.
         self._ids, self._slots = array('q'), array('q')
+        # Copies of the views in the first slots, as ``views`` returns them.
+        self._views = np.empty((0, height, width), np.uint8)
+        self._copied = self._given = 0
+        self._outdated: set[int] = set()
         self.next_id = 0
         """Id of the next new template."""
 
@@ -195,11 +199,34 @@ class TemplateMemory:
         return out
 
     def views(self) -> Bytes:
-        """Return a copy of all templates, in the order of ``ids``: (n, height, width) uint8."""
-        out = np.empty((self._count, self._height, self._width), np.uint8)
-        for slot in range(self._count):
-            out[slot] = self._view_at(slot)
-        return out
+        """Return all templates, in the order of ``ids``: (n, height, width) uint8, read only.
+
+        The array never changes. Only templates that were learned since the last call are copied,
+        unless some were removed.
+        """
+        count = self._count
+        outdated = sorted(slot for slot in self._outdated if slot < self._copied)
+        first = min([*outdated, self._copied])
+        if count > len(self._views) or (first < self._given and first < count):
+            grown = np.empty((max(2 * count, 64), self._height, self._width), np.uint8)
+            grown[: self._copied] = self._views[: self._copied]
+            self._views, self._given = grown, 0
+        for slot in [*outdated, *range(self._copied, count)]:
+            self._views[slot] = self._view_at(slot)
+        self._copied, self._given = count, max(self._given, count)
+        self._outdated.clear()
+        views = self._views[:count]
+        views.flags.writeable = False
+        return views
+
+    def restore(self, views: Bytes, ids: Indices, next_id: int) -> None:
+        """Learn the templates of an empty memory, as ``views`` and ``ids`` returned them."""
+        for template_id, view in zip(ids.tolist(), views, strict=True):
+            self.append(view, template_id)
+        self.next_id = next_id
+        self._views = np.empty((max(2 * len(views), 64), *views.shape[1:]), np.uint8)
+        self._views[: len(views)] = views
+        self._copied = len(views)
 
     def append(self, view: Bytes, template_id: int | None = None) -> int:
         """Add a view, (height, width) uint8, as a template and return its id.
@@ -243,7 +270,9 @@ class TemplateMemory:
         del self._ids[rank], self._slots[rank]
         last_id = self._id_of_slot.pop()
         self._count = last
+        self._copied = min(self._copied, last)
         if slot != last:
+            self._outdated.add(slot)
             self._copy(last, slot)
             self._id_of_slot[slot] = last_id
             self._slots[bisect_left(self._ids, last_id)] = slot

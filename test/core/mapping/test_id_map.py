@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-import json
+from copy import deepcopy
 
 import pytest
 
@@ -77,7 +77,7 @@ def test_restored_id_map_continues_identically(kind: type[IdMap]) -> None:
         ids.set_memory(memory_ns)
         ids.own_id(3)
         ids.own_id(1)
-    copy.restore(json.loads(json.dumps(ids.state())))
+    copy.restore(deepcopy(ids.state()))
     assert copy.restarts == ids.restarts == 1
     assert not copy.set_memory(9)
     assert [copy.own_id(n) for n in (3, 1, 8)] == [ids.own_id(n) for n in (3, 1, 8)]

@@ -101,7 +101,7 @@ def test_fixed_threshold_is_not_reported_and_has_no_state() -> None:
     p = parameters(vt_match_threshold=0.05)
     local_view = LocalView(p)
     assert all(local_view.match(image).threshold == FIXED_THRESHOLD for image in laps(1))
-    assert set(local_view.state()) == {'templates'}
+    assert set(local_view.state()) == {'templates', 'low_texture', 'motion'}
 
 
 def test_threshold_decreases_as_the_memory_grows() -> None:

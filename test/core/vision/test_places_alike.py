@@ -10,6 +10,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from states import differences
 
 from ratslam_ros.core.common.odometry import Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
@@ -120,12 +121,11 @@ def test_a_restored_local_view_continues_the_estimate() -> None:
     one, other = LocalView(PARAMETERS), LocalView(PARAMETERS)
     drive(one, images[:250])
     other.restore(one.state())
-    one.relocated()  # the robot of the restored memory may have been carried
     one.follow(message(250)), other.follow(message(250))
     for image in images[250:]:
         assert one.match(image) == other.match(image)
     saved, again = one.state()['look_alikes'], other.state()['look_alikes']
-    assert {k: v.tobytes() for k, v in saved.items()} == {k: v.tobytes() for k, v in again.items()}
+    assert list(differences(saved, again)) == []
 
 
 def test_memory_is_bounded_by_thinning() -> None:

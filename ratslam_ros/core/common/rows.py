@@ -1,0 +1,81 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Growing tables of numbers: what a memory learns, in the form in which its state is saved.
+
+A live node saves its state every two seconds between two messages. Converting lists of thousands
+of Python objects would delay the messages by tens of milliseconds; copying an array does not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, DTypeLike, NDArray
+
+_MIN_CAPACITY = 64
+
+
+class Rows:
+    """A table with a fixed number of columns and a growing number of rows."""
+
+    def __init__(self, columns: int, dtype: DTypeLike = np.float64) -> None:
+        """Create an empty table."""
+        self._values: NDArray[Any] = np.empty((_MIN_CAPACITY, columns), dtype)
+        self._count = 0
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __getitem__(self, row: int) -> list[Any]:
+        values: list[Any] = self._values[row].tolist()
+        return values
+
+    def __setitem__(self, row: int, values: Sequence[float]) -> None:
+        self._values[row] = values
+
+    @property
+    def values(self) -> NDArray[Any]:
+        """(rows, columns) a view, valid until the next change; writing to it changes the table."""
+        return self._values[: self._count]
+
+    def copy(self) -> NDArray[Any]:
+        """Return all rows: (rows, columns)."""
+        return self.values.copy()
+
+    def append(self, values: Sequence[float]) -> None:
+        """Add a row at the end."""
+        if self._count == len(self._values):
+            self._values = np.concatenate([self._values, np.empty_like(self._values)])
+        self._values[self._count] = values
+        self._count += 1
+
+    def replace(self, values: ArrayLike) -> None:
+        """Replace all rows by (rows, columns) values; an empty list has no rows."""
+        columns = self._values.shape[1]
+        given = np.asarray(values, self._values.dtype).reshape(-1, columns)
+        self._values = np.empty((max(len(given), _MIN_CAPACITY), columns), self._values.dtype)
+        self._values[: len(given)] = given
+        self._count = len(given)
+
+    def clear(self) -> None:
+        """Remove all rows."""
+        self._count = 0
+
+    def remove(self, row: int) -> None:
+        """Remove a row; the last row takes its place."""
+        self._count -= 1
+        self._values[row] = self._values[self._count]
+
+    def keep(self, kept: NDArray[np.bool_]) -> None:
+        """Remove the rows that are not marked; the others keep their order."""
+        remaining = self.values[kept]
+        self._values[: len(remaining)] = remaining
+        self._count = len(remaining)
+
+
+def listed(values: Any) -> list[Any]:
+    """Return the rows of a saved table as lists; earlier versions have saved lists."""
+    rows: list[Any] = values.tolist() if isinstance(values, np.ndarray) else values
+    return rows

@@ -1,0 +1,78 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Localisation only: no part learns anything, with every adaptation that can be switched on."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import kidnapped_drive
+import pytest
+from states import differences
+from test_continuing import SMALL, VARIANTS, circles
+
+from ratslam_ros.core.learned import PRESENT, learned
+from ratslam_ros.core.ratslam import RatSLAM
+
+
+@pytest.mark.parametrize('begins', [True, False])
+@pytest.mark.parametrize('variant', VARIANTS)
+def test_localisation_learns_nothing(variant: str, begins: bool) -> None:
+    new = partial(RatSLAM, SMALL.with_values(VARIANTS[variant]))
+    slam = new()
+    events = circles(300, delayed=3 if 'late' in variant else 0)
+    for event in events[:240]:
+        event(slam)
+    if begins:
+        slam.finish()
+    before = slam.state()
+    mapped = new()
+    mapped.restore(before)
+    slam.mapping = False
+    if begins:
+        slam.begin_session()
+    # The rest of the third lap has new views, and the fourth one known places.
+    for event in events if begins else events[240:]:
+        event(slam)
+        if not begins:
+            event(mapped)
+    slam.finish()
+    after = slam.state()
+    assert list(differences(learned(after), learned(before))) == []
+    if not begins:  # the same drive does teach a system that maps
+        assert list(differences(learned(mapped.state()), learned(before))) != []
+
+
+def test_localisation_by_scans_learns_nothing() -> None:
+    drive = kidnapped_drive.Drive(kidnapped_drive.config())
+    given = kidnapped_drive.samples(1, kidnapped_drive.Pose(1.25, 8.0, 0.5), 30)
+    drive.feed(given[:-30])
+    drive.slam.finish()
+    before = drive.slam.state()
+    drive.slam.mapping = False
+    drive.feed(given[-30:])
+    drive.slam.finish()
+    assert list(differences(learned(drive.slam.state()), learned(before))) == []
+
+
+def test_every_present_entry_exists() -> None:
+    """A path that is misspelt, or was renamed, would excuse nothing, or too much."""
+    found: set[str] = set()
+    driven = RatSLAM(SMALL.with_values(VARIANTS['automatic']), visual_odometry=True)
+    for event in circles(90):
+        event(driven)
+    for slam in (
+        driven,
+        RatSLAM(SMALL.with_values(VARIANTS['goal memory'])),
+        RatSLAM(kidnapped_drive.config()),
+    ):
+        for part, state in slam.state().items():
+            _collect(state, part, found)
+    assert set(PRESENT) <= found
+
+
+def _collect(value: object, path: str, found: set[str]) -> None:
+    found.add(path)
+    if isinstance(value, dict):
+        for key, item in value.items():
+            _collect(item, f'{path}/{key}', found)
