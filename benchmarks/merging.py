@@ -4,16 +4,18 @@
 
     python benchmarks/merging.py halves [--data ../shared/data]
     python benchmarks/merging.py others [--data ../shared/data]
+    python benchmarks/merging.py many
     python benchmarks/merging.py floors [--minutes 8] [--plan NAME] [--seed 1]
 
 halves: each half of a recording is a session. The map of both is compared with that of the whole
-    recording: numbers of templates and experiences, and the error. It is the ATE RMSE for demos and
-    lecture_hall, and for laps the spread: the median distance between frames of different laps
-    that show the same place, relative to the diameter of the map.
+    recording: numbers of templates and experiences, and the error. It is the ATE RMSE for demos
+    and lecture_hall, and for laps the spread: the median distance between frames of different
+    laps that show the same place, relative to the diameter of the map.
 others: pairs of maps of different places: the demos of different seeds have the same floor plan
     and partly equal walls. None may be joined. Then the limit on the share of recognised places
     is chosen without each recording in turn, between the extremes of the others, and tested on
     that recording.
+many: a demo as eight sessions of 50 s, merged at once and one after the other.
 floors: a floor of the simulator on two days. On the second one, the light is other, five people
     walk about, and a box stands in the way. Merged map and sessions are compared with the truth.
     Then a robot starts in the merged map, finds itself, and drives to places that were named on
@@ -60,7 +62,7 @@ from ratslam_ros.simulator.closed_loop import ClosedLoop
 from ratslam_ros.simulator.config import SimulatorParameters, parse_start
 from ratslam_ros.simulator.floor_plan import load_floor_plan
 from ratslam_ros.simulator.recording import write_recording
-from ratslam_ros.simulator.simulation import Simulator
+from ratslam_ros.simulator.simulation import ObstacleEvent, Simulator
 from ratslam_ros.simulator.trials import attempt, choose_goals
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -76,6 +78,7 @@ HALL_VIEWS = {
 }  # fmt: skip
 """Encoding of the noise images: equal or unrelated."""
 
+SESSIONS_COUNT, SESSION_S = 8, 50.0
 GOALS_COUNT = 5
 FIND_S = 300.0
 """Time within which the robot has to find itself on the merged map."""
@@ -292,12 +295,35 @@ def report_others(data: Path) -> None:
         )
 
 
+def report_many() -> None:
+    """Print sizes of the merged map of more and more sessions."""
+    config, _ = load_config('auto')
+    with tempfile.TemporaryDirectory() as temporary:
+        made = write_recording(Path(temporary) / 'demo', 1)
+        with open_recording(made.recording) as recording:
+            sessions = [
+                run(recording, config, f'{k}', k * SESSION_S, SESSION_S).session
+                for k in range(SESSIONS_COUNT)
+            ]
+    for count in (1, 2, 4, SESSIONS_COUNT):
+        merged = merge_sessions(sessions[:count])
+        total = sum(merged.experiences)
+        print(f'{count} sessions, {total:5} experiences: {size(merged)}, {merged.components} '
+              'components')  # fmt: skip
+    growing = sessions[0]
+    for session in sessions[1:]:
+        merged = merge_sessions([growing, session])
+        growing = Session('growing', merged.config, merged.states)
+    print(f'one after the other: {size(merged)}, {merged.components} components')
+
+
 # Floors of the simulator
 
 
 def loop_on(
-    plan: str, seed: int, appearance: int, config: Config, changed: bool = False, start: str = 'any'
-) -> ClosedLoop:
+    plan: str, seed: int, appearance: int, config: Config, changed: bool = False,
+    box: tuple[float, float] | None = None,
+) -> ClosedLoop:  # fmt: skip
     """Return a robot on a floor.
 
     Args:
@@ -306,16 +332,23 @@ def loop_on(
         appearance: seed of the walls.
         config: of RatSLAM.
         changed: whether it is the second day.
-        start: start of the robot.
+        box: centre of a box of half a metre.
     """
     path = ROOT / 'benchmarks' / 'floors' / f'{plan}.txt'
     floor = load_floor_plan(str(path) if path.exists() else plan)
     p = SimulatorParameters(seed=seed, light_change=0.3 if changed else 0.1)
+    start = parse_start('any', floor)
+    boxes = [] if box is None else [ObstacleEvent(0.0, 'add', 'box', *box, 0.5, 0.5)]
     people = 5 if changed else 0
-    simulator = Simulator(
-        floor, parse_start(start, floor), seed, p.options(), (), people, appearance
-    )
+    simulator = Simulator(floor, start, seed, p.options(), boxes, people, appearance)
     return ClosedLoop(simulator, config, seed)
+
+
+def beside_path(loop: ClosedLoop) -> tuple[float, float]:
+    """Return a position to the left of the place that is farthest from the start."""
+    places = list(loop.log.truth_of.values())
+    x_m, y_m, heading_rad = max(places, key=lambda pose: math.dist(pose[:2], places[0][:2]))
+    return x_m - 0.7 * math.sin(heading_rad), y_m + 0.7 * math.cos(heading_rad)
 
 
 def day(
@@ -364,12 +397,12 @@ def use_map(loop: ClosedLoop, merged: MergedMap, loops: dict[str, ClosedLoop]) -
 def report_floor(plan: str, minutes: float, seed: int) -> None:
     """Print the results of one floor."""
     config, _ = load_config('navigation')
-    loops = {
-        'monday': loop_on(plan, seed, seed, config),
-        'tuesday': loop_on(plan, seed + 100, seed, config, changed=True),
-        'other walls': loop_on(plan, seed + 200, seed + 7, config),
-    }
-    days = {name: day(name, loop, minutes) for name, loop in loops.items()}
+    loops = {'monday': loop_on(plan, seed, seed, config)}
+    days = {'monday': day('monday', loops['monday'], minutes)}
+    box = beside_path(loops['monday'])
+    loops['tuesday'] = loop_on(plan, seed + 100, seed, config, True, box)
+    loops['other walls'] = loop_on(plan, seed + 200, seed + 7, config)
+    days |= {name: day(name, loops[name], minutes) for name in ('tuesday', 'other walls')}
     for name, (session, _) in days.items():
         alone = merge_sessions([session])
         error_m, _ = map_error_m(alone, loops)
@@ -388,7 +421,7 @@ def report_floor(plan: str, minutes: float, seed: int) -> None:
     print(f'{plan}: monday and other walls: {false.components} components')
     for join in false.joins:
         print(described(join), flush=True)
-    robot = loop_on(plan, seed + 300, seed, config, changed=True)
+    robot = loop_on(plan, seed + 300, seed, config, True, box)
     use_map(robot, merged, loops)
     unknown = robot.experience_map.component_of(NO_EXPERIENCE)
     robot.exploration.restart()
@@ -411,7 +444,7 @@ def report_floor(plan: str, minutes: float, seed: int) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument('experiment', choices=('halves', 'others', 'floors'))
+    parser.add_argument('experiment', choices=('halves', 'others', 'many', 'floors'))
     parser.add_argument('--data', type=Path, default=ROOT.parent / 'shared' / 'data')
     parser.add_argument('--minutes', type=float, default=8.0, help='exploration of each day')
     parser.add_argument('--plan', choices=FLOORS, help='floor plan (default: all)')
@@ -422,6 +455,8 @@ def main() -> None:
         report_halves(options.data)
     elif options.experiment == 'others':
         report_others(options.data)
+    elif options.experiment == 'many':
+        report_many()
     else:
         for plan in [options.plan] if options.plan else FLOORS:
             report_floor(plan, options.minutes, options.seed)

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Implementation of ``ratslam map merge``: read maps, merge them, and write map, report and plot."""
+"""Implementation of ``ratslam map merge``: the merged map, its report and its plot."""
 
 from __future__ import annotations
 

@@ -64,15 +64,16 @@ def draw_merged(places: MergedPlaces, path: Path) -> Path:
     )
     is_shared = owners.sum(axis=1) > 1
     axes.scatter(
-        *at[is_shared].T, s=16.0, facecolors='none', edgecolors=BLACK, linewidths=0.4, zorder=3,
-        label=f'in several sessions: {int(is_shared.sum())}',
+        at[is_shared, 0], at[is_shared, 1], s=16.0, facecolors='none', edgecolors=BLACK,
+        linewidths=0.4, zorder=3, label=f'in several sessions: {int(is_shared.sum())}',
     )  # fmt: skip
     first = owners.argmax(axis=1)
     for session, name in enumerate(places.names):
         own = first == session
         axes.scatter(
-            *at[own].T, s=7.0, color=COLOURS[session % len(COLOURS)], linewidths=0.0,
-            zorder=2, label=f'{name}: {int(owners[:, session].sum())}, {int(own.sum())} of them new',
+            at[own, 0], at[own, 1], s=7.0, color=COLOURS[session % len(COLOURS)], linewidths=0.0,
+            label=f'{name}: {int(owners[:, session].sum())}, {int(own.sum())} of them new',
+            zorder=2,
         )  # fmt: skip
     axes.set_title('merged map: experiences by the session that contributed them')
     equal_axes(axes)

@@ -192,11 +192,12 @@ class Joiner:
             return replace(join, refused=f'{count} places agree, which is likely by chance')
         supporting = hypothesis.supporting
         if join.by == 'views':
-            supporting, fits, tried = measured(joint, supporting)
-            if 2 * fits < tried:
+            found = measured(joint, supporting)
+            if 2 * found.fits < found.tried:
                 return replace(join, refused=(
-                    f'the scans fit at only {fits} of {tried} places that look alike'
+                    f'the scans fit at only {found.fits} of {found.tried} places that look alike'
                 ))  # fmt: skip
+            supporting = found.best()
         return self._checked(join, supporting, correspondences, spacing_m)
 
     def _checked(
@@ -217,7 +218,7 @@ class Joiner:
                 one._replace(pose=relative(poses, one)) if has_scans(joint, one) else one
                 for one in agreeing if not one.by_scan
             ],
-        ).kept  # fmt: skip
+        ).best()  # fmt: skip
         overlap = self._overlap(poses, join, spacing_m)
         recognised = {one.seen for one in agreeing if one.same_view} & overlap
         elsewhere = {

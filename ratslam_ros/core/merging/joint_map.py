@@ -32,8 +32,8 @@ class Correspondence(NamedTuple):
     """Two experiences of different sessions at one place.
 
     ``known``, ``seen``: the experiences, by their numbers on the joint map. ``pose``: of the
-    latter in the frame of the former. ``same_view``: whether their views match. ``by_scan``: whether
-    scans measured the pose; otherwise it follows from the views.
+    latter in the frame of the former. ``same_view``: whether their views match. ``by_scan``:
+    whether scans measured the pose; otherwise it follows from the views.
     """
 
     known: int

@@ -118,12 +118,12 @@ def merge_sessions(
         encoder_of: function from parameters to the encoder of the views.
 
     Raises:
-        UnusableInput: there is no session, one of them is incomplete, or the views of one of them
-            are encoded in another way and no scans join it.
+        UnusableInput: there is no session, one of them is incomplete or damaged, or the views of
+            one of them are encoded in another way and no scans join it.
     """
     if not sessions:
         raise UnusableInput('there is no map to merge; expected at least one')
-    maps = in_canonical_order([SessionMap(one, encoder_of) for one in sessions])
+    maps = in_canonical_order([_opened(one, encoder_of) for one in sessions])
     maps = [one for one in maps if len(one) > 0] or maps[:1]
     first = maps[0]
     maps.sort(key=lambda one: one.encoding != first.encoding)
@@ -158,6 +158,15 @@ def merge_sessions(
         ),
         *sizes,
     )  # fmt: skip
+
+
+def _opened(session: Session, encoder_of: EncoderOf) -> SessionMap:
+    try:
+        return SessionMap(session, encoder_of)
+    except (KeyError, ValueError, TypeError, IndexError, AttributeError) as error:
+        raise UnusableInput(
+            f'{session.name} is damaged, or of another version ({error!r}); use a backup'
+        ) from None
 
 
 def _torus(session: SessionMap) -> Torus:

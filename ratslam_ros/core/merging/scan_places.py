@@ -4,8 +4,8 @@
 
 Finding a place is what a lost robot does: the landmarks around an experience of one map are
 matched with all landmarks of the other one by joint compatibility, without a prior, and the scans
-have to agree with those that are stored there. People who were there contradict some beams, so a single place is
-only likely; several that are consistent with each other are proven.
+have to agree with those that are stored there. People who were there contradict some beams, so a
+single place is only likely; several that are consistent with each other are proven.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from ratslam_ros.core.mapping.relocator import (
     TARGET_M,
     WHEN_DOUBTED,
 )
-from ratslam_ros.core.mapping.scan_matching import MAX_RANGE_M, VIEW_SD_M
+from ratslam_ros.core.mapping.scan_matching import CONFIRMING_SD_M, MAX_RANGE_M, VIEW_SD_M
 from ratslam_ros.core.merging.joint_map import Correspondence, JointMap
 
 Reals = NDArray[np.float64]
@@ -40,19 +40,34 @@ QUERY_SPACING_M = 2.0
 """Distance between places that are looked for on the other map: a quarter of the range of a scan,
 so that the landmarks of the next one are partly others."""
 
+LEAST_PRECISE = 6
+"""Number of places measured in every direction that suffice to join two maps: as many as views
+that have to agree."""
+
 MAX_QUERY_COUNT = 50
 """Number of places that are looked for; of more, evenly spaced ones."""
 
 
 class Measured(NamedTuple):
-    """Correspondences that scans do not contradict, measured by the scans if there are any.
+    """Correspondences that scans do not contradict.
 
-    ``fits``, ``tried``: numbers of alignments that fit and that were tried.
+    ``precise``: measured by scans in every direction. ``loose``: not measured along a direction,
+    such as the axis of a bare corridor, or there are no scans. ``fits``, ``tried``: numbers of
+    alignments that fit and that were tried.
     """
 
-    kept: tuple[Correspondence, ...]
+    precise: tuple[Correspondence, ...]
+    loose: tuple[Correspondence, ...]
     fits: int
     tried: int
+
+    def best(self) -> tuple[Correspondence, ...]:
+        """Return the precise ones, and all if they are few.
+
+        Along a corridor, the others are off by up to half a metre, and all links of a map with
+        scans have the same weight.
+        """
+        return self.precise if len(self.precise) >= LEAST_PRECISE else self.precise + self.loose
 
 
 def has_scans(joint: JointMap, one: Correspondence) -> bool:
@@ -62,18 +77,22 @@ def has_scans(joint: JointMap, one: Correspondence) -> bool:
 
 def measured(joint: JointMap, correspondences: Sequence[Correspondence]) -> Measured:
     """Align the scans of experiences whose views match; their poses are the priors."""
-    kept, fits, tried = [], 0, 0
+    precise: list[Correspondence] = []
+    loose: list[Correspondence] = []
+    fits = tried = 0
     for one in correspondences:
         known, seen = _scan(joint, one.known), _scan(joint, one.seen)
         if known is None or seen is None:
-            kept.append(one)
+            loose.append(one)
             continue
         tried += 1
         found = align(known, seen.astype(np.float64), one.pose, VIEW_SD_M)
         if found is not None:
             fits += 1
-            kept.append(one._replace(pose=found.pose, by_scan=True))
-    return Measured(tuple(kept), fits, tried)
+            is_precise = found.variance_m2 < CONFIRMING_SD_M**2
+            aligned = one._replace(pose=found.pose, by_scan=True)
+            (precise if is_precise else loose).append(aligned)
+    return Measured(tuple(precise), tuple(loose), fits, tried)
 
 
 def scan_correspondences(joint: JointMap, known: int, seen: int) -> list[Correspondence]:

@@ -184,10 +184,10 @@ def _anchors(session: SessionMap) -> list[Anchor]:
     state, cell_m = session.cell_state, session.lengths.cell_m
     planes_per_rad = session.config.pose_cells.pc_dim_th / math.tau
     positions = state['unrolled']
-    rows = rows_of(state['experiences'])
-    count = len(rows)
+    labels = rows_of(state['experiences'])
+    count = len(labels)
     components, numbers = [0] * count, [0] * len(positions['memories'])
-    places = [place for _, *place in rows]
+    places = [place for _, *place in labels]
     if 'components' in state:
         saved = state['components']
         components, numbers = list(saved['experiences']), list(saved['memories'])
@@ -201,22 +201,24 @@ def _anchors(session: SessionMap) -> list[Anchor]:
         template = int(session.templates[map_id])
         if template != UNKNOWN_TEMPLATE:
             first.setdefault((template, components[cell_id]), cell_id)
+    known = sorted(session.map_ids)
+    places_m = np.array([poses[cell_id][:2] for cell_id in known]).reshape(-1, 2)
+    component_of = np.array([components[cell_id] for cell_id in known], np.int64)
     found = []
     for (template_id, _x, _y, theta, *_), (x, y), component in zip(
         rows_of(state['memories']), rows_of(positions['memories']), numbers, strict=True
     ):
         pose = Pose(x * cell_m, y * cell_m, theta / planes_per_rad)
         template = int(template_id) - session.template_base
-        cell_id = first.get((template, component))
-        if cell_id is None or poses[cell_id][:2] != pose[:2]:
-            near = [
-                (math.dist(poses[one][:2], pose[:2]), one) for one in session.map_ids
-                if components[one] == component
-            ]
-            cell_id = min(near)[1] if near else None
-        if cell_id is not None:
-            offset = composed(inverse(poses[cell_id]), pose)
-            found.append(Anchor(template, session.map_ids[cell_id], offset))
+        nearest = first.get((template, component))
+        if nearest is None or poses[nearest][:2] != pose[:2]:
+            rows = np.flatnonzero(component_of == component)
+            if len(rows) == 0:
+                continue
+            away_m = np.hypot(places_m[rows, 0] - pose.x_m, places_m[rows, 1] - pose.y_m)
+            nearest = known[int(rows[away_m.argmin()])]
+        offset = composed(inverse(poses[nearest]), pose)
+        found.append(Anchor(template, session.map_ids[nearest], offset))
     return found
 
 

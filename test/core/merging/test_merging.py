@@ -20,8 +20,10 @@ from shared_worlds import LAP, Robot, continued, size
 
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.pose import Pose, composed, inverse
+from ratslam_ros.core.mapping.late_join import LateJoin
 from ratslam_ros.core.merging.merge import MergedMap, merge_sessions
 from ratslam_ros.core.merging.session import Session
+from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place, Torus
 from ratslam_ros.errors import UnusableInput
 
@@ -258,6 +260,33 @@ def test_limits_and_visits_are_merged() -> None:
     )
 
 
+def test_session_of_restarted_nodes_keeps_its_templates() -> None:
+    """The local view was restarted: the templates have other numbers in the pose cells."""
+    one, other = robot(0, 60), robot(30, 60, noise=2)
+    states = one.slam.state()
+    cells, graph = states['pose_cells'], states['experience_map']
+    core = cells['core']
+    core['experiences'] = [[row[0] + 100, *row[1:]] for row in core['experiences']]
+    core['memories'] = [[row[0] + 100, *row[1:]] for row in core['memories']]
+    graph['core']['labels'] = [[row[0] + 100, *row[1:]] for row in graph['core']['labels']]
+    cells['numbering'] = {'memory_ns': 7, 'forgotten': 1, 'base': 100, 'end': 200}
+    merged = merge_sessions([Session('restarted', one.config, states), other.session('other')])
+    assert size(merged) == size(merged_of(one, other))
+
+
+def test_nodes_continue_with_the_ids_of_the_merged_map() -> None:
+    merged = merged_of(robot(0, 60), robot(30, 60, noise=2))
+    slam = continued(merged)
+    join = LateJoin(slam.experience_map)
+    join.restore(merged.states['experience_map']['joining'])
+    template, place = slam.experience_map.labels[3]
+    action = MapAction('set', -1, 3, template, 0.0, place)
+    sequence = merged.states['pose_cells']['sequence']
+    memory_ns = merged.states['pose_cells']['memory_ns']
+    assert join.translate(action, sequence, memory_ns) == action
+    assert join.missed == join.restarts == 0
+
+
 def test_other_encoding_without_scans_is_refused_in_one_line() -> None:
     other = Robot(0, noise=2, **{'local_view.vt_patch_normalise': 2}).forward(40)
     with pytest.raises(UnusableInput, match=r'vt_patch_normalise is \d, expected \d') as error:
@@ -270,6 +299,20 @@ def test_incomplete_map_is_refused() -> None:
     states = {part: state for part, state in session.states.items() if part != 'pose_cells'}
     with pytest.raises(UnusableInput, match='half has no pose_cells'):
         merge_sessions([replace(session, states=states)])
+
+
+@pytest.mark.parametrize(
+    ('part', 'key', 'value'),
+    [('pose_cells', 'memories', [[1, 2]]), ('experience_map', 'labels', None),
+     ('local_view', 'templates', 7), ('pose_cells', 'unrolled', {})],
+)  # fmt: skip
+def test_damaged_map_is_refused_in_one_line(part: str, key: str, value: object) -> None:
+    session = robot(0, 60).session('broken')
+    core = {**session.states[part]['core'], key: value}
+    states = {**session.states, part: {**session.states[part], 'core': core}}
+    with pytest.raises(UnusableInput, match='broken is damaged') as error:
+        merge_sessions([replace(session, states=states)])
+    assert '\n' not in str(error.value)
 
 
 def test_no_map_is_refused() -> None:
