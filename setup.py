@@ -83,7 +83,7 @@ setup(
         'onnx': ONNX,
         'test': TEST,  # by this name colcon knows that pytest runs the tests
         'dev': [
-            *TEST, *ONNX, *STUDY, *VIEW, 'mypy>=1.8', 'networkx>=3.0', 'pytest-xdist>=3.5',
+            *TEST, *ONNX, *STUDY, *VIEW, 'apsw>=3.40', 'mypy>=1.8', 'networkx>=3.0', 'pytest-xdist>=3.5',
             'ruff>=0.4', 'selenium>=4.20', 'types-PyYAML', 'types-tqdm',
         ],
         'study': STUDY,

@@ -13,7 +13,6 @@ from launch.actions import (
     LogInfo,
     OpaqueFunction,
     RegisterEventHandler,
-    Shutdown,
 )
 from launch.event_handlers import OnShutdown
 from launch.substitutions import LaunchConfiguration
@@ -22,6 +21,7 @@ from launch_ros.actions import Node
 from ratslam_ros.errors import RatslamError
 from ratslam_ros.files.config import load_config, to_yaml
 from ratslam_ros.live.launch import OPTIONAL, nodes, remappings
+from ratslam_ros.live.required import ending_launch
 
 YES_OR_NO = ['true', 'false']
 
@@ -107,7 +107,7 @@ def _start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
             ros_arguments=['--log-level', given('log_level')],
             output='screen',
             # The nodes are useless without one another, and would map incompletely.
-            on_exit=None if name in OPTIONAL else Shutdown(reason=f'{name} has ended'),
+            on_exit=None if name in OPTIONAL else ending_launch(name),
         )
         for name, arguments in nodes(
             *(given(name) == 'true'

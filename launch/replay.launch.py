@@ -21,6 +21,7 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from ratslam_ros.live.launch import remappings
+from ratslam_ros.live.required import ending
 
 YES_OR_NO = ['true', 'false']
 NODES = Path(__file__).with_name('ratslam.launch.py')
@@ -33,7 +34,12 @@ ARGUMENTS = [
         'rate', default_value='1.0', description='playback speed; 0: as fast as possible'),
     DeclareLaunchArgument(
         'clock', default_value='false', choices=YES_OR_NO,
-        description="publish the recording's time on /clock, and make the nodes use it"),
+        description="publish the recording's time on /clock; the nodes use it unless "
+        'use_sim_time is false'),
+    DeclareLaunchArgument(
+        'use_sim_time', default_value=LaunchConfiguration('clock'), choices=YES_OR_NO,
+        description='use the time on /clock (default: as clock); without clock, another node has '
+        'to publish it'),
     DeclareLaunchArgument(
         'loop', default_value='false', choices=YES_OR_NO,
         description='repeat the recording until interrupted'),
@@ -67,7 +73,7 @@ def generate_launch_description() -> LaunchDescription:
     """Return the launch description; --show-args prints its arguments."""
     nodes = IncludeLaunchDescription(
         PythonLaunchDescriptionSource(str(NODES)),
-        launch_arguments={'use_sim_time': LaunchConfiguration('clock')}.items(),
+        launch_arguments={'use_sim_time': LaunchConfiguration('use_sim_time')}.items(),
     )
     return LaunchDescription([*ARGUMENTS, nodes, OpaqueFunction(function=_play)])
 
@@ -92,8 +98,8 @@ def _play(context: LaunchContext) -> list[LaunchDescriptionEntity]:
             arguments.append('--' + name.replace('_', '-'))
 
     def done(event: ProcessExited, context: LaunchContext) -> list[LaunchDescriptionEntity]:
-        if event.returncode:
-            return [Shutdown(reason='the recording cannot be played')]
+        if event.returncode and not context.is_shutdown:
+            raise RuntimeError(f'the recording cannot be played: {ending(event.returncode)}')
         if given('shutdown') == 'true':
             return [Shutdown(reason='the recording has been played')]
         return [LogInfo(msg='the recording has been played; Ctrl-C ends the nodes')]

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from ratslam_ros.core.vision.local_view import ViewMatch, ViewMatcher
     from ratslam_ros.files.config import load_config
     from ratslam_ros.images import Frame
+    from ratslam_ros.maps.reader import read_map
+    from ratslam_ros.maps.system import load_map, save_map
     from ratslam_ros.messages.mapping import encode_map
     from ratslam_ros.offline.replay import replay
     from ratslam_ros.recordings import (
@@ -52,14 +54,18 @@ _HOME = {
     'ViewMatcher': 'core.vision.local_view',
     'encode_map': 'messages.mapping',
     'load_config': 'files.config',
+    'load_map': 'maps.system',
     'open_recording': 'recordings',
+    'read_map': 'maps.reader',
     'replay': 'offline.replay',
+    'save_map': 'maps.system',
 }
 
 __all__ = [
     'Config', 'Event', 'ExperienceMap', 'Frame', 'ImageEvent', 'Odometry', 'OdometryEvent',
     'Orientation', 'Pose', 'RatSLAM', 'Recording', 'Selection', 'Topic', 'Twist', 'ViewMatch',
-    'ViewMatcher', 'encode_map', 'load_config', 'open_recording', 'replay',
+    'ViewMatcher', 'encode_map', 'load_config', 'load_map', 'open_recording', 'read_map', 'replay',
+    'save_map',
 ]  # fmt: skip
 
 

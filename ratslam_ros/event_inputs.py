@@ -4,10 +4,11 @@
 
 from __future__ import annotations
 
+from ratslam_ros.core.common.mount import CENTRED, FrameTree, Mount
 from ratslam_ros.core.common.odometry import Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import Scan, checked_scan
-from ratslam_ros.recordings import OdometryEvent, ScanEvent
+from ratslam_ros.recordings import OdometryEvent, Recording, ScanEvent, Selection
 
 
 def odometry_from_event(event: OdometryEvent) -> Odometry:
@@ -19,8 +20,38 @@ def odometry_from_event(event: OdometryEvent) -> Odometry:
     )
 
 
-def scan_from_event(event: ScanEvent) -> Scan:
+def laser_mount(recording: Recording, selection: Selection) -> Mount:
+    """Return where the laser of the selected scans sits on the robot.
+
+    If the recording does not tell, it is taken to be at the centre and to look ahead, with a
+    warning of the recording if its frame is not that of the robot.
+
+    Raises:
+        UnusableMount: the scans are not parallel to the floor.
+    """
+    frames = None if selection.scan_topic is None else recording.laser_frames(selection)
+    if frames is None:
+        return CENTRED
+    tree = FrameTree()
+    for transform in frames.transforms:
+        tree.add(*transform)
+    mount = tree.mount_of(frames.laser, frames.base)
+    if mount is None:
+        recording.warn(
+            f'the recording has no transform from {frames.base} to {frames.laser} on /tf_static '
+            "or /tf: the laser is taken to sit at the robot's centre and to look ahead; record "
+            '/tf_static if it does not'
+        )
+        return CENTRED
+    return mount
+
+
+def scan_from_event(event: ScanEvent, mount: Mount = CENTRED) -> Scan:
     """Return the checked scan of an event.
+
+    Args:
+        event: the event.
+        mount: where the laser sits on the robot.
 
     Raises:
         UnusableScan: angles, range limits or number of beams are invalid.
@@ -32,4 +63,5 @@ def scan_from_event(event: ScanEvent) -> Scan:
         event.range_min_m,
         event.range_max_m,
         event.ranges_m,
+        mount,
     )

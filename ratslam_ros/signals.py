@@ -57,3 +57,16 @@ class StopSignals:
         self.last = signal.Signals(number)
         if self._raise_on_second and self.count > 1:
             raise KeyboardInterrupt
+
+
+class StopAtOnce(StopSignals):
+    """Context manager in which a stop signal raises KeyboardInterrupt: nothing can be half done.
+
+    It is for a start, which may compile for half a minute. ``received`` tells whether there was a
+    signal even if the code that was interrupted has turned the error into another one.
+    """
+
+    def _on_signal(self, number: int, frame: object) -> None:
+        self.count += 1
+        self.last = signal.Signals(number)
+        raise KeyboardInterrupt

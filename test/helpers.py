@@ -294,9 +294,9 @@ def write_bag(folder: Path, messages: Iterable[Recorded]) -> Path:
     return folder
 
 
-def _header(store: Any, stamp_ns: int) -> Any:
+def _header(store: Any, stamp_ns: int, frame_id: str = 'camera') -> Any:
     time = store.types['builtin_interfaces/msg/Time'](*divmod(stamp_ns, 10**9))
-    return store.types['std_msgs/msg/Header'](time, 'camera')
+    return store.types['std_msgs/msg/Header'](time, frame_id)
 
 
 def image_message(stamp_ns: int, pixels: NDArray[np.uint8]) -> Any:
@@ -349,8 +349,9 @@ def scan_message(scan: Scan) -> Any:
     """Return the scan of a laser with a range of 0.05 to 8 m."""
     store, first, step = _store(), scan.angle_min_rad, scan.angle_increment_rad
     return store.types[TYPES['scan']](
-        _header(store, scan.stamp_ns), first, first + step * (len(scan.ranges_m) - 1), step,
-        0.0, 0.1, 0.05, 8.0, scan.ranges_m.astype(np.float32), np.empty(0, np.float32),
+        _header(store, scan.stamp_ns, 'base_link'), first,
+        first + step * (len(scan.ranges_m) - 1), step, 0.0, 0.1, 0.05, 8.0,
+        scan.ranges_m.astype(np.float32), np.empty(0, np.float32),
     )  # fmt: skip
 
 

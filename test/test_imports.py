@@ -46,7 +46,7 @@ LAYERS = [
     ['core', 'recordings'],
     ['messages', 'files', 'event_inputs', 'descriptors'],
     ['results'],
-    ['history'],
+    ['history', 'maps'],
     ['simulator', 'viewer'],
     ['offline', 'nodes'],
     ['live'],

@@ -7,7 +7,7 @@ import threading
 
 import pytest
 
-from ratslam_ros.signals import STOP_SIGNALS, StopSignals
+from ratslam_ros.signals import STOP_SIGNALS, StopAtOnce, StopSignals
 
 
 @pytest.mark.parametrize('number', STOP_SIGNALS)
@@ -49,3 +49,10 @@ def test_other_threads_install_no_handlers() -> None:
     thread.start()
     thread.join()
     assert found == before
+
+
+@pytest.mark.parametrize('number', STOP_SIGNALS)
+def test_stop_at_once_raises_and_remembers(number: signal.Signals) -> None:
+    with pytest.raises(KeyboardInterrupt), StopAtOnce() as stop:
+        signal.raise_signal(number)
+    assert (stop.received, stop.last) == (True, number)

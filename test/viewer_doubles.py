@@ -72,6 +72,7 @@ class FakeRun:
         self.title = 'test run'
         self.is_growing = is_growing
         self.notices: Sequence[str] = ()
+        self.required_views: float | None = 5.0
         self.stamps: list[int] = []
         self.records: list[list[Record]] = []
         self.seeks = 0
@@ -147,6 +148,7 @@ class FakeScene:
     def __init__(self) -> None:
         self.colouring, self.dark, self.detail = 'age', False, ''
         self.limit = 4000
+        self.background = 20, 20, 20
         self.shown = dict.fromkeys(self.layers, True)
         self.selected: object = None
         self.looks = 0
@@ -178,6 +180,7 @@ class FakeControls:
         self.calls: list[tuple[object, ...]] = []
         self.diagnostics = {'local_view': ('OK', '10.0 Hz'), 'pose_cells': ('ERROR', 'no <odom>')}
         self.places: Sequence[str] = ('kitchen',)
+        self.switches: dict[str, bool] = {}
         self.parameters: dict[str, object] = {
             f'{section}.{name}': value
             for section, values in Config().values().items()

@@ -51,6 +51,9 @@ ROBOT = ('simulate', '--live', '--plan', 'office', '--rate', '2', '--quiet')
 EXPLORED_S = 75.0
 """Live nodes and a simulated robot, and time for it to explore before it gets a goal."""
 
+CENTRE = "arguments[0].scrollIntoView({block: 'center'})"
+"""Script that shows an element; at the top, the time control may cover it."""
+
 MARGIN_PX = 8
 START_S, REPLAY_S, STOP_S = 90.0, 180.0, 10.0
 PARTS = ('run', 'export', 'robot')
@@ -103,7 +106,7 @@ class Viewer:
         tabs = self.tabs()
         if name not in tabs:
             raise SystemExit(f'no tab {name!r}; there are {", ".join(tabs)}')
-        self.browser.execute_script('arguments[0].scrollIntoView()', tabs[name])
+        self.browser.execute_script(CENTRE, tabs[name])
         tabs[name].click()
         self.settle()
 
@@ -128,7 +131,7 @@ class Viewer:
         field = self.browser.find_element(
             By.XPATH, f'//label[normalize-space()="{label}"]/following::input[1]'
         )
-        self.browser.execute_script('arguments[0].scrollIntoView()', field)
+        self.browser.execute_script(CENTRE, field)
         field.click()
         options = wait_for(
             lambda: [

@@ -141,6 +141,15 @@ def _viewer_parameters(options: argparse.Namespace) -> dict[str, object]:
 
 
 def _play(options: argparse.Namespace) -> int:
+    try:
+        return _play_until_end(options)
+    except KeyboardInterrupt:
+        if not options.ros_args:
+            raise
+        return DONE  # In a launch file it is a node, and nodes end cleanly by Ctrl-C.
+
+
+def _play_until_end(options: argparse.Namespace) -> int:
     from ratslam_ros.live import ros
     from ratslam_ros.recordings import open_recording
 

@@ -45,6 +45,7 @@ class Parser(argparse.ArgumentParser):
 
 
 if TYPE_CHECKING:
+    from ratslam_ros.recordings import Recording, Selection
     from ratslam_ros.results.trajectory import Trajectory
 
     Commands = argparse._SubParsersAction[Parser]
@@ -183,6 +184,20 @@ def config_of(options: argparse.Namespace) -> Config:
     for notice in notices:
         print_notice(notice)
     return config.with_values(dict(parse_setting(text) for text in options.settings))
+
+
+def select_topics(
+    options: argparse.Namespace, recording: Recording, config: Config
+) -> Selection:
+    """Return the topics that a replay with these options reads.
+
+    Raises:
+        UnusableInput: see `Recording.select`.
+    """
+    return recording.select(
+        options.image_topic, options.odom_topic, options.visual_odometry,
+        options.scan_topic, config.experience_map.exp_align_scans or options.landmarks,
+    )  # fmt: skip
 
 
 def results_folder(options: argparse.Namespace, name: str) -> Path:

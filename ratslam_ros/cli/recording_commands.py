@@ -28,6 +28,7 @@ from ratslam_ros.cli.options import (
     print_warnings,
     read_truth,
     results_folder,
+    select_topics,
 )
 from ratslam_ros.console import print_notice
 from ratslam_ros.errors import UnusableInput, UnusableParameter
@@ -96,10 +97,7 @@ def _replay(options: argparse.Namespace) -> int:
     config = config_of(options)
     truth = read_truth(options.truth)
     with open_recording(options.recording, images_rate_hz=options.images_rate) as recording:
-        selection = recording.select(
-            options.image_topic, options.odom_topic, options.visual_odometry,
-            options.scan_topic, config.experience_map.exp_align_scans or options.landmarks,
-        )  # fmt: skip
+        selection = select_topics(options, recording, config)
         if not options.quiet:
             for notice in selection.notices:
                 print_notice(notice)

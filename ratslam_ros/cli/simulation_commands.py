@@ -86,7 +86,9 @@ def _demo(options: argparse.Namespace) -> int:
     if options.view:
         if options.seeds is not None:
             raise UnusableInput('--view shows one run; leave out --seeds')
-        return _view(options, 'demo')
+        from ratslam_ros.offline.demo import TITLE
+
+        return _view(options, 'demo', TITLE)
     from ratslam_ros.offline.demo import run_demo, run_seeds
 
     config = config_of(options)
@@ -104,10 +106,10 @@ def _demo(options: argparse.Namespace) -> int:
     return DONE
 
 
-def _view(options: argparse.Namespace, command: str) -> int:
+def _view(options: argparse.Namespace, command: str, title: str) -> int:
     from ratslam_ros.cli.view_command import view_simulation
 
-    return view_simulation(options, command)
+    return view_simulation(options, command, title)
 
 
 def _simulate(options: argparse.Namespace) -> int:
@@ -117,7 +119,8 @@ def _simulate(options: argparse.Namespace) -> int:
                 '--view shows the map, which live nodes build: leave it out here, and run '
                 'ratslam launch --view'
             )
-        return _view(options, 'simulate')
+        where = '' if options.plan is None else f' on the floor plan {options.plan}'
+        return _view(options, 'simulate', f'simulate: a robot{where}')
     from ratslam_ros.simulator.config import SimulatorParameters
 
     given = {

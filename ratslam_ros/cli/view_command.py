@@ -28,6 +28,7 @@ from ratslam_ros.cli.options import (
     config_of,
     read_truth,
     results_folder,
+    select_topics,
     words_of,
 )
 from ratslam_ros.console import print_notice
@@ -45,6 +46,11 @@ POLL_S = 0.05
 
 END_S = 1.2
 """Time for a replay to write its results after Ctrl-C, so that all ends within 2 s."""
+
+SIMULATED_ROBOT = (
+    '"ratslam launch --view --config navigation --goal-follower" in one terminal and '
+    '"ratslam simulate --live" in another one.'
+)
 
 VIEW_OPTIONS = (
     'view', 'host', 'port', 'browser', 'out', 'export', 'export_duration', 'export_dark',
@@ -69,6 +75,8 @@ def _view(options: argparse.Namespace) -> int:
     from ratslam_ros.history.file import HISTORY_NAME, PART
 
     path: Path = options.recording
+    if path.is_file() and path.name in (HISTORY_NAME, HISTORY_NAME + PART, 'map.json'):
+        path = options.recording = path.parent
     if options.export is not None:
         check_export(options.export)
     if any((path / name).is_file() for name in (HISTORY_NAME, HISTORY_NAME + PART, 'map.json')):
@@ -105,8 +113,10 @@ def view_replay(options: argparse.Namespace) -> int:
     from ratslam_ros.viewer.replay_controls import ReplayControls
 
     config = config_of(options)
-    read_truth(options.truth)  # so that a wrong file is reported before anything starts
+    # What cannot be used is reported before a page is opened.
+    read_truth(options.truth)
     with open_recording(options.recording, images_rate_hz=options.images_rate) as recording:
+        select_topics(options, recording, config)
         name = recording.name
     words = ['replay', *words_of(options.parser, options, VIEW_OPTIONS)]
     if '--quiet' not in words:
@@ -114,22 +124,32 @@ def view_replay(options: argparse.Namespace) -> int:
     return _view_child(options, words, name, lambda again: ReplayControls(config, again))
 
 
-def view_simulation(options: argparse.Namespace, command: str) -> int:
-    """Run ``ratslam demo`` or ``simulate`` in a child process and show it, until Ctrl-C."""
+def view_simulation(options: argparse.Namespace, command: str, title: str) -> int:
+    """Run ``ratslam demo`` or ``simulate`` in a child process and show it, until Ctrl-C.
+
+    Args:
+        options: those of the command and of the web server.
+        command: the command.
+        title: name of the run on the page.
+    """
     from ratslam_ros.viewer.controls import NoControls
 
-    controls = NoControls('This simulation drives by itself and takes no requests.')
+    controls = NoControls(
+        'This simulation drives by itself and takes no requests. To drive a simulated robot, '
+        f'start {SIMULATED_ROBOT}'
+    )
     words = [command, *words_of(options.parser, options, VIEW_OPTIONS)]
-    return _view_child(options, words, command, lambda again: controls)
+    return _view_child(options, words, command, lambda again: controls, title)
 
 
 def _view_child(
     options: argparse.Namespace, words: Sequence[str], name: str,
-    controls_of: Callable[[Callable[[Sequence[str]], None]], Controls],
+    controls_of: Callable[[Callable[[Sequence[str]], None]], Controls], title: str = '',
 ) -> int:  # fmt: skip
     server = _server(options)
     truth = getattr(options, 'truth', None)
-    replays = _Replays(words, results_folder(options, name), name, options.out is None, truth)
+    folder = results_folder(options, name)
+    replays = _Replays(words, folder, title or name, options.out is None, truth)
     controls = controls_of(replays.request)
     try:
         run = replays.start()

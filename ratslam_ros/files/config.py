@@ -121,6 +121,19 @@ def to_yaml(config: Config) -> str:
     return ''.join(lines)
 
 
+def from_yaml(text: str) -> Config:
+    """Return the configuration that ``to_yaml`` has formatted.
+
+    Raises:
+        UnusableInput: the text is something else.
+        UnusableParameter: a parameter is unknown or out of range.
+    """
+    try:
+        return Config().with_values(dict(_yaml_values(text)))
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise UnusableInput(f'the configuration is damaged ({error})') from None
+
+
 def documented_yaml() -> str:
     """Return the text of config/default.yaml: each parameter with default, unit and effect."""
     lines = [

@@ -36,6 +36,7 @@ class FinalRun:
         self.title = folder.resolve().name
         self.is_growing = False
         self.notices: Sequence[str] = (NOTICE,)
+        self.required_views: float | None = None
         self._folder = folder
         self._map = _final_map(folder / 'map.json')
         self._final, self._dead_reckoning = (

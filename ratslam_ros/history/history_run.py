@@ -5,7 +5,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from pathlib import Path
+
+import yaml
 
 from ratslam_ros.history.file import HistoryMeta
 from ratslam_ros.history.reader import HistoryFile
@@ -14,6 +17,9 @@ from ratslam_ros.history.records import ImageRecord, ViewRecord
 from ratslam_ros.history.run_state import NS_PER_S, RunState
 from ratslam_ros.history.truth import Truth
 from ratslam_ros.results.trajectory import Trajectory
+
+SECTION, VIEWS = '/**/pose_cells', 'pc_vt_agree_views'
+"""Number of views that must agree on a place, in the configuration of the run."""
 
 MAX_IMAGE_AGE_NS = 10 * NS_PER_S
 """Age up to which the last image is shown for a stamp."""
@@ -80,6 +86,15 @@ class HistoryRun:
         if self._images.problem:
             notices.append(self._images.problem)
         return notices
+
+    @cached_property
+    def required_views(self) -> float | None:
+        """Number of views that must agree on a place, None if unknown."""
+        try:
+            sections = yaml.safe_load(self.meta.configuration)
+            return float(sections[SECTION]['ros__parameters'][VIEWS])
+        except (yaml.YAMLError, LookupError, TypeError, ValueError):
+            return None
 
     def seek(self, stamp_ns: int) -> RunState:
         """Return a new state: that of the last record whose stamp is not later."""

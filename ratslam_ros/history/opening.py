@@ -20,7 +20,7 @@ def open_run(path: str | Path, truth: str | Path | None = None) -> HistoryRun | 
     """Open a run to show it.
 
     Of a results folder, this is the run that is being written there; else the finished one; else
-    one that was interrupted; else the final state.
+    one that was interrupted; else, or if its history is damaged, the final state.
 
     Args:
         path: a results folder, or a history file.
@@ -39,7 +39,7 @@ def open_run(path: str | Path, truth: str | Path | None = None) -> HistoryRun | 
         if part.exists() and (is_locked(final) or not final.exists()):
             run = HistoryRun(part)
         elif final.exists():
-            run = HistoryRun(final)
+            run = _finished(path, final)
         else:
             run = FinalRun(path)
     else:
@@ -50,6 +50,19 @@ def open_run(path: str | Path, truth: str | Path | None = None) -> HistoryRun | 
     if file is not None:
         run.set_truth(read_tum(file))
     return run
+
+
+def _finished(folder: Path, history: Path) -> HistoryRun | FinalRun:
+    """Open the history of a finished run; if it is damaged, the final state."""
+    try:
+        return HistoryRun(history)
+    except UnusableInput as error:
+        try:
+            run = FinalRun(folder)
+        except UnusableInput:
+            raise error from None
+        run.notices = (f'only the final state can be shown: {error}',)
+        return run
 
 
 def is_recording_history(folder: Path) -> bool:

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.history.checkpoint import decode_state
+from ratslam_ros.history.closures import MAX_CLOSURES
 from ratslam_ros.history.encoding import KINDS, LATEST_ONLY, decode, heads
 from ratslam_ros.history.file import (
     APPLICATION_ID,
@@ -26,9 +27,6 @@ from ratslam_ros.history.run_state import RunState
 from ratslam_ros.history.writer import is_locked
 
 _VIEW = KINDS[ViewRecord]
-
-MAX_CLOSURES = 500
-"""Largest number of listed loop closures: more than a page shows."""
 
 BUSY_S = 2.0
 """Time for which a reader waits while the writer closes the file."""

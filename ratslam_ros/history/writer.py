@@ -9,7 +9,6 @@ import sqlite3
 import struct
 import sys
 import time
-from collections import deque
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
@@ -19,6 +18,7 @@ from ratslam_ros.core.mapping.map_changes import MapChange
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
 from ratslam_ros.history.budget import Budget
 from ratslam_ros.history.checkpoint import encode_state
+from ratslam_ros.history.closures import ClosureDetector
 from ratslam_ros.history.encoding import KINDS, as_stored, encode
 from ratslam_ros.history.file import (
     APPLICATION_ID,
@@ -67,9 +67,6 @@ with the usual 4096."""
 WAIT_S, MAX_WAIT_S = 0.02, 5.0
 """Time between attempts to end the log, and limit on their sum. A look-up takes less than 1 s."""
 
-NEWEST_COUNT = 10
-"""A transition to one of the newest experiences closes no loop."""
-
 
 class HistoryWriter:
     """Appends the records of a run to a file.
@@ -111,8 +108,8 @@ class HistoryWriter:
         self._first_record = self._first_view = 0
         self._since_checkpoint = 0
         self._checkpoint_bytes = 0
-        self._visited_id = self._recognised_id = NO_EXPERIENCE
-        self._newest: deque[int] = deque(maxlen=NEWEST_COUNT)
+        self._visited_id = NO_EXPERIENCE
+        self._closing = ClosureDetector()
         self._database: sqlite3.Connection | None = None
         self._lock: IO[bytes] | None = None
         try:
@@ -246,22 +243,8 @@ class HistoryWriter:
             if view.target_id != self._visited_id:
                 self._visits.append((view.target_id, *row))
             self._visited_id = view.target_id
-        if self._is_closure(view):
+        if self._closing.add(view):
             self._closures.append(row)
-
-    def _is_closure(self, view: ViewRecord) -> bool:
-        """Return whether a view closes a loop, or would have but for a reason."""
-        recognised, self._recognised_id = self._recognised_id, view.recognised_id
-        if view.action == 'create':
-            self._newest.append(view.target_id)
-        return (
-            view.reason != '' or view.relocated_to != NO_EXPERIENCE
-            or (view.action == 'link' and view.target_id not in self._newest)
-            or (
-                view.recognised_id != recognised
-                and view.recognised_id not in (NO_EXPERIENCE, *self._newest)
-            )
-        )
 
     def _is_full(self, at_ns: int) -> bool:
         """Return whether a segment ends before a record; records of one stamp stay together."""

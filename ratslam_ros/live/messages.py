@@ -14,11 +14,16 @@ from nav_msgs.msg import Odometry
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, LaserScan
 from std_msgs.msg import Header, String
 
+from ratslam_ros.core.common.mount import Mount
+from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.images import EncodedImage, Frame, RawImage
 from ratslam_ros.messages.json_schema import NS_PER_S
 from ratslam_ros.nodes.convert import odometry_of, transform
 from ratslam_ros.recordings import Event, ImageEvent, OdometryEvent, ScanEvent
+
+ODOM_FRAME, BASE_FRAME, LASER_FRAME = 'odom', 'base_link', 'laser'
+"""Frames of played odometry, of the robot, and of scans whose recording names none."""
 
 
 def time_message(stamp_ns: int) -> Time:
@@ -103,7 +108,7 @@ def _image(event: ImageEvent) -> Image | CompressedImage:
 
 
 def _odometry(event: OdometryEvent) -> Odometry:
-    message = Odometry(header=_header(event, 'odom'), child_frame_id='base_link')
+    message = Odometry(header=_header(event, ODOM_FRAME), child_frame_id=BASE_FRAME)
     pose, twist = message.pose.pose, message.twist.twist
     pose.position.x, pose.position.y = event.x, event.y
     x, y, z, w = event.orientation
@@ -124,10 +129,26 @@ def transform_of(odometry: Odometry) -> TransformStamped | None:
     return transform(planar.stamp_ns, *frames, planar.pose)
 
 
+def mount_of(frame_id: str, mount: Mount, stamp_ns: int) -> TransformStamped:
+    """Return the transform of a laser to the robot.
+
+    Args:
+        frame_id: frame of its scans, '' if the recording names none.
+        mount: where the replay takes the laser to be.
+        stamp_ns: stamp of the transform.
+    """
+    pose = Pose(mount.x_m, mount.y_m, mount.yaw_rad)
+    message = transform(stamp_ns, BASE_FRAME, frame_id or LASER_FRAME, pose)
+    if mount.is_upside_down:  # turned by 180 degrees about its x axis after the yaw
+        q = message.transform.rotation
+        message.transform.rotation = Quaternion(x=q.w, y=q.z, z=0.0, w=0.0)
+    return message
+
+
 def _scan(event: ScanEvent) -> LaserScan:
     first_rad, step_rad = event.angle_min_rad, event.angle_increment_rad
     return LaserScan(
-        header=_header(event, 'laser'),
+        header=_header(event, event.frame_id or LASER_FRAME),
         angle_min=first_rad,
         angle_max=first_rad + step_rad * (len(event.ranges_m) - 1),
         angle_increment=step_rad,

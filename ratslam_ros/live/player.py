@@ -21,12 +21,19 @@ from tf2_msgs.msg import TFMessage
 
 from ratslam_ros.console import ProgressBar, print_notice
 from ratslam_ros.errors import UnusableInput
+from ratslam_ros.event_inputs import laser_mount
 from ratslam_ros.live import ros
 from ratslam_ros.live.action_wait import ACTION, ACTION_TIMEOUT_S, POLL_S, ActionWait
 from ratslam_ros.live.clock import ClockThread
-from ratslam_ros.live.messages import camera_info, message_of, transform_of
+from ratslam_ros.live.messages import (
+    BASE_FRAME,
+    camera_info,
+    message_of,
+    mount_of,
+    transform_of,
+)
 from ratslam_ros.live.pacing import Pacing
-from ratslam_ros.nodes.qos import CLOCK, PLAYED, STATE
+from ratslam_ros.nodes.qos import CLOCK, PLAYED, STATE, STATIC
 from ratslam_ros.recordings import Event, ImageEvent, Recording, Selection
 from ratslam_ros.recordings.prefetch import Prefetch
 from ratslam_ros.recordings.topics import (
@@ -166,6 +173,12 @@ class _Player:
         )
         # Nothing else publishes odom -> base_link in place of the robot.
         self._tf = node.create_publisher(TFMessage, '/tf', STATE) if Odometry in kinds else None
+        self._tf_static = None
+        frames = recording.laser_frames(selection) if selection.scan_topic is not None else None
+        if frames is not None and frames.laser not in ('', BASE_FRAME):
+            self._tf_static = node.create_publisher(TFMessage, '/tf_static', STATIC)
+            mount = mount_of(frames.laser, laser_mount(recording, selection), recording.start_ns)
+            self._tf_static.publish(TFMessage(transforms=[mount]))
         self._clock = node.create_publisher(Clock, '/clock', CLOCK) if options.clock else None
         self._actions = (
             ActionWait(node, selection.odom_topic is not None) if options.lockstep else None

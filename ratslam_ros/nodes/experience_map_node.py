@@ -42,9 +42,10 @@ from ratslam_ros.nodes.map_changes import MapChangePublisher
 from ratslam_ros.nodes.map_sender import MapSender
 from ratslam_ros.nodes.markers import serialised_markers
 from ratslam_ros.nodes.node import FLUSH_CHECK_PERIOD_S, RatslamNode
+from ratslam_ros.nodes.odometry_frames import OdometryFrames
 from ratslam_ros.nodes.qos import LATCHED, RESULT, STATE
 from ratslam_ros.nodes.run import run
-from ratslam_ros.nodes.scans import accepted_scan
+from ratslam_ros.nodes.scans import ScanInput
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +74,12 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         self._pose_publisher = self.create_publisher(PoseStamped, 'experience_map/pose', STATE)
         self._tf = self.create_publisher(TFMessage, '/tf', STATE)
         self._changes = MapChangePublisher(self, self._section.map_frame)
-        self._goals = GoalNavigation(self, self._diagnostics, lambda: self.config, self._refuse)
+        self._frames = OdometryFrames(
+            self._section.odom_frame, self._section.base_frame, self._diagnostics.note
+        )
+        self._goals = GoalNavigation(
+            self, self._diagnostics, lambda: self.config, self._refuse, self._frames
+        )
         self._behaviours = Behaviours(self, self._refuse)
         self._answers: Any = None
         if self._relocates:
@@ -84,8 +90,13 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         self._markers_due = False
         self._reset_state()
         self._add_input('odometry', {'odom': OdometryMessage}, self._on_odometry)
+        self._laser: ScanInput | None = None
         if self._section.exp_align_scans:
-            self._add_input('scan', {'scan': LaserScan}, self._on_scan)
+            self._laser = ScanInput(
+                self, self._diagnostics.note, lambda: self._frames.known_base, self._refuse,
+                self._use_scan,
+            )  # fmt: skip
+            self._add_input('scan', {'scan': LaserScan}, self._laser.receive)
         self._add_input('action', {'pose_cells/action': String}, self._on_action)
         self.create_timer(FLUSH_CHECK_PERIOD_S, self._on_timer, clock=self._steady)
 
@@ -174,6 +185,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
     # Inputs
 
     def _on_odometry(self, message: OdometryMessage) -> None:
+        self._frames.update(message)
         odometry = accepted_odometry(message, self._motion, self._refuse)
         if odometry is None:
             return
@@ -181,11 +193,9 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         if not self._paused:
             self._locate(odometry)
 
-    def _on_scan(self, message: LaserScan) -> None:
-        scan = accepted_scan(message, self._refuse)
-        if scan is not None:
-            self._push('scan', scan.stamp_ns, scan)
-            self._republish_pose()
+    def _use_scan(self, scan: Scan) -> None:
+        self._push('scan', scan.stamp_ns, scan)
+        self._republish_pose()
 
     def _on_action(self, message: String) -> None:
         try:
@@ -317,12 +327,14 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         if p.publish_tf and all(math.isfinite(value) for value in self._odom_pose):
             odom_on_map = composed(self._pose, inverse(self._odom_pose))
             self._tf.publish(TFMessage(transforms=[
-                transform(self._pose_ns, p.map_frame, p.odom_frame, odom_on_map)
+                transform(self._pose_ns, p.map_frame, self._frames.odom, odom_on_map)
             ]))  # fmt: skip
 
     # The map
 
     def _on_timer(self) -> None:
+        if self._laser is not None:
+            self._laser.update()
         self._flush()
         self._send()
         viewers = self._markers.get_subscription_count()

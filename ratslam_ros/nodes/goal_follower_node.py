@@ -26,9 +26,10 @@ from ratslam_ros.messages.goals import BehaviourReport, decode_status, encode_be
 from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.nodes.convert import planar_pose, stamp_ns
 from ratslam_ros.nodes.node import FLUSH_CHECK_PERIOD_S, RatslamNode
+from ratslam_ros.nodes.odometry_frames import FROM_ODOMETRY, OdometryFrames
 from ratslam_ros.nodes.qos import LATCHED, RESULT, STATE
 from ratslam_ros.nodes.run import run
-from ratslam_ros.nodes.scans import accepted_scan
+from ratslam_ros.nodes.scans import ScanInput
 
 INPUT_CHECK_PERIOD_S = 0.05
 """Period of the checks whether the inputs needed for driving have arrived."""
@@ -54,7 +55,14 @@ class GoalFollowerNode(RatslamNode[Scan]):
         self._task = 'none'
         self._tries_failed = 0
         self._reset_state()
-        self._add_input('scan', {'scan': LaserScan}, self._on_scan)
+        self._frames = OdometryFrames(
+            FROM_ODOMETRY, FROM_ODOMETRY, self._diagnostics.note
+        )
+        self._laser = ScanInput(
+            self, self._diagnostics.note, lambda: self._frames.known_base, self._refuse,
+            self._use_scan,
+        )  # fmt: skip
+        self._add_input('scan', {'scan': LaserScan}, self._laser.receive)
         self._add_input('odometry', {'odom': OdometryMessage}, self._on_odometry)
         self.create_subscription(PoseStamped, 'experience_map/pose', self._on_pose, STATE)
         self.create_subscription(Path, 'experience_map/route', self._on_route, LATCHED)
@@ -83,12 +91,11 @@ class GoalFollowerNode(RatslamNode[Scan]):
 
     # Inputs
 
-    def _on_scan(self, message: LaserScan) -> None:
-        scan = accepted_scan(message, self._refuse)
-        if scan is not None:
-            self._push('scan', scan.stamp_ns, scan)
+    def _use_scan(self, scan: Scan) -> None:
+        self._push('scan', scan.stamp_ns, scan)
 
     def _on_odometry(self, message: OdometryMessage) -> None:
+        self._frames.update(message)
         pose = planar_pose(message.pose.pose)
         if not all(math.isfinite(value) for value in pose):
             self._refuse('odometry', f'its pose is not finite: {pose}')
@@ -167,6 +174,7 @@ class GoalFollowerNode(RatslamNode[Scan]):
 
     def _check_inputs(self) -> None:
         """Stop the robot at every check while it has a task but an input is missing."""
+        self._laser.update()
         self._choose_task()
         missing = self._missing_input() if self._task != 'none' else ''
         if not missing:

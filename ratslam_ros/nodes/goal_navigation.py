@@ -33,6 +33,7 @@ from ratslam_ros.messages.goals import (
 from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.nodes.convert import planar_pose
 from ratslam_ros.nodes.diagnostics import Diagnostics
+from ratslam_ros.nodes.odometry_frames import OdometryFrames
 from ratslam_ros.nodes.paths import cloud_of, path_of
 from ratslam_ros.nodes.qos import GOAL, VIEW
 from ratslam_ros.nodes.route_publisher import NO_POSITIONS, RoutePublisher
@@ -53,7 +54,7 @@ class GoalNavigation:
 
     def __init__(
         self, node: Node, diagnostics: Diagnostics, config: Callable[[], Config],
-        refuse: Callable[[str, str], None],
+        refuse: Callable[[str, str], None], frames: OdometryFrames,
     ) -> None:  # fmt: skip
         """Create the topics and services.
 
@@ -62,9 +63,10 @@ class GoalNavigation:
             diagnostics: where unreachable goals are reported.
             config: returns the current parameters.
             refuse: called with the stream and the reason for a message that cannot be used.
+            frames: frames of the odometry, in which goals may be given.
         """
         self._node, self._diagnostics, self._config = node, diagnostics, config
-        self._refuse = refuse
+        self._refuse, self._frames = refuse, frames
         self._publisher = RoutePublisher(node)
         self._times = node.create_publisher(PointCloud2, 'experience_map/times', VIEW)
         self.reason = ''
@@ -316,16 +318,16 @@ class GoalNavigation:
         Raises:
             UnreachableGoal: it is not finite, or its frame has no transform to the map.
         """
-        p, frame = self._p, message.header.frame_id.lstrip('/')
+        p, frames, frame = self._p, self._frames, message.header.frame_id.lstrip('/')
         pose = planar_pose(message.pose)
         if not all(math.isfinite(value) for value in pose):
             raise UnreachableGoal('its position or orientation is not finite')
         if frame in ('', p.map_frame):
             return pose
-        if self._pose is not None and frame == p.base_frame:
+        if self._pose is not None and frame == frames.base:
             return composed(self._pose, pose)
-        if self._pose is not None and frame == p.odom_frame:
+        if self._pose is not None and frame == frames.odom:
             return composed(composed(self._pose, inverse(self._odom_pose)), pose)
-        known = f'{p.map_frame}, {p.odom_frame} or {p.base_frame}'
+        known = f'{p.map_frame}, {frames.odom} or {frames.base}'
         reason = 'no odometry has come yet' if frame in known.split() else f'expected {known}'
         raise UnreachableGoal(f'there is no transform from {frame!r} to {p.map_frame!r}: {reason}')

@@ -24,9 +24,10 @@ from ratslam_ros.messages.landmarks import encode_landmarks
 from ratslam_ros.nodes.convert import accepted_odometry, transform
 from ratslam_ros.nodes.markers import landmark_markers
 from ratslam_ros.nodes.node import FLUSH_CHECK_PERIOD_S, RatslamNode
+from ratslam_ros.nodes.odometry_frames import FROM_ODOMETRY, OdometryFrames
 from ratslam_ros.nodes.qos import LATCHED, STATE
 from ratslam_ros.nodes.run import run
-from ratslam_ros.nodes.scans import accepted_scan
+from ratslam_ros.nodes.scans import ScanInput
 
 MAX_MAP_LOAD_RATIO = 0.1
 """Largest share of a core for sending the map: a large map is sent at a longer period."""
@@ -49,7 +50,14 @@ class LandmarkMapNode(RatslamNode[Odometry | Scan]):
         self._viewers = 0
         self._reset_state()
         self._add_input('odometry', {'odom': OdometryMessage}, self._on_odometry)
-        self._add_input('scan', {'scan': LaserScan}, self._on_scan)
+        self._frames = OdometryFrames(
+            self._section.odom_frame, FROM_ODOMETRY, self._diagnostics.note
+        )
+        self._laser = ScanInput(
+            self, self._diagnostics.note, lambda: self._frames.known_base, self._refuse,
+            self._use_scan,
+        )  # fmt: skip
+        self._add_input('scan', {'scan': LaserScan}, self._laser.receive)
         self.create_timer(FLUSH_CHECK_PERIOD_S, self._on_timer, clock=self._steady)
 
     def _reset_state(self) -> None:
@@ -88,6 +96,7 @@ class LandmarkMapNode(RatslamNode[Odometry | Scan]):
         self._send_map()
 
     def _on_odometry(self, message: OdometryMessage) -> None:
+        self._frames.update(message)
         odometry = accepted_odometry(message, self._motion, self._refuse)
         if odometry is None:
             return
@@ -95,10 +104,8 @@ class LandmarkMapNode(RatslamNode[Odometry | Scan]):
         if not self._paused:
             self._publish_tf(odometry)
 
-    def _on_scan(self, message: LaserScan) -> None:
-        scan = accepted_scan(message, self._refuse)
-        if scan is not None:
-            self._push('scan', scan.stamp_ns, scan)
+    def _use_scan(self, scan: Scan) -> None:
+        self._push('scan', scan.stamp_ns, scan)
 
     def _process_item(self, stamp_ns: int, stream: str, item: Odometry | Scan) -> None:
         if isinstance(item, Odometry):
@@ -123,12 +130,13 @@ class LandmarkMapNode(RatslamNode[Odometry | Scan]):
             pose = composed(self._core.pose, ahead)
             self._tf.publish(TFMessage(transforms=[
                 transform(
-                    odometry.stamp_ns, p.odom_frame, p.map_frame,
+                    odometry.stamp_ns, self._frames.odom, p.map_frame,
                     composed(odometry.pose, inverse(pose)),
                 )
             ]))  # fmt: skip
 
     def _on_timer(self) -> None:
+        self._laser.update()
         self._flush()
         if self._changed and time.monotonic() >= self._next_map_s:
             self._send_map()

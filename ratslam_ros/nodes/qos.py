@@ -56,6 +56,14 @@ STATE = QoSProfile(
 )
 """Pose, TF and diagnostics, as their usual subscribers expect them; TF uses a depth of 100."""
 
+STATIC = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=100,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+"""Transforms that do not change, as tf2_ros publishes them: each publisher sends its own once."""
+
 GOAL = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
     depth=10,

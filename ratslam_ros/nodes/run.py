@@ -20,7 +20,7 @@ from ratslam_ros.errors import RatslamError
 from ratslam_ros.nodes.node import RatslamNode
 from ratslam_ros.nodes.parameters import initial_config
 from ratslam_ros.quick_start import import_numba, settle
-from ratslam_ros.signals import StopSignals
+from ratslam_ros.signals import StopAtOnce, StopSignals
 
 DONE, UNUSABLE = 0, 2
 SIGNAL_CHECK_PERIOD_S = 0.1
@@ -47,12 +47,9 @@ def run(*kinds: type[Any], args: list[str] | None = None) -> int:
         return UNUSABLE
     nodes: list[Any] = []
     try:
+        if not _warmed_up(kinds):
+            return DONE
         with stop:
-            import_numba()
-            # Before the first message, which must not wait for the compiler.
-            with announced_compilation(_logger(kinds).info):
-                for kind in kinds:
-                    kind.warm_up()
             initial = initial_config(sys.argv if args is None else args)
             for kind in kinds:
                 arguments = (initial,) if issubclass(kind, RatslamNode) else ()
@@ -83,6 +80,25 @@ def run(*kinds: type[Any], args: list[str] | None = None) -> int:
             node.destroy_node()
         rclpy.try_shutdown()
     return DONE
+
+
+def _warmed_up(kinds: tuple[type[Any], ...]) -> bool:
+    """Compile everything before the first message, which must not wait for the compiler.
+
+    Returns:
+        False if a stop signal ended it.
+    """
+    stop = StopAtOnce()
+    try:
+        with stop:
+            import_numba()
+            with announced_compilation(_logger(kinds).info):
+                for kind in kinds:
+                    kind.warm_up()
+    except BaseException:  # Numba turns an interrupt into errors of its own
+        if not stop.received:
+            raise
+    return not stop.received
 
 
 def _logger(kinds: tuple[type[Any], ...]) -> Any:

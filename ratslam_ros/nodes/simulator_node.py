@@ -28,7 +28,7 @@ from ratslam_ros.nodes.convert import (
 from ratslam_ros.nodes.diagnostics import Diagnostics
 from ratslam_ros.nodes.node import DIAGNOSTICS_PERIOD_S
 from ratslam_ros.nodes.parameters import declare
-from ratslam_ros.nodes.qos import CLOCK, RESULT, STATE
+from ratslam_ros.nodes.qos import CLOCK, RESULT, STATE, STATIC
 from ratslam_ros.nodes.run import run
 from ratslam_ros.simulator.config import SimulatorParameters, make_simulator
 from ratslam_ros.simulator.recording import (
@@ -73,6 +73,12 @@ class SimulatorNode(Node):  # type: ignore[misc]
         self._scan = self.create_publisher(LaserScan, 'scan', RESULT)
         self._truth = self.create_publisher(PoseStamped, 'ground_truth/pose', STATE)
         self._tf = self.create_publisher(TFMessage, '/tf', STATE)
+        self._tf_static = self.create_publisher(TFMessage, '/tf_static', STATIC)
+        if self.simulator.options.laser is not None:
+            mount = self.simulator.options.laser.mount
+            self._tf_static.publish(TFMessage(transforms=[
+                transform(self.simulator.stamp_ns, ROBOT_FRAME, LASER_FRAME, mount)
+            ]))  # fmt: skip
         self.create_subscription(Twist, 'cmd_vel', self._on_command, STATE)
         self._command_s = -math.inf
         self._due_s = self._reported_s = time.monotonic()

@@ -54,7 +54,7 @@ LEVELS = 'OK', 'WARN', 'ERROR', 'STALE'
 
 ACTIONS = frozenset({
     'go_to', 'go_to_place', 'name_place', 'cancel_goals', 'explore', 'pause_nodes', 'mapping',
-    'save', 'load', 'reset', 'set_parameter',
+    'relocate', 'save', 'load', 'reset', 'set_parameter',
 })  # fmt: skip
 
 
@@ -75,6 +75,8 @@ class RosControls:
         self._clients: dict[str, Any] = {}
         self._lock = threading.Lock()
         self._reported: dict[str, tuple[str, str, float]] = {}
+        self._memories: dict[str, str] = {}
+        """State of the memory of every node, as it is in the diagnostics."""
         self._refreshed_s = 0.0
         self._changed = threading.Condition()
         self._status: dict[str, Any] | None = None
@@ -99,6 +101,18 @@ class RosControls:
             shown[name] = level, message
         return shown
 
+    @property
+    def switches(self) -> dict[str, bool]:
+        """Whether ``explore``, ``mapping`` and ``pause_nodes`` are on, if it is known."""
+        heard = self.diagnostics
+        memories = {text for name, text in list(self._memories.items()) if name in heard}
+        found = {'explore': bool(self.values['goal_follower.explore'])}
+        if memories:
+            found['pause_nodes'] = 'paused' in memories
+            if memories != {'paused'}:  # Nodes that do not learn are always mapping.
+                found['mapping'] = 'localisation only' not in memories
+        return found
+
     # The thread that spins
 
     def on_diagnostics(self, message: DiagnosticArray) -> None:
@@ -111,6 +125,9 @@ class RosControls:
                 self._reported[name] = (
                     LEVELS[min(number, len(LEVELS) - 1)], status.message, time.monotonic()
                 )  # fmt: skip
+                values = {value.key: value.value for value in status.values}
+                if 'memory' in values:
+                    self._memories[name] = values['memory']
 
     def on_status(self, fields: dict[str, Any]) -> None:
         """Store the status of the goals, for which requests wait."""
@@ -205,6 +222,10 @@ class RosControls:
     def mapping(self, on: bool) -> Answer:
         """Switch learning on or off."""
         return self._call_all(SetBool, 'mapping', SetBool.Request(data=bool(on)), ANSWER_S)
+
+    def relocate(self) -> Answer:
+        """Search for the place of the robot by its laser scans."""
+        return self._call(Trigger, 'experience_map/relocate', Trigger.Request(), SAVING_S)
 
     def save(self) -> Answer:
         """Save the memory of all nodes."""

@@ -100,11 +100,11 @@ class ViewerNode(Node):  # type: ignore[misc]
                 self.topics.unsubscribe()
         if is_wanted:
             self.controls.refresh()
+            self.run.required_views = float(self.controls.values['pose_cells.pc_vt_agree_views'])
             self.topics.request_map()
             self._report(self.topics.missing(SILENCE_S))
 
-    def _report(self, missing: list[str]) -> None:
-        text = f'no messages on {", ".join(missing)}: are the nodes running?' if missing else ''
+    def _report(self, text: str) -> None:
         if text != self._missing:
             self._missing = text
             self.run.problems.pop('missing', None)

@@ -23,7 +23,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from ratslam_ros.core.common.pose import Pose, composed, inverse
-from ratslam_ros.core.common.scan import points_of
+from ratslam_ros.core.common.scan import Scan, points_of
 from ratslam_ros.core.vision.local_view import FIXED_THRESHOLD, ViewMatch
 from ratslam_ros.history.recorded_images import jpeg_of
 from ratslam_ros.history.recorder import (
@@ -58,8 +58,9 @@ from ratslam_ros.messages.pose_cells import decode_packets
 from ratslam_ros.nodes.convert import planar_pose, stamp_ns
 from ratslam_ros.nodes.inputs import publisher_count
 from ratslam_ros.nodes.match_pictures import separated
+from ratslam_ros.nodes.odometry_frames import FROM_ODOMETRY, OdometryFrames
 from ratslam_ros.nodes.qos import LATCHED, RESULT, STATE, VIEW, WATCH
-from ratslam_ros.nodes.scans import accepted_scan
+from ratslam_ros.nodes.scans import ScanInput
 from ratslam_ros.nodes.viewer_controls import RosControls
 from ratslam_ros.viewer.live_run import LiveRun
 
@@ -91,6 +92,7 @@ class ViewerTopics:
     def __init__(self, node: Node, run: LiveRun, controls: RosControls) -> None:
         self._node, self._run, self._controls = node, run, controls
         self._subscriptions: list[Any] = []
+        self._laser: ScanInput | None = None
         self._frames: dict[str, Pose] = {}
         """Origin on the map of other frames, which coincide with it at the first pose."""
         self.refused = 0
@@ -107,6 +109,7 @@ class ViewerTopics:
         self._pictures: dict[int, NDArray[np.uint8]] = {}
         self._views: dict[int, ViewRecord] = {}
         self._cells: PointCloud2 | None = None
+        self._odometry_frames = OdometryFrames(FROM_ODOMETRY, FROM_ODOMETRY, lambda _: None)
         self._follow_anew()
 
     def _follow_anew(self) -> None:
@@ -121,11 +124,15 @@ class ViewerTopics:
     def subscribe(self) -> None:
         """Start to receive messages."""
         self._clear()
+        self._laser = ScanInput(
+            self._node, lambda _: None, lambda: self._odometry_frames.known_base, self._refuse,
+            self._use_scan,
+        )  # fmt: skip
         sampled = (
             (OdometryMessage, 'odom', POSE_PERIOD_S / 2, self._on_odometry),
             (PoseStamped, 'ground_truth/pose', POSE_PERIOD_S / 2, self._on_truth),
             (PoseStamped, 'experience_map/pose', POSE_PERIOD_S, self._on_pose),
-            (LaserScan, 'scan', SCAN_PERIOD_S, self._on_scan),
+            (LaserScan, 'scan', SCAN_PERIOD_S, self._laser.receive),
             (CompressedImage, 'image/compressed', IMAGE_PERIOD_S, self._on_compressed),
             (Image, 'image', IMAGE_PERIOD_S, self._on_image),
         )
@@ -155,17 +162,28 @@ class ViewerTopics:
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
         self._subscriptions = []
+        if self._laser is not None:
+            self._laser.close()
+            self._laser = None
 
-    def missing(self, silence_s: float) -> list[str]:
-        """Return which expected topics are silent, and whether they have publishers."""
+    def missing(self, silence_s: float) -> str:
+        """Return which expected topics are silent and what may be the cause, '' if none is."""
         now_s = time.monotonic()
-        silent = []
+        silent: list[str] = []
+        lonely: list[str] = []
         for topic in EXPECTED:
             if now_s - self._heard_s.get(topic, self._since_s) >= silence_s:
-                count = publisher_count(self._node, topic)
                 name = self._node.resolve_topic_name(topic)
-                silent.append(f'{name} ({count or "no"} publishers)')
-        return silent
+                (silent if publisher_count(self._node, topic) else lonely).append(name)
+        causes = []
+        if lonely:
+            causes.append(f'no node publishes {", ".join(lonely)}: are the nodes running?')
+        if silent:
+            causes.append(
+                f'no messages on {", ".join(silent)}: do the nodes receive images and odometry? '
+                'The tab Drive shows what each of them waits for.'
+            )
+        return '; '.join(causes)
 
     # Receiving
 
@@ -201,6 +219,7 @@ class ViewerTopics:
     # Poses
 
     def _on_odometry(self, message: OdometryMessage) -> None:
+        self._odometry_frames.update(message)
         pose = planar_pose(message.pose.pose)
         # A driver may leave the pose empty.
         is_given = all(map(math.isfinite, pose)) and pose != (0.0, 0.0, 0.0)
@@ -376,12 +395,10 @@ class ViewerTopics:
         self._controls.on_status(fields)
         self._add(StatusRecord(fields['stamp_ns'], message.data))
 
-    def _on_scan(self, message: LaserScan) -> None:
-        scan = accepted_scan(message, self._refuse)
-        if scan is not None:
-            points = points_of(scan)
-            stride = max(math.ceil(len(points) / SCAN_POINTS), 1)
-            self._add(ScanRecord(scan.stamp_ns, points[::stride]))
+    def _use_scan(self, scan: Scan) -> None:
+        points = points_of(scan)
+        stride = max(math.ceil(len(points) / SCAN_POINTS), 1)
+        self._add(ScanRecord(scan.stamp_ns, points[::stride]))
 
     def _refuse(self, stream: str, reason: str) -> None:
         self.refused += 1

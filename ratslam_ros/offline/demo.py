@@ -28,6 +28,9 @@ from ratslam_ros.simulator.aliasing import measure_aliasing
 from ratslam_ros.simulator.picture import draw_run
 from ratslam_ros.simulator.recording import SimulatedRun, write_recording
 
+TITLE = 'demo: a simulated robot in an office'
+"""Name of the run in the live view."""
+
 LOOK_ALIKE_DISTANCE_M = 5.0
 """Distance beyond which a view that matches another is an alias, not a revisit."""
 
@@ -147,7 +150,7 @@ def _run(
             config = inspect(recording, selection, config).config
         outcome = replay(
             recording, selection, config, folder,
-            ReplayOptions(progress=progress, history=with_history),
+            ReplayOptions(progress=progress, history=with_history, title=TITLE),
         )
         aliasing = _look_alike_share(recording, selection, run, config)
     truth = read_tum(run.truth)

@@ -23,7 +23,7 @@ from ratslam_ros.core.vision.local_view import LocalView
 from ratslam_ros.core.vision.visual_odometry import field_of_view_deg
 from ratslam_ros.descriptors import encoder_of
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.event_inputs import odometry_from_event, scan_from_event
+from ratslam_ros.event_inputs import laser_mount, odometry_from_event, scan_from_event
 from ratslam_ros.files.config import to_yaml
 from ratslam_ros.history.file import HISTORY_NAME, HistoryMeta, package_version
 from ratslam_ros.history.recorder import Recorder
@@ -58,6 +58,7 @@ class ReplayOptions:
     video: file for a video of the growing map, None for none. progress: show a progress bar.
     landmarks: build the map of the node landmark_map, too. history: write history.sqlite.
     images_rate_hz: rate with which the recording was opened, noted in the history.
+    title: name of the run for viewers; '' for that of the recording.
     """
 
     start_s: float = 0.0
@@ -67,6 +68,7 @@ class ReplayOptions:
     landmarks: bool = False
     history: bool = False
     images_rate_hz: float = 10.0
+    title: str = ''
 
 
 @dataclass(frozen=True)
@@ -186,6 +188,7 @@ class _Run:
         self._recording = recording
         self.config = config
         self._folder = folder
+        self._mount = laser_mount(recording, selection)
         self._lacks_scans = self.slam.scan_matcher is not None and selection.scan_topic is None
         self._unusable: Counter[str] = Counter()
         self._first_errors: dict[str, str] = {}
@@ -212,7 +215,7 @@ class _Run:
             self._write(self.slam.image(event.stamp_ns, image))
         elif isinstance(event, ScanEvent):
             try:
-                scan = scan_from_event(event)
+                scan = scan_from_event(event, self._mount)
             except UnusableScan as error:
                 self._count_unusable('scan', error)
             else:
@@ -346,7 +349,7 @@ def _history_meta(
 ) -> HistoryMeta:
     """Describe a replay for its history."""
     return HistoryMeta(
-        recording.name, config.experience_map.map_frame, to_yaml(config),
+        options.title or recording.name, config.experience_map.map_frame, to_yaml(config),
         str(recording.path.absolute()), recording.kind, selection.image_topic or '',
         options.images_rate_hz, package_version(),
     )

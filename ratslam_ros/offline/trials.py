@@ -23,7 +23,7 @@ from ratslam_ros.core.ratslam import OdometryStep, RatSLAM, Step
 from ratslam_ros.core.vision.local_view import LocalView
 from ratslam_ros.descriptors import encoder_of
 from ratslam_ros.errors import UnusableParameter
-from ratslam_ros.event_inputs import odometry_from_event, scan_from_event
+from ratslam_ros.event_inputs import laser_mount, odometry_from_event, scan_from_event
 from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.messages.mapping import decode_template
 from ratslam_ros.offline.replay import calibrated
@@ -137,6 +137,7 @@ class _Run:
         p = used.local_view
         self._slam = RatSLAM(used, visual_odometry=visual_odometry,
                              local_view=LocalView(p, encoder_of(p)))
+        self._mount = laser_mount(recording, selection)
         self._view_ns, self._template_id = array('q'), array('q')
         self._stamp_ns, self._experience_id = array('q'), array('q')
         self._offset, self._dead_reckoning = array('d'), array('d')
@@ -153,7 +154,7 @@ class _Run:
             self._add(slam.image(event.stamp_ns, image))
         elif isinstance(event, ScanEvent):
             try:
-                self._add(slam.scan(scan_from_event(event)))
+                self._add(slam.scan(scan_from_event(event, self._mount)))
             except UnusableScan:
                 return
         else:

@@ -4,11 +4,12 @@
 
 import math
 from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.images import image_of
@@ -19,7 +20,7 @@ from ratslam_ros.recordings.decode import (
     encoding_problem,
     ros2_type_name,
 )
-from ratslam_ros.recordings.events import Calibration, Event
+from ratslam_ros.recordings.events import Calibration, Event, FrameTransform, LaserFrames
 from ratslam_ros.recordings.files import Workspace
 from ratslam_ros.recordings.recording import Recording
 from ratslam_ros.recordings.selection import camera_info_topic
@@ -31,9 +32,24 @@ from ratslam_ros.recordings.stream import (
     Warnings,
     merge_by_time,
 )
-from ratslam_ros.recordings.topics import CAMERA_INFO, STRING, Selection, Topic
+from ratslam_ros.recordings.topics import (
+    CAMERA_INFO,
+    ROS1_TF,
+    STRING,
+    TF,
+    Selection,
+    Topic,
+)
 
 _PEEK_COUNT = 5  # Messages examined to find unstamped topics, depth images and calibrations.
+
+_TF_NAMES = '/tf_static', '/tf'
+_TF_COUNT = 1000
+"""Messages of each of them that are read. Frames that are mounted on the robot are published once
+on /tf_static, or again and again on /tf; 1000 messages are some seconds of a busy robot."""
+
+BASE_FRAME = 'base_link'
+"""Frame of the robot if the odometry does not name it (REP 105)."""
 
 
 class BagRecording(Recording):
@@ -126,6 +142,44 @@ class BagRecording(Recording):
                 if math.isfinite(found.focal_px) and found.focal_px > 0.0 and found.width_px > 0:
                     return found
         return None
+
+    def laser_frames(self, selection: Selection) -> LaserFrames | None:
+        """Return the frames of the first scan and odometry message, and the recorded transforms.
+
+        None if no scan can be read.
+        """
+        laser = self._frame_of(selection.scan_topic, lambda content: content.header.frame_id)
+        if laser is None:
+            return None
+        base = self._frame_of(selection.odom_topic, lambda content: content.child_frame_id)
+        return LaserFrames(laser, base or BASE_FRAME, tuple(self._transforms()))
+
+    def _frame_of(self, topic: str | None, frame_of: Callable[[Any], str]) -> str | None:
+        """Return a frame named by the first messages of a topic, None without any."""
+        for content in self._first(topic, _PEEK_COUNT) if topic is not None else ():
+            return str(frame_of(content))
+        return None
+
+    def _transforms(self) -> Iterator[FrameTransform]:
+        """Yield the recorded transforms, the first ones of each topic."""
+        usable = {t.name for t in self.topics if t.type in (TF, ROS1_TF) and t.problem is None}
+        for name in _TF_NAMES:
+            for content in self._first(name, _TF_COUNT) if name in usable else ():
+                for one in content.transforms:
+                    t, q = one.transform.translation, one.transform.rotation
+                    yield FrameTransform(
+                        str(one.header.frame_id), str(one.child_frame_id),
+                        (float(t.x), float(t.y), float(t.z)),
+                        (float(q.x), float(q.y), float(q.z), float(q.w)),
+                    )  # fmt: skip
+
+    def _first(self, topic: str, count: int) -> Iterator[Any]:
+        """Yield the content of the first messages of a topic, as far as they can be decoded."""
+        for message in islice(self._messages({topic}), count):
+            try:
+                yield decode(message)
+            except UndecodableMessage:
+                continue
 
     def close(self) -> None:
         """Close the files and remove their temporary copies."""

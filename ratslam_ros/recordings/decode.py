@@ -7,7 +7,7 @@ import json
 from typing import Any
 
 import zstandard
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from ratslam_ros.images import image_of
 from ratslam_ros.recordings.events import (
@@ -19,7 +19,7 @@ from ratslam_ros.recordings.events import (
     TemplateEvent,
 )
 from ratslam_ros.recordings.stream import Message
-from ratslam_ros.recordings.topics import LASER_SCAN, ODOMETRY, STRING
+from ratslam_ros.recordings.topics import LASER_SCAN, ODOMETRY, ROS1_TF, STRING, TF
 
 _ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'  # Unambiguous: the first byte of a CDR message is zero.
 
@@ -106,6 +106,7 @@ def _scan_event(content: Any, log_ns: int) -> ScanEvent:
         float(content.range_min),
         float(content.range_max),
         content.ranges,
+        str(content.header.frame_id),
     )
 
 
@@ -119,4 +120,8 @@ def _stamp_ns(content: Any) -> int:
 
 @functools.cache
 def _store(version: Stores) -> Any:
-    return get_typestore(version)
+    store = get_typestore(version)
+    if version == Stores.ROS1_NOETIC:  # which lacks the types of /tf
+        for name in (TF, ROS1_TF):
+            store.register(get_types_from_msg('geometry_msgs/TransformStamped[] transforms', name))
+    return store

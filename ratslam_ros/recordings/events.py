@@ -91,9 +91,31 @@ class ScanEvent:
     range_min_m: float
     range_max_m: float
     ranges_m: NDArray[np.float32]
+    frame_id: str = ''
+    """Frame of the laser; '' if it is unknown."""
 
 
 Event = ImageEvent | OdometryEvent | TemplateEvent | ScanEvent
+
+
+class FrameTransform(NamedTuple):
+    """Transform of a coordinate frame to its parent."""
+
+    parent: str
+    child: str
+    translation_m: tuple[float, float, float]
+    quaternion: tuple[float, float, float, float]
+    """x, y, z, w of the rotation from the child to the parent."""
+
+
+class LaserFrames(NamedTuple):
+    """What a recording tells about the place of a laser on the robot."""
+
+    laser: str
+    """Frame of the scans."""
+    base: str
+    """Frame of the robot: that which the odometry tracks."""
+    transforms: tuple[FrameTransform, ...]
 
 
 class Calibration(NamedTuple):

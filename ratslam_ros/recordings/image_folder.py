@@ -41,10 +41,6 @@ IMAGE_SUFFIXES = frozenset(
     }
 )
 IMAGES_TOPIC, ODOMETRY_TOPIC = 'images', 'odometry'
-GENERIC_NAMES = frozenset(
-    {'images', 'image', 'imgs', 'img', 'frames', 'rgb', 'color', 'colour', 'grey', 'data'}
-)
-"""Names of folders and tables that do not name a recording; that of a folder above is used."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,9 +103,6 @@ class ImageFolder(Recording):
             UnusableInput: the table, the rate or the folder cannot be used.
         """
         super().__init__(path)
-        above = [parent.name for parent in path.resolve().parents if parent.name]
-        names = [name for name in (self.name, *above) if name.lower() not in GENERIC_NAMES]
-        self.name = names[0] if names else self.name
         folder = path if path.is_dir() else path.parent
         table = find_table(path) if path.is_dir() else path
         if table is not None:
@@ -120,7 +113,8 @@ class ImageFolder(Recording):
                 for index, image in enumerate(image_files(folder))
             ]
             self._warnings.add(
-                f'{folder} holds no table of times: an image rate of {rate_hz:g} Hz is assumed'
+                f'{folder} holds {len(self._rows)} images and no table of times: an image rate '
+                f'of {rate_hz:g} Hz is assumed'
             )
         else:
             raise UnusableInput(f'the rate of the images is {rate_hz:g} Hz: expected more than 0')

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Detection of the recording format of a path."""
 
+import re
+from collections import Counter
 from pathlib import Path
 
 from ratslam_ros.errors import UnusableInput
@@ -49,7 +51,10 @@ def open_recording(path: str | Path, *, images_rate_hz: float = 10.0) -> Recordi
 def _open_folder(path: Path, rate_hz: float) -> Recording:
     if (path / METADATA).is_file() or bag_files(path):
         return open_bag(path)
-    if image_files(path) or find_table(path):
+    if find_table(path):
+        return ImageFolder(path, rate_hz)
+    if images := image_files(path):
+        _check_images(path, images)
         return ImageFolder(path, rate_hz)
     entries = sorted(entry for entry in path.iterdir() if not entry.name.startswith('.'))
     if not entries:
@@ -69,6 +74,25 @@ def _open_folder(path: Path, rate_hz: float) -> Recording:
         else f'it holds {", ".join(entry.name for entry in entries[:5])}'
     )
     raise UnusableInput(f'{path} is a folder without a recording: expected {EXPECTED}; {advice}')
+
+
+def _check_images(path: Path, images: list[Path]) -> None:
+    """Refuse images that lie in a folder by chance, such as those of a home folder.
+
+    Raises:
+        UnusableInput: their names differ in more than their numbers, and most of the folder is
+            something else.
+    """
+    patterns = Counter(re.sub(r'\d+', '#', image.name) for image in images)
+    alike = patterns.most_common(1)[0][1]
+    count = sum(1 for entry in path.iterdir() if not entry.name.startswith('.'))
+    if 2 * alike <= len(images) and 2 * len(images) < count:
+        raise UnusableInput(
+            f'{path} holds {len(images)} images with unrelated names, such as {images[0].name} '
+            f'and {images[-1].name}, among {count} files and folders: expected the images of one '
+            'camera, whose names differ in their numbers; give the folder of a recording, or '
+            'list its images in a table (docs/recordings.md)'
+        )
 
 
 def _open_file(path: Path, rate_hz: float) -> Recording:

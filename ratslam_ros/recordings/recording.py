@@ -9,10 +9,16 @@ from types import TracebackType
 from typing import Self
 
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.recordings.events import Calibration, Event
+from ratslam_ros.recordings.events import Calibration, Event, LaserFrames
 from ratslam_ros.recordings.selection import select
 from ratslam_ros.recordings.stream import Warnings
 from ratslam_ros.recordings.topics import Selection, Topic
+
+GENERIC_NAMES = frozenset({
+    'images', 'image', 'imgs', 'img', 'frames', 'rgb', 'color', 'colour', 'grey', 'data',
+    'recording',
+})  # fmt: skip
+"""Names of files and folders that do not name a recording; that of a folder above is used."""
 
 
 class Recording(ABC):
@@ -20,7 +26,7 @@ class Recording(ABC):
 
     path: Path
     name: str
-    """Name of the file or folder, without suffix."""
+    """Name of the file or folder, without suffix; of a folder above if it is a generic name."""
     kind: str
     """Format, such as 'rosbag2 (mcap)'."""
     topics: tuple[Topic, ...]
@@ -31,8 +37,12 @@ class Recording(ABC):
 
     def __init__(self, path: Path, warnings: Warnings | None = None) -> None:
         self.path = path
-        name = path.resolve().name
-        self.name = name if path.is_dir() else Path(name.removesuffix('.zstd')).stem
+        resolved = path.resolve()
+        name = resolved.name
+        own = name if path.is_dir() else Path(name.removesuffix('.zstd')).stem
+        above = [parent.name for parent in resolved.parents if parent.name]
+        names = [name for name in (own, *above) if name.lower() not in GENERIC_NAMES]
+        self.name = names[0] if names else own
         self._warnings = warnings or Warnings()
         self.skipped = 0
         """Number of messages that were skipped because they could not be decoded."""
@@ -41,6 +51,10 @@ class Recording(ABC):
     def warnings(self) -> list[str]:
         """Problems found, one line each; reading events can add more."""
         return self._warnings.texts
+
+    def warn(self, text: str) -> None:
+        """Add a warning for the user, unless it is there already."""
+        self._warnings.add(text)
 
     def select(
         self,
@@ -94,6 +108,10 @@ class Recording(ABC):
 
     def calibration(self, selection: Selection) -> Calibration | None:
         """Return the calibration of the camera of the selected images, None if not recorded."""
+        return None
+
+    def laser_frames(self, selection: Selection) -> LaserFrames | None:
+        """Return the frames of the selected scans; None if there are none or they are unknown."""
         return None
 
     def is_depth(self, topic: Topic) -> bool:

@@ -14,6 +14,9 @@ CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
 ODOMETRY = 'nav_msgs/msg/Odometry'
 LASER_SCAN = 'sensor_msgs/msg/LaserScan'
 STRING = 'std_msgs/msg/String'
+TF = 'tf2_msgs/msg/TFMessage'
+ROS1_TF = 'tf/msg/tfMessage'
+"""Type of /tf in recordings of the first years of ROS 1, with the same content."""
 # Types of topics in recordings that hold no ROS messages.
 VIDEO, IMAGE_FILES, TABLE = 'video', 'image files', 'table'
 

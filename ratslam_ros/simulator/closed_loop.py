@@ -219,4 +219,8 @@ def scan_from_sample(sample: ScanSample, simulator: Simulator) -> Scan:
     laser = simulator.options.laser
     assert laser is not None  # there is a scan
     ranges_m = sample.ranges_m.astype(np.float64)
-    return Scan(sample.stamp_ns, laser.first_rad, laser.step_rad, ranges_m)
+    mount = laser.mount
+    return Scan(
+        sample.stamp_ns, laser.first_rad + mount.heading_rad, laser.step_rad, ranges_m, mount.x_m,
+        mount.y_m,
+    )  # fmt: skip

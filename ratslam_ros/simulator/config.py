@@ -30,6 +30,10 @@ DEFAULT_START = 'S'
 VARIETY = 4
 """Sets of wall panels: more than in the demo, whose floor is smaller."""
 
+MAX_MOUNT_M = 0.5
+"""Largest distance of a sensor from the centre of the robot, whose radius is 0.22 m: further out,
+it would often be inside a wall."""
+
 WHEEL_BASE_ERROR_RATIO = 0.01
 """Relative error of the wheel base of a calibrated robot; the demo's robot is not calibrated."""
 
@@ -82,6 +86,15 @@ class SimulatorParameters(Section):
     camera_rate_hz: int = parameter(
         4, 'Hz; a divisor of 40', 1, 40, 'Images per second.',
         'the robot is fast', 'the simulation is too slow')  # fmt: skip
+    laser_mount: str = parameter(
+        '0,0,0', '', 0, 0,
+        "Pose of the laser on the robot: `x,y,degrees` from the robot's centre, ahead, to the "
+        'left and counter-clockwise.',
+        'the laser of your robot is elsewhere', 'keep the default for a laser at the centre'
+    )  # fmt: skip
+    laser_fov_deg: int = parameter(
+        180, 'deg', 10, 359, 'Field of view of the laser, with one beam for each degree.',
+        'your laser sees more', 'your laser sees less')  # fmt: skip
     rate: float = parameter(
         1.0, 'times real time', 0.01, 100.0,
         'Live only: simulated time per real time; a slow machine may not reach it.',
@@ -103,7 +116,10 @@ class SimulatorParameters(Section):
                 noise_grey=camera.noise_grey * self.noise,
                 exposure_spread=camera.exposure_spread * self.noise,
             ),
-            laser=LaserOptions(noise_m=laser.noise_m * self.noise),
+            laser=LaserOptions(
+                beams=self.laser_fov_deg + 1, fov_deg=self.laser_fov_deg,
+                noise_m=laser.noise_m * self.noise, mount=parse_mount(self.laser_mount),
+            ),
             robot=RobotOptions(
                 wheel_radius_error=robot.wheel_radius_error * self.noise,
                 wheel_base_error=WHEEL_BASE_ERROR_RATIO * self.noise,
@@ -139,6 +155,22 @@ def parse_start(text: str, plan: FloorPlan) -> Pose:
     if numbers is None or len(numbers) != 3:
         known = f'one of the places {", ".join(places)}, or ' if places else ''
         raise UnusableInput(f'the start is {text!r}; expected {known}x,y,degrees such as 3.5,2,90')
+    x_m, y_m, degrees = numbers
+    return Pose(x_m, y_m, math.radians(degrees))
+
+
+def parse_mount(text: str) -> Pose:
+    """Return the pose of a sensor on the robot from `x,y,degrees`.
+
+    Raises:
+        UnusableInput: the text has another form, or the sensor is outside the robot.
+    """
+    numbers = _numbers(text.split(','))
+    if numbers is None or len(numbers) != 3 or math.hypot(*numbers[:2]) > MAX_MOUNT_M:
+        raise UnusableInput(
+            f'laser_mount is {text!r}; expected x,y,degrees such as 0.15,0,180, at most '
+            f'{MAX_MOUNT_M:g} m from the centre'
+        )
     x_m, y_m, degrees = numbers
     return Pose(x_m, y_m, math.radians(degrees))
 

@@ -11,15 +11,19 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from ratslam_ros.core.common.pose import Pose, composed
 from ratslam_ros.simulator.rays import cast, cast_at_discs
 from ratslam_ros.simulator.world import PERSON_RADIUS_M, World
+
+CENTRED = Pose(0.0, 0.0, 0.0)
+"""Mount of a laser at the centre of the robot that looks ahead."""
 
 
 @dataclass(frozen=True)
 class LaserOptions:
-    """Properties of a forward-looking laser at the robot's centre; beams run from right to left.
+    """Properties of a laser; beams run from right to left of where it looks.
 
-    noise_m: standard deviation of a range
+    noise_m: standard deviation of a range. mount: its pose on the robot.
     """
 
     beams: int = 181
@@ -27,10 +31,11 @@ class LaserOptions:
     range_max_m: float = 8.0
     noise_m: float = 0.01
     rate_hz: int = 10
+    mount: Pose = CENTRED
 
     @property
     def first_rad(self) -> float:
-        """Direction of the first beam relative to the heading, counter-clockwise positive."""
+        """Direction of the first beam in the frame of the laser, counter-clockwise positive."""
         return -math.radians(self.fov_deg) / 2
 
     @property
@@ -48,12 +53,14 @@ class Laser:
         self._options = options
 
     def scan(self, x_m: float, y_m: float, heading_rad: float) -> NDArray[np.float32]:
-        """Scan from a pose in a free cell.
+        """Scan from a pose of the robot at which the laser is in a free cell.
 
         Returns:
             (beams,) float32 ranges in metres, inf beyond the maximum range.
         """
         options, world = self._options, self._world
+        if options.mount != CENTRED:
+            x_m, y_m, heading_rad = composed(Pose(x_m, y_m, heading_rad), options.mount)
         ranges_m = options.noise_m * self._rng.standard_normal(options.beams)
         _scan(
             world.solid,

@@ -32,6 +32,7 @@ ODOMETRY_TOPIC = '/odom'
 # A PoseStamped, not an Odometry: with two odometry topics, tools could not choose one themselves.
 TRUTH_TOPIC = '/ground_truth/pose'
 SCAN_TOPIC = '/scan'
+TF_STATIC_TOPIC = '/tf_static'
 TRUTH_FILE = 'truth.tum'
 
 ODOM_FRAME, ROBOT_FRAME, CAMERA_FRAME, WORLD_FRAME = 'odom', 'base_link', 'camera', 'world'
@@ -44,7 +45,10 @@ _TOPICS = {
     ODOMETRY_TOPIC: 'nav_msgs/msg/Odometry',
     TRUTH_TOPIC: 'geometry_msgs/msg/PoseStamped',
 }
-_SCAN = 'sensor_msgs/msg/LaserScan'
+_SCAN_TOPICS = {
+    SCAN_TOPIC: 'sensor_msgs/msg/LaserScan',
+    TF_STATIC_TOPIC: 'tf2_msgs/msg/TFMessage',
+}
 
 
 @dataclass(frozen=True)
@@ -129,9 +133,10 @@ class RecordingWriter:
             raise UnusableInput(f'{path} exists already: choose another folder or remove it')
         self.truth: list[tuple[int, Pose]] = []
         self._messages = _Messages(options)
-        self._topics = {**_TOPICS, **({SCAN_TOPIC: _SCAN} if options.laser else {})}
+        self._topics = {**_TOPICS, **(_SCAN_TOPICS if options.laser else {})}
         self._writer = Writer(self.path, version=9, storage_plugin=StoragePlugin.MCAP)
         self._connections: dict[str, Connection] = {}
+        self._has_mount = False
 
     def __enter__(self) -> Self:
         self._writer.open()
@@ -155,6 +160,9 @@ class RecordingWriter:
             self._write(IMAGE_TOPIC, stamp_ns, messages.image(stamp_ns, sample.image))
             self._write(CAMERA_INFO_TOPIC, stamp_ns, messages.camera_info(stamp_ns))
         elif isinstance(sample, ScanSample):
+            if not self._has_mount:
+                self._has_mount = True
+                self._write(TF_STATIC_TOPIC, stamp_ns, messages.laser_mount(stamp_ns))
             self._write(SCAN_TOPIC, stamp_ns, messages.scan(stamp_ns, sample.ranges_m))
         else:
             self.truth.append((stamp_ns, sample.truth))
@@ -249,7 +257,7 @@ class _Messages:
         laser = self._laser
         assert laser is not None  # there is a scan
         return self._make(
-            _SCAN,
+            _SCAN_TOPICS[SCAN_TOPIC],
             self._header(stamp_ns, LASER_FRAME),
             laser.first_rad,
             laser.first_rad + laser.step_rad * (laser.beams - 1),
@@ -261,3 +269,23 @@ class _Messages:
             ranges_m,
             np.empty(0, np.float32),
         )
+
+    def laser_mount(self, stamp_ns: int) -> Any:
+        """Return the transform of the laser to the robot."""
+        laser = self._laser
+        assert laser is not None  # there is a scan
+        pose = self._pose(laser.mount)
+        transform = self._make(
+            'geometry_msgs/msg/Transform',
+            self._vector(laser.mount.x_m, laser.mount.y_m, 0.0),
+            pose.orientation,
+        )
+        return self._make(
+            _SCAN_TOPICS[TF_STATIC_TOPIC],
+            [
+                self._make(
+                    'geometry_msgs/msg/TransformStamped', self._header(stamp_ns, ROBOT_FRAME),
+                    LASER_FRAME, transform,
+                )
+            ],
+        )  # fmt: skip

@@ -4,20 +4,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from ratslam_ros.viewer.run_source import Answer
+
+FINISHED = (
+    'This run is finished, so there is nothing to command. To command a robot, start its nodes '
+    'with "ratslam launch --view".'
+)
 
 
 class NoControls:
     """Controls of a finished run: every request is refused with the same reason."""
 
-    def __init__(self, reason: str = 'This run is finished, so there is nothing to command.'):
+    def __init__(self, reason: str = FINISHED):
         self.reason = reason
         """Why there is nothing to command, for the user."""
         self.actions: frozenset[str] = frozenset()
         self.diagnostics: dict[str, tuple[str, str]] = {}
         self.places: Sequence[str] = ()
+        self.switches: Mapping[str, bool] = {}
         self.parameters: dict[str, object] = {}
 
     def _refused(self) -> Answer:
@@ -48,6 +54,10 @@ class NoControls:
         return self._refused()
 
     def mapping(self, on: bool) -> Answer:
+        """Refuse."""
+        return self._refused()
+
+    def relocate(self) -> Answer:
         """Refuse."""
         return self._refused()
 

@@ -232,7 +232,9 @@ class _Frames:
             'time': f'{time_text(seconds, 0)} of {self._length} (min:s)',
             'counts': f'places: {len(state.map)} · links: {state.map.link_count} · '
                       f'loop closures: {self._closed}',
-            'decision': '' if view is None else f'{match_text(view)}; {decision_text(view)}',
+            'decision': '' if view is None else (
+                f'{match_text(view)}; {decision_text(view, self._source.required_views)}'
+            ),
             'image': len(overlay.images) - 1,
             'views': len(overlay.views),
         })  # fmt: skip

@@ -86,6 +86,12 @@ class FollowedRun:
         waiting = [] if self._has_ended else [WAITING]
         return [*self._notices, *(waiting if run is None else run.notices)]
 
+    @property
+    def required_views(self) -> float | None:
+        """Number of views that must agree on a place, None if unknown."""
+        run = self._opened()
+        return None if run is None else run.required_views
+
     def seek(self, stamp_ns: int) -> RunState:
         """Return a new state: that of the last record whose stamp is not later."""
         run = self._opened()

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -34,6 +34,10 @@ class RunSource(Protocol):
     @property
     def notices(self) -> Sequence[str]:
         """What the user must know, such as that only the final state can be shown."""
+
+    @property
+    def required_views(self) -> float | None:
+        """Number of views that must agree on a place (``pc_vt_agree_views``), None if unknown."""
 
     def seek(self, stamp_ns: int) -> RunState:
         """Return a new state: that of the last record whose stamp is not later."""
@@ -87,6 +91,10 @@ class Controls(Protocol):
         """Names of the named places."""
 
     @property
+    def switches(self) -> Mapping[str, bool]:
+        """Whether ``explore``, ``mapping`` and ``pause_nodes`` are on, if it is known."""
+
+    @property
     def parameters(self) -> dict[str, object]:
         """Current values of the parameters that can be changed, by ``section.name``."""
 
@@ -110,6 +118,9 @@ class Controls(Protocol):
 
     def mapping(self, on: bool) -> Answer:
         """Switch learning on or off."""
+
+    def relocate(self) -> Answer:
+        """Search for the place of the robot by its laser scans."""
 
     def save(self) -> Answer:
         """Save the memory of all nodes."""

@@ -27,6 +27,8 @@ from records_for_tests import plain, plain_state
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import Config
+from ratslam_ros.errors import UnusableInput
+from ratslam_ros.files.config import load_config
 from ratslam_ros.history.file import HISTORY_NAME, part_path
 from ratslam_ros.history.final_run import FinalRun
 from ratslam_ros.history.history_run import HistoryRun
@@ -203,4 +205,27 @@ def test_large_images_are_reduced(tmp_path: Path) -> None:
     shown = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
     assert shown.shape[1] == 320
     assert not part_path(folder / HISTORY_NAME).exists()
+    run.close()
+
+
+def test_damaged_history_leaves_the_final_state(results: Path, tmp_path: Path) -> None:
+    folder = tmp_path / 'run'
+    shutil.copytree(results, folder)
+    history = folder / HISTORY_NAME
+    history.write_bytes(history.read_bytes()[:3000])
+    run = open_run(folder)
+    assert isinstance(run, FinalRun)
+    [notice] = run.notices
+    assert 'only the final state' in notice and str(history) in notice
+    assert len(run.seek(run.end_ns).map)
+    (folder / 'map.json').unlink()
+    with pytest.raises(UnusableInput, match='no readable history'):
+        open_run(folder)
+
+
+def test_history_states_how_many_views_must_agree(results: Path) -> None:
+    run = open_run(results)
+    assert isinstance(run, HistoryRun)
+    config = load_config(str(results / 'config.yaml'))[0]
+    assert run.required_views == config.pose_cells.pc_vt_agree_views > 0
     run.close()

@@ -43,7 +43,7 @@ class Robot:
 
         self.stamp_ns += STEP_NS
         fields = {
-            'header': header_of(self.stamp_ns, 'laser'), 'angle_min': -math.pi / 2,
+            'header': header_of(self.stamp_ns, ''), 'angle_min': -math.pi / 2,
             'angle_max': math.pi / 2, 'angle_increment': math.pi / (BEAMS - 1), 'range_min': 0.02,
             'range_max': 8.0,
             'ranges': np.broadcast_to(ranges_m, BEAMS).astype(np.float32).tolist(),

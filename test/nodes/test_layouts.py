@@ -50,6 +50,7 @@ FOXGLOVE_TYPES = {
 NOT_IN_FOXGLOVE = {
     '/experience_map/map': 'up to 8 MB of text; the markers show the map',
     '/tf': 'the 3D panel uses all transforms, without an entry for the topic',
+    '/tf_static': 'as /tf',
     '/camera_info': 'nothing to show beside the image',
 }
 

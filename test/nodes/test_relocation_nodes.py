@@ -48,7 +48,7 @@ def send(made: Any, given: list[Sample], spins: int = 8) -> None:
         odometry.pose.pose.orientation.w = 1.0
         made.send('odom', odometry)
         scan = LaserScan(
-            header=header_of(sample.stamp_ns, 'laser'), range_min=0.05, range_max=8.0,
+            header=header_of(sample.stamp_ns, ''), range_min=0.05, range_max=8.0,
             angle_min=sample.scan.angle_min_rad, angle_increment=sample.scan.angle_increment_rad,
             angle_max=math.pi / 2, ranges=sample.scan.ranges_m.tolist(),
         )  # fmt: skip

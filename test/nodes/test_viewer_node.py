@@ -264,10 +264,11 @@ def test_silent_topics_are_named(viewer: Any, monkeypatch: pytest.MonkeyPatch) -
     made = viewer()
     made.until(lambda: made.viewer.run.notices)
     [notice] = made.viewer.run.notices
-    for topic in ('/experience_map/pose', '/local_view/template', '/pose_cells/action'):
-        assert f'{topic} (no publishers)' in notice
+    topics = '/experience_map/pose, /local_view/template, /pose_cells/action'
+    assert notice == f'no node publishes {topics}: are the nodes running?'
     made.send('experience_map/pose', pose_message(0), STATE)
     made.until(lambda: 'experience_map/pose' not in ''.join(made.viewer.run.notices))
+    made.until(lambda: 'no messages on /experience_map/pose: ' in made.viewer.run.notices[0])
 
 
 # Requests
@@ -338,8 +339,17 @@ def test_services_answer_for_all_nodes(viewer: Any, tmp_path: Any) -> None:
     controls = made.viewer.controls
     answer = requested(made, lambda: controls.pause_nodes(True))
     assert answer.message == 'experience_map is paused'
+    made.nodes[1]._publish_diagnostics()
+    made.until(lambda: controls.switches == {'explore': False, 'pause_nodes': True})
     assert requested(made, lambda: controls.pause_nodes(False)).success
     assert 'localises only' in requested(made, lambda: controls.mapping(False)).message
+    made.nodes[1]._publish_diagnostics()
+    made.until(
+        lambda: controls.switches == {'explore': False, 'pause_nodes': False, 'mapping': False}
+    )
+    answer = requested(made, controls.relocate)
+    assert not answer.success
+    assert 'exp_relocate' in answer.message
     assert not list(tmp_path.iterdir())
     assert requested(made, controls.save).success
     assert list(tmp_path.iterdir())

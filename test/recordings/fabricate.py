@@ -32,12 +32,12 @@ def picture(index: int, height: int = 12, width: int = 16) -> np.ndarray:
     return np.random.default_rng(index).integers(0, 256, (height, width), dtype=np.uint8)
 
 
-def header(store, stamp_ns: int):
+def header(store, stamp_ns: int, frame: str = 'camera'):
     types = store.types
     stamp = types['builtin_interfaces/msg/Time'](stamp_ns // 10**9, stamp_ns % 10**9)
     if store is ROS1:
-        return types['std_msgs/msg/Header'](0, stamp, 'camera')
-    return types['std_msgs/msg/Header'](stamp, 'camera')
+        return types['std_msgs/msg/Header'](0, stamp, frame)
+    return types['std_msgs/msg/Header'](stamp, frame)
 
 
 def raw_image(pixels: np.ndarray, encoding: str = 'mono8', stamp_ns: int = START_NS, store=ROS2,
@@ -70,9 +70,9 @@ def odometry(stamp_ns: int = START_NS, linear: float = 0.5, angular: float = 0.1
 
 
 def laser_scan(stamp_ns: int = START_NS, ranges=(1.0, 2.0, np.inf), first: float = -0.5,
-               store=ROS2):
+               store=ROS2, frame: str = 'base_link'):
     return store.types[SCAN](
-        header(store, stamp_ns), first, -first, 0.5, 0.0, 0.1, 0.25, 8.0,
+        header(store, stamp_ns, frame), first, -first, 0.5, 0.0, 0.1, 0.25, 8.0,
         np.array(ranges, np.float32), np.empty(0, np.float32))
 
 

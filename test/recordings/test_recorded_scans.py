@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tests of the selection and content of laser scans in recordings of every format."""
 
+import math
 import sqlite3
 
 import numpy as np
@@ -13,25 +14,30 @@ from fabricate import (
     SCAN,
     START_NS,
     drive,
+    header,
     laser_scan,
     write_mcap,
     write_rosbag1,
     write_rosbag2,
     write_sqlite,
 )
+from rosbags.typesys import get_types_from_msg
 
+from ratslam_ros.core.common.mount import CENTRED, Mount
 from ratslam_ros.errors import UnusableInput
+from ratslam_ros.event_inputs import laser_mount
 from ratslam_ros.recordings import ScanEvent, Selection, describe, open_recording
+from ratslam_ros.recordings.topics import ROS1_TF, TF
 
 RANGES = (0.1, 1.25, np.inf, -np.inf, np.nan)
 
 
-def scans(topic='/scan', frames=20, store=ROS2, stamped=True):
+def scans(topic='/scan', frames=20, store=ROS2, stamped=True, frame='laser'):
     """Yield a scan every 0.1 s, between the odometry message and the image of ``drive``."""
     for index in range(frames):
         log_ns = START_NS + index * PERIOD_NS + 1_000_000
         stamp_ns = log_ns - 2_000_000 if stamped else 0
-        yield log_ns, topic, SCAN, laser_scan(stamp_ns, RANGES, store=store)
+        yield log_ns, topic, SCAN, laser_scan(stamp_ns, RANGES, store=store, frame=frame)
 
 
 def with_drive(*others, store=ROS2):
@@ -141,3 +147,68 @@ def test_description_lists_readable_scans(tmp_path):
         '--scan-topic /scan',
     )
     assert described.command.endswith('2.mcap')  # No --scan-topic: scans are off.
+
+
+TRANSLATION, HALF = (0.2, -0.1, 0.3), math.sqrt(0.5)
+"""Place of the laser, which is turned by 90 degrees."""
+
+
+def mounted(topic, store, kind=TF):
+    """Yield a transform of the laser to the robot, which some robots repeat."""
+    types = store.types
+    register(store)
+    frames = [('base_link', 'laser', TRANSLATION, (0.0, 0.0, HALF, HALF)),
+              ('odom', 'base_link', (5.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))]  # fmt: skip
+    for index in range(3):
+        log_ns = START_NS + index * PERIOD_NS + 2_000_000
+        made = [
+            types['geometry_msgs/msg/TransformStamped'](
+                header(store, log_ns, parent), child,
+                types['geometry_msgs/msg/Transform'](
+                    types['geometry_msgs/msg/Vector3'](*translation),
+                    types['geometry_msgs/msg/Quaternion'](*quaternion),
+                ),
+            )
+            for parent, child, translation, quaternion in frames
+        ]  # fmt: skip
+        yield log_ns, topic, kind, types[kind](made)
+
+
+def register(store):
+    if store is ROS1 and TF not in store.types:
+        for kind in (TF, ROS1_TF):
+            store.register(get_types_from_msg('geometry_msgs/TransformStamped[] transforms', kind))
+
+
+def mount_of(path):
+    with open_recording(path) as recording:
+        selection = recording.select(scans=True)
+        mount = laser_mount(recording, selection)
+        assert laser_mount(recording, selection) == mount
+        return mount, recording.warnings
+
+
+@pytest.mark.parametrize('kind', ['/tf_static', '/tf', 'ros1', 'old ros1'])
+def test_the_place_of_the_laser_is_read(tmp_path, kind):
+    if 'ros1' in kind:
+        frames = mounted('/tf', ROS1, ROS1_TF if 'old' in kind else TF)
+        messages = with_drive(scans(store=ROS1, frame='/laser'), frames, store=ROS1)
+        path = write_rosbag1(tmp_path / 'r.bag', messages)
+    else:
+        path = write_mcap(tmp_path / 'r.mcap', with_drive(scans(), mounted(kind, ROS2)))
+    assert mount_of(path) == (Mount(0.2, -0.1, round(math.pi / 2, 9)), [])
+
+
+def test_an_unknown_place_of_the_laser_is_the_centre_with_a_warning(tmp_path):
+    path = write_mcap(tmp_path / 'r.mcap', with_drive(scans()))
+    mount, warnings = mount_of(path)
+    assert mount == CENTRED
+    [text] = warnings
+    assert text.startswith('the recording has no transform from base_link to laser on /tf_static')
+    path = write_mcap(tmp_path / 's.mcap', with_drive(scans(frame='base_link')))
+    assert mount_of(path) == (CENTRED, [])
+
+
+def test_without_scans_no_frames_are_read(tmp_path):
+    path = write_mcap(tmp_path / 'r.mcap', with_drive(mounted('/tf_static', ROS2)))
+    assert mount_of(path) == (CENTRED, [])

@@ -44,7 +44,10 @@ def test_images_without_table_have_natural_order(tmp_path):
 
 @pytest.mark.parametrize(
     ('folders', 'name'),
-    [('run/images', 'run'), ('run/Data/rgb', 'run'), ('run/left', 'left'), ('run', 'run')],
+    [
+        ('run/images', 'run'), ('run/Data/rgb', 'run'), ('run/left', 'left'), ('run', 'run'),
+        ('run/recording', 'run'),
+    ],
 )
 def test_generic_folder_is_named_after_the_one_above(tmp_path, folders, name):
     folder = tmp_path / folders
@@ -55,6 +58,26 @@ def test_generic_folder_is_named_after_the_one_above(tmp_path, folders, name):
     table.write_text('stamp_s,image\n1.0,a.png\n')
     with open_recording(table) as recording:
         assert recording.name == name
+
+
+@pytest.mark.parametrize('names', [['img9.png', 'img10.png', 'logo.png'], ['a.png', 'b.png']])
+def test_stray_images_are_refused_and_sequences_are_not(tmp_path, names):
+    folder = write_images(tmp_path / 'home', names)
+    is_sequence = names[0] == 'img9.png'
+    with open_recording(folder):  # a folder of nothing else holds a recording, whatever the names
+        pass
+    for number in range(5):
+        (folder / f'letter{number}.txt').write_text('hello')
+    if is_sequence:
+        with open_recording(folder) as recording:
+            assert '3 images' in recording.warnings[0]
+    else:
+        with pytest.raises(UnusableInput, match=r'2 images .* a\.png and b\.png, among 7 files'):
+            open_recording(folder)
+    write_table = folder / 'frames.csv'
+    write_table.write_text(f'stamp_s,image\n1.0,{names[0]}\n')
+    with open_recording(folder) as recording:
+        assert recording.topics[0].count == 1
 
 
 def test_table_gives_stamps_and_odometry(tmp_path):

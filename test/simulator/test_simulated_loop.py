@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Closed loop of simulator and RatSLAM on a small floor, for one or two simulated minutes."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -14,6 +15,7 @@ from ratslam_ros.files.config import load_config
 from ratslam_ros.messages.mapping import encode_map
 from ratslam_ros.simulator.closed_loop import ClosedLoop
 from ratslam_ros.simulator.floor_plan import parse_floor_plan
+from ratslam_ros.simulator.laser import LaserOptions
 from ratslam_ros.simulator.robot import RobotOptions
 from ratslam_ros.simulator.simulation import SimulationOptions, Simulator
 from ratslam_ros.simulator.world import WorldOptions
@@ -121,6 +123,45 @@ def test_go_to_named_place_reaches_it(seed):
     assert loop.simulator.collisions == 0
     assert not loop.navigator.queue
     assert loop.guidance.status == 'succeeded'
+
+
+@pytest.mark.parametrize('mount', [Pose(0.0, 0.0, 0.0), Pose(0.3, 0.0, math.pi)])
+def test_a_laser_mounted_anywhere_maps_and_drives_like_a_centred_one(mount):
+    laser = LaserOptions(beams=360, fov_deg=359.0, mount=mount)
+    config = CONFIG.with_values({'experience_map.exp_align_scans': True})
+    simulator = Simulator(
+        PLAN, Pose(*PLAN.places['S'], 0.0), 1, dataclasses.replace(PLAIN, laser=laser)
+    )
+    loop = ClosedLoop(simulator, config, exploring_seed=1)
+    loop.explore(20.0)
+    loop.name_place('corner')
+    corner = loop.simulator.truth
+    loop.explore(60.0)
+    assert apart_m(loop.simulator.truth, corner) > 3.0
+    begun_s = loop.now_s
+    (task,) = loop.go_to('corner', until=lambda: loop.now_s > begun_s + 90.0)
+    assert (task.status, task.reason) == ('succeeded', '')
+    assert apart_m(loop.simulator.truth, corner) < 1.0
+    assert loop.simulator.collisions == 0
+    assert near_walls(loop) > 0.95
+
+
+def near_walls(loop):
+    """Return the share of all points stored on the map that are within 0.1 m of a wall."""
+    matcher, cell_m = loop.ratslam.scan_matcher, PLAN.cell_m
+    shares = []
+    for number, true in loop.log.truth_of.items():
+        points = matcher.reference(number)
+        if points is not None:
+            c, s = math.cos(true.heading_rad), math.sin(true.heading_rad)
+            on_plan = points @ np.array([[c, s], [-s, c]]) + (true.x_m, true.y_m)
+            steps = np.array([[0.0, 0.0], [0.1, 0.0], [-0.1, 0.0], [0.0, 0.1], [0.0, -0.1]])
+            cells = np.floor((on_plan[:, None] + steps) / cell_m).astype(int)
+            on_floor = ((cells >= 0) & (cells < PLAN.solid.shape[::-1])).all(axis=2)
+            x, y = np.clip(cells, 0, np.array(PLAN.solid.shape[::-1]) - 1).transpose(2, 0, 1)
+            shares.append((PLAN.solid[y, x] & on_floor).any(axis=1).mean())
+    assert len(shares) > 20
+    return np.mean(shares)
 
 
 def test_go_to_unknown_raises_and_until_cancels():

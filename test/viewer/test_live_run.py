@@ -311,6 +311,37 @@ def named_links(state: RunState) -> set[tuple[object, ...]]:
     }  # fmt: skip
 
 
+def test_closures_are_listed_before_they_are_written(run: LiveRun, clock: Clock) -> None:
+    for k in range(100):
+        run.add(view(k, k % 50, 'create' if k < 50 else 'link', reason='' if k % 7 else 'too far'))
+    clock.now_s += 10.0
+    end_ns, middle_ns = run.end_ns, START_NS + 60 * TENTH_NS
+    expected = [
+        START_NS + k * TENTH_NS for k in range(100) if k % 7 == 0 or 50 <= k < 90
+    ]  # fmt: skip
+    now = [one.stamp_ns for one in run.closures(end_ns)]
+    assert now == expected
+    assert len(run.closures(middle_ns)) == sum(stamp_ns <= middle_ns for stamp_ns in expected)
+    released(run, clock)
+    assert [one.stamp_ns for one in run._history.reader.closures(end_ns)] == expected
+
+
+def test_many_closures_are_continued_from_the_file(
+    run: LiveRun, clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(live_run, 'MAX_CLOSURES', 5)
+    monkeypatch.setattr('ratslam_ros.history.reader.MAX_CLOSURES', 5)
+    run._begin()
+    for k in range(40):
+        run.add(view(k, k, 'create' if k < 20 else 'none', reason='' if k < 20 else 'too far'))
+    released(run, clock)
+    for k in 19, 22, 30, 37, 38, 39:
+        until_ns = START_NS + k * TENTH_NS
+        assert [one.stamp_ns for one in run.closures(until_ns)] == [
+            START_NS + n * TENTH_NS for n in range(max(20, k - 4), k + 1)
+        ]
+
+
 def test_questions_about_views(run: LiveRun, clock: Clock) -> None:
     actions = 'create', 'none', 'create', 'none', 'link', 'set'
     for k, (target_id, action) in enumerate(zip([3, 3, 4, 4, 3, 5], actions, strict=True)):

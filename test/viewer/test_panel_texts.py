@@ -14,11 +14,13 @@ from ratslam_ros.viewer.panels.export import file_name
 from ratslam_ros.viewer.panels.parameters import declaration, found, hint_text, problem_of
 from ratslam_ros.viewer.panels.pictures import PLOT_POINTS, error_curves, match_picture
 from ratslam_ros.viewer.panels.texts import (
+    agreement_text,
     cells_text,
     closure_text,
     decision_text,
     explained,
     joins,
+    match_picture_text,
     match_text,
     playback_text,
     stamp_text,
@@ -70,6 +72,31 @@ def test_match_text_compares_error_with_threshold() -> None:
     worse = match_text(replace(new, error=0.05))
     assert worse == 'new template 5: best error 0.0500 exceeds 0.0300'
     assert 'too uniform' in match_text(replace(view, template_id=-1))
+
+
+@pytest.mark.parametrize(
+    ('agreement', 'required', 'text'),
+    [
+        (0.6, 5.0, '3 of 5 views agree'), (1.0, 7.0, '7 of 7 views agree'),
+        (1.0, 2.5, '3 of 2.5 views agree'), (3 / 7, 7.0, '3 of 7 views agree'),
+        (1.0, 0.0, 'no agreement required'), (0.43, None, 'agreement 43%'),
+    ],
+)  # fmt: skip
+def test_agreement_is_a_number_of_views(
+    agreement: float, required: float | None, text: str
+) -> None:
+    view = replace(view_at(25), agreement=agreement)
+    assert agreement_text(view, required) == text
+    assert text in decision_text(view, required)
+
+
+def test_picture_of_an_earlier_match_says_so() -> None:
+    picture = np.zeros((4, 12), np.uint8)
+    match = MatchRecord(BEGIN_NS, 7, picture, picture, -2)
+    assert match_picture_text(match, BEGIN_NS) == (
+        'template 7: shifted 2 px to the left; as compared, 12 × 4 px'
+    )
+    assert 'template 7 0.5 s before: ' in match_picture_text(match, BEGIN_NS + STEP_NS)
 
 
 def test_decision_text_names_action_and_reason() -> None:
@@ -144,12 +171,13 @@ def test_match_picture_puts_same_columns_above_each_other(shift: int) -> None:
     assert (middle[0] == middle[-1]).all()
 
 
-def test_error_curves_mark_new_templates_and_unknown_errors() -> None:
+def test_error_curves_mark_new_templates_without_unknown_errors() -> None:
     views = [replace(view_at(k), error=-1.0 if k == 0 else 0.01) for k in range(0, 40)]
     x, error, threshold, new = error_curves(views, views[-1].stamp_ns)
-    assert x[-1] == 0.0 and x[0] == pytest.approx(-39 * STEP_NS / 1e9)
-    assert np.isnan(error[0]) and (error[1:] == 0.01).all() and (threshold == 0.03).all()
-    assert np.isfinite(new[1:20]).all() and np.isnan(new[20:]).all()
+    assert x[-1] == 0.0 and x[0] == pytest.approx(-38 * STEP_NS / 1e9)
+    # NaN would leave the page without a scale, and so without curves.
+    assert (error == 0.01).all() and (threshold == 0.03).all()
+    assert np.isfinite(new[:19]).all() and np.isnan(new[19:]).all()
 
 
 @pytest.mark.parametrize('count', [0, 1, PLOT_POINTS, 10 * PLOT_POINTS + 7])

@@ -20,7 +20,7 @@ from ratslam_ros.viewer.panels.shortcuts import RESERVED
 
 ALL_ACTIONS = (
     'go_to', 'go_to_place', 'name_place', 'cancel_goals', 'explore', 'pause_nodes', 'mapping',
-    'save', 'load', 'reset', 'set_parameter',
+    'relocate', 'save', 'load', 'reset', 'set_parameter',
 )  # fmt: skip
 
 
@@ -106,7 +106,7 @@ def test_notices_of_the_source_are_shown(page: Page) -> None:
 def test_run_without_records_has_panels_too() -> None:
     with open_page(FakeRun(0, is_growing=True), FakeControls(*ALL_ACTIONS)) as page:
         assert 'waiting for the first data' in page.panels.time.text.content
-        assert 'no view yet' in page.panels.camera.text.content
+        assert 'no view for this moment' in page.panels.camera.text.content
         assert not page.panels.camera.image.visible
         page.run.grow(3)
         page.update(0.1)
@@ -216,12 +216,15 @@ def test_listed_closure_shows_both_images_and_values(page: Page) -> None:
     assert 'enough recognitions agree' in selection.text.content
     assert page.scene.selected.ends == (19, 0)  # type: ignore[attr-defined]
     assert selection.images.content.count('<img') == 2
-    for part in ('0.0100', '0.0300', '100%', 'displacement'):
+    for part in ('0.0100', '0.0300', '5 of 5 views agree', 'displacement'):
         assert part in selection.details.content
     page.give(selection.list, rejected)
     assert 'moves the robot by 4.0 m' in selection.text.content
     page.give(selection.jump)
     assert page.playback.cursor_ns == page.run.stamps[23]
+    assert selection.list.value == rejected
+    page.give(selection.clear_button)
+    assert selection.list.value == 'choose one'
 
 
 def test_clicked_link_shows_the_view_that_closed_it(page: Page) -> None:
@@ -251,7 +254,7 @@ def test_closures_are_those_up_to_the_shown_moment(page: Page) -> None:
     page.at(10)
     for _ in range(10):
         page.update()
-    assert page.panels.selection.list.options == ('none yet',)
+    assert page.panels.selection.list.options == ('none',)
 
 
 # Appearance, shortcuts and cost.
@@ -310,7 +313,9 @@ class FakeClient:
         self.notes: list[tuple[str, str, str]] = []
 
     def get_render(self, height: int, width: int, **more: object) -> np.ndarray:
-        return np.full((height, width, 4), (10, 20, 30, 255), np.uint8)
+        picture = np.full((height, width, 4), (10, 20, 30, 255), np.uint8)
+        picture[1:, :, 3] = 0
+        return picture
 
     def send_file_download(self, name: str, content: bytes, save_immediately: bool) -> None:
         self.files.append((name, content))
@@ -359,7 +364,8 @@ def test_screenshot_is_drawn_and_downloaded_by_the_browser(
     ((name, content),) = browser.files
     assert name == 'test-run-0-05.0.png'
     picture = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
-    assert picture.shape == (30, 40, 4) and tuple(picture[0, 0]) == (30, 20, 10, 255)
+    assert picture.shape == (30, 40, 3) and tuple(picture[0, 0]) == (30, 20, 10)
+    assert tuple(picture[1, 0]) == (20, 20, 20)  # the background of the theme
 
 
 def test_recording_is_downloaded_and_its_failure_shown(

@@ -17,7 +17,7 @@ from ratslam_ros.viewer.panels.parameters import problem_of
 
 ALL_ACTIONS = (
     'go_to', 'go_to_place', 'name_place', 'cancel_goals', 'explore', 'pause_nodes', 'mapping',
-    'save', 'load', 'reset', 'set_parameter',
+    'relocate', 'save', 'load', 'reset', 'set_parameter',
 )  # fmt: skip
 
 
@@ -76,6 +76,7 @@ def test_refused_request_shows_its_reason(page: Page) -> None:
         ('Explore', 'On', ('explore', True)),
         ('Mapping', 'Off', ('mapping', False)),
         ('Pause nodes', 'On', ('pause_nodes', True)),
+        ('Robot', 'Relocate', ('relocate',)),
         ('Map', 'Save', ('save',)),
         ('Go to place', 'Then to place', ('go_to_place', 'kitchen', True)),
     ],
@@ -84,6 +85,21 @@ def test_buttons_send_their_request(page: Page, group: str, button: str, call: A
     page.give(page.panels.drive.groups[group], button)
     page.answer()
     assert page.controls.calls == [call]
+
+
+def test_switches_mark_the_present_state_and_keep_working(page: Page) -> None:
+    drive = page.panels.drive
+    page.update()
+    assert drive.groups['Mapping'].options == ('On', 'Off')
+    page.controls.switches = {'mapping': True, 'explore': False}
+    page.update()
+    assert drive.groups['Mapping'].options == ('● On', 'Off')
+    assert drive.groups['Explore'].options == ('On', '● Off')
+    assert drive.groups['Pause nodes'].options == ('On', 'Off')
+    page.give(drive.groups['Explore'], '● Off')
+    page.give(drive.groups['Mapping'], 'Off')
+    page.answer()
+    assert sorted(page.controls.calls) == [('explore', False), ('mapping', False)]
 
 
 def test_place_is_named(page: Page) -> None:

@@ -207,6 +207,19 @@ def test_empty_run_draws_nothing_and_does_not_fail(drawing) -> None:
     assert drawing.scene.legend()
 
 
+def test_legend_names_scan_and_route_once_drawn(drawing) -> None:
+    from ratslam_ros.history.records import RouteRecord, ScanRecord
+
+    state = SyntheticRun(50).state()
+    drawing.settle(state)
+    before = [text for _, text in drawing.scene.legend()]
+    state.apply(ScanRecord(state.stamp_ns, np.ones((3, 2))))
+    state.apply(RouteRecord(state.stamp_ns, np.eye(2)))
+    drawing.settle(state)
+    texts = [text for _, text in drawing.scene.legend()]
+    assert set(texts) - set(before) == {'laser scan', 'route and goal'}
+
+
 def test_experiences_without_pose_are_left_out(drawing) -> None:
     state = SyntheticRun(50).state()
     state.map.poses[7] = np.nan

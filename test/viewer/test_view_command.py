@@ -14,6 +14,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
+from helpers import ODOM_TOPIC, circles, write_bag
 from pages import Page, View, wait_for
 
 from ratslam_ros.cli.main import parser
@@ -93,11 +94,19 @@ def test_view_of_nothing_ends_in_one_line(refusal: Refusal) -> None:
     assert 'nosuch' in refusal('view', 'nosuch', *QUIET)
 
 
+def test_recording_without_images_is_refused_before_the_page(
+    refusal: Refusal, tmp_path: Path
+) -> None:
+    bag = write_bag(tmp_path / 'bag', [m for m in circles(1, 5) if m[1] == ODOM_TOPIC])
+    assert 'holds no images' in refusal('view', str(bag), *QUIET)
+    assert 'holds no images' in refusal('replay', str(bag), '--view', *QUIET)
+
+
 def test_failing_replay_ends_in_one_line(view: Start, recording: Any) -> None:
-    started = view('view', str(recording.recording), '--image-topic', '/nosuch', *QUIET)
+    started = view('view', str(recording.recording), '--start', '1000', *QUIET)
     assert started.wait() == 2
     (line,) = started.errors
-    assert '/nosuch' in line
+    assert 'the start at 1000 s is outside' in line
 
 
 def test_options_of_replay_are_refused_for_results(refusal: Refusal, results: Path) -> None:

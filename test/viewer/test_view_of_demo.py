@@ -71,6 +71,23 @@ def test_earlier_moment_has_its_own_image_and_map(demo: Demo) -> None:
     page.wait_for_picture(lambda scene: demo.places(scene) > 300, 'experiences')
 
 
+def test_time_control_stays_in_sight_and_image_fills_panel(demo: Demo) -> None:
+    page = demo.page
+    page.open_tab('Help')
+    page.wait_for_text('Ctrl K')
+    scrolled, top, width = page.run(
+        "const label = [...document.querySelectorAll('label')]"
+        ".find(e => e.innerText.trim() === 'Playback');"
+        "const area = label.closest('[data-scrollarea-viewport]'); area.scrollTop = 1000;"
+        'const image = [...document.images].find(e => e.naturalWidth === 160);'
+        'const found = [area.scrollTop, label.getBoundingClientRect().top, image.width];'
+        'area.scrollTop = 0; return found'
+    )
+    assert scrolled > 50 and 0 < top < 200  # of 720
+    assert width > 250
+    page.open_tab('Map')
+
+
 def test_click_selects_and_goal_is_sent(demo: Demo) -> None:
     page = demo.page
     page.close_notices()

@@ -4,12 +4,16 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
 from pages import Page, Relay, wait_for
 from viewer_doubles import FakeControls, FakeRun
+
+STALL_S = 5.0
+"""Duration of a stall of the network."""
 
 NewPage = Callable[[str], Page]
 
@@ -68,6 +72,25 @@ def test_reloaded_page_shows_the_same(shown: Shown) -> None:
     shown.page.wait_for_text('live: following')
 
 
+def test_removed_lines_free_their_memory(shown: Shown) -> None:
+    def count() -> int:
+        return int(
+            shown.page.run('return window.__viserTestpoints.rendererInfo.memory.geometries')
+        )
+
+    def change_theme() -> None:
+        scene.dark = not scene.dark
+
+    scene = shown.served.app.scene
+    wait_for(lambda: count() > 3, 'a drawn map')
+    before = most = count()
+    for _ in range(8):  # every change draws all lines anew
+        shown.served.app.post(change_theme)
+        shown.served.wait_for_updates(5)
+        most = max(most, count())
+    wait_for(lambda: count() <= before + 3, f'{before} geometries again, after {most}')
+
+
 def test_stalled_browser_catches_up_and_stops_no_other(shown: Shown, new_page: NewPage) -> None:
     port = shown.served.server.port
     relay = Relay(port)
@@ -75,9 +98,11 @@ def test_stalled_browser_catches_up_and_stops_no_other(shown: Shown, new_page: N
         stalled = new_page(shown.served.url.replace(f':{port}', f':{relay.port}'))
         stalled.wait_for_text(shown.end)
         relay.stall()
+        end_s = time.monotonic() + STALL_S
         before = shown.end
-        shown.run.grow(4)
-        shown.page.wait_for_text(shown.end)
+        while time.monotonic() < end_s:  # the other page shows every step meanwhile
+            shown.run.grow(1)
+            shown.page.wait_for_text(shown.end)
         stalled.wait_for_text(before)
         relay.resume()
         stalled.wait_for_text(shown.end)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ratslam_ros.core.common.compiled import compiled
+from ratslam_ros.core.common.mount import CENTRED, Mount
 from ratslam_ros.core.common.state import State
 from ratslam_ros.errors import UnusableInput
 
@@ -29,27 +30,33 @@ class Scan:
     """One laser scan.
 
     Beam i points ``angle_min_rad + i * angle_increment_rad`` counter-clockwise from straight
-    ahead. ``ranges_m`` is (n,); beams whose range is not finite and positive hit no obstacle.
+    ahead of the robot. ``ranges_m`` is (n,); beams whose range is not finite and positive hit no
+    obstacle. ``x_m`` and ``y_m``: position of the laser, ahead and left of the robot's centre.
     """
 
     stamp_ns: int
     angle_min_rad: float
     angle_increment_rad: float
     ranges_m: NDArray[np.float64]
+    x_m: float = 0.0
+    y_m: float = 0.0
 
 
 def scan_state(scan: Scan) -> State:
     """Return a scan for a saved state."""
     return {
         'stamp_ns': scan.stamp_ns, 'angles': [scan.angle_min_rad, scan.angle_increment_rad],
-        'ranges_m': scan.ranges_m.copy(),
+        'at_m': [scan.x_m, scan.y_m], 'ranges_m': scan.ranges_m.copy(),
     }  # fmt: skip
 
 
 def scan_from_state(state: State) -> Scan:
     """Return a scan from ``scan_state``."""
-    first_rad, step_rad = state['angles']
-    return Scan(int(state['stamp_ns']), float(first_rad), float(step_rad), state['ranges_m'])
+    (first_rad, step_rad), (x_m, y_m) = state['angles'], state.get('at_m', (0.0, 0.0))
+    return Scan(
+        int(state['stamp_ns']), float(first_rad), float(step_rad), state['ranges_m'], float(x_m),
+        float(y_m),
+    )  # fmt: skip
 
 
 class UnusableScan(UnusableInput):
@@ -63,6 +70,7 @@ def checked_scan(
     range_min_m: float,
     range_max_m: float,
     ranges_m: ArrayLike,
+    mount: Mount = CENTRED,
 ) -> Scan:
     """Validate the fields of a sensor_msgs/LaserScan and return them as a Scan.
 
@@ -72,11 +80,12 @@ def checked_scan(
 
     Args:
         stamp_ns: stamp of the scan.
-        angle_min_rad: direction of the first beam, counter-clockwise from straight ahead.
+        angle_min_rad: direction of the first beam, counter-clockwise in the frame of the laser.
         angle_increment_rad: angle between two beams.
         range_min_m: smallest valid range.
         range_max_m: largest valid range.
         ranges_m: (n,) ranges.
+        mount: where the laser sits on the robot.
 
     Raises:
         UnusableScan: there are no beams or too many, or an angle or range limit is invalid.
@@ -101,27 +110,33 @@ def checked_scan(
     is_valid = (measured_m >= range_min_m) & (measured_m <= range_max_m)
     checked_m = np.where(is_valid, measured_m, math.inf)
     checked_m[measured_m == -math.inf] = max(range_min_m, CONTACT_RANGE_M)
-    return Scan(stamp_ns, angle_min_rad, angle_increment_rad, checked_m)
+    if mount.is_upside_down:
+        angle_min_rad, angle_increment_rad = -angle_min_rad, -angle_increment_rad
+    return Scan(
+        stamp_ns, angle_min_rad + mount.yaw_rad, angle_increment_rad, checked_m, mount.x_m,
+        mount.y_m,
+    )  # fmt: skip
 
 
 def points_of(scan: Scan) -> NDArray[np.float64]:
     """Return (n, 2) end points of the beams that hit something, in metres in the robot's frame."""
     points: NDArray[np.float64] = _points(
-        scan.ranges_m, scan.angle_min_rad, scan.angle_increment_rad
+        scan.ranges_m, scan.angle_min_rad, scan.angle_increment_rad, scan.x_m, scan.y_m
     )
     return points
 
 
 @compiled
 def _points(
-    ranges_m: NDArray[np.float64], angle_min_rad: float, angle_increment_rad: float
-) -> NDArray[np.float64]:
+    ranges_m: NDArray[np.float64], angle_min_rad: float, angle_increment_rad: float, x_m: float,
+    y_m: float,
+) -> NDArray[np.float64]:  # fmt: skip
     points = np.empty((len(ranges_m), 2))
     count = 0
     for beam in range(len(ranges_m)):
         if 0.0 < ranges_m[beam] < _MAX_RANGE_M:
             angle = angle_min_rad + beam * angle_increment_rad
-            points[count, 0] = ranges_m[beam] * math.cos(angle)
-            points[count, 1] = ranges_m[beam] * math.sin(angle)
+            points[count, 0] = x_m + ranges_m[beam] * math.cos(angle)
+            points[count, 1] = y_m + ranges_m[beam] * math.sin(angle)
             count += 1
     return points[:count]

@@ -94,14 +94,16 @@ class ExperienceMapParameters(OdometryInput):
         'leave as it is for a single robot',
     )  # fmt: skip
     odom_frame: str = parameter(
-        'odom', '', 0, 0, 'Live only: frame of the odometry; map_frame -> odom_frame is on /tf.',
-        "set to the name of the robot's odometry frame",
-        'leave as it is if no other node uses another name',
+        'auto', '', 0, 0, 'Live only: frame of the odometry; map_frame -> odom_frame is on /tf. '
+        'auto: the frame_id of its messages.',
+        'set if the messages name another frame than the TF tree',
+        'leave as it is for most robots',
     )  # fmt: skip
     base_frame: str = parameter(
-        'base_link', '', 0, 0, 'Live only: frame of the robot; goals may be given in it.',
-        "set to the name of the robot's base frame",
-        'leave as it is if no other node uses another name',
+        'auto', '', 0, 0, 'Live only: frame of the robot; goals may be given in it, and the place '
+        'of the laser is looked up in it. auto: the child_frame_id of the odometry.',
+        'set if the messages name another frame than the TF tree',
+        'leave as it is for most robots',
     )  # fmt: skip
     publish_tf: bool = parameter(
         True, '', 0, 1, 'Live only: publish map_frame -> odom_frame on /tf.',

@@ -84,9 +84,10 @@ class LandmarkMapParameters(Forgetting, OdometryInput):
         'leave as it is for a single robot',
     )  # fmt: skip
     odom_frame: str = parameter(
-        'odom', '', 0, 0, 'Live only: frame of the odometry; odom_frame -> map_frame is on /tf.',
-        "set to the name of the robot's odometry frame",
-        'leave as it is if no other node uses another name',
+        'auto', '', 0, 0, 'Live only: frame of the odometry; odom_frame -> map_frame is on /tf. '
+        'auto: the frame_id of its messages.',
+        'set if the messages name another frame than the TF tree',
+        'leave as it is for most robots',
     )  # fmt: skip
     publish_tf: bool = parameter(
         True, '', 0, 1, 'Live only: publish odom_frame -> map_frame on /tf.',

@@ -72,7 +72,7 @@ def plan_detour(
     scan = movement.scan
     costs = _cell_costs(
         movement.points, scan.ranges_m, scan.angle_min_rad, scan.angle_increment_rad,
-        p.robot_radius_m, last_rad,
+        scan.x_m, scan.y_m, p.robot_radius_m, last_rad,
     )  # fmt: skip
     along_m, cells = _route_cells(route)
     blocked = np.flatnonzero(~np.isfinite(costs[cells]))
@@ -166,7 +166,8 @@ def _route_cells(route: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArr
 @compiled
 def _cell_costs(
     points: NDArray[np.float64], ranges_m: NDArray[np.float64], angle_min_rad: float,
-    angle_increment_rad: float, radius_m: float, last_rad: float,
+    angle_increment_rad: float, laser_x_m: float, laser_y_m: float, radius_m: float,
+    last_rad: float,
 ) -> NDArray[np.float64]:  # fmt: skip
     """Return the (cells,) cost factors; infinite where the robot does not fit.
 
@@ -187,13 +188,15 @@ def _cell_costs(
             continue
         room = min(max((gap - radius_m) / FULL_CLEARANCE_M, 0.0), 1.0)
         costs[cell] = TIGHT_COST_FACTOR - (TIGHT_COST_FACTOR - 1.0) * room
-        bearing = math.atan2(y, x)
-        turn = (bearing - angle_min_rad) % (2.0 * math.pi) if angle_increment_rad > 0.0 else (
-            (angle_min_rad - bearing) % (2.0 * math.pi)
+        seen_at = math.atan2(y - laser_y_m, x - laser_x_m)
+        turn = (seen_at - angle_min_rad) % (2.0 * math.pi) if angle_increment_rad > 0.0 else (
+            (angle_min_rad - seen_at) % (2.0 * math.pi)
         )
         beam = round(turn / max(abs(angle_increment_rad), 1e-9))
-        if beam >= len(ranges_m) or 0.0 < ranges_m[beam] < away:
+        from_laser = math.hypot(x - laser_x_m, y - laser_y_m)
+        if beam >= len(ranges_m) or 0.0 < ranges_m[beam] < from_laser:
             costs[cell] *= UNSEEN_COST_FACTOR
+        bearing = math.atan2(y, x)
         if away < TURN_COST_RADIUS_M:
             aside = abs((bearing - last_rad + math.pi) % (2.0 * math.pi) - math.pi)
             costs[cell] *= 1.0 + TURN_COST_PER_RAD * aside

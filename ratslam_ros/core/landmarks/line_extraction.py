@@ -116,5 +116,9 @@ def extract_landmarks(scan: Scan, parameters: LineExtractionParameters) -> Laser
     kinds, _, offsets, values, covariance = landmarks_of(
         lines, covariances, ends, at, sds, p.le_wall_sd_m
     )
+    # The beams are evenly spaced about the laser; directions and covariances stay those there.
+    values[offsets[:-1]] += scan.x_m
+    values[offsets[:-1] + 1] += scan.y_m
+    at += scan.x_m, scan.y_m
     features = Features(np.arange(len(kinds)), offsets, values, covariance)
     return LaserLandmarks(features, kinds, at, ends)

@@ -15,7 +15,7 @@ from ratslam_ros.viewer.panels.desk import Desk
 from ratslam_ros.viewer.panels.html import BLUE, GREEN, ORANGE, RED, block, dim, mark, strong
 from ratslam_ros.viewer.panels.image_loader import ImageLoader
 from ratslam_ros.viewer.panels.pictures import error_curves, match_picture
-from ratslam_ros.viewer.panels.texts import decision_text, match_text
+from ratslam_ros.viewer.panels.texts import decision_text, match_picture_text, match_text
 
 if TYPE_CHECKING:
     import viser
@@ -27,6 +27,8 @@ PLOT_EVERY = 5
 PLOT_HEIGHT_PX = 150
 PLOT_FONT, FAINT = '11px sans-serif', 'rgba(128,128,128,0.25)'
 
+MATCH_LABEL = 'View (above) and matched template (below)'
+NO_IMAGE = 'no camera image for this moment'
 NO_PICTURE = np.full((3, 4, 3), 127, np.uint8)
 
 
@@ -36,10 +38,12 @@ class CameraPanel:
     def __init__(self, desk: Desk) -> None:
         self._desk, gui = desk, desk.gui
         self.loader = ImageLoader(desk.post)
-        self.image = gui.add_image(NO_PICTURE, label='Camera', format='jpeg')
-        self.no_image = gui.add_html(block(dim('no camera image for this moment')), visible=False)
+        self.image = gui.add_image(
+            NO_PICTURE, label='Camera', format='jpeg', visible=False
+        )
+        self.no_image = gui.add_html(block(dim(NO_IMAGE)))
         self.text = gui.add_html('')
-        self.match = gui.add_image(NO_PICTURE, label='View (above) and matched template (below)')
+        self.match = gui.add_image(NO_PICTURE, label=MATCH_LABEL, visible=False)
         self.match_text = gui.add_html('')
         axis: viser.uplot.Axis = {
             'stroke': 'gray', 'grid': {'stroke': FAINT}, 'ticks': {'stroke': FAINT},
@@ -60,7 +64,7 @@ class CameraPanel:
                 {**axis, 'size': 42},
             ),
             legend={'live': False},
-            height=PLOT_HEIGHT_PX,
+            height=PLOT_HEIGHT_PX, visible=False,
         )  # fmt: skip
         self._drawn = -PLOT_EVERY
         self._match: MatchRecord | None = None
@@ -78,15 +82,18 @@ class CameraPanel:
             self._request_image(state, stamp_ns)
         view = state.view
         if view is not None:
+            required = self._desk.playback.source.required_views
             symbol = mark('◆', ORANGE) if view.is_new else mark('●', GREEN)
             self.text.content = block(
-                f'{symbol} {strong(match_text(view))}', escape(decision_text(view))
+                f'{symbol} {strong(match_text(view))}', escape(decision_text(view, required))
             )
         else:
-            self.text.content = block(dim('no view yet'))
+            self.text.content = block(dim('no view for this moment'))
         if state.match is not self._match:
             self._match = state.match
             self._show_match(state.match)
+        if state.match is not None:
+            self.match_text.content = block(dim(match_picture_text(state.match, stamp_ns)))
         self._show_plot(state, stamp_ns)
 
     def _request_image(self, state: RunState, stamp_ns: int) -> None:
@@ -109,19 +116,14 @@ class CameraPanel:
             self.match_text.content = ''
             return
         self.match.image = match_picture(match)
-        shift = match.shift_px
-        side = 'right' if shift > 0 else 'left'
-        moved = f'shifted {abs(shift)} px to the {side}' if shift else 'no shift'
-        height, width = match.view.shape
-        self.match_text.content = block(
-            dim(f'template {match.template_id}: {moved}; as compared, {width} × {height} px')
-        )
 
     def _show_plot(self, state: RunState, stamp_ns: int) -> None:
         due = self._desk.updates - self._drawn >= PLOT_EVERY
         if due and stamp_ns != self._plotted_ns:
             self._drawn, self._plotted_ns = self._desk.updates, stamp_ns
-            self.plot.data = error_curves(state.recent, stamp_ns)
+            curves = error_curves(state.recent, stamp_ns)
+            self.plot.visible = len(curves[0]) > 0
+            self.plot.data = curves
 
 
 def set_jpeg(handle: viser.GuiImageHandle, jpeg: bytes) -> None:

@@ -24,6 +24,7 @@ class CellsPanel:
     """Energy, packets and the decision of the pose cells."""
 
     def __init__(self, desk: Desk) -> None:
+        self._desk = desk
         self.text = desk.gui.add_html('')
         desk.gui.add_html(block(dim(EXPLANATION)))
         self._cells: CellsRecord | None = None
@@ -37,8 +38,10 @@ class CellsPanel:
 
     def _show(self, state: RunState) -> None:
         self._cells, self._view = state.cells, state.view
+        required = self._desk.playback.source.required_views
         parts = [strong('Decision')]
-        parts.append(escape(decision_text(state.view)) if state.view else dim('no view yet'))
+        view = state.view
+        parts.append(escape(decision_text(view, required)) if view else dim('no view'))
         parts.append(strong('Activity'))
         parts.append(table(cells_text(state.cells)) if state.cells else dim('not recorded'))
         self.text.content = block(*parts)

@@ -32,6 +32,7 @@ class DrivePanel:
         actions, gui = desk.controls.actions, desk.gui
         self.groups: dict[str, Any] = {}
         """Groups of buttons, by their labels."""
+        self._switches: dict[str, Any] = {}
         if not actions - {'set_parameter', 'run_again'}:
             self.nothing = gui.add_html(block(dim(getattr(desk.controls, 'reason', NOTHING))))
         self.status = gui.add_html('')
@@ -69,6 +70,12 @@ class DrivePanel:
         self._switch('Mapping', 'mapping', 'Off: the robot is localised, but learns nothing.')
         self._switch('Pause nodes', 'pause_nodes', 'While paused, nodes ignore their inputs.')
         self._group(
+            'Robot',
+            {'Relocate': ('relocate', lambda: self._request('relocate', 'relocate'))},
+            'Search for the place of the robot by its laser scans, for instance after it was '
+            'carried.',
+        )
+        self._group(
             'Map',
             {
                 'Save': ('save', lambda: self._request('save', 'save')),
@@ -100,6 +107,7 @@ class DrivePanel:
             else f'{strong("Selected")} x {target[0]:.2f} m, y {target[1]:.2f} m'
         )  # fmt: skip
         offer(self.place, tuple(self._desk.controls.places) or (NO_PLACES,))
+        self._show_switches()
         self.log.content = log_html(self._desk.requests)
         self.diagnostics.content = diagnostics_html(self._desk.controls.diagnostics)
 
@@ -128,12 +136,26 @@ class DrivePanel:
             self.groups[label or next(iter(acts))] = group
 
     def _switch(self, label: str, name: str, hint: str) -> None:
-        """Add buttons for on and off; the run does not report which one holds."""
+        """Add buttons for on and off; a mark shows which one holds, if it is known."""
+        if name not in self._desk.controls.actions:
+            return
         what = label.lower()
-        self._group(label, {
-            'On': (name, lambda: self._request(f'{what} on', name, True)),
-            'Off': (name, lambda: self._request(f'{what} off', name, False)),
-        }, hint)  # fmt: skip
+        group = self._desk.gui.add_button_group(label, (ON, OFF), hint=hint)
+        self._desk.on_press(group, {
+            prefix + text: lambda on=text == ON: self._request(  # type: ignore[misc]
+                f'{what} {"on" if on else "off"}', name, on
+            )
+            for text in (ON, OFF) for prefix in ('', PRESENT)
+        })  # fmt: skip
+        self.groups[label] = self._switches[name] = group
+
+    def _show_switches(self) -> None:
+        known = self._desk.controls.switches
+        for name, group in self._switches.items():
+            offer(group, [
+                PRESENT + text if known.get(name) == on else text
+                for text, on in ((ON, True), (OFF, False))
+            ])  # fmt: skip
 
     def _request(self, label: str, name: str, *values: Any) -> None:
         call = getattr(self._desk.controls, name)
@@ -185,6 +207,7 @@ class DrivePanel:
 
 
 CLICK_FIRST = 'Click a point on the map to select it.'
+ON, OFF, PRESENT = 'On', 'Off', '● '
 GO_HERE, THEN_HERE = 'Go here', 'Then here'
 LOAD_WARNING = 'The present map is replaced by the saved one. What was not saved is lost.'
 RESET_WARNING = 'All nodes forget everything they have learned. What was not saved is lost.'

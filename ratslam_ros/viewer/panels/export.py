@@ -46,7 +46,8 @@ class ExportPanel:
         playback = self._desk.playback
         at_s = (playback.cursor_ns - playback.begin_ns) / NS_PER_S
         name = file_name(f'{playback.source.title} {time_text(at_s)}', '.png')
-        self._desk.ask('screenshot', lambda: send_screenshot(client, name))
+        background = self._desk.scene.background
+        self._desk.ask('screenshot', lambda: send_screenshot(client, name, background))
 
     def _record(self, client: Any) -> None:
         source, scene = self._desk.playback.source, self._desk.scene
@@ -67,15 +68,20 @@ def file_name(title: str, suffix: str) -> str:
     return (re.sub(r'[^A-Za-z0-9.-]+', '-', title).strip('-.') or 'run') + suffix
 
 
-def send_screenshot(client: Any, name: str) -> Answer:
-    """Have a browser draw its view of the map and download it as PNG."""
+def send_screenshot(client: Any, name: str, background: tuple[int, int, int]) -> Answer:
+    """Have a browser draw its view of the map and download it as PNG.
+
+    The browser draws without the background, before which the colours of a theme are readable.
+    """
     import cv2
 
     camera = client.camera
     picture = client.get_render(
         camera.image_height, camera.image_width, transport_format='png', timeout=RENDER_TIMEOUT_S
     )
-    ok, data = cv2.imencode('.png', np.ascontiguousarray(picture[:, :, [2, 1, 0, 3]]))
+    opacity = picture[:, :, 3:] / 255.0
+    rgb = np.rint(picture[:, :, :3] * opacity + np.array(background) * (1.0 - opacity))
+    ok, data = cv2.imencode('.png', np.ascontiguousarray(rgb[:, :, ::-1].astype(np.uint8)))
     if not ok:
         return Answer(False, f'a picture of {picture.shape} could not be encoded')
     client.send_file_download(name, data.tobytes(), save_immediately=True)

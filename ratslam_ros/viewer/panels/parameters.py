@@ -32,7 +32,10 @@ DECIMALS = 6
 MOST_SHOWN = 40
 """Largest number of inputs at once; a search narrows them down."""
 
-NOTHING = 'This run has no parameters that can be changed.'
+NOTHING = (
+    'This run has no parameters that can be changed. Those of a replay ("ratslam view RECORDING") '
+    'and of live nodes ("ratslam launch --view") can.'
+)
 LIVE_HINT = 'Change values and apply them together. Hover over a name to read what it does.'
 REPLAY_HINT = (
     'Change values and replay the recording again with them. Hover over a name to read what it '

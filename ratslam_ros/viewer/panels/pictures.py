@@ -70,9 +70,10 @@ def error_curves(views: Iterable[ViewRecord], now_ns: int) -> tuple[NDArray[np.f
 
     Returns:
         x: time before now in s, negative; then the match error, the threshold, and the error of
-        views that became new templates. Values that do not exist are not finite.
+        views that became new templates, NaN for others. Views without an error are left out,
+        because the page scales its axis by the errors and cannot do so with NaN among them.
     """
-    views = list(views)
+    views = [view for view in views if view.error >= 0]
     stride = max(1, -(-len(views) // PLOT_POINTS))
     chosen = list(islice(views, (len(views) - 1) % stride, None, stride))
     rows = np.array(
@@ -82,6 +83,4 @@ def error_curves(views: Iterable[ViewRecord], now_ns: int) -> tuple[NDArray[np.f
         ]
     ).reshape(-1, 4)
     x, error, threshold, is_new = rows.T.copy()
-    error[error < 0] = np.nan
-    threshold[threshold < 0] = np.nan
     return x, error, threshold, np.where(is_new == 1, error, np.nan)

@@ -27,6 +27,7 @@ from ratslam_ros.viewer.panels.html import (
     table,
 )
 from ratslam_ros.viewer.panels.texts import (
+    agreement_text,
     claimed_id,
     closure_text,
     explained,
@@ -37,7 +38,7 @@ from ratslam_ros.viewer.panels.texts import (
 )
 from ratslam_ros.viewer.scene import Pick
 
-HINT = 'Click an experience, a loop closure or the ground on the map, or choose below.'
+HINT = 'Click an experience, a loop closure or the ground on the map, or choose above.'
 
 LISTED = 50
 """Largest number of visits and of closures that are listed, the last ones."""
@@ -125,6 +126,7 @@ class SelectionPanel:
         self.pick = self.closure = None
         self._desk.scene.select(None)
         self.text.content = block(dim(HINT))
+        assign(self.list, self.list.options[0])
         for handle in self.images, self.details, self.visits, self.jump, self.clear_button:
             handle.visible = False
 
@@ -188,7 +190,7 @@ class SelectionPanel:
                 f'→ {target}' if source == number else f'← {source}',
                 f'{links.shapes[row, 0]:.2f} m', f'{links.durations_s[row]:.1f} s',
                 f'{links.confidences[row]:.0%}', f'{links.counts[row]}',
-                'closure' if links.recognised[row] else links.behaviours[row],
+                'recognised' if links.recognised[row] else links.behaviours[row] or 'driven',
             ))  # fmt: skip
         more = len(rows) - SHOWN_LINKS
         head = 'link', 'length', 'time', 'conf.', 'uses', 'kind'
@@ -232,7 +234,7 @@ class SelectionPanel:
             ('template', f'{view.template_id}'),
             ('match error', f'{view.error:.4f}' if view.error >= 0 else 'not computed'),
             ('threshold', f'{view.threshold:.4f}'),
-            ('agreement', f'{view.agreement:.0%} of the recognitions required'),
+            ('agreement', agreement_text(view, source.required_views)),
             *self._displacement(view, target),
         ]
         self.details.content = block(table(rows))
@@ -263,6 +265,7 @@ class SelectionPanel:
         view = self._closures.get(text)
         if view is not None:
             self.clear()
+            assign(self.list, text)
             self._desk.scene.select(
                 Pick('closure', (0.0, 0.0, 0.0), ends=(view.source_id, claimed_id(view)))
             )
@@ -290,4 +293,4 @@ VERDICTS = {
 """Symbol and colour of every verdict."""
 
 NO_VISIT = 'choose a time'
-NO_CLOSURE, NONE_YET = 'choose one', 'none yet'
+NO_CLOSURE, NONE_YET = 'choose one', 'none'

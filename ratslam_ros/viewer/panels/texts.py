@@ -8,7 +8,7 @@ import math
 from collections.abc import Sequence
 from datetime import UTC, datetime
 
-from ratslam_ros.history.records import CellsRecord, ViewRecord
+from ratslam_ros.history.records import CellsRecord, MatchRecord, ViewRecord
 from ratslam_ros.history.run_state import NS_PER_S
 from ratslam_ros.viewer.playback import Playback
 
@@ -68,8 +68,19 @@ def match_text(view: ViewRecord) -> str:
     return f'template {view.template_id} matched: error {view.error:.4f} of {view.threshold:.4f}'
 
 
-def decision_text(view: ViewRecord) -> str:
-    """Return what the pose cells and the map made of a view."""
+def match_picture_text(match: MatchRecord, shown_ns: int) -> str:
+    """Return what a picture of a match shows; pictures are recorded less often than views."""
+    shift = match.shift_px
+    side = 'right' if shift > 0 else 'left'
+    moved = f'shifted {abs(shift)} px to the {side}' if shift else 'no shift'
+    height, width = match.view.shape
+    ago_s = (shown_ns - match.stamp_ns) / NS_PER_S
+    before = f' {ago_s:.1f} s before' if ago_s >= 0.05 else ''
+    return f'template {match.template_id}{before}: {moved}; as compared, {width} × {height} px'
+
+
+def decision_text(view: ViewRecord, required_views: float | None = None) -> str:
+    """Return what the pose cells and the map made of a view; see ``agreement_text``."""
     target = view.target_id
     if view.relocated_to >= 0:
         return f'relocated to experience {view.relocated_to} by laser scans'
@@ -77,9 +88,8 @@ def decision_text(view: ViewRecord) -> str:
         return f'rejected: loop closure to experience {claimed_id(view)} {view.reason}'
     recognised = ''
     if view.recognised_id >= 0:
-        recognised = (
-            f'recognised experience {view.recognised_id} (agreement {view.agreement:.0%}); '
-        )
+        agreement = agreement_text(view, required_views)
+        recognised = f'recognised experience {view.recognised_id} ({agreement}); '
     decision = {
         'create': f'experience {target} created',
         'link': f'experience {target} linked',
@@ -87,6 +97,21 @@ def decision_text(view: ViewRecord) -> str:
         'none': f'stays at experience {target}' if target >= 0 else 'no experience yet',
     }[view.action]
     return recognised + decision
+
+
+def agreement_text(view: ViewRecord, required_views: float | None) -> str:
+    """Return how many views agree with a recognition.
+
+    Args:
+        view: the view that was recognised.
+        required_views: number of views that must agree, 0 for none, None if it is unknown.
+    """
+    if required_views is None:
+        return f'agreement {view.agreement:.0%}'
+    if required_views == 0.0:
+        return 'no agreement required'
+    agreeing = math.ceil(view.agreement * required_views - 1e-9)
+    return f'{agreeing} of {required_views:g} views agree'
 
 
 def claimed_id(view: ViewRecord) -> int:

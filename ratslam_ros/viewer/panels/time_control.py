@@ -7,6 +7,7 @@ from __future__ import annotations
 from ratslam_ros.history.run_state import NS_PER_S, RunState
 from ratslam_ros.viewer.panels.desk import Desk, assign, offer
 from ratslam_ros.viewer.panels.html import ORANGE, block, dim, mark, strong
+from ratslam_ros.viewer.panels.page import PAGE
 from ratslam_ros.viewer.panels.texts import playback_text, stamp_text, time_text
 
 SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
@@ -24,21 +25,23 @@ class TimeControl:
     def __init__(self, desk: Desk) -> None:
         self._desk, gui = desk, desk.gui
         playback = desk.playback
-        self.text = gui.add_html('')
-        self.scrubber = gui.add_slider(
-            'Time [s]', 0.0, 1.0, SLIDER_STEP_S, 0.0, marks=(),
-            hint='Time since the beginning of the run. Drag it to show any moment.',
-        )  # fmt: skip
-        self.buttons = gui.add_button_group(
-            'Playback', (BEGIN, BACK, PLAY, NEXT, END),
-            hint='Begin; previous view; play or pause; next view; end. While the run goes on, End '
-            'follows it live.',
-        )  # fmt: skip
-        self.speed = gui.add_dropdown(
-            'Speed', tuple(map(_speed_text, SPEEDS)), initial_value=_speed_text(1.0),
-            hint='Speed of playing, relative to the recording.',
-        )  # fmt: skip
-        self.notices = gui.add_html('', visible=False)
+        with gui.add_folder('Time'):
+            gui.add_html(PAGE)
+            self.text = gui.add_html('')
+            self.scrubber = gui.add_slider(
+                'Time [s]', 0.0, 1.0, SLIDER_STEP_S, 0.0, marks=(),
+                hint='Time since the beginning of the run. Drag it to show any moment.',
+            )  # fmt: skip
+            self.buttons = gui.add_button_group(
+                'Playback', (BEGIN, BACK, PLAY, NEXT, END),
+                hint='Begin; previous view; play or pause; next view; end. While the run goes on, '
+                'End follows it live.',
+            )  # fmt: skip
+            self.speed = gui.add_dropdown(
+                'Speed', tuple(map(_speed_text, SPEEDS)), initial_value=_speed_text(1.0),
+                hint='Speed of playing, relative to the recording.',
+            )  # fmt: skip
+            self.notices = gui.add_html('', visible=False)
         desk.on_change(self.scrubber, self._scrub)
         desk.on_press(self.buttons, {
             BEGIN: lambda: playback.seek(playback.begin_ns),
@@ -60,10 +63,12 @@ class TimeControl:
             strong(source.title),
             f'{mark(symbol, ORANGE)} {words}',
             f'{strong(time_text(at_s))} of {time_text(of_s)} '
-            f'&ensp;{dim(stamp_text(playback.cursor_ns))}',
+            f'&ensp;{dim(stamp_text(playback.cursor_ns)) if end_ns else ""}',
         )
         # Whole seconds, so that a growing run changes the scale once a second.
-        self.scrubber.max = float(max(1, -(-(end_ns - begin_ns) // NS_PER_S)))
+        step_ns = NS_PER_S if playback.is_growing else round(SLIDER_STEP_S * NS_PER_S)
+        steps = max(1, -(-(end_ns - begin_ns) // step_ns))
+        self.scrubber.max = round(steps * step_ns / NS_PER_S, 1)
         assign(self.scrubber, round(at_s / SLIDER_STEP_S) * SLIDER_STEP_S)
         play = PAUSE if playback.playing else PLAY
         offer(self.buttons, (BEGIN, BACK, play, NEXT, END))

@@ -149,7 +149,7 @@ def _other_components(state: RunState) -> NDArray[np.bool_]:
 def _links_legend(theme: Theme) -> Legend:
     return [
         (theme.driven, 'link: driven'),
-        (theme.recognised, 'link: recognised view'),
+        (theme.recognised, 'link: recent view recognised'),
         (theme.closure, 'link: loop closure'),
     ]
 

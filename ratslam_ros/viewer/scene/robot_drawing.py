@@ -62,6 +62,8 @@ class RobotDrawing:
         self._events = Strokes(canvas, f'{events}/lines', 4.0)
         self._reasons = Labels(canvas, f'{events}/reasons')
         self._robot = Asset(canvas, f'{robot}/arrow')
+        self.has_scan = self.has_route = False
+        """Whether a scan, and a route or goal, has been drawn."""
         self._size_m = 0.0
         self._arrow_key: object = None
         self._goal_key: object = None
@@ -85,6 +87,7 @@ class RobotDrawing:
                 frame = self._canvas.frame(name)
                 frame.position, frame.wxyz = (x, y, frame.position[2]), turn
         if state.scan is not None:
+            self.has_scan = True
             points = state.scan.points_m
             self._scan.draw(np.pad(points, ((0, 0), (0, 1))), theme.scan)
         if resized:
@@ -106,6 +109,7 @@ class RobotDrawing:
             self._goal_key = None
             self._goal_text.draw([])
             return
+        self.has_route = True
         x, y, text = goal
         self._goal_text.draw([(text, (x, y + self._size_m, 0.0))])
         if (key := (x, y, self._size_m, theme)) == self._goal_key:

@@ -18,7 +18,7 @@ from ratslam_ros.viewer.scene.cell_drawing import CellDrawing
 from ratslam_ros.viewer.scene.colouring import Colours, Legend, map_colours
 from ratslam_ros.viewer.scene.map_drawing import LIMIT, MapDrawing
 from ratslam_ros.viewer.scene.nodes import Asset, Canvas, ring
-from ratslam_ros.viewer.scene.palette import DARK, LIGHT, Bytes
+from ratslam_ros.viewer.scene.palette import DARK, LIGHT, Bytes, Rgb
 from ratslam_ros.viewer.scene.picking import Pick
 from ratslam_ros.viewer.scene.robot_drawing import RobotDrawing
 from ratslam_ros.viewer.scene.surroundings import Bounds, Cameras, GridDrawing
@@ -55,6 +55,10 @@ TICKS = 400
 
 TICK_DISTANCES = 80.0
 """Headings are drawn if the camera is nearer than this many median lengths of links."""
+
+LABELS_SHARE = 1.4
+"""Side of what is framed relative to that of the map, so that the labels of the grid are seen;
+beside the pose cells, there is more room than that."""
 
 CELLS_SIDE = 0.42
 """Side of the box of the pose cells as a share of the side of the map."""
@@ -112,6 +116,11 @@ class RunScene:
         self._link_m = 0.25
 
     @property
+    def background(self) -> Rgb:
+        """Colour behind everything."""
+        return (DARK if self.dark else LIGHT).background
+
+    @property
     def detail(self) -> str:
         """How the detail is reduced; '' if it is not."""
         every = self._map.every
@@ -123,10 +132,13 @@ class RunScene:
         """Return the colours of the map and what they stand for."""
         theme = self._canvas.theme
         return [
-            *self._legend, (theme.trail, 'path of the robot'),
+            *self._legend, (theme.robot, 'robot'),
+            (theme.trail, 'path, as estimated at the time'),
             *((colour, text) for colour, text, known in (
                 (theme.dead_reckoning, 'odometry alone', self._reckoned.is_drawn),
                 (theme.truth, 'ground truth', self._truth.is_drawn),
+                (theme.scan, 'laser scan', self._robot.has_scan),
+                (theme.route, 'route and goal', self._robot.has_route),
             ) if known),
         ]  # fmt: skip
 
@@ -180,6 +192,8 @@ class RunScene:
     def area(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the lower and upper corner of all that has been drawn, in m."""
         half, centre = 0.5 * self._bounds.side_m, self._bounds.centre
+        if not self._cells_known:
+            half *= LABELS_SHARE
         low, high = centre - half, centre + half
         if self._cells_known:
             low = low - np.array([2.0 * CELLS_GAP * self._bounds.side_m, 0.0])

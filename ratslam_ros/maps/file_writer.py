@@ -1,0 +1,336 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Transactions of one process on a map file, and what to do if the file cannot be written."""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+from collections.abc import Mapping, Sequence
+from contextlib import closing, suppress
+from pathlib import Path
+
+from ratslam_ros.core.common.state import State
+from ratslam_ros.errors import UnusableInput
+from ratslam_ros.maps.chunks import Compressor, pack
+from ratslam_ros.maps.locks import MapLock
+from ratslam_ros.maps.part import Image, PartWriter, Row, Written, load, rows_of
+from ratslam_ros.maps.reader import unusable
+from ratslam_ros.maps.saved_map import Cut, MapMeta, SavedMap, loss_note
+from ratslam_ros.maps.schema import (
+    NEW,
+    beside,
+    check_layout,
+    connect,
+    create,
+    end_log,
+    remove,
+    restrict,
+    sync_folder,
+    typed,
+)
+from ratslam_ros.maps.sessions import (
+    begin,
+    drop_after,
+    join,
+    newest,
+    remove_old_cuts,
+    resumed_rows,
+    sessions_of,
+)
+
+LOG_NS = 30_000_000_000
+"""Stamps that a stream of the log spans: a node restarts in a few seconds."""
+
+LogEntry = tuple[str, int, bytes]
+"""Stream, stamp in ns and message."""
+
+
+class FileWriter:
+    """Writes parts of a map file, each cut in one transaction."""
+
+    def __init__(self, path: Path, parts: tuple[str, ...], meta: MapMeta) -> None:
+        """Open the map and begin or join a session; see ``MapStore.open``."""
+        if path.is_dir():
+            raise UnusableInput(f'{path} is a folder; expected the name of a map file')
+        self.path, self.parts = path.resolve(), parts
+        self._meta = meta
+        self.restored: SavedMap | None = None
+        self.joins = False
+        compressor = Compressor()
+        self._writers = {part: PartWriter(part, compressor) for part in parts}
+        self._session = 0
+        self._log_ns: dict[str, int] = {}
+        self._lock: MapLock | None = None
+        self._database: sqlite3.Connection | None = None
+        self._identity: tuple[int, int] | None = None
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._open()
+        except (OSError, sqlite3.Error) as error:
+            self._abandon()
+            raise unwritable(path, error) from None
+        except BaseException:
+            self._abandon()
+            raise
+
+    def write(
+        self, work: tuple[Cut, Mapping[str, State]] | None, log: Sequence[LogEntry]
+    ) -> None:  # fmt: skip
+        """Make a cut and messages durable; nothing in the file changes if that fails.
+
+        Raises:
+            UnusableInput: the file cannot be written now.
+        """
+        try:
+            database = self._opened()
+            database.execute('BEGIN IMMEDIATE')
+            try:
+                written, removed = self._write(database, work, log)
+                database.execute('COMMIT')
+            except BaseException:
+                with suppress(sqlite3.Error):
+                    database.execute('ROLLBACK')
+                raise
+        except (OSError, sqlite3.Error, UnusableInput) as error:
+            self._disconnect()  # The next attempt checks the file anew.
+            raise unwritable(self.path, error) from None
+        for entry in written:
+            self._writers[entry.row.part].adopt(entry)
+        for part, versions in removed.items():
+            self._writers[part].forget(versions)
+
+    def logged(self, stream: str, after_ns: int) -> list[tuple[int, bytes]]:
+        """Return the messages of a stream after a stamp; none if the file cannot be read."""
+        try:
+            with closing(connect(self.path, 'mode=ro')) as database:
+                restrict(database)
+                found = database.execute(
+                    'SELECT stamp_ns, data FROM log WHERE stream = ? AND stamp_ns > ?'
+                    ' ORDER BY stamp_ns', (stream, after_ns),
+                )  # fmt: skip
+                return list(typed(found, int, bytes))
+        except (sqlite3.Error, UnusableInput):
+            return []
+
+    def close(self, complete: bool) -> None:
+        """End; the last process leaves a single file.
+
+        Args:
+            complete: whether everything has been written.
+        """
+        lock = self._lock
+        if lock is None:
+            return
+        try:
+            with lock.opening():
+                database = self._database
+                if database is not None and complete and self._is_same_file():
+                    database.executemany(
+                        'UPDATE members SET ended = 1 WHERE session = ? AND part = ?',
+                        [(self._session, part) for part in self.parts],
+                    )
+                self._disconnect()
+                if not lock.others():
+                    end_log(self.path)
+                    sync_folder(self.path)
+                    lock.remove()
+        except (OSError, sqlite3.Error, UnusableInput):
+            pass  # What is in the file and its log is complete; the next process opens both.
+        finally:
+            self.release()
+
+    def _write(
+        self, database: sqlite3.Connection, work: tuple[Cut, Mapping[str, State]] | None,
+        log: Sequence[LogEntry],
+    ) -> tuple[list[Written], dict[str, list[tuple[int, int]]]]:  # fmt: skip
+        """Write a cut and messages within a transaction."""
+        (session,) = database.execute('SELECT max(session) FROM sessions').fetchone()
+        if session != self._session:
+            raise UnusableInput(
+                f'{self.path} was opened by another process although this one writes it; end one '
+                'of them'
+            )
+        database.executemany('INSERT OR IGNORE INTO log VALUES (?, ?, ?)', log)
+        for stream, stamp_ns, _ in log:
+            self._log_ns[stream] = max(stamp_ns, self._log_ns.get(stream, stamp_ns))
+        for stream in {stream for stream, *_ in log}:
+            database.execute(
+                'DELETE FROM log WHERE stream = ? AND stamp_ns < ?',
+                (stream, self._log_ns[stream] - LOG_NS),
+            )
+        written: list[Written] = []
+        removed: dict[str, list[tuple[int, int]]] = {}
+        if work is None:
+            return written, removed
+        cut, states = work
+        for part, state in sorted(states.items()):
+            (last,) = database.execute('SELECT coalesce(max(id), 0) FROM cuts').fetchone()
+            row = Row(last + 1, self._session, part, cut.number, cut.stamp_ns, 0, b'')
+            written.append(self._writers[part].write(database, row, pack(state)))
+            kept = remove_old_cuts(database, self._session, part)
+            removed[part] = self._writers[part].remove_versions(database, kept)
+        return written, removed
+
+    # Opening
+
+    def _open(self) -> None:
+        """Lock the parts, create the file if necessary, and begin or join a session."""
+        self._lock = MapLock(self.path)
+        with self._lock.opening():
+            self._lock.take(self.parts)
+            remove(beside(self.path, NEW))  # of a process that was killed
+            if not self.path.exists():
+                create(self.path)
+            database = self._connect()
+            database.execute('BEGIN IMMEDIATE')
+            found = newest(database)
+            sessions = sessions_of(database)
+            if self._lock.others() and found.session:
+                rows = resumed_rows(database, found, self.parts)
+                self._session = found.session
+                self.joins = join(database, self._session, self.parts, found.number)
+                for part in self.parts:
+                    drop_after(database, part, rows.get(part))
+                database.execute('COMMIT')  # The others need not wait.
+                states = self._load(database, rows)
+            else:
+                rows = {part: row for part, row in found.rows.items() if part in self.parts}
+                self._session = begin(database, self.parts, self._meta, found)
+                states = self._load(database, rows)  # A damaged map is not changed.
+                database.execute('COMMIT')
+        if rows or found.cut is not None:
+            last = max(rows.values(), key=lambda row: (row.session, row.number), default=None)
+            cut = found.cut if last is None else Cut(last.number, last.stamp_ns)
+            lost = None if found.session == self._session else found.lost
+            self.restored = SavedMap(
+                self.path, sessions[-1].meta, cut, states, sessions,
+                [] if lost is None else [loss_note(lost, found.cut)],
+                {part: row.digest for part, row in rows.items()}, lost,
+            )  # fmt: skip
+
+    def _load(self, database: sqlite3.Connection, rows: Mapping[str, Row]) -> dict[str, State]:
+        """Return the states at cuts, after which the next ones are written."""
+        states: dict[str, State] = {}
+        for part, writer in self._writers.items():
+            row, image = rows.get(part), Image()
+            if row is not None:
+                try:
+                    states[part], image = load(database, row)
+                except UnusableInput as error:
+                    raise unusable(self.path, error) from None
+            writer.start(database, row, image)
+        return states
+
+    def _connect(self) -> sqlite3.Connection:
+        status = os.stat(self.path)
+        self._identity = status.st_dev, status.st_ino
+        self._database = database = connect(self.path)
+        restrict(database)
+        check_layout(database, self.path)
+        return database
+
+    def _opened(self) -> sqlite3.Connection:
+        """Return a connection to the file of this session; raises if there is none now."""
+        if self._database is not None and self._is_same_file():
+            return self._database
+        self._disconnect()
+        self._reopen()
+        assert self._database is not None
+        return self._database
+
+    def _is_same_file(self) -> bool:
+        try:
+            status = os.stat(self.path)
+        except OSError:
+            return False
+        return (status.st_dev, status.st_ino) == self._identity
+
+    def _reopen(self) -> None:
+        """Open the file again after a failure; create it again if it was removed."""
+        lock = self._lock
+        if lock is None or not lock.is_current:  # The folder or the lock file was removed.
+            if lock is not None:
+                lock.close()
+            lock = self._lock = MapLock(self.path)
+            with lock.opening():
+                lock.take(self.parts)
+        with lock.opening():
+            if not self.path.exists():
+                create(self.path)
+            database = self._connect()
+            database.execute('BEGIN IMMEDIATE')
+            if self._is_own(database):
+                for part, writer in self._writers.items():
+                    # A transaction that failed in its last moment may be there after all.
+                    drop_after(database, part, writer.row)
+                database.execute('COMMIT')
+                return
+            found = newest(database)
+            own = [part for part in self.parts if part in found.rows]
+            if own or (found.session and not lock.others()):
+                raise UnusableInput(
+                    f'{self.path} was replaced by another map; move that one away, and this one '
+                    'is written again'
+                )
+            if found.session:
+                join(database, found.session, self.parts, found.number)
+                self._session = found.session
+            else:
+                self._session = begin(database, self.parts, self._meta, found)
+            database.execute('COMMIT')
+            for writer in self._writers.values():
+                writer.start(database, None, {})
+
+    def _is_own(self, database: sqlite3.Connection) -> bool:
+        """Return whether a map is the one that this process has written before."""
+        (session,) = database.execute('SELECT coalesce(max(session), 0) FROM sessions').fetchone()
+        if session != self._session:
+            return False
+        rows = [writer.row for writer in self._writers.values() if writer.row is not None]
+        return all(rows_of(database, 'id = ?', [row.id]) == [row] for row in rows)
+
+    def _disconnect(self) -> None:
+        database, self._database = self._database, None
+        if database is not None:
+            with suppress(sqlite3.Error):
+                database.close()
+
+    def _abandon(self) -> None:
+        """End after a failed opening."""
+        self._disconnect()
+        if self._lock is not None:
+            with suppress(OSError, UnusableInput), self._lock.opening():
+                if not self._lock.others():
+                    self._lock.remove()
+        self.release()
+
+    def release(self) -> None:
+        """Close the file and release the locks, as if the process had ended."""
+        self._disconnect()
+        if self._lock is not None:
+            self._lock.close()
+            self._lock = None
+
+
+def unwritable(path: Path, error: Exception) -> UnusableInput:
+    """Return in one line why a map cannot be written."""
+    text = str(error)
+    if isinstance(error, UnusableInput):
+        return error
+    if isinstance(error, sqlite3.DatabaseError) and (
+        'not a database' in text or 'malformed' in text
+    ):
+        return unusable(path, error)
+    reasons = {
+        'locked': ('another program has locked it', 'close that program'),
+        'full': ('the disk is full', 'free some space'),
+        'readonly': ('it is read-only', 'make it writable'),
+        'unable to open': ('it cannot be opened', 'check its folder and permissions'),
+    }
+    for key, (reason, advice) in reasons.items():
+        if key in text:
+            return UnusableInput(f'{path} cannot be written: {reason}; {advice}')
+    if isinstance(error, OSError) and error.strerror:
+        text = error.strerror
+    return UnusableInput(f'{path} cannot be written ({text}); check its folder and disk')

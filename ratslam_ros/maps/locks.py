@@ -1,0 +1,207 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Locks on a map: each part has one writer at a time, in one process or in several.
+
+The file FILE-lock exists while a map is written. Its byte 0 is locked while a process opens or
+closes the map, and byte 1 + n while part n is written. The operating system releases the locks of
+a process however it ends. Bytes of the same range hold the id of the process, for messages.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from ratslam_ros.errors import UnusableInput
+from ratslam_ros.maps.schema import LOCK, beside
+
+PARTS = (
+    'visual_odometry', 'local_view', 'pose_cells', 'experience_map', 'landmark_map',
+    'goal_follower', 'inputs',
+)  # fmt: skip
+"""Parts of the system that have a state; the order is that of the bytes in the lock file."""
+
+OPENING_S = 30.0
+"""Time to wait while another process opens or closes the map, and perhaps restores it."""
+
+TRY_S = 0.02
+PROBES = 10
+"""Attempts to lock a part: a reader that tests a lock holds it for a moment."""
+
+_ID_BYTES = 16
+
+
+class MapLock:
+    """The lock file of a map, opened by one writer."""
+
+    def __init__(self, path: Path) -> None:
+        """Open the lock file, and create it if it is missing.
+
+        Raises:
+            OSError: it cannot be opened.
+        """
+        self.path = beside(path, LOCK)
+        self._map = path
+        self._file = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+        self._parts: tuple[str, ...] = ()
+
+    @contextmanager
+    def opening(self) -> Iterator[None]:
+        """Exclude other processes that open or close the map.
+
+        Raises:
+            UnusableInput: another process did not finish in time.
+            OSError: the file cannot be opened.
+        """
+        until = time.monotonic() + OPENING_S
+        while not self._take_current():
+            if time.monotonic() > until:
+                raise UnusableInput(
+                    f'{self._map} is being opened or closed by another process for more than '
+                    f'{OPENING_S:g} s; end that process'
+                )
+            time.sleep(TRY_S)
+        try:
+            yield
+        finally:
+            _release(self._file, 0)
+
+    def take(self, parts: Sequence[str]) -> None:
+        """Lock parts; raises UnusableInput and locks none if another writer has one of them."""
+        taken: list[str] = []
+        for part in parts:
+            if not self._try(part):
+                for other in taken:
+                    _release(self._file, _byte(other))
+                raise UnusableInput(
+                    f'{self._map} is in use: {part} is written by process {self._owner(part)}; '
+                    'end it, or choose another file'
+                )
+            taken.append(part)
+            os.pwrite(self._file, f'{os.getpid():<{_ID_BYTES}}'.encode(), _byte(part) * _ID_BYTES)
+        self._parts = tuple(parts)
+
+    def others(self) -> bool:
+        """Return whether another writer has a part."""
+        for part in PARTS:
+            if part not in self._parts:
+                if not _take(self._file, _byte(part)):
+                    return True
+                _release(self._file, _byte(part))
+        return False
+
+    @property
+    def is_current(self) -> bool:
+        """Whether the opened file is still the one with this name."""
+        try:
+            there, own = os.stat(self.path), os.fstat(self._file)
+        except OSError:
+            return False
+        return (there.st_dev, there.st_ino) == (own.st_dev, own.st_ino)
+
+    def remove(self) -> None:
+        """Remove the file, after which other processes create a new one; see ``opening``."""
+        with suppress(OSError):
+            self.path.unlink(missing_ok=True)
+
+    def close(self) -> None:
+        """Release all locks."""
+        if self._file >= 0:
+            os.close(self._file)
+            self._file = -1
+
+    def _take_current(self) -> bool:
+        """Try to lock byte 0 of the file that has the name now."""
+        if not _take(self._file, 0):
+            return False
+        if self.is_current:
+            return True
+        # Another process has removed the file at its end, between the two steps.
+        os.close(self._file)
+        self._file = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+        return False
+
+    def _try(self, part: str) -> bool:
+        for attempt in range(PROBES):
+            if attempt:
+                time.sleep(TRY_S)
+            if _take(self._file, _byte(part)):
+                return True
+        return False
+
+    def _owner(self, part: str) -> str:
+        text = os.pread(self._file, _ID_BYTES, _byte(part) * _ID_BYTES).split(b'\0')[0].strip()
+        return text.decode('ascii', 'replace') or 'unknown'
+
+
+def is_opening(path: Path) -> bool:
+    """Return whether a process opens, closes or replaces the map now."""
+    return _is_locked(path, range(1))
+
+
+def is_written(path: Path) -> bool:
+    """Return whether a process writes parts of the map now."""
+    return _is_locked(path, range(1, 1 + len(PARTS)))
+
+
+def _is_locked(path: Path, parts: Sequence[int]) -> bool:
+    try:
+        file = os.open(beside(path, LOCK), os.O_RDONLY | os.O_CLOEXEC)
+    except OSError:
+        return False
+    try:
+        for byte in parts:
+            if not _take(file, byte, shared=True):
+                return True
+            _release(file, byte)
+    finally:
+        os.close(file)
+    return False
+
+
+def _byte(part: str) -> int:
+    return 1 + PARTS.index(part)
+
+
+_LAYOUT = struct.Struct('hhqqi4x')  # struct flock of Linux
+
+
+def _take(file: int, byte: int, shared: bool = False) -> bool:
+    """Try to lock a byte."""
+    try:
+        import fcntl
+    except ImportError:  # Windows: a second writer of the same map is not noticed
+        return True
+    kind = fcntl.F_RDLCK if shared else fcntl.F_WRLCK
+    try:
+        _call(file, byte, kind)
+    except (BlockingIOError, PermissionError):
+        return False
+    return True
+
+
+def _release(file: int, byte: int) -> None:
+    with suppress(ImportError):
+        import fcntl
+
+        _call(file, byte, fcntl.F_UNLCK)
+
+
+def _call(file: int, byte: int, kind: int) -> None:
+    import fcntl
+
+    if hasattr(fcntl, 'F_OFD_SETLK'):
+        # A lock of the opened file: unlike those of a process, it excludes other writers of the
+        # same process, and closing another descriptor of the file does not release it.
+        fcntl.fcntl(file, fcntl.F_OFD_SETLK, _LAYOUT.pack(kind, os.SEEK_SET, byte, 1, 0))
+    else:
+        modes = {
+            fcntl.F_RDLCK: fcntl.LOCK_SH, fcntl.F_WRLCK: fcntl.LOCK_EX,
+            fcntl.F_UNLCK: fcntl.LOCK_UN,
+        }  # fmt: skip
+        block = 0 if kind == fcntl.F_UNLCK else fcntl.LOCK_NB
+        fcntl.lockf(file, modes[kind] | block, 1, byte, os.SEEK_SET)

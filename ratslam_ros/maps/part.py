@@ -1,0 +1,303 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The state of one part in a map file: versions of chunks, each valid since a cut.
+
+A state consists, for each chunk, of the newest version that is not newer than its cut. A cut
+therefore writes only the chunks that differ from the part's previous cut.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from collections import defaultdict
+from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ratslam_ros.core.common.state import State
+from ratslam_ros.maps.chunks import (
+    CHUNK_BYTES,
+    MAX_OUTLINE_BYTES,
+    OUTLINE,
+    Arrays,
+    Compressor,
+    DamagedMap,
+    array_digest,
+    changed,
+    chunk_count,
+    chunk_hash,
+    decompressed,
+    flat,
+    state_digest,
+    unpack,
+)
+from ratslam_ros.maps.locks import PARTS
+from ratslam_ros.maps.schema import typed
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A cut of a part as in the table ``cuts``."""
+
+    id: int
+    session: int
+    part: str
+    number: int
+    stamp_ns: int
+    outline_bytes: int
+    digest: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class StoredArray:
+    """An array as in the file.
+
+    Attributes:
+        array: its content.
+        hashes: of its chunks.
+        digest: hash of the whole.
+        since: (chunks,) cut that has written the version of each chunk.
+    """
+
+    array: NDArray[Any]
+    hashes: list[bytes]
+    digest: bytes
+    since: NDArray[np.int64]
+
+
+Image = dict[str, StoredArray]
+"""The arrays of a state as in the file, by their names."""
+
+Chunk = tuple[str, int]
+"""Name of an array, and number of a chunk in it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Written:
+    """What a cut of a part has written, for ``PartWriter.adopt`` once it is committed."""
+
+    row: Row
+    image: Image
+    superseded: dict[int, list[Chunk]]
+    """Chunks that the cut has replaced, by the cut that had written them."""
+
+    chunks: int
+    chunk_bytes: int
+
+
+class PartWriter:
+    """Writes the cuts of a part, each as its difference to the previous one."""
+
+    def __init__(self, part: str, compressor: Compressor) -> None:
+        self.part = part
+        self.row: Row | None = None
+        """The previous cut."""
+        self._compressor = compressor
+        self._image: Image = {}
+        self._superseded: defaultdict[tuple[int, int], list[Chunk]] = defaultdict(list)
+        """Replaced versions that are still in the file, by the cuts that wrote and replaced
+        them."""
+
+    def start(self, database: sqlite3.Connection, row: Row | None, image: Image) -> None:
+        """Continue after a cut in the file.
+
+        Args:
+            database: the map.
+            row: the cut; None if there is none, and nothing of the part in the file.
+            image: arrays of the cut, from ``load``.
+        """
+        self.row, self._image = row, image
+        self._superseded.clear()
+        if row is None:
+            return
+        versions: dict[Chunk, list[int]] = defaultdict(list)
+        rows = database.execute(
+            'SELECT array, position, since FROM chunks WHERE part = ?'
+            ' ORDER BY array, position, since', (self.part,),
+        )  # fmt: skip
+        for name, position, since in typed(rows, str, int, int):
+            versions[name, position].append(since)
+        for (name, position), found in versions.items():
+            stored = image.get(name)
+            if stored is None or position >= len(stored.since):
+                found = [*found, row.id]  # Not in this state: it was dropped by this cut at last.
+            else:
+                stored.since[position] = found[-1]
+            for since, until in pairwise(found):
+                self._superseded[since, until].append((name, position))
+
+    def write(self, database: sqlite3.Connection, row: Row, arrays: Arrays) -> Written:
+        """Write the difference to the previous cut, within a transaction.
+
+        Args:
+            database: the map.
+            row: the cut; its digest and size of the outline are computed here.
+            arrays: the state, see ``chunks.pack``.
+        """
+        image: Image = {}
+        rows: list[tuple[str, str, int, int, bytes]] = []
+        superseded: defaultdict[int, list[Chunk]] = defaultdict(list)
+        for name, array in arrays.items():
+            old = self._image.get(name)
+            image[name] = self._stored(name, array, old, row.id, rows)
+            if old is not None:
+                _note_superseded(name, old, image[name], superseded)
+        for name in self._image.keys() - arrays.keys():
+            for position, since in enumerate(self._image[name].since.tolist()):
+                superseded[since].append((name, position))
+        digest = state_digest({name: stored.digest for name, stored in image.items()})
+        row = Row(
+            row.id, row.session, row.part, row.number, row.stamp_ns, arrays[OUTLINE].nbytes, digest
+        )
+        database.executemany('INSERT INTO chunks VALUES (?, ?, ?, ?, ?)', rows)
+        database.execute(
+            'INSERT INTO cuts VALUES (?, ?, ?, ?, ?, ?, ?)',
+            (
+                row.id, row.session, row.part, row.number, row.stamp_ns, row.outline_bytes,
+                row.digest,
+            ),
+        )  # fmt: skip
+        return Written(
+            row, image, superseded, len(rows), sum(len(data) for *_, data in rows)
+        )  # fmt: skip
+
+    def adopt(self, written: Written) -> None:
+        """Make a cut the previous one of the next."""
+        self.row, self._image = written.row, written.image
+        for since, chunks in written.superseded.items():
+            self._superseded[since, written.row.id] += chunks
+
+    def remove_versions(self, database: sqlite3.Connection, kept: Iterable[int]) -> list[Any]:
+        """Delete the replaced versions that no cut needs, within a transaction.
+
+        Args:
+            database: the map.
+            kept: the cuts of the part that stay.
+
+        Returns:
+            What was deleted, for ``forget``.
+        """
+        ids = list(kept)
+        unused = [
+            (since, until) for since, until in self._superseded
+            if not any(since <= cut < until for cut in ids)
+        ]  # fmt: skip
+        database.executemany(
+            'DELETE FROM chunks WHERE part = ? AND array = ? AND position = ? AND since = ?',
+            (
+                (self.part, name, position, since)
+                for since, until in unused
+                for name, position in self._superseded[since, until]
+            ),
+        )
+        return unused
+
+    def forget(self, removed: list[Any]) -> None:
+        """Forget versions that have been deleted."""
+        for key in removed:
+            self._superseded.pop(key, None)
+
+    def _stored(
+        self, name: str, array: NDArray[Any], old: StoredArray | None, cut: int,
+        rows: list[tuple[str, str, int, int, bytes]],
+    ) -> StoredArray:  # fmt: skip
+        """Return an array as in the file, and add its changed chunks to ``rows``."""
+        count = chunk_count(array.nbytes)
+        flags = np.ones(count, np.bool_) if old is None else changed(array, old.array)
+        if old is not None and array.shape == old.array.shape and not flags.any():
+            return old  # also keeps only one of two equal arrays in memory
+        hashes = [b''] * count
+        since = np.full(count, cut, np.int64)
+        if old is not None:
+            same = np.flatnonzero(~flags)
+            since[same] = old.since[same]
+            for position in same.tolist():
+                hashes[position] = old.hashes[position]
+        data = flat(array)
+        for position in np.flatnonzero(flags).tolist():
+            chunk = data[position * CHUNK_BYTES : (position + 1) * CHUNK_BYTES]
+            hashes[position] = chunk_hash(chunk.data)
+            frame = self._compressor.compressed(chunk, array.dtype.itemsize)
+            rows.append((self.part, name, position, cut, frame))
+        return StoredArray(array, hashes, array_digest(name, array, hashes), since)
+
+
+def _note_superseded(
+    name: str, old: StoredArray, new: StoredArray, superseded: dict[int, list[Chunk]]
+) -> None:
+    if new is old:
+        return
+    common = min(len(old.since), len(new.since))
+    gone = np.concatenate(
+        [np.flatnonzero(old.since[:common] != new.since[:common]), range(common, len(old.since))]
+    ).astype(np.int64)
+    for position in gone.tolist():
+        superseded.setdefault(int(old.since[position]), []).append((name, position))
+
+
+def load(database: sqlite3.Connection, row: Row) -> tuple[State, Image]:
+    """Return the state of a part at a cut, and its arrays as in the file.
+
+    Raises:
+        DamagedMap: a chunk is missing or damaged, or the state is not the one that was saved.
+    """
+    image: Image = {}
+
+    def read(name: str, kind: np.dtype[Any], shape: tuple[int, ...]) -> NDArray[Any]:
+        stored = _read(database, row, name, kind, shape)
+        image[name] = stored
+        return stored.array
+
+    if not 0 < row.outline_bytes <= MAX_OUTLINE_BYTES:
+        raise DamagedMap(f'{row.part}: the outline claims {row.outline_bytes} bytes')
+    outline = read(OUTLINE, np.dtype('u1'), (row.outline_bytes,)).tobytes()
+    state = unpack(outline, read)
+    if state_digest({name: stored.digest for name, stored in image.items()}) != row.digest:
+        raise DamagedMap(f'{row.part}: the state is not the one that was saved')
+    return state, image
+
+
+def rows_of(database: sqlite3.Connection, condition: str, values: Iterable[Any]) -> list[Row]:
+    """Return the cuts that meet a condition in SQL, in the order in which they were written."""
+    found = database.execute(f'SELECT * FROM cuts WHERE {condition} ORDER BY id', tuple(values))
+    rows = [Row(*values) for values in typed(found, int, int, str, int, int, int, bytes)]
+    for row in rows:
+        check_part(row.part)
+    return rows
+
+
+def check_part(part: str) -> None:
+    """Check the name of a part; raises DamagedMap."""
+    if part not in PARTS:
+        raise DamagedMap(f'it has an unknown part {part[:40]!r}')
+
+
+def _read(
+    database: sqlite3.Connection, row: Row, name: str, kind: np.dtype[Any], shape: tuple[int, ...]
+) -> StoredArray:
+    size = kind.itemsize
+    for length in shape:
+        size *= length
+    count = chunk_count(size)
+    found = database.execute(
+        'SELECT position, max(since), data FROM chunks WHERE part = ? AND array = ?'
+        ' AND position < ? AND since <= ? GROUP BY position ORDER BY position',
+        (row.part, name, count, row.id),
+    ).fetchall()
+    if [position for position, *_ in found] != list(range(count)):
+        raise DamagedMap(f'{row.part}{name}: {len(found)} of {count} chunks are there')
+    chunks = []
+    for position, _, frame in typed(found, int, int, bytes):
+        expected = min(size - position * CHUNK_BYTES, CHUNK_BYTES)
+        chunks.append(decompressed(frame, expected, kind.itemsize))
+    data = b''.join(chunks)
+    if kind.kind == 'b' and max(data, default=0) > 1:
+        raise DamagedMap(f'{row.part}{name}: a flag is neither 0 nor 1')
+    array = np.frombuffer(data, kind).reshape(shape)
+    hashes = [chunk_hash(chunk) for chunk in chunks]
+    since = np.array([since for _, since, _ in found], np.int64)
+    return StoredArray(array, hashes, array_digest(name, array, hashes), since)

@@ -1,0 +1,102 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Writing of a whole map at once."""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+from collections.abc import Mapping
+from contextlib import closing
+from pathlib import Path
+
+from ratslam_ros.core.common.state import State
+from ratslam_ros.errors import UnusableInput
+from ratslam_ros.maps.chunks import Compressor, pack
+from ratslam_ros.maps.file_writer import unwritable
+from ratslam_ros.maps.locks import PARTS, MapLock
+from ratslam_ros.maps.part import PartWriter, Row
+from ratslam_ros.maps.saved_map import Cut, MapMeta
+from ratslam_ros.maps.schema import (
+    NEW,
+    beside,
+    build,
+    check_layout,
+    connect,
+    end_log,
+    remove,
+    restrict,
+    sync_folder,
+)
+from ratslam_ros.maps.sessions import begin, newest
+
+
+def save_map(
+    path: str | Path, states: Mapping[str, State], meta: MapMeta, cut: Cut | None = None
+) -> None:
+    """Write a map with one session; an earlier map with this name stays until it is complete.
+
+    Args:
+        path: the map file; its folder is created.
+        states: by part, of ``PARTS``.
+        meta: what is known of the map.
+        cut: moment of the states; None for the stamp 0.
+
+    Raises:
+        UnusableInput: another process writes the map, the file is no map, or it cannot be written.
+    """
+    path = Path(path)
+    cut = Cut(0, 0) if cut is None else cut
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        lock = MapLock(path)
+        try:
+            with lock.opening():
+                lock.take(PARTS)
+                new = beside(path, NEW)
+                remove(new)
+                try:
+                    build(new)
+                    _fill(new, states, meta, cut)
+                    _end_earlier(path)
+                    os.replace(new, path)
+                except BaseException:
+                    remove(new)
+                    raise
+                sync_folder(path)
+                lock.remove()
+        finally:
+            lock.close()
+    except (OSError, sqlite3.Error) as error:
+        raise unwritable(path, error) from None
+
+
+def _fill(new: Path, states: Mapping[str, State], meta: MapMeta, cut: Cut) -> None:
+    compressor = Compressor()
+    with closing(connect(new)) as database:
+        database.execute('BEGIN IMMEDIATE')
+        session = begin(database, sorted(states), meta, newest(database))
+        for number, (part, state) in enumerate(sorted(states.items())):
+            row = Row(number + 1, session, part, cut.number, cut.stamp_ns, 0, b'')
+            PartWriter(part, compressor).write(database, row, pack(state))
+        database.execute('UPDATE members SET ended = 1')
+        database.execute('COMMIT')
+
+
+def _end_earlier(path: Path) -> None:
+    """End the write-ahead log of the map that is replaced, durably.
+
+    SQLite would otherwise apply it to the new file.
+    """
+    if not path.exists():
+        remove(path)  # a log without a map
+    else:
+        with closing(connect(path)) as database:
+            restrict(database)
+            check_layout(database, path)
+        if not end_log(path):
+            raise UnusableInput(
+                f'{path} is being read by another program; close that program, or choose another '
+                'file'
+            )
+    sync_folder(path)

@@ -1,0 +1,221 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Layout of a map file, its creation, and connections to it that trust nothing in it."""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+import time
+from collections.abc import Iterable, Iterator
+from contextlib import closing, suppress
+from functools import cache
+from pathlib import Path
+from types import NoneType
+from typing import Any
+
+from ratslam_ros.errors import UnusableInput
+from ratslam_ros.maps.chunks import DamagedMap
+
+NULLABLE = (int, NoneType)
+"""Types of a column of integers that may be NULL."""
+
+APPLICATION_ID = 0x52534C4D  # 'RSLM'
+FORMAT = 1
+"""Version of the layout, `user_version` in the file."""
+
+SCHEMA = """
+CREATE TABLE sessions (
+    session INTEGER PRIMARY KEY, base_ns INTEGER, lost_from_ns INTEGER, lost_to_ns INTEGER,
+    meta TEXT NOT NULL
+);
+CREATE TABLE members (
+    session INTEGER NOT NULL, part TEXT NOT NULL, joined INTEGER, ended INTEGER NOT NULL,
+    PRIMARY KEY (session, part)
+) WITHOUT ROWID;
+CREATE TABLE cuts (
+    id INTEGER PRIMARY KEY, session INTEGER NOT NULL, part TEXT NOT NULL,
+    number INTEGER NOT NULL, stamp_ns INTEGER NOT NULL,
+    outline_bytes INTEGER NOT NULL, digest BLOB NOT NULL,
+    UNIQUE (session, part, number)
+);
+CREATE TABLE chunks (
+    part TEXT NOT NULL, array TEXT NOT NULL, position INTEGER NOT NULL, since INTEGER NOT NULL,
+    data BLOB NOT NULL
+);
+CREATE UNIQUE INDEX chunk_versions ON chunks (part, array, position, since);
+CREATE TABLE log (
+    stream TEXT NOT NULL, stamp_ns INTEGER NOT NULL, data BLOB NOT NULL,
+    PRIMARY KEY (stream, stamp_ns)
+);
+"""
+
+BUSY_S = 5.0
+"""Time to wait for a transaction of another process; own transactions take milliseconds."""
+
+MAX_FILE_BYTES = 2**36
+"""Largest accepted size of a map file, 64 GB: far above a map at the default limits."""
+
+MAX_VALUE_BYTES = 2**26
+"""Largest value of a row that SQLite may allocate, 64 MB; a chunk has 8 kB."""
+
+WAL, SHM, JOURNAL, NEW, LOCK = '-wal', '-shm', '-journal', '.new', '-lock'
+
+
+def beside(path: Path, suffix: str) -> Path:
+    """Return the file beside a map with a suffix, such as its write-ahead log."""
+    return path.with_name(path.name + suffix)
+
+
+def connect(path: Path, options: str = 'mode=rw') -> sqlite3.Connection:
+    """Open a database; statements are committed one by one, unless BEGIN starts a transaction.
+
+    Args:
+        path: the file.
+        options: query of an SQLite URI.
+
+    Raises:
+        sqlite3.Error: the file cannot be opened.
+    """
+    database = sqlite3.connect(
+        f'{path.absolute().as_uri()}?{options}', uri=True, isolation_level=None, timeout=BUSY_S,
+        check_same_thread=False,
+    )  # fmt: skip
+    database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_VALUE_BYTES)
+    database.setlimit(sqlite3.SQLITE_LIMIT_ATTACHED, 0)
+    if 'mode=rw' in options:
+        database.execute('PRAGMA synchronous = FULL')
+    return database
+
+
+def restrict(database: sqlite3.Connection) -> None:
+    """Let a connection trust nothing in the file: no functions in its schema, checked pages."""
+    for pragma in ('trusted_schema = OFF', 'cell_size_check = ON', 'mmap_size = 0'):
+        database.execute(f'PRAGMA {pragma}')
+
+
+def check_layout(database: sqlite3.Connection, path: Path) -> None:
+    """Check that a database is a map of this format with exactly the expected tables.
+
+    Raises:
+        UnusableInput: it is not.
+        sqlite3.Error: it cannot be read.
+    """
+    (application,) = database.execute('PRAGMA application_id').fetchone()
+    (version,) = database.execute('PRAGMA user_version').fetchone()
+    if application != APPLICATION_ID:
+        raise UnusableInput(
+            f'{path} is another kind of database, not a map of RatSLAM; choose another file'
+        )
+    if version > FORMAT:
+        raise UnusableInput(
+            f'{path} was written by a newer version of ratslam_ros (map format {version}, this '
+            f'version reads up to {FORMAT}); update ratslam_ros'
+        )
+    if version != FORMAT or _layout_of(database) != _expected_layout():
+        raise UnusableInput(
+            f'{path} is damaged or was changed by another program: its tables are not those of '
+            f'map format {FORMAT}; use a backup'
+        )
+
+
+def typed(rows: Iterable[Any], *kinds: type | tuple[type, ...]) -> Iterator[Any]:
+    """Yield rows whose values have the expected types: SQLite stores any type in any column.
+
+    Raises:
+        DamagedMap: a value has another type.
+    """
+    for row in rows:
+        for value, kind in zip(row, kinds, strict=True):
+            if not isinstance(value, kind):
+                raise DamagedMap(f'a row contains {type(value).__name__}, expected {kind}')
+        yield row
+
+
+def create(path: Path) -> None:
+    """Create an empty map under its name in one step, or find that there is one now.
+
+    The caller holds the lock on the map.
+
+    Raises:
+        OSError, sqlite3.Error: the file cannot be created.
+    """
+    remove(path)  # SQLite would apply the log of a map that was deleted to the new one.
+    new = beside(path, NEW)
+    remove(new)
+    build(new)
+    sync_folder(path)
+    try:
+        os.link(new, path)  # Unlike a rename, it never replaces a file.
+    except FileExistsError:
+        remove(new)
+        return
+    except OSError:  # a file system without hard links
+        new.rename(path)
+    remove(new)
+    sync_folder(path)
+
+
+def build(path: Path) -> None:
+    """Write an empty map to a file that does not exist, and sync it."""
+    with closing(connect(path, 'mode=rwc')) as database:
+        database.execute('PRAGMA journal_mode = WAL')
+        database.execute(f'PRAGMA application_id = {APPLICATION_ID}')
+        database.execute(f'PRAGMA user_version = {FORMAT}')
+        database.executescript(f'BEGIN; {SCHEMA} COMMIT;')
+
+
+def remove(path: Path) -> None:
+    """Remove a database with all files of SQLite beside it."""
+    for suffix in (WAL, SHM, JOURNAL, ''):
+        beside(path, suffix).unlink(missing_ok=True)
+
+
+ATTEMPTS, ATTEMPT_S = 20, 0.05
+"""Attempts to end a log while readers are active."""
+
+
+def end_log(path: Path) -> bool:
+    """Move the write-ahead log into the file; return whether it is gone.
+
+    SQLite does so when the last connection is closed; readers may have one for a moment. The
+    caller holds the lock on the map, and no writer has it open.
+
+    Raises:
+        sqlite3.Error, UnusableInput: the map cannot be used.
+    """
+    for attempt in range(ATTEMPTS):
+        if not beside(path, WAL).exists():
+            return True
+        if attempt:
+            time.sleep(ATTEMPT_S)
+        with closing(connect(path)) as database:
+            restrict(database)
+            check_layout(database, path)
+    return not beside(path, WAL).exists()
+
+
+def sync_folder(path: Path) -> None:
+    """Make the names of new files in the folder of a file durable."""
+    try:
+        folder = os.open(path.parent, os.O_RDONLY)
+    except OSError:  # Windows cannot open folders
+        return
+    try:
+        with suppress(OSError):  # Some network file systems cannot sync folders.
+            os.fsync(folder)
+    finally:
+        os.close(folder)
+
+
+def _layout_of(database: sqlite3.Connection) -> list[tuple[str, str, str, str | None]]:
+    return database.execute(
+        'SELECT type, name, tbl_name, sql FROM sqlite_schema ORDER BY name'
+    ).fetchall()
+
+
+@cache
+def _expected_layout() -> list[tuple[str, str, str, str | None]]:
+    with closing(sqlite3.connect(':memory:')) as database:
+        database.executescript(SCHEMA)
+        return _layout_of(database)

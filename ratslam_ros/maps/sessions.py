@@ -1,0 +1,237 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Sessions: which cuts of the parts belong together, what a new session starts from, what stays.
+
+A session begins when a process opens a map that no other process writes. Processes that open it
+later join the session. The parts of a session that have a cut of the same number have processed
+exactly the same messages, so that the newest number that all of them have is the map.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from ratslam_ros.maps.part import Row, check_part, rows_of
+from ratslam_ros.maps.saved_map import Cut, MapMeta, SessionRow
+from ratslam_ros.maps.schema import NULLABLE, typed
+
+KEPT_CUTS = 16
+"""Number of the newest cuts of a part that stay, besides the one that all parts have. A part may
+lag behind the others by as many, 32 s for live nodes, and the map is still as old as that part."""
+
+MAX_SESSIONS = 64
+"""Number of sessions whose description stays."""
+
+TRANSIENT = ('inputs',)
+"""Parts that are worth nothing without the others of the same cut: messages that were held."""
+
+
+@dataclass(frozen=True, slots=True)
+class Member:
+    """A part of a session.
+
+    Attributes:
+        part: its name.
+        joined: newest cut of all earlier members when it joined, None if there was none.
+        ended: whether it has been closed.
+    """
+
+    part: str
+    joined: int | None
+    ended: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Newest:
+    """The newest state of a map at which all parts belong together.
+
+    Attributes:
+        session: the last session, 0 if there is none.
+        members: its parts.
+        cut: the newest cut; None if nothing has been saved.
+        number: its number if it is of the last session, None if it is older.
+        rows: the cut of each part; parts that the last session did not use have older ones.
+        lost: stamps from which and to which the last session is missing in it, in ns.
+    """
+
+    session: int
+    members: tuple[Member, ...]
+    cut: Cut | None
+    number: int | None
+    rows: Mapping[str, Row]
+    lost: tuple[int, int] | None
+
+
+def newest(database: sqlite3.Connection) -> Newest:
+    """Return the newest state of a map."""
+    (session,) = database.execute('SELECT coalesce(max(session), 0) FROM sessions').fetchone()
+    members = members_of(database, session)
+    present = rows_of(database, 'session = ?', [session])
+    number = common_number(members, present)
+    rows: dict[str, Row] = {row.part: row for row in rows_of(database, 'session < ?', [session])}
+    names = {member.part for member in members}
+    if number is not None:
+        for part in set(TRANSIENT) & (rows.keys() - names):
+            del rows[part]
+        rows |= {row.part: row for row in present if row.number == number}
+    last = max(rows.values(), key=lambda row: (row.session, row.number), default=None)
+    cut = None if last is None else Cut(last.number, last.stamp_ns)
+    stamps = [row.stamp_ns for row in present if number is None or row.number > number]
+    ((logged_ns,),) = typed(database.execute('SELECT max(stamp_ns) FROM log'), NULLABLE)
+    if logged_ns is not None:
+        stamps.append(logged_ns)
+    lost = None
+    if number is not None and cut is not None:
+        if max(stamps, default=cut.stamp_ns) > cut.stamp_ns:
+            lost = cut.stamp_ns, max(stamps)
+    elif stamps:
+        lost = min(stamps), max(stamps)
+    return Newest(session, members, cut, number, rows, lost)
+
+
+def members_of(database: sqlite3.Connection, session: int) -> tuple[Member, ...]:
+    """Return the parts of a session."""
+    found = database.execute(
+        'SELECT part, joined, ended FROM members WHERE session = ? ORDER BY part', (session,)
+    )
+    members = tuple(
+        Member(part, joined, bool(ended))
+        for part, joined, ended in typed(found, str, NULLABLE, int)
+    )
+    for member in members:
+        check_part(member.part)
+    return members
+
+
+def common_number(members: Sequence[Member], rows: Sequence[Row]) -> int | None:
+    """Return the newest cut that all members of a session have, None if there is none."""
+    numbers = {member.part: set[int]() for member in members}
+    for row in rows:
+        numbers.setdefault(row.part, set()).add(row.number)
+    candidates = set[int]().union(*numbers.values())
+    for number in sorted(candidates, reverse=True):
+        if all(
+            number in numbers[member.part]
+            or (member.joined is not None and number <= member.joined)
+            for member in members
+        ):
+            return number
+    return None
+
+
+def begin(
+    database: sqlite3.Connection, parts: Sequence[str], meta: MapMeta, base: Newest
+) -> int:  # fmt: skip
+    """Begin a session at the newest state, within a transaction; return its number.
+
+    Later cuts of the last session are removed, and so is its log.
+    """
+    if base.session:
+        # Without a cut of the last session, that of the session before it is the newest.
+        after = -(2**63) if base.number is None else base.number + 1
+        dropped = rows_of(database, 'session = ? AND number >= ?', [base.session, after])
+        unused = {row.part for row in rows_of(database, '1', [])} - base.rows.keys()
+        for part in sorted(unused | {row.part for row in dropped}):
+            drop_after(database, part, base.rows.get(part))
+    database.execute('DELETE FROM log')
+    session = base.session + 1
+    lost_from_ns, lost_to_ns = base.lost or (None, None)
+    database.execute(
+        'INSERT INTO sessions VALUES (?, ?, ?, ?, ?)',
+        (
+            session, None if base.cut is None else base.cut.stamp_ns, lost_from_ns, lost_to_ns,
+            meta.to_json(),
+        ),
+    )  # fmt: skip
+    for table in ('sessions', 'members'):
+        database.execute(f'DELETE FROM {table} WHERE session <= ?', (session - MAX_SESSIONS,))
+    join(database, session, parts, None)
+    return session
+
+
+def drop_after(database: sqlite3.Connection, part: str, row: Row | None) -> None:
+    """Delete the cuts of a part after one of them, or all, within a transaction."""
+    last = 0 if row is None else row.id
+    database.execute('DELETE FROM cuts WHERE part = ? AND id > ?', (part, last))
+    database.execute('DELETE FROM chunks WHERE part = ? AND since > ?', (part, last))
+
+
+def join(
+    database: sqlite3.Connection, session: int, parts: Sequence[str], number: int | None
+) -> bool:
+    """Add parts to a session, within a transaction.
+
+    Args:
+        database: the map.
+        session: its last session.
+        parts: the parts.
+        number: newest cut that all members have.
+
+    Returns:
+        Whether one of the parts has been in this session before, and was interrupted.
+    """
+    before = {member.part for member in members_of(database, session)}
+    for part in parts:
+        database.execute(
+            'INSERT INTO members VALUES (?, ?, ?, 0)'
+            ' ON CONFLICT (session, part) DO UPDATE SET ended = 0', (session, part, number),
+        )  # fmt: skip
+    return bool(before & set(parts))
+
+
+def resumed_rows(
+    database: sqlite3.Connection, base: Newest, parts: Sequence[str]
+) -> dict[str, Row]:
+    """Return from which cuts parts continue that join the running session.
+
+    They are the newest ones that all of them have written in it, else those it started from.
+    """
+    own = [row for row in rows_of(database, 'session = ?', [base.session]) if row.part in parts]
+    number = common_number([Member(part, None, False) for part in parts], own)
+    if number is not None:
+        return {row.part: row for row in own if row.number == number}
+    older = rows_of(database, 'session < ?', [base.session])
+    return {row.part: row for row in older if row.part in parts}
+
+
+def remove_old_cuts(database: sqlite3.Connection, session: int, part: str) -> list[int]:
+    """Delete the cuts of a part that are not needed any more, within a transaction.
+
+    Returns:
+        The ids of those that stay.
+    """
+    members = members_of(database, session)
+    present = rows_of(database, 'session = ?', [session])
+    number = common_number(members, present)
+    own = [row for row in present if row.part == part]
+    kept = {row.id for row in own[-KEPT_CUTS:]} | {row.id for row in own if row.number == number}
+    if not any(row.number == number for row in own):
+        older = rows_of(database, 'session < ? AND part = ?', [session, part])
+        kept |= {row.id for row in older[-1:]}
+    for row in rows_of(database, 'part = ?', [part]):
+        if row.id not in kept:
+            database.execute('DELETE FROM cuts WHERE id = ?', (row.id,))
+    return sorted(kept)
+
+
+def sessions_of(database: sqlite3.Connection) -> list[SessionRow]:
+    """Return the sessions of a map, oldest first; raises DamagedMap."""
+    found = database.execute(
+        'SELECT session, base_ns, lost_from_ns, lost_to_ns, meta FROM sessions ORDER BY session'
+    ).fetchall()
+    rows = []
+    for session, base_ns, lost_from_ns, lost_to_ns, meta in typed(
+        found, int, NULLABLE, NULLABLE, NULLABLE, str
+    ):
+        members = members_of(database, session)
+        rows.append(
+            SessionRow(
+                session, MapMeta.from_json(meta), tuple(member.part for member in members),
+                base_ns,
+                None if lost_from_ns is None or lost_to_ns is None else (lost_from_ns, lost_to_ns),
+                bool(members) and all(member.ended for member in members),
+            )
+        )  # fmt: skip
+    return rows

@@ -1,0 +1,221 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The writer of parts of a map: callers hand over states, and a thread makes them durable."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+from ratslam_ros.core.common.state import State
+from ratslam_ros.errors import UnusableInput
+from ratslam_ros.maps.file_writer import FileWriter, LogEntry
+from ratslam_ros.maps.locks import PARTS
+from ratslam_ros.maps.saved_map import Cut, MapMeta, SavedMap
+
+Report = Callable[[str], None]
+
+WAITING_CUTS = 3
+"""Number of cuts that may wait for the thread; they bound its memory."""
+
+LOG_S = 1.0
+"""Wall-clock time that a message of the log may wait until it is durable."""
+
+WAITING_LOG_BYTES = 2**25
+"""Size of the messages that may wait for the thread, 32 MB; the oldest are dropped."""
+
+RETRY_S = 2.0
+"""Wall-clock time between attempts to write after a failure."""
+
+CLOSE_S = 4.0
+"""Wall-clock time that the end may take: a process has 5 s after SIGTERM."""
+
+
+class MapStore:
+    """Writes parts of a map file, together with other processes that write its other parts.
+
+    No method but ``open`` and ``close`` waits for the disk. If the file cannot be written, this is
+    reported once, the newest states stay in memory, and writing is tried again until it succeeds,
+    which is reported too.
+    """
+
+    def __init__(self, writer: FileWriter, report: Report) -> None:
+        """Start the thread; see ``open``."""
+        self.path = writer.path
+        self.parts = writer.parts
+        self.restored: SavedMap | None = writer.restored
+        """What to restore; None for a new map. It may lack parts that are new in the map."""
+        self.joins = writer.joins
+        """Whether this process was interrupted in the running session and has to catch up."""
+        self.problem = ''
+        """Why the file cannot be written now, '' if it can."""
+        self.acknowledged: Cut | None = None
+        """Newest cut of this session that is durable."""
+        self._writer = writer
+        self._report = report
+        self._wake = threading.Condition()
+        self._cuts: deque[tuple[Cut, Mapping[str, State]]] = deque()
+        self._log: deque[LogEntry] = deque()
+        self._log_bytes = 0
+        self._newest: int | None = None
+        self._is_writing = self._is_urgent = self._is_closing = False
+        self._thread = threading.Thread(target=self._run, name='map writer', daemon=True)
+        self._thread.start()
+
+    @classmethod
+    def open(
+        cls, path: str | Path, parts: Sequence[str], meta: MapMeta, report: Report
+    ) -> MapStore:
+        """Open a map to write parts of it; create the file if it is missing.
+
+        Args:
+            path: the map file.
+            parts: the parts that this process writes, of ``PARTS``.
+            meta: what is known of the session.
+            report: receives one line for every failure and its end, in another thread.
+
+        Raises:
+            UnusableInput: another process writes one of the parts, or the file cannot be created
+                or is no map.
+        """
+        unknown = sorted(set(parts) - set(PARTS))
+        if unknown or not parts:
+            raise ValueError(f'parts {unknown}; expected some of {PARTS}')
+        return cls(FileWriter(Path(path), tuple(parts), meta), report)
+
+    def cut(self, cut: Cut, states: Mapping[str, State]) -> None:
+        """Hand over the states of parts at a cut, to be written soon.
+
+        If the disk is slower than the cuts, some of them are left out, and the newest is written.
+        A cut whose number does not increase is left out too.
+
+        Args:
+            cut: the moment; the numbers of a session increase.
+            states: by part. Arrays must not be changed afterwards.
+        """
+        if not states.keys() <= set(self.parts):
+            raise ValueError(f'parts {sorted(states)}; this process writes {self.parts}')
+        with self._wake:
+            if self._newest is not None and cut.number <= self._newest:
+                return
+            self._newest = cut.number
+            self._cuts.append((cut, dict(states)))
+            self._thin()
+            self._wake.notify_all()
+
+    def log(self, stream: str, stamp_ns: int, data: bytes) -> None:
+        """Hand over a message, to be found by ``logged`` for some time; duplicates are ignored."""
+        with self._wake:
+            self._log.append((stream, stamp_ns, data))
+            self._log_bytes += len(data)
+            while self._log_bytes > WAITING_LOG_BYTES:
+                self._log_bytes -= len(self._log.popleft()[2])
+            if len(self._log) == 1:
+                self._wake.notify_all()
+
+    def logged(self, stream: str, after_ns: int) -> list[tuple[int, bytes]]:
+        """Return the messages of a stream with later stamps that any process has logged.
+
+        Returns:
+            Stamps and messages, in the order of stamps; none if the file cannot be read now.
+        """
+        with self._wake:
+            waiting = {
+                stamp_ns: data for name, stamp_ns, data in self._log
+                if name == stream and stamp_ns > after_ns
+            }  # fmt: skip
+        return sorted({**waiting, **dict(self._writer.logged(stream, after_ns))}.items())
+
+    def flush(self, timeout_s: float) -> bool:
+        """Wait until everything that was handed over is durable; return whether it is."""
+        with self._wake:
+            self._is_urgent = True
+            self._wake.notify_all()
+            return self._wake.wait_for(self._is_idle, timeout_s)
+
+    def close(self) -> None:
+        """Write what is waiting, and end; the last process leaves a single file."""
+        with self._wake:
+            if self._is_closing:
+                return
+            self._is_closing = True
+            self._wake.notify_all()
+        self._thread.join(CLOSE_S)
+
+    def _is_idle(self) -> bool:
+        return not (self._cuts or self._log or self._is_writing)
+
+    def _thin(self) -> None:
+        """Leave out cuts if too many wait.
+
+        The newest stays, and those whose numbers divide by the highest powers of two, so that
+        parts which leave out cuts independently still have some in common.
+        """
+        while len(self._cuts) > WAITING_CUTS:
+            numbers = [cut.number for cut, _ in list(self._cuts)[:-1]]
+            del self._cuts[min(range(len(numbers)), key=lambda n: numbers[n] & -numbers[n])]
+
+    def _run(self) -> None:
+        """Write what is handed over, until the end."""
+        log_due = retry_due = 0.0
+        while True:
+            with self._wake:
+                while True:
+                    now = time.monotonic()
+                    pressing = self._is_closing or self._is_urgent
+                    due = 0.0 if pressing else retry_due
+                    if not self._cuts and not pressing:
+                        due = max(due, log_due)
+                    if (self._cuts or self._log) and now >= due:
+                        break
+                    if self._is_idle():
+                        self._is_urgent = False
+                        if self._is_closing:
+                            break
+                    self._wake.wait(due - now if self._cuts or self._log else None)
+                work = self._cuts.popleft() if self._cuts else None
+                log, self._log, self._log_bytes = self._log, deque(), 0
+                self._is_writing = work is not None or bool(log)
+                is_closing = self._is_closing
+            failure = self._write(work, log) if work is not None or log else ''
+            log_due = time.monotonic() + LOG_S
+            retry_due = time.monotonic() + RETRY_S if failure else 0.0
+            with self._wake:
+                self._is_writing = False
+                if failure:
+                    self._is_urgent = False
+                    if work is not None:
+                        self._cuts.appendleft(work)
+                        self._thin()
+                    self._log.extendleft(reversed(log))
+                    self._log_bytes += sum(len(data) for _, _, data in log)
+                elif work is not None:
+                    self.acknowledged = work[0]
+                ends = is_closing and (bool(failure) or self._is_idle())
+                self._wake.notify_all()
+            self._report_change(failure)
+            if ends:
+                self._writer.close(complete=not failure)
+                return
+
+    def _write(
+        self, work: tuple[Cut, Mapping[str, State]] | None, log: Sequence[LogEntry]
+    ) -> str:  # fmt: skip
+        """Write a cut and messages; return why this is not possible, or ''."""
+        try:
+            self._writer.write(work, log)
+        except UnusableInput as error:
+            return str(error)
+        except Exception as error:  # A defect here must not end the mapping.
+            return f'{self.path} cannot be written ({type(error).__name__}: {error})'
+        return ''
+
+    def _report_change(self, failure: str) -> None:
+        before, self.problem = self.problem, failure
+        if failure and not before:
+            self._report(f'{failure}; mapping continues in memory, and saving is tried again')
+        elif before and not failure:
+            self._report(f'{self.path} is written again; nothing in memory was lost')

@@ -1,0 +1,66 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Saving and loading of a whole RatSLAM."""
+
+from __future__ import annotations
+
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from ratslam_ros.core.config import Config
+from ratslam_ros.core.ratslam import RatSLAM
+from ratslam_ros.errors import UnusableInput
+from ratslam_ros.files.config import from_yaml, to_yaml
+from ratslam_ros.maps import saving
+from ratslam_ros.maps.reader import read_map
+from ratslam_ros.maps.saved_map import Cut, MapMeta
+
+
+def save_map(slam: RatSLAM, path: str | Path, config: Config, title: str = '') -> None:
+    """Save everything that a RatSLAM has learned in a map file, which `load_map` opens.
+
+    An earlier map with this name is replaced when the new one is complete.
+
+    Args:
+        slam: the system.
+        path: the map file.
+        config: its parameters, with which the map is opened again.
+        title: name of the map; '' for that of the file.
+
+    Raises:
+        UnusableInput: the file is in use, is no map, or cannot be written.
+    """
+    path = Path(path)
+    meta = MapMeta(title or path.stem, package_version(), to_yaml(config))
+    saving.save_map(path, slam.state(), meta, Cut(0, slam.order.newest_ns or 0))
+
+
+def load_map(path: str | Path, config: Config | None = None) -> RatSLAM:
+    """Open a map as a RatSLAM that continues exactly where it was saved.
+
+    Call its ``begin_session`` if the next inputs do not follow the last ones of the map.
+
+    Args:
+        path: a map file, or a folder with the memory files of nodes.
+        config: the parameters; None for those in the map file.
+
+    Raises:
+        UnusableInput: the map cannot be used, or does not fit the parameters.
+        UnusableParameter: a parameter in the map is unknown or out of range.
+    """
+    saved = read_map(path)
+    if config is None:
+        if not saved.meta.configuration:
+            raise UnusableInput(f'{path} contains no configuration; pass one as config')
+        config = from_yaml(saved.meta.configuration)
+    slam = RatSLAM(config, visual_odometry='visual_odometry' in saved.states)
+    slam.restore(saved.states)
+    return slam
+
+
+def package_version() -> str:
+    """Return the version of this package, '' if it is not installed."""
+    try:
+        return version('ratslam_ros')
+    except PackageNotFoundError:
+        return ''

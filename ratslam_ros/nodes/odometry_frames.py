@@ -1,0 +1,68 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Frames of the odometry: those that its messages name, or those of the parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from nav_msgs.msg import Odometry as OdometryMessage
+
+ODOM_FRAME, BASE_FRAME = 'odom', 'base_link'
+"""Frames if neither the messages nor the parameters name them (REP 105)."""
+
+FROM_ODOMETRY = 'auto'
+"""Value of the parameters for the frames that the messages name."""
+
+
+class OdometryFrames:
+    """Names of the frames in which the odometry is given, and that it tracks."""
+
+    def __init__(self, odom_frame: str, base_frame: str, warn: Callable[[str], None]) -> None:
+        """Take the values of the parameters.
+
+        Args:
+            odom_frame, base_frame: names of the frames, or ``FROM_ODOMETRY``.
+            warn: called once for each message that contradicts a parameter.
+        """
+        self._given = {'odom_frame': odom_frame, 'base_frame': base_frame}
+        self._warn = warn
+        self._named: tuple[str, str] | None = None
+
+    @property
+    def known_base(self) -> str | None:
+        """Frame of the robot; None while a message is needed to know it."""
+        is_known = self._named is not None or self._given['base_frame'] != FROM_ODOMETRY
+        return self.base if is_known else None
+
+    @property
+    def odom(self) -> str:
+        """Frame in which the odometry is given."""
+        return self._frame('odom_frame', 0, ODOM_FRAME)
+
+    @property
+    def base(self) -> str:
+        """Frame of the robot."""
+        return self._frame('base_frame', 1, BASE_FRAME)
+
+    def update(self, message: OdometryMessage) -> None:
+        """Take the names from a message."""
+        named = message.header.frame_id.lstrip('/'), message.child_frame_id.lstrip('/')
+        if named == self._named:
+            return
+        self._named = named
+        for (parameter, given), name, field in zip(
+            self._given.items(), named, ('frame_id', 'child_frame_id'), strict=True
+        ):
+            if given != FROM_ODOMETRY and name and name != given:
+                self._warn(
+                    f'the odometry has the {field} {name}, but {parameter} is {given}: the TF '
+                    f'tree is broken unless another node publishes a transform between them; set '
+                    f'{parameter} to {FROM_ODOMETRY}, or correct the odometry'
+                )
+
+    def _frame(self, parameter: str, index: int, default: str) -> str:
+        given = self._given[parameter]
+        if given != FROM_ODOMETRY:
+            return given
+        return (self._named[index] if self._named is not None else '') or default

@@ -1,0 +1,79 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""States, stores and processes for the tests of maps."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ratslam_ros.core.common.state import State
+from ratslam_ros.maps import Cut, MapMeta, MapStore
+
+ROOT = Path(__file__).resolve().parents[2]
+META = MapMeta('test', configuration='a: 1\n', recording='/data/drive', recording_bytes=12)
+LONG_S = 60.0
+"""Limit on waiting for what takes milliseconds on an idle machine."""
+
+
+def growing_state(number: int) -> State:
+    """Return a state of which each next one differs in a few chunks."""
+    poses = np.random.default_rng(7).random((2000 + 50 * number, 3))
+    poses[: number % 5] += number
+    return {
+        'core': {'poses': poses, 'ends': np.arange(300 * number, dtype=np.int32), 'n': number},
+        'names': [f'link {n}' for n in range(40 + number)],
+        'threshold': float('inf'),
+    }
+
+
+def same(left: Any, right: Any) -> bool:
+    """Return whether two states are equal, types and all bits included."""
+    if isinstance(left, np.ndarray):
+        return (
+            isinstance(right, np.ndarray) and left.dtype == right.dtype
+            and left.shape == right.shape and left.tobytes() == right.tobytes()
+        )  # fmt: skip
+    if isinstance(left, (list, tuple)):
+        return (
+            isinstance(right, (list, tuple)) and len(left) == len(right)
+            and all(map(same, left, right))
+        )  # fmt: skip
+    if isinstance(left, dict):
+        return (
+            isinstance(right, dict) and list(left) == list(right)
+            and all(same(left[key], right[key]) for key in left)
+        )  # fmt: skip
+    return type(left) is type(right) and repr(left) == repr(right)
+
+
+def opened(path: Path, *parts: str, reports: list[str] | None = None) -> MapStore:
+    """Open a map to write parts."""
+    return MapStore.open(path, parts, META, print if reports is None else reports.append)
+
+
+def write(store: MapStore, number: int, state: State | None = None) -> None:
+    """Write a cut of all parts of a store, and wait until it is durable."""
+    state = growing_state(number) if state is None else state
+    store.cut(Cut(number, number * 10), dict.fromkeys(store.parts, state))
+    assert store.flush(LONG_S)
+
+
+def kill(store: MapStore) -> None:
+    """End a store as if its process had been killed, except that SQLite ends its log."""
+    assert store.flush(LONG_S)
+    store._writer.release()
+
+
+def python(code: str, *arguments: Any, **options: Any) -> subprocess.Popen[str]:
+    """Start a process that runs code with the helpers of the tests."""
+    folders = [str(ROOT), str(Path(__file__).parent), os.environ.get('PYTHONPATH', '')]
+    return subprocess.Popen(
+        [sys.executable, '-c', code, *map(str, arguments)], text=True, stdout=subprocess.PIPE,
+        env={**os.environ, 'PYTHONPATH': os.pathsep.join(folders)}, **options,
+    )  # fmt: skip

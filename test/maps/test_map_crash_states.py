@@ -1,0 +1,59 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Power failures and failing calls of the disk: the short form of tools/crash_states.py."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip('apsw', reason='apsw (extra dev) records what SQLite writes')
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / 'tools'))
+
+import recording_disk
+from crash_states import check_crashes, check_failures
+
+from ratslam_ros.maps import schema
+
+
+@pytest.fixture(autouse=True)
+def scratch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr('tempfile.tempdir', str(tmp_path))
+    return tmp_path
+
+
+def test_every_crash_leaves_the_state_before_or_after(scratch: Path) -> None:
+    operations, states, problems = check_crashes(40, 2, limit=150, seed=1, scratch=scratch)
+    assert problems == []
+    assert states >= 150
+    assert operations > 300
+
+
+def test_missing_syncs_are_found(scratch: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The check is able to fail: without syncs of SQLite, maps are lost or damaged."""
+    execute = recording_disk.Database.execute
+
+    def without_sync(database: Any, text: str, *values: Any) -> Any:
+        return execute(database, text.replace('synchronous = FULL', 'synchronous = OFF'), *values)
+
+    monkeypatch.setattr(recording_disk.Database, 'execute', without_sync)
+    assert check_crashes(40, 1, limit=60, seed=1, scratch=scratch)[-1]
+
+
+def test_missing_sync_of_the_folder_is_found(
+    scratch: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module in ('schema', 'saving', 'file_writer'):
+        monkeypatch.setattr(f'ratslam_ros.maps.{module}.sync_folder', lambda path: None)
+    assert schema.sync_folder(scratch) is None
+    assert check_crashes(40, 1, limit=10, seed=1, scratch=scratch)[-1]
+
+
+@pytest.mark.parametrize(('failure', 'fails_for'), [('EIO', 1), ('ENOSPC', 4)])
+def test_failing_calls_damage_nothing(failure: str, fails_for: int, scratch: Path) -> None:
+    count, problems = check_failures(failure, fails_for, limit=5, seed=1, scratch=scratch)
+    assert problems == []
+    assert count == 5

@@ -1,0 +1,332 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Which cuts belong together: sessions, processes that join or crash, and locks on parts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from map_states import META, kill, opened, write
+
+from ratslam_ros.errors import UnusableInput
+from ratslam_ros.maps import Cut, MapMeta, MapStore, read_map, save_map
+from ratslam_ros.maps.file_writer import FileWriter
+from ratslam_ros.maps.sessions import KEPT_CUTS, MAX_SESSIONS
+
+VIEWS, CELLS, GRAPH = 'local_view', 'pose_cells', 'experience_map'
+
+
+def numbers(path: Path) -> dict[str, int]:
+    """Return the number within the state of each part."""
+    return {part: state['n'] for part, state in read_map(path).states.items()}
+
+
+def put(store: MapStore, number: int) -> None:
+    write(store, number, {'n': number})
+
+
+def test_map_is_the_newest_cut_of_all_parts(tmp_path: Path) -> None:
+    path = tmp_path / 'a.map'
+    views, cells = opened(path, VIEWS), opened(path, CELLS)
+    put(views, 1)
+    saved = read_map(path)
+    assert saved.cut is None
+    assert saved.states == {}
+    assert 'nothing of the map was saved' in saved.notes[0]
+    put(cells, 1)
+    put(views, 2)
+    put(views, 3)
+    put(cells, 3)
+    put(views, 4)
+    assert numbers(path) == {VIEWS: 3, CELLS: 3}
+    saved = read_map(path)
+    assert saved.cut == Cut(3, 30)
+    assert saved.lost == (30, 40)
+    views.close()
+    cells.close()
+
+
+def test_new_session_drops_what_does_not_belong_together(tmp_path: Path) -> None:
+    path = tmp_path / 'a.map'
+    views, cells = opened(path, VIEWS), opened(path, CELLS)
+    for number in (1, 2, 3):
+        put(views, number)
+    put(cells, 1)
+    put(cells, 2)
+    views.log('odometry', 12_345_678_912, b'')
+    kill(views)
+    kill(cells)
+    views, cells = opened(path, VIEWS), opened(path, CELLS)
+    assert views.restored is not None
+    assert views.restored.states == {VIEWS: {'n': 2}}
+    assert views.restored.lost == (20, 12_345_678_912)
+    assert 'is of stamp 0.00000002 s; 12.35 s are missing, up to stamp 12.345678912 s' in (
+        views.restored.notes[0]
+    )
+    assert cells.restored is not None
+    assert cells.restored.states == {CELLS: {'n': 2}}
+    assert cells.restored.notes == []
+    assert not cells.joins
+    assert views.logged('odometry', 0) == []
+    assert numbers(path) == {VIEWS: 2, CELLS: 2}
+    put(views, 3)
+    assert numbers(path) == {VIEWS: 2, CELLS: 2}
+    put(cells, 3)
+    assert numbers(path) == {VIEWS: 3, CELLS: 3}
+    views.close()
+    cells.close()
+    assert [row.lost for row in read_map(path).sessions] == [None, (20, 12_345_678_912)]
+
+
+def test_crashed_process_rejoins_with_its_own_newest_cut(tmp_path: Path) -> None:
+    path = tmp_path / 'a.map'
+    views, cells = opened(path, VIEWS), opened(path, CELLS)
+    for number in (1, 2, 3):
+        put(views, number)
+        if number < 3:
+            put(cells, number)
+    kill(cells)
+    put(views, 4)
+    cells = opened(path, CELLS)
+    assert cells.joins
+    assert cells.restored is not None
+    assert cells.restored.cut == Cut(2, 20)
+    assert cells.restored.states == {CELLS: {'n': 2}}
+    for number in (3, 4):
+        put(cells, number)
+    assert numbers(path) == {VIEWS: 4, CELLS: 4}
+    views.close()
+    cells.close()
+
+
+def test_process_that_crashes_before_its_first_cut_has_to_catch_up(tmp_path: Path) -> None:
+    path = tmp_path / 'a.map'
+    save_map(path, {VIEWS: {'n': 7}, CELLS: {'n': 7}}, META)
+    views, cells = opened(path, VIEWS), opened(path, CELLS)
+    put(views, 1)
+    kill(cells)
+    cells = opened(path, CELLS)
+    assert cells.joins
+    assert cells.restored is not None
+    assert cells.restored.states == {CELLS: {'n': 7}}
+    assert numbers(path) == {VIEWS: 7, CELLS: 7}
+    views.close()
+    cells.close()
+
+
+def test_process_rejoins_before_the_map_has_a_common_cut(tmp_path: Path) -> None:
+    path = tmp_path / 'a.map'
+    views, cells = opened(path, VIEWS), opened(path, CELLS)
+    put(views, 3)
+    kill(views)
+    views = opened(path, VIEWS)
+    assert views.joins
+    assert views.restored is not None
+    assert views.restored.states == {VIEWS: {'n': 3}}
+    put(views, 4)
+    put(cells, 4)
+    assert numbers(path) == {VIEWS: 4, CELLS: 4}
+    views.close()
+    cells.close()
+
+
+def test_part_that_joins_late_does_not_set_the_map_back(tmp_path: Path) -> None:
+    path = tmp_path / 'a.map'
+    views = opened(path, VIEWS)
+    for number in range(1, 4):
+        put(views, number)
+    graph = opened(path, GRAPH)
+    assert numbers(path) == {VIEWS: 3}
+    put(views, 4)
+    assert numbers(path) == {VIEWS: 3}
+    put(graph, 4)
+    assert numbers(path) == {VIEWS: 4, GRAPH: 4}
+    views.close()
+    graph.close()
+
+
+def test_part_that_is_not_used_stays_as_it_was(tmp_path: Path) -> None:
+    path = tmp_path / 'a.map'
+    save_map(path, {VIEWS: {'n': 7}, 'landmark_map': {'n': 7}, 'inputs': {'n': 7}}, META)
+    for _ in range(3):
+        views = opened(path, VIEWS)
+        put(views, 1)
+        put(views, 2)
+        views.close()
+    assert numbers(path) == {VIEWS: 2, 'landmark_map': 7}
+    landmarks = opened(path, 'landmark_map')
+    assert landmarks.restored is not None
+    assert landmarks.restored.states == {'landmark_map': {'n': 7}}
+    landmarks.close()
+
+
+def test_session_without_cuts_changes_nothing(tmp_path: Path) -> None:
+    path = tmp_path / 'a.map'
+    save_map(path, {VIEWS: {'n': 7}, 'inputs': {'n': 7}}, META, Cut(7, 70))
+    digest = read_map(path).digest
+    for _ in range(3):
+        store = opened(path, VIEWS)
+        assert store.restored is not None
+        assert store.restored.cut == Cut(7, 70)
+        store.close()
+        assert read_map(path).digest == digest
+        assert read_map(path).cut == Cut(7, 70)
+
+
+def test_sessions_may_have_earlier_stamps(tmp_path: Path) -> None:
+    path = tmp_path / 'a.map'
+    for number in (900, 5, 300, 1):
+        store = opened(path, VIEWS, CELLS)
+        put(store, number)
+        store.close()
+        assert read_map(path).cut == Cut(number, number * 10)
+        assert numbers(path) == {VIEWS: number, CELLS: number}
+
+
+def test_part_that_lags_far_behind_keeps_its_common_cut(tmp_path: Path) -> None:
+    path = tmp_path / 'a.map'
+    views, cells = opened(path, VIEWS), opened(path, CELLS)
+    put(views, 1)
+    put(cells, 1)
+    for number in range(2, 3 * KEPT_CUTS):
+        put(views, number)
+    assert numbers(path) == {VIEWS: 1, CELLS: 1}
+    put(cells, 3 * KEPT_CUTS - 1)
+    assert numbers(path) == {VIEWS: 3 * KEPT_CUTS - 1, CELLS: 3 * KEPT_CUTS - 1}
+    views.close()
+    cells.close()
+
+
+def test_number_of_sessions_is_bounded(tmp_path: Path) -> None:
+    path = tmp_path / 'a.map'
+    save_map(path, {VIEWS: {'n': 7}}, META)
+    for _ in range(MAX_SESSIONS + 3):
+        FileWriter(path, (CELLS,), MapMeta('again')).close(complete=True)
+    saved = read_map(path)
+    assert len(saved.sessions) == MAX_SESSIONS
+    assert saved.sessions[-1].number == MAX_SESSIONS + 4
+    assert saved.states == {VIEWS: {'n': 7}}
+
+
+class Model:
+    """What a map has to contain after writers have been opened, killed and closed.
+
+    Every part writes consecutive numbers from the common one on, so that the newest cut of all
+    parts is the smallest of their newest ones.
+    """
+
+    def __init__(self) -> None:
+        self.base: dict[str, int] = {}
+        self.newest: dict[str, int | None] = {}
+        self.first: dict[str, int] = {}
+        self.start = 0
+
+    def common(self) -> int | None:
+        found = [number for number in self.newest.values() if number is not None]
+        return min(found) if len(found) == len(self.newest) and found else None
+
+    def states(self) -> dict[str, int]:
+        common = self.common()
+        if common is None:
+            return self.base
+        written = {part for part, first in self.first.items() if first <= common}
+        return {**self.base, **dict.fromkeys(written, common)}
+
+    def open(self, part: str, is_first: bool) -> tuple[int | None, bool]:
+        """Return the number to restore, and whether the part has to catch up."""
+        if is_first:
+            self.base = self.states()
+            self.start = max([self.start, *(n for n in self.newest.values() if n is not None)])
+            self.newest, self.first = {part: None}, {}
+        joins = part in self.newest and not is_first
+        if part not in self.newest:
+            self.newest[part] = self.common()
+        if part in self.first:
+            return self.newest[part], joins
+        return self.base.get(part), joins
+
+    def write(self, part: str) -> int:
+        newest = self.newest[part]
+        number = self.newest[part] = (self.start if newest is None else newest) + 1
+        self.first.setdefault(part, number)
+        return number
+
+
+@settings(max_examples=20)
+@given(st.lists(
+    st.tuples(st.sampled_from((VIEWS, CELLS, GRAPH)), st.sampled_from('wwwwkc!')), max_size=30
+))  # fmt: skip
+def test_any_order_of_events_gives_the_state_of_the_model(
+    tmp_path_factory: pytest.TempPathFactory, events: list[tuple[str, str]]
+) -> None:
+    path = tmp_path_factory.mktemp('map') / 'a.map'
+    writers: dict[str, FileWriter] = {}
+    model = Model()
+    for part, event in events:
+        if part not in writers:
+            number, joins = model.open(part, is_first=not writers)
+            writers[part] = FileWriter(path, (part,), META)
+            restored = writers[part].restored
+            found = None if restored is None else restored.states.get(part)
+            assert found == (None if number is None else {'n': number})
+            assert writers[part].joins == joins
+        if event == 'w':
+            number = model.write(part)
+            writers[part].write((Cut(number, number), {part: {'n': number}}), [])
+        elif event == 'k':
+            writers.pop(part).release()
+        elif event == 'c':
+            writers.pop(part).close(complete=True)
+        else:
+            while writers:
+                writers.popitem()[1].release()
+        assert numbers(path) == model.states()
+    while writers:
+        writers.popitem()[1].release()
+
+
+# Locks
+
+
+def test_part_has_one_writer(tmp_path: Path) -> None:
+    path = tmp_path / 'a.map'
+    store = opened(path, VIEWS, CELLS)
+    with pytest.raises(UnusableInput, match=r'in use: pose_cells is written by process \d+'):
+        opened(path, GRAPH, CELLS)
+    with pytest.raises(UnusableInput, match='in use'):
+        save_map(path, {GRAPH: {}}, META)
+    graph = opened(path, GRAPH)  # A refused writer leaves no lock.
+    graph.close()
+    put(store, 1)
+    store.close()
+    opened(path, GRAPH, CELLS).close()
+
+
+def test_links_to_a_map_are_the_same_map(tmp_path: Path) -> None:
+    (tmp_path / 'link.map').symlink_to(tmp_path / 'a.map')
+    store = opened(tmp_path / 'link.map', VIEWS)
+    put(store, 1)
+    with pytest.raises(UnusableInput, match='in use'):
+        opened(tmp_path / 'a.map', VIEWS)
+    assert read_map(tmp_path / 'a.map').cut == read_map(tmp_path / 'link.map').cut == Cut(1, 10)
+    store.close()
+
+
+def test_removed_lock_file_is_noticed(tmp_path: Path) -> None:
+    """A second system may begin a session then; the first one writes nothing into it."""
+    path = tmp_path / 'a.map'
+    reports: list[str] = []
+    first = opened(path, VIEWS, reports=reports)
+    put(first, 1)
+    Path(f'{path}-lock').unlink()
+    second = opened(path, VIEWS)
+    put(second, 2)
+    first.cut(Cut(5, 50), {VIEWS: {'n': 5}})
+    assert not first.flush(0.3)
+    assert 'opened by another process although this one writes it' in reports[0]
+    assert numbers(path) == {VIEWS: 2}
+    second.close()
+    first.close()

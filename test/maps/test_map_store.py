@@ -1,0 +1,379 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The writer of a map: what is durable, what a failing disk causes, and what stays in the file."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sqlite3
+import threading
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from map_states import LONG_S, META, growing_state, kill, opened, same, write
+
+from ratslam_ros.errors import UnusableInput
+from ratslam_ros.maps import Cut, MapStore, read_map, save_map
+from ratslam_ros.maps.file_writer import FileWriter
+from ratslam_ros.maps.sessions import KEPT_CUTS
+from ratslam_ros.maps.store import WAITING_CUTS
+
+PART = 'local_view'
+
+
+def rows(path: Path, query: str) -> list[Any]:
+    with closing(sqlite3.connect(path)) as database:
+        return database.execute(query).fetchall()
+
+
+def test_new_map_restores_nothing_and_ends_as_one_file(tmp_path: Path) -> None:
+    path = tmp_path / 'folder' / 'a.map'
+    store = opened(path, PART)
+    assert store.restored is None
+    assert not store.joins
+    write(store, 1)
+    assert store.acknowledged == Cut(1, 10)
+    store.close()
+    assert os.listdir(path.parent) == ['a.map']
+    saved = read_map(path)
+    assert same(saved.states, {PART: growing_state(1)})
+    assert (saved.cut, saved.meta, saved.notes) == (Cut(1, 10), META, [])
+    assert saved.sessions[0].ended
+
+
+@settings(max_examples=15)
+@given(st.lists(
+    st.tuples(st.integers(0, 30_000), st.lists(st.integers(0, 40_000), max_size=5), st.booleans()),
+    min_size=1, max_size=25,
+))  # fmt: skip
+def test_any_series_of_states_is_restored(
+    tmp_path_factory: pytest.TempPathFactory, series: list[tuple[int, list[int], bool]]
+) -> None:
+    """Arrays grow, shrink, change, vanish and return; the old cuts stay readable."""
+    path = tmp_path_factory.mktemp('map') / 'a.map'
+    writer = FileWriter(path, (PART,), META)
+    states = []
+    for number, (length, changes, has_other) in enumerate(series, 1):
+        values = np.zeros(length, np.uint16)
+        values[[change for change in changes if change < length]] = number
+        state = {'a': values, 'n': list(range(length % 70))}
+        if has_other:
+            state['other'] = values[: length // 2].astype(np.float32)
+        states.append(state)
+        writer.write((Cut(number, number), {PART: state}), [])
+        assert same(read_map(path).states, {PART: state})
+    writer.close(complete=True)
+    again = FileWriter(path, (PART,), META)
+    assert again.restored is not None
+    assert same(again.restored.states, {PART: states[-1]})
+    again.write((Cut(1, 1), {PART: states[0]}), [])
+    again.close(complete=True)
+    assert same(read_map(path).states, {PART: states[0]})
+    versions = rows(path, 'SELECT count(*), count(DISTINCT array || position) FROM chunks')
+    assert versions[0][0] <= versions[0][1] * (KEPT_CUTS + 2)
+
+
+def test_cut_writes_only_changed_chunks(tmp_path: Path) -> None:
+    store = opened(tmp_path / 'a.map', PART)
+    array = np.random.default_rng(1).random(100_000)
+    write(store, 1, {'a': array})
+    changed = array.copy()
+    changed[[5, 50_000]] = 0.5
+    write(store, 2, {'a': changed})
+    write(store, 3, {'a': changed})
+    counts = "SELECT since, count(*) FROM chunks WHERE array = '/a' GROUP BY since"
+    assert rows(store.path, counts) == [(1, 98), (2, 2)]
+    store.close()
+
+
+def test_file_stays_small_however_many_cuts_are_written(tmp_path: Path) -> None:
+    writer = FileWriter(tmp_path / 'a.map', (PART,), META)
+    generator = np.random.default_rng(1)
+    for number in range(1, 6 * KEPT_CUTS):
+        writer.write((Cut(number, number), {PART: {'a': generator.random(5000)}}), [])
+    found = rows(tmp_path / 'a.map', 'SELECT number FROM cuts ORDER BY id')
+    assert [number for (number,) in found] == list(range(5 * KEPT_CUTS, 6 * KEPT_CUTS))
+    assert rows(tmp_path / 'a.map', 'SELECT count(*) FROM chunks WHERE array > ""') == [
+        (KEPT_CUTS * 5,)
+    ]
+    writer.close(complete=True)
+    once = tmp_path / 'b.map'
+    save_map(once, read_map(tmp_path / 'a.map').states, META)
+    assert (tmp_path / 'a.map').stat().st_size < 2 * KEPT_CUTS * once.stat().st_size
+
+
+def test_versions_of_a_killed_process_are_removed_later(tmp_path: Path) -> None:
+    path = tmp_path / 'a.map'
+    generator = np.random.default_rng(1)
+    number = 0
+    for _ in range(4):
+        writer = FileWriter(path, (PART,), META)
+        for _ in range(KEPT_CUTS + 3):
+            number += 1
+            state = {'a': generator.random(3000), 'b': np.zeros(5000 // number)}
+            writer.write((Cut(number, number), {PART: state}), [])
+        writer.release()
+    assert rows(path, 'SELECT count(*) FROM cuts') == [(KEPT_CUTS,)]
+    assert rows(path, "SELECT count(*) FROM chunks WHERE array = '/a'") == [(KEPT_CUTS * 3,)]
+
+
+def test_same_states_have_the_same_digest(tmp_path: Path) -> None:
+    path = tmp_path / 'a.map'
+    for numbers in ([1, 2, 3], [4, 9]):
+        store = opened(path, PART, 'pose_cells')
+        for number in numbers:
+            write(store, number)
+        store.close()
+    save_map(tmp_path / 'b.map', dict.fromkeys((PART, 'pose_cells'), growing_state(9)), META)
+    save_map(tmp_path / 'c.map', dict.fromkeys((PART, 'pose_cells'), growing_state(9)), META)
+    assert read_map(path).digest == read_map(tmp_path / 'b.map').digest
+    assert (tmp_path / 'b.map').read_bytes() == (tmp_path / 'c.map').read_bytes()
+
+
+class SlowWriter:
+    """Lets the thread of a store wait in the middle of its first cut."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.begun, self.go = threading.Event(), threading.Event()
+        write_now = FileWriter.write
+
+        def wait(writer: FileWriter, *values: Any) -> None:
+            self.begun.set()
+            assert self.go.wait(LONG_S)
+            write_now(writer, *values)
+
+        monkeypatch.setattr(FileWriter, 'write', wait)
+
+
+def test_slow_disk_leaves_out_odd_cuts_and_never_waits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    slow = SlowWriter(monkeypatch)
+    store = opened(tmp_path / 'a.map', PART)
+    store.cut(Cut(1, 10), {PART: growing_state(1)})
+    assert slow.begun.wait(LONG_S)
+    for number in range(2, 36):
+        store.cut(Cut(number, number * 10), {PART: {'n': number}})
+        assert len(store._cuts) <= WAITING_CUTS
+    slow.go.set()
+    assert store.flush(LONG_S)
+    found = [number for (number,) in rows(store.path, 'SELECT number FROM cuts')]
+    assert found == [1, 16, 32, 35]  # those that other parts, too, leave out last
+    store.close()
+
+
+def test_cut_with_smaller_number_is_left_out(tmp_path: Path) -> None:
+    store = opened(tmp_path / 'a.map', PART)
+    write(store, 5)
+    write(store, 4)
+    write(store, 5, {'n': 1})
+    assert same(read_map(store.path).states[PART], growing_state(5))
+    store.close()
+
+
+def test_parts_of_others_cannot_be_handed_over(tmp_path: Path) -> None:
+    store = opened(tmp_path / 'a.map', PART)
+    with pytest.raises(ValueError, match='pose_cells'):
+        store.cut(Cut(1, 1), {'pose_cells': {}})
+    store.close()
+    with pytest.raises(ValueError, match='nothing'):
+        opened(tmp_path / 'a.map', 'nothing')
+
+
+def test_log_is_found_by_other_writers_until_it_is_old(tmp_path: Path) -> None:
+    path = tmp_path / 'a.map'
+    first, second = opened(path, PART), opened(path, 'pose_cells')
+    for second_s in range(60):
+        first.log('odometry', second_s * 10**9, f'{second_s}'.encode())
+    first.log('odometry', 59 * 10**9, b'duplicate')
+    assert first.flush(LONG_S)
+    expected = [(s * 10**9, f'{s}'.encode()) for s in range(41, 60)]
+    assert second.logged('odometry', 40 * 10**9) == expected
+    assert len(second.logged('odometry', -1)) == 31
+    assert second.logged('scan', -1) == []
+    second.log('scan', 5, b'waiting')
+    assert second.logged('scan', 4) == [(5, b'waiting')]
+    first.close()
+    second.close()
+
+
+# Failures
+
+
+def fail_on_connect(monkeypatch: pytest.MonkeyPatch, error: Exception) -> Callable[[], None]:
+    """Let every transaction fail, until the returned function is called."""
+    begin = FileWriter._opened
+
+    def fail(writer: FileWriter) -> Any:
+        raise error
+
+    monkeypatch.setattr(FileWriter, '_opened', fail)
+    return lambda: monkeypatch.setattr(FileWriter, '_opened', begin)
+
+
+@pytest.mark.parametrize(('error', 'text'), [
+    (sqlite3.OperationalError('database or disk is full'), 'the disk is full; free some space'),
+    (sqlite3.OperationalError('database is locked'), 'another program has locked it'),
+    (sqlite3.OperationalError('attempt to write a readonly database'), 'it is read-only'),
+    (sqlite3.OperationalError('unable to open database file'), 'check its folder'),
+    (sqlite3.OperationalError('disk I/O error'), 'disk I/O error'),
+    (OSError(30, 'Read-only file system'), 'Read-only file system'),
+    (ZeroDivisionError('defect'), 'ZeroDivisionError: defect'),
+])  # fmt: skip
+def test_failure_is_reported_once_and_so_is_its_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception, text: str
+) -> None:
+    monkeypatch.setattr('ratslam_ros.maps.store.RETRY_S', 0.01)
+    reports: list[str] = []
+    store = opened(tmp_path / 'a.map', PART, reports=reports)
+    write(store, 1)
+    repair = fail_on_connect(monkeypatch, error)
+    for number in range(2, 12):
+        store.cut(Cut(number, number), {PART: growing_state(number)})
+        store.log('odometry', number, b'')
+        assert not store.flush(0.02)
+    assert len(reports) == 1
+    assert text in reports[0]
+    assert '\n' not in reports[0]
+    assert store.problem
+    assert store.acknowledged == Cut(1, 10)
+    assert same(read_map(store.path).states[PART], growing_state(1))
+    repair()
+    assert store.flush(LONG_S)
+    assert store.acknowledged == Cut(11, 11)
+    store.close()
+    assert reports[1:] == [f'{store.path} is written again; nothing in memory was lost']
+    assert not store.problem
+    assert same(read_map(store.path).states[PART], growing_state(11))
+
+
+def test_lock_of_another_program_delays_saving_only(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr('ratslam_ros.maps.schema.BUSY_S', 0.01)
+    reports: list[str] = []
+    store = opened(tmp_path / 'a.map', PART, reports=reports)
+    write(store, 1)
+    with closing(sqlite3.connect(store.path, isolation_level=None)) as other:
+        other.execute('BEGIN IMMEDIATE')
+        store.cut(Cut(2, 20), {PART: growing_state(2)})
+        assert not store.flush(0.3)
+        other.execute('ROLLBACK')
+    assert 'another program has locked it' in reports[0]
+    write(store, 3)
+    store.close()
+    assert same(read_map(store.path).states[PART], growing_state(3))
+
+
+def test_deleted_file_is_written_anew(tmp_path: Path) -> None:
+    store = opened(tmp_path / 'a.map', PART)
+    write(store, 1)
+    for file in tmp_path.iterdir():
+        file.unlink()
+    write(store, 2)
+    assert same(read_map(store.path).states[PART], growing_state(2))
+    store.close()
+    assert os.listdir(tmp_path) == ['a.map']
+
+
+def test_deleted_file_is_written_anew_by_all_writers(tmp_path: Path) -> None:
+    stores = [opened(tmp_path / 'a.map', part) for part in (PART, 'pose_cells')]
+    for store in stores:
+        write(store, 1)
+    (tmp_path / 'a.map').unlink()
+    for store in stores:
+        write(store, 2)
+    assert read_map(tmp_path / 'a.map').cut == Cut(2, 20)
+    for store in stores:
+        store.close()
+    assert sorted(read_map(tmp_path / 'a.map').states) == [PART, 'pose_cells']
+
+
+def test_vanished_folder_is_reported_and_its_return_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr('ratslam_ros.maps.store.RETRY_S', 0.01)
+    reports: list[str] = []
+    folder, away = tmp_path / 'maps', tmp_path / 'away'
+    store = opened(folder / 'a.map', PART, reports=reports)
+    write(store, 1)
+    folder.rename(away)
+    store.cut(Cut(2, 20), {PART: growing_state(2)})
+    assert not store.flush(0.2)
+    assert not folder.exists()  # It may be a disk that was unplugged.
+    assert 'No such file or directory' in reports[0]
+    away.rename(folder)
+    write(store, 3)
+    assert 'written again' in reports[1]
+    store.close()
+    assert read_map(folder / 'a.map').cut == Cut(3, 30)
+
+
+def test_another_map_in_its_place_is_not_touched(tmp_path: Path) -> None:
+    reports: list[str] = []
+    other = tmp_path / 'other.map'
+    save_map(other, {PART: growing_state(7)}, META)
+    store = opened(tmp_path / 'a.map', PART, reports=reports)
+    write(store, 1)
+    kept = tmp_path / 'kept.map'
+    os.rename(store.path, kept)
+    os.rename(f'{store.path}-wal', f'{kept}-wal')
+    shutil.copy(other, store.path)
+    store.cut(Cut(2, 20), {PART: growing_state(2)})
+    assert not store.flush(0.2)
+    assert 'was replaced by another map' in reports[0]
+    assert same(read_map(store.path).states[PART], growing_state(7))
+    store.close()
+    assert same(read_map(kept).states[PART], growing_state(1))
+
+
+def test_opening_reports_what_is_wrong(tmp_path: Path) -> None:
+    (tmp_path / 'text.map').write_text('no map ' * 1000)
+    (tmp_path / 'empty.map').touch()
+    for name, text in (
+        ('text.map', 'is not a map file'), ('empty.map', 'another kind of database'),
+        ('', 'is a folder'), ('text.map/a.map', 'cannot be written'),
+    ):  # fmt: skip
+        before = sorted(os.listdir(tmp_path))
+        with pytest.raises(UnusableInput, match=text) as error:
+            opened(tmp_path / name, PART)
+        assert '\n' not in str(error.value)
+        assert sorted(os.listdir(tmp_path)) == before
+    assert (tmp_path / 'text.map').read_text() == 'no map ' * 1000
+
+
+def test_stale_log_is_not_applied_to_a_new_map(tmp_path: Path) -> None:
+    path = tmp_path / 'a.map'
+    store = opened(path, PART)
+    write(store, 1)
+    log = Path(f'{path}-wal').read_bytes()
+    store.close()
+    path.unlink()
+    Path(f'{path}-wal').write_bytes(log)
+    store = opened(path, 'pose_cells')
+    assert store.restored is None
+    write(store, 1)
+    store.close()
+    assert list(read_map(path).states) == ['pose_cells']
+
+
+def test_close_twice_and_without_cuts(tmp_path: Path) -> None:
+    store = opened(tmp_path / 'a.map', PART)
+    store.close()
+    store.close()
+    assert read_map(tmp_path / 'a.map').states == {}
+    assert MapStore.open(tmp_path / 'a.map', [PART], META, print).restored is None
+
+
+def test_killed_store_leaves_acknowledged_cuts(tmp_path: Path) -> None:
+    store = opened(tmp_path / 'a.map', PART)
+    write(store, 1)
+    kill(store)
+    assert read_map(tmp_path / 'a.map').cut == Cut(1, 10)
