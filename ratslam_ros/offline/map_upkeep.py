@@ -230,6 +230,8 @@ def compact(path: Path) -> str:
     Raises:
         UnusableInput: the map is in use or damaged, or the folder cannot be written.
     """
+    if path.is_dir():
+        raise UnusableInput(f'{path} is a folder; expected a map file')
     before = sum(one.stat().st_size for one in _files(path))
     digest = read_map(path).digest
     with locked(path):
