@@ -4,7 +4,8 @@
 it costs to write them.
 
 Maps of several sizes are made of random views along a winding route without returns, with a laser
-scan for every experience. Run it with ``PYTHONPATH=. python benchmarks/map_files.py``.
+scan for every experience. The landmarks of relocation are left out: their number is limited to
+4,000. Run it with ``PYTHONPATH=. python benchmarks/map_files.py``.
 """
 
 from __future__ import annotations
@@ -54,8 +55,6 @@ def parts(slam: RatSLAM) -> dict[str, Callable[[], State]]:
         'pose_cells': slam.pose_cells.state,
         'experience_map': slam.experience_map.state, 'scans': slam.scan_matcher.state,
     }  # fmt: skip
-    if slam.relocator is not None:
-        found['relocator'] = slam.relocator.state
     if slam.goal_memory is not None:
         found['goal_memory'] = slam.goal_memory.state
     return found
@@ -120,7 +119,7 @@ def main() -> None:
     parser.add_argument('--sizes', type=int, nargs='+', default=SIZES, help='experiences')
     arguments = parser.parse_args()
     config = load_config(arguments.preset)[0].with_values({
-        'experience_map.exp_align_scans': True, 'experience_map.exp_relocate': 'both',
+        'experience_map.exp_align_scans': True, 'experience_map.exp_relocate': 'views',
         'goal_memory.goal_memory': True, 'local_view.vt_match_threshold': 0.01,
         'pose_cells.exp_delta_pc_threshold': 0.5, 'pose_cells.pc_cell_x_size': 0.5,
     })  # fmt: skip

@@ -5,8 +5,6 @@
 from __future__ import annotations
 
 import dataclasses
-import sqlite3
-from contextlib import closing
 from pathlib import Path
 
 from ratslam_ros.core.merging.pruned_map import pruned_states
@@ -14,8 +12,6 @@ from ratslam_ros.core.merging.session import Session, SessionMap
 from ratslam_ros.descriptors import encoder_of
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.maps import read_map, save_map
-from ratslam_ros.maps.file_writer import unwritable
-from ratslam_ros.maps.schema import connect
 from ratslam_ros.offline.map_upkeep import config_of_map, locked, make_backup
 
 
@@ -45,11 +41,6 @@ def prune(path: Path, count: int) -> str:
     if landmarks is not None:
         states['landmark_map'] = landmarks
     with locked(path):
-        try:
-            with closing(connect(path)) as database:  # The backup is to be one file.
-                database.execute('PRAGMA wal_checkpoint(TRUNCATE)')
-        except sqlite3.Error as error:
-            raise unwritable(path, error) from None
         backup = make_backup(path)
     title = f'{saved.meta.title}, pruned' if saved.meta.title else 'pruned'
     meta = dataclasses.replace(saved.meta, title=title, recording='', recording_bytes=0)

@@ -26,7 +26,16 @@ from ratslam_ros.maps.locks import MapLock, is_written
 from ratslam_ros.maps.part import load, rows_of
 from ratslam_ros.maps.reader import reading
 from ratslam_ros.maps.saved_map import seconds
-from ratslam_ros.maps.schema import NEW, WAL, beside, connect, remove, sync_folder
+from ratslam_ros.maps.schema import (
+    NEW,
+    WAL,
+    beside,
+    connect,
+    end_log,
+    remove,
+    restrict,
+    sync_folder,
+)
 from ratslam_ros.offline.replay_map import PROGRESS, session_titles
 
 BACKUP = '.bak'
@@ -221,14 +230,17 @@ def compact(path: Path) -> str:
     Raises:
         UnusableInput: the map is in use or damaged, or the folder cannot be written.
     """
+    if path.is_dir():
+        raise UnusableInput(f'{path} is a folder; expected a map file')
     before = sum(one.stat().st_size for one in _files(path))
     digest = read_map(path).digest
     with locked(path):
         new = beside(path, NEW)
         try:
             remove(new)
+            make_backup(path)
             with closing(connect(path)) as database:
-                database.execute('PRAGMA wal_checkpoint(TRUNCATE)')
+                restrict(database)
                 database.setlimit(sqlite3.SQLITE_LIMIT_ATTACHED, 1)  # VACUUM INTO attaches it.
                 database.execute('VACUUM INTO ?', (str(new),))
             with closing(connect(new)) as database:
@@ -236,7 +248,7 @@ def compact(path: Path) -> str:
             if read_map(new).digest != digest:
                 raise UnusableInput(f'{path} could not be copied exactly; check the disk')
             _sync(new)
-            make_backup(path)
+            as_one_file(path)
             os.replace(new, path)
             sync_folder(path)
         except BaseException:
@@ -250,11 +262,30 @@ def compact(path: Path) -> str:
     )
 
 
-def make_backup(path: Path) -> Path:
-    """Keep a map, which is one complete file, as FILE.bak too.
+def as_one_file(path: Path) -> None:
+    """Move the write-ahead log of a map into the map, durably.
 
-    An earlier backup stays until the new one is complete.
+    SQLite would apply a log that is left to a file that takes the place of the map.
+
+    Raises:
+        UnusableInput: another program reads the map all the time.
     """
+    if not end_log(path):
+        raise UnusableInput(
+            f'{path} is being read by another program; end that program, and try again'
+        )
+    sync_folder(path)
+
+
+def make_backup(path: Path) -> Path:
+    """Keep a map as FILE.bak too, in one complete file.
+
+    An earlier backup stays until the new one is complete. The caller has locked the map.
+
+    Raises:
+        UnusableInput, OSError, sqlite3.Error: the map cannot be read, or the folder written.
+    """
+    as_one_file(path)
     backup, fresh = beside(path, BACKUP), beside(path, f'{BACKUP}{NEW}')
     fresh.unlink(missing_ok=True)
     try:

@@ -135,6 +135,11 @@ class ReplayMap:
         self._slam, self._landmarks = slam, landmarks
         self._identity = _identity(recording, selection, start_s)
         self._identity['landmarks'] = landmarks is not None
+        if self.path.is_dir() and not self.localize:
+            raise UnusableInput(
+                f'{self.path} is a folder: memory folders are used with --localize; expected a '
+                'map file'
+            )
         saved = self._read()
         lines = [f'{self.path}: new map']
         digests: dict[str, bytes] = {}

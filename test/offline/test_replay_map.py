@@ -26,6 +26,7 @@ from kill_replays import Job, kill_replays
 
 from ratslam_ros.core.config import Config
 from ratslam_ros.errors import UnusableInput
+from ratslam_ros.files import memory
 from ratslam_ros.maps import MapMeta, MapStore, read_map
 from ratslam_ros.offline import replay_map
 from ratslam_ros.offline.replay import ReplayOptions, ReplayOutcome, replay
@@ -278,6 +279,18 @@ def test_full_disk_is_reported_once_and_loses_nothing(
     assert read_map(tmp_path / 'a.map').digest == before.digest
     run(bag, tmp_path)
     assert result_of(tmp_path) == result_of(undisturbed)
+
+
+def test_memory_folder_is_used_to_localise_only(
+    bag: Path, undisturbed: Path, tmp_path: Path
+) -> None:
+    for part, state in read_map(undisturbed / 'a.map').states.items():
+        memory.save(tmp_path / 'memory' / f'{part}.npz', part, state)
+    outcome, _ = run(bag, tmp_path, map_name='memory', localize=True)
+    assert outcome.summary['templates'] == 0
+    assert outcome.summary['loop_closures'] > 0
+    with pytest.raises(UnusableInput, match='are used with --localize'):
+        run(bag, tmp_path, map_name='memory')
 
 
 def test_missing_folder_of_the_map_is_created(bag: Path, tmp_path: Path) -> None:
