@@ -13,8 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.common.rows import listed
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
+from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.id_map import MIN_MEMORY_NS
 from ratslam_ros.core.mapping.links import Links
 from ratslam_ros.core.mapping.scan_matching import ScanMatcher
@@ -40,8 +42,10 @@ from ratslam_ros.core.merging.view_memory import (
     match_views,
     merged_local_view,
 )
+from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.pose_cells.torus import Torus
 from ratslam_ros.core.vision.built_in import built_in_encoder
+from ratslam_ros.core.vision.local_view import LocalView
 from ratslam_ros.errors import UnusableInput
 
 BESIDE_SPACINGS = 5.0
@@ -103,7 +107,7 @@ class MergedMap:
         """Number of parts whose relative poses are unknown."""
         core = self.states['experience_map']['core']
         saved = core.get('components', {'experiences': [0]})
-        return len(set(saved['experiences']))
+        return len(set(listed(saved['experiences'])))
 
 
 def merge_sessions(
@@ -231,13 +235,22 @@ def _states(
         graph['scans'] = merged_scans(joint, fused)
     if any('relocator' in part for part in parts):
         graph['relocator'] = merged_relocator(joint, fused, poses)
-    return with_numbering(
-        {'local_view': {'core': view}, 'pose_cells': {'core': cells.state()},
-         'experience_map': graph}, len(poses),
-    )  # fmt: skip
+    states: dict[str, State] = {
+        'local_view': {'core': view}, 'pose_cells': {'core': cells.state()},
+        'experience_map': graph,
+    }  # fmt: skip
+    systems: dict[str, LocalView | PoseCells | ExperienceMap] = {
+        'local_view': LocalView(first.config.local_view, first.encoder),
+        'pose_cells': PoseCells(first.config.pose_cells),
+        'experience_map': ExperienceMap(joint.parameters),
+    }
+    for part, system in systems.items():  # in the form in which the parts hand out their states
+        system.restore(states[part]['core'])
+        states[part]['core'] = system.state()
+    return _with_numbering(states, len(poses))
 
 
-def with_numbering(states: dict[str, State], count: int) -> dict[str, State]:
+def _with_numbering(states: dict[str, State], count: int) -> dict[str, State]:
     """Add what only the nodes need: all have the same ids, and no message is on its way."""
     ids: State = {'memory_ns': MIN_MEMORY_NS, 'forgotten': 0, 'base': 0, 'end': 0}
     numbering: State = {**ids, 'end': count, 'own': [[i, i] for i in range(count)]}

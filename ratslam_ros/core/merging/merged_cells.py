@@ -20,10 +20,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from ratslam_ros.core.common.pose import Pose, composed
+from ratslam_ros.core.common.rows import listed
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.merging.fusing import Fused
 from ratslam_ros.core.merging.joint_map import JointMap
-from ratslam_ros.core.merging.session import rows_of
 from ratslam_ros.core.merging.view_memory import merged_freshness
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
 from ratslam_ros.core.pose_cells.odometry_calibration import OdometryCalibration
@@ -31,6 +31,12 @@ from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.pose_cells.pruning import DistanceGraph
 from ratslam_ros.core.pose_cells.torus import Place, Torus, Unwrapped
 from ratslam_ros.core.pose_cells.visual_evidence import NEWEST_TEMPLATES_COUNT
+
+
+OF_ROBOT = (
+    'dims', 'packets', 'agreement', 'messages', 'last_template', 'since_current', 'present',
+)  # fmt: skip
+"""Items of the state that describe the robot, and not what was learned."""
 
 
 class MergedCells:
@@ -60,13 +66,14 @@ class MergedCells:
 
     def state(self) -> State:
         """Return the state of the pose cells."""
-        saved = PoseCells(self._p).state()
+        new = PoseCells(self._p).state()
+        saved: State = {key: new[key] for key in OF_ROBOT}
         memories, positions, numbers = self._associations()
         count = 1 + max(self._components)
         saved.update({
             'memories': memories,
             'unrolled': {
-                **saved['unrolled'], 'claimed': [], 'memories': positions,
+                **{key: new['unrolled'][key] for key in ('peak', 'here')}, 'claimed': [], 'memories': positions,
                 'experiences': [list(self._placed(pose)[1]) for pose in self._poses],
             },
             'experiences': [
@@ -95,7 +102,6 @@ class MergedCells:
             calibration.restore(self._joint.sessions[0].cell_state['calibration'])
             calibration.restart()
             saved['calibration'] = calibration.state()
-        saved.pop('freshness', None)
         freshness = merged_freshness(
             [one.cell_state.get('freshness') for one in self._joint.sessions], self._new_id,
             range(len(self._poses)),
@@ -139,7 +145,7 @@ class MergedCells:
     def _transitions(self) -> list[list[int]]:
         pairs = set()
         for number, session in enumerate(self._joint.sessions):
-            for ends in rows_of(session.cell_state['transitions']):
+            for ends in listed(session.cell_state['transitions']):
                 source, target = self._new_id(number, ends[0]), self._new_id(number, ends[1])
                 if source is not None and target is not None and source != target:
                     pairs.add((source, target))

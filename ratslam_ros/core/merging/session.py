@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.pose import Pose, composed, inverse
+from ratslam_ros.core.common.rows import listed
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config, LocalViewParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
@@ -97,9 +98,9 @@ class SessionMap:
         self.poses: Reals = self.graph.poses
         self.links: list[Link] = self.graph.links()
         self.components: Ints = np.array(self.graph.components, np.int64)
-        encoder = encoder_of(session.config.local_view)
-        self.layout = encoder.layout
-        self.local_view = LocalView(session.config.local_view, encoder)
+        self.encoder = encoder_of(session.config.local_view)
+        self.layout = self.encoder.layout
+        self.local_view = LocalView(session.config.local_view, self.encoder)
         self.local_view.restore(self.view_state)
         self._read_cells(session.states)
         self.scans = ScanMatcher()
@@ -121,7 +122,7 @@ class SessionMap:
         """(n,) template of each experience, -1 if it is not in the memory."""
         self.map_ids: dict[int, int] = {}
         """Id in the pose cells -> id on the map."""
-        for cell_id, row in enumerate(rows_of(self.cell_state['experiences'])):
+        for cell_id, row in enumerate(listed(self.cell_state['experiences'])):
             template_id = int(row[0])
             map_id = cell_id if own is None else own.get(cell_id)
             if map_id is None or map_id >= len(self):
@@ -174,27 +175,22 @@ class SessionMap:
         return found.hexdigest()
 
 
-def rows_of(table: Any) -> list[Any]:
-    """Return the rows of a table, which a state holds as an array or as a list."""
-    return table.tolist() if isinstance(table, np.ndarray) else list(table)
-
-
 def _anchors(session: SessionMap) -> list[Anchor]:
     """Return the associations of templates with places in the pose cells of a session."""
     state, cell_m = session.cell_state, session.lengths.cell_m
     planes_per_rad = session.config.pose_cells.pc_dim_th / math.tau
     positions = state['unrolled']
-    labels = rows_of(state['experiences'])
+    labels = listed(state['experiences'])
     count = len(labels)
     components, numbers = [0] * count, [0] * len(positions['memories'])
     places = [place for _, *place in labels]
     if 'components' in state:
         saved = state['components']
-        components, numbers = list(saved['experiences']), list(saved['memories'])
-        places = rows_of(saved['places'])
+        components, numbers = listed(saved['experiences']), listed(saved['memories'])
+        places = listed(saved['places'])
     poses = [
         Pose(x * cell_m, y * cell_m, place[2] / planes_per_rad)
-        for (x, y), place in zip(rows_of(positions['experiences']), places, strict=True)
+        for (x, y), place in zip(listed(positions['experiences']), places, strict=True)
     ]
     first: dict[tuple[int, int], int] = {}
     for cell_id, map_id in sorted(session.map_ids.items()):
@@ -206,7 +202,7 @@ def _anchors(session: SessionMap) -> list[Anchor]:
     component_of = np.array([components[cell_id] for cell_id in known], np.int64)
     found = []
     for (template_id, _x, _y, theta, *_), (x, y), component in zip(
-        rows_of(state['memories']), rows_of(positions['memories']), numbers, strict=True
+        listed(state['memories']), listed(positions['memories']), numbers, strict=True
     ):
         pose = Pose(x * cell_m, y * cell_m, theta / planes_per_rad)
         template = int(template_id) - session.template_base

@@ -20,6 +20,7 @@ from shared_worlds import LAP, Robot, continued, size
 
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.pose import Pose, composed, inverse
+from ratslam_ros.core.common.rows import listed
 from ratslam_ros.core.mapping.late_join import LateJoin
 from ratslam_ros.core.merging.merge import MergedMap, merge_sessions
 from ratslam_ros.core.merging.session import Session
@@ -196,7 +197,7 @@ def test_places_in_the_pose_cells_agree_with_the_map() -> None:
     cells, graph = (merged.states[part]['core'] for part in ('pose_cells', 'experience_map'))
     p = merged.config.pose_cells
     torus = Torus(p.pc_dim_x, p.pc_dim_y, p.pc_dim_th)
-    assert cells['experiences'] == graph['labels']
+    assert listed(cells['experiences']) == listed(graph['labels'])
     places = {row[0]: Place(*row[1:4]) for row in cells['memories']}
     assert len(places) == size(merged)[0]
     for template, pose in zip(
