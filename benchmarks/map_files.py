@@ -113,7 +113,7 @@ def written_bytes() -> int:
 
 
 def main() -> None:
-    """Print a table: part, experiences, median and longest time of a core, and size of the state."""
+    """Print a table: part, experiences, median and longest CPU time, and size of the state."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--preset', default='default', help='configuration (default: default)')
     parser.add_argument('--sizes', type=int, nargs='+', default=SIZES, help='experiences')

@@ -97,7 +97,7 @@ def test_number_out_of_range_is_refused(states: States, path: str, value: Any) -
             old.reshape(-1)[0] = value
     else:
         container[keys[-1]] = value
-    with pytest.raises(UnusableInput, match='expected|does not consist'):
+    with pytest.raises(UnusableInput, match=r'expected|does not consist'):
         check_state(part, changed[part])
 
 

@@ -247,10 +247,10 @@ def _states(
     for part, system in systems.items():  # in the form in which the parts hand out their states
         system.restore(states[part]['core'])
         states[part]['core'] = system.state()
-    return _with_numbering(states, len(poses))
+    return with_numbering(states, len(poses))
 
 
-def _with_numbering(states: dict[str, State], count: int) -> dict[str, State]:
+def with_numbering(states: dict[str, State], count: int) -> dict[str, State]:
     """Add what only the nodes need: all have the same ids, and no message is on its way."""
     ids: State = {'memory_ns': MIN_MEMORY_NS, 'forgotten': 0, 'base': 0, 'end': 0}
     numbering: State = {**ids, 'end': count, 'own': [[i, i] for i in range(count)]}

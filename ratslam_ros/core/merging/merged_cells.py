@@ -32,7 +32,6 @@ from ratslam_ros.core.pose_cells.pruning import DistanceGraph
 from ratslam_ros.core.pose_cells.torus import Place, Torus, Unwrapped
 from ratslam_ros.core.pose_cells.visual_evidence import NEWEST_TEMPLATES_COUNT
 
-
 OF_ROBOT = (
     'dims', 'packets', 'agreement', 'messages', 'last_template', 'since_current', 'present',
 )  # fmt: skip
@@ -73,7 +72,8 @@ class MergedCells:
         saved.update({
             'memories': memories,
             'unrolled': {
-                **{key: new['unrolled'][key] for key in ('peak', 'here')}, 'claimed': [], 'memories': positions,
+                **{key: new['unrolled'][key] for key in ('peak', 'here')},
+                'claimed': [], 'memories': positions,
                 'experiences': [list(self._placed(pose)[1]) for pose in self._poses],
             },
             'experiences': [
