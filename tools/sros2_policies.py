@@ -151,8 +151,8 @@ PARAMETER_SERVICES = frozenset({
 })  # fmt: skip
 
 REQUESTED = frozenset({
-    'pause', 'mapping', 'save', 'load', 'reset', 'list_parameters', 'get_parameters',
-    'set_parameters', 'list_goals', 'cancel_goal', 'send_all',
+    'pause', 'mapping', 'relocate', 'save_map', 'load_map', 'reset', 'list_parameters',
+    'get_parameters', 'set_parameters', 'list_goals', 'cancel_goal', 'send_all',
 })  # fmt: skip
 """Services that the viewer calls, by the last part of their names."""
 

@@ -25,8 +25,9 @@ def growing_state(number: int) -> State:
     """Return a state of which each next one differs in a few chunks."""
     poses = np.random.default_rng(7).random((2000 + 50 * number, 3))
     poses[: number % 5] += number
+    ends = np.arange(300 * number, dtype=np.int32).reshape(-1, 2) % 2000
     return {
-        'core': {'poses': poses, 'ends': np.arange(300 * number, dtype=np.int32), 'n': number},
+        'core': {'poses': poses, 'ends': ends, 'n': number},
         'names': [f'link {n}' for n in range(40 + number)],
         'threshold': float('inf'),
     }

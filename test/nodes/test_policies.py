@@ -84,6 +84,7 @@ def test_viewer_may_call_what_its_controls_call() -> None:
     )
     called = set(re.findall(r"_call_all\(\w+, '(\w+)'", source))
     called |= set(re.findall(r"\{(?:name|node)\}/(\w+)'", source))
+    called |= set(re.findall(r"_change_map\('ratslam/(\w+)'", source))
     called |= set(re.findall(r"(?:Trigger|SetBool), 'experience_map/(\w+)'", source))
     assert called == tool().REQUESTED
 

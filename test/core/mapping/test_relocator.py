@@ -5,13 +5,12 @@
 from __future__ import annotations
 
 import copy
-import json
 import math
 from dataclasses import replace
 
-import numpy as np
 import pytest
 from kidnapped_drive import LAP_STEPS, STEP_M, Drive, Sample, config, samples
+from states import differences
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.mapping.relocator import LEAST_EVIDENCE_M, Relocator
@@ -184,12 +183,8 @@ def test_state_is_restored_completely(drive: Drive) -> None:
     assert slam.scan_matcher is not None
     again = Relocator(slam.experience_map, slam.scan_matcher)
     again.restore(relocator.state())
-    for name in ('misplaced', 'counts'):
-        assert again.state()[name] == relocator.state()[name]
-        json.dumps(again.state()[name])
-    for name, value in relocator.state()['landmarks'].items():
-        assert np.array_equal(again.state()['landmarks'][name], value, equal_nan=True)
-    assert again.state()['misplaced'] != []
+    assert list(differences(again.state(), relocator.state())) == []
+    assert len(again.state()['misplaced']) > 0
 
 
 def test_without_a_laser_relocation_changes_nothing() -> None:
