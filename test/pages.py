@@ -104,9 +104,12 @@ class Page:
 
     def wait_for_text(self, pattern: str) -> re.Match[str]:
         """Wait until the visible text matches a regular expression."""
-        return wait_for(
-            lambda: re.search(pattern, self.text), f'{pattern!r} on the page'
-        )  # type: ignore[return-value]
+        try:
+            return wait_for(
+                lambda: re.search(pattern, self.text), f'{pattern!r} on the page'
+            )  # type: ignore[return-value]
+        except AssertionError as error:
+            raise AssertionError(f'{error}; its text is:\n{self.text}') from None
 
     @property
     def received(self) -> dict[str, int]:
