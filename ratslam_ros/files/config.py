@@ -8,7 +8,7 @@ import configparser
 import json
 import os
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -114,11 +114,6 @@ def stored_config(text: str, where: str) -> tuple[Config, list[str]]:
     return config, notices
 
 
-def config_from_yaml(text: str) -> Config:
-    """Return the configuration that ``to_yaml`` has written; see ``stored_config``."""
-    return stored_config(text, 'the configuration')[0]
-
-
 def _preset(name: str) -> Path:
     available = presets()
     if name not in available:
@@ -144,27 +139,32 @@ def parse_setting(text: str) -> tuple[str, Value]:
     return key.strip(), _scalar(value)
 
 
-def to_yaml(config: Config) -> str:
-    """Format a complete configuration as a ROS 2 parameter file."""
+def to_yaml(config: Config, sections: Collection[str] = tuple(SECTIONS)) -> str:
+    """Format a configuration, or some of its sections, as a ROS 2 parameter file."""
     lines = []
     for section, values in config.values().items():
-        lines.append(_heading(section))
-        for name, value in values.items():
-            lines.append(f'{_indent(section)}{name}: {_written(value)}\n')
+        if section in sections:
+            lines.append(_heading(section))
+            for name, value in values.items():
+                lines.append(f'{_indent(section)}{name}: {_written(value)}\n')
     return ''.join(lines)
 
 
-def from_yaml(text: str) -> Config:
-    """Return the configuration that ``to_yaml`` has formatted.
+def combined_yaml(earlier: str, later: str) -> str:
+    """Return a configuration with the sections of two; those of the second one hold.
+
+    Args:
+        earlier: what ``to_yaml`` of this or another version has written, or ''.
+        later: what ``to_yaml`` of this version has written, or ''.
 
     Raises:
-        UnusableInput: the text is something else.
-        UnusableParameter: a parameter is unknown or out of range.
+        UnusableInput: the first one is damaged.
+        UnusableParameter: a value is out of range.
     """
-    try:
-        return Config().with_values(dict(_yaml_values(text)))
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise UnusableInput(f'the configuration is damaged ({error})') from None
+    config, _ = stored_config(earlier, 'the earlier session')
+    values = dict(_yaml_values(later))
+    sections = {key.partition('.')[0] for key in [*dict(_yaml_values(earlier)), *values]}
+    return to_yaml(config.with_values(values), sections & SECTIONS.keys())
 
 
 def documented_yaml() -> str:

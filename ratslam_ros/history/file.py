@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass, fields
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -48,14 +47,6 @@ CREATE TABLE closures (
 TABLES = 'meta', 'segments', 'checkpoints', 'visits', 'closures'
 
 _TYPES = {'str': str, 'float': float, 'int': int}
-
-
-def package_version() -> str:
-    """Return the version of this package, '' if it is not installed."""
-    try:
-        return version('ratslam_ros')
-    except PackageNotFoundError:
-        return ''
 
 
 @dataclass(frozen=True, slots=True)

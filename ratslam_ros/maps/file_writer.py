@@ -8,6 +8,7 @@ import os
 import sqlite3
 from collections.abc import Mapping, Sequence
 from contextlib import closing, suppress
+from dataclasses import replace
 from pathlib import Path
 
 from ratslam_ros.core.common.state import State
@@ -31,6 +32,7 @@ from ratslam_ros.maps.schema import (
 )
 from ratslam_ros.maps.sessions import (
     begin,
+    describe,
     drop_after,
     join,
     newest,
@@ -54,7 +56,7 @@ class FileWriter:
         if path.is_dir():
             raise UnusableInput(f'{path} is a folder; expected the name of a map file')
         self.path, self.parts = path.resolve(), parts
-        self._meta = meta
+        self._meta = self._described = meta
         self.restored: SavedMap | None = None
         self.joins = False
         compressor = Compressor()
@@ -84,8 +86,11 @@ class FileWriter:
         """
         try:
             database = self._opened()
+            meta = self._meta
             database.execute('BEGIN IMMEDIATE')
             try:
+                if meta is not self._described:
+                    describe(database, self._session, meta)
                 written, removed = self._write(database, work, log)
                 database.execute('COMMIT')
             except BaseException:
@@ -95,10 +100,15 @@ class FileWriter:
         except (OSError, sqlite3.Error, UnusableInput) as error:
             self._disconnect()  # The next attempt checks the file anew.
             raise unwritable(self.path, error) from None
+        self._described = meta
         for entry in written:
             self._writers[entry.row.part].adopt(entry)
         for part, versions in removed.items():
             self._writers[part].forget(versions)
+
+    def configure(self, configuration: str) -> None:
+        """Record with the next cut that these sections have other values from now on."""
+        self._meta = replace(self._meta, configuration=configuration)
 
     def logged(self, stream: str, after_ns: int) -> list[tuple[int, bytes]]:
         """Return the messages of a stream after a stamp; none if the file cannot be read."""
@@ -190,6 +200,7 @@ class FileWriter:
                 rows = resumed_rows(database, found, self.parts)
                 self._session = found.session
                 self.joins = join(database, self._session, self.parts, found.number)
+                describe(database, self._session, self._meta)
                 for part in self.parts:
                     drop_after(database, part, rows.get(part))
                 database.execute('COMMIT')  # The others need not wait.
@@ -275,6 +286,7 @@ class FileWriter:
                 )
             if found.session:
                 join(database, found.session, self.parts, found.number)
+                describe(database, found.session, self._meta)
                 self._session = found.session
             else:
                 self._session = begin(database, self.parts, self._meta, found)

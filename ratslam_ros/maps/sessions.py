@@ -11,8 +11,10 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from ratslam_ros.errors import UnusableInput, UnusableParameter
+from ratslam_ros.files.config import combined_yaml
 from ratslam_ros.maps.part import Row, check_part, rows_of
 from ratslam_ros.maps.saved_map import Cut, MapMeta, SessionRow
 from ratslam_ros.maps.schema import NULLABLE, typed
@@ -145,6 +147,11 @@ def begin(
             meta.to_json(),
         ),
     )  # fmt: skip
+    if base.session:
+        (earlier,) = database.execute(
+            'SELECT meta FROM sessions WHERE session = ?', (base.session,)
+        ).fetchone()
+        describe(database, session, meta, MapMeta.from_json(earlier).configuration)
     for table in ('sessions', 'members'):
         database.execute(f'DELETE FROM {table} WHERE session <= ?', (session - MAX_SESSIONS,))
     join(database, session, parts, None)
@@ -156,6 +163,33 @@ def drop_after(database: sqlite3.Connection, part: str, row: Row | None) -> None
     last = 0 if row is None else row.id
     database.execute('DELETE FROM cuts WHERE part = ? AND id > ?', (part, last))
     database.execute('DELETE FROM chunks WHERE part = ? AND since > ?', (part, last))
+
+
+def describe(
+    database: sqlite3.Connection, session: int, meta: MapMeta, earlier: str | None = None
+) -> None:  # fmt: skip
+    """Add the sections of the configuration that a process uses to those of the others.
+
+    Args:
+        database: the map.
+        session: its last session.
+        meta: the description with these sections.
+        earlier: the other sections; None for those of the session.
+    """
+    (text,) = database.execute(
+        'SELECT meta FROM sessions WHERE session = ?', (session,)
+    ).fetchone()
+    present = MapMeta.from_json(text)
+    try:
+        sections = combined_yaml(
+            present.configuration if earlier is None else earlier, meta.configuration
+        )
+    except (UnusableInput, UnusableParameter):
+        sections = meta.configuration  # A damaged description must not prevent saving.
+    database.execute(
+        'UPDATE sessions SET meta = ? WHERE session = ?',
+        (replace(present, configuration=sections).to_json(), session),
+    )
 
 
 def join(

@@ -4,13 +4,13 @@
 
 from __future__ import annotations
 
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.ratslam import RatSLAM
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.files.config import from_yaml, to_yaml
+from ratslam_ros.files.config import stored_config, to_yaml
+from ratslam_ros.files.version import package_version
 from ratslam_ros.maps import saving
 from ratslam_ros.maps.reader import read_map
 from ratslam_ros.maps.saved_map import Cut, MapMeta
@@ -52,15 +52,7 @@ def load_map(path: str | Path, config: Config | None = None) -> RatSLAM:
     if config is None:
         if not saved.meta.configuration:
             raise UnusableInput(f'{path} contains no configuration; pass one as config')
-        config = from_yaml(saved.meta.configuration)
+        config, _ = stored_config(saved.meta.configuration, str(path))
     slam = RatSLAM(config, visual_odometry='visual_odometry' in saved.states)
     slam.restore(saved.states)
     return slam
-
-
-def package_version() -> str:
-    """Return the version of this package, '' if it is not installed."""
-    try:
-        return version('ratslam_ros')
-    except PackageNotFoundError:
-        return ''

@@ -30,8 +30,6 @@ from ratslam_ros.core.mapping.scan_matching import ScanMatcher
 from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
 from ratslam_ros.core.warm_up import warm_up
-from ratslam_ros.files.config import to_yaml
-from ratslam_ros.maps import MapMeta
 from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.messages.logged import (
     decode_odometry,
@@ -98,9 +96,8 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         self.create_service(Trigger, 'experience_map/relocate', self._on_relocate)
         assert self._operations is not None
         self._coordinator = MapCoordinator(
-            self, lambda: str(self._section.memory_folder), self._operations.present_grid,
-            lambda: MapMeta(configuration=to_yaml(self.config)),
-        )  # fmt: skip
+            self, lambda: str(self._section.memory_folder), self._operations.present_grid
+        )
         self._viewers = self._pose_ns = 0
         self._markers_due = False
         self._reset_state()

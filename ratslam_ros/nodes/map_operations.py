@@ -24,6 +24,8 @@ from std_srvs.srv import Trigger
 from ratslam_ros.core.common.state import State
 from ratslam_ros.errors import RatslamError
 from ratslam_ros.files import memory as memory_files
+from ratslam_ros.files.config import combined_yaml
+from ratslam_ros.files.version import package_version
 from ratslam_ros.maps import MapMeta, read_map, save_map
 from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.messages.map_commands import (
@@ -67,7 +69,8 @@ class MapOperations:
 
     def __init__(
         self, node: Node, part: str, state: Callable[[], State],
-        replace: Callable[[State], None], folder: Callable[[], str],
+        replace: Callable[[State], None], configuration: Callable[[], str],
+        folder: Callable[[], str],
     ) -> None:  # fmt: skip
         """Subscribe to the commands.
 
@@ -76,10 +79,12 @@ class MapOperations:
             part: name of its part of the file.
             state: returns the state of the node.
             replace: replaces it; raises and changes nothing if the new one cannot be used.
+            configuration: returns the parameters of the node, as YAML.
             folder: returns the map folder.
         """
         self._node, self._part = node, part
         self._state, self._replace, self._folder = state, replace, folder
+        self._configuration = configuration
         self._results = node.create_publisher(String, RESULT, GOAL)
         self._saving: MapCommand | None = None
         self._previous: State | None = None
@@ -124,12 +129,13 @@ class MapOperations:
         """Write the state to a file of its own, from which the coordinator builds the map."""
         command, self._saving = self._saving, None
         assert command is not None
-        state = self._state()
+        state, configuration = self._state(), self._configuration()
         path = part_path(map_path(self._folder(), command.name), command.number, self._part)
 
         def write() -> None:
             try:
                 memory_files.save(path, self._part, state)
+                path.with_suffix('.yaml').write_text(configuration, encoding='utf-8')
             except RatslamError as error:
                 self._answer(command, False, str(error))
             except Exception as error:  # a defect must not leave the others waiting
@@ -168,8 +174,7 @@ class MapCoordinator:
     """Carries out requests to save and load the map of all nodes."""
 
     def __init__(
-        self, node: Node, folder: Callable[[], str], grid: Callable[[], CutGrid],
-        meta: Callable[[], MapMeta],
+        self, node: Node, folder: Callable[[], str], grid: Callable[[], CutGrid]
     ) -> None:  # fmt: skip
         """Create the topics and services.
 
@@ -177,9 +182,8 @@ class MapCoordinator:
             node: the node of the topics and services.
             folder: returns the map folder.
             grid: returns the cuts of the node.
-            meta: returns the description of a saved map.
         """
-        self._node, self._folder, self._grid, self._meta = node, folder, grid, meta
+        self._node, self._folder, self._grid = node, folder, grid
         self._commands = node.create_publisher(String, COMMAND, GOAL)
         self._status = node.create_publisher(String, STATUS, LATCHED)
         self._request: MapRequest | None = None
@@ -278,7 +282,11 @@ class MapCoordinator:
         folder = part_path(path, self._number, '').parent
         try:
             if not texts:
-                save_map(path, read_map(folder).states, self._meta())
+                configuration = ''
+                for part in sorted(folder.glob('*.yaml')):
+                    configuration = combined_yaml(configuration, part.read_text(encoding='utf-8'))
+                meta = MapMeta('live', package_version(), configuration)
+                save_map(path, read_map(folder).states, meta)
         except (RatslamError, OSError) as error:
             texts.append(str(error))
         shutil.rmtree(folder, ignore_errors=True)

@@ -21,6 +21,7 @@ from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.errors import RatslamError
 from ratslam_ros.files import memory as memory_files
 from ratslam_ros.files.config import to_yaml
+from ratslam_ros.files.version import package_version
 from ratslam_ros.maps import MapMeta, MapStore, read_map
 from ratslam_ros.nodes.diagnostics import Diagnostics
 from ratslam_ros.nodes.inputs import Input
@@ -88,7 +89,7 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
             self.create_service(Trigger, f'{self.SECTION}/load', self._on_load)
             self._operations = MapOperations(
                 self, self.SECTION, self._memory_state, self._replace_memory,
-                lambda: str(self._section.memory_folder),
+                self._own_sections, lambda: str(self._section.memory_folder),
             )  # fmt: skip
 
     @classmethod
@@ -110,6 +111,9 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
     def _section(self) -> Any:
         return getattr(self.config, self.SECTION)
 
+    def _own_sections(self) -> str:
+        return to_yaml(self.config, (self.SECTION, *self.PARTS))
+
     def open_map(self) -> None:
         """Restore the state from the map file, if one is given, and save it there from now on.
 
@@ -124,7 +128,7 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
         if self._section.localize:
             self._localise_in(Path(path).expanduser())
             return
-        meta = MapMeta(configuration=to_yaml(self.config))
+        meta = MapMeta('live', package_version(), self._own_sections())
         store = MapStore.open(
             Path(path).expanduser(), [self.SECTION], meta, self.get_logger().warning
         )

@@ -17,7 +17,8 @@ from ratslam_ros.core.merging.merge import MergedMap, merge_sessions
 from ratslam_ros.core.merging.session import Session
 from ratslam_ros.descriptors import encoder_of
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.files.config import config_from_yaml, to_yaml
+from ratslam_ros.files.config import stored_config, to_yaml
+from ratslam_ros.files.version import package_version
 from ratslam_ros.maps import MapMeta, read_map, save_map
 from ratslam_ros.results.merge_plots import MergedPlaces, draw_merged
 
@@ -34,7 +35,7 @@ def read_session(path: Path, config: Config | None = None) -> Session:
     """
     saved = read_map(path)
     if saved.meta.configuration:
-        config = config_from_yaml(saved.meta.configuration)
+        config, _ = stored_config(saved.meta.configuration, str(path))
     if config is None:
         raise UnusableInput(
             f'{path} does not record its configuration, with which its views are encoded: give '
@@ -64,7 +65,7 @@ def merge_files(
         raise UnusableInput(f'{out} exists; give another name with -o, or add --force')
     sessions = [_named(read_session(path, config), path, paths) for path in paths]
     merged = merge_sessions(sessions, encoder_of)
-    meta = MapMeta(title=' + '.join(merged.names), configuration=to_yaml(merged.config))
+    meta = MapMeta(' + '.join(merged.names), package_version(), to_yaml(merged.config))
     save_map(out, merged.states, meta)
     report = out.with_name(f'{out.name}.json')
     report.write_text(json.dumps(report_of(merged), indent=2) + '\n', encoding='utf-8')

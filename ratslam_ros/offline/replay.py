@@ -26,7 +26,8 @@ from ratslam_ros.descriptors import encoder_of
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.event_inputs import laser_mount, odometry_from_event, scan_from_event
 from ratslam_ros.files.config import to_yaml
-from ratslam_ros.history.file import HISTORY_NAME, HistoryMeta, package_version
+from ratslam_ros.files.version import package_version
+from ratslam_ros.history.file import HISTORY_NAME, HistoryMeta
 from ratslam_ros.history.recorder import Recorder
 from ratslam_ros.history.writer import HistoryWriter
 from ratslam_ros.messages.json_schema import MalformedMessage

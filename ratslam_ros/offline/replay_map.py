@@ -20,7 +20,7 @@ from ratslam_ros.core.config import Config
 from ratslam_ros.core.ratslam import RatSLAM
 from ratslam_ros.errors import RatslamError, UnusableInput
 from ratslam_ros.files.config import stored_config, to_yaml
-from ratslam_ros.history.file import package_version
+from ratslam_ros.files.version import package_version
 from ratslam_ros.maps import Cut, MapMeta, MapStore, SavedMap, read_map
 from ratslam_ros.offline.landmark_mapping import LandmarkMapping
 from ratslam_ros.recordings import (

@@ -20,7 +20,8 @@ from ratslam_ros.core.config import AUTOMATIC, Config
 from ratslam_ros.core.ratslam import Step
 from ratslam_ros.errors import UnreachableGoal, UnusableInput
 from ratslam_ros.files.config import to_yaml
-from ratslam_ros.history.file import HISTORY_NAME, HistoryMeta, package_version
+from ratslam_ros.files.version import package_version
+from ratslam_ros.history.file import HISTORY_NAME, HistoryMeta
 from ratslam_ros.history.recorder import Recorder
 from ratslam_ros.history.writer import HistoryWriter
 from ratslam_ros.results.goal_plots import draw_temporal_map

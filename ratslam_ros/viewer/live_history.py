@@ -12,7 +12,8 @@ import numpy as np
 
 from ratslam_ros.core.mapping.map_changes import ExperienceRows, LinkRows, MapChange, MapMirror
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.history.file import HistoryMeta, package_version, part_path
+from ratslam_ros.files.version import package_version
+from ratslam_ros.history.file import HistoryMeta, part_path
 from ratslam_ros.history.history_run import HistoryRun
 from ratslam_ros.history.records import Record
 from ratslam_ros.history.writer import HistoryWriter

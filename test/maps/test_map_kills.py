@@ -103,6 +103,8 @@ def state_of(path):
     return number
 
 schema._expected_layout()  # computed once
+steps = 0
+log.clear()
 work(folder / 'whole.map')
 total, names = steps, log
 order = [-2, -1, 1, 2, 3, 4, 5, 6, 9]

@@ -14,7 +14,9 @@ import pytest
 from helpers import START_NS, picture
 
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.maps import read_map
+from ratslam_ros.files.config import stored_config
+from ratslam_ros.files.version import package_version
+from ratslam_ros.maps import SavedMap, read_map
 from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.messages.map_commands import (
     LOAD,
@@ -108,6 +110,14 @@ class Nodes:
         return result
 
 
+def check_configuration(saved: SavedMap) -> None:
+    """Check that the sections of all nodes are those with which they run."""
+    config, notices = stored_config(saved.meta.configuration, 'the map')
+    assert (config.local_view.template_x_size, config.pose_cells.pc_cell_x_size) == (16, 0.5)
+    assert (config.experience_map.map_period_s, notices) == (0.0, [])
+    assert saved.meta.ratslam_version == package_version() != ''
+
+
 def test_map_of_all_nodes_is_saved_and_loaded_as_one(world: MakeWorld, tmp_path: Path) -> None:
     nodes = Nodes(world, '-p', f'memory_folder:={tmp_path}')
     nodes.drive(12)
@@ -118,7 +128,9 @@ def test_map_of_all_nodes_is_saved_and_loaded_as_one(world: MakeWorld, tmp_path:
     assert saved['done'] == ['experience_map', 'local_view', 'pose_cells']
     [file] = tmp_path.iterdir()
     assert file.name == 'first floor.ratslam'
-    assert read_map(file).states.keys() == {'experience_map', 'local_view', 'pose_cells'}
+    map_file = read_map(file)
+    assert map_file.states.keys() == {'experience_map', 'local_view', 'pose_cells'}
+    check_configuration(map_file)
     before = nodes.maps[-1].data
     nodes.drive(12)
     assert nodes.until_mapped() > count
@@ -167,6 +179,7 @@ def test_localising_nodes_never_change_the_map(world: MakeWorld, tmp_path: Path)
     count = nodes.until_mapped()
     nodes.world.close()
     assert [path.name for path in tmp_path.iterdir()] == ['office.ratslam']
+    check_configuration(read_map(file))
     digest = hashlib.sha256(file.read_bytes()).hexdigest()
     rclpy.try_shutdown()
     nodes.world.close = lambda: None

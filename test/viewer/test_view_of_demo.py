@@ -88,7 +88,8 @@ def test_time_control_stays_in_sight_and_image_fills_panel(demo: Demo) -> None:
     page.open_tab('Map')
 
 
-def test_click_selects_and_goal_is_sent(demo: Demo) -> None:
+def select_experience(demo: Demo) -> int:
+    """Click an experience on the map; return its id."""
     page = demo.page
     page.close_notices()
     page.click('End')
@@ -98,8 +99,12 @@ def test_click_selects_and_goal_is_sent(demo: Demo) -> None:
     middle = len(rows) // 2
     page.open_tab('Select')
     page.click_at(page.scene_span[0] + int(columns[middle]), int(rows[middle]))
-    chosen = page.wait_for_text(r'[Ee]xperience (\d+)')
-    assert int(chosen[1]) < len(demo.run.seek(demo.run.end_ns).map)
+    return int(page.wait_for_text(r'[Ee]xperience (\d+)')[1])
+
+
+def test_click_selects_and_goal_is_sent(demo: Demo) -> None:
+    page = demo.page
+    assert select_experience(demo) < len(demo.run.seek(demo.run.end_ns).map)
     page.open_tab('Drive')
     page.click('Go here')
     wait_for(lambda: [call for call in demo.controls.calls if call[0] == 'go_to'], 'the goal')
@@ -111,6 +116,7 @@ def test_click_selects_and_goal_is_sent(demo: Demo) -> None:
 
 def test_refused_request_shows_its_reason(demo: Demo) -> None:
     page = demo.page
+    select_experience(demo)
     page.open_tab('Drive')
     demo.controls.refusal = REASON
     try:
