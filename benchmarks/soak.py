@@ -6,11 +6,11 @@
 
 A robot drives at random through the warehouse of `two_hours.py`, here with 5x5 junctions. It has
 several times more places than the limits `exp_max` and `vt_max` allow, so that experiences and
-templates are removed and learned again all the time. Odometry has noise, and the light varies. The
-map is saved as by live nodes, at cuts of stamps. After each hour, routes are planned to places that
-were named after the first one. A route is drivable if it ends within 2 m of the place, and the
-experiences of each of its links were seen at places at most 4 m from each other. The simulation
-runs as fast as possible. Linux only.
+templates are removed and learned again all the time. Odometry has noise, and the light varies.
+The map is saved as by live nodes, at cuts of stamps. After each hour, routes are planned to places
+that were named after the first one. A route is drivable if it ends within 2 m of the place, and
+the experiences of each of its links were seen at places at most 4 m from each other. The
+simulation runs as fast as possible. Linux only.
 """
 
 from __future__ import annotations
