@@ -58,6 +58,7 @@ setup(
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
         installed('config', '*.yaml'),
+        installed('config/nav2', '*.yaml'),
         installed('foxglove', '*.json'),
         installed('launch', '*.launch.py'),
         installed('rviz', '*.rviz'),
