@@ -93,8 +93,7 @@ class CellDrawing:
         self._centre = np.zeros(3)
         self._key: object = None
         self._box_key: object = None
-        names = [f'{part}{k}' for part in ('active', 'pale') for k in range(3)]
-        self._clouds = [Cloud(canvas, f'{self._path}/{n}', 0.1, 'gradient') for n in names]
+        self._clouds = [Cloud(canvas, f'{self._path}/{k}', 0.1, 'gradient') for k in range(3)]
         self._edges = Asset(canvas, f'{self._path}/box')
         self._drops = Strokes(canvas, f'{self._path}/drops', 1.5)
         self._markers = Strokes(canvas, f'{self._path}/injections', 2.5)
@@ -125,10 +124,11 @@ class CellDrawing:
         pale = np.array([mixed(tuple(c), theme.background, PALE) for c in colours[rows].tolist()])
         inside = self._points(record.cells.astype(np.float64) + 0.5, record.dims)
         beyond = self._points(copies, record.dims)
-        for k in range(3):
-            self._clouds[k].draw(inside[sizes == k], colours[sizes == k])
-            copied = sizes[rows] == k
-            self._clouds[3 + k].draw(beyond[copied], pale.reshape(-1, 3)[copied])
+        points = np.concatenate([inside, beyond])
+        tints = np.concatenate([colours, pale.reshape(-1, 3)])
+        classes = np.concatenate([sizes, sizes[rows]])
+        for k, cloud in enumerate(self._clouds):
+            cloud.draw(points[classes == k], tints[classes == k])
         self._draw_packets(record, theme)
         self._draw_injections(record, theme)
 
@@ -165,7 +165,7 @@ class CellDrawing:
         self._edges.draw(glb.lines(flat, np.array(tints, np.uint8)))
         cell_m = self._side_m / max(dims[0], dims[1])
         for k, cloud in enumerate(self._clouds):
-            cloud.resize(SIZES[k % 3] * cell_m)
+            cloud.resize(SIZES[k] * cell_m)
         n_x, n_y, n_h = size
         texts = [('Pose cells', (n_x / 2, n_y, n_h * 1.16))]
         texts += [('x (wraps)', (n_x / 2, -0.1 * n_y, -0.03 * n_h))]
