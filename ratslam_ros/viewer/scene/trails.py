@@ -68,6 +68,7 @@ class TrailDrawing:
         self._chunks: list[Asset] = []
         self._drawn: list[tuple[NDArray[np.float64], object]] = []
         self._key: object = None
+        self._tail_key: object = None
         self._tail = Strokes(canvas, f'{self._path}/tail', 4.0) if has_tail else None
 
     @property
@@ -98,7 +99,9 @@ class TrailDrawing:
 
     def draw_tail(self, trail: Trail, colour: Rgb) -> None:
         """Draw the end of the trail."""
-        if self._tail is not None:
+        key = (id(trail), trail.version, colour, self._canvas.theme.background)
+        if self._tail is not None and key != self._tail_key:
+            self._tail_key = key
             lines = steps(trail.points_m[-TAIL - 1 :])
             tints = faded(colour, self._canvas.theme.background, 2 * len(lines))
             self._tail.draw(lines, tints.reshape(-1, 2, 3))
