@@ -78,8 +78,8 @@ def browser(folder: str) -> webdriver.Chrome:
     return driver
 
 
-def tree_cpu_s(process: int) -> float:
-    """Return the processor time in s of all descendants of a process."""
+def descendants(process: int) -> dict[int, float]:
+    """Return the processor times in s of all descendants of a process."""
     parents, times = {}, {}
     for path in Path('/proc').glob('[0-9]*/stat'):
         try:
@@ -89,13 +89,18 @@ def tree_cpu_s(process: int) -> float:
         number = int(path.parent.name)
         parents[number] = int(fields[1])
         times[number] = (int(fields[11]) + int(fields[12])) / os.sysconf('SC_CLK_TCK')
-    found, total = [process], 0.0
-    while found:
-        parent = found.pop()
+    open_parents, found = [process], {}
+    while open_parents:
+        parent = open_parents.pop()
         children = [number for number, p in parents.items() if p == parent]
-        total += sum(times[number] for number in children)
-        found += children
-    return total
+        found |= {number: times[number] for number in children}
+        open_parents += children
+    return found
+
+
+def tree_cpu_s(process: int) -> float:
+    """Return the processor time in s of all descendants of a process."""
+    return sum(descendants(process).values())
 
 
 class Drive:
