@@ -180,7 +180,9 @@ class CellDrawing:
             (f'{turn}°', (-0.04 * n_x, -0.04 * n_y, n_h * turn / 360))
             for turn in (0, 90, 180, 270)
         ]
-        texts += [('heading 360° = 0°', (-0.04 * n_x, -0.04 * n_y, n_h * 1.05))]
+        # Two lines, because a long one would be hidden behind the panel on the left.
+        texts += [('360° = 0°', (-0.04 * n_x, -0.04 * n_y, n_h * 1.05))]
+        texts += [('heading', (-0.04 * n_x, -0.04 * n_y, n_h * 1.18))]
         where = self._points(np.array([at for _, at in texts]), dims).tolist()
         self._axes.draw([(text, tuple(at)) for (text, _), at in zip(texts, where, strict=True)])
 

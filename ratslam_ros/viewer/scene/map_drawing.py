@@ -18,12 +18,11 @@ from ratslam_ros.viewer.scene.palette import Bytes
 
 CHUNK = 512
 """Number of experiences or rows of links of a chunk. A view changes one or two chunks of 8 to 20
-kB; a map of 20,000 experiences has 80 chunks, and each costs a browser one draw call."""
+kB; a map of 20,000 experiences has 80 chunks."""
 
 LIMIT = 4_000
 """Number of experiences above which the map is thinned. On software rendering with two processors,
-20,000 experiences are then drawn at 16 frames per second (benchmarks/view.py); with a limit of
-10,000 it was 14."""
+20,000 experiences are then drawn at 23 to 30 frames per second (benchmarks/view.py)."""
 
 
 def thinning(count: int, limit: int = LIMIT) -> int:
