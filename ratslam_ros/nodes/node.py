@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -74,6 +75,8 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
         self._counted = Counts()
         self._paused = False
         self._mapping = True
+        self._sender_id = time.time_ns()
+        """Distinguishes this process from others with the same node; see ``SingleSender``."""
         self._keeper: MapKeeper | None = None
         """The node's part of the map file, if there is one."""
         self._kept_inputs: list[KeptInput] = []
