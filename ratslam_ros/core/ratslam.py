@@ -145,7 +145,7 @@ class RatSLAM:
         """Pose by odometry alone, in the map frame."""
         streams = STREAMS if self.scan_matcher is None else STREAMS_WITH_SCANS
         self.order: StampOrder[Odometry | Scan | ViewMatch] = StampOrder(
-            streams, round(config.pose_cells.max_lateness_s * 1e9)
+            streams, round(config.pose_cells.max_lateness_s * 1e9), 'odometry'
         )
         self._motion = MotionFromOdometry(
             config.pose_cells.odom_source, config.pose_cells.max_odom_gap_s,
@@ -344,7 +344,7 @@ class RatSLAM:
         is unknown: the robot is in a separate component until it recognises a place.
         """
         lateness_ns = self.order.max_lateness_ns
-        self.order = StampOrder(self.order.streams, lateness_ns)
+        self.order = StampOrder(self.order.streams, lateness_ns, 'odometry')
         self._images = StampOrder(('image',), 0)
         if self._views is not None:
             self._views = StampOrder(self._views.streams, self._views.max_lateness_ns)
