@@ -71,6 +71,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
     SECTION = 'experience_map'
     PARTS = ('goal_recall',)
     MAPS = True
+    REGULAR = 'odometry'
     REPEATS = ('relocation',)
 
     def __init__(self, initial: Config = Config()) -> None:

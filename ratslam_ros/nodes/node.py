@@ -50,6 +50,8 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
     """Further sections of parameters that the node reads, for its optional functions."""
     MAPS = False
     """Whether the node learns, and so has the services ``mapping``, ``save`` and ``load``."""
+    REGULAR: str | None = None
+    """Stream whose next stamp is predicted, so that others need not wait for it."""
     REPEATS: tuple[str, ...] = ()
     """Streams that the node sends again after a restart from a map file."""
 
@@ -244,7 +246,7 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
 
     def _new_order(self) -> StampOrder[Item]:
         lateness_s = getattr(self._section, 'max_lateness_s', 0.0)
-        return StampOrder(self._streams, round(lateness_s * 1e9))
+        return StampOrder(self._streams, round(lateness_s * 1e9), self.REGULAR)
 
     def _push(self, stream: str, stamp_ns: int, item: Item) -> None:
         """Put a message into the stamp order, and process all messages this releases."""

@@ -60,6 +60,7 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
     SECTION = 'pose_cells'
     PARTS = ('goal_memory',)
     MAPS = True
+    REGULAR = 'odometry'
     REPEATS = ('action',)
 
     def __init__(self, initial: Config = Config()) -> None:
