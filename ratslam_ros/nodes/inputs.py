@@ -57,6 +57,17 @@ class Input:
         for topic in topics:
             self._subscribe(topic, self._is_best_effort(topic))
 
+    def use(self, topics: dict[str, type]) -> None:
+        """Continue with other topics; a subscription to one of both is kept."""
+        for topic in [topic for topic in self._subscriptions if topic not in topics]:
+            self._unsubscribe(topic)
+        self._topics = topics
+        if self._used not in topics:
+            self._used = None
+        for topic in topics:
+            if topic not in self._subscriptions and topic in self._wanted_topics():
+                self._subscribe(topic, self._is_best_effort(topic))
+
     def update(self, silence_s: float) -> float:
         """Adapt to the publishers' quality of service, warn of silence, return the rate in Hz."""
         wanted = self._wanted_topics()
