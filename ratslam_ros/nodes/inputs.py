@@ -171,13 +171,30 @@ class Input:
             topic,
             on_message,
             INPUT_BEST_EFFORT if best_effort else INPUT,
-            event_callbacks=SubscriptionEventCallbacks(message_lost=self._lost),
+            event_callbacks=SubscriptionEventCallbacks(
+                message_lost=self._lost, incompatible_qos=lambda event: self._on_mismatch(topic)
+            ),
         )
 
     def _unsubscribe(self, topic: str) -> None:
         subscription = self._subscriptions.pop(topic, None)
         if subscription is not None:
             self._node.destroy_subscription(subscription)
+
+    def _on_mismatch(self, topic: str) -> None:
+        """Report a publisher with another quality of service: ``update`` adapts to best effort."""
+        name = self._node.resolve_topic_name(topic)
+        if self._is_best_effort(topic):
+            if not self._best_effort.get(topic, False):
+                self._node.get_logger().info(
+                    f'{name} has a best-effort publisher: subscribing again as best effort'
+                )
+        else:
+            self._diagnostics.warn(
+                f'{name} has a publisher of an incompatible quality of service, whose messages '
+                f'are not received; expected reliable or best effort, volatile: '
+                f'{self._publishers(name)}'
+            )
 
     def _lost(self, event: Any) -> None:
         self._diagnostics.drop(
