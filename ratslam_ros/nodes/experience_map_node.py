@@ -139,7 +139,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         return bool(section.exp_align_scans and section.exp_relocate != 'views')
 
     def _reset_state(self) -> None:
-        self._core = ExperienceMap(self._section)
+        self._core = self._new_core()
         self._core.mapping = self._mapping
         self._sender.reset()
         self._late_join = LateJoin(self._core)
@@ -180,6 +180,14 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
             self._core.integrate(unknown)
             self._scans.integrate(0, unknown)
 
+    def _new_core(self) -> ExperienceMap:
+        core = ExperienceMap(self._first_section)
+        core.reconfigure(self._section)
+        return core
+
+    def _reconfigure(self, section: Any) -> None:
+        self._core.reconfigure(section)
+
     def _set_mapping(self, mapping: bool) -> None:
         self._core.mapping = mapping
 
@@ -197,7 +205,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         }
 
     def _restore(self, state: State) -> None:
-        core = ExperienceMap(self._section)
+        core = self._new_core()
         core.restore(state['core'])
         late_join = LateJoin(core)
         if 'joining' in state:

@@ -167,6 +167,11 @@ class MapKeeper:
         """Log a message that a restarted node may need."""
         self._store.log(stream, stamp_ns, data)
 
+    def configure(self, configuration: str) -> None:
+        """Record with the next cut that these sections of parameters have other values."""
+        self._store.configure(configuration)
+        self._has_changed = True
+
     def diagnostic_values(self) -> dict[str, Any]:
         """Return the values for the diagnostics."""
         saved = self._store.acknowledged
@@ -184,6 +189,16 @@ class MapKeeper:
         }
 
     # Restart
+
+    @property
+    def joins(self) -> bool:
+        """Whether the node continues the session of the file, as after a restart."""
+        return self._store.joins and self._cut is not None
+
+    @property
+    def since_ns(self) -> int:
+        """Stamp up to which the restored state has processed the messages, 0 if there is none."""
+        return 0 if self._cut is None else self._cut.stamp_ns
 
     def is_other_session(self, stamp_ns: int, max_gap_ns: int) -> bool:
         """Return, for the first message, whether it does not follow the restored state."""

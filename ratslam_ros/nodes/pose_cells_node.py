@@ -100,7 +100,7 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
         return self.PARTS if self.config.goal_memory.goal_memory else ()
 
     def _reset_state(self) -> None:
-        self._core = PoseCells(self._section)
+        self._core = self._new_core()
         self._core.mapping = self._mapping
         if self._goals is not None:
             self._goals.use_pose_cells(self._core)
@@ -132,6 +132,14 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
             if self._goals is not None:
                 self._goals.integrate(0, unknown)
 
+    def _new_core(self) -> PoseCells:
+        core = PoseCells(self._first_section)
+        core.reconfigure(self._section)
+        return core
+
+    def _reconfigure(self, section: Any) -> None:
+        self._core.reconfigure(section)
+
     def _set_mapping(self, mapping: bool) -> None:
         self._core.mapping = mapping
 
@@ -149,7 +157,7 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
         return state
 
     def _restore(self, state: State) -> None:
-        core, numbering = PoseCells(self._section), IdMap()
+        core, numbering = self._new_core(), IdMap()
         core.restore(state['core'])
         if 'numbering' in state:
             numbering.restore(state['numbering'])
