@@ -46,6 +46,8 @@ from sensor_msgs.msg import Image  # noqa: E402
 from ratslam_ros.core.config import Config  # noqa: E402
 from ratslam_ros.core.ratslam import RatSLAM  # noqa: E402
 from ratslam_ros.errors import RatslamError  # noqa: E402
+from ratslam_ros.files.config import combined_yaml  # noqa: E402
+from ratslam_ros.files.version import package_version  # noqa: E402
 from ratslam_ros.live.resender import Resender  # noqa: E402
 from ratslam_ros.live.sending import send  # noqa: E402
 from ratslam_ros.maps import read_map  # noqa: E402
@@ -86,7 +88,7 @@ LOSSES = {
     'late': r'came too late',
     'refused': r'was refused',
     'gap': r'has a gap before|odometry has a gap',
-    'lost span': r'images from \S+ s to \S+ s are lost',
+    'lost span': r'images from \S+ s to \S+ s are lost|images after \S+ s may be lost|s are missing, up to stamp',
     'missed': r'actions of pose_cells were lost',
     'no answer': r'does not answer',
     'restarted empty': r'has started with an empty memory|has gone back to an earlier memory',
@@ -499,6 +501,9 @@ def _is_mapping(process: RobotProcess) -> bool:
     )
 
 
+_combined = cache(combined_yaml)
+
+
 @contextmanager
 def installed(simulation: Simulation) -> Iterator[None]:
     """Replace transport, time, threads and disk of the nodes by those of a simulation."""
@@ -526,6 +531,8 @@ def installed(simulation: Simulation) -> Iterator[None]:
         (sys.modules['sqlite3'], simulation.disk), (starting, simulation._starting),
         (get_default_context, present_context), (MapLock, Lock),
         (store_module.MapStore, Store),
+        # Pure functions that take most of the time of a restart.
+        (combined_yaml, _combined), (package_version, lambda: '0'),
         (context.Graph, Graph), (context.Participant, lambda _: Participant(simulation.bus)),
         (executors.Guard, Guard), (executors.WaitSet, WaitSet),
     ]  # fmt: skip

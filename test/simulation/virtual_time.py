@@ -23,7 +23,7 @@ MS, S = 1_000_000, 1_000_000_000
 EPOCH_NS = 1_700_000_000 * S
 """Time at which a simulation begins."""
 
-MAX_SWITCHES = 2_000_000
+MAX_SWITCHES = 300_000
 """Limit of the switches between threads in a simulation; more of them are a hang."""
 
 
@@ -218,7 +218,7 @@ class VirtualTime:
     perf_counter = process_time = thread_time = monotonic
 
     def sleep(self, duration_s: float) -> None:
-        self._scheduler.sleep(round(duration_s * 1e9))
+        self._scheduler.sleep(1 + round(duration_s * 1e9))
 
 
 class VirtualLock:
@@ -282,7 +282,8 @@ class VirtualCondition:
         self.acquire, self.release = self._lock.acquire, self._lock.release
 
     def wait(self, timeout: float | None = None) -> bool:
-        end_ns = None if timeout is None else self._scheduler.now_ns + round(timeout * 1e9)
+        # Rounded up, or a thread that waits for the rest of a float would not get there.
+        end_ns = None if timeout is None else self._scheduler.now_ns + 1 + round(timeout * 1e9)
         task = self._scheduler.current
         self._waiting.append(task)
         depth = self._lock.give_up()
