@@ -25,7 +25,7 @@ from ratslam_ros.standalone.qos import from_dds
 LEASE_NS = 10 * S
 """Time for which a killed process stays visible, as in DDS."""
 
-UNTRACED = '/diagnostics', '/rosout'
+UNTRACED = '/diagnostics', '/rosout', '/parameter_events'
 """Topics whose texts name the temporary folder."""
 
 POLL_NS = 2 * MS
