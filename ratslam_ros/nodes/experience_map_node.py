@@ -53,6 +53,7 @@ from ratslam_ros.nodes.odometry_frames import OdometryFrames
 from ratslam_ros.nodes.qos import LATCHED, RESULT, STATE
 from ratslam_ros.nodes.run import run
 from ratslam_ros.nodes.scans import ScanInput
+from ratslam_ros.nodes.single_sender import SingleSender
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +71,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
     SECTION = 'experience_map'
     PARTS = ('goal_recall',)
     MAPS = True
+    REGULAR = 'odometry'
     REPEATS = ('relocation',)
 
     def __init__(self, initial: Config = Config()) -> None:
@@ -115,8 +117,12 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
                 'scan', {'scan': LaserScan}, self._laser.receive,
                 lambda data: self._use_scan(decode_scan(data)),
             )  # fmt: skip
+        actions = SingleSender(
+            self, 'pose_cells/action', self._on_action,
+            lambda reason: self._refuse('action', reason),
+        )
         self._add_input(
-            'action', {'pose_cells/action': String}, self._on_action,
+            'action', {'pose_cells/action': String}, actions.take,
             lambda data: self._on_action(String(data=data.decode())),
         )  # fmt: skip
         self.create_timer(FLUSH_CHECK_PERIOD_S, self._on_timer, clock=self._steady)
@@ -133,7 +139,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         return bool(section.exp_align_scans and section.exp_relocate != 'views')
 
     def _reset_state(self) -> None:
-        self._core = ExperienceMap(self._section)
+        self._core = self._new_core()
         self._core.mapping = self._mapping
         self._sender.reset()
         self._late_join = LateJoin(self._core)
@@ -174,6 +180,14 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
             self._core.integrate(unknown)
             self._scans.integrate(0, unknown)
 
+    def _new_core(self) -> ExperienceMap:
+        core = ExperienceMap(self._first_section)
+        core.reconfigure(self._section)
+        return core
+
+    def _reconfigure(self, section: Any) -> None:
+        self._core.reconfigure(section)
+
     def _set_mapping(self, mapping: bool) -> None:
         self._core.mapping = mapping
 
@@ -191,7 +205,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         }
 
     def _restore(self, state: State) -> None:
-        core = ExperienceMap(self._section)
+        core = self._new_core()
         core.restore(state['core'])
         late_join = LateJoin(core)
         if 'joining' in state:

@@ -204,7 +204,9 @@ def test_matched_template_is_published_to_subscribers(world: MakeWorld) -> None:
     assert np.array_equal(pixels[: 15 * 8], pixels[15 * 9 :])  # the template just learned
 
 
-def test_best_effort_camera_is_received(world: MakeWorld) -> None:
+def test_best_effort_camera_is_received_without_a_false_alarm(
+    world: MakeWorld, capfd: pytest.CaptureFixture[str]
+) -> None:
     from rclpy.qos import qos_profile_sensor_data
     from sensor_msgs.msg import Image
 
@@ -213,6 +215,9 @@ def test_best_effort_camera_is_received(world: MakeWorld) -> None:
     made.until(lambda: camera.get_subscription_count() > 0)
     camera.publish(image(START_NS))
     made.until(lambda: received)
+    logged = ''.join(capfd.readouterr())
+    assert '/image has a best-effort publisher: subscribing again as best effort' in logged
+    assert 'No messages will be received' not in logged
 
 
 def test_memory_learned_at_stamp_0_is_numbered_1(world: MakeWorld) -> None:

@@ -97,7 +97,7 @@ class ExperienceMap(ExperienceGraph):
     def __init__(self, parameters: ExperienceMapParameters) -> None:
         heading_rad = wrap(math.radians(parameters.exp_initial_em_deg))
         super().__init__(Pose(0.0, 0.0, heading_rad), parameters.map_frame)
-        self._p = parameters
+        self._p = self._created_with = parameters
         self.mapping = True
         """Whether the graph is extended and relaxed; if not, the robot is only localised on it."""
         self.on_pruned: list[Callable[[int, int, Pose], None]] = []
@@ -116,6 +116,15 @@ class ExperienceMap(ExperienceGraph):
         self._recognised_at_m = 0.0
         self._was_relocated = False
         self._optimiser = PoseGraphOptimiser(parameters)
+
+    def reconfigure(self, parameters: ExperienceMapParameters) -> None:
+        """Continue with other values, from the next message on.
+
+        Raises:
+            UnusableParameter: a parameter differs that cannot change; nothing is changed.
+        """
+        self._created_with.check_change(parameters)
+        self._p = parameters
 
     @property
     def pose(self) -> Pose:
