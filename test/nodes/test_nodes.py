@@ -519,6 +519,9 @@ def test_recall_goal_without_route_is_empty_with_reason(
     world: MakeWorld, place: tuple[float, float, str], tolerance: float, reason: str
 ) -> None:
     from nav_msgs.srv import GetPlan
+    from std_msgs.msg import String
+
+    from ratslam_ros.nodes.qos import LATCHED
 
     made, received = experience_map(world)
     drive_straight(made)
@@ -528,6 +531,9 @@ def test_recall_goal_without_route_is_empty_with_reason(
         GetPlan, 'experience_map/recall_goal', goal=goal(*place), tolerance=tolerance
     )
     assert list(answer.plan.poses) == []
+    # Latched, without further odometry.
+    statuses = made.listen(String, 'experience_map/status', LATCHED)
+    made.until(lambda: statuses and reason in json.loads(statuses[-1].data)['reason'])
     assert reason in made.diagnostics()['experience_map']['no_route_because']
     assert received[-1].data == before
 
