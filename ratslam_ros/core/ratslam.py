@@ -10,9 +10,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,17 +21,22 @@ from ratslam_ros.core.common.odometry import (
     MotionFromOdometry,
     Odometry,
     moved,
-    odometry_from_state,
-    odometry_state,
 )
 from ratslam_ros.core.common.pose import Pose, composed
-from ratslam_ros.core.common.scan import Scan, scan_from_state, scan_state
+from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.common.stamp_order import Counts, Released, StampOrder
 from ratslam_ros.core.common.state import State
-from ratslam_ros.core.config import Config
+from ratslam_ros.core.config import Config, ConfigChanges
 from ratslam_ros.core.goal_memory.goal_memory import GoalMemory
+from ratslam_ros.core.held_messages import (
+    image_from_state,
+    image_state,
+    item_from_state,
+    item_state,
+)
 from ratslam_ros.core.mapping.experience_map import ExperienceMap, PrunedExperience
 from ratslam_ros.core.mapping.mapping_step import adopt_correction, apply_action
+from ratslam_ros.core.mapping.pose_hint import PendingHints, PoseHint
 from ratslam_ros.core.mapping.relocator import Relocator
 from ratslam_ros.core.mapping.scan_matching import ScanMatcher
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
@@ -40,14 +44,14 @@ from ratslam_ros.core.pose_cells.map_relocation import MapRelocations
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.vision.local_view import (
     UNDECODABLE,
+    EncodedView,
     LocalView,
     ViewMatch,
     ViewMatcher,
     delayed_ns,
-    match_from_state,
-    match_state,
     uses_odometry,
 )
+from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.core.vision.visual_odometry import VisualOdometry
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 
@@ -135,14 +139,14 @@ class RatSLAM:
         """Pose by odometry alone, in the map frame."""
         streams = STREAMS if self.scan_matcher is None else STREAMS_WITH_SCANS
         self.order: StampOrder[Odometry | Scan | ViewMatch] = StampOrder(
-            streams, round(config.pose_cells.max_lateness_s * 1e9)
+            streams, round(config.pose_cells.max_lateness_s * 1e9), 'odometry'
         )
         self._motion = MotionFromOdometry(
             config.pose_cells.odom_source, config.pose_cells.max_odom_gap_s,
             config.pose_cells.turn_correction,
         )
-        self._images: StampOrder[NDArray[np.uint8] | None] = StampOrder(('image',), 0)
-        self._views: StampOrder[NDArray[np.uint8] | Odometry | None] | None = None
+        self._images: StampOrder[PreparedImage | None] = StampOrder(('image',), 0)
+        self._views: StampOrder[PreparedImage | Odometry | None] | None = None
         if uses_odometry(config.local_view) and isinstance(self.local_view, LocalView):
             lateness_ns = round(config.local_view.max_lateness_s * 1e9)
             self._views = StampOrder(('odometry', 'image'), lateness_ns)
@@ -151,20 +155,65 @@ class RatSLAM:
         self._refused = 0
         self._has_matched = False
         self._watch = stopwatch
+        self._config = config
+        self._hints = PendingHints()
+        self._odometry_changes, self._view_changes, self._map_changes = (
+            ConfigChanges(), ConfigChanges(), ConfigChanges()
+        )  # fmt: skip
+
+    def reconfigure(self, config: Config, from_ns: int = 0) -> None:
+        """Continue with other parameters from a stamp on, as live nodes whose parameters are set.
+
+        Every part takes them over before it processes its first message with this stamp or a
+        later one. Changes that are not in force yet are not part of ``state``.
+
+        Args:
+            config: all parameters.
+            from_ns: the stamp; 0: the next message.
+
+        Raises:
+            UnusableParameter: a parameter differs that cannot change; nothing is changed.
+        """
+        self._config.check_change(config)
+        for changes in (self._odometry_changes, self._view_changes, self._map_changes):
+            changes.add(config, from_ns)
 
     # Inputs
 
-    def image(self, stamp_ns: int, image: NDArray[np.uint8] | None) -> list[Step]:
+    def prepare(self, image: NDArray[np.uint8]) -> PreparedImage:
+        """Compute what depends on one image alone; another thread may do so for later images.
+
+        Args:
+            image: (H, W) grey levels, 0 to 255.
+
+        Returns:
+            The image for ``image``, which gives the same results as without ``prepare``.
+        """
+        encoded = profiles = None
+        # If a window does not fit, ``image`` raises, unless it is a single image of another size.
+        with suppress(UnusableParameter):
+            if self.visual_odometry is not None:
+                profiles = self.visual_odometry.profiles(image)
+            if isinstance(self.local_view, LocalView) and self.local_view.encodes_ahead:
+                encoded = EncodedView(self.local_view.encode(image))
+        return PreparedImage(image, encoded, profiles)
+
+    def image(
+        self, stamp_ns: int, image: NDArray[np.uint8] | PreparedImage | None
+    ) -> list[Step]:
         """Process one image; return the steps of all messages that it released.
 
         Args:
             stamp_ns: stamp of the image. An image whose stamp does not increase is refused and
                 counted.
-            image: (H, W) grey levels, 0 to 255; None if the image could not be decoded.
+            image: (H, W) grey levels, 0 to 255, or what ``prepare`` returned for them; None if the
+                image could not be decoded.
 
         Raises:
             UnusableParameter: the crop, window or template does not fit the first image.
         """
+        if isinstance(image, np.ndarray):
+            image = PreparedImage(image)
         return self._process_images(self._images.push('image', stamp_ns, image))
 
     def odometry(self, odometry: Odometry) -> list[Step]:
@@ -201,6 +250,16 @@ class RatSLAM:
         if self._views is not None:
             steps += self._match_images(self._views.flush())
         return steps + self._process(self.order.flush())
+
+    def suggest(self, stamp_ns: int, hint: PoseHint) -> None:
+        """Use a pose that an operator has given from the first message with its stamp on.
+
+        A hint that has not been used yet is not part of ``state``.
+
+        Raises:
+            UnusableInput: a value is not finite, or the covariance is none.
+        """
+        self._hints.add(stamp_ns, hint.checked())
 
     # State
 
@@ -244,9 +303,9 @@ class RatSLAM:
                 **({} if relocator is None else {'relocator': relocator.state()}),
             },
             'inputs': {
-                'order': self.order.state(_item_state), 'images': self._images.state(_image_state),
+                'order': self.order.state(item_state), 'images': self._images.state(image_state),
                 'refused': self._refused,
-                **({} if self._views is None else {'views': self._views.state(_item_state)}),
+                **({} if self._views is None else {'views': self._views.state(item_state)}),
             },
         }  # fmt: skip
         if self.visual_odometry is not None:
@@ -298,11 +357,11 @@ class RatSLAM:
         if inputs is None:
             self._motion.restart()
             return
-        self.order.restore(inputs['order'], _item_from_state)
-        self._images.restore(inputs['images'], _image_from_state)
+        self.order.restore(inputs['order'], item_from_state)
+        self._images.restore(inputs['images'], image_from_state)
         self._refused = inputs['refused']
         if self._views is not None and 'views' in inputs:
-            self._views.restore(inputs['views'], _item_from_state)
+            self._views.restore(inputs['views'], item_from_state)
 
     def begin_session(self) -> None:
         """Continue the map with inputs that do not follow the last ones: another drive, or robot.
@@ -311,7 +370,7 @@ class RatSLAM:
         is unknown: the robot is in a separate component until it recognises a place.
         """
         lateness_ns = self.order.max_lateness_ns
-        self.order = StampOrder(self.order.streams, lateness_ns)
+        self.order = StampOrder(self.order.streams, lateness_ns, 'odometry')
         self._images = StampOrder(('image',), 0)
         if self._views is not None:
             self._views = StampOrder(self._views.streams, self._views.max_lateness_ns)
@@ -353,22 +412,25 @@ class RatSLAM:
     # One step
 
     def _process_images(
-        self, images: Iterable[Released[NDArray[np.uint8] | None]]
+        self, images: Iterable[Released[PreparedImage | None]]
     ) -> list[Step]:
         return [step for stamp_ns, _, image in images for step in self._see(stamp_ns, image)]
 
-    def _see(self, stamp_ns: int, image: NDArray[np.uint8] | None) -> list[Step]:
+    def _see(self, stamp_ns: int, image: PreparedImage | None) -> list[Step]:
         odometry = None
+        for config in self._odometry_changes.due(stamp_ns):
+            if self.visual_odometry is not None:
+                self.visual_odometry.reconfigure(config.visual_odometry)
         if image is not None and self.visual_odometry is not None:
             with self._tolerating_odd_sizes(), self._watch('visual_odometry'):
-                odometry = self.visual_odometry.estimate(stamp_ns, image)
+                odometry = self.visual_odometry.estimate(stamp_ns, image.pixels, image.profiles)
         steps = [] if odometry is None else self.odometry(odometry.as_received())
         if self._views is None:
             return steps + self._match(stamp_ns, image)
         return steps + self._match_images(self._views.push('image', stamp_ns, image))
 
     def _match_images(
-        self, released: Iterable[Released[NDArray[np.uint8] | Odometry | None]]
+        self, released: Iterable[Released[PreparedImage | Odometry | None]]
     ) -> list[Step]:
         steps: list[Step] = []
         for stamp_ns, _, item in released:
@@ -378,14 +440,17 @@ class RatSLAM:
                 self.local_view.follow(item)
         return steps
 
-    def _match(self, stamp_ns: int, image: NDArray[np.uint8] | None) -> list[Step]:
+    def _match(self, stamp_ns: int, image: PreparedImage | None) -> list[Step]:
         match = UNDECODABLE
+        for config in self._view_changes.due(stamp_ns):
+            if isinstance(self.local_view, LocalView):
+                self.local_view.reconfigure(config.local_view)
         if image is not None:
             with self._tolerating_odd_sizes(), self._watch('local_view'):
                 if isinstance(self.local_view, LocalView):
-                    match = self.local_view.match(image, stamp_ns)
+                    match = self.local_view.match(image.pixels, stamp_ns, image.encoded)
                 else:
-                    match = self.local_view.match(image)
+                    match = self.local_view.match(image.pixels)
                 self._has_matched = True
         return self.template(stamp_ns, match)
 
@@ -401,6 +466,11 @@ class RatSLAM:
     def _process(self, released: Iterable[Released[Odometry | Scan | ViewMatch]]) -> list[Step]:
         steps: list[Step] = []
         for stamp_ns, _, item in released:
+            for config in self._map_changes.due(stamp_ns):
+                self.pose_cells.reconfigure(config.pose_cells)
+                self.experience_map.reconfigure(config.experience_map)
+            if (hint := self._hints.due(stamp_ns)) is not None:
+                self.experience_map.suggest(hint)
             if isinstance(item, Odometry):
                 steps.append(self._move(item))
             elif isinstance(item, ViewMatch):
@@ -451,32 +521,3 @@ class RatSLAM:
             stamp_ns, match, action, update.pruned, update.rejected, relocated_to,
             update.reason,
         )
-
-
-def _item_state(item: Odometry | Scan | ViewMatch | NDArray[np.uint8] | None) -> State:
-    """Return a held message for a saved state."""
-    if isinstance(item, Odometry):
-        return {'odometry': odometry_state(item)}
-    if isinstance(item, Scan):
-        return {'scan': scan_state(item)}
-    if isinstance(item, ViewMatch):
-        return {'match': match_state(item)}
-    return {'image': _image_state(item)}
-
-
-def _item_from_state(state: State) -> Any:
-    """Return a held message from ``_item_state``."""
-    ((kind, value),) = state.items()
-    decode: dict[str, Callable[[Any], Any]] = {
-        'odometry': odometry_from_state, 'scan': scan_from_state, 'match': match_from_state,
-        'image': _image_from_state,
-    }  # fmt: skip
-    return decode[kind](value)
-
-
-def _image_state(image: NDArray[np.uint8] | None) -> Any:
-    return None if image is None else np.array(image)
-
-
-def _image_from_state(value: Any) -> NDArray[np.uint8] | None:
-    return None if value is None else np.asarray(value, np.uint8)

@@ -23,6 +23,8 @@ from ratslam_ros.core.driving.exploration import Exploration
 from ratslam_ros.core.driving.goal_follower import GoalFollower, in_robot_frame, remaining_route
 from ratslam_ros.core.driving.steering import Command
 from ratslam_ros.limits import MAX_COORDINATE_M
+from ratslam_ros.messages.corrections import NAME as CORRECTION
+from ratslam_ros.messages.corrections import decode_correction
 from ratslam_ros.messages.goals import BehaviourReport, decode_status, encode_behaviour
 from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.nodes.convert import planar_pose, route_points, stamp_ns
@@ -30,7 +32,7 @@ from ratslam_ros.nodes.goal_frames import pose_on_map
 from ratslam_ros.nodes.navigation_actions import RobotState, offer_actions
 from ratslam_ros.nodes.node import FLUSH_CHECK_PERIOD_S, RatslamNode
 from ratslam_ros.nodes.odometry_frames import FROM_ODOMETRY, OdometryFrames
-from ratslam_ros.nodes.qos import LATCHED, RESULT, STATE
+from ratslam_ros.nodes.qos import INPUT, LATCHED, RESULT, STATE
 from ratslam_ros.nodes.run import run
 from ratslam_ros.nodes.scans import ScanInput
 
@@ -69,6 +71,7 @@ class GoalFollowerNode(RatslamNode[Scan]):
         self._add_input('scan', {'scan': LaserScan}, self._laser.receive)
         self._add_input('odometry', {'odom': OdometryMessage}, self._on_odometry)
         self.create_subscription(PoseStamped, 'experience_map/pose', self._on_pose, STATE)
+        self.create_subscription(String, CORRECTION, self._on_correction, INPUT)
         self.create_subscription(Path, 'experience_map/route', self._on_route, LATCHED)
         self.create_subscription(String, 'experience_map/status', self._on_status, LATCHED)
         self._actions = offer_actions(self, self)
@@ -118,6 +121,16 @@ class GoalFollowerNode(RatslamNode[Scan]):
             return
         self._pose, self._pose_s = pose, time.monotonic()
         self._stamped_pose, self._map_frame = message, message.header.frame_id
+
+    def _on_correction(self, message: String) -> None:
+        """Use a corrected pose at once: the routes on the map are corrected too."""
+        try:
+            correction = decode_correction(message.data)
+        except MalformedMessage as error:
+            self._refuse('correction', str(error))
+            return
+        if all(abs(value) <= MAX_COORDINATE_M for value in correction.after):
+            self._pose = correction.after
 
     def _on_route(self, message: Path) -> None:
         route = route_points(message)

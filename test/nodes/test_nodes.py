@@ -17,6 +17,7 @@ from helpers import PERIOD_NS, START_NS, picture, template_text
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.vision.local_view import LocalView
 from ratslam_ros.messages.mapping import decode_action, decode_template
+from ratslam_ros.starting import announced
 
 S = 1_000_000_000
 SMALL = (
@@ -204,7 +205,9 @@ def test_matched_template_is_published_to_subscribers(world: MakeWorld) -> None:
     assert np.array_equal(pixels[: 15 * 8], pixels[15 * 9 :])  # the template just learned
 
 
-def test_best_effort_camera_is_received(world: MakeWorld) -> None:
+def test_best_effort_camera_is_received_without_a_false_alarm(
+    world: MakeWorld, capfd: pytest.CaptureFixture[str]
+) -> None:
     from rclpy.qos import qos_profile_sensor_data
     from sensor_msgs.msg import Image
 
@@ -213,6 +216,9 @@ def test_best_effort_camera_is_received(world: MakeWorld) -> None:
     made.until(lambda: camera.get_subscription_count() > 0)
     camera.publish(image(START_NS))
     made.until(lambda: received)
+    logged = ''.join(capfd.readouterr())
+    assert '/image has a best-effort publisher: subscribing again as best effort' in logged
+    assert 'No messages will be received' not in logged
 
 
 def test_memory_learned_at_stamp_0_is_numbered_1(world: MakeWorld) -> None:
@@ -879,6 +885,16 @@ def test_silence_is_reported_with_topic_and_publishers(world: MakeWorld) -> None
     assert 'no ' in text
     assert 'publishers on' in text
     assert '/odom' in text or '/local_view/template' in text
+
+
+def test_node_waits_silently_for_one_that_is_starting(world: MakeWorld) -> None:
+    made, _ = pose_cells(world, '-p', 'watchdog_after_s:=0.1')
+    node = made.nodes[0]
+    with announced('local_view'):  # compiling, which takes up to a minute
+        for _ in range(3):
+            assert made.diagnostics()['pose_cells']['message'].startswith('waiting for')
+        assert node._diagnostics.missing == {}
+    made.until(lambda: set(node._diagnostics.missing) == {'odometry', 'template'})
 
 
 def test_an_input_that_has_ended_is_no_warning(world: MakeWorld) -> None:

@@ -69,6 +69,10 @@ class Experiences:
     def __len__(self) -> int:
         return len(self._experiences)
 
+    def reconfigure(self, parameters: PoseCellsParameters) -> None:
+        """Continue with other values; ``lengths`` must have them already."""
+        self._p = parameters
+
     def label(self, experience_id: int) -> Place:
         """Return the place at which an experience was created, which identifies it."""
         return self._experiences[experience_id][1]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from ratslam_ros.core.common.freshness import Freshness
 from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import AUTOMATIC, LocalViewParameters
-from ratslam_ros.core.vision.built_in import INTENSITY, built_in_encoder
+from ratslam_ros.core.vision.built_in import BUILT_IN, INTENSITY, built_in_encoder
 from ratslam_ros.core.vision.encoder import Encoder, Image, View
 from ratslam_ros.core.vision.image_window import cropped
 from ratslam_ros.core.vision.look_alikes import LookAlikes
@@ -95,6 +95,12 @@ def match_from_state(values: list[Any]) -> ViewMatch:
     return ViewMatch(**dict(zip(_MATCH_FIELDS, fields, strict=True)), removed=tuple(removed))
 
 
+class EncodedView(NamedTuple):
+    """Result of ``LocalView.encode``: a view, None if the image has too little structure."""
+
+    view: View | None
+
+
 class ViewMatcher(Protocol):
     """What RatSLAM needs of a local view; a class of your own with this method can replace it."""
 
@@ -116,7 +122,7 @@ class LocalView:
         Raises:
             UnusableParameter: ``vt_descriptor`` is not built in.
         """
-        p = self._p = parameters
+        p = self._p = self._created_with = parameters
         self.mapping = True
         """Whether unknown views are learned; otherwise they are reported as template -1."""
         self.low_texture = 0
@@ -131,6 +137,18 @@ class LocalView:
 
     def __len__(self) -> int:
         return len(self._memory)
+
+    def reconfigure(self, parameters: LocalViewParameters) -> None:
+        """Continue with other values, from the next message on.
+
+        Raises:
+            UnusableParameter: a parameter differs that cannot change; nothing is changed.
+        """
+        self._created_with.check_change(parameters)
+        self._p = parameters
+        self._threshold.reconfigure(parameters)
+        if self._look_alikes is not None and uses_odometry(parameters):
+            self._threshold.use_ratio(self._look_alikes.ratio)
 
     @property
     def templates(self) -> NDArray[np.uint8]:
@@ -166,6 +184,11 @@ class LocalView:
             return None
         return self._encoder.encode(image)
 
+    @property
+    def encodes_ahead(self) -> bool:
+        """Whether another thread may call ``encode``; a model may be bound to its thread."""
+        return self._p.vt_descriptor in BUILT_IN
+
     def shift_of(self, relative_rad: float) -> int:
         """Return the columns by which a view is shifted relative to a template that it matches.
 
@@ -196,17 +219,20 @@ class LocalView:
         if self._look_alikes is not None:
             self._look_alikes.relocated()
 
-    def match(self, image: Image, stamp_ns: int = 0) -> ViewMatch:
+    def match(
+        self, image: Image, stamp_ns: int = 0, encoded: EncodedView | None = None
+    ) -> ViewMatch:
         """Recognise an image, or learn it as a new template.
 
         Args:
             image: (H, W) uint8, greyscale.
             stamp_ns: stamp of the image; used if ``vt_max`` limits the number of templates.
+            encoded: result of ``encode`` for the image; None: compute it.
 
         Raises:
             UnusableParameter: the crop or template size does not fit the image.
         """
-        view = self.encode(image)
+        view = self.encode(image) if encoded is None else encoded.view
         if view is None:
             self.low_texture += 1
             return UNDECODABLE
@@ -220,7 +246,7 @@ class LocalView:
         threshold = self._threshold.value if self._threshold.is_automatic else FIXED_THRESHOLD
         is_automatic = self._p.vt_recent_templates == AUTOMATIC
         related_count = len(self) - first_recent if is_automatic else 0
-        if recognised is not None and self._look_alikes is not None:
+        if recognised is not None and self._look_alikes is not None and uses_odometry(self._p):
             is_elsewhere = self._look_alikes.contradicts(recognised.template_id)
             recognised = None if is_elsewhere else recognised
         if recognised is not None:
@@ -250,7 +276,8 @@ class LocalView:
         if self._look_alikes is None or not self.mapping:
             return
         self._look_alikes.see(view)
-        self._threshold.use_ratio(self._look_alikes.ratio)
+        if uses_odometry(self._p):
+            self._threshold.use_ratio(self._look_alikes.ratio)
 
     def _to_remove(self) -> tuple[int, ...]:
         """Select the templates to remove, so that ``vt_max`` leaves room for a new one.
@@ -308,7 +335,7 @@ class LocalView:
         state: State = {'templates': self.templates}
         if self._p.vt_descriptor != INTENSITY:
             state['descriptor'] = self._p.vt_descriptor
-        if self._threshold.is_automatic:
+        if self._threshold.estimates:
             state['threshold'] = self._threshold.state()
         if self._look_alikes is not None:
             state['look_alikes'] = self._look_alikes.state()
@@ -351,7 +378,8 @@ class LocalView:
             self._threshold.restore(state['threshold'], len(self))
         if self._look_alikes is not None and 'look_alikes' in state:
             self._look_alikes.restore(state['look_alikes'])
-            self._threshold.use_ratio(self._look_alikes.ratio)
+            if uses_odometry(self._p):
+                self._threshold.use_ratio(self._look_alikes.ratio)
         if 'motion' in state:
             self._motion.restore(state['motion'])
             self.low_texture = state['low_texture']
