@@ -108,12 +108,12 @@ class NavigationActions:
         node.create_timer(FEEDBACK_PERIOD_S, self._publish_feedback, clock=steady)
 
     def close(self) -> None:
-        """Cancel the current goal, and end the servers."""
+        """Cancel the current goal, and end the servers; further calls do nothing."""
         if self._current is not None:
             self._send(encode_cancel(self._current.progress.request))
             self._current = None
-        for server in self._servers:
-            server.destroy()
+        while self._servers:
+            self._servers.pop().destroy()
 
     def on_status(self, status: Mapping[str, Any]) -> None:
         """Take a status of the experience map."""

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -63,6 +64,8 @@ def test_policy_has_the_layout_of_its_schema() -> None:
 
 def test_policy_is_up_to_date(world: Callable[..., Any]) -> None:
     world()  # skipped without a middleware
+    if find_spec('nav2_msgs') is not None:
+        pytest.skip('the policies are those of nodes without the actions of nav2_msgs')
     done = subprocess.run(
         [sys.executable, ROOT / 'tools' / 'sros2_policies.py', '--check'], capture_output=True,
         text=True, check=False,
