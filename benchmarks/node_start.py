@@ -5,8 +5,10 @@
     python benchmarks/node_start.py [--repeats 5] [--node local_view]
 
 Each start is a separate process, ended by SIGINT before the next one. A first start of each node
-is not counted, because it fills Numba's cache, which all later ones load. The nodes use whichever
-runtime ``import rclpy`` finds: rclpy in a shell with ROS 2, its stand-in otherwise.
+is not counted, because it fills Numba's cache and that of Python's bytecode, which all later ones
+load. PYTHONDONTWRITEBYTECODE is ignored, with which every start would compile all modules. The
+nodes use whichever runtime ``import rclpy`` finds: rclpy in a shell with ROS 2, its stand-in
+otherwise.
 """
 
 from __future__ import annotations
@@ -43,6 +45,7 @@ def _start_s(node: str) -> float:
         'ROS_DOMAIN_ID': '96',  # a separate domain, against interference by other nodes
         'PYTHONPATH': os.pathsep.join(filter(None, [str(ROOT), os.environ.get('PYTHONPATH')])),
     }
+    environment.pop('PYTHONDONTWRITEBYTECODE', None)
     start_s = time.monotonic()
     with subprocess.Popen(
         [sys.executable, '-m', 'ratslam_ros', 'run', node], env=environment, text=True,

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -22,7 +23,10 @@ class Taken:
 
 
 @contextmanager
-def compilation_time(on_start: Callable[[str], None] = lambda cache: None) -> Iterator[Taken]:
+def compilation_time(
+    on_start: Callable[[str], None] = lambda cache: None,
+    on_end: Callable[[], None] = lambda: None,
+) -> Iterator[Taken]:
     """Measure the time spent on compiling within this context, loading from the cache excluded.
 
     Numba's own event is exact and free at a warm start; searching the cache for index files would
@@ -30,6 +34,7 @@ def compilation_time(on_start: Callable[[str], None] = lambda cache: None) -> It
 
     Args:
         on_start: called before each compilation with the folder of the cache, '' if there is none.
+        on_end: called after each compilation.
     """
     from numba.core import event
 
@@ -49,6 +54,7 @@ def compilation_time(on_start: Callable[[str], None] = lambda cache: None) -> It
             self.depth -= 1
             if self.depth == 0:
                 taken.seconds += time.monotonic() - self.start_s
+                on_end()
 
     with event.install_listener('numba:compile', Listener()):
         yield taken
@@ -63,16 +69,35 @@ def announced_compilation(
     Nothing is reported if all functions are loaded from the cache, or if compiling took less than
     ``after_s``, as for one outdated function.
     """
-    announced = False
+    announced = threading.Event()
+    timer: threading.Timer | None = None
 
     def announce(cache: str) -> None:
-        nonlocal announced
-        if not announced and taken.seconds >= after_s:
-            announced = True
-            later = f'; later starts load them from the cache, such as {cache}' if cache else ''
-            say(f'compiling the inner loops, about half a minute{later}')
+        announced.set()
+        later = f'; later starts load them from the cache, such as {cache}' if cache else ''
+        say(f'compiling the inner loops, about half a minute{later}')
 
-    with compilation_time(announce) as taken:
+    def start(cache: str) -> None:
+        nonlocal timer
+        left_s = after_s - taken.seconds
+        if announced.is_set():
+            return
+        if left_s <= 0.0:
+            announce(cache)
+            return
+        # A single function can take seconds, so the end of its compilation is not waited for.
+        timer = threading.Timer(min(left_s, threading.TIMEOUT_MAX), announce, [cache])
+        timer.daemon = True
+        timer.start()
+
+    def end() -> None:
+        nonlocal timer
+        if timer is not None:
+            timer.cancel()
+            timer.join()
+            timer = None
+
+    with compilation_time(start, end) as taken:
         yield
-    if announced:
+    if announced.is_set():
         say(f'compiled the inner loops in {taken.seconds:.0f} s')

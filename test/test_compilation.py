@@ -55,6 +55,32 @@ def test_only_a_cold_or_outdated_cache_is_announced(tmp_path: Path) -> None:
     assert len(start(tmp_path)) == 2
 
 
+def test_long_compilation_of_one_function_is_announced_before_its_end(tmp_path: Path) -> None:
+    (tmp_path / 'loops.py').write_text(MODULE)
+    code = """
+import threading, time
+from numba.core import event
+from ratslam_ros.compilation import announced_compilation
+
+class Dispatcher:
+    class stats:
+        cache_path = 'folder'
+
+said = threading.Event()
+with announced_compilation(lambda text: said.set() or print(text), 0.01):
+    event.start_event('numba:compile', {'dispatcher': Dispatcher})
+    assert said.wait(60.0)  # the compilation has not ended
+    event.end_event('numba:compile', {'dispatcher': Dispatcher})
+"""
+    done = subprocess.run(
+        [sys.executable, '-c', code], env={**os.environ, 'PYTHONPATH': str(ROOT)},
+        capture_output=True, text=True, check=False, timeout=120,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    first, last = done.stdout.splitlines()
+    assert first.startswith('compiling') and last.startswith('compiled')
+
+
 def test_short_compilation_is_not_announced(tmp_path: Path) -> None:
     (tmp_path / 'loops.py').write_text(MODULE)
     assert start(tmp_path, '(1e9,)') == []

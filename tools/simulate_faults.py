@@ -47,6 +47,7 @@ def main() -> int:
     from ratslam_ros.core.warm_up import warm_up
 
     warm_up()
+    warm_up('landmark_map', 'goal_follower')
     if options.seed is not None:
         outcome = simulate(options.seed, trace=options.trace)
         for line in outcome.trace:

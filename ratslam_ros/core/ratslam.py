@@ -36,6 +36,7 @@ from ratslam_ros.core.held_messages import (
 )
 from ratslam_ros.core.mapping.experience_map import ExperienceMap, PrunedExperience
 from ratslam_ros.core.mapping.mapping_step import adopt_correction, apply_action
+from ratslam_ros.core.mapping.pose_hint import PendingHints, PoseHint
 from ratslam_ros.core.mapping.relocator import Relocator
 from ratslam_ros.core.mapping.scan_matching import ScanMatcher
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
@@ -155,6 +156,7 @@ class RatSLAM:
         self._has_matched = False
         self._watch = stopwatch
         self._config = config
+        self._hints = PendingHints()
         self._odometry_changes, self._view_changes, self._map_changes = (
             ConfigChanges(), ConfigChanges(), ConfigChanges()
         )  # fmt: skip
@@ -248,6 +250,16 @@ class RatSLAM:
         if self._views is not None:
             steps += self._match_images(self._views.flush())
         return steps + self._process(self.order.flush())
+
+    def suggest(self, stamp_ns: int, hint: PoseHint) -> None:
+        """Use a pose that an operator has given from the first message with its stamp on.
+
+        A hint that has not been used yet is not part of ``state``.
+
+        Raises:
+            UnusableInput: a value is not finite, or the covariance is none.
+        """
+        self._hints.add(stamp_ns, hint.checked())
 
     # State
 
@@ -457,6 +469,8 @@ class RatSLAM:
             for config in self._map_changes.due(stamp_ns):
                 self.pose_cells.reconfigure(config.pose_cells)
                 self.experience_map.reconfigure(config.experience_map)
+            if (hint := self._hints.due(stamp_ns)) is not None:
+                self.experience_map.suggest(hint)
             if isinstance(item, Odometry):
                 steps.append(self._move(item))
             elif isinstance(item, ViewMatch):

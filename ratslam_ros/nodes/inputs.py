@@ -14,6 +14,7 @@ from rclpy.qos import ReliabilityPolicy
 
 from ratslam_ros.nodes.diagnostics import Diagnostics
 from ratslam_ros.nodes.qos import INPUT, INPUT_BEST_EFFORT
+from ratslam_ros.starting import starting
 
 RESUBSCRIBE_AFTER_S = 0.5
 """Time without a message after which a subscription may be replaced."""
@@ -51,6 +52,7 @@ class Input:
         self.received = 0
         self._counted = 0
         self._counted_s = self.last_s = time.monotonic()
+        self._expected_s = self.last_s
         self._is_reported = False
         self.state = 'waiting'
         """`waiting` for a first message, `running`, `silent`, or `finished`: no publisher."""
@@ -89,8 +91,14 @@ class Input:
         return rate_hz
 
     def _watch(self, now_s: float, silence_s: float) -> None:
-        """Update the state; report silence once, until the next message."""
-        if now_s - self.last_s < silence_s:
+        """Update the state; report silence once, until the next message.
+
+        The first message may come from a node that is still starting, and compiling for up to a
+        minute. The time until then does not count.
+        """
+        if not self.received and starting():
+            self._expected_s = now_s
+        if now_s - max(self.last_s, self._expected_s) < silence_s:
             self.state = 'running' if self.received else 'waiting'
             self._is_reported = False
         else:

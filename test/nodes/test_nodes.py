@@ -17,6 +17,7 @@ from helpers import PERIOD_NS, START_NS, picture, template_text
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.vision.local_view import LocalView
 from ratslam_ros.messages.mapping import decode_action, decode_template
+from ratslam_ros.starting import announced
 
 S = 1_000_000_000
 SMALL = (
@@ -518,6 +519,9 @@ def test_recall_goal_without_route_is_empty_with_reason(
     world: MakeWorld, place: tuple[float, float, str], tolerance: float, reason: str
 ) -> None:
     from nav_msgs.srv import GetPlan
+    from std_msgs.msg import String
+
+    from ratslam_ros.nodes.qos import LATCHED
 
     made, received = experience_map(world)
     drive_straight(made)
@@ -527,6 +531,9 @@ def test_recall_goal_without_route_is_empty_with_reason(
         GetPlan, 'experience_map/recall_goal', goal=goal(*place), tolerance=tolerance
     )
     assert list(answer.plan.poses) == []
+    # Latched, without further odometry.
+    statuses = made.listen(String, 'experience_map/status', LATCHED)
+    made.until(lambda: statuses and reason in json.loads(statuses[-1].data)['reason'])
     assert reason in made.diagnostics()['experience_map']['no_route_because']
     assert received[-1].data == before
 
@@ -878,6 +885,16 @@ def test_silence_is_reported_with_topic_and_publishers(world: MakeWorld) -> None
     assert 'no ' in text
     assert 'publishers on' in text
     assert '/odom' in text or '/local_view/template' in text
+
+
+def test_node_waits_silently_for_one_that_is_starting(world: MakeWorld) -> None:
+    made, _ = pose_cells(world, '-p', 'watchdog_after_s:=0.1')
+    node = made.nodes[0]
+    with announced('local_view'):  # compiling, which takes up to a minute
+        for _ in range(3):
+            assert made.diagnostics()['pose_cells']['message'].startswith('waiting for')
+        assert node._diagnostics.missing == {}
+    made.until(lambda: set(node._diagnostics.missing) == {'odometry', 'template'})
 
 
 def test_an_input_that_has_ended_is_no_warning(world: MakeWorld) -> None:

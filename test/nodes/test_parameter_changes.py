@@ -74,10 +74,11 @@ def set_values(made: Any, **values: Any) -> list[Any]:
     from rcl_interfaces.srv import SetParameters
     from rclpy.parameter import Parameter
 
-    parameters = [
-        Parameter(name, value=value).to_parameter_msg() for name, value in values.items()
-    ]
-    response = made.call(SetParameters, 'pose_cells/set_parameters', parameters=parameters)
+    parameters = [Parameter(name, value=value) for name, value in values.items()]
+    response = made.call(
+        SetParameters, 'pose_cells/set_parameters',
+        parameters=[one.to_parameter_msg() for one in parameters],
+    )  # fmt: skip
     return list(response.results)
 
 

@@ -16,7 +16,7 @@ from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.standalone import StandaloneUnavailable
 
 try:
-    from virtual_robot import DRIVE_S, KINDS, Plan, simulate
+    from virtual_robot import DRIVE_S, MAPPING, ROBOTS, Plan, simulate
 except StandaloneUnavailable as error:
     pytest.skip(str(error), allow_module_level=True)
 
@@ -28,15 +28,17 @@ UNDISTURBED = Plan(BusFaults(), (), None, True, True, 0.0, 0.0, 0, False, 'close
 def warm() -> Iterator[None]:
     """Compile in the time of the machine."""
     warm_up()
+    warm_up('landmark_map', 'goal_follower')
     yield
 
 
-def test_undisturbed_nodes_build_the_map_of_the_replay() -> None:
-    outcome = simulate(0, plan=UNDISTURBED)
+@pytest.mark.parametrize('robot', ROBOTS)
+def test_undisturbed_nodes_build_the_map_of_the_replay(robot: str) -> None:
+    outcome = simulate(0, plan=replace(UNDISTURBED, robot=robot))
     assert outcome.kind == 'identical', outcome
 
 
-@pytest.mark.parametrize('name', KINDS)
+@pytest.mark.parametrize('name', MAPPING)
 def test_killed_node_resumes_exactly(name: str) -> None:
     """Its neighbours and the source send again what it missed."""
     plan = replace(UNDISTURBED, kills=((DRIVE_S * S // 2, (name,), S),), ends='killed')

@@ -37,13 +37,17 @@ from ratslam_ros.standalone import StandaloneUnavailable, install
 if not install():
     raise StandaloneUnavailable('rclpy of ROS has a bus and a clock of its own')
 
+import numpy as np  # noqa: E402
 import rclpy  # noqa: E402
 from helpers import picture  # noqa: E402
+from laser_rooms import full_turn  # noqa: E402
 from nav_msgs.msg import Odometry  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.node import Node  # noqa: E402
-from sensor_msgs.msg import Image  # noqa: E402
+from rclpy.serialization import deserialize_message, serialize_message  # noqa: E402
+from sensor_msgs.msg import Image, LaserScan  # noqa: E402
 
+from ratslam_ros.core.common.pose import Pose  # noqa: E402
 from ratslam_ros.core.config import Config  # noqa: E402
 from ratslam_ros.core.ratslam import RatSLAM  # noqa: E402
 from ratslam_ros.errors import RatslamError  # noqa: E402
@@ -56,16 +60,21 @@ from ratslam_ros.maps import read_map  # noqa: E402
 from ratslam_ros.maps import store as store_module  # noqa: E402
 from ratslam_ros.maps.chunks import digest_of  # noqa: E402
 from ratslam_ros.maps.locks import MapLock  # noqa: E402
-from ratslam_ros.nodes import backlog  # noqa: E402
 from ratslam_ros.nodes.convert import grey_image, header_of, odometry_of  # noqa: E402
 from ratslam_ros.nodes.experience_map_node import ExperienceMapNode  # noqa: E402
+from ratslam_ros.nodes.goal_follower_node import GoalFollowerNode  # noqa: E402
+from ratslam_ros.nodes.landmark_map_node import LandmarkMapNode  # noqa: E402
 from ratslam_ros.nodes.local_view_node import LocalViewNode  # noqa: E402
 from ratslam_ros.nodes.pose_cells_node import PoseCellsNode  # noqa: E402
 from ratslam_ros.nodes.qos import PLAYED  # noqa: E402
+from ratslam_ros.nodes.scans import scan_from_message  # noqa: E402
+from ratslam_ros.nodes.visual_odometry_node import VisualOdometryNode  # noqa: E402
+from ratslam_ros.offline.landmark_mapping import LandmarkMapping  # noqa: E402
 from ratslam_ros.recordings.events import (  # noqa: E402
     ImageEvent,
     OdometryEvent,
     Orientation,
+    ScanEvent,
 )
 from ratslam_ros.standalone.context import Context, get_default_context  # noqa: E402
 from ratslam_ros.starting import starting  # noqa: E402
@@ -79,8 +88,22 @@ SETTINGS = {
 
 KINDS = {
     'local_view': LocalViewNode, 'pose_cells': PoseCellsNode, 'experience_map': ExperienceMapNode,
+    'visual_odometry': VisualOdometryNode, 'landmark_map': LandmarkMapNode,
+    'goal_follower': GoalFollowerNode,
 }  # fmt: skip
+MAPPING = 'local_view', 'pose_cells', 'experience_map'
+ROBOTS: dict[str, tuple[str, ...]] = {
+    'wheels': MAPPING, 'camera': ('visual_odometry', *MAPPING),
+    'laser': (*MAPPING, 'landmark_map', 'goal_follower'),
+}
+"""Nodes by the sensors of the robot."""
+
+LEARNING = (*MAPPING, 'visual_odometry', 'landmark_map')
 DRIVE_S = 20
+WALLS: list[list[tuple[float, float]]] = [
+    [(-3.0, -2.0), (4.0, -2.0), (4.0, 2.5), (2.5, 2.5), (2.5, 5.0), (-3.0, 5.0), (-3.0, -2.0)]
+]
+BEAMS = 120
 ODOMETRY_NS, IMAGE_NS = 100 * MS, 200 * MS
 PER_LAP, RADIUS_M = 20, 1.5
 SETTLED_NS, MOST_NS = 6 * S, 200 * S
@@ -117,6 +140,7 @@ class Plan:
     source waits for the action of each image, as ``ratslam play --lockstep``. best_effort: the camera is. duplicates: probability
     that a message is published twice. swaps: probability that an odometry message is published
     after the next image. backlog: limit of the waiting images, in bytes. ends: how the nodes end.
+    robot: its sensors, of ``ROBOTS``.
     """
 
     bus: BusFaults
@@ -129,6 +153,12 @@ class Plan:
     backlog: int
     best_effort: bool
     ends: str
+    robot: str = 'wheels'
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The nodes."""
+        return ROBOTS[self.robot]
 
     @property
     def is_repairable(self) -> bool:
@@ -144,13 +174,14 @@ class Plan:
         bus = BusFaults(
             chance.choice([2, 5, 20]) * MS, chance.choice([0.0, 0.0, 0.002, 0.02]),
             chance.choice([100, 300, 800]) * MS, chance.choice([0.0, 0.02, 0.1]),
-            chance.choice([0, 0, 0, 1, 3]), chance.choice([20, 100, 400]) * MS,
+            chance.choice([0, 0, 0, 0, 0, 2, 20]), chance.choice([20, 100, 400]) * MS,
             chance.choice([0.0, 0.0, 0.005]),
         )  # fmt: skip
+        robot = chance.choice(['wheels', 'wheels', 'wheels', 'camera', 'laser'])
         kills = []
         for _ in range(chance.choice([0, 1, 1, 2, 3, 4])):
             all_of_them = chance.random() < 0.15
-            names = tuple(KINDS) if all_of_them else (chance.choice(list(KINDS)),)
+            names = ROBOTS[robot] if all_of_them else (chance.choice(ROBOTS[robot]),)
             kills.append(
                 (chance.randrange(DRIVE_S * S), names, chance.choice([100 * MS, S, 3 * S]))
             )
@@ -164,7 +195,7 @@ class Plan:
             bus.depth == 0 and chance.random() < 0.8,
             chance.choice([0.0, 0.0, 0.05]), chance.choice([0.0, 0.0, 0.1]),
             chance.choice([0, 0, 0, SMALL_BACKLOG]), chance.random() < 0.15,
-            chance.choice(['closed', 'killed']),
+            chance.choice(['closed', 'killed']), robot,
         )  # fmt: skip
 
 
@@ -220,13 +251,13 @@ class Event:
     stamp_ns: int
     topic: str
     message: Any
-    recorded: ImageEvent | OdometryEvent
+    recorded: Any
     pixels: Any = None
 
 
 @cache
-def world() -> tuple[Event, ...]:
-    """Return odometry and images of a robot that drives in circles, in the order of stamps."""
+def world(robot: str) -> tuple[Event, ...]:
+    """Return what the sensors of a robot measure on a drive in circles, in the order of stamps."""
     events = []
     start_ns = EPOCH_NS
     for n in range(DRIVE_S * S // ODOMETRY_NS):
@@ -237,10 +268,11 @@ def world() -> tuple[Event, ...]:
         odometry.twist.twist.angular.z = 2.0 * math.pi / lap_s
         odometry.pose.pose.orientation.w = 1.0
         twist = odometry.twist.twist
-        events.append(Event(stamp_ns, 'odom', odometry, OdometryEvent(
-            stamp_ns, stamp_ns, twist.linear.x, twist.angular.z, 0.0, 0.0,
-            Orientation(0.0, 0.0, 0.0, 1.0),
-        )))  # fmt: skip
+        if robot != 'camera':
+            events.append(Event(stamp_ns, 'odom', odometry, OdometryEvent(
+                stamp_ns, stamp_ns, twist.linear.x, twist.angular.z, 0.0, 0.0,
+                Orientation(0.0, 0.0, 0.0, 1.0),
+            )))  # fmt: skip
         number, between = divmod(n * ODOMETRY_NS, IMAGE_NS)
         if between == 0:
             pixels = picture(number % PER_LAP, 24, 32)
@@ -248,21 +280,40 @@ def world() -> tuple[Event, ...]:
             image = grey_image(stamp_ns, 'camera', pixels)
             recorded = ImageEvent(stamp_ns, stamp_ns, image)
             events.append(Event(stamp_ns, 'image', image, recorded, pixels))
+        elif robot == 'laser':
+            stamp_ns += 2 * MS
+            angle = 2.0 * math.pi * (stamp_ns - EPOCH_NS) / (PER_LAP * IMAGE_NS)
+            pose = Pose(RADIUS_M * math.sin(angle), RADIUS_M * (1.0 - math.cos(angle)), angle)
+            scan = full_turn(WALLS, pose, BEAMS // 2)
+            message = LaserScan(
+                header=header_of(stamp_ns, ''), angle_min=scan.angle_min_rad,
+                angle_increment=scan.angle_increment_rad, range_max=20.0,
+                ranges=scan.ranges_m.astype(np.float32),
+            )  # fmt: skip
+            message = deserialize_message(serialize_message(message), LaserScan)  # has float32
+            recorded_scan = ScanEvent(stamp_ns, stamp_ns, 0.0, 0.0, 0.0, 20.0, message.ranges)
+            events.append(Event(stamp_ns, 'scan', message, recorded_scan))
     return tuple(events)
 
 
 @cache
-def replayed() -> dict[str, bytes]:
+def replayed(robot: str) -> dict[str, bytes]:
     """Return the digests of what each part has learned in an undisturbed replay."""
-    slam = RatSLAM(Config().with_values(SETTINGS))
-    for event in world():
-        if event.pixels is None:
+    config = Config().with_values(SETTINGS)
+    slam = RatSLAM(config, visual_odometry=robot == 'camera')
+    landmarks = LandmarkMapping(config)
+    for event in world(robot):
+        if event.topic == 'odom':
             slam.odometry(odometry_of(event.message))
+            landmarks.odometry(odometry_of(event.message))
+        elif event.topic == 'scan':
+            landmarks.scan(scan_from_message(event.message))
         else:
             slam.image(event.stamp_ns, event.pixels)
     slam.finish()
-    return {part: digest_of(state['core']) for part, state in slam.state().items()
-            if part in KINDS}  # fmt: skip
+    landmarks.finish()
+    states = {**slam.state(), 'landmark_map': landmarks.state()}
+    return {part: digest_of(states[part]['core']) for part in ROBOTS[robot] if part in LEARNING}
 
 
 class RobotProcess(Process):
@@ -296,8 +347,8 @@ class Simulation:
 
     def run(self) -> Outcome:
         """Run until the nodes are idle, end them, and check the result."""
-        scheduler, outcome = self.scheduler, self.outcome
-        replayed()  # in the time of the machine
+        scheduler, outcome, plan = self.scheduler, self.outcome, self.plan
+        replayed(plan.robot)  # in the time of the machine
         with installed(self):
             try:
                 self._drive()
@@ -322,7 +373,7 @@ class Simulation:
     def _drive(self) -> None:
         scheduler, plan = self.scheduler, self.plan
         self._source = RobotProcess('player')
-        for name in KINDS:
+        for name in plan.names:
             self._start(name)
         scheduler.start(self._source, 'player', self._play)
         self._until(lambda: self._drive_ns is not None)
@@ -386,7 +437,7 @@ class Simulation:
     def _run_node(self, process: RobotProcess, kind: Any) -> None:
         self.scheduler.sleep(self.scheduler.chance.randrange(100 * MS, 2 * S))
         context = self._context()
-        values = {**SETTINGS, **{f'{part}.map': str(self.path) for part in KINDS}}
+        values = {**SETTINGS, **{f'{part}.map': str(self.path) for part in LEARNING}}
         node = kind(Config().with_values(values))
         process.node = node
         if self.plan.backlog and hasattr(node, '_backlog'):
@@ -428,22 +479,26 @@ class Simulation:
         context = self._context()
         node = Node('player', context=context)
         image_qos = rclpy.qos.qos_profile_sensor_data if plan.best_effort else PLAYED
+        kinds = {'odom': Odometry, 'image': Image, 'scan': LaserScan}
+        topics = sorted({event.topic for event in world(plan.robot)})
         publishers = {
-            'odom': node.create_publisher(Odometry, 'odom', PLAYED),
-            'image': node.create_publisher(Image, 'image', image_qos),
-        }
-        resender = Resender(node, {'odom': Odometry, 'image': Image}) if plan.resends else None
+            topic: node.create_publisher(
+                kinds[topic], topic, image_qos if topic == 'image' else PLAYED
+            ) for topic in topics
+        }  # fmt: skip
+        resender = (
+            Resender(node, {topic: kinds[topic] for topic in topics}) if plan.resends else None
+        )
 
         def are_nodes_restarting() -> bool:
             return (resender is not None and resender.resuming) or bool(self._starting())
 
-        actions = ActionWait(node, True, are_nodes_restarting) if plan.lockstep else None
-        counts = {'odom': 2, 'image': 1}
-        while any(publishers[t].get_subscription_count() < counts[t] for t in counts) or (
-            not self._are_connected(node) or self._starting()
+        actions = ActionWait(node, 'odom' in topics, are_nodes_restarting) if plan.lockstep else None
+        while self._starting() or not self._are_connected(node) or not all(
+            publisher.get_subscription_count() for publisher in publishers.values()
         ):
             rclpy.spin_once(node, timeout_sec=0.05)
-        scheduler.sleep(300 * MS + plan.bus.discovery_ns)
+        scheduler.sleep(300 * MS + 2 * plan.bus.discovery_ns)
         self._drive_ns = start_ns = scheduler.now_ns
         for event in self._order():
             due_ns = start_ns + event.stamp_ns - EPOCH_NS
@@ -471,7 +526,7 @@ class Simulation:
 
     def _order(self) -> Iterator[Event]:
         """Yield the world, with some neighbours swapped that are of different topics."""
-        events = list(world())
+        events = list(world(self.plan.robot))
         for n in range(len(events) - 1):
             if events[n].topic != events[n + 1].topic and (
                 self.scheduler.chance.random() < self.plan.swaps
@@ -502,9 +557,9 @@ class Simulation:
 
     def _compare(self) -> None:
         different = [
-            name for name, process in self.nodes.items()
-            if digest_of(process.node._memory_state()['core']) != replayed()[name]
-        ]  # fmt: skip
+            name for name, digest in replayed(self.plan.robot).items()
+            if digest_of(self.nodes[name].node._memory_state()['core']) != digest
+        ]
         self.outcome.identical = not different
         if different:
             self.scheduler.note(f'different: {different}')
@@ -523,14 +578,16 @@ class Simulation:
             beside = sorted(path.name for path in self.path.parent.iterdir())
             if beside != [self.path.name]:
                 self.outcome.problems.append(f'files are left at the end: {beside}')
-            for name, process in self.nodes.items():
-                kept = {k: v for k, v in process.node._memory_state().items() if k != 'goals'}
+            for name in replayed(self.plan.robot):
+                kept = {k: v for k, v in self.nodes[name].node._memory_state().items() if k != 'goals'}
                 found = {k: v for k, v in saved.states[name].items() if k != 'goals'}
                 if digest_of(kept) != digest_of(found):
                     self.outcome.problems.append(f'{name}: the saved state is not the last one')
 
 
 def _is_mapping(process: RobotProcess) -> bool:
+    if process.name not in LEARNING:
+        return process.is_ready and not process.is_dead
     keeper = getattr(process.node, '_keeper', None)
     return process.is_ready and not process.is_dead and (
         keeper is not None and keeper._resuming is None

@@ -122,3 +122,16 @@ class ExperienceMapParameters(OdometryInput):
         'large maps take too much network bandwidth', 'the map should be shown sooner',
         runtime='at once',
     )  # fmt: skip
+    grid_period_s: float = parameter(
+        2.0, 's', 0.0, 3600.0,
+        'Live only: minimum time between two messages with the occupancy grid of the scans, which '
+        'is drawn with exp_align_scans while it has a subscriber.',
+        'the grid takes too much network bandwidth', 'the grid should be shown sooner',
+        runtime='at once',
+    )  # fmt: skip
+    grid_cell_m: float = parameter(
+        0.05, 'm', 0.01, 10.0,
+        'Live only: size of a cell of the occupancy grid. It is doubled as often as needed for a '
+        'map to have at most 2048 cells along each axis.',
+        'the grid takes too much network bandwidth', 'narrow passages should be visible',
+    )  # fmt: skip
