@@ -45,6 +45,9 @@ ARGUMENTS = [
         'goal_follower', default_value='false', choices=YES_OR_NO,
         description='drive to goals by a laser scan; false if Nav2 or another node drives'),
     DeclareLaunchArgument(
+        'nav2', default_value='false', choices=YES_OR_NO,
+        description='have the controller server of Nav2 drive along the routes (route_to_nav2)'),
+    DeclareLaunchArgument(
         'landmarks', default_value='false', choices=YES_OR_NO,
         description='map corners and edges of walls by a laser scan (landmark_map)'),
     DeclareLaunchArgument(
@@ -125,7 +128,7 @@ def _start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
         for name, arguments in nodes(
             *(given(name) == 'true'
               for name in ('visual_odometry', 'single_process', 'goal_follower', 'landmarks',
-                           'viewer'))
+                           'viewer', 'nav2'))
         ).items()
     ]
     remove_folder = OnShutdown(on_shutdown=lambda event, context: shutil.rmtree(folder, True))

@@ -34,7 +34,7 @@ CORE_LAYERS = [
     ['pose_cells'],
     ['mapping', 'goal_memory'],
     ['navigation', 'merging'],
-    ['driving'],
+    ['driving', 'held_messages'],
     ['ratslam', 'warm_up', 'learned'],
 ]
 LAYERS = [

@@ -46,6 +46,10 @@ def chromium(width: int, height: int) -> Iterator[Any]:
                 'Emulation.setDeviceMetricsOverride',
                 {'width': width, 'height': height, 'deviceScaleFactor': 1, 'mobile': False},
             )
+            started.execute_cdp_cmd(  # as with a graphics card
+                'Page.addScriptToEvaluateOnNewDocument',
+                {'source': 'window.keepAntialiasing = true'},
+            )
             yield started
         finally:
             started.quit()

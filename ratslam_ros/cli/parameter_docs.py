@@ -40,6 +40,9 @@ OpenRatSLAM. [config/](../config) contains `default.yaml`, with all parameters b
 preset for each robot or data set. [tuning.md](tuning.md) lists symptoms and the parameters to
 change.
 
+Parameters are read when a node starts, unless their entry says that they can be set while the
+node runs ([ros.md](ros.md#parameters-that-can-change-while-a-node-runs)).
+
 The last sections, `simulator` and `viewer`, are not part of these files: their parameters are
 arguments of the nodes, `-p plan:=office`, or options of `ratslam simulate` and `ratslam view`.
 """
@@ -98,6 +101,8 @@ def _entry(name: str, info: ParameterInfo, default: Value) -> str:
     if info.unit:
         facts.append(f'unit: {info.unit}')
     lines.append('- ' + '; '.join(facts))
+    if info.runtime != 'no':
+        lines.append(f'- can be set while the node runs, with effect {_WHEN[info.runtime]}')
     change, back = ('set it', 'leave it') if isinstance(default, bool) else ('raise', 'lower')
     if isinstance(default, str):
         lines += [f'- {advice}' for advice in (info.raise_if, info.lower_if) if advice]
@@ -107,6 +112,9 @@ def _entry(name: str, info: ParameterInfo, default: Value) -> str:
         if info.lower_if:
             lines.append(f'- {back} if {info.lower_if}')
     return '\n'.join(lines) + '\n'
+
+
+_WHEN = {'at once': 'at once', 'at next message': 'from the next message on'}
 
 
 def _shown(value: Value) -> str:

@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,17 +21,22 @@ from ratslam_ros.core.common.odometry import (
     MotionFromOdometry,
     Odometry,
     moved,
-    odometry_from_state,
-    odometry_state,
 )
 from ratslam_ros.core.common.pose import Pose, composed
-from ratslam_ros.core.common.scan import Scan, scan_from_state, scan_state
+from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.common.stamp_order import Counts, Released, StampOrder
 from ratslam_ros.core.common.state import State
-from ratslam_ros.core.config import Config
+from ratslam_ros.core.config import Config, ConfigChanges
 from ratslam_ros.core.goal_memory.goal_memory import GoalMemory
+from ratslam_ros.core.held_messages import (
+    image_from_state,
+    image_state,
+    item_from_state,
+    item_state,
+)
 from ratslam_ros.core.mapping.experience_map import ExperienceMap, PrunedExperience
 from ratslam_ros.core.mapping.mapping_step import adopt_correction, apply_action
+from ratslam_ros.core.mapping.pose_hint import PendingHints, PoseHint
 from ratslam_ros.core.mapping.relocator import Relocator
 from ratslam_ros.core.mapping.scan_matching import ScanMatcher
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
@@ -45,11 +49,10 @@ from ratslam_ros.core.vision.local_view import (
     ViewMatch,
     ViewMatcher,
     delayed_ns,
-    match_from_state,
-    match_state,
     uses_odometry,
 )
-from ratslam_ros.core.vision.visual_odometry import Profiles, VisualOdometry
+from ratslam_ros.core.vision.prepared_image import PreparedImage
+from ratslam_ros.core.vision.visual_odometry import VisualOdometry
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 
 Stopwatch = Callable[[str], AbstractContextManager[object]]
@@ -92,15 +95,6 @@ class ViewStep:
 
 
 Step = OdometryStep | ViewStep
-
-
-@dataclass(frozen=True, slots=True)
-class PreparedImage:
-    """An image, and what is computed from it alone; None: computed when it is processed."""
-
-    pixels: NDArray[np.uint8]
-    encoded: EncodedView | None = None
-    profiles: Profiles | None = None
 
 STREAMS = 'odometry', 'template'
 STREAMS_WITH_SCANS = 'odometry', 'scan', 'template'
@@ -161,6 +155,28 @@ class RatSLAM:
         self._refused = 0
         self._has_matched = False
         self._watch = stopwatch
+        self._config = config
+        self._hints = PendingHints()
+        self._odometry_changes, self._view_changes, self._map_changes = (
+            ConfigChanges(), ConfigChanges(), ConfigChanges()
+        )  # fmt: skip
+
+    def reconfigure(self, config: Config, from_ns: int = 0) -> None:
+        """Continue with other parameters from a stamp on, as live nodes whose parameters are set.
+
+        Every part takes them over before it processes its first message with this stamp or a
+        later one. Changes that are not in force yet are not part of ``state``.
+
+        Args:
+            config: all parameters.
+            from_ns: the stamp; 0: the next message.
+
+        Raises:
+            UnusableParameter: a parameter differs that cannot change; nothing is changed.
+        """
+        self._config.check_change(config)
+        for changes in (self._odometry_changes, self._view_changes, self._map_changes):
+            changes.add(config, from_ns)
 
     # Inputs
 
@@ -235,6 +251,16 @@ class RatSLAM:
             steps += self._match_images(self._views.flush())
         return steps + self._process(self.order.flush())
 
+    def suggest(self, stamp_ns: int, hint: PoseHint) -> None:
+        """Use a pose that an operator has given from the first message with its stamp on.
+
+        A hint that has not been used yet is not part of ``state``.
+
+        Raises:
+            UnusableInput: a value is not finite, or the covariance is none.
+        """
+        self._hints.add(stamp_ns, hint.checked())
+
     # State
 
     @property
@@ -277,9 +303,9 @@ class RatSLAM:
                 **({} if relocator is None else {'relocator': relocator.state()}),
             },
             'inputs': {
-                'order': self.order.state(_item_state), 'images': self._images.state(_image_state),
+                'order': self.order.state(item_state), 'images': self._images.state(image_state),
                 'refused': self._refused,
-                **({} if self._views is None else {'views': self._views.state(_item_state)}),
+                **({} if self._views is None else {'views': self._views.state(item_state)}),
             },
         }  # fmt: skip
         if self.visual_odometry is not None:
@@ -331,11 +357,11 @@ class RatSLAM:
         if inputs is None:
             self._motion.restart()
             return
-        self.order.restore(inputs['order'], _item_from_state)
-        self._images.restore(inputs['images'], _image_from_state)
+        self.order.restore(inputs['order'], item_from_state)
+        self._images.restore(inputs['images'], image_from_state)
         self._refused = inputs['refused']
         if self._views is not None and 'views' in inputs:
-            self._views.restore(inputs['views'], _item_from_state)
+            self._views.restore(inputs['views'], item_from_state)
 
     def begin_session(self) -> None:
         """Continue the map with inputs that do not follow the last ones: another drive, or robot.
@@ -392,6 +418,9 @@ class RatSLAM:
 
     def _see(self, stamp_ns: int, image: PreparedImage | None) -> list[Step]:
         odometry = None
+        for config in self._odometry_changes.due(stamp_ns):
+            if self.visual_odometry is not None:
+                self.visual_odometry.reconfigure(config.visual_odometry)
         if image is not None and self.visual_odometry is not None:
             with self._tolerating_odd_sizes(), self._watch('visual_odometry'):
                 odometry = self.visual_odometry.estimate(stamp_ns, image.pixels, image.profiles)
@@ -413,6 +442,9 @@ class RatSLAM:
 
     def _match(self, stamp_ns: int, image: PreparedImage | None) -> list[Step]:
         match = UNDECODABLE
+        for config in self._view_changes.due(stamp_ns):
+            if isinstance(self.local_view, LocalView):
+                self.local_view.reconfigure(config.local_view)
         if image is not None:
             with self._tolerating_odd_sizes(), self._watch('local_view'):
                 if isinstance(self.local_view, LocalView):
@@ -434,6 +466,11 @@ class RatSLAM:
     def _process(self, released: Iterable[Released[Odometry | Scan | ViewMatch]]) -> list[Step]:
         steps: list[Step] = []
         for stamp_ns, _, item in released:
+            for config in self._map_changes.due(stamp_ns):
+                self.pose_cells.reconfigure(config.pose_cells)
+                self.experience_map.reconfigure(config.experience_map)
+            if (hint := self._hints.due(stamp_ns)) is not None:
+                self.experience_map.suggest(hint)
             if isinstance(item, Odometry):
                 steps.append(self._move(item))
             elif isinstance(item, ViewMatch):
@@ -484,32 +521,3 @@ class RatSLAM:
             stamp_ns, match, action, update.pruned, update.rejected, relocated_to,
             update.reason,
         )
-
-
-def _item_state(item: Odometry | Scan | ViewMatch | PreparedImage | None) -> State:
-    """Return a held message for a saved state."""
-    if isinstance(item, Odometry):
-        return {'odometry': odometry_state(item)}
-    if isinstance(item, Scan):
-        return {'scan': scan_state(item)}
-    if isinstance(item, ViewMatch):
-        return {'match': match_state(item)}
-    return {'image': _image_state(item)}
-
-
-def _item_from_state(state: State) -> Any:
-    """Return a held message from ``_item_state``."""
-    ((kind, value),) = state.items()
-    decode: dict[str, Callable[[Any], Any]] = {
-        'odometry': odometry_from_state, 'scan': scan_from_state, 'match': match_from_state,
-        'image': _image_from_state,
-    }  # fmt: skip
-    return decode[kind](value)
-
-
-def _image_state(image: PreparedImage | None) -> Any:
-    return None if image is None else np.array(image.pixels)
-
-
-def _image_from_state(value: Any) -> PreparedImage | None:
-    return None if value is None else PreparedImage(np.asarray(value, np.uint8))

@@ -111,10 +111,20 @@ def _experience_map(config: Config) -> ExperienceMap:
 
 def _scan_alignment(config: Config) -> None:
     from ratslam_ros.core.mapping.icp import align
-    from ratslam_ros.core.mapping.scan_matching import VIEW_SD_M
+    from ratslam_ros.core.mapping.occupancy_grid import OccupancyGrid
+    from ratslam_ros.core.mapping.scan_matching import VIEW_SD_M, ScanMatcher
 
     corner = np.concatenate([np.arange(40.0)[:, None] * step for step in ((0.1, 0.0), (0.0, 0.1))])
     align(corner, corner, Pose(0.0, 0.0, 0.0), VIEW_SD_M)
+    grid = OccupancyGrid(1.0)
+    experience_map, matcher = _experience_map(config), ScanMatcher()
+    matcher.integrate(0, _MOTION)
+    matcher.scan(_room_scan(0))
+    action = MapAction('create', -1, 0, 9, 0.0, Place(0.0, 0.0, 0.0))
+    apply_action(experience_map, matcher, 0, action)
+    grid.update(experience_map, matcher, 1)
+    for _ in grid.picture():
+        pass
 
 
 def _relocation(config: Config) -> None:

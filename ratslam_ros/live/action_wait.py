@@ -24,6 +24,9 @@ ACTION_TIMEOUT_S = 10.0
 DELIVERY_SPREAD_S = 0.05
 """Largest expected difference between the times at which two subscribers receive an action."""
 
+EARLY_COUNT = 10
+"""Number of actions that may arrive before they are awaited; usually it is one."""
+
 MAX_LEAD_NS = 1_000_000_000
 """Lead of a published stamp over an action in delivery: half of the default max_lateness_s."""
 
@@ -55,12 +58,19 @@ class ActionWait:
         self._are_nodes_restarting = are_nodes_restarting
         self._lockstep = Lockstep(odometry_is_played)
         self._awaited: set[int] = set()
+        self._early: deque[int] = deque(maxlen=EARLY_COUNT)
+        """Stamps of actions that arrived before they were awaited: visual_odometry may release a
+        view at once, but is sure to do so only at the next image."""
         self._received: deque[tuple[int, float]] = deque()
         node.create_subscription(String, ACTION, self._receive, INPUT)
 
     def add(self, event: Event) -> None:
         """Add the actions that an event causes; call it before the event is published."""
-        self._awaited.update(self._lockstep.publish(event))
+        for stamp_ns in self._lockstep.publish(event):
+            if stamp_ns in self._early:
+                self._early.remove(stamp_ns)
+            else:
+                self._awaited.add(stamp_ns)
 
     def wait_before(self, event: Event) -> None:
         """Wait for all actions that must arrive before an event is published.
@@ -113,5 +123,8 @@ class ActionWait:
             stamp_ns = stamp['sec'] * 1_000_000_000 + stamp['nanosec']
         except (ValueError, KeyError, TypeError, RecursionError):
             return  # experience_map reports malformed messages.
-        self._awaited.discard(stamp_ns)
+        if stamp_ns in self._awaited:
+            self._awaited.remove(stamp_ns)
+        else:
+            self._early.append(stamp_ns)
         self._received.append((stamp_ns, time.monotonic()))

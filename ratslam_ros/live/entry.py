@@ -57,6 +57,11 @@ def goal_follower() -> int:
     return _main('goal_follower')
 
 
+def route_to_nav2() -> int:
+    """Run route_to_nav2."""
+    return _main('route_to_nav2')
+
+
 def landmark_map() -> int:
     """Run landmark_map."""
     return _main('landmark_map')

@@ -64,15 +64,23 @@ class LaunchOptions:
 
 def nodes(
     visual_odometry: bool, single_process: bool, goal_follower: bool = False,
-    landmarks: bool = False, viewer: bool = False,
+    landmarks: bool = False, viewer: bool = False, nav2: bool = False,
 ) -> dict[str, list[str]]:
     """Return the nodes to start, with the arguments that only they have.
 
     Without visual_odometry the robot publishes the odometry. goal_follower is always a process of
     its own, so that no other node can delay a stop of the robot. So is landmark_map, which does
     not depend on the others, and viewer, which must not delay them.
+
+    Raises:
+        UnusableParameter: two nodes would drive the robot.
     """
+    if goal_follower and nav2:
+        raise UnusableParameter(
+            'goal_follower and nav2 are both true, and both would drive the robot; set one of them'
+        )
     own = ['goal_follower'] if goal_follower else []
+    own += ['route_to_nav2'] if nav2 else []
     own += ['landmark_map'] if landmarks else []
     own += ['viewer'] if viewer else []
     if single_process:

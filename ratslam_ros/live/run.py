@@ -21,6 +21,7 @@ NODES = {
     'pose_cells': 'pose_cells_node',
     'experience_map': 'experience_map_node',
     'goal_follower': 'goal_follower_node',
+    'route_to_nav2': 'route_to_nav2_node',
     'landmark_map': 'landmark_map_node',
     'simulator': 'simulator_node',
     'viewer': 'viewer_node',

@@ -106,6 +106,10 @@ class MapStore:
             self._thin()
             self._wake.notify_all()
 
+    def configure(self, configuration: str) -> None:
+        """Record with the next cut that these sections of parameters have other values."""
+        self._writer.configure(configuration)
+
     def log(self, stream: str, stamp_ns: int, data: bytes) -> None:
         """Hand over a message, to be found by ``logged`` for some time; duplicates are ignored."""
         with self._wake:

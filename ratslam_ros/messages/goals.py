@@ -45,6 +45,9 @@ MAX_BEHAVIOUR_CHARACTERS = 100
 MAX_NAME_CHARACTERS = 100
 """Largest accepted name of a place."""
 
+MAX_REQUEST_CHARACTERS = 100
+"""Largest accepted name of a request."""
+
 MAX_GOALS = 1000
 """Largest accepted number of goals in a request: each is planned a route to."""
 
@@ -56,11 +59,17 @@ _TASK: dict[str, type] = {'number': int, 'goal': str, 'status': str, 'reason': s
 
 @dataclass(frozen=True, slots=True)
 class GoalRequest:
-    """Places to drive to, in order; see ``Navigator.go_to``."""
+    """Places to drive to, in order, see ``Navigator.go_to``; or a request to cancel.
 
-    targets: tuple[Target, ...]
+    ``request``: the client's name of the request; ``cancel``: name of the request whose goals are
+    cancelled, without targets then.
+    """
+
+    targets: tuple[Target, ...] = ()
     append: bool = False
     timeout_s: float | None = None
+    request: str = ''
+    cancel: str = ''
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,8 +102,15 @@ def decode_goal(payload: str) -> GoalRequest:
     """
     name = 'experience_map/goal'
     fields = _typed(payload, name)
+    if 'cancel' in fields:
+        check_types(fields, name, {'cancel': str})
+        _check_keys(fields, name, ('cancel',))
+        check_text(name, 'cancel', fields['cancel'], MAX_REQUEST_CHARACTERS)
+        if not fields['cancel']:
+            raise MalformedMessage(f'{name}: cancel is empty; expected the name of a request')
+        return GoalRequest(cancel=fields['cancel'])
     targets = [fields]
-    options = {'append': bool, 'timeout_s': float}
+    options = {'append': bool, 'timeout_s': float, 'request': str}
     if 'goals' in fields:
         targets = fields['goals']
         if not isinstance(targets, list) or not targets:
@@ -107,10 +123,27 @@ def decode_goal(payload: str) -> GoalRequest:
     timeout_s = fields.get('timeout_s')
     if timeout_s is not None:
         check_range(name, 'timeout_s', timeout_s, 0.0, 1e9)
+    check_text(name, 'request', fields.get('request', ''), MAX_REQUEST_CHARACTERS)
     return GoalRequest(
         tuple(_target(target, name, allowed) for target in targets),
-        fields.get('append', False), timeout_s,
+        fields.get('append', False), timeout_s, fields.get('request', ''),
     )  # fmt: skip
+
+
+def encode_request(positions_m: Iterable[tuple[float, float]], request: str) -> str:
+    """Return the payload of ``experience_map/goal`` that requests positions on the map.
+
+    Args:
+        positions_m: x and y of each goal in m, in order.
+        request: name of the request, which the status repeats.
+    """
+    goals = [{'x_m': x, 'y_m': y} for x, y in positions_m]
+    return encode_json({'schema_version': SCHEMA_VERSION, 'goals': goals, 'request': request})
+
+
+def encode_cancel(request: str) -> str:
+    """Return the payload of ``experience_map/goal`` that cancels the goals of a request."""
+    return encode_json({'schema_version': SCHEMA_VERSION, 'cancel': request})
 
 
 def _target(fields: Any, name: str, allowed: Sequence[str]) -> Target:
@@ -195,7 +228,7 @@ def decode_behaviour(payload: str) -> BehaviourReport:
 
 def encode_status(
     stamp_ns: int, experience_map: ExperienceMap, guidance: Guidance, queue: Iterable[GoalTask],
-    outcomes: Iterable[GoalTask], reason: str = '',
+    outcomes: Iterable[GoalTask], reason: str = '', refused: str = '',
 ) -> str:  # fmt: skip
     """Return the payload of ``experience_map/status``.
 
@@ -206,6 +239,7 @@ def encode_status(
         queue: the goals that have not ended.
         outcomes: the ended goals, of which the last MAX_OUTCOMES are listed.
         reason: why the last requested goal has no route, else empty.
+        refused: name of the request that was refused for this reason, '' for none.
     """
     current_id = experience_map.current_id
     neighbours = experience_map.neighbours(current_id) if current_id >= 0 else []
@@ -219,6 +253,7 @@ def encode_status(
             'explore': guidance.explore,
             'behaviour': guidance.behaviour,
             'reason': reason,
+            **({'refused': refused} if refused else {}),
             'experience_id': current_id,
             'neighbours': [
                 {'id': i, 'distance_m': at.distance_m, 'direction_rad': at.direction_rad}
@@ -237,7 +272,7 @@ def encode_status(
 def decode_status(payload: str) -> dict[str, Any]:
     """Return the fields of an ``experience_map/status`` payload, and its ``stamp_ns``.
 
-    A payload without ``behaviour``, from an earlier release, gets an empty one.
+    Missing ``behaviour``, of an earlier release, ``refused`` and ``request`` are set to ''.
 
     Raises:
         MalformedMessage: the payload does not match the schema.
@@ -255,6 +290,9 @@ def decode_status(payload: str) -> dict[str, Any]:
         for entry in fields[key]:
             if not isinstance(entry, dict):
                 raise MalformedMessage(f'{name}: {key} has {shown(entry)}; expected objects')
+            if key != 'neighbours':
+                entry.setdefault('request', '')
+                types = types | {'request': str}
             check_types(entry, name, types)
     goal = fields.get('goal')
     if goal is not None:
@@ -263,8 +301,8 @@ def decode_status(payload: str) -> dict[str, Any]:
         check_types(goal, name, {'x_m': float, 'y_m': float})
     if fields.get('remaining_s') is not None:
         check_types(fields, name, {'remaining_s': float})
-    fields.setdefault('behaviour', '')
-    check_types(fields, name, {'behaviour': str})
+    fields = {'behaviour': '', 'refused': '', **fields}
+    check_types(fields, name, {'behaviour': str, 'refused': str})
     return {**fields, 'stamp_ns': decode_stamp(fields['stamp'])}
 
 
@@ -275,6 +313,7 @@ def _task_fields(task: GoalTask) -> dict[str, Any]:
     return {
         'number': task.number, 'goal': task.asked, 'status': task.status,
         'reason': task.reason, 'expected_s': task.expected_s, 'took_s': took_s,
+        **({'request': task.request} if task.request else {}),
     }  # fmt: skip
 
 

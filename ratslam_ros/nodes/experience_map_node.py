@@ -8,7 +8,6 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry as OdometryMessage
 from sensor_msgs.msg import LaserScan
 from std_msgs.msg import String
@@ -25,11 +24,13 @@ from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.experience_map import ExperienceMap, MapUpdate
 from ratslam_ros.core.mapping.late_join import LateJoin
 from ratslam_ros.core.mapping.mapping_step import adopt_correction, apply_action
+from ratslam_ros.core.mapping.pose_uncertainty import PoseUncertainty
 from ratslam_ros.core.mapping.relocator import Relocator
 from ratslam_ros.core.mapping.scan_matching import ScanMatcher
 from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
 from ratslam_ros.core.warm_up import warm_up
+from ratslam_ros.messages.corrections import Correction
 from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.messages.logged import (
     decode_odometry,
@@ -42,17 +43,22 @@ from ratslam_ros.messages.mapping import (
     encode_relocation,
 )
 from ratslam_ros.nodes.behaviours import Behaviours
-from ratslam_ros.nodes.convert import accepted_odometry, header_of, pose_message, transform
+from ratslam_ros.nodes.convert import accepted_odometry, transform
 from ratslam_ros.nodes.goal_navigation import GoalNavigation
+from ratslam_ros.nodes.grid_publisher import GridPublisher
 from ratslam_ros.nodes.map_changes import MapChangePublisher
 from ratslam_ros.nodes.map_operations import MapCoordinator
 from ratslam_ros.nodes.map_sender import MapSender
 from ratslam_ros.nodes.markers import serialised_markers
 from ratslam_ros.nodes.node import FLUSH_CHECK_PERIOD_S, RatslamNode
 from ratslam_ros.nodes.odometry_frames import OdometryFrames
+from ratslam_ros.nodes.pose_hints import STREAM as HINTS
+from ratslam_ros.nodes.pose_hints import PoseHints
+from ratslam_ros.nodes.pose_publisher import PosePublisher
 from ratslam_ros.nodes.qos import LATCHED, RESULT, STATE
 from ratslam_ros.nodes.run import run
 from ratslam_ros.nodes.scans import ScanInput
+from ratslam_ros.nodes.single_sender import SingleSender
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +78,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
     MAPS = True
     REGULAR = 'odometry'
     REPEATS = ('relocation',)
+    _grid: GridPublisher | None = None
 
     def __init__(self, initial: Config = Config()) -> None:
         super().__init__(('odometry', 'action'), initial)
@@ -80,7 +87,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
             self._order = self._new_order()
         self._sender = MapSender(self)
         self._markers = self.create_publisher(MarkerArray, 'experience_map/markers', LATCHED)
-        self._pose_publisher = self.create_publisher(PoseStamped, 'experience_map/pose', STATE)
+        self._poses = PosePublisher(self)
         self._tf = self.create_publisher(TFMessage, '/tf', STATE)
         self._changes = MapChangePublisher(self, self._section.map_frame)
         self._frames = OdometryFrames(
@@ -90,6 +97,10 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
             self, self._diagnostics, lambda: self.config, self._refuse, self._frames
         )
         self._behaviours = Behaviours(self, self._refuse, self._log)
+        self._hints = PoseHints(
+            self, self._section.map_frame, lambda: self._newest_ns('odometry'), self._refuse,
+            self._log,
+        )  # fmt: skip
         self._answers: Any = None
         if self._relocates:
             warm_up('relocation')  # takes long if nothing is cached, so only if it is used
@@ -108,6 +119,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         )  # fmt: skip
         self._laser: ScanInput | None = None
         if self._section.exp_align_scans:
+            self._grid = GridPublisher(self, self._section.grid_cell_m)
             self._laser = ScanInput(
                 self, self._diagnostics.note, lambda: self._frames.known_base, self._refuse,
                 self._use_scan,
@@ -116,8 +128,12 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
                 'scan', {'scan': LaserScan}, self._laser.receive,
                 lambda data: self._use_scan(decode_scan(data)),
             )  # fmt: skip
+        actions = SingleSender(
+            self, 'pose_cells/action', self._on_action,
+            lambda reason: self._refuse('action', reason),
+        )
         self._add_input(
-            'action', {'pose_cells/action': String}, self._on_action,
+            'action', {'pose_cells/action': String}, actions.take,
             lambda data: self._on_action(String(data=data.decode())),
         )  # fmt: skip
         self.create_timer(FLUSH_CHECK_PERIOD_S, self._on_timer, clock=self._steady)
@@ -134,11 +150,14 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         return bool(section.exp_align_scans and section.exp_relocate != 'views')
 
     def _reset_state(self) -> None:
-        self._core = ExperienceMap(self._section)
+        self._core = self._new_core()
+        self._hints.reset()
         self._core.mapping = self._mapping
         self._sender.reset()
+        if self._grid is not None:
+            self._grid.reset()
         self._late_join = LateJoin(self._core)
-        self._scans = ScanMatcher()
+        self._scans, self._uncertainty = ScanMatcher(), PoseUncertainty()
         self._relocator = Relocator(self._core, self._scans) if self._relocates else None
         self._motion = MotionFromOdometry(
             self._section.odom_source, self._section.max_odom_gap_s,
@@ -154,6 +173,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         self._pose_ns = 0
 
     def _on_relocated(self) -> None:
+        self._uncertainty = PoseUncertainty(is_known=False)
         self._motion.restart()
         self._scans.restart()
         self._core.gate.restart()
@@ -163,6 +183,9 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         assert self._keeper is not None
         for _, data in self._keeper.logged('behaviour'):
             self._behaviours.replay(data.decode())
+        if self._keeper.joins:
+            for stamp_ns, data in self._keeper.logged(HINTS, self._keeper.since_ns):
+                self._hints.repeat(stamp_ns, data)
 
     def _drop_tasks(self) -> None:
         self._goals.drop_goals()
@@ -174,6 +197,14 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
             unknown = Motion(0.0, 0.0, 0.0, False)
             self._core.integrate(unknown)
             self._scans.integrate(0, unknown)
+
+    def _new_core(self) -> ExperienceMap:
+        core = ExperienceMap(self._first_section)
+        core.reconfigure(self._section)
+        return core
+
+    def _reconfigure(self, section: Any) -> None:
+        self._core.reconfigure(section)
 
     def _set_mapping(self, mapping: bool) -> None:
         self._core.mapping = mapping
@@ -192,7 +223,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         }
 
     def _restore(self, state: State) -> None:
-        core = ExperienceMap(self._section)
+        core = self._new_core()
         core.restore(state['core'])
         late_join = LateJoin(core)
         if 'joining' in state:
@@ -209,7 +240,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         self._goals.use_map(core, state['goals'])
         self._action_ns = action_ns
         self._core, self._late_join, self._scans = core, late_join, scans
-        self._relocator = relocator
+        self._relocator, self._uncertainty = relocator, PoseUncertainty(is_known=False)
         self._motion.correction = TurnCorrection(
             *state.get('correction', self._section.turn_correction)
         )
@@ -217,6 +248,8 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         if 'behaviours' in state:
             self._behaviours.restore(state['behaviours'])
         self._sender.reset()
+        if self._grid is not None:
+            self._grid.reset()
         self._core.mapping = self._mapping
         if 'motion' in state:
             self._motion.restore(state['motion'])
@@ -248,7 +281,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
     def _use_scan(self, scan: Scan) -> None:
         self._push('scan', scan.stamp_ns, scan)
         self._log('scan', scan.stamp_ns, lambda: encode_scan(scan))
-        self._republish_pose()
+        self._report_correction()
 
     def _on_action(self, message: String) -> None:
         try:
@@ -258,10 +291,11 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
             return
         self._push('action', stamp_ns, Action(action, sequence, memory_ns))
         self._log('action', stamp_ns, message.data.encode)
-        self._republish_pose()
+        self._report_correction()
         self._send()
 
     def _process_item(self, stamp_ns: int, stream: str, item: Odometry | Scan | Action) -> None:
+        self._hints.use(stamp_ns, self._core)
         if isinstance(item, Scan):
             self._scans.scan(item)
             return
@@ -271,6 +305,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
             if motion is not None:
                 self._core.integrate(motion)
                 self._scans.integrate(stamp_ns, motion)
+                self._uncertainty.integrate(motion)
                 if not motion.is_known:
                     self._report_gap(motion.dt_s)
             return
@@ -285,6 +320,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
                 update = apply_action(
                     self._core, self._scans, stamp_ns, action, behaviour, self._relocator
                 )
+                self._uncertainty.apply(action, update, self._scans.variance_m2)
         if self._answers is not None:
             relocation = late_join.peer_relocation(update.relocation)
             payload = encode_relocation(stamp_ns, item.sequence, relocation, item.memory_ns)
@@ -339,7 +375,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
             x_m, y_m, heading_rad = self._core.pose
         if result.outcome not in ('found', 'here'):
             return self._answer(response, False, f'{result.outcome}: {result.reason}')
-        self._republish_pose()
+        self._report_correction()
         return self._answer(
             response, True, f'{result.reason}; the robot is at ({x_m:.2f}, {y_m:.2f}), heading '
             f'{math.degrees(heading_rad):.0f} degrees',
@@ -355,13 +391,21 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         if odometry.stamp_ns != self._order.newest_of('odometry'):
             return  # refused, late, or not confirmed by the stamp order
         self._pose_ns, self._odom_pose = odometry.stamp_ns, odometry.pose
-        self._publish_pose(self._current_pose())
+        pose = self._current_pose()
+        self._use_pose(pose)
+        self._poses.publish(
+            self._pose_ns, self._section.map_frame, pose, self._uncertainty.variances
+        )
         self._publish_tf()
 
-    def _republish_pose(self) -> None:
-        """Publish the pose at the last odometry again if an action has changed it."""
-        if self._pose is not None and self._pose != (pose := self._current_pose()):
-            self._publish_pose(pose)
+    def _report_correction(self) -> None:
+        """Publish a correction if an action has changed the pose at the last odometry."""
+        before = self._pose
+        if before is not None and before != (pose := self._current_pose()):
+            self._use_pose(pose)
+            self._poses.publish_correction(
+                Correction(self._pose_ns, self._core.current_id, before, pose)
+            )
 
     def _current_pose(self) -> Pose:
         """Return the robot's pose on the map, including the motion of the held messages."""
@@ -369,11 +413,9 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         offset = self._motion.ahead(held, self._core.offset)
         return composed(self._core.pose_of(self._core.current_id), offset)
 
-    def _publish_pose(self, pose: Pose) -> None:
+    def _use_pose(self, pose: Pose) -> None:
         self._pose = pose
         self._goals.locate(self._pose_ns, pose, self._odom_pose)
-        header = header_of(self._pose_ns, self._section.map_frame)
-        self._pose_publisher.publish(PoseStamped(header=header, pose=pose_message(pose)))
 
     def _publish_tf(self) -> None:
         p = self._section
@@ -403,6 +445,10 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         One of them in each call, so that none of the messages that follow has to wait for all.
         """
         if self._changes.update(self._core, self._action_ns):
+            return
+        if self._grid is not None and self._grid.advance(
+            self._core, self._scans, self._action_ns, self._section.grid_period_s
+        ):
             return
         if self._markers_due:
             self._send_markers()

@@ -23,12 +23,16 @@ from ratslam_ros.core.driving.exploration import Exploration
 from ratslam_ros.core.driving.goal_follower import GoalFollower, in_robot_frame, remaining_route
 from ratslam_ros.core.driving.steering import Command
 from ratslam_ros.limits import MAX_COORDINATE_M
+from ratslam_ros.messages.corrections import NAME as CORRECTION
+from ratslam_ros.messages.corrections import decode_correction
 from ratslam_ros.messages.goals import BehaviourReport, decode_status, encode_behaviour
 from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.nodes.convert import planar_pose, route_points, stamp_ns
+from ratslam_ros.nodes.goal_frames import pose_on_map
+from ratslam_ros.nodes.navigation_actions import RobotState, offer_actions
 from ratslam_ros.nodes.node import FLUSH_CHECK_PERIOD_S, RatslamNode
 from ratslam_ros.nodes.odometry_frames import FROM_ODOMETRY, OdometryFrames
-from ratslam_ros.nodes.qos import LATCHED, RESULT, STATE
+from ratslam_ros.nodes.qos import INPUT, LATCHED, RESULT, STATE
 from ratslam_ros.nodes.run import run
 from ratslam_ros.nodes.scans import ScanInput
 
@@ -56,6 +60,7 @@ class GoalFollowerNode(RatslamNode[Scan]):
         self._task = 'none'
         self._tries_failed = 0
         self._reset_state()
+        self._map_frame = ''
         self._frames = OdometryFrames(
             FROM_ODOMETRY, FROM_ODOMETRY, self._diagnostics.note
         )
@@ -66,14 +71,18 @@ class GoalFollowerNode(RatslamNode[Scan]):
         self._add_input('scan', {'scan': LaserScan}, self._laser.receive)
         self._add_input('odometry', {'odom': OdometryMessage}, self._on_odometry)
         self.create_subscription(PoseStamped, 'experience_map/pose', self._on_pose, STATE)
+        self.create_subscription(String, CORRECTION, self._on_correction, INPUT)
         self.create_subscription(Path, 'experience_map/route', self._on_route, LATCHED)
         self.create_subscription(String, 'experience_map/status', self._on_status, LATCHED)
+        self._actions = offer_actions(self, self)
         self.create_timer(FLUSH_CHECK_PERIOD_S, self._flush, clock=self._steady)
         self.create_timer(INPUT_CHECK_PERIOD_S, self._check_inputs, clock=self._steady)
 
     def close(self) -> None:
         """Stop the robot."""
         super().close()
+        if self._actions is not None:
+            self._actions.close()
         self._stop_robot()
 
     def _reset_state(self) -> None:
@@ -84,6 +93,8 @@ class GoalFollowerNode(RatslamNode[Scan]):
         self._scan_s = self._pose_s = self._odom_s = -math.inf
         self._route, self._route_ns = NO_POSITIONS, 0
         self._explore_requested, self._wall = False, ''
+        self._stamped_pose: PoseStamped | None = None
+        self._has_map = False
         self._on_relocated()
 
     def _on_relocated(self) -> None:
@@ -109,6 +120,17 @@ class GoalFollowerNode(RatslamNode[Scan]):
             self._refuse('pose', f'it is {pose}; expected finite numbers')
             return
         self._pose, self._pose_s = pose, time.monotonic()
+        self._stamped_pose, self._map_frame = message, message.header.frame_id
+
+    def _on_correction(self, message: String) -> None:
+        """Use a corrected pose at once: the routes on the map are corrected too."""
+        try:
+            correction = decode_correction(message.data)
+        except MalformedMessage as error:
+            self._refuse('correction', str(error))
+            return
+        if all(abs(value) <= MAX_COORDINATE_M for value in correction.after):
+            self._pose = correction.after
 
     def _on_route(self, message: Path) -> None:
         route = route_points(message)
@@ -124,10 +146,35 @@ class GoalFollowerNode(RatslamNode[Scan]):
             self._refuse('status', str(error))
             return
         self._explore_requested, self._wall = status['explore'], status['behaviour']
+        self._has_map = True
         has_route = status['status'] in ('following', 'recovering')
         # A restarted map sends no empty route: its status ends the route of the previous one.
         if not has_route and status['stamp_ns'] > self._route_ns:
             self._route = NO_POSITIONS
+        if self._actions is not None:
+            self._actions.on_status(status)
+
+    # Goals of actions
+
+    def state(self) -> RobotState:
+        """Return what the actions report."""
+        return RobotState(
+            self._stamped_pose, self._pose, self._route, self._section.speed_mps
+        )
+
+    def goal_on_map(self, message: PoseStamped) -> Pose:
+        """Return a goal on the map; raise UnreachableGoal if its frame is unknown."""
+        here = None if self._stamped_pose is None else self._pose
+        return pose_on_map(message, self._map_frame, self._frames, here, self._odom_pose)
+
+    def refusal(self) -> str:
+        """Return why the robot cannot drive to goals now, or an empty string."""
+        if self._paused:
+            return 'goal_follower is paused'
+        if not self._has_map or self._stamped_pose is None:
+            missing = 'pose' if self._has_map else 'status'
+            return f'no experience_map/{missing} has arrived: is experience_map running?'
+        return ''
 
     # Driving
 

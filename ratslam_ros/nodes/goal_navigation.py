@@ -31,8 +31,8 @@ from ratslam_ros.messages.goals import (
     encode_times,
 )
 from ratslam_ros.messages.json_schema import MalformedMessage
-from ratslam_ros.nodes.convert import planar_pose
 from ratslam_ros.nodes.diagnostics import Diagnostics
+from ratslam_ros.nodes.goal_frames import pose_on_map
 from ratslam_ros.nodes.odometry_frames import OdometryFrames
 from ratslam_ros.nodes.paths import cloud_of, path_of
 from ratslam_ros.nodes.qos import GOAL, VIEW
@@ -71,6 +71,7 @@ class GoalNavigation:
         self._times = node.create_publisher(PointCloud2, 'experience_map/times', VIEW)
         self.reason = ''
         """Why the last requested goal has no route, else empty."""
+        self._refused = ''
         self._next_times_s = 0.0
         for kind, topic, callback in (
             (PoseStamped, 'goal_pose', self._on_goal_pose),
@@ -148,7 +149,9 @@ class GoalNavigation:
         stamp_ns, publisher = self._stamp_ns, self._publisher
         publisher.publish_route(stamp_ns, self._frame, guidance, self._map.current_id)
         self._log_outcomes()
-        publisher.publish_status(stamp_ns, self._map, guidance, self._navigator, self.reason)
+        publisher.publish_status(
+            stamp_ns, self._map, guidance, self._navigator, self.reason, self._refused
+        )
 
     def _log_outcomes(self) -> None:
         navigator = self._navigator
@@ -197,23 +200,29 @@ class GoalNavigation:
         except MalformedMessage as error:
             self._refuse('goal', str(error))
             return
-        self._go_to(*request.targets, append=request.append, timeout_s=request.timeout_s)
+        if request.cancel:
+            self._cancel('on request', request.cancel)
+            self.update()
+            return
+        self._go_to(*request.targets, append=request.append, timeout_s=request.timeout_s,
+                    request=request.request)  # fmt: skip
 
     def _go_to(
-        self, *targets: Target, append: bool = False, timeout_s: float | None = None
-    ) -> None:
+        self, *targets: Target, append: bool = False, timeout_s: float | None = None,
+        request: str = '',
+    ) -> None:  # fmt: skip
         self._navigator.parameters = self._config().goal_recall
         try:
-            self._navigator.go_to(*targets, append=append, timeout_s=timeout_s)
+            self._navigator.go_to(*targets, append=append, timeout_s=timeout_s, request=request)
         except UnreachableGoal as error:
-            self._refuse_goal(error, append)
+            self._refuse_goal(error, append, request)
             return
-        self.reason = ''
+        self.reason = self._refused = ''
         self.update()
 
-    def _refuse_goal(self, error: UnreachableGoal, append: bool) -> None:
+    def _refuse_goal(self, error: UnreachableGoal, append: bool, request: str = '') -> None:
         """Report an unreachable goal; unless it was appended, cancel the earlier goals too."""
-        self.reason = str(error)
+        self.reason, self._refused = str(error), request
         self._diagnostics.warn(f'no route: {error}')
         if not append:
             self._cancel('another goal was requested, which cannot be reached')
@@ -222,9 +231,10 @@ class GoalNavigation:
     def _end_route(self) -> None:
         self._publisher.end_route(self._stamp_ns, self._frame)
 
-    def _cancel(self, reason: str) -> int:
-        number = self._navigator.cancel(reason)
-        if number > 0:
+    def _cancel(self, reason: str, request: str | None = None) -> int:
+        """Cancel the goals of a request, or all; return how many."""
+        number = self._navigator.cancel(reason, request=request)
+        if number > 0 and not self._navigator.queue:
             self._end_route()
         return number
 
@@ -298,14 +308,26 @@ class GoalNavigation:
                 raise UnreachableGoal(f'the tolerance is {tolerance_m}; expected 0 or more m')
             route = planner.route_to_place(goal.x_m, goal.y_m, tolerance_m, start)
         except UnreachableGoal as error:
-            self.reason = str(error)
-            self._diagnostics.warn(f'no route: {error}')
+            self._report_plan(str(error))
             response.plan = path_of(NO_POSITIONS, [], self._stamp_ns, self._frame)
             return response
-        self.reason = ''
+        self._report_plan('')
         positions_m = self._map.poses[list(route.experience_ids), :2]
         response.plan = path_of(positions_m, route.arrival_s, self._stamp_ns, self._frame)
         return response
+
+    def _report_plan(self, reason: str) -> None:
+        """Publish why a plan is empty, also if no odometry arrives: nav_msgs has no field for it.
+
+        Args:
+            reason: empty if there is a plan.
+        """
+        self.reason, self._refused = reason, ''
+        if reason:
+            self._diagnostics.warn(f'no route: {reason}')
+        self._publisher.publish_status(
+            self._stamp_ns, self._map, self._navigator.guidance, self._navigator, self.reason
+        )
 
     # Frames
 
@@ -318,21 +340,5 @@ class GoalNavigation:
         return self._p.map_frame
 
     def _on_map(self, message: PoseStamped) -> Pose:
-        """Transform a pose to the map's frame.
-
-        Raises:
-            UnreachableGoal: it is not finite, or its frame has no transform to the map.
-        """
-        p, frames, frame = self._p, self._frames, message.header.frame_id.lstrip('/')
-        pose = planar_pose(message.pose)
-        if not all(math.isfinite(value) for value in pose):
-            raise UnreachableGoal('its position or orientation is not finite')
-        if frame in ('', p.map_frame):
-            return pose
-        if self._pose is not None and frame == frames.base:
-            return composed(self._pose, pose)
-        if self._pose is not None and frame == frames.odom:
-            return composed(composed(self._pose, inverse(self._odom_pose)), pose)
-        known = f'{p.map_frame}, {frames.odom} or {frames.base}'
-        reason = 'no odometry has come yet' if frame in known.split() else f'expected {known}'
-        raise UnreachableGoal(f'there is no transform from {frame!r} to {p.map_frame!r}: {reason}')
+        """Transform a pose to the map's frame; raise UnreachableGoal if that is impossible."""
+        return pose_on_map(message, self._frame, self._frames, self._pose, self._odom_pose)

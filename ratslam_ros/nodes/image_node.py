@@ -32,13 +32,23 @@ class ImageNode(RatslamNode[Message]):
 
     def _subscribe_to_images(self) -> None:
         """Subscribe; must be the last step of the constructor."""
-        topics = {'image': Image, 'image/compressed': CompressedImage}
-        transport = self._section.image_transport
-        if transport != 'auto':
-            wanted = 'image' if transport == 'raw' else 'image/compressed'
-            topics = {wanted: topics[wanted]}
-        self._add_input('image', topics, self._on_image, resume=self._process_message)
+        self._add_input('image', self._topics(), self._on_image, resume=self._process_message)
         self.create_timer(FLUSH_CHECK_PERIOD_S, self._flush, clock=self._steady)
+
+    def _topics(self) -> dict[str, type]:
+        transport = self._section.image_transport
+        return {
+            topic: kind for topic, name, kind in (
+                ('image', 'raw', Image), ('image/compressed', 'compressed', CompressedImage)
+            )
+            if transport in ('auto', name)
+        }  # fmt: skip
+
+    def _on_set(self, before: Config) -> None:
+        if getattr(before, self.SECTION).image_transport != self._section.image_transport:
+            for one in self._inputs:
+                if one.name == 'image':
+                    one.use(self._topics())
 
     def close(self) -> None:
         """Process the current image, drop the queued ones, and stop."""

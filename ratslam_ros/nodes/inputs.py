@@ -59,6 +59,17 @@ class Input:
         for topic in topics:
             self._subscribe(topic, self._is_best_effort(topic))
 
+    def use(self, topics: dict[str, type]) -> None:
+        """Continue with other topics; a subscription to one of both is kept."""
+        for topic in [topic for topic in self._subscriptions if topic not in topics]:
+            self._unsubscribe(topic)
+        self._topics = topics
+        if self._used not in topics:
+            self._used = None
+        for topic in topics:
+            if topic not in self._subscriptions and topic in self._wanted_topics():
+                self._subscribe(topic, self._is_best_effort(topic))
+
     def update(self, silence_s: float) -> float:
         """Adapt to the publishers' quality of service, warn of silence, return the rate in Hz."""
         wanted = self._wanted_topics()
@@ -168,13 +179,30 @@ class Input:
             topic,
             on_message,
             INPUT_BEST_EFFORT if best_effort else INPUT,
-            event_callbacks=SubscriptionEventCallbacks(message_lost=self._lost),
+            event_callbacks=SubscriptionEventCallbacks(
+                message_lost=self._lost, incompatible_qos=lambda event: self._on_mismatch(topic)
+            ),
         )
 
     def _unsubscribe(self, topic: str) -> None:
         subscription = self._subscriptions.pop(topic, None)
         if subscription is not None:
             self._node.destroy_subscription(subscription)
+
+    def _on_mismatch(self, topic: str) -> None:
+        """Report a publisher with another quality of service: ``update`` adapts to best effort."""
+        name = self._node.resolve_topic_name(topic)
+        if self._is_best_effort(topic):
+            if not self._best_effort.get(topic, False):
+                self._node.get_logger().info(
+                    f'{name} has a best-effort publisher: subscribing again as best effort'
+                )
+        else:
+            self._diagnostics.warn(
+                f'{name} has a publisher of an incompatible quality of service, whose messages '
+                f'are not received; expected reliable or best effort, volatile: '
+                f'{self._publishers(name)}'
+            )
 
     def _lost(self, event: Any) -> None:
         self._diagnostics.drop(

@@ -54,7 +54,7 @@ class LocalViewNode(ImageNode):
             self.destroy_node()  # the caller gets no node that it could destroy
             raise
         self._reset_state()
-        if uses_odometry(self._section):
+        if uses_odometry(self._first_section):
             self._add_input(
                 'odometry', {'odom': OdometryMessage}, self._on_odometry,
                 lambda data: self._follow(decode_odometry(data)), delay_ns=ODOMETRY_DELAY_NS,
@@ -62,10 +62,18 @@ class LocalViewNode(ImageNode):
         self._subscribe_to_images()
 
     def _reset_state(self) -> None:
-        self._core = LocalView(self._section, self._encoder)
+        self._core = self._new_core()
         self._core.mapping = self._mapping
         self._memory_ns = NO_MEMORY_NS
         self._last = UNDECODABLE
+
+    def _new_core(self) -> LocalView:
+        core = LocalView(self._first_section, self._encoder)
+        core.reconfigure(self._section)
+        return core
+
+    def _reconfigure(self, section: Any) -> None:
+        self._core.reconfigure(section)
 
     def _set_mapping(self, mapping: bool) -> None:
         self._core.mapping = mapping
@@ -74,7 +82,7 @@ class LocalViewNode(ImageNode):
         return {'memory_ns': self._memory_ns, 'core': self._core.state()}
 
     def _restore(self, state: State) -> None:
-        core = LocalView(self._section, self._encoder)
+        core = self._new_core()
         core.restore(state['core'])
         # A replay has no other memory that its ids could be confused with.
         assumed_ns = MIN_MEMORY_NS if len(core) else NO_MEMORY_NS
@@ -83,7 +91,7 @@ class LocalViewNode(ImageNode):
         self._core.mapping = self._mapping
 
     def _new_order(self) -> StampOrder[Any]:
-        if uses_odometry(self._section):
+        if uses_odometry(self._first_section):
             return StampOrder(('odometry', 'image'), round(self._section.max_lateness_s * 1e9))
         return StampOrder(('image',), 0)
 
@@ -128,7 +136,7 @@ class LocalViewNode(ImageNode):
 
     def _publish(self, stamp_ns: int, match: ViewMatch) -> None:
         self._last = match
-        payload = encode_template(stamp_ns, match, self._memory_ns)
+        payload = encode_template(stamp_ns, match, self._memory_ns, self._sender_id)
         self._publisher.publish(String(data=payload))
         self._log('template', stamp_ns, payload.encode)
 

@@ -4,13 +4,12 @@
 
 from __future__ import annotations
 
-import threading
+import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
 from ratslam_ros.core.common.odometry import MAX_GAP_NS
@@ -20,14 +19,14 @@ from ratslam_ros.core.config import Config
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.errors import RatslamError
 from ratslam_ros.files import memory as memory_files
-from ratslam_ros.files.config import to_yaml
 from ratslam_ros.files.version import package_version
 from ratslam_ros.maps import MapMeta, MapStore, read_map
+from ratslam_ros.nodes.configured_node import ConfiguredNode
 from ratslam_ros.nodes.diagnostics import Diagnostics
 from ratslam_ros.nodes.inputs import Input
 from ratslam_ros.nodes.map_keeper import KeptInput, MapKeeper
 from ratslam_ros.nodes.map_operations import MapOperations
-from ratslam_ros.nodes.parameters import NodeParameters
+from ratslam_ros.nodes.parameter_changes import encode_values
 
 Item = TypeVar('Item')
 
@@ -36,17 +35,13 @@ FLUSH_CHECK_PERIOD_S = 0.1
 """Period of the checks whether held messages must be processed, as all inputs are silent."""
 
 
-class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
+class RatslamNode(ConfiguredNode, Generic[Item]):
     """A node that merges its inputs in the order of their stamps and processes each message.
 
     Subclasses implement ``_process_item``, which processes one message, and ``_reset_state``,
     which empties the memory.
     """
 
-    SECTION: str
-    """Name of the node, of its section of parameters and prefix of the topics it publishes."""
-    PARTS: tuple[str, ...] = ()
-    """Further sections of parameters that the node reads, for its optional functions."""
     MAPS = False
     """Whether the node learns, and so has the services ``mapping``, ``save`` and ``load``."""
     REGULAR: str | None = None
@@ -61,21 +56,16 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
             streams: names of the inputs that are merged.
             initial: values of parameters that are not given to the node.
         """
-        super().__init__(self.SECTION, automatically_declare_parameters_from_overrides=True)
-        try:
-            self._checked = NodeParameters(self, initial, self.SECTION, *self.PARTS)
-        except BaseException:
-            self.destroy_node()  # the caller gets no node that it could destroy
-            raise
+        super().__init__(initial)
         self._diagnostics = Diagnostics(self)
         self._inputs: list[Input] = []
         self._streams = streams
-        self._lock = threading.RLock()
-        """Serialises the thread that processes images with services and timers."""
         self._order: StampOrder[Item] = self._new_order()
         self._counted = Counts()
         self._paused = False
         self._mapping = True
+        self._sender_id = time.time_ns()
+        """Distinguishes this process from others with the same node; see ``SingleSender``."""
         self._keeper: MapKeeper | None = None
         """The node's part of the map file, if there is one."""
         self._kept_inputs: list[KeptInput] = []
@@ -90,7 +80,7 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
             self.create_service(Trigger, f'{self.SECTION}/save', self._on_save)
             self.create_service(Trigger, f'{self.SECTION}/load', self._on_load)
             self._operations = MapOperations(
-                self, self.SECTION, self._memory_state, self._replace_memory,
+                self, self.SECTION, self._saved_state, self._replace_memory,
                 self._own_sections, lambda: str(self._section.memory_folder),
             )  # fmt: skip
 
@@ -98,23 +88,6 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
     def warm_up(cls) -> None:
         """Compile or load from the cache all functions that processing a message needs."""
         warm_up(cls.SECTION)
-
-    @property
-    def config(self) -> Config:
-        """All parameters; the sections of other nodes have their defaults."""
-        return self._checked.config
-
-    @property
-    def parts(self) -> tuple[str, ...]:
-        """The sections of PARTS that are in use; subclasses may leave some out."""
-        return self.PARTS
-
-    @property
-    def _section(self) -> Any:
-        return getattr(self.config, self.SECTION)
-
-    def _own_sections(self) -> str:
-        return to_yaml(self.config, (self.SECTION, *self.PARTS))
 
     def open_map(self) -> None:
         """Restore the state from the map file, if one is given, and save it there from now on.
@@ -135,12 +108,17 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
             Path(path).expanduser(), [self.SECTION], meta, self.get_logger().warning
         )
         keeper = MapKeeper(
-            self, self._diagnostics, store, self.SECTION, self._memory_state, self._newest_ns
+            self, self._diagnostics, store, self.SECTION, self._saved_state, self._newest_ns
         )
         try:
             with self._lock:
                 if keeper.restored is not None:
-                    self._restore(keeper.restored)
+                    self._restore_saved(keeper.restored)
+                    if keeper.joins:
+                        self._resume_parameters(
+                            keeper.logged(self._parameter_stream, keeper.since_ns)
+                        )
+                        keeper.configure(self._own_sections())
                     if not store.joins:
                         self._drop_tasks()
         except BaseException:
@@ -154,7 +132,7 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
         saved = read_map(path)
         with self._lock:
             if self.SECTION in saved.states:
-                self._restore(saved.states[self.SECTION])
+                self._restore_saved(saved.states[self.SECTION])
                 self._drop_tasks()
                 self._begin_session()
             self._mapping = False
@@ -172,10 +150,6 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
 
     def _process_item(self, stamp_ns: int, stream: str, item: Item) -> None:
         """Process the next message in stamp order."""
-        raise NotImplementedError
-
-    def _reset_state(self) -> None:
-        """Start with an empty memory."""
         raise NotImplementedError
 
     def _drop_queued(self) -> int:
@@ -271,7 +245,17 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
         self._process_item(stamp_ns, stream, item)
 
     def _save_before(self, stamp_ns: int) -> None:
-        """Save the state in the map file if that is due before a message is processed."""
+        """Before a message is processed, save the state if due, and take over set parameters."""
+        self._save_if_due(stamp_ns)
+        for config, changes in self._parameter_changes.due(stamp_ns):
+            self._reconfigure(getattr(config, self.SECTION))
+            for change in changes:
+                self.get_logger().info(str(change))
+            if self._keeper is not None:
+                self._keeper.log(self._parameter_stream, stamp_ns, encode_values(changes))
+                self._keeper.configure(self._own_sections())
+
+    def _save_if_due(self, stamp_ns: int) -> None:
         if self._operations is not None:
             self._operations.before(stamp_ns)
         if self._keeper is None:
@@ -310,7 +294,7 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
                 f'the stamps of {stream} have jumped back: starting with an empty memory '
                 '(on_jump_back)'
             )
-            self._reset_state()
+            self._start_over()
             self._diagnostics.clear()
         else:
             self.get_logger().warning(
@@ -360,6 +344,9 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
             if not self._mapping and not self._paused:
                 values['memory'] = 'localisation only'
             values |= self._diagnostic_values()
+            if self._parameter_changes.record:
+                values['parameters_set'] = len(self._parameter_changes.record)
+                values['last_parameter_set'] = str(self._parameter_changes.record[-1])
             if self._keeper is not None:
                 values |= self._keeper.diagnostic_values()
         self._diagnostics.publish(values, self._state())
@@ -381,7 +368,7 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
             self._drop_queued()
             self._order = self._new_order()
             self._counted = Counts()
-            self._reset_state()
+            self._start_over()
             self._diagnostics.clear()
         return self._answer(response, True, f'{self.SECTION} has an empty memory')
 
@@ -406,7 +393,7 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
         try:
             with self._lock:
                 self._process_held()
-                memory_files.save(self._memory_path, self.SECTION, self._memory_state())
+                memory_files.save(self._memory_path, self.SECTION, self._saved_state())
         except RatslamError as error:
             return self._answer(response, False, str(error))
         return self._answer(response, True, f'saved to {self._memory_path}')
@@ -429,7 +416,7 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
     def _replace_memory(self, state: State) -> None:
         """Continue with another memory; raise and change nothing if it cannot be used."""
         with self._lock:
-            self._restore(state)
+            self._restore_saved(state)
             self._drop_tasks()
             self._on_relocated()
             self._order = self._new_order()
@@ -454,12 +441,4 @@ class RatslamNode(Node, Generic[Item]):  # type: ignore[misc]
 
     def _set_mapping(self, mapping: bool) -> None:
         """Switch learning on or off."""
-        raise NotImplementedError
-
-    def _memory_state(self) -> State:
-        """Return the memory, for ``_restore``."""
-        raise NotImplementedError
-
-    def _restore(self, state: State) -> None:
-        """Replace the memory by a saved one; raise and change nothing if it cannot be used."""
         raise NotImplementedError

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar
 
 from rcl_interfaces.msg import (
@@ -18,7 +18,6 @@ from rclpy.parameter import Parameter
 
 from ratslam_ros.core.config import (
     SECTIONS,
-    SETTABLE,
     SHARED,
     Config,
     ParameterInfo,
@@ -58,7 +57,10 @@ class NodeParameters:
     parameters that are unknown could not be detected.
     """
 
-    def __init__(self, node: Node, initial: Config, section: str, *parts: str) -> None:
+    def __init__(
+        self, node: Node, initial: Config, section: str, *parts: str,
+        changed: Callable[[Config], None] = lambda before: None,
+    ) -> None:  # fmt: skip
         """Declare all parameters.
 
         Args:
@@ -66,6 +68,7 @@ class NodeParameters:
             initial: values of parameters that are not given.
             section: section whose parameters are declared by their plain names.
             parts: sections whose parameters are declared as ``part.name``.
+            changed: called with the configuration before, when parameters were set.
 
         Raises:
             UnusableParameter: a given parameter is unknown, of the wrong type or out of range.
@@ -76,7 +79,9 @@ class NodeParameters:
             for name, _, _ in SECTIONS[part].parameters():
                 self._keys[f'{part}.{name}'] = f'{part}.{name}'
         self._section = section
-        self.config = self._given(initial)
+        self.config = self.first = self._given(initial)
+        """All parameters: the present ones, and those with which the node was started."""
+        self._changed = changed
         values = self.config.values()
         self._folder = str(values[section].get('memory_folder', ''))
         for name, key in self._keys.items():
@@ -109,6 +114,11 @@ class NodeParameters:
         ordered = dict(sorted(values.items(), key=lambda item: item[0] in own))
         return _with_values(initial, ordered)
 
+    def named(self, values: Mapping[str, Value]) -> list[Parameter]:
+        """Return values given by ``section.name`` as parameters of the node; skip unknown ones."""
+        names = {key: name for name, key in self._keys.items()}
+        return [Parameter(names[key], value=values[key]) for key in values if key in names]
+
     def _set(self, parameters: list[Parameter]) -> SetParametersResult:
         """Check and set parameters that may change while the node runs."""
         values: dict[str, Any] = {
@@ -123,9 +133,12 @@ class NodeParameters:
                     'which the node was started'
                 ))  # fmt: skip
         try:
-            self.config = _with_values(self.config, values)
+            config = _with_values(self.config, values)
+            self.first.check_change(config)
         except UnusableParameter as error:
             return SetParametersResult(successful=False, reason=str(error))
+        before, self.config = self.config, config
+        self._changed(before)
         return SetParametersResult(successful=True)
 
 
@@ -151,7 +164,7 @@ def declare(node: Node, kind: type[AnySection]) -> AnySection:
             )
     section = kind(**given)
     for name, (info, default) in known.items():
-        descriptor = _descriptor(info, default, settable=False)
+        descriptor = _descriptor(info, default)
         node.declare_parameter(name, getattr(section, name), descriptor, ignore_override=True)
     return section
 
@@ -165,17 +178,17 @@ def _with_values(config: Config, values: dict[str, Any]) -> Config:
     return config.with_values(values)
 
 
-def _info(section: str, name: str) -> tuple[ParameterInfo, Value, bool]:
+def _info(section: str, name: str) -> tuple[ParameterInfo, Value]:
     for known, info, default in SECTIONS[section].parameters():
         if known == name:
-            return info, default, name in SETTABLE
+            return info, default
     raise KeyError(name)
 
 
-def _descriptor(info: ParameterInfo, default: Value, settable: bool) -> ParameterDescriptor:
+def _descriptor(info: ParameterInfo, default: Value) -> ParameterDescriptor:
     descriptor = ParameterDescriptor(
         description=info.effect + (f' Unit: {info.unit}.' if info.unit else ''),
-        read_only=not settable,
+        read_only=info.runtime == 'no',
     )
     if info.choices:
         descriptor.additional_constraints = f'one of {", ".join(info.choices)}'

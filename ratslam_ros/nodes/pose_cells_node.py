@@ -37,6 +37,7 @@ from ratslam_ros.nodes.goal_seeking import GoalSeeking
 from ratslam_ros.nodes.node import FLUSH_CHECK_PERIOD_S, RatslamNode
 from ratslam_ros.nodes.qos import INPUT, RESULT, VIEW
 from ratslam_ros.nodes.run import run
+from ratslam_ros.nodes.single_sender import SingleSender
 
 LOGGED_GAIN_CHANGE = 0.02
 """Relative change of the rotation gain that is logged."""
@@ -83,8 +84,12 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
                 'relocation', self._on_relocation, self._on_relocation
             ), INPUT,
         )  # fmt: skip
+        templates = SingleSender(
+            self, 'local_view/template', self._on_template,
+            lambda reason: self._refuse('template', reason),
+        )
         self._add_input(
-            'template', {'local_view/template': String}, self._on_template,
+            'template', {'local_view/template': String}, templates.take,
             lambda data: self._on_template(String(data=data.decode())),
         )  # fmt: skip
         self.create_timer(FLUSH_CHECK_PERIOD_S, self._flush, clock=self._steady)
@@ -95,7 +100,7 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
         return self.PARTS if self.config.goal_memory.goal_memory else ()
 
     def _reset_state(self) -> None:
-        self._core = PoseCells(self._section)
+        self._core = self._new_core()
         self._core.mapping = self._mapping
         if self._goals is not None:
             self._goals.use_pose_cells(self._core)
@@ -127,6 +132,14 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
             if self._goals is not None:
                 self._goals.integrate(0, unknown)
 
+    def _new_core(self) -> PoseCells:
+        core = PoseCells(self._first_section)
+        core.reconfigure(self._section)
+        return core
+
+    def _reconfigure(self, section: Any) -> None:
+        self._core.reconfigure(section)
+
     def _set_mapping(self, mapping: bool) -> None:
         self._core.mapping = mapping
 
@@ -144,7 +157,7 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
         return state
 
     def _restore(self, state: State) -> None:
-        core, numbering = PoseCells(self._section), IdMap()
+        core, numbering = self._new_core(), IdMap()
         core.restore(state['core'])
         if 'numbering' in state:
             numbering.restore(state['numbering'])
@@ -263,7 +276,9 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
             self._report_correction(action.correction)
         if action.action == 'create' and self._memory_ns == NO_MEMORY_NS:
             self._memory_ns = max(stamp_ns, MIN_MEMORY_NS)
-        payload = encode_action(stamp_ns, self._sequence, action, self._memory_ns)
+        payload = encode_action(
+            stamp_ns, self._sequence, action, self._memory_ns, self._sender_id
+        )
         self._sequence += 1
         self._publisher.publish(String(data=payload))
         self._log('action', stamp_ns, payload.encode)

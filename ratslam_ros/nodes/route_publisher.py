@@ -73,7 +73,7 @@ class RoutePublisher:
 
     def publish_status(
         self, stamp_ns: int, experience_map: ExperienceMap, guidance: Guidance,
-        navigator: Navigator, reason: str,
+        navigator: Navigator, reason: str, refused: str = '',
     ) -> None:  # fmt: skip
         """Publish the status if it has changed, and periodically while there is a goal.
 
@@ -83,15 +83,17 @@ class RoutePublisher:
             guidance: the current guidance of the navigator.
             navigator: the navigator, for its queue and the ended goals.
             reason: why the last requested goal has no route, else empty.
+            refused: name of the request that was refused for this reason, '' for none.
         """
         key = (
             guidance.status, guidance.replanned, guidance.behaviour, experience_map.current_id,
-            navigator.ended, reason, len(navigator.queue),
+            navigator.ended, reason, refused, len(navigator.queue),
             stamp_ns // REPUBLISH_PERIOD_NS if navigator.queue else 0,
         )  # fmt: skip
         if key != self._status_key:
             self._status_key = key
             payload = encode_status(
-                stamp_ns, experience_map, guidance, navigator.queue, navigator.outcomes, reason
-            )
+                stamp_ns, experience_map, guidance, navigator.queue, navigator.outcomes, reason,
+                refused,
+            )  # fmt: skip
             self._status.publish(String(data=payload))

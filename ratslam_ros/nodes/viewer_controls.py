@@ -18,7 +18,7 @@ from rclpy.parameter import Parameter, parameter_value_to_python
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
-from ratslam_ros.core.config import SECTIONS, SETTABLE, Config, Value
+from ratslam_ros.core.config import SECTIONS, Config, Value
 from ratslam_ros.messages.json_schema import MalformedMessage, encode_json
 from ratslam_ros.messages.map_commands import STATUS as MAP_STATUS
 from ratslam_ros.messages.map_commands import decode_map_status
@@ -388,5 +388,5 @@ def _all_values() -> dict[str, Value]:
 _SETTABLE_KEYS = tuple(
     f'{section}.{name}'
     for section, kind in SECTIONS.items() if section in NODES or section in PARTS
-    for name, _, _ in kind.parameters() if name in SETTABLE
+    for name, info, _ in kind.parameters() if info.runtime != 'no'
 )  # fmt: skip

@@ -64,6 +64,9 @@ class VisualOdometryNode(ImageNode):
         self._variances = [0.0, 0.0]
         self._last_ns: int | None = None
 
+    def _reconfigure(self, section: Any) -> None:
+        self._core.reconfigure(section)
+
     def _on_relocated(self) -> None:
         self._core.restart()
 

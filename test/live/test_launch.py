@@ -48,6 +48,12 @@ def test_visual_odometry_is_started_only_on_request() -> None:
     assert nodes(True, True) == {'single_process': ['--visual-odometry']}
 
 
+def test_only_one_node_may_drive() -> None:
+    assert list(nodes(False, True, nav2=True)) == ['single_process', 'route_to_nav2']
+    with pytest.raises(UnusableParameter, match='both would drive'):
+        nodes(False, False, goal_follower=True, nav2=True)
+
+
 def test_default_arguments_are_parameters_only() -> None:
     assert ros_arguments(LaunchOptions(), FILE) == ['--params-file', str(FILE)]
 

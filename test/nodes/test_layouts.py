@@ -28,7 +28,8 @@ ARGUMENTS = (
 RVIZ_TYPES = {
     'Image': 'Image', 'MarkerArray': 'MarkerArray', 'Pose': 'PoseStamped', 'Path': 'Path',
     'Odometry': 'Odometry', 'LaserScan': 'LaserScan', 'PointCloud2': 'PointCloud2',
-    'SetGoal': 'PoseStamped',
+    'SetGoal': 'PoseStamped', 'SetInitialPose': 'PoseWithCovarianceStamped',
+    'PoseWithCovariance': 'PoseWithCovarianceStamped', 'Map': 'OccupancyGrid',
 }  # fmt: skip
 """Type that each display or tool of RViz with a topic needs."""
 
@@ -40,7 +41,10 @@ NOT_IN_RVIZ = {
 }
 
 FOXGLOVE_TYPES = {
-    '3D': {'MarkerArray', 'PoseStamped', 'Path', 'Odometry', 'LaserScan', 'PointCloud2'},
+    '3D': {
+        'MarkerArray', 'PoseStamped', 'Path', 'Odometry', 'LaserScan', 'PointCloud2',
+        'OccupancyGrid', 'PoseWithCovarianceStamped',
+    },
     'Image': {'Image', 'CompressedImage'},
     'DiagnosticSummary': {'DiagnosticArray'},
     'Plot': None, 'RawMessages': None, 'Tab': None,
@@ -157,7 +161,7 @@ def test_rviz_shows_every_topic_that_it_can(topics: dict[str, Topic]) -> None:
     shown = {settings['Value'] for path in LAYOUTS for _, settings in with_topic(path)}
     can = {name for name in published(topics) if topics[name].kind.__name__ in RVIZ_TYPES.values()}
     assert can - shown == set(NOT_IN_RVIZ)
-    assert shown - can == {'/goal_pose'}  # a tool publishes it
+    assert shown - can == {'/goal_pose', '/initialpose'}  # tools publish them
     main = ROOT / 'rviz/ratslam.rviz'
     assert load(main)['Visualization Manager']['Global Options']['Fixed Frame'] == 'map'
     assert 'rviz_default_plugins/TF' in {display['Class'] for display in displays(main)}
@@ -165,7 +169,7 @@ def test_rviz_shows_every_topic_that_it_can(topics: dict[str, Topic]) -> None:
 
 # Foxglove
 
-OF_FOXGLOVE = {'/clicked_point', '/initialpose'}  # Tools of Foxglove itself.
+OF_FOXGLOVE = {'/clicked_point'}  # A tool of Foxglove itself.
 
 
 def paths_of(kind: str, config: dict[str, Any]) -> list[str]:
@@ -204,7 +208,7 @@ def test_foxglove_shows_every_published_topic(topics: dict[str, Topic]) -> None:
     assert published(topics) - shown == set(NOT_IN_FOXGLOVE)
     mentioned = set(re.findall(r'"(/[a-z_/]+)[".]', json.dumps(FOXGLOVE)))
     assert mentioned - set(topics) == OF_FOXGLOVE
-    assert '/goal_pose' in mentioned
+    assert {'/goal_pose', '/initialpose'} <= mentioned
 
 
 def test_foxglove_layout_has_each_panel_once() -> None:

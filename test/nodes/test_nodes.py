@@ -205,7 +205,9 @@ def test_matched_template_is_published_to_subscribers(world: MakeWorld) -> None:
     assert np.array_equal(pixels[: 15 * 8], pixels[15 * 9 :])  # the template just learned
 
 
-def test_best_effort_camera_is_received(world: MakeWorld) -> None:
+def test_best_effort_camera_is_received_without_a_false_alarm(
+    world: MakeWorld, capfd: pytest.CaptureFixture[str]
+) -> None:
     from rclpy.qos import qos_profile_sensor_data
     from sensor_msgs.msg import Image
 
@@ -214,6 +216,9 @@ def test_best_effort_camera_is_received(world: MakeWorld) -> None:
     made.until(lambda: camera.get_subscription_count() > 0)
     camera.publish(image(START_NS))
     made.until(lambda: received)
+    logged = ''.join(capfd.readouterr())
+    assert '/image has a best-effort publisher: subscribing again as best effort' in logged
+    assert 'No messages will be received' not in logged
 
 
 def test_memory_learned_at_stamp_0_is_numbered_1(world: MakeWorld) -> None:
@@ -514,6 +519,9 @@ def test_recall_goal_without_route_is_empty_with_reason(
     world: MakeWorld, place: tuple[float, float, str], tolerance: float, reason: str
 ) -> None:
     from nav_msgs.srv import GetPlan
+    from std_msgs.msg import String
+
+    from ratslam_ros.nodes.qos import LATCHED
 
     made, received = experience_map(world)
     drive_straight(made)
@@ -523,6 +531,9 @@ def test_recall_goal_without_route_is_empty_with_reason(
         GetPlan, 'experience_map/recall_goal', goal=goal(*place), tolerance=tolerance
     )
     assert list(answer.plan.poses) == []
+    # Latched, without further odometry.
+    statuses = made.listen(String, 'experience_map/status', LATCHED)
+    made.until(lambda: statuses and reason in json.loads(statuses[-1].data)['reason'])
     assert reason in made.diagnostics()['experience_map']['no_route_because']
     assert received[-1].data == before
 

@@ -54,7 +54,7 @@ def test_every_topic_and_service_is_documented(world: Callable[..., Any]) -> Non
 
 
 def test_every_documented_topic_exists(world: Callable[..., Any]) -> None:
-    made = world(*node_classes())
+    made = world(*node_classes(), arguments=('-p', 'exp_align_scans:=true'))
     named = {
         name
         for line in PAGE.split('## Topics')[1].split('###')[0].splitlines()
@@ -72,6 +72,7 @@ def test_every_documented_topic_exists(world: Callable[..., Any]) -> None:
 def test_examples_are_valid_payloads() -> None:
     from ratslam_ros.core.navigation.goals import Position
     from ratslam_ros.core.pose_cells.active_cells import ActiveCells
+    from ratslam_ros.messages.corrections import decode_correction, encode_correction
     from ratslam_ros.messages.goals import (
         GoalRequest,
         NameRequest,
@@ -98,12 +99,14 @@ def test_examples_are_valid_payloads() -> None:
     from ratslam_ros.messages.pose_cells import decode_packets, encode_packets
 
     (
-        template, action, relocation, change, closure, packets, goal, name, status, behaviour,
+        template, action, relocation, correction, change, closure, packets, goal, name, status,
+        behaviour,
     ) = re.findall(r'```json\n(.*?)\n```', PAGE)  # fmt: skip
     assert encode_template(*decode_template(template)) == template
     assert encode_action(*decode_action(action)) == action
     stamp_ns = decode_action(action)[0]
     assert encode_relocation(stamp_ns, *decode_relocation(relocation)) == relocation
+    assert encode_correction(decode_correction(correction)) == correction
     message = decode_map_change(change)
     again = encode_map_change(
         message.change, message.sequence, message.sender, message.frame_id

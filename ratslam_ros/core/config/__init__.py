@@ -6,7 +6,8 @@ YAML files, ``--set``, the ROS parameter descriptors and docs/parameters.md are 
 dataclasses. Names follow OpenRatSLAM (Ball et al. 2013), so that its configurations can be used.
 """
 
-from ratslam_ros.core.config.config import SECTIONS, SETTABLE, SHARED, Config, section_of
+from ratslam_ros.core.config.changes import ConfigChanges
+from ratslam_ros.core.config.config import SECTIONS, SHARED, Config, section_of
 from ratslam_ros.core.config.experience_map import ExperienceMapParameters
 from ratslam_ros.core.config.goal_follower import GoalFollowerParameters
 from ratslam_ros.core.config.goal_memory import GoalMemoryParameters
@@ -26,7 +27,8 @@ from ratslam_ros.core.config.pose_cells import LEAST_EXP_MAX, PoseCellsParameter
 from ratslam_ros.core.config.visual_odometry import VisualOdometryParameters
 
 __all__ = [
-    'AUTOMATIC', 'LEAST_EXP_MAX', 'SECTIONS', 'SETTABLE', 'SHARED', 'WHOLE', 'Config',
+    'AUTOMATIC', 'LEAST_EXP_MAX', 'SECTIONS', 'SHARED', 'WHOLE', 'Config',
+    'ConfigChanges',
     'ExperienceMapParameters', 'GoalFollowerParameters', 'GoalMemoryParameters',
     'GoalRecallParameters', 'LandmarkMapParameters', 'LineExtractionParameters', 'LiveInput',
     'LocalViewParameters', 'ParameterInfo', 'PoseCellsParameters', 'Section', 'Value',

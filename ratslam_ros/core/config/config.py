@@ -69,6 +69,18 @@ class Config:
         }
         return replace(self, **sections)
 
+    def check_change(self, new: Config) -> None:
+        """Check that a system that was created with these values can continue with others.
+
+        Raises:
+            UnusableParameter: as ``Section.check_change``.
+        """
+        for item in fields(self):
+            try:
+                getattr(self, item.name).check_change(getattr(new, item.name))
+            except UnusableParameter as error:
+                raise UnusableParameter(f'{item.name}.{error}') from None
+
     def values(self) -> dict[str, dict[str, Value]]:
         """Return all values as ``{section: {name: value}}``, in declared order."""
         return {
@@ -99,17 +111,6 @@ SECTIONS: dict[str, type[Section]] = {
     'line_extraction': LineExtractionParameters,
 }
 """Class of each section, in the order of config.yaml."""
-
-SETTABLE = frozenset(
-    {
-        'watchdog_after_s', 'on_jump_back', 'flush_after_s', 'publish_tf', 'map_period_s',
-        'goal_tolerance_m', 'memory_folder', 'goal_radius_m', 'goal_timeout_s',
-        'goal_timeout_factor', 'goal_timeout_least_s', 'goal_explore_s', 'route_keep_s',
-        'route_switch_s', 'route_width_m', 'waypoint_ahead_m', 'explore',
-    }
-)  # fmt: skip
-"""Parameters that can be set while a node runs. All others influence the map, and a map must be
-built with a single set of values."""
 
 
 def section_of(name: str) -> str | None:

@@ -45,6 +45,7 @@ class ExperienceMapParameters(OdometryInput):
         'relocalisation after two metres of consistent evidence. Not in the papers.',
         'places are recognised but loops are not closed',
         'places that look alike are confused',
+        runtime='at next message',
     )  # fmt: skip
     exp_relocate: str = parameter(
         'views', '', 0, 0,
@@ -61,6 +62,7 @@ class ExperienceMapParameters(OdometryInput):
         'falls below this; 0: never. Only the tries of named behaviours count.',
         'the robot keeps trying blocked routes for too long',
         'routes are removed because people pass by',
+        runtime='at next message',
     )  # fmt: skip
     exp_min_tries: int = parameter(
         8, 'tries', 1, 1_000_000,
@@ -69,6 +71,7 @@ class ExperienceMapParameters(OdometryInput):
         'limit.',
         'links between neighbouring experiences of one place are removed',
         'wrong links stay for too long',
+        runtime='at next message',
     )  # fmt: skip
     exp_recent_tries: int = parameter(
         3, 'times', 1, 1_000_000,
@@ -77,12 +80,14 @@ class ExperienceMapParameters(OdometryInput):
         '4 timeouts, and a link made 3 times or more after 10.',
         'routes are removed because people pass by',
         'the robot keeps trying blocked routes for too long',
+        runtime='at next message',
     )  # fmt: skip
     exp_try_radius_m: float = parameter(
         1.0, 'm', 0.01, 1000.0,
         'A timeout counts for all links ahead of the robot that pass within this distance of it.',
         'links that pass beside an obstacle are not removed',
         'links past an obstacle are removed with the blocked ones',
+        runtime='at next message',
     )  # fmt: skip
     exp_initial_em_deg: float = parameter(
         90.0, 'deg', -360.0, 360.0, 'Initial heading of the robot in the map.',
@@ -108,10 +113,25 @@ class ExperienceMapParameters(OdometryInput):
     publish_tf: bool = parameter(
         True, '', 0, 1, 'Live only: publish map_frame -> odom_frame on /tf.',
         'RViz should show the robot in the map', 'another node localises the robot in the map',
+        runtime='at once',
     )  # fmt: skip
     map_period_s: float = parameter(
         1.0, 's', 0.0, 3600.0,
         'Live only: minimum time between two messages with the whole map; the latest map is '
         'always sent.',
         'large maps take too much network bandwidth', 'the map should be shown sooner',
+        runtime='at once',
+    )  # fmt: skip
+    grid_period_s: float = parameter(
+        2.0, 's', 0.0, 3600.0,
+        'Live only: minimum time between two messages with the occupancy grid of the scans, which '
+        'is drawn with exp_align_scans while it has a subscriber.',
+        'the grid takes too much network bandwidth', 'the grid should be shown sooner',
+        runtime='at once',
+    )  # fmt: skip
+    grid_cell_m: float = parameter(
+        0.05, 'm', 0.01, 10.0,
+        'Live only: size of a cell of the occupancy grid. It is doubled as often as needed for a '
+        'map to have at most 2048 cells along each axis.',
+        'the grid takes too much network bandwidth', 'narrow passages should be visible',
     )  # fmt: skip

@@ -87,7 +87,9 @@ class GoalFollowerParameters(LiveInput):
     explore: bool = parameter(
         False, '', 0, 1, 'Live only: explore while there is no goal.',
         'the robot should map its environment on its own',
-        'the robot is driven by an operator or another node')  # fmt: skip
+        'the robot is driven by an operator or another node',
+        runtime='at once',
+    )  # fmt: skip
     explore_seed: int = parameter(
         1, '', 0, 2**31 - 1, 'Live only: seed of the random numbers used in exploration.',
         'it should explore in another order', 'it should explore as it did before')  # fmt: skip

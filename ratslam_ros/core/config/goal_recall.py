@@ -17,28 +17,33 @@ class GoalRecallParameters(Section):
         0.5, 'm', 0.0, 1e6,
         'A goal position is assigned to the nearest experience within this distance.',
         'goals beside the driven path are refused', 'goals are assigned to distant places',
+        runtime='at once',
     )  # fmt: skip
     goal_radius_m: float = parameter(
         0.3, 'm', 0.0, 1e6,
         'A goal is reached when the robot is within this distance of it on the map and comes no '
         'closer. At the end of the route, 1.2 times this distance suffices.',
         'the robot turns back and forth beside a goal', 'the robot stops beside its goals',
+        runtime='at once',
     )  # fmt: skip
     goal_timeout_s: float = parameter(
         0.0, 's; 0: by goal_timeout_factor', 0.0, 1e6,
         'Time limit of a goal, from when the robot sets out for it.',
         'goals time out on the way', 'a robot that is stuck should go on with its next goal',
+        runtime='at once',
     )  # fmt: skip
     goal_timeout_factor: float = parameter(
         10.0, 'times the expected time; 0: no limit', 0.0, 1e6,
         'Time limit of a goal relative to the duration of its first route; at least '
         'goal_timeout_least_s.',
         'goals time out on the way', 'a robot that is stuck should go on with its next goal',
+        runtime='at once',
     )  # fmt: skip
     goal_timeout_least_s: float = parameter(
         120.0, 's', 0.0, 1e6, 'Lower bound of the time limit by goal_timeout_factor.',
         'near goals time out because people are in the way',
         'a robot that is stuck should go on with its next goal',
+        runtime='at once',
     )  # fmt: skip
     goal_explore_s: float = parameter(
         600.0, 's; 0: no limit', 0.0, 1e6,
@@ -46,6 +51,7 @@ class GoalRecallParameters(Section):
         'goal fails.',
         'goals fail while the robot still explores',
         'the robot should go on with its next goal sooner',
+        runtime='at once',
     )  # fmt: skip
     route_back_factor: float = parameter(
         1.0, 'times the duration', 1.0, 1000.0,
@@ -65,6 +71,7 @@ class GoalRecallParameters(Section):
         'Time for which the last valid route is kept if none is found from the present place.',
         'the robot turns back or gives up in stretches that it does not recognise',
         'it drives on for too long in a wrong place',
+        runtime='at once',
     )  # fmt: skip
     route_unknown_m: float = parameter(
         0.0, 'm; 0: no limit', 0.0, 1e6,
@@ -91,14 +98,17 @@ class GoalRecallParameters(Section):
         'Hysteresis: a longer route replaces the present one only if no other is found for this '
         'long. A shorter route replaces it at once.',
         'the robot changes its route too often', 'it drives on for too long in a wrong place',
+        runtime='at once',
     )  # fmt: skip
     route_width_m: float = parameter(
         1.5, 'm', 0.0, 1e6,
         'A route is dropped when the robot is further than this from it on the map.',
         'routes are dropped where the map is bent, or in wide rooms',
         'the robot follows a route on the other side of a wall',
+        runtime='at once',
     )  # fmt: skip
     waypoint_ahead_m: float = parameter(
         1.0, 'm', 0.0, 1e6, 'Distance of the waypoint ahead of the robot along the route.',
         'the robot turns too often for small bends of the route', 'it cuts corners',
+        runtime='at once',
     )  # fmt: skip

@@ -23,12 +23,15 @@ class LiveInput(Section):
     watchdog_after_s: float = parameter(
         5.0, 's', 0.1, 3600.0,
         'Live only: warn if an input has been silent for this long, and name its publishers.',
-        'inputs are slower than this', 'a lost input should be reported sooner')  # fmt: skip
+        'inputs are slower than this', 'a lost input should be reported sooner',
+        runtime='at once',
+    )  # fmt: skip
     flush_after_s: float = parameter(
         2.0, 's', 0.0, 600.0,
         'Live only: process all held messages if no input has arrived for this long.',
         'inputs pause for longer than this, and messages are counted as late after the pause',
         'the last messages of a recording should reach the map sooner',
+        runtime='at once',
     )  # fmt: skip
     on_jump_back: str = parameter(
         'start_over', '', 0, 0,
@@ -37,6 +40,7 @@ class LiveInput(Section):
         'set to go_on to recognise known places in the next round of a loop',
         'set to start_over to build the same map in each round',
         choices=('start_over', 'go_on'),
+        runtime='at once',
     )  # fmt: skip
 
 
@@ -51,6 +55,7 @@ class ImageInput(LiveInput):
         'set to compressed to save network bandwidth',
         'set to raw if compression artefacts impair recognition',
         choices=('auto', 'raw', 'compressed'),
+        runtime='at once',
     )  # fmt: skip
 
 
@@ -83,6 +88,7 @@ class Memory(MapFile):
         'Live only: folder in which the services save and load keep one memory file per node.',
         'set to a separate folder for each environment that the robot works in',
         'leave as it is for a single robot in a single environment',
+        runtime='at once',
     )  # fmt: skip
 
 

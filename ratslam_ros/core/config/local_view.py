@@ -51,7 +51,9 @@ class LocalViewParameters(Forgetting, ImageInput, OdometryInput):
         'Largest difference at which a view is recognised as a known template. Automatic: about '
         'half the difference between views of unrelated places, which is measured while driving.',
         'known places are not recognised (ratslam tune proposes a value)',
-        'different places are confused', automatic=True)  # fmt: skip
+        'different places are confused', automatic=True,
+        runtime='at next message',
+    )  # fmt: skip
     vt_match_ratio: float = parameter(
         0.655, 'share of the difference between unrelated views', 0.0, 1.0,
         'If vt_match_threshold is automatic: largest difference of a match. Automatic: lower in '
@@ -59,7 +61,9 @@ class LocalViewParameters(Forgetting, ImageInput, OdometryInput):
         'with an unknown field of view cannot.',
         'known places are not recognised',
         'places that look alike, or neighbouring places, are confused',
-        automatic=True)  # fmt: skip
+        automatic=True,
+        runtime='at next message',
+    )  # fmt: skip
     vt_shift_match: int = parameter(
         5, 'template px', 0, 511,
         'Largest horizontal shift tried to either side (forward camera).',
@@ -86,12 +90,16 @@ class LocalViewParameters(Forgetting, ImageInput, OdometryInput):
         'Number of newest templates that are matched with vt_recent_threshold. Automatic: the '
         'newest ones back to the first that does not match the view.',
         'slow driving matches the latest templates instead of learning new ones',
-        'a loop is shorter than this many templates', automatic=True)  # fmt: skip
+        'a loop is shorter than this many templates', automatic=True,
+        runtime='at next message',
+    )  # fmt: skip
     vt_recent_threshold: float = parameter(
         0.5, 'share of vt_match_threshold', 0.0, 1.0,
         'Stricter threshold for the newest templates, by which a new stretch is learned in finer '
         'steps.',
-        'too many templates are learned', 'one template covers too long a stretch')  # fmt: skip
+        'too many templates are learned', 'one template covers too long a stretch',
+        runtime='at next message',
+    )  # fmt: skip
     vt_max: int = parameter(
         0, 'templates; 0: any number', 0, 100_000_000,
         'Limit of the number of templates. At the limit, each new template replaces one that is '
@@ -118,7 +126,9 @@ class LocalViewParameters(Forgetting, ImageInput, OdometryInput):
         'Images with less structure (root mean square of the brightness gradient per pixel, at a '
         'size of 48 x 36 px) are neither recognised nor learned. Sensor noise has up to 0.023.',
         'blank walls or dark images are confused',
-        'faint scenes should be recognised')  # fmt: skip
+        'faint scenes should be recognised',
+        runtime='at next message',
+    )  # fmt: skip
     vt_panoramic: bool = parameter(
         False, '', 0, 1, 'The camera sees 360 degrees: views are compared at every rotation.',
         'the camera is panoramic', 'the camera looks forward')  # fmt: skip
@@ -127,7 +137,8 @@ class LocalViewParameters(Forgetting, ImageInput, OdometryInput):
         'Compute the exact minimum error of unknown views as well; otherwise it is reported as '
         '-1.',
         'the errors of unknown views are needed to choose a threshold',
-        'there are hundreds of thousands of templates, and matching is too slow'
+        'there are hundreds of thousands of templates, and matching is too slow',
+        runtime='at next message',
     )  # fmt: skip
 
     def __post_init__(self) -> None:

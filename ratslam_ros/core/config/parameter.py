@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import Field, dataclass, field, fields
-from typing import Any, cast
+from typing import Any, Literal, cast
 
 from ratslam_ros.errors import UnusableParameter
 
@@ -19,6 +19,10 @@ AUTOMATIC = -1
 
 NO_FILE = ''
 """Default of parameters that are paths of files, which may contain spaces."""
+
+Change = Literal['no', 'at once', 'at next message']
+"""When a value that is set while a node runs takes effect. Values that influence the map do so at
+the stamp of the next message that the node processes, so that the map depends on stamps only."""
 
 MAX_PATH_LENGTH = 4096
 """Longest path that Linux accepts, in characters."""
@@ -44,6 +48,8 @@ class ParameterInfo:
     """Valid strings; if empty, any string without whitespace is valid, or any path."""
     automatic: bool = False
     """Whether ``AUTOMATIC`` is valid as well."""
+    runtime: Change = 'no'
+    """Whether the value can be set while a node runs, and when it takes effect."""
 
     @property
     def lowest(self) -> float:
@@ -67,14 +73,16 @@ def parameter(
     lower_if: str = '',
     choices: tuple[str, ...] = (),
     automatic: bool = False,
+    runtime: Change = 'no',
 ) -> Any:
     """Declare one parameter as a dataclass field of a section.
 
     Args:
         default: the default value; its type is the type of the parameter.
-        unit, low, high, effect, raise_if, lower_if, choices, automatic: see ``ParameterInfo``.
+        unit, low, high, effect, raise_if, lower_if, choices, automatic, runtime: see
+            ``ParameterInfo``.
     """
-    info = ParameterInfo(unit, low, high, effect, raise_if, lower_if, choices, automatic)
+    info = ParameterInfo(unit, low, high, effect, raise_if, lower_if, choices, automatic, runtime)
     return field(default=default, metadata={'info': info})
 
 
@@ -95,6 +103,31 @@ class Section:
         """Yield name, metadata and default of each parameter, in declared order."""
         for item in fields(cls):
             yield item.name, item.metadata['info'], _default(item)
+
+    def check_change(self, new: Section) -> None:
+        """Check that a part that was created with these values can continue with others.
+
+        Args:
+            new: the other values, of the same class.
+
+        Raises:
+            UnusableParameter: a value differs that is used when the part is created, or a value
+                would become automatic, although nothing has been measured for it.
+        """
+        for name, info, _ in self.parameters():
+            before, now = getattr(self, name), getattr(new, name)
+            if before == now:
+                continue
+            if info.runtime == 'no':
+                raise UnusableParameter(
+                    f'{name} is {before!r} and cannot change while the map is built; restart with '
+                    f'{now!r}'
+                )
+            if info.automatic and now == AUTOMATIC:
+                raise UnusableParameter(
+                    f'{name} is {AUTOMATIC} (automatic); expected {info.low:g} to {info.high:g}, '
+                    'because it was not automatic at the start: restart to have it estimated'
+                )
 
 
 def _default(item: Field[Any]) -> Value:

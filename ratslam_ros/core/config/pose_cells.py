@@ -61,28 +61,36 @@ class PoseCellsParameters(Forgetting, OdometryInput):
         1.0, '', 0.0, 100.0,
         'Habituation added to a template each time that it is seen again in succession.',
         'the pose of a stationary robot is pulled to wrong places',
-        'recognition has too little effect')  # fmt: skip
+        'recognition has too little effect',
+        runtime='at next message',
+    )  # fmt: skip
     pc_vt_inject_energy: float = parameter(
         0.15, 'activity', 0.0, 100.0, 'Activity that a recognised view injects.',
         'places are recognised but loops do not close',
-        'single wrong recognitions move the activity packet')  # fmt: skip
+        'single wrong recognitions move the activity packet',
+        runtime='at next message',
+    )  # fmt: skip
     pc_vt_restore: float = parameter(
         0.05, 'per template message', 0.0, 100.0,
         'Rate at which the habituation of a template decays.',
         'places that are soon seen again have no effect',
         'the pose of a stationary robot is pulled to wrong places',
+        runtime='at next message',
     )  # fmt: skip
     pc_vt_agree_views: float = parameter(
         3.0, 'views; 0: off', 0.0, 100.0,
         'Number of recent views that must agree on a place. The injected energy is multiplied by '
         '((n - m) / this)^4, where n recent views agree with the place and m with the present '
         'estimate. 0: the energy is not weighted, as in OpenRatSLAM.',
-        'wrong recognitions distort the map', 'short revisits are not linked')  # fmt: skip
+        'wrong recognitions distort the map', 'short revisits are not linked',
+        runtime='at next message',
+    )  # fmt: skip
     pc_vt_agree_cells: float = parameter(
         3.0, 'cells', 0.0, 1000.0,
         'Largest distance between the places that two agreeing views indicate.',
         'odometry or views are imprecise compared to the cells',
         'neighbouring places are confused', automatic=True,
+        runtime='at next message',
     )  # fmt: skip
     pc_vt_agree_spacing: float = parameter(
         2.0, 'cells', 0.0, 1000.0,
@@ -90,12 +98,14 @@ class PoseCellsParameters(Forgetting, OdometryInput):
         'the turn in heading planes.',
         'places that look alike along a stretch distort the map', 'short revisits are not linked',
         automatic=True,
+        runtime='at next message',
     )  # fmt: skip
     pc_vt_agree_recent: int = parameter(
         8, 'views', 1, 1000,
         'Number of recognised views, at least pc_vt_agree_spacing apart, that are kept for '
         'counting agreement.',
         'correct recognitions are rare among wrong ones', 'repetitive places agree by chance',
+        runtime='at next message',
     )  # fmt: skip
     pc_vt_agree_mean: float = parameter(
         0.0, '0: off', 0.0, 1.0,
@@ -104,6 +114,7 @@ class PoseCellsParameters(Forgetting, OdometryInput):
         'recognised pc_vt_agree_spacing later.',
         'views are recognised from some distance and the odometry is good',
         'the odometry is poor and views are recognised precisely',
+        runtime='at next message',
     )  # fmt: skip
     pc_vt_agree_near: float = parameter(
         0.0, 'cells; 0: off', 0.0, 1e6,
@@ -112,13 +123,16 @@ class PoseCellsParameters(Forgetting, OdometryInput):
         'by the odometry since a known place.',
         'paths are mapped a second time beside themselves', 'neighbouring places are confused',
         automatic=True,
+        runtime='at next message',
     )  # fmt: skip
     exp_delta_pc_threshold: float = parameter(
         2.0, 'cells', 0.01, 1000.0,
         'Distance in the pose cells from the current experience at which another experience is '
         'created or becomes current.',
         'places are recognised but not linked, or there are too many experiences',
-        'the map is too coarse, or wrong places are linked', automatic=True)  # fmt: skip
+        'the map is too coarse, or wrong places are linked', automatic=True,
+        runtime='at next message',
+    )  # fmt: skip
     exp_place_offset: bool = parameter(
         False, '', 0, 1,
         'A robot that arrives at a known experience is placed on the map where the packet is '
@@ -147,18 +161,24 @@ class PoseCellsParameters(Forgetting, OdometryInput):
         2.0, 'cells', 0.01, 1000.0,
         'Distance along x and y at which the activity of an experience reaches zero: r_a of '
         'Milford et al. (2006).',
-        'too few experiences are active', 'experiences far from the peak are active')  # fmt: skip
+        'too few experiences are active', 'experiences far from the peak are active',
+        runtime='at next message',
+    )  # fmt: skip
     exp_activity_th: float = parameter(
         2.0, 'cells', 0.01, 1000.0,
         'Heading difference at which the activity of an experience reaches zero: theta_a of '
         'Milford et al. (2006).',
         'too few experiences are active',
-        'experiences with other headings are active')  # fmt: skip
+        'experiences with other headings are active',
+        runtime='at next message',
+    )  # fmt: skip
     exp_activity_threshold: float = parameter(
         0.0, 'activity', 0.0, 2.0,
         'If exp_current_by is activity: a new experience is created if none is more active than '
         'this.',
-        'the map is too coarse', 'there are too many experiences')  # fmt: skip
+        'the map is too coarse', 'there are too many experiences',
+        runtime='at next message',
+    )  # fmt: skip
     exp_max: int = parameter(
         0, 'experiences; 0: any number', 0, 100_000_000,
         'Limit of the number of experiences. At the limit, each new experience replaces one that '

@@ -64,10 +64,14 @@ class VisualOdometryParameters(ImageInput, MapFile):
     vtrans_scaling: float = parameter(
         100.0, 'm/s per unit of profile difference', 0.0, 1e6,
         'Speed per unit of difference between successive profiles.',
-        'the map is too small', 'the map is too large')  # fmt: skip
+        'the map is too small', 'the map is too large',
+        runtime='at next message',
+    )  # fmt: skip
     vtrans_max: float = parameter(
         20.0, 'm/s', 0.0, 1000.0, 'Upper limit of the measured speed.', 'fast driving is cut off',
-        'changes of light cause bursts of speed')  # fmt: skip
+        'changes of light cause bursts of speed',
+        runtime='at next message',
+    )  # fmt: skip
     fov_from_camera_info: bool = parameter(
         True, '', 0, 1,
         'Use the field of view from camera_info if it is recorded or published. Live, images wait '
@@ -76,7 +80,9 @@ class VisualOdometryParameters(ImageInput, MapFile):
     )  # fmt: skip
     publish_tf: bool = parameter(
         False, '', 0, 1, 'Live only: publish odom_frame -> base_frame on /tf.',
-        'no other node publishes it', 'the robot publishes it')  # fmt: skip
+        'no other node publishes it', 'the robot publishes it',
+        runtime='at once',
+    )  # fmt: skip
     odom_frame: str = parameter(
         'odom', '', 0, 0, 'Live only: frame of the integrated pose.',
         "set to the name of the robot's odometry frame",

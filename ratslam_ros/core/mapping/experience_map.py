@@ -37,6 +37,7 @@ from ratslam_ros.core.mapping.loop_closure_gate import (
     long_known_experience,
 )
 from ratslam_ros.core.mapping.optimiser import PoseGraphOptimiser
+from ratslam_ros.core.mapping.pose_hint import PoseHint
 from ratslam_ros.core.mapping.scan_matching import ScanMatch
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
 from ratslam_ros.core.pose_cells.map_relocation import MapRelocation
@@ -97,7 +98,7 @@ class ExperienceMap(ExperienceGraph):
     def __init__(self, parameters: ExperienceMapParameters) -> None:
         heading_rad = wrap(math.radians(parameters.exp_initial_em_deg))
         super().__init__(Pose(0.0, 0.0, heading_rad), parameters.map_frame)
-        self._p = parameters
+        self._p = self._created_with = parameters
         self.mapping = True
         """Whether the graph is extended and relaxed; if not, the robot is only localised on it."""
         self.on_pruned: list[Callable[[int, int, Pose], None]] = []
@@ -116,6 +117,15 @@ class ExperienceMap(ExperienceGraph):
         self._recognised_at_m = 0.0
         self._was_relocated = False
         self._optimiser = PoseGraphOptimiser(parameters)
+
+    def reconfigure(self, parameters: ExperienceMapParameters) -> None:
+        """Continue with other values, from the next message on.
+
+        Raises:
+            UnusableParameter: a parameter differs that cannot change; nothing is changed.
+        """
+        self._created_with.check_change(parameters)
+        self._p = parameters
 
     @property
     def pose(self) -> Pose:
@@ -313,8 +323,13 @@ class ExperienceMap(ExperienceGraph):
                 claimed = composed(self.pose_of(action.target_id), target_offset)
                 has_scan = scan_match is not None and scan_match.fits is not None
                 by_views = self._p.exp_relocate != 'landmarks' or not has_scan
-                relocated = self.gate.record_closure(self.pose, claimed, by_views)
-                reason += f'; {self.gate.agreeing_count} of {REQUIRED_COUNT} closures agree'
+                relocated = self.gate.record_closure(
+                    self.pose, claimed, by_views, self._odometer_m
+                )
+                required = self.gate.required_count
+                reason += f'; {self.gate.agreeing_count} of {required} closures agree'
+                if required < REQUIRED_COUNT:
+                    reason += ', as does the given pose'
             outcome: Outcome = 'relocated' if relocated else 'rejected'
             events = (ClosureEvent(outcome, self.current_id, target, reason),)
             if not relocated:
@@ -338,6 +353,19 @@ class ExperienceMap(ExperienceGraph):
         self._record_scan_confirmation(scan_match)
         self._relax()
         return MapUpdate(pruned, events)
+
+    def suggest(self, hint: PoseHint) -> bool:
+        """Use a pose on the map that an operator has given as evidence for relocations.
+
+        It has no effect without the loop-closure gate (``exp_jump_drift``), which without a hint
+        accepts every closure, and before the first experience.
+
+        Returns:
+            Whether it is used: it differs from the present estimate.
+        """
+        if self._p.exp_jump_drift == 0.0 or self.current_id == NO_EXPERIENCE:
+            return False
+        return self.gate.suggest(hint, self.pose, self._odometer_m)
 
     def relocate(self, target_id: int, target_offset: Pose, views: Sequence[Pose] = ()) -> bool:
         """Move the robot to another place that was proven by scans; return whether it is accepted.

@@ -22,12 +22,17 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.state import State
+from ratslam_ros.core.mapping.pose_hint import LONGEST_M, GivenHint, PoseHint
 
 FREE_DISPLACEMENT_M, FREE_ROTATION_RAD = 1.0, 0.6
 """Displacement and rotation that are always allowed; the allowance for drift is added."""
 
 SPOT_COUNT, REQUIRED_COUNT = 8, 6
 """Number of most recent spots considered, and number of them that must support a relocation."""
+
+HINTED_COUNT = 2
+"""Number of spots that must support a relocation which agrees with a pose hint. A single view is
+no evidence."""
 
 SPOT_SPACING_M = 0.3
 """Distance between spots; a robot that turns in place gives one spot, not many."""
@@ -115,6 +120,11 @@ class LoopClosureGate:
         """Number of accepted relocations."""
         self.agreeing_count = 0
         """Number of recent closures that agreed with the last one, itself included."""
+        self.required_count = REQUIRED_COUNT
+        """Number of closures that the last one required."""
+        self.hint: GivenHint | None = None
+        """Where the robot is according to an operator, None if nothing is known."""
+        self._refuting_count = 0
 
     def state(self) -> State:
         """Return the evidence, for ``restore``."""
@@ -126,6 +136,9 @@ class LoopClosureGate:
             'lost': self.accepts_next, 'doubting': self.rejecting,
             'refused': self.rejected_count, 'believed': self.relocation_count,
             'agreeing': self.agreeing_count,
+            **({} if self.hint is None else {
+                'hint': self.hint.state(), 'refuting': self._refuting_count
+            }),
         }  # fmt: skip
 
     def restore(self, state: State) -> None:
@@ -133,19 +146,45 @@ class LoopClosureGate:
         self.accepts_next, self.rejecting = state['lost'], state['doubting']
         self.rejected_count, self.relocation_count = state['refused'], state['believed']
         self.agreeing_count = state.get('agreeing', 0)
+        if 'hint' in state:
+            self.hint = GivenHint.from_state(state['hint'])
+            self._refuting_count = state['refuting']
         self._spots.extend(
             Spot(x_m, y_m, here and Pose(*here), claimed and Pose(*claimed))
             for x_m, y_m, here, claimed in state['spots']
         )
 
+    def suggest(self, hint: PoseHint, here: Pose, odometer_m: float) -> bool:
+        """Use a pose hint as evidence, until it is confirmed, refuted or too old.
+
+        Args:
+            hint: where the robot is.
+            here: pose of the robot on the map by the present estimate.
+            odometer_m: odometer reading in m.
+
+        Returns:
+            Whether it differs from the present estimate; otherwise it has no effect.
+        """
+        given = GivenHint(hint, here, odometer_m)
+        differs = not given.agrees(here, here, odometer_m)
+        self.hint, self._refuting_count = given if differs else None, 0
+        return differs
+
+    def expire(self, odometer_m: float) -> None:
+        """Discard a hint that was given too long ago for odometry to carry it along."""
+        if self.hint is not None and odometer_m - self.hint.odometer_m > LONGEST_M:
+            self.hint = None
+
     def restart(self) -> None:
         """Accept the next relocation at once: the robot may have been carried unobserved."""
         self._spots.clear()
+        self.hint = None
         self.accepts_next = True
 
     def discard_path(self) -> None:
         """Discard the evidence: the robot's motion since it was recorded is unknown."""
         self._spots.clear()
+        self.hint = None
         self.rejecting = False
 
     def record_new_place(self, here: Pose) -> None:
@@ -157,15 +196,22 @@ class LoopClosureGate:
     def record_agreement(self, here: Pose) -> None:
         """Record a recognition that agrees with the present pose estimate."""
         self.rejecting = self.accepts_next = False
+        if self.hint is not None and not self._is_last(here.x_m, here.y_m):
+            self._refuting_count += 1
+            if self._refuting_count >= CONTRADICTING_VIEW_COUNT:
+                self.hint = None
         self._record(Spot(here.x_m, here.y_m))
 
-    def record_closure(self, here: Pose, claimed: Pose, by_views: bool = True) -> bool:
+    def record_closure(
+        self, here: Pose, claimed: Pose, by_views: bool = True, odometer_m: float = 0.0
+    ) -> bool:
         """Record a closure that exceeds the drift, and return whether it is accepted.
 
         Args:
             here: pose of the robot on the map before the closure.
             claimed: pose of the robot on the map according to the closure.
             by_views: whether views can relocate the robot; if not, every closure is rejected.
+            odometer_m: odometer reading in m.
         """
         self._record(Spot(here.x_m, here.y_m, here, claimed))
         self.agreeing_count = sum(
@@ -173,7 +219,10 @@ class LoopClosureGate:
             < AGREEMENT_M
             for _, _, there, claim in self._spots if there is not None and claim is not None
         )  # fmt: skip
-        enough = self.agreeing_count >= REQUIRED_COUNT or self.accepts_next
+        self.expire(odometer_m)
+        is_hinted = self.hint is not None and self.hint.agrees(here, claimed, odometer_m)
+        self.required_count = HINTED_COUNT if is_hinted else REQUIRED_COUNT
+        enough = self.agreeing_count >= self.required_count or self.accepts_next
         self.rejecting = not (enough and by_views)
         if self.rejecting:
             self.rejected_count += 1
@@ -181,6 +230,7 @@ class LoopClosureGate:
         self.relocation_count += 1
         self.accepts_next = False
         self._spots.clear()
+        self.hint = None
         return True
 
     def offer_proven(self, claimed: Pose, views: Sequence[Pose]) -> bool:
@@ -200,6 +250,7 @@ class LoopClosureGate:
         self.accepts_next = False
         self.rejecting = True  # until the pose cells arrive there as well
         self._spots.clear()
+        self.hint = None
         return True
 
     def reject_by_scan(self, here: Pose) -> None:

@@ -127,6 +127,11 @@ class ScanMatcher:
         self._track.clear()
         self._variance_m2 = self._variance_before_m2 = math.inf
 
+    @property
+    def variance_m2(self) -> float:
+        """Largest variance of the robot's position on the map, inf before a first scan."""
+        return self._variance_m2
+
     def reference(self, experience_id: int) -> NDArray[np.float32] | None:
         """Return the (n, 2) points in m of an experience's scan, in its frame; None if unknown."""
         return self._references.get(experience_id)

@@ -44,6 +44,7 @@ class GoalTask:
         routed_ns: stamp of its first route.
         expected_s: duration of its first route in s.
         ended_ns: stamp of the last update for this goal.
+        request: the client's name of the request that the goal belongs to, '' for none.
     """
 
     number: int
@@ -56,6 +57,7 @@ class GoalTask:
     routed_ns: int | None = None
     expected_s: float | None = None
     ended_ns: int | None = None
+    request: str = ''
 
 
 class Navigator:
@@ -94,7 +96,7 @@ class Navigator:
 
     def go_to(
         self, *targets: Target, append: bool = False, timeout_s: float | None = None,
-        tolerance_m: float = 0.0,
+        tolerance_m: float = 0.0, request: str = '',
     ) -> list[GoalTask]:  # fmt: skip
         """Request goals in this order, and cancel all earlier ones unless appending.
 
@@ -104,6 +106,7 @@ class Navigator:
             timeout_s: time limit of each goal in s, from its first update; 0 for none, None for
                 the limit of the parameters.
             tolerance_m: tolerance of positions in m, 0 for ``goal_tolerance_m``.
+            request: the client's name of this request, for ``cancel``.
 
         Raises:
             UnreachableGoal: a target is unknown or unreachable, or the timeout is invalid. The
@@ -116,7 +119,7 @@ class Navigator:
             self.cancel('another goal was asked for')
         tasks = [
             GoalTask(self._count + n, goal, str(goal if isinstance(target, int) else target),
-                   timeout_s)
+                   timeout_s, request=request)
             for n, (goal, target) in enumerate(zip(goals, targets, strict=True))
         ]  # fmt: skip
         self._count += len(tasks)
@@ -137,9 +140,14 @@ class Navigator:
             self._queue.append(GoalTask(self._count, goal, str(asked), timeout_s))
             self._count += 1
 
-    def cancel(self, reason: str = 'on request', number: int | None = None) -> int:
-        """Cancel the goal with a number, or all unfinished goals; return how many."""
-        tasks = [task for task in self._queue if number is None or task.number == number]
+    def cancel(
+        self, reason: str = 'on request', number: int | None = None, request: str | None = None
+    ) -> int:
+        """Cancel the goal with a number, those of a request, or all; return how many."""
+        tasks = [
+            task for task in self._queue
+            if number in (None, task.number) and request in (None, task.request)
+        ]  # fmt: skip
         for task in tasks:
             self._end(task, 'cancelled', reason)
         return len(tasks)

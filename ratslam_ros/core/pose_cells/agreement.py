@@ -67,6 +67,10 @@ class Agreement:
         self._components = np.empty(MAX_HYPOTHESES_COUNT, np.int64)
         self._count = 0
 
+    def reconfigure(self, views: float, recent: int) -> None:
+        """Continue with other numbers of views; see the constructor."""
+        self._views, self._recent = views, recent
+
     def state(self) -> State:
         """Return all hypotheses, for ``restore``."""
         return {

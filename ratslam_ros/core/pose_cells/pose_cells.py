@@ -31,7 +31,7 @@ from ratslam_ros.errors import UnusableInput
 _STATE_KEYS = (
     'dims', 'packets', 'memories', 'unrolled', 'messages', 'last_template', 'experiences',
     'transitions', 'visits', 'gaps', 'current', 'since_current', 'stepped', 'agreement',
-    'calibration', 'freshness', 'created',
+    'calibration', 'freshness', 'superseded', 'created',
 )  # fmt: skip
 """Order of the keys in memory files."""
 
@@ -44,7 +44,7 @@ class PoseCells:
     """
 
     def __init__(self, parameters: PoseCellsParameters) -> None:
-        p = self._p = parameters
+        p = self._p = self._created_with = parameters
         self.mapping = True
         """Whether templates are associated and experiences created; False only localises."""
         self._torus = Torus(p.pc_dim_x, p.pc_dim_y, p.pc_dim_th)
@@ -76,6 +76,17 @@ class PoseCells:
     def __len__(self) -> int:
         """Return the number of experiences."""
         return len(self._experiences)
+
+    def reconfigure(self, parameters: PoseCellsParameters) -> None:
+        """Continue with other values, from the next message on.
+
+        Raises:
+            UnusableParameter: a parameter differs that cannot change; nothing is changed.
+        """
+        self._created_with.check_change(parameters)
+        self._p = self.lengths.parameters = parameters
+        self._evidence.reconfigure(parameters)
+        self._experiences.reconfigure(parameters)
 
     @property
     def current_experience(self) -> int:

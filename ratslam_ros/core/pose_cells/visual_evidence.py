@@ -112,6 +112,11 @@ class VisualEvidence:
         self.recent: deque[Unwrapped] = deque(maxlen=RECENT_RECOGNITIONS_COUNT)
         """Unwrapped positions at which the latest recognised templates were first seen."""
 
+    def reconfigure(self, parameters: PoseCellsParameters) -> None:
+        """Continue with other values; ``lengths`` must have them already."""
+        self._p = parameters
+        self._agreement.reconfigure(parameters.pc_vt_agree_views, parameters.pc_vt_agree_recent)
+
     def state(self) -> State:
         """Return everything learned, for ``restore``."""
         table = self._rows.values

@@ -122,7 +122,7 @@ class LocalView:
         Raises:
             UnusableParameter: ``vt_descriptor`` is not built in.
         """
-        p = self._p = parameters
+        p = self._p = self._created_with = parameters
         self.mapping = True
         """Whether unknown views are learned; otherwise they are reported as template -1."""
         self.low_texture = 0
@@ -137,6 +137,18 @@ class LocalView:
 
     def __len__(self) -> int:
         return len(self._memory)
+
+    def reconfigure(self, parameters: LocalViewParameters) -> None:
+        """Continue with other values, from the next message on.
+
+        Raises:
+            UnusableParameter: a parameter differs that cannot change; nothing is changed.
+        """
+        self._created_with.check_change(parameters)
+        self._p = parameters
+        self._threshold.reconfigure(parameters)
+        if self._look_alikes is not None and uses_odometry(parameters):
+            self._threshold.use_ratio(self._look_alikes.ratio)
 
     @property
     def templates(self) -> NDArray[np.uint8]:
@@ -234,7 +246,7 @@ class LocalView:
         threshold = self._threshold.value if self._threshold.is_automatic else FIXED_THRESHOLD
         is_automatic = self._p.vt_recent_templates == AUTOMATIC
         related_count = len(self) - first_recent if is_automatic else 0
-        if recognised is not None and self._look_alikes is not None:
+        if recognised is not None and self._look_alikes is not None and uses_odometry(self._p):
             is_elsewhere = self._look_alikes.contradicts(recognised.template_id)
             recognised = None if is_elsewhere else recognised
         if recognised is not None:
@@ -264,7 +276,8 @@ class LocalView:
         if self._look_alikes is None or not self.mapping:
             return
         self._look_alikes.see(view)
-        self._threshold.use_ratio(self._look_alikes.ratio)
+        if uses_odometry(self._p):
+            self._threshold.use_ratio(self._look_alikes.ratio)
 
     def _to_remove(self) -> tuple[int, ...]:
         """Select the templates to remove, so that ``vt_max`` leaves room for a new one.
@@ -322,7 +335,7 @@ class LocalView:
         state: State = {'templates': self.templates}
         if self._p.vt_descriptor != INTENSITY:
             state['descriptor'] = self._p.vt_descriptor
-        if self._threshold.is_automatic:
+        if self._threshold.estimates:
             state['threshold'] = self._threshold.state()
         if self._look_alikes is not None:
             state['look_alikes'] = self._look_alikes.state()
@@ -365,7 +378,8 @@ class LocalView:
             self._threshold.restore(state['threshold'], len(self))
         if self._look_alikes is not None and 'look_alikes' in state:
             self._look_alikes.restore(state['look_alikes'])
-            self._threshold.use_ratio(self._look_alikes.ratio)
+            if uses_odometry(self._p):
+                self._threshold.use_ratio(self._look_alikes.ratio)
         if 'motion' in state:
             self._motion.restore(state['motion'])
             self.low_texture = state['low_texture']

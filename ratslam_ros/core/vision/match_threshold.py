@@ -58,13 +58,26 @@ class MatchThreshold:
         self._full_sum = full_sum
         self.is_automatic = parameters.vt_match_threshold == AUTOMATIC
         """Whether the threshold is estimated from the views."""
+        self.estimates = self.is_automatic
+        """Whether differences of views are measured: also after the threshold has been set."""
         self._threshold = parameters.vt_match_threshold
         self._prior = math.floor(typical * full_sum)
         self._samples: list[int] = []
         self._template_count = 0
         self.related_limit = 0
         """Largest SAD of views between which the scene has changed only in part."""
-        if self.is_automatic:
+        if self.estimates:
+            self._estimate()
+
+    def reconfigure(self, parameters: LocalViewParameters) -> None:
+        """Continue with other values of the parameters; what was measured is kept."""
+        self._recent = parameters.vt_recent_threshold
+        if parameters.vt_match_ratio != AUTOMATIC:
+            self._ratio = parameters.vt_match_ratio
+        self.is_automatic = parameters.vt_match_threshold == AUTOMATIC
+        if not self.is_automatic:
+            self._threshold = parameters.vt_match_threshold
+        if self.estimates:
             self._estimate()
 
     @property
@@ -96,7 +109,7 @@ class MatchThreshold:
         """Restore the samples that ``state`` returned."""
         self._samples = [int(sample) for sample in state['samples']]
         self._template_count = template_count
-        if self.is_automatic:
+        if self.estimates:
             self._estimate()
 
     def learn(
@@ -110,7 +123,7 @@ class MatchThreshold:
             unrelated: number of oldest templates that are unrelated to it.
             sad_of: function from the number of a template, the oldest first, to its SAD.
         """
-        if not self.is_automatic:
+        if not self.estimates:
             return
         count = min(SAMPLES_PER_TEMPLATE, unrelated)
         # Evenly spaced over the unrelated templates, with another offset for each template.
@@ -128,7 +141,8 @@ class MatchThreshold:
         spread = ordered[int(_ABOVE_MEDIAN * len(ordered))] / max(median, 1) - 1.0
         ratio = _ratio_of_chance(FALSE_MATCH_RATE / max(self._template_count, 1), spread)
         self.related_limit = math.floor(RELATED_RATIO * median)
-        self._threshold = min(self._ratio, ratio) * median / self._full_sum
+        if self.is_automatic:
+            self._threshold = min(self._ratio, ratio) * median / self._full_sum
 
 
 def _ratio_of_chance(probability: float, spread: float) -> float:

@@ -53,7 +53,7 @@ class VisualOdometry:
     """Estimation of the turn rate from the image shift, and of the speed from the image change."""
 
     def __init__(self, parameters: VisualOdometryParameters) -> None:
-        self._p = parameters
+        self._p = self._created_with = parameters
         self._last: tuple[int, tuple[int, ...], Profile, Profile] | None = None
         self._pose = Pose(0.0, 0.0, 0.0)
         self._sized: tuple[tuple[int, ...], Window, Window] | None = None
@@ -109,6 +109,16 @@ class VisualOdometry:
         motion = Motion(dt_s, twist.linear_x_mps * dt_s, twist.angular_z_radps * dt_s)
         self._pose = moved(self._pose, motion)
         return Odometry(stamp_ns, twist, self._pose, scale_known=False)
+
+    def reconfigure(self, parameters: VisualOdometryParameters) -> None:
+        """Continue with other values, from the next image on; the field of view stays as it is.
+
+        Raises:
+            UnusableParameter: a parameter differs that cannot change; nothing is changed.
+        """
+        first = self._created_with
+        first.check_change(replace(parameters, camera_fov_deg=first.camera_fov_deg))
+        self._p = replace(parameters, camera_fov_deg=self._p.camera_fov_deg)
 
     def set_field_of_view(self, camera_fov_deg: float) -> None:
         """Set the field of view, in degrees, used from the next image on."""

@@ -1,0 +1,187 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Occupancy grid: the scans of all experiences at their present poses on the map.
+
+The grid is a picture of the map for other programs; nothing is computed from it. When the map is
+corrected, scans are removed from where they were and added where they are now, a few at a time.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.mapping.occupancy_kernels import LIMIT_CELLS, cast, write_rows
+from ratslam_ros.core.mapping.scan_matching import MAX_RANGE_M, ScanMatcher
+
+ROWS = 64
+"""Rows of the picture that are written in one step: 0.5 ms at the full width."""
+
+MOVED_RAD = 0.01
+"""Rotation at which a scan is drawn again; it moves points at 5 m by a cell of 0.05 m."""
+
+CHECKED = 512
+"""Number of experiences in each step whose scans are compared with those that were drawn."""
+
+
+class Drawn(NamedTuple):
+    """A scan as it is in the grid: pose, and points in its frame in m."""
+
+    pose: Pose
+    points: NDArray[np.float32]
+
+
+class Picture(NamedTuple):
+    """Probabilities that cells are occupied.
+
+    Attributes:
+        x_m, y_m: position on the map of the corner of the first cell.
+        cell_m: size of a cell.
+        percent: (rows, columns) int8, x to the right and y up; -1: unknown.
+    """
+
+    x_m: float
+    y_m: float
+    cell_m: float
+    percent: NDArray[np.int8]
+
+
+class OccupancyGrid:
+    """Counts, for each cell, the scans that end in it and that pass it."""
+
+    def __init__(self, cell_m: float) -> None:
+        """Create an empty grid.
+
+        Args:
+            cell_m: size of a cell. It doubles whenever the map is longer than ``LIMIT_CELLS``, so
+                that memory and messages stay bounded.
+        """
+        self.cell_m = cell_m
+        self.has_changed = False
+        """Whether the last update has changed anything."""
+        self._clear()
+
+    def _clear(self) -> None:
+        cells = LIMIT_CELLS * LIMIT_CELLS
+        # Memory of zeros is only taken when it is written.
+        self._hits, self._misses = np.zeros(cells, np.int32), np.zeros(cells, np.int32)
+        self._marks, self._mark = np.zeros(cells, np.int32), 0
+        self._drawn: dict[int, Drawn] = {}
+        self._poses = np.empty((0, 3))
+        self._bounds: tuple[int, int, int, int] | None = None
+        self._next = 0
+
+    def update(self, graph: ExperienceMap, scans: ScanMatcher, count: int) -> int:
+        """Draw up to a number of scans that are new or have moved, or remove ones that are gone.
+
+        Only the component of the map in which the robot is is drawn: where the others are relative
+        to it is unknown.
+
+        Args:
+            graph: the map.
+            scans: scans of its experiences.
+            count: largest number of scans to draw.
+
+        Returns:
+            Number of scans that are still to be drawn, as far as known.
+        """
+        stale = self._stale(graph, scans)
+        self.has_changed = False
+        for experience_id in stale[:count]:
+            self._remove(experience_id)
+            points = scans.reference(experience_id)
+            self._poses[experience_id] = graph.pose_of(experience_id)
+            if points is None or self._is_apart(graph, experience_id):
+                continue
+            pose = graph.pose_of(experience_id)
+            if not self._make_room(pose):
+                return len(graph)
+            self.has_changed = True
+            self._drawn[experience_id] = Drawn(pose, points)
+            low_x, low_y, high_x, high_y = self._cast(1, pose, points)
+            if self._bounds is not None:
+                a, b, c, d = self._bounds
+                low_x, low_y = min(low_x, a), min(low_y, b)
+                high_x, high_y = max(high_x, c), max(high_y, d)
+            self._bounds = low_x, low_y, high_x, high_y
+        return max(len(stale) - count, 0)
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether no scan was ever drawn."""
+        return self._bounds is None
+
+    def picture(self) -> Iterator[Picture]:
+        """Yield the picture while its rows are written, and last when it is complete."""
+        if self._bounds is None:
+            yield Picture(0.0, 0.0, self.cell_m, np.empty((0, 0), np.int8))
+            return
+        x, y, high_x, high_y = self._bounds
+        percent = np.empty((high_y - y + 1, high_x - x + 1), np.int8)
+        whole = Picture(x * self.cell_m, y * self.cell_m, self.cell_m, percent)
+        for row in range(0, len(percent), ROWS):
+            write_rows(self._hits, self._misses, x, y + row, percent[row : row + ROWS])
+            yield whole
+
+    def _stale(self, graph: ExperienceMap, scans: ScanMatcher) -> list[int]:
+        """Return the ids of experiences that are not drawn as they are, ascending."""
+        poses, count = graph.poses, len(graph)
+        if len(self._poses) < count:
+            grown = np.full((max(2 * len(self._poses), count, 64), 3), np.nan)
+            grown[: len(self._poses)] = self._poses
+            self._poses = grown
+        moved = np.abs(poses - self._poses[:count])
+        moved[:, 2] = np.minimum(moved[:, 2], math.tau - moved[:, 2])
+        limits = 0.5 * self.cell_m, 0.5 * self.cell_m, MOVED_RAD
+        # Positions of experiences that were never drawn are NaN, which is not within any limit.
+        found = set(np.flatnonzero(~(moved <= limits).all(axis=1)).tolist())
+        # New scans and components do not change a pose: compare some experiences in each step.
+        ids = range(self._next, min(self._next + CHECKED, count))
+        self._next = ids.stop if ids.stop < count else 0
+        for i in ids:
+            drawn = self._drawn.get(i)
+            wanted = None if self._is_apart(graph, i) else scans.reference(i)
+            if (None if drawn is None else drawn.points) is not wanted:
+                found.add(i)
+        return sorted(found)
+
+    def _is_apart(self, graph: ExperienceMap, experience_id: int) -> bool:
+        current = graph.current_id
+        return current >= 0 and graph.component_of(experience_id) != graph.component_of(current)
+
+    def _remove(self, experience_id: int) -> None:
+        drawn = self._drawn.pop(experience_id, None)
+        if drawn is not None:
+            self.has_changed = True
+            self._cast(-1, drawn.pose, drawn.points)
+
+    def _cast(
+        self, sign: int, pose: Pose, points: NDArray[np.float32]
+    ) -> tuple[int, int, int, int]:
+        self._mark += 1
+        # The scans of a loaded map are parts of arrays that cannot be written, another type.
+        points = np.array(points, np.float32)
+        bounds: tuple[int, int, int, int] = cast(
+            self._hits, self._misses, self._marks, self._mark, sign,
+            (pose.x_m, pose.y_m, pose.heading_rad), points, self.cell_m, MAX_RANGE_M,
+        )  # fmt: skip
+        return bounds
+
+    def _make_room(self, pose: Pose) -> bool:
+        """Return whether a scan fits; otherwise begin again with cells of twice the size."""
+        around = math.ceil(MAX_RANGE_M / self.cell_m) + 1
+        x, y = math.floor(pose.x_m / self.cell_m), math.floor(pose.y_m / self.cell_m)
+        a, b, c, d = self._bounds or (x, y, x, y)
+        width = max(c, x + around) - min(a, x - around)
+        height = max(d, y + around) - min(b, y - around)
+        if max(width, height) < LIMIT_CELLS:
+            return True
+        self.cell_m *= 2.0
+        self._clear()
+        return False

@@ -1,0 +1,97 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters of the map that are set while a node runs: when each takes effect, and the record."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple
+
+from ratslam_ros.core.config import SECTIONS, Config, ConfigChanges, Value
+
+MAX_CHANGES = 1000
+"""Number of latest changes that are kept in the record."""
+
+
+class ParameterChange(NamedTuple):
+    """A value that holds from the first message with this stamp on; ``key``: section.name."""
+
+    stamp_ns: int
+    key: str
+    value: Value
+
+    def __str__(self) -> str:
+        return f'{self.key} {self.value} from {self.stamp_ns * 1e-9:.3f} s'
+
+
+class ParameterChanges:
+    """Changes that wait for the next message, and a record of those in force."""
+
+    def __init__(self, sections: Iterable[str], config: Config) -> None:
+        """Start without changes.
+
+        Args:
+            sections: sections of the node.
+            config: parameters with which it starts.
+        """
+        self._keys = [
+            (section, name) for section in sections
+            for name, info, _ in SECTIONS[section].parameters()
+            if info.runtime == 'at next message'
+        ]  # fmt: skip
+        self._waiting = ConfigChanges()
+        self._in_force = config
+        self.record: list[ParameterChange] = []
+        """Changes that were made while the present memory was learned, oldest first."""
+
+    def differences(self, before: Config, now: Config) -> dict[str, Value]:
+        """Return the new values that take effect with a message, by ``section.name``."""
+        return {
+            f'{section}.{name}': getattr(getattr(now, section), name)
+            for section, name in self._keys
+            if getattr(getattr(now, section), name) != getattr(getattr(before, section), name)
+        }
+
+    def add(self, config: Config, from_ns: int = 0) -> None:
+        """Add parameters that hold from a stamp on; 0: from the next message on."""
+        self._waiting.add(config, from_ns)
+
+    def due(self, stamp_ns: int) -> list[tuple[Config, list[ParameterChange]]]:
+        """Return the parameters to take over before a message, and record what they change."""
+        found = []
+        for config in self._waiting.due(stamp_ns):
+            values = self.differences(self._in_force, config)
+            changes = [ParameterChange(stamp_ns, key, value) for key, value in values.items()]
+            self._in_force = config
+            self.record = [*self.record, *changes][-MAX_CHANGES:]
+            found.append((config, changes))
+        return found
+
+    def start_over(self, config: Config, record: Iterable[Any] = ()) -> None:
+        """Continue with a memory that was created with the present parameters.
+
+        Args:
+            config: the present parameters.
+            record: ``state`` of the memory.
+        """
+        self._waiting, self._in_force = ConfigChanges(), config
+        self.record = [ParameterChange(int(at), str(key), value) for at, key, value in record]
+
+    def state(self) -> list[list[Value]]:
+        """Return the record, for ``start_over``."""
+        return [list(change) for change in self.record]
+
+
+def encode_values(changes: Iterable[ParameterChange]) -> bytes:
+    """Return the values of changes for the log of a map file."""
+    return json.dumps({change.key: change.value for change in changes}).encode()
+
+
+def decode_values(data: bytes) -> Mapping[str, Value]:
+    """Return what ``encode_values`` has written; {} if it is damaged."""
+    try:
+        values = json.loads(data)
+    except ValueError:
+        return {}
+    return values if isinstance(values, dict) else {}
