@@ -4,13 +4,15 @@
 
     python benchmarks/view.py [--experiences 3000 20000] [--seconds 5]
 
-Draws a synthetic run of a number of experiences at 10 Hz, first in steady driving (a new
-experience at every update), then for 5 s after a loop closure in which all poses move at every map
-message. The browser is asked for frames without pause, and the frames that its renderer has drawn
-are counted; without that it draws only on changes. `server` and `browser` are seconds of processor
-time per second. The server's includes the synthetic run, which is listed alone as `run`. On a
-loaded machine, compare the browser's `ms per frame` instead of the frame rate: processor time of
-all of its threads. Needs Chromium and chromedriver. Linux only.
+Draws nothing first, then a synthetic run of a number of experiences at 10 Hz, first in steady
+driving (a new experience at every update), then for 5 s after a loop closure in which all poses
+move at every map message. The browser is asked for frames without pause, and the frames that its
+renderer has drawn are counted; without that it draws only on changes. `server` and `browser` are
+seconds of processor time per second. The server's includes the synthetic run, which is listed
+alone as `run`. On a loaded machine, compare the browser's `ms per frame` instead of the frame
+rate: processor time of all of its threads. Chromium starts as on a machine without a graphics
+card: it renders WebGL by SwiftShader and composes the page without it. Needs Chromium and
+chromedriver. Linux only.
 """
 
 from __future__ import annotations
@@ -24,11 +26,11 @@ import time
 from pathlib import Path
 from typing import Any
 
-import viser
 from selenium import webdriver
 from selenium.webdriver.chrome.service import Service
 
 from ratslam_ros.viewer.scene import RunScene
+from ratslam_ros.viewer.server import ViewServer
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'test/viewer'))
 
@@ -36,12 +38,13 @@ from synthetic_runs import SyntheticRun
 
 PERIOD_S = 0.1
 CLOSURE_S = 5.0
+SETTLING_S = 5.0
 MAP_MESSAGES = 5
 """Number of updates between two map messages after a closure: 2 Hz."""
 
 OPTIONS = (
     '--headless=new', '--no-sandbox', '--disable-quic', '--no-first-run', '--disable-sync',
-    '--disable-background-networking', '--disable-component-update', '--use-angle=swiftshader',
+    '--disable-background-networking', '--disable-component-update', '--disable-gpu',
     '--enable-unsafe-swiftshader', '--window-size=1280,720',
 )  # fmt: skip
 
@@ -75,8 +78,8 @@ def browser(folder: str) -> webdriver.Chrome:
     return driver
 
 
-def tree_cpu_s(process: int) -> float:
-    """Return the processor time in s of all descendants of a process."""
+def descendants(process: int) -> dict[int, float]:
+    """Return the processor times in s of all descendants of a process."""
     parents, times = {}, {}
     for path in Path('/proc').glob('[0-9]*/stat'):
         try:
@@ -86,19 +89,24 @@ def tree_cpu_s(process: int) -> float:
         number = int(path.parent.name)
         parents[number] = int(fields[1])
         times[number] = (int(fields[11]) + int(fields[12])) / os.sysconf('SC_CLK_TCK')
-    found, total = [process], 0.0
-    while found:
-        parent = found.pop()
+    open_parents, found = [process], {}
+    while open_parents:
+        parent = open_parents.pop()
         children = [number for number, p in parents.items() if p == parent]
-        total += sum(times[number] for number in children)
-        found += children
-    return total
+        found |= {number: times[number] for number in children}
+        open_parents += children
+    return found
+
+
+def tree_cpu_s(process: int) -> float:
+    """Return the processor time in s of all descendants of a process."""
+    return sum(descendants(process).values())
 
 
 class Drive:
     """Draws the run in a thread, as the viewer's loop does."""
 
-    def __init__(self, server: viser.ViserServer, count: int) -> None:
+    def __init__(self, server: Any, count: int) -> None:
         self.server, self.run = server, SyntheticRun(count)
         self.state = self.run.state()
         self.scene = RunScene(server)
@@ -106,7 +114,12 @@ class Drive:
         self.update_s = self.run_s = self.longest_s = 0.0
         self.stop = threading.Event()
         self.thread = threading.Thread(target=self.loop)
-        self.thread.start()
+
+    def end(self) -> None:
+        """Stop driving."""
+        self.stop.set()
+        if self.thread.ident is not None:
+            self.thread.join()
 
     def loop(self) -> None:
         """Drive and draw until ``stop`` is set."""
@@ -150,7 +163,7 @@ def measure(drive: Drive, driver: Any, seconds: float) -> dict[str, float]:
     }  # fmt: skip
 
 
-def count_bytes(server: viser.ViserServer) -> list[int]:
+def count_bytes(server: Any) -> list[int]:
     """Count the bytes of queued arrays and assets, before compression."""
     known = getattr(server, '_bench_bytes', None)
     if known is not None:
@@ -179,16 +192,21 @@ def main() -> None:
     parser.add_argument('--shots', type=Path, help='folder for a screenshot of each state')
     arguments = parser.parse_args()
     for count in arguments.experiences:
-        server = viser.ViserServer('127.0.0.1', 0, verbose=False)
-        drive = Drive(server, count)
+        server = ViewServer(port=0)
+        drive = Drive(server.viser, count)
         with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
             driver = browser(folder)
             try:
-                driver.get(f'http://127.0.0.1:{server.get_port()}')
-                time.sleep(8.0)
-                print(f'{count} experiences, {driver.execute_script(RENDERER)}')
-                for name in ('steady', 'closure'):
-                    if name == 'closure':
+                driver.get(server.url)
+                time.sleep(SETTLING_S)
+                load, cores = os.getloadavg()[0], os.cpu_count()
+                print(f'{count} experiences, {driver.execute_script(RENDERER)}, {cores} cores, '
+                      f'load average {load:.1f}')  # fmt: skip
+                for name in ('empty', 'steady', 'closure'):
+                    if name == 'steady':
+                        drive.thread.start()
+                        time.sleep(SETTLING_S)
+                    elif name == 'closure':
                         drive.closing_until_s = time.monotonic() + arguments.seconds
                     found = measure(drive, driver, arguments.seconds)
                     print(f'  {name:8}' + '  '.join(f'{k} {v:.3g}' for k, v in found.items()),
@@ -197,8 +215,7 @@ def main() -> None:
                         driver.save_screenshot(str(arguments.shots / f'{count}_{name}.png'))
                 print(f'  detail: {drive.scene.detail or "not reduced"}')
             finally:
-                drive.stop.set()
-                drive.thread.join()
+                drive.end()
                 driver.quit()
                 server.stop()
 

@@ -19,7 +19,7 @@ FLAGS = (
     '--disable-background-networking', '--disable-component-update', '--disable-dev-shm-usage',
     '--disable-background-timer-throttling', '--disable-renderer-backgrounding',
     '--disable-backgrounding-occluded-windows', '--hide-scrollbars', '--mute-audio',
-    '--use-angle=swiftshader', '--enable-unsafe-swiftshader',
+    '--disable-gpu', '--enable-unsafe-swiftshader',
 )  # fmt: skip
 
 

@@ -8,15 +8,15 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ratslam_ros.core.common.odometry import Odometry, odometry_from_state, odometry_state
 from ratslam_ros.core.common.scan import Scan, scan_from_state, scan_state
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.vision.local_view import ViewMatch, match_from_state, match_state
+from ratslam_ros.core.vision.prepared_image import PreparedImage
 
 
-def item_state(item: Odometry | Scan | ViewMatch | NDArray[np.uint8] | None) -> State:
+def item_state(item: Odometry | Scan | ViewMatch | PreparedImage | None) -> State:
     """Return a held message for a saved state."""
     if isinstance(item, Odometry):
         return {'odometry': odometry_state(item)}
@@ -37,11 +37,11 @@ def item_from_state(state: State) -> Any:
     return decode[kind](value)
 
 
-def image_state(image: NDArray[np.uint8] | None) -> Any:
+def image_state(image: PreparedImage | None) -> Any:
     """Return an image for a saved state."""
-    return None if image is None else np.array(image)
+    return None if image is None else np.array(image.pixels)
 
 
-def image_from_state(value: Any) -> NDArray[np.uint8] | None:
+def image_from_state(value: Any) -> PreparedImage | None:
     """Return an image from ``image_state``."""
-    return None if value is None else np.asarray(value, np.uint8)
+    return None if value is None else PreparedImage(np.asarray(value, np.uint8))

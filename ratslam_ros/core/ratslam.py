@@ -10,7 +10,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,12 +44,14 @@ from ratslam_ros.core.pose_cells.map_relocation import MapRelocations
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.vision.local_view import (
     UNDECODABLE,
+    EncodedView,
     LocalView,
     ViewMatch,
     ViewMatcher,
     delayed_ns,
     uses_odometry,
 )
+from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.core.vision.visual_odometry import VisualOdometry
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 
@@ -137,14 +139,14 @@ class RatSLAM:
         """Pose by odometry alone, in the map frame."""
         streams = STREAMS if self.scan_matcher is None else STREAMS_WITH_SCANS
         self.order: StampOrder[Odometry | Scan | ViewMatch] = StampOrder(
-            streams, round(config.pose_cells.max_lateness_s * 1e9)
+            streams, round(config.pose_cells.max_lateness_s * 1e9), 'odometry'
         )
         self._motion = MotionFromOdometry(
             config.pose_cells.odom_source, config.pose_cells.max_odom_gap_s,
             config.pose_cells.turn_correction,
         )
-        self._images: StampOrder[NDArray[np.uint8] | None] = StampOrder(('image',), 0)
-        self._views: StampOrder[NDArray[np.uint8] | Odometry | None] | None = None
+        self._images: StampOrder[PreparedImage | None] = StampOrder(('image',), 0)
+        self._views: StampOrder[PreparedImage | Odometry | None] | None = None
         if uses_odometry(config.local_view) and isinstance(self.local_view, LocalView):
             lateness_ns = round(config.local_view.max_lateness_s * 1e9)
             self._views = StampOrder(('odometry', 'image'), lateness_ns)
@@ -178,17 +180,40 @@ class RatSLAM:
 
     # Inputs
 
-    def image(self, stamp_ns: int, image: NDArray[np.uint8] | None) -> list[Step]:
+    def prepare(self, image: NDArray[np.uint8]) -> PreparedImage:
+        """Compute what depends on one image alone; another thread may do so for later images.
+
+        Args:
+            image: (H, W) grey levels, 0 to 255.
+
+        Returns:
+            The image for ``image``, which gives the same results as without ``prepare``.
+        """
+        encoded = profiles = None
+        # If a window does not fit, ``image`` raises, unless it is a single image of another size.
+        with suppress(UnusableParameter):
+            if self.visual_odometry is not None:
+                profiles = self.visual_odometry.profiles(image)
+            if isinstance(self.local_view, LocalView) and self.local_view.encodes_ahead:
+                encoded = EncodedView(self.local_view.encode(image))
+        return PreparedImage(image, encoded, profiles)
+
+    def image(
+        self, stamp_ns: int, image: NDArray[np.uint8] | PreparedImage | None
+    ) -> list[Step]:
         """Process one image; return the steps of all messages that it released.
 
         Args:
             stamp_ns: stamp of the image. An image whose stamp does not increase is refused and
                 counted.
-            image: (H, W) grey levels, 0 to 255; None if the image could not be decoded.
+            image: (H, W) grey levels, 0 to 255, or what ``prepare`` returned for them; None if the
+                image could not be decoded.
 
         Raises:
             UnusableParameter: the crop, window or template does not fit the first image.
         """
+        if isinstance(image, np.ndarray):
+            image = PreparedImage(image)
         return self._process_images(self._images.push('image', stamp_ns, image))
 
     def odometry(self, odometry: Odometry) -> list[Step]:
@@ -345,7 +370,7 @@ class RatSLAM:
         is unknown: the robot is in a separate component until it recognises a place.
         """
         lateness_ns = self.order.max_lateness_ns
-        self.order = StampOrder(self.order.streams, lateness_ns)
+        self.order = StampOrder(self.order.streams, lateness_ns, 'odometry')
         self._images = StampOrder(('image',), 0)
         if self._views is not None:
             self._views = StampOrder(self._views.streams, self._views.max_lateness_ns)
@@ -387,25 +412,25 @@ class RatSLAM:
     # One step
 
     def _process_images(
-        self, images: Iterable[Released[NDArray[np.uint8] | None]]
+        self, images: Iterable[Released[PreparedImage | None]]
     ) -> list[Step]:
         return [step for stamp_ns, _, image in images for step in self._see(stamp_ns, image)]
 
-    def _see(self, stamp_ns: int, image: NDArray[np.uint8] | None) -> list[Step]:
+    def _see(self, stamp_ns: int, image: PreparedImage | None) -> list[Step]:
         odometry = None
         for config in self._odometry_changes.due(stamp_ns):
             if self.visual_odometry is not None:
                 self.visual_odometry.reconfigure(config.visual_odometry)
         if image is not None and self.visual_odometry is not None:
             with self._tolerating_odd_sizes(), self._watch('visual_odometry'):
-                odometry = self.visual_odometry.estimate(stamp_ns, image)
+                odometry = self.visual_odometry.estimate(stamp_ns, image.pixels, image.profiles)
         steps = [] if odometry is None else self.odometry(odometry.as_received())
         if self._views is None:
             return steps + self._match(stamp_ns, image)
         return steps + self._match_images(self._views.push('image', stamp_ns, image))
 
     def _match_images(
-        self, released: Iterable[Released[NDArray[np.uint8] | Odometry | None]]
+        self, released: Iterable[Released[PreparedImage | Odometry | None]]
     ) -> list[Step]:
         steps: list[Step] = []
         for stamp_ns, _, item in released:
@@ -415,7 +440,7 @@ class RatSLAM:
                 self.local_view.follow(item)
         return steps
 
-    def _match(self, stamp_ns: int, image: NDArray[np.uint8] | None) -> list[Step]:
+    def _match(self, stamp_ns: int, image: PreparedImage | None) -> list[Step]:
         match = UNDECODABLE
         for config in self._view_changes.due(stamp_ns):
             if isinstance(self.local_view, LocalView):
@@ -423,9 +448,9 @@ class RatSLAM:
         if image is not None:
             with self._tolerating_odd_sizes(), self._watch('local_view'):
                 if isinstance(self.local_view, LocalView):
-                    match = self.local_view.match(image, stamp_ns)
+                    match = self.local_view.match(image.pixels, stamp_ns, image.encoded)
                 else:
-                    match = self.local_view.match(image)
+                    match = self.local_view.match(image.pixels)
                 self._has_matched = True
         return self.template(stamp_ns, match)
 

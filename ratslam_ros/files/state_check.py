@@ -57,6 +57,7 @@ RULES: dict[str, tuple[Rule, ...]] = {
         Rule('core/dims', (3,), 1, MAX_CELLS),
         Rule('core/memories', ('', ''), -MAX_ID, MAX_ID),
         Rule('core/experiences', ('experiences', 4), -1, MAX_ID),
+        Rule('core/superseded', ('',), 0, 'experiences'),
         Rule('core/unrolled/peak', (3,)),
         Rule('core/unrolled/here', ('',)),
         Rule('core/unrolled/memories', ('', 2)),

@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import IO
 
@@ -89,6 +90,7 @@ class HistoryWriter:
             report: receives one line if the file cannot be written; None: standard error.
         """
         self.path = path
+        self._meta = meta
         self.problem = ''
         """Why recording has ended, '' if it has not."""
         self._report = report or _print
@@ -212,6 +214,14 @@ class HistoryWriter:
         if time.monotonic() - self._commit_s >= COMMIT_S:
             self._run(self._commit)
 
+    def configure(self, configuration: str) -> None:
+        """Set the parameters of the run, as YAML, if they became known after it began."""
+        self._meta = replace(self._meta, configuration=configuration)
+        text = self._meta.to_json()
+        self._run(lambda database: database.execute(
+            "UPDATE meta SET value = ? WHERE key = 'run'", (text,)
+        ))  # fmt: skip
+
     def flush(self) -> None:
         """Make all records visible to readers."""
         self._flush()
@@ -228,7 +238,7 @@ class HistoryWriter:
         self._end()
         _remove(part_path(self.path))
 
-    def _run(self, step: Callable[[sqlite3.Connection], None]) -> None:
+    def _run(self, step: Callable[[sqlite3.Connection], object]) -> None:
         if self._database is None:
             return
         try:

@@ -29,7 +29,9 @@ class Lockstep:
         """
         self._odometry_is_played = odometry_is_played
         self._images: StampOrder[None] = StampOrder(('image',), UNLIMITED_NS)
-        self._order: StampOrder[None] = StampOrder(('odometry', 'template'), UNLIMITED_NS)
+        self._order: StampOrder[None] = StampOrder(
+            ('odometry', 'template'), UNLIMITED_NS, 'odometry'
+        )
         self._accepts = [MotionFromOdometry(source).accepts for source in ('twist', 'pose')]
         self._previous_ns: int | None = None
 

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterator, Sequence
 from operator import is_not
 from typing import Any
@@ -38,17 +39,22 @@ MAX_PLACE_CELLS = 100_000.0
 MAX_SPACING_M = 1e9
 BLOCK_ROWS = 128
 """Number of experiences or links that are written in one step, at about 4 us each."""
+UNKNOWN_SENDER = 0
+_SENDER = re.compile(r'"sender":\s*(\d{1,19})\s*[,}]')
 MAX_GAIN, MAX_TURN_PER_M_RAD = 1000.0, 1000.0
 """Largest accepted corrections of odometry."""
 
 
-def encode_template(stamp_ns: int, match: ViewMatch, memory_ns: int) -> str:
+def encode_template(
+    stamp_ns: int, match: ViewMatch, memory_ns: int, sender: int = UNKNOWN_SENDER
+) -> str:  # fmt: skip
     """Return the payload of ``local_view/template``.
 
     Args:
         stamp_ns: stamp of the image.
         match: the matched or learned template.
         memory_ns: stamp at which the first template was learned, 0 before.
+        sender: number of the node that sends it, see ``sender_of``.
     """
     fields = {
         'schema_version': SCHEMA_VERSION,
@@ -65,7 +71,19 @@ def encode_template(stamp_ns: int, match: ViewMatch, memory_ns: int) -> str:
         fields['related'] = match.related_count
     if match.removed:
         fields['removed'] = match.removed
+    if sender != UNKNOWN_SENDER:
+        fields['sender'] = sender
     return encode_json(fields)
+
+
+def sender_of(payload: str) -> int:
+    """Return the number of the node that has sent a template or an action.
+
+    Nodes draw their numbers at their start, so two with the same name differ. A message of earlier
+    versions has no number: the result is ``UNKNOWN_SENDER``.
+    """
+    found = _SENDER.search(payload)
+    return UNKNOWN_SENDER if found is None else int(found[1])
 
 
 def decode_template(payload: str) -> tuple[int, ViewMatch, int]:
@@ -110,7 +128,10 @@ def _decode_removed(ids: Any) -> tuple[int, ...]:
     return tuple(ids)
 
 
-def encode_action(stamp_ns: int, sequence: int, action: MapAction, memory_ns: int) -> str:
+def encode_action(
+    stamp_ns: int, sequence: int, action: MapAction, memory_ns: int,
+    sender: int = UNKNOWN_SENDER,
+) -> str:  # fmt: skip
     """Return the payload of ``pose_cells/action``.
 
     Args:
@@ -118,6 +139,7 @@ def encode_action(stamp_ns: int, sequence: int, action: MapAction, memory_ns: in
         sequence: number of the action, counted from 0, by which receivers detect lost actions.
         action: the change of the map.
         memory_ns: stamp at which the first experience was created, 0 before.
+        sender: number of the node that sends it, see ``sender_of``.
     """
     fields: dict[str, Any] = {
         'schema_version': SCHEMA_VERSION,
@@ -143,6 +165,8 @@ def encode_action(stamp_ns: int, sequence: int, action: MapAction, memory_ns: in
         fields['view_spacing_m'] = action.view_spacing_m
     if action.correction is not None:
         fields['correction'] = action.correction._asdict()
+    if sender != UNKNOWN_SENDER:
+        fields['sender'] = sender
     return encode_json(fields)
 
 

@@ -58,6 +58,7 @@ from ratslam_ros.nodes.pose_publisher import PosePublisher
 from ratslam_ros.nodes.qos import LATCHED, RESULT, STATE
 from ratslam_ros.nodes.run import run
 from ratslam_ros.nodes.scans import ScanInput
+from ratslam_ros.nodes.single_sender import SingleSender
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +76,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
     SECTION = 'experience_map'
     PARTS = ('goal_recall',)
     MAPS = True
+    REGULAR = 'odometry'
     REPEATS = ('relocation',)
     _grid: GridPublisher | None = None
 
@@ -126,8 +128,12 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
                 'scan', {'scan': LaserScan}, self._laser.receive,
                 lambda data: self._use_scan(decode_scan(data)),
             )  # fmt: skip
+        actions = SingleSender(
+            self, 'pose_cells/action', self._on_action,
+            lambda reason: self._refuse('action', reason),
+        )
         self._add_input(
-            'action', {'pose_cells/action': String}, self._on_action,
+            'action', {'pose_cells/action': String}, actions.take,
             lambda data: self._on_action(String(data=data.decode())),
         )  # fmt: skip
         self.create_timer(FLUSH_CHECK_PERIOD_S, self._on_timer, clock=self._steady)

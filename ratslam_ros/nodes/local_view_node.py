@@ -136,7 +136,7 @@ class LocalViewNode(ImageNode):
 
     def _publish(self, stamp_ns: int, match: ViewMatch) -> None:
         self._last = match
-        payload = encode_template(stamp_ns, match, self._memory_ns)
+        payload = encode_template(stamp_ns, match, self._memory_ns, self._sender_id)
         self._publisher.publish(String(data=payload))
         self._log('template', stamp_ns, payload.encode)
 

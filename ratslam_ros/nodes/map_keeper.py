@@ -138,6 +138,12 @@ class MapKeeper:
         """Save the state after all messages, as no further ones arrive at present."""
         if self._resuming is not None:
             return
+        if self._lost_after_ns is not None:
+            # The source may have ended meanwhile: then no image follows that ends the span.
+            self._diagnostics.note(
+                f'images after {self._lost_after_ns * 1e-9:.3f} s may be lost: this node was '
+                'restarted, and their source does not send them again'
+            )
         least = self._saved + 1 if self._has_changed else 0
         cut = self._grid.now(max(least, self._passed))
         if cut is not None and cut.number > self._saved:
@@ -278,6 +284,10 @@ class MapKeeper:
         are_lost = self._store.joins and has_images and not resuming.is_complete
         if are_lost:
             self._lost_after_ns = since_ns
+        saved = self._store.restored
+        if not self._store.joins and has_images and not resuming.is_complete and saved is not None:
+            for note in saved.notes:  # All nodes were killed, and no source sends it again.
+                self._diagnostics.note(note)
         missed = [
             Missed(stamp_ns, one.stream, partial(one.replay, data))
             for one in inputs if one.replay is not None

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -43,6 +44,8 @@ class RatslamNode(ConfiguredNode, Generic[Item]):
 
     MAPS = False
     """Whether the node learns, and so has the services ``mapping``, ``save`` and ``load``."""
+    REGULAR: str | None = None
+    """Stream whose next stamp is predicted, so that others need not wait for it."""
     REPEATS: tuple[str, ...] = ()
     """Streams that the node sends again after a restart from a map file."""
 
@@ -61,6 +64,8 @@ class RatslamNode(ConfiguredNode, Generic[Item]):
         self._counted = Counts()
         self._paused = False
         self._mapping = True
+        self._sender_id = time.time_ns()
+        """Distinguishes this process from others with the same node; see ``SingleSender``."""
         self._keeper: MapKeeper | None = None
         """The node's part of the map file, if there is one."""
         self._kept_inputs: list[KeptInput] = []
@@ -212,7 +217,7 @@ class RatslamNode(ConfiguredNode, Generic[Item]):
 
     def _new_order(self) -> StampOrder[Item]:
         lateness_s = getattr(self._section, 'max_lateness_s', 0.0)
-        return StampOrder(self._streams, round(lateness_s * 1e9))
+        return StampOrder(self._streams, round(lateness_s * 1e9), self.REGULAR)
 
     def _push(self, stream: str, stamp_ns: int, item: Item) -> None:
         """Put a message into the stamp order, and process all messages this releases."""

@@ -37,6 +37,7 @@ from ratslam_ros.nodes.goal_seeking import GoalSeeking
 from ratslam_ros.nodes.node import FLUSH_CHECK_PERIOD_S, RatslamNode
 from ratslam_ros.nodes.qos import INPUT, RESULT, VIEW
 from ratslam_ros.nodes.run import run
+from ratslam_ros.nodes.single_sender import SingleSender
 
 LOGGED_GAIN_CHANGE = 0.02
 """Relative change of the rotation gain that is logged."""
@@ -59,6 +60,7 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
     SECTION = 'pose_cells'
     PARTS = ('goal_memory',)
     MAPS = True
+    REGULAR = 'odometry'
     REPEATS = ('action',)
 
     def __init__(self, initial: Config = Config()) -> None:
@@ -82,8 +84,12 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
                 'relocation', self._on_relocation, self._on_relocation
             ), INPUT,
         )  # fmt: skip
+        templates = SingleSender(
+            self, 'local_view/template', self._on_template,
+            lambda reason: self._refuse('template', reason),
+        )
         self._add_input(
-            'template', {'local_view/template': String}, self._on_template,
+            'template', {'local_view/template': String}, templates.take,
             lambda data: self._on_template(String(data=data.decode())),
         )  # fmt: skip
         self.create_timer(FLUSH_CHECK_PERIOD_S, self._flush, clock=self._steady)
@@ -270,7 +276,9 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
             self._report_correction(action.correction)
         if action.action == 'create' and self._memory_ns == NO_MEMORY_NS:
             self._memory_ns = max(stamp_ns, MIN_MEMORY_NS)
-        payload = encode_action(stamp_ns, self._sequence, action, self._memory_ns)
+        payload = encode_action(
+            stamp_ns, self._sequence, action, self._memory_ns, self._sender_id
+        )
         self._sequence += 1
         self._publisher.publish(String(data=payload))
         self._log('action', stamp_ns, payload.encode)

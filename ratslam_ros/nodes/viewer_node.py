@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,9 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from ratslam_ros.core.common.scan import Scan, points_of
+from ratslam_ros.core.config import Config
+from ratslam_ros.errors import UnusableParameter
+from ratslam_ros.files.config import to_yaml
 from ratslam_ros.nodes.parameters import declare
 from ratslam_ros.nodes.run import run
 from ratslam_ros.nodes.viewer_controls import RosControls
@@ -58,6 +62,7 @@ class ViewerNode(Node):  # type: ignore[misc]
             raise
         self._seen_s = -GRACE_S
         self._missing = ''
+        self._values: object = None
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(CHECK_PERIOD_S, self._check, clock=steady)
         # Not logged: /rosout would send the token to everyone.
@@ -100,9 +105,19 @@ class ViewerNode(Node):  # type: ignore[misc]
                 self.topics.unsubscribe()
         if is_wanted:
             self.controls.refresh()
-            self.run.required_views = float(self.controls.values['pose_cells.pc_vt_agree_views'])
+            self._use_values()
             self.topics.request_map()
             self._report(self.topics.missing(SILENCE_S))
+
+    def _use_values(self) -> None:
+        """Have the run and its history contain the parameters of the nodes."""
+        values = self.controls.values
+        if values == self._values:
+            return
+        self._values = values
+        self.run.required_views = float(values['pose_cells.pc_vt_agree_views'])
+        with suppress(UnusableParameter):  # of nodes of another version
+            self.run.configure(to_yaml(Config().with_values(values)))
 
     def _report(self, text: str) -> None:
         if text != self._missing:

@@ -21,6 +21,7 @@ from ratslam_ros.core.common.scan import UnusableScan
 from ratslam_ros.core.config import AUTOMATIC, Config
 from ratslam_ros.core.ratslam import RatSLAM, Step
 from ratslam_ros.core.vision.local_view import LocalView
+from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.core.vision.visual_odometry import field_of_view_deg
 from ratslam_ros.descriptors import encoder_of
 from ratslam_ros.errors import UnusableInput
@@ -43,7 +44,7 @@ from ratslam_ros.recordings import (
     ScanEvent,
     Selection,
 )
-from ratslam_ros.recordings.prefetch import prefetch_images
+from ratslam_ros.recordings.prefetch import prefetch_prepared
 from ratslam_ros.results.advice import Observations
 from ratslam_ros.results.writer import Results
 from ratslam_ros.signals import StopSignals
@@ -125,7 +126,7 @@ def replay(
             events = run.remaining(
                 recording.events(selection, options.start_s, options.duration_s)
             )
-            decoded = stack.enter_context(prefetch_images(events, run.times))
+            decoded = stack.enter_context(prefetch_prepared(events, run.times, run.prepare))
             bar = stack.enter_context(
                 ProgressBar(
                     (recording.end_ns - recording.start_ns) * 1e-9,
@@ -211,19 +212,24 @@ class _Run:
         """Return the events that the map does not contain yet."""
         return events if self._map is None else self._map.remaining(events)
 
-    def feed(self, event: Event, image: NDArray[np.uint8] | None) -> None:
+    def prepare(self, image: NDArray[np.uint8]) -> PreparedImage:
+        """Compute what depends on one decoded (H, W) uint8 image alone, on another thread."""
+        with self.times('encode'):
+            return self.slam.prepare(image)
+
+    def feed(self, event: Event, image: PreparedImage | None) -> None:
         """Process one event.
 
         Args:
             event: the event.
-            image: its decoded (H, W) uint8 grey image, None if there is none.
+            image: its prepared image, None if there is none.
         """
         self.span.add(event.log_ns)
         self._process(event, image)
         if self._map is not None:
             self._map.after(event, self._last_view_ns)
 
-    def _process(self, event: Event, image: NDArray[np.uint8] | None) -> None:
+    def _process(self, event: Event, image: PreparedImage | None) -> None:
         if isinstance(event, OdometryEvent):
             odometry = odometry_from_event(event)
             self._write(self.slam.odometry(odometry))
@@ -233,7 +239,8 @@ class _Run:
             if self.video is not None:
                 self.video.add_image(event)
             if self._recorder is not None:
-                self._recorder.add_image(event.stamp_ns, event.image, image)
+                grey = None if image is None else image.pixels
+                self._recorder.add_image(event.stamp_ns, event.image, grey)
             self._write(self.slam.image(event.stamp_ns, image))
         elif isinstance(event, ScanEvent):
             try:

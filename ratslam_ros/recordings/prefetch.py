@@ -14,6 +14,7 @@ from ratslam_ros.images import Pixels, UndecodableImage
 from ratslam_ros.recordings.events import Event, ImageEvent
 
 Item = TypeVar('Item')
+Prepared = TypeVar('Prepared')
 Stopwatch = Callable[[str], AbstractContextManager[object]]
 
 QUEUE_COUNT = 32  # A small number, because each item may hold an uncompressed image.
@@ -103,10 +104,26 @@ def prefetch_images(
         Pairs of an event and its (H, W) uint8 grey image, None if the event has no image or the
         image cannot be decoded.
     """
+    return prefetch_prepared(events, stopwatch, lambda grey: grey)
+
+
+def prefetch_prepared(
+    events: Iterable[Event], stopwatch: Stopwatch, prepare: Callable[[Pixels], Prepared]
+) -> Prefetch[tuple[Event, Prepared | None]]:
+    """Prefetch events together with what ``prepare`` returns for their decoded images.
+
+    Args:
+        events: the events of a recording.
+        stopwatch: called with 'decode' and entered while an image is decoded.
+        prepare: called on the second thread with each (H, W) uint8 grey image.
+    """
+
+    def prepared(event: Event) -> Prepared | None:
+        grey = _grey(event, stopwatch)
+        return None if grey is None else prepare(grey)
+
     return Prefetch(
-        ((event, _grey(event, stopwatch)) for event in events),
-        IMAGE_QUEUE_COUNT,
-        IMAGE_BATCH_COUNT,
+        ((event, prepared(event)) for event in events), IMAGE_QUEUE_COUNT, IMAGE_BATCH_COUNT
     )
 
 

@@ -21,6 +21,7 @@ from ratslam_ros.history.run_state import NS_PER_S, RunState
 from ratslam_ros.images import EncodedImage, UndecodableImage
 from ratslam_ros.viewer.panels.html import BLUE, ORANGE
 from ratslam_ros.viewer.panels.texts import decision_text, match_text, time_text
+from ratslam_ros.viewer.rendering import SCRIPT, with_elements
 from ratslam_ros.viewer.run_source import RunSource
 from ratslam_ros.viewer.server import ViewServer
 
@@ -204,9 +205,8 @@ def _record(
         if progress is not None:
             progress((number + 1) / count)
     overlay.legend = [(_css(colour), text) for colour, text in scene.legend()]
-    page = recorder.as_html(dark)
-    head = page.index('<meta charset')
-    return page[:head] + overlay.html() + page[head:]
+    elements = overlay.html() + SCRIPT.read_text('utf-8')
+    return with_elements(recorder.as_html(dark), elements)
 
 
 class _Frames:

@@ -41,7 +41,7 @@ class LiveHistory:
             raise UnusableInput(self._writer.problem)
         self.reader = HistoryRun(part_path(path))
         """What has been written; it lags behind by up to 6 s."""
-        self._queue: queue.SimpleQueue[Record | None] = queue.SimpleQueue()
+        self._queue: queue.SimpleQueue[Record | str | None] = queue.SimpleQueue()
         self._map = MapRelay()
         self._problem = ''
         self._thread = threading.Thread(target=self._write, name='history', daemon=True)
@@ -56,6 +56,10 @@ class LiveHistory:
         """Append a record; may be called from any thread."""
         if not self.problem:
             self._queue.put(record)
+
+    def configure(self, configuration: str) -> None:
+        """Set the parameters of the nodes, as YAML; may be called from any thread."""
+        self._queue.put(configuration)
 
     def close(self) -> None:
         """Write everything, and close the file."""
@@ -72,6 +76,9 @@ class LiveHistory:
     def _write_records(self) -> None:
         writer, relay = self._writer, self._map
         while (record := self._queue.get()) is not None:
+            if isinstance(record, str):
+                writer.configure(record)
+                continue
             if isinstance(record, MapChange):
                 relay.add(record)
             else:

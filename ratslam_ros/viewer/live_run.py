@@ -88,6 +88,7 @@ class LiveRun:
         """Notices by key, set by the owner of the run."""
         self.required_views: float | None = None
         """Number of views that must agree on a place, set by the owner; None if unknown."""
+        self._configuration = ''
         self._clock = clock
         self._lock = threading.RLock()
         self._sequence = self._runs = 0
@@ -116,6 +117,8 @@ class LiveRun:
         number = '' if self._runs == 1 else f'-{self._runs}'
         path = self._path.with_name(f'{self._path.stem}{number}{self._path.suffix}')
         self._history = LiveHistory(path, self.title)
+        if self._configuration:
+            self._history.configure(self._configuration)
 
     def close(self) -> None:
         """Write the records that are held, and close the file."""
@@ -126,6 +129,12 @@ class LiveRun:
                 self._folder.cleanup()
 
     # The executor's thread
+
+    def configure(self, configuration: str) -> None:
+        """Have the history contain the parameters of the nodes, as YAML."""
+        with self._lock:
+            self._configuration = configuration
+            self._history.configure(configuration)
 
     def add(self, record: Record) -> bool:
         """Add a record; return whether a new run begins with it, as the stamps jumped back."""

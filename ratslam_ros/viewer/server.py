@@ -29,6 +29,7 @@ from unittest.mock import patch
 from urllib.parse import urlsplit
 
 from ratslam_ros.errors import UnusableInput
+from ratslam_ros.viewer.rendering import adapted
 
 DEFAULT_HOST, DEFAULT_PORT = '127.0.0.1', 8080
 
@@ -209,6 +210,11 @@ def _guarded(
                 connection, replace(request, path=path_of(request.path))
             )
             if response is not None:
+                if response.headers.get('Content-Type', '').startswith('text/html'):
+                    encoding = response.headers.get('Content-Encoding', '')
+                    response.body = adapted(response.body, encoding)
+                    del response.headers['Content-Length']
+                    response.headers['Content-Length'] = str(len(response.body))
                 for name, value in HEADERS.items():
                     response.headers[name] = value
             return response

@@ -281,6 +281,25 @@ def test_odometry_is_released_when_the_camera_stops() -> None:
     assert slam.order.held <= 21
 
 
+@pytest.mark.parametrize('descriptor', ['intensity', 'gradients'])
+def test_prepared_images_give_the_same_results(descriptor: str) -> None:
+    config = Config().with_values({
+        'local_view.vt_descriptor': descriptor, 'local_view.template_x_size': 8,
+        'local_view.template_y_size': 4, 'local_view.vt_shift_match': 1,
+        'local_view.vt_min_structure': 0.01,
+    })  # fmt: skip
+    images = [picture(n % 9, 24, 32) for n in range(40)]
+    images[20] = np.zeros_like(images[20])  # too little structure
+    images[25] = images[25][:2]  # fits no window
+    found = []
+    for prepares in (False, True):
+        slam = RatSLAM(config, visual_odometry=True)
+        ready = [slam.prepare(image) for image in images] if prepares else images
+        steps = [slam.image(n * 10**8, image) for n, image in enumerate(ready, 1)]
+        found.append((steps, slam.finish(), slam.experience_map.poses.tobytes()))
+    assert found[0] == found[1]
+
+
 def test_visual_odometry_estimates_motion_from_images() -> None:
     slam = RatSLAM(small_config(), visual_odometry=True)
     columns = np.tile(np.random.default_rng(0).integers(0, 256, 200, dtype=np.uint8), (12, 1))

@@ -14,8 +14,10 @@ import pytest
 from helpers import START_NS
 
 from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.map_changes import ExperienceRows, LinkRows, MapChange
 from ratslam_ros.core.pose_cells.torus import Place
+from ratslam_ros.files.config import to_yaml
 from ratslam_ros.history.history_run import HistoryRun
 from ratslam_ros.history.records import (
     ImageRecord,
@@ -50,6 +52,17 @@ def run(clock: Clock, tmp_path: Path) -> Iterator[LiveRun]:
     made = LiveRun('live', tmp_path / 'history.sqlite', clock)
     yield made
     made.close()
+
+
+def test_history_contains_parameters_that_become_known(run: LiveRun, tmp_path: Path) -> None:
+    run.add(pose(0))
+    run.configure(to_yaml(Config().with_values({'pose_cells.pc_vt_agree_views': 7.0})))
+    run.add(pose(1))
+    run.close()
+    history = HistoryRun(tmp_path / 'history.sqlite')
+    assert history.required_views == 7.0
+    assert history.meta.title == 'live'
+    history.close()
 
 
 def pose(k: int, x_m: float | None = None) -> PoseRecord:

@@ -99,6 +99,27 @@ def test_jumps_of_a_trail_are_not_drawn() -> None:
     assert steps(points[:1]).shape == (0, 2, 3)
 
 
+def test_trail_needs_lines_at_corners_only() -> None:
+    leg = np.linspace(0.0, 10.0, 101)
+    out = np.stack([1e4 + leg, 0.0 * leg], 1)
+    up = np.stack([1e4 + 10.0 + 0.0 * leg, leg], 1)
+    away = up + np.array([50.0, 0.0])  # after a jump
+    drawn = steps(np.concatenate([out, up[1:], away]), 0.01)
+    corners = np.array([[[0, 0], [10, 0]], [[10, 0], [10, 10]], [[60, 0], [60, 10]]])
+    np.testing.assert_allclose(drawn[:, :, :2] - [1e4, 0.0], corners, atol=0.01)
+
+
+def test_trail_stays_within_the_tolerance() -> None:
+    angles = np.linspace(0.0, 6.0, 400)
+    points = 5.0 * np.stack([np.cos(angles), np.sin(angles)], 1)
+    drawn = steps(points, 0.01)[:, :, :2].astype(float)
+    assert len(drawn) < 100
+    a, along = drawn[:, 0], drawn[:, 1] - drawn[:, 0]
+    share = np.einsum('pnk,nk->pn', points[:, None] - a, along) / (along**2).sum(1)
+    off = points[:, None] - a - np.clip(share, 0, 1)[..., None] * along
+    assert np.hypot(*off.T).min(axis=0).max() < 0.0101
+
+
 def test_grid_steps_are_round() -> None:
     assert [grid_step(side) for side in (8.0, 60.0, 600.0, 13_000.0)] == [0.5, 5.0, 50.0, 1000.0]
 

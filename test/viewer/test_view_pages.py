@@ -47,6 +47,14 @@ def test_growing_run_is_followed(shown: Shown) -> None:
     assert shown.page.received_count > before
 
 
+def test_software_rendering_has_no_antialiasing(shown: Shown) -> None:
+    drawn = "document.querySelector('canvas[data-engine]').getContext('webgl2')"
+    wait_for(lambda: shown.page.run(f'return Boolean({drawn.partition(".get")[0]})'))
+    attributes = shown.page.run(f'return {drawn}.getContextAttributes()')
+    assert not attributes['antialias']
+    assert attributes['preserveDrawingBuffer']  # all else is as viser has it
+
+
 def test_nothing_is_sent_while_nothing_changes(shown: Shown) -> None:
     shown.page.wait_for_text(shown.end)
     shown.served.wait_for_updates(3)  # what was under way has been sent

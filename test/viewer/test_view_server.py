@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import gzip
 import http.client
 import socket
 import sys
@@ -16,6 +17,7 @@ from urllib.parse import urlsplit
 import pytest
 
 from ratslam_ros.errors import UnusableInput
+from ratslam_ros.viewer.rendering import SCRIPT, with_elements
 from ratslam_ros.viewer.server import MAX_CONNECTIONS, MAX_MESSAGE_BYTES, ViewServer
 
 FORBIDDEN, OK = 403, 200
@@ -76,6 +78,26 @@ def is_closed(connection: Any) -> bool:
 
 def test_page_with_token_is_served(server: ViewServer) -> None:
     assert get(server, page_of(server))[0] == OK
+
+
+@pytest.mark.parametrize('encoding', ['identity', 'gzip'])
+def test_page_has_own_script_before_those_of_viser(server: ViewServer, encoding: str) -> None:
+    connection = http.client.HTTPConnection('127.0.0.1', server.port, timeout=30.0)
+    try:
+        connection.request('GET', page_of(server), headers={'Accept-Encoding': encoding})
+        answer = connection.getresponse()
+        body = answer.read()
+    finally:
+        connection.close()
+    page = (gzip.decompress(body) if encoding == 'gzip' else body).decode()
+    assert answer.headers.get_all('Content-Length') == [str(len(body))]
+    assert page.count(SCRIPT.read_text()) == 1
+    assert page.index('antialias') < page.index('<script', page.index('</script>'))
+
+
+def test_page_that_is_not_visers_is_not_adapted() -> None:
+    with pytest.raises(ValueError, match='<meta charset'):
+        with_elements('<html></html>', '<script></script>')
 
 
 @pytest.mark.parametrize('path', ['/', '/index.html', '/wrong/', '/?token=wrong', '/%2e%2e/'])

@@ -20,3 +20,13 @@ def compiled(function: _Function) -> _Function:
     """
     dispatcher: _Function = numba.njit(cache=True, fastmath=False)(function)
     return dispatcher
+
+
+def compiled_without_gil(function: _Function) -> _Function:
+    """Compile a function as ``compiled`` does; it releases the interpreter lock while it runs.
+
+    For the work on single images, which a replay does in a second thread. Short functions must not
+    release the lock: taking it again may take longer than the function.
+    """
+    dispatcher: _Function = numba.njit(cache=True, fastmath=False, nogil=True)(function)
+    return dispatcher

@@ -93,7 +93,7 @@ def pruned_states(session: SessionMap, count: int) -> dict[str, State]:
     for _ in range(len(session)):
         if remaining <= count:
             break
-        cell_id = pruning.visits.prune_candidate(pruning.distances)
+        cell_id = pruning.visits.prune_candidate(pruning.visits.may_go(pruning.distances))
         if pruning.remove(session.map_ids.get(cell_id, cell_id)):
             remaining -= 1
             pruning.distances.remove(cell_id)

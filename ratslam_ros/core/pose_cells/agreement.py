@@ -219,17 +219,20 @@ class Agreement:
 
     def _measure_scatter(self) -> None:
         """Measure the distances of the newest hypothesis to earlier ones, a spacing apart."""
-        spacing = self._lengths.agree_spacing.limit
-        newest = last = self._count - 1
-        for i in range(newest - 1, -1, -1):
-            if self._components[i] == self._components[newest] and (
-                self._made_at[last] - self._made_at[i] >= spacing
-            ):
-                x, y = self._torus.displaced(
-                    (0.0, 0.0), Place(*self._places[i]), Place(*self._places[newest])
-                )
-                self._lengths.add_pair(math.hypot(x, y))
-                last = i
+        count = self._count
+        # Lists, because single elements of arrays take several times as long to read.
+        places, made_at = self._places[:count].tolist(), self._made_at[:count].tolist()
+        components = self._components[:count].tolist()
+        spacing, component = self._lengths.agree_spacing.limit, components[-1]
+        newest, last_at = Place(*places[-1]), made_at[-1]
+        distances = []
+        for i in range(count - 2, -1, -1):
+            if components[i] == component and last_at - made_at[i] >= spacing:
+                last_at = made_at[i]
+                x, y = self._torus.displaced((0.0, 0.0), Place(*places[i]), newest)
+                distances.append(math.hypot(x, y))
+        if distances:
+            self._lengths.add_pairs(distances)
 
     def _append(
         self, template_id: int, place: Place, travelled: float, slot: int, component: int = 0

@@ -56,6 +56,8 @@ class Experiences:
         # Template and place of each; place, unwrapped position, component and rank of creation.
         self._label_rows, self._located_rows = Rows(4), Rows(7)
         self._of_template: dict[int, list[int]] = {}
+        self._superseded = np.zeros(64, np.bool_)
+        """Experiences with a younger one at their place, by id; spare ones at the end."""
         self._transitions = _Transitions()
         self._visits = VisitHistory()
         self._distances = DistanceGraph()
@@ -86,6 +88,7 @@ class Experiences:
 
     def state(self) -> State:
         """Return all experiences and transitions, for ``restore``."""
+        superseded = np.flatnonzero(self._superseded[: len(self)])
         return {
             'unrolled': {'experiences': self._located_rows.values[:, 3:5].copy()},
             'experiences': self._label_rows.copy(),
@@ -98,6 +101,7 @@ class Experiences:
             'places': self._located_rows.values[:, :3].copy(),
             **({} if self._freshness is None else {'freshness': self._freshness.state()}),
             'created': self._located_rows.values[:, 6].astype(np.int64),
+            **({'superseded': superseded} if len(superseded) else {}),
         }
 
     def restore(self, state: State) -> None:
@@ -110,6 +114,8 @@ class Experiences:
         self._created = created.tolist()
         self._creation_count = max(self._created, default=-1) + 1
         # The experiences of a template are in the order in which they were created.
+        self._superseded = np.zeros(max(64, len(self)), np.bool_)
+        self._superseded[state.get('superseded', [])] = True
         for number in np.argsort(created).tolist():
             template_id = self._experiences[number][0]
             self._of_template.setdefault(template_id, []).append(number)
@@ -361,10 +367,28 @@ class Experiences:
         self._store(new_id)
         self._of_template.setdefault(seen.template_id, []).append(new_id)
         self._visits.create(new_id)
+        if new_id == len(self._superseded):
+            self._superseded = np.concatenate([self._superseded, np.zeros(new_id, np.bool_)])
+        self._superseded[new_id] = False
         if self._freshness is not None:
             self._freshness.add(new_id)
         self._change_to(new_id)
+        if self._p.exp_max > 0 and self._p.exp_view_links:
+            self._supersede(seen.template_id, new_id)
         return 'create'
+
+    def _supersede(self, template_id: int, experience_id: int) -> None:
+        """Mark the experiences of a template at the place of a new one: it replaces them."""
+        threshold, scale = self._lengths.delta
+        place, component = self._located[experience_id].place, self._components[experience_id]
+        for other in self._of_template[template_id]:
+            distance = self._torus.distance(place, self._located[other].place, scale)
+            if other != experience_id and distance < threshold and (
+                self._components[other] == component
+            ):
+                self._superseded[other] = True
+                distance_m = distance / scale * self._lengths.cell_m
+                self._distances.connect(experience_id, other, distance_m)
 
     def _store(self, number: int) -> None:
         """Store where an experience is in the table that is saved."""
@@ -376,9 +400,11 @@ class Experiences:
             self._located_rows[number] = row
 
     def _prune_candidate(self) -> int:
+        may_go = self._visits.old() & self._superseded[: len(self)]
+        if not may_go.any():
+            may_go = self._visits.may_go(self._distances)
         if self._freshness is None:
-            return self._visits.prune_candidate(self._distances)
-        may_go = self._visits.may_go(self._distances)
+            return self._visits.prune_candidate(may_go)
         candidate = self._freshness.candidate(may_go[self._freshness.items])
         assert candidate is not None  # at least one may go
         self._freshness.remove(candidate)

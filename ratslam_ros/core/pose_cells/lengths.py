@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -218,11 +219,12 @@ class Lengths:
         before_m, self.cell_m = self.cell_m, UNIT_SPACINGS * self.spacing_m
         return before_m / self.cell_m
 
-    def add_pair(self, distance_cells: float) -> None:
-        """Add the distance between two hypotheses."""
+    def add_pairs(self, distances_cells: Iterable[float]) -> None:
+        """Add distances between pairs of hypotheses."""
         if not self.is_learning:
             return
-        self._pairs.add(distance_cells * self.cell_m)
+        for distance_cells in distances_cells:
+            self._pairs.add(distance_cells * self.cell_m)
         if self._pairs.count >= MIN_PAIRS_COUNT:
             self.scatter_m = self._pairs.median()
 

@@ -31,7 +31,7 @@ from ratslam_ros.errors import UnusableInput
 _STATE_KEYS = (
     'dims', 'packets', 'memories', 'unrolled', 'messages', 'last_template', 'experiences',
     'transitions', 'visits', 'gaps', 'current', 'since_current', 'stepped', 'agreement',
-    'calibration', 'freshness', 'created',
+    'calibration', 'freshness', 'superseded', 'created',
 )  # fmt: skip
 """Order of the keys in memory files."""
 

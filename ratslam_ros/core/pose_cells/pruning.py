@@ -55,6 +55,12 @@ class VisitHistory:
         """Exclude an experience from further selections, until ten others were visited."""
         self._last[experience_id] = self._now
 
+    def old(self) -> NDArray[np.bool_]:
+        """Return (n,) which experiences are neither the origin nor of the latest visits."""
+        old = self._last[: self._size] <= self._now - RECENT_VISITS_COUNT
+        old[0] = False
+        return old
+
     def may_go(self, distances: DistanceGraph) -> NDArray[np.bool_]:
         """Return which experiences may be pruned, at least one.
 
@@ -67,23 +73,23 @@ class VisitHistory:
         Returns:
             (n,) for all experiences.
         """
-        may_go = self._last[: self._size] <= self._now - RECENT_VISITS_COUNT
-        may_go[0] = False
+        may_go = self.old()
         gaps_m = distances.gaps_after_removal_m(self._size)
         shortest_m = gaps_m[may_go].min()
         return may_go & (
             gaps_m <= (MAX_GAP_M if shortest_m <= MAX_GAP_M else GAP_RATIO * shortest_m)
         )
 
-    def prune_candidate(self, distances: DistanceGraph) -> int:
+    def prune_candidate(self, may_go: NDArray[np.bool_]) -> int:
         """Select the experience to prune.
 
         Milford (2008), section IV: of the experiences visited once, the one visited longest ago;
-        if there is none, of those visited least often, the one visited longest ago. ``may_go``
-        excludes some.
+        if there is none, of those visited least often, the one visited longest ago.
+
+        Args:
+            may_go: (n,) which of all experiences may be selected, at least one.
         """
         counts, last = self._counts[: self._size], self._last[: self._size]
-        may_go = self.may_go(distances)
         fewest = counts[may_go].min()
         candidates = np.flatnonzero(may_go & (counts == fewest))
         return int(candidates[np.argmin(last[candidates])])

@@ -12,7 +12,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ratslam_ros.core.common.compiled import compiled
+from ratslam_ros.core.common.compiled import compiled_without_gil
 from ratslam_ros.core.config import LocalViewParameters
 from ratslam_ros.core.vision.encoder import Image, Layout, View
 from ratslam_ros.core.vision.image_window import block_means, contiguous, cropped
@@ -67,7 +67,7 @@ class Gradients:
         return view.reshape(self.layout.height, -1) if contrast > 0.0 else None
 
 
-@compiled
+@compiled_without_gil
 def _encode(
     value: Values, directions: Values, cyclic: bool, columns: int, margin: int,
     view: NDArray[np.uint8],

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ratslam_ros.core.common.compiled import compiled
+from ratslam_ros.core.common.compiled import compiled_without_gil
 from ratslam_ros.core.config import LocalViewParameters
 from ratslam_ros.errors import UnusableParameter
 
@@ -91,7 +91,7 @@ def cropped(
     )
 
 
-@compiled
+@compiled_without_gil
 def block_means(
     image: NDArray[np.uint8], x_min: int, x_max: int, y_min: int, y_max: int,
     value: NDArray[np.float64],

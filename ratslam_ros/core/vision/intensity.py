@@ -12,7 +12,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ratslam_ros.core.common.compiled import compiled
+from ratslam_ros.core.common.compiled import compiled, compiled_without_gil
 from ratslam_ros.core.config import LocalViewParameters
 from ratslam_ros.core.vision.encoder import Image, Layout, View
 from ratslam_ros.core.vision.image_window import Window, block_means, contiguous, cropped
@@ -69,7 +69,7 @@ def crop_window(image: Image, p: LocalViewParameters) -> Window:
     return cropped(image, p, (p.template_x_size, p.template_y_size))
 
 
-@compiled
+@compiled_without_gil
 def _make_view(
     image: Image, x_min: int, x_max: int, y_min: int, y_max: int,
     normalise_to: float, patch_radius: int, min_std: float, view: Image,

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from ratslam_ros.core.common.freshness import Freshness
 from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import AUTOMATIC, LocalViewParameters
-from ratslam_ros.core.vision.built_in import INTENSITY, built_in_encoder
+from ratslam_ros.core.vision.built_in import BUILT_IN, INTENSITY, built_in_encoder
 from ratslam_ros.core.vision.encoder import Encoder, Image, View
 from ratslam_ros.core.vision.image_window import cropped
 from ratslam_ros.core.vision.look_alikes import LookAlikes
@@ -93,6 +93,12 @@ def match_from_state(values: list[Any]) -> ViewMatch:
     """Return a match from ``match_state``."""
     *fields, removed = values
     return ViewMatch(**dict(zip(_MATCH_FIELDS, fields, strict=True)), removed=tuple(removed))
+
+
+class EncodedView(NamedTuple):
+    """Result of ``LocalView.encode``: a view, None if the image has too little structure."""
+
+    view: View | None
 
 
 class ViewMatcher(Protocol):
@@ -178,6 +184,11 @@ class LocalView:
             return None
         return self._encoder.encode(image)
 
+    @property
+    def encodes_ahead(self) -> bool:
+        """Whether another thread may call ``encode``; a model may be bound to its thread."""
+        return self._p.vt_descriptor in BUILT_IN
+
     def shift_of(self, relative_rad: float) -> int:
         """Return the columns by which a view is shifted relative to a template that it matches.
 
@@ -208,17 +219,20 @@ class LocalView:
         if self._look_alikes is not None:
             self._look_alikes.relocated()
 
-    def match(self, image: Image, stamp_ns: int = 0) -> ViewMatch:
+    def match(
+        self, image: Image, stamp_ns: int = 0, encoded: EncodedView | None = None
+    ) -> ViewMatch:
         """Recognise an image, or learn it as a new template.
 
         Args:
             image: (H, W) uint8, greyscale.
             stamp_ns: stamp of the image; used if ``vt_max`` limits the number of templates.
+            encoded: result of ``encode`` for the image; None: compute it.
 
         Raises:
             UnusableParameter: the crop or template size does not fit the image.
         """
-        view = self.encode(image)
+        view = self.encode(image) if encoded is None else encoded.view
         if view is None:
             self.low_texture += 1
             return UNDECODABLE

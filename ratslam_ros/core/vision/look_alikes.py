@@ -10,6 +10,8 @@ that leads away from its start, odometry can: its errors are small compared to t
 from __future__ import annotations
 
 import math
+from bisect import bisect_left, insort
+from collections import deque
 from typing import NamedTuple
 
 import numpy as np
@@ -69,7 +71,8 @@ class LookAlikes:
         self._memory = TemplateMemory(layout)
         self._table = np.empty((MAX_VIEW_COUNT, _NEAREST + 1))
         self._count = 0
-        self._differences: list[int] = []
+        self._differences: deque[int] = deque()
+        self._ordered: list[int] = []  # the same differences, sorted
         self._templates: dict[int, int] = {}  # row of each template
         self._places = Rows(5)
         self._pose = Pose(0.0, 0.0, 0.0)
@@ -165,7 +168,8 @@ class LookAlikes:
         self._count = len(state['samples'])
         self._table[: self._count] = state['samples']
         self._seen_at_m = float(self._table[self._count - 1, 2]) if self._count else 0.0
-        self._differences = [int(value) for value in state['differences']]
+        self._differences = deque(int(value) for value in state['differences'])
+        self._ordered = sorted(self._differences)
         names = np.asarray(state['template_ids'], np.int64)
         self._templates = {name: row for row, name in enumerate(names.tolist())}
         self._places.replace(np.column_stack([names, state['templates']]))
@@ -194,9 +198,13 @@ class LookAlikes:
     def _median(self, search: Search) -> float:
         count = self._count
         number = min(_SAMPLES_PER_VIEW, count)
-        self._differences += [search.sad(k * count // number) for k in range(number)]
-        del self._differences[:-_MAX_SAMPLE_COUNT]
-        return float(sorted(self._differences)[len(self._differences) // 2])
+        for k in range(number):
+            difference = search.sad(k * count // number)
+            self._differences.append(difference)
+            insort(self._ordered, difference)
+        while len(self._differences) > _MAX_SAMPLE_COUNT:
+            del self._ordered[bisect_left(self._ordered, self._differences.popleft())]
+        return float(self._ordered[len(self._ordered) // 2])
 
     def _changed_m(self, search: Search, median: float) -> float:
         for earlier in range(self._count - 1, -1, -1):

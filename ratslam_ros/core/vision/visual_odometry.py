@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ratslam_ros.core.common.compiled import compiled
+from ratslam_ros.core.common.compiled import compiled, compiled_without_gil
 from ratslam_ros.core.common.odometry import Motion, Odometry, Twist, moved
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.state import State
@@ -22,6 +23,18 @@ from ratslam_ros.core.vision.image_window import Window, contiguous, window_of
 
 Profile = NDArray[np.int64]
 """(w,) sum of each column of a window; integers, so that equal differences compare as equal."""
+
+
+class Profiles(NamedTuple):
+    """Column sums of the two windows of an image."""
+
+    shape: tuple[int, ...]
+    """Shape of the image."""
+    height: int
+    """Number of rows of the window for translation."""
+    rotation: Profile
+    translation: Profile
+
 
 MAX_SHIFT_PX = 39
 """Largest shift between the profiles of successive images that is tried."""
@@ -43,15 +56,37 @@ class VisualOdometry:
         self._p = self._created_with = parameters
         self._last: tuple[int, tuple[int, ...], Profile, Profile] | None = None
         self._pose = Pose(0.0, 0.0, 0.0)
-        self._shape: tuple[int, ...] = ()
-        self._windows: tuple[Window, Window]
+        self._sized: tuple[tuple[int, ...], Window, Window] | None = None
 
-    def estimate(self, stamp_ns: int, image: NDArray[np.uint8]) -> Odometry | None:
+    def profiles(self, image: NDArray[np.uint8]) -> Profiles:
+        """Return the part of an image that is compared; another thread may call it.
+
+        Args:
+            image: (H, W) uint8, greyscale.
+
+        Raises:
+            UnusableParameter: a window exceeds the image.
+        """
+        sized = self._sized
+        if sized is None or sized[0] != image.shape:
+            sized = image.shape, self._rotation_window(image), self._translation_window(image)
+            self._sized = sized
+        pixels = contiguous(image)
+        shape, rotation, translation = sized
+        return Profiles(
+            shape, translation.y_max - translation.y_min,
+            _profile_of(pixels, rotation), _profile_of(pixels, translation),
+        )  # fmt: skip
+
+    def estimate(
+        self, stamp_ns: int, image: NDArray[np.uint8], profiles: Profiles | None = None
+    ) -> Odometry | None:
         """Estimate the motion since the previous image, and integrate the pose.
 
         Args:
             stamp_ns: stamp of the image; stamps must increase.
             image: (H, W) uint8, greyscale.
+            profiles: what ``profiles`` returned for the image; None: compute it.
 
         Returns:
             The odometry, or None for the first image and after a change of the image size.
@@ -60,20 +95,14 @@ class VisualOdometry:
             UnusableParameter: a window exceeds the image.
         """
         p = self._p
-        if self._shape != image.shape:
-            self._windows = self._rotation_window(image), self._translation_window(image)
-            self._shape = image.shape
-        pixels = contiguous(image)
-        window = self._windows[1]
-        rotation = _profile_of(pixels, self._windows[0])
-        translation = _profile_of(pixels, window)
+        _, height, rotation, translation = self.profiles(image) if profiles is None else profiles
         last, self._last = self._last, (stamp_ns, image.shape, rotation, translation)
         if last is None or last[1] != image.shape:
             return None  # Profiles of different lengths cannot be compared.
         dt_s = (stamp_ns - last[0]) * 1e-9
         offset_px = self._rotation_px(rotation, last[2])
         _, min_difference = _compare(translation, last[3])
-        difference = min_difference / (255.0 * (window.y_max - window.y_min))
+        difference = min_difference / (255.0 * height)
         rad_per_px = p.camera_fov_deg / image.shape[1] * (math.pi / 180.0)
         speed_mps = difference * p.vtrans_scaling / (dt_s * p.camera_hz)
         twist = Twist(min(speed_mps, p.vtrans_max), offset_px * rad_per_px / dt_s)
@@ -150,7 +179,7 @@ def _profile_of(image: NDArray[np.uint8], window: Window) -> Profile:
     return profile
 
 
-@compiled
+@compiled_without_gil
 def _profile(
     image: NDArray[np.uint8], x_min: int, x_max: int, y_min: int, y_max: int, profile: Profile
 ) -> None:

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ratslam_ros.history.run_state import RunState
-from ratslam_ros.viewer.panels.desk import Desk
+from ratslam_ros.viewer.panels.desk import Desk, put
 from ratslam_ros.viewer.panels.html import ORANGE, block, dim, legend, mark, strong
 
 
@@ -24,6 +24,7 @@ class AppearancePanel:
             hint='What the colours of experiences and links stand for.',
         )  # fmt: skip
         self.legend = gui.add_html('')
+        self._entries: object = None
         self.detail = gui.add_html('', visible=False)
         self.overview = gui.add_button(
             'Show the whole map', hint='Move the view back to where all is seen. (O)'
@@ -57,9 +58,11 @@ class AppearancePanel:
     def update(self, state: RunState) -> None:
         """Show the legend, and move the view along with the robot."""
         scene = self._desk.scene
-        self.legend.content = block(strong('Legend'), legend(scene.legend()))
-        self.detail.visible = bool(scene.detail)
-        self.detail.content = block(f'{mark("▲", ORANGE)} {dim(scene.detail)}')
+        if (entries := scene.legend()) != self._entries:
+            self._entries = entries
+            self.legend.content = block(strong('Legend'), legend(entries))
+        put(self.detail, 'visible', bool(scene.detail))
+        put(self.detail, 'content', block(f'{mark("▲", ORANGE)} {dim(scene.detail)}'))
         robot = None if state.pose is None else np.array([*state.pose.pose[:2], 0.0])
         if self.follow.value and robot is not None and self._robot is not None:
             moved = robot - self._robot

@@ -11,7 +11,7 @@ import numpy as np
 
 from ratslam_ros.history.records import ImageRecord, MatchRecord
 from ratslam_ros.history.run_state import RunState
-from ratslam_ros.viewer.panels.desk import Desk
+from ratslam_ros.viewer.panels.desk import Desk, put
 from ratslam_ros.viewer.panels.html import BLUE, GREEN, ORANGE, RED, block, dim, mark, strong
 from ratslam_ros.viewer.panels.image_loader import ImageLoader
 from ratslam_ros.viewer.panels.pictures import error_curves, match_picture
@@ -69,6 +69,7 @@ class CameraPanel:
         self._drawn = -PLOT_EVERY
         self._match: MatchRecord | None = None
         self._small: ImageRecord | None = None
+        self._jpeg: bytes | None = None
         self.forget()
 
     def forget(self) -> None:
@@ -84,16 +85,18 @@ class CameraPanel:
         if view is not None:
             required = self._desk.playback.source.required_views
             symbol = mark('◆', ORANGE) if view.is_new else mark('●', GREEN)
-            self.text.content = block(
+            text = block(
                 f'{symbol} {strong(match_text(view))}', escape(decision_text(view, required))
             )
         else:
-            self.text.content = block(dim('no view for this moment'))
+            text = block(dim('no view for this moment'))
+        put(self.text, 'content', text)
         if state.match is not self._match:
             self._match = state.match
             self._show_match(state.match)
         if state.match is not None:
-            self.match_text.content = block(dim(match_picture_text(state.match, stamp_ns)))
+            text = block(dim(match_picture_text(state.match, stamp_ns)))
+            put(self.match_text, 'content', text)
         self._show_plot(state, stamp_ns)
 
     def _request_image(self, state: RunState, stamp_ns: int) -> None:
@@ -106,12 +109,14 @@ class CameraPanel:
         self.loader.request(self._desk.playback.source, stamp_ns, show)
 
     def _show_image(self, jpeg: bytes | None) -> None:
-        self.image.visible, self.no_image.visible = jpeg is not None, jpeg is None
-        if jpeg is not None:
+        put(self.image, 'visible', jpeg is not None)
+        put(self.no_image, 'visible', jpeg is None)
+        if jpeg is not None and jpeg is not self._jpeg:
             set_jpeg(self.image, jpeg)
+        self._jpeg = jpeg
 
     def _show_match(self, match: MatchRecord | None) -> None:
-        self.match.visible = match is not None
+        put(self.match, 'visible', match is not None)
         if match is None:
             self.match_text.content = ''
             return
@@ -122,7 +127,7 @@ class CameraPanel:
         if due and stamp_ns != self._plotted_ns:
             self._drawn, self._plotted_ns = self._desk.updates, stamp_ns
             curves = error_curves(state.recent, stamp_ns)
-            self.plot.visible = len(curves[0]) > 0
+            put(self.plot, 'visible', len(curves[0]) > 0)
             self.plot.data = curves
 
 

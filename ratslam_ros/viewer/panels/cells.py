@@ -8,7 +8,7 @@ from html import escape
 
 from ratslam_ros.history.records import CellsRecord, ViewRecord
 from ratslam_ros.history.run_state import RunState
-from ratslam_ros.viewer.panels.desk import Desk
+from ratslam_ros.viewer.panels.desk import Desk, put
 from ratslam_ros.viewer.panels.html import block, dim, strong, table
 from ratslam_ros.viewer.panels.texts import cells_text, decision_text
 
@@ -44,4 +44,4 @@ class CellsPanel:
         parts.append(escape(decision_text(view, required)) if view else dim('no view'))
         parts.append(strong('Activity'))
         parts.append(table(cells_text(state.cells)) if state.cells else dim('not recorded'))
-        self.text.content = block(*parts)
+        put(self.text, 'content', block(*parts))

@@ -118,8 +118,14 @@ class Desk:
 
 
 def assign(handle: Any, value: Any) -> None:
-    """Set the value of an input; viser sends it if it differs."""
-    handle.value = value
+    """Set the value of an input if it differs."""
+    put(handle, 'value', value)
+
+
+def put(handle: Any, name: str, value: Any) -> None:
+    """Set a property if it differs; viser would compare it too, after 25 us of casts."""
+    if getattr(handle, name) != value:
+        setattr(handle, name, value)
 
 
 def offer(choice: Any, options: Sequence[str]) -> None:

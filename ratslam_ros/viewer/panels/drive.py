@@ -11,7 +11,7 @@ from ratslam_ros.history.records import StatusRecord
 from ratslam_ros.history.run_state import RunState
 from ratslam_ros.messages.goals import decode_status
 from ratslam_ros.messages.json_schema import MalformedMessage
-from ratslam_ros.viewer.panels.desk import Desk, Request, offer
+from ratslam_ros.viewer.panels.desk import Desk, Request, offer, put
 from ratslam_ros.viewer.panels.html import GREEN, LEVELS, RED, block, dim, mark, strong, table
 from ratslam_ros.viewer.panels.selection import SelectionPanel
 
@@ -86,6 +86,7 @@ class DrivePanel:
         )
         self.log = gui.add_html('')
         self.diagnostics = gui.add_html('')
+        self._nodes: Mapping[str, tuple[str, str]] = {}
 
     def add_go_buttons(self, label: str, order: float | None = None) -> None:
         """Add buttons that send the robot to what is selected."""
@@ -102,14 +103,17 @@ class DrivePanel:
             self._status = state.status
             self.status.content = status_html(state.status)
         target = self._target()
-        self.target.content = block(
+        text = block(
             dim(CLICK_FIRST) if target is None
             else f'{strong("Selected")} x {target[0]:.2f} m, y {target[1]:.2f} m'
         )  # fmt: skip
+        put(self.target, 'content', text)
         offer(self.place, tuple(self._desk.controls.places) or (NO_PLACES,))
         self._show_switches()
-        self.log.content = log_html(self._desk.requests)
-        self.diagnostics.content = diagnostics_html(self._desk.controls.diagnostics)
+        put(self.log, 'content', log_html(self._desk.requests))
+        if (nodes := self._desk.controls.diagnostics) != self._nodes:
+            self._nodes = nodes
+            self.diagnostics.content = diagnostics_html(nodes)
 
     def _target(self) -> tuple[float, float] | None:
         """Return the selected point on the map in m, None if there is none."""

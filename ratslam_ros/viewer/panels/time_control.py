@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from ratslam_ros.history.run_state import NS_PER_S, RunState
-from ratslam_ros.viewer.panels.desk import Desk, assign, offer
+from ratslam_ros.viewer.panels.desk import Desk, assign, offer, put
 from ratslam_ros.viewer.panels.html import ORANGE, block, dim, mark, strong
 from ratslam_ros.viewer.panels.page import PAGE
 from ratslam_ros.viewer.panels.texts import playback_text, stamp_text, time_text
@@ -59,22 +59,24 @@ class TimeControl:
         begin_ns, end_ns = playback.begin_ns, playback.end_ns
         at_s, of_s = ((ns - begin_ns) / NS_PER_S for ns in (playback.cursor_ns, end_ns))
         symbol, words = playback_text(playback)
-        self.text.content = block(
+        text = block(
             strong(source.title),
             f'{mark(symbol, ORANGE)} {words}',
             f'{strong(time_text(at_s))} of {time_text(of_s)} '
             f'&ensp;{dim(stamp_text(playback.cursor_ns)) if end_ns else ""}',
         )
+        put(self.text, 'content', text)
         # Whole seconds, so that a growing run changes the scale once a second.
         step_ns = NS_PER_S if playback.is_growing else round(SLIDER_STEP_S * NS_PER_S)
         steps = max(1, -(-(end_ns - begin_ns) // step_ns))
-        self.scrubber.max = round(steps * step_ns / NS_PER_S, 1)
+        put(self.scrubber, 'max', round(steps * step_ns / NS_PER_S, 1))
         assign(self.scrubber, round(at_s / SLIDER_STEP_S) * SLIDER_STEP_S)
         play = PAUSE if playback.playing else PLAY
         offer(self.buttons, (BEGIN, BACK, play, NEXT, END))
         assign(self.speed, _speed_text(min(SPEEDS, key=lambda s: abs(s - playback.speed))))
         notices = [f'{mark("▲", ORANGE)} {dim(notice)}' for notice in source.notices]
-        self.notices.visible, self.notices.content = bool(notices), block(*notices)
+        put(self.notices, 'visible', bool(notices))
+        put(self.notices, 'content', block(*notices))
 
     def faster(self, places: int) -> None:
         """Choose the speed that is a number of places faster, or slower if negative."""

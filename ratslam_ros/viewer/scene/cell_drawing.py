@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from ratslam_ros.history.records import CellsRecord
 from ratslam_ros.viewer.scene import glb
 from ratslam_ros.viewer.scene.nodes import Asset, Canvas, Cloud, Labels, Strokes
-from ratslam_ros.viewer.scene.palette import LEVELS, Theme, mixed, scale_colours
+from ratslam_ros.viewer.scene.palette import LEVELS, Bytes, Theme, mixed, scale_colours
 
 Reals = NDArray[np.float64]
 
@@ -45,29 +46,27 @@ def rotation() -> Reals:
     return whole
 
 
+SHIFTS = np.array([shift for shift in itertools.product((-1, 0, 1), repeat=3) if any(shift)])
+"""The 26 directions in which the box repeats."""
+
 CORNERS = np.array(list(itertools.product((0.0, 1.0), repeat=3))) - 0.5
 EDGES = [(a, b) for a in range(8) for b in range(a + 1, 8) if bin(a ^ b).count('1') == 1]
 
 
-def repeated(cells: NDArray[np.int64], dims: tuple[int, int, int]) -> tuple[Reals, Reals]:
+def repeated(
+    cells: NDArray[np.int64], dims: tuple[int, int, int]
+) -> tuple[Reals, NDArray[np.int64]]:
     """Return copies of cells beyond the opposite faces, and the row that each is a copy of.
 
     Args:
         cells: (n, 3) x, y and theta.
         dims: numbers of cells in x, y and theta.
     """
-    where: list[Reals] = [np.empty((0, 3))]
-    rows: list[NDArray[np.int64]] = [np.empty(0, np.int64)]
     size = np.array(dims, float)
     outer = np.flatnonzero(((cells < WRAP_CELLS) | (cells >= size - WRAP_CELLS)).any(axis=1))
-    for shift in itertools.product((-1, 0, 1), repeat=3):
-        if not any(shift):
-            continue
-        moved = cells[outer] + 0.5 + np.array(shift) * size
-        near = ((moved > -WRAP_CELLS) & (moved < size + WRAP_CELLS)).all(axis=1)
-        where.append(moved[near])
-        rows.append(outer[near])
-    return np.concatenate(where), np.concatenate(rows)
+    moved = cells[outer] + 0.5 + SHIFTS[:, None] * size
+    shift, at = np.nonzero(((moved > -WRAP_CELLS) & (moved < size + WRAP_CELLS)).all(axis=2))
+    return moved[shift, at], outer[at]
 
 
 def activity_levels(activity: Reals) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -83,6 +82,13 @@ def activity_levels(activity: Reals) -> tuple[NDArray[np.int64], NDArray[np.int6
     return levels, np.where(share >= SHARES[0], 0, np.where(share >= SHARES[1], 1, 2))
 
 
+@cache
+def _pale(theme: Theme) -> Bytes:
+    """Return the (LEVELS, 3) colours of repeated cells."""
+    scale = scale_colours(theme).tolist()
+    return np.array([mixed(tuple(rgb), theme.background, PALE) for rgb in scale], np.uint8)
+
+
 class CellDrawing:
     """The box, the activity within it, competing packets and injections."""
 
@@ -93,8 +99,7 @@ class CellDrawing:
         self._centre = np.zeros(3)
         self._key: object = None
         self._box_key: object = None
-        names = [f'{part}{k}' for part in ('active', 'pale') for k in range(3)]
-        self._clouds = [Cloud(canvas, f'{self._path}/{n}', 0.1, 'gradient') for n in names]
+        self._clouds = [Cloud(canvas, f'{self._path}/{k}', 0.1, 'gradient') for k in range(3)]
         self._edges = Asset(canvas, f'{self._path}/box')
         self._drops = Strokes(canvas, f'{self._path}/drops', 1.5)
         self._markers = Strokes(canvas, f'{self._path}/injections', 2.5)
@@ -122,13 +127,14 @@ class CellDrawing:
         levels, sizes = activity_levels(record.activity)
         colours = scale_colours(theme)[levels]
         copies, rows = repeated(record.cells, record.dims)
-        pale = np.array([mixed(tuple(c), theme.background, PALE) for c in colours[rows].tolist()])
+        pale = _pale(theme)[levels[rows]]
         inside = self._points(record.cells.astype(np.float64) + 0.5, record.dims)
         beyond = self._points(copies, record.dims)
-        for k in range(3):
-            self._clouds[k].draw(inside[sizes == k], colours[sizes == k])
-            copied = sizes[rows] == k
-            self._clouds[3 + k].draw(beyond[copied], pale.reshape(-1, 3)[copied])
+        points = np.concatenate([inside, beyond])
+        tints = np.concatenate([colours, pale])
+        classes = np.concatenate([sizes, sizes[rows]])
+        for k, cloud in enumerate(self._clouds):
+            cloud.draw(points[classes == k], tints[classes == k])
         self._draw_packets(record, theme)
         self._draw_injections(record, theme)
 
@@ -165,7 +171,7 @@ class CellDrawing:
         self._edges.draw(glb.lines(flat, np.array(tints, np.uint8)))
         cell_m = self._side_m / max(dims[0], dims[1])
         for k, cloud in enumerate(self._clouds):
-            cloud.resize(SIZES[k % 3] * cell_m)
+            cloud.resize(SIZES[k] * cell_m)
         n_x, n_y, n_h = size
         texts = [('Pose cells', (n_x / 2, n_y, n_h * 1.16))]
         texts += [('x (wraps)', (n_x / 2, -0.1 * n_y, -0.03 * n_h))]

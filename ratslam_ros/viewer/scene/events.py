@@ -37,6 +37,8 @@ def recent_closures(state: RunState) -> list[ClosureEvent]:
         age_ns = state.stamp_ns - view.stamp_ns
         if age_ns > REJECTED_NS:
             break
+        if not view.reason and (view.action != 'link' or age_ns > ACCEPTED_NS):
+            continue
         target = view.recognised_id if view.recognised_id != NO_EXPERIENCE else view.target_id
         if not 0 <= target < len(places) or not np.isfinite(places[target, :2]).all():
             continue
@@ -45,7 +47,7 @@ def recent_closures(state: RunState) -> list[ClosureEvent]:
             if 0 <= view.source_id < len(places):
                 start = places[view.source_id, :2].tolist()
         elif (
-            view.action == 'link' and age_ns <= ACCEPTED_NS and 0 <= view.source_id < len(places)
+            0 <= view.source_id < len(places)
             and abs(view.source_id - view.target_id) > CLOSURE_IDS
         ):  # fmt: skip
             target, start = view.target_id, places[view.source_id, :2].tolist()

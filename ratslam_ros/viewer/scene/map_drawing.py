@@ -73,6 +73,8 @@ class MapDrawing:
         self._assets: list[Asset] = []
         self._links: list[_Drawn] = []
         self._size_m = 0.1
+        self._thinned_rows: tuple[NDArray[np.int64], NDArray[np.bool_], int] | None = None
+        self._thinned_links = np.empty((0, 2), np.int64), np.empty(0, np.bool_)
         self.every = 1
         """Every how many experiences one is drawn."""
 
@@ -92,10 +94,10 @@ class MapDrawing:
         places[:, :2] = poses[:, :2]
         known = np.asarray(np.isfinite(poses[:, 0]))
         self._draw_points(places, known, colours.experiences, CHUNK * every)
-        ends, drawn = thinned_links(rows, every)
+        ends, drawn = self._thinned(rows, every)
         inside = np.array(((ends >= 0) & (ends < len(poses))).all(axis=1))
         ends = np.where(inside[:, None], ends, 0)
-        drawn &= inside
+        drawn = drawn & inside
         if len(known):
             drawn &= known[ends[:, 0]] & known[ends[:, 1]]
         self._draw_links(places, ends, drawn, colours.links, CHUNK * every)
@@ -106,6 +108,18 @@ class MapDrawing:
             self._size_m = size_m
             for cloud in self._clouds:
                 cloud.resize(size_m)
+
+    def _thinned(
+        self, rows: LinkRows, every: int
+    ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """Return ``thinned_links``, computed anew only if links differ: it sorts all of them."""
+        old = self._thinned_rows
+        if old is None or old[2] != every or not (
+            np.array_equal(old[0], rows.ends) and np.array_equal(old[1], rows.recognised)
+        ):  # fmt: skip
+            self._thinned_rows = rows.ends.copy(), rows.recognised.copy(), every
+            self._thinned_links = thinned_links(rows, every)
+        return self._thinned_links
 
     def _draw_points(
         self, places: NDArray[np.float32], known: NDArray[np.bool_], colours: Bytes, size: int

@@ -164,9 +164,13 @@ class Labels:
     def __init__(self, canvas: Canvas, path: str, anchor: str = 'center-center') -> None:
         self._canvas, self._path, self._anchor = canvas, path, anchor
         self._handles: list[Any] = []
+        self._drawn: list[tuple[str, tuple[float, float, float]]] = []
 
     def draw(self, texts: list[tuple[str, tuple[float, float, float]]]) -> None:
         """Draw texts at points."""
+        if texts == self._drawn:
+            return
+        self._drawn = texts
         for k, (text, position) in enumerate(texts):
             if k < len(self._handles):
                 handle = self._handles[k]

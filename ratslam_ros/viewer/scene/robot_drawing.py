@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import math
+import operator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,6 +68,8 @@ class RobotDrawing:
         self._size_m = 0.0
         self._arrow_key: object = None
         self._goal_key: object = None
+        self._route_key: object = None
+        self._shown: tuple[object, object] = (None, None)
 
     def draw(self, state: RunState, size_m: float) -> None:
         """Draw a state.
@@ -96,6 +99,10 @@ class RobotDrawing:
         self._draw_events(state, theme)
 
     def _draw_route(self, state: RunState, theme: Theme) -> None:
+        shown, key = (state.route, state.status), (self._size_m, theme)
+        if key == self._route_key and all(map(operator.is_, shown, self._shown)):
+            return
+        self._route_key, self._shown = key, shown
         points = np.empty((0, 2)) if state.route is None else state.route.points_m
         points = points[np.isfinite(points).all(axis=1)]
         every = max(1, math.ceil(len(points) / ROUTE_LINES))
@@ -112,9 +119,9 @@ class RobotDrawing:
         self.has_route = True
         x, y, text = goal
         self._goal_text.draw([(text, (x, y + self._size_m, 0.0))])
-        if (key := (x, y, self._size_m, theme)) == self._goal_key:
+        if (mark_key := (x, y, self._size_m, theme)) == self._goal_key:
             return
-        self._goal_key = key
+        self._goal_key = mark_key
         mark = np.concatenate([ring(0.8 * self._size_m), ring(0.3 * self._size_m, 0.0)])
         mark += np.array([x, y, 0.0], np.float32)
         self._goal.draw(glb.triangles(mark, theme.goal))

@@ -231,10 +231,10 @@ class RunScene:
         self._draw_trails(state, now_s)
 
     def _draw_trails(self, state: RunState, now_s: float) -> None:
-        theme = self._canvas.theme
-        self._trail.draw(state.trail, theme.trail)
-        self._reckoned.draw(state.dead_reckoning, theme.dead_reckoning)
-        self._truth.draw(state.truth, theme.truth)
+        theme, side_m = self._canvas.theme, self._bounds.side_m
+        self._trail.draw(state.trail, theme.trail, side_m)
+        self._reckoned.draw(state.dead_reckoning, theme.dead_reckoning, side_m)
+        self._truth.draw(state.truth, theme.truth, side_m)
         self._map_due_s = now_s + self._period_s
 
     def _ticks_key(self, distance_m: float) -> object:

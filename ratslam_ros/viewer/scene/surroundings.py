@@ -49,14 +49,15 @@ class Bounds:
         # Not dead reckoning: it drifts without bound, and the map would become small.
         for trail in state.trail, state.truth:
             parts.append(trail.points_m[-1:])
+        half = 0.5 * self.side_m
+        # Comparisons with NaN, which unknown poses have, are false.
+        if not any((np.abs(part - self.centre) > half).any() for part in parts):
+            return
         points = np.concatenate(parts)
         points = points[np.isfinite(points).all(axis=1)]
         if not len(points):
             return
         low, high = points.min(axis=0), points.max(axis=0)
-        half = 0.5 * self.side_m
-        if (low >= self.centre - half).all() and (high <= self.centre + half).all():
-            return
         self.centre = (low + high) / 2
         side_m = float((high - low).max())
         while self.side_m < 1.05 * side_m:

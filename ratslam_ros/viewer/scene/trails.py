@@ -25,16 +25,38 @@ JUMP = 3.0
 """A step that is this many times the median is a jump of the estimate, and not drawn."""
 
 
-def steps(points_m: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Return the (k, 2, 3) lines between consecutive points that were driven, not jumped."""
+TOLERANCE = 1 / 4000
+"""Largest deviation of the drawn lines from the points, as a share of the side of the map: an
+eighth of a pixel if all of it is shown. Recorded trails then need a third of the lines, of which
+3,000 take software rendering 4 ms per frame."""
+
+
+def steps(points_m: NDArray[np.float64], tolerance_m: float = 0.0) -> NDArray[np.float32]:
+    """Return the (k, 2, 3) lines along points, without steps that were jumped instead of driven.
+
+    Args:
+        points_m: (n, 2) points.
+        tolerance_m: distance by which points may be off the lines (Douglas and Peucker, 1973).
+    """
     if len(points_m) < 2:
         return np.empty((0, 2, 3), np.float32)
     lengths = np.hypot(*np.diff(points_m, axis=0).T)
-    driven = lengths <= JUMP * np.median(lengths)
-    flat = np.zeros((len(points_m), 3), np.float32)
-    flat[:, :2] = points_m
-    lines: NDArray[np.float32] = np.stack([flat[:-1], flat[1:]], axis=1)[driven]
-    return lines
+    jumps = np.flatnonzero(lengths > JUMP * np.median(lengths))
+    runs = [_simplified(run, tolerance_m) for run in np.split(points_m, jumps + 1)]
+    ends = np.concatenate([np.stack([run[:-1], run[1:]], axis=1) for run in runs])
+    return np.pad(ends, ((0, 0), (0, 0), (0, 1))).astype(np.float32)
+
+
+def _simplified(points_m: NDArray[np.float64], tolerance_m: float) -> NDArray[np.float64]:
+    """Return the points that lines within a tolerance need, the ends included."""
+    if not tolerance_m or len(points_m) < 3:
+        return points_m
+    import cv2
+
+    begin = points_m[0]  # Single precision suffices near it.
+    line = cv2.approxPolyDP((points_m - begin).astype(np.float32)[:, None], tolerance_m, False)
+    kept: NDArray[np.float64] = begin + line.reshape(-1, 2)
+    return kept
 
 
 class TrailDrawing:
@@ -44,8 +66,9 @@ class TrailDrawing:
         self._canvas = canvas
         self._path = canvas.layer(name, height_m)
         self._chunks: list[Asset] = []
-        self._drawn: list[tuple[NDArray[np.float64], Rgb]] = []
+        self._drawn: list[tuple[NDArray[np.float64], object]] = []
         self._key: object = None
+        self._tail_key: object = None
         self._tail = Strokes(canvas, f'{self._path}/tail', 4.0) if has_tail else None
 
     @property
@@ -53,9 +76,10 @@ class TrailDrawing:
         """Whether there is anything to see."""
         return any(len(points) for points, _ in self._drawn)
 
-    def draw(self, trail: Trail, colour: Rgb) -> None:
-        """Draw a trail; send only the chunks that differ."""
-        key = (id(trail), trail.version, colour)
+    def draw(self, trail: Trail, colour: Rgb, side_m: float) -> None:
+        """Draw a trail on a map of a side; send only the chunks that differ."""
+        style = colour, TOLERANCE * side_m
+        key = (id(trail), trail.version, style)
         if key == self._key:
             return
         self._key = key
@@ -64,18 +88,20 @@ class TrailDrawing:
         for k in range(max(count, len(self._chunks))):
             if k == len(self._chunks):
                 self._chunks.append(Asset(self._canvas, f'{self._path}/{k}'))
-                self._drawn.append((points[:0], colour))
+                self._drawn.append((points[:0], style))
             part = points[k * CHUNK : (k + 1) * CHUNK + 1]
-            if self._drawn[k][1] == colour and np.array_equal(self._drawn[k][0], part):
+            if self._drawn[k][1] == style and np.array_equal(self._drawn[k][0], part):
                 continue
-            self._drawn[k] = part.copy(), colour
-            lines = steps(part)
+            self._drawn[k] = part.copy(), style
+            lines = steps(part, TOLERANCE * side_m)
             tints = np.broadcast_to(np.array(colour, np.uint8), (len(lines), 3))
             self._chunks[k].draw(glb.lines(lines, tints) if len(lines) else b'')
 
     def draw_tail(self, trail: Trail, colour: Rgb) -> None:
         """Draw the end of the trail."""
-        if self._tail is not None:
+        key = (id(trail), trail.version, colour, self._canvas.theme.background)
+        if self._tail is not None and key != self._tail_key:
+            self._tail_key = key
             lines = steps(trail.points_m[-TAIL - 1 :])
             tints = faded(colour, self._canvas.theme.background, 2 * len(lines))
             self._tail.draw(lines, tints.reshape(-1, 2, 3))

@@ -1,0 +1,113 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Messages do not wait for a regular stream, and the order still depends on the stamps alone."""
+
+import heapq
+import json
+import random
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ratslam_ros.core.common.stamp_order import STEP_COUNT, Released, StampOrder
+
+STREAMS = 'odometry', 'template'
+MS = 1_000_000
+STEP_NS = 20 * MS
+Message = tuple[str, int]
+
+
+def regular_order(max_lateness_ns: int = 2000 * MS) -> StampOrder[int]:
+    return StampOrder(STREAMS, max_lateness_ns, 'odometry')
+
+
+def after_regular_odometry(order: StampOrder[int]) -> int:
+    """Push odometry until the next stamp can be predicted; return the last stamp."""
+    for n in range(1, STEP_COUNT + 2):
+        order.push('odometry', n * STEP_NS, 0)
+    order.push('template', STEP_NS // 2, 0)
+    return (STEP_COUNT + 1) * STEP_NS
+
+
+def pushed(order: StampOrder[int], messages: list[Message]) -> list[Message]:
+    out: list[Released[int]] = []
+    for stream, stamp_ns in messages:
+        out += order.push(stream, stamp_ns, stamp_ns)
+    return [(stream, stamp_ns) for stamp_ns, stream, _ in out]
+
+
+@pytest.mark.parametrize(('after_ms', 'waits'), [(0, False), (6, False), (13, False), (14, True)])
+def test_message_waits_only_near_the_predicted_stamp(after_ms: int, waits: bool) -> None:
+    order = regular_order()
+    template = 'template', after_regular_odometry(order) + after_ms * MS
+    assert (template not in pushed(order, [template])) == waits
+    assert (template in pushed(order, [('odometry', template[1] + STEP_NS)])) == waits
+
+
+def test_message_waits_until_the_steps_are_known() -> None:
+    order = regular_order()
+    for n in range(1, STEP_COUNT + 1):
+        order.push('odometry', n * STEP_NS, 0)
+        assert ('template', n * STEP_NS + 1) not in pushed(order, [('template', n * STEP_NS + 1)])
+
+
+def test_early_message_goes_after_what_did_not_wait_for_it() -> None:
+    early = 'odometry', 425 * MS  # predicted for 433.3 ms at the earliest
+    templates = [('template', 424 * MS), ('template', 430 * MS), ('template', 440 * MS)]
+    expected = [*templates[:2], early, templates[2]]
+    for arrivals in ([early, *templates], [*templates, early], [templates[0], early,
+                                                               *templates[1:]]):  # fmt: skip
+        order = regular_order()
+        assert after_regular_odometry(order) == 420 * MS
+        later = [('odometry', 445 * MS), ('template', 450 * MS)]
+        out = [m for m in pushed(order, [*arrivals, *later]) if m[1] > 420 * MS]
+        assert out[:4] == expected
+        assert order.counts.late == order.counts.refused == 0
+
+
+@given(st.lists(st.integers(1, 40), min_size=30, max_size=90), st.randoms(use_true_random=False))
+def test_any_arrival_gives_the_same_order(steps_ms: list[int], chance: random.Random) -> None:
+    stamps: dict[str, list[int]] = {'odometry': [], 'template': []}
+    at_ns = 0
+    for step in steps_ms:
+        at_ns += step * MS
+        stamps['odometry'].append(at_ns)
+        stamps['template'].append(at_ns - chance.randrange(step) * MS - MS // 2)
+    by_stamp = list(heapq.merge(
+        *([(stamp, stream) for stamp in stamps[stream]] for stream in STREAMS)
+    ))  # fmt: skip
+    found = []
+    for _ in range(3):
+        order = regular_order(10**12)
+        queues = {stream: list(values) for stream, values in stamps.items()}
+        arrivals = []
+        while any(queues.values()):
+            stream = chance.choice([stream for stream, queue in queues.items() if queue])
+            arrivals.append((stream, queues[stream].pop(0)))
+        out = pushed(order, arrivals)
+        out += [(stream, stamp_ns) for stamp_ns, stream, _ in order.flush()]
+        found.append(out)
+        assert order.counts.late == order.counts.refused == 0
+    assert found[0] == found[1] == found[2]
+    assert sorted(found[0]) == sorted((stream, stamp) for stamp, stream in by_stamp)
+
+
+def test_state_keeps_the_prediction_and_the_places() -> None:
+    order = regular_order()
+    last_ns = after_regular_odometry(order)
+    order.push('odometry', last_ns + 5 * MS, 0)
+    state = json.loads(json.dumps(order.state(lambda item: item)))
+    again = regular_order()
+    again.restore(state, lambda item: item)
+    rest = [('template', last_ns + n * MS) for n in (2, 9, 14, 21, 40)]
+    assert pushed(again, rest) == pushed(order, rest)
+    assert again.state(lambda item: item) == order.state(lambda item: item)
+
+
+def test_old_state_without_prediction_is_restored() -> None:
+    order: StampOrder[int] = StampOrder(STREAMS, 100)
+    order.push('odometry', 5, 0)
+    again = StampOrder[int](STREAMS, 100, 'odometry')
+    again.restore(order.state(lambda item: item), lambda item: item)
+    assert pushed(again, [('template', 7), ('odometry', 8)]) == [('odometry', 5), ('template', 7)]

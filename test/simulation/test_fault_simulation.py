@@ -1,0 +1,129 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""All nodes under faults from seeds: the short form of tools/simulate_faults.py."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
+
+import pytest
+from virtual_bus import BusFaults
+from virtual_time import MS, S, Hang, Process, Scheduler, VirtualCondition, VirtualTime
+
+from ratslam_ros.core.warm_up import warm_up
+from ratslam_ros.standalone import StandaloneUnavailable
+
+try:
+    from virtual_robot import DRIVE_S, KINDS, Plan, simulate
+except StandaloneUnavailable as error:
+    pytest.skip(str(error), allow_module_level=True)
+
+SEEDS = 50
+UNDISTURBED = Plan(BusFaults(), (), None, True, True, 0.0, 0.0, 0, False, 'closed')
+
+
+@pytest.fixture(scope='module', autouse=True)
+def warm() -> Iterator[None]:
+    """Compile in the time of the machine."""
+    warm_up()
+    yield
+
+
+def test_undisturbed_nodes_build_the_map_of_the_replay() -> None:
+    outcome = simulate(0, plan=UNDISTURBED)
+    assert outcome.kind == 'identical', outcome
+
+
+@pytest.mark.parametrize('name', KINDS)
+def test_killed_node_resumes_exactly(name: str) -> None:
+    """Its neighbours and the source send again what it missed."""
+    plan = replace(UNDISTURBED, kills=((DRIVE_S * S // 2, (name,), S),), ends='killed')
+    outcome = simulate(1, plan=plan)
+    assert (outcome.kind, outcome.kills) == ('identical', 1), outcome
+
+
+def test_lost_images_are_reported() -> None:
+    """The check is able to fail: without a source that sends again, the map differs."""
+    plan = replace(UNDISTURBED, kills=((DRIVE_S * S // 2, ('local_view',), S),), resends=False)
+    outcome = simulate(2, plan=plan)
+    assert not outcome.identical
+    assert 'lost span' in outcome.losses, outcome
+
+
+def test_equal_seeds_give_equal_traces() -> None:
+    first, second = (simulate(3, trace=True) for _ in range(2))
+    assert first.trace == second.trace
+    assert first.trace_hash == second.trace_hash != simulate(4).trace_hash
+    assert len(first.trace) > 500
+
+
+def test_faults_lose_nothing_unnoticed() -> None:
+    kinds = Counter()
+    for seed in range(SEEDS):
+        outcome = simulate(seed)
+        assert outcome.problems == [], (seed, outcome.problems)
+        kinds[outcome.is_repairable, outcome.identical] += 1
+    assert kinds[True, True] > SEEDS // 4
+    assert kinds[True, False] <= SEEDS // 20  # faults are to be repaired, not only reported
+
+
+def test_time_passes_only_while_all_threads_wait() -> None:
+    scheduler = Scheduler(1)
+    clock, condition, order = VirtualTime(scheduler), VirtualCondition(scheduler), []
+
+    def wait() -> None:
+        with condition:
+            woken = condition.wait(5.0)
+        order.append(('waiter', woken, round(clock.monotonic(), 3)))
+
+    def notify() -> None:
+        clock.sleep(2.0)
+        with condition:
+            condition.notify_all()
+        order.append(('notifier', True, round(clock.monotonic(), 3)))
+
+    process = Process('test')
+    scheduler.start(process, 'wait', wait)
+    scheduler.start(process, 'notify', notify)
+    scheduler.sleep(10 * S)
+    assert sorted(order) == [('notifier', True, 1002.0), ('waiter', True, 1002.0)]
+    assert scheduler.failures == []
+
+
+def test_killed_thread_ends_where_it_is() -> None:
+    scheduler = Scheduler(1)
+    steps: list[int] = []
+
+    def run() -> None:
+        try:
+            for step in range(100):
+                steps.append(step)
+                scheduler.sleep(10 * MS)
+        except Exception:
+            steps.append(-1)
+
+    process = Process('test')
+    task = scheduler.start(process, 'run', run)
+    scheduler.sleep(35 * MS)
+    scheduler.kill(process)
+    assert task.is_done
+    assert steps == [0, 1, 2, 3]
+    scheduler.sleep(S)
+    assert steps == [0, 1, 2, 3]
+
+
+def test_endless_thread_is_a_hang(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr('virtual_time.MAX_SWITCHES', 1000)
+    scheduler = Scheduler(1)
+
+    def run() -> None:
+        while True:
+            scheduler.sleep(1)
+
+    process = Process('test')
+    scheduler.start(process, 'run', run)
+    with pytest.raises(Hang):
+        scheduler.sleep(S)
+    scheduler.kill(process)

@@ -1,0 +1,592 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""One simulation of all mapping nodes with a map file: faults drawn from a seed, and the checks.
+
+``simulate(seed)`` runs the nodes as simulated processes on the stand-in for rclpy, with the bus,
+the time, the threads and the disk of this folder. A source plays 20 s of a small synthetic world.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+from virtual_bus import Bus, BusFaults, Graph, Guard, Participant, WaitSet
+from virtual_disk import Disk
+from virtual_time import (
+    EPOCH_NS,
+    MS,
+    Process,
+    S,
+    Scheduler,
+    VirtualThreading,
+    VirtualTime,
+)
+
+from ratslam_ros.standalone import StandaloneUnavailable, install
+
+if not install():
+    raise StandaloneUnavailable('rclpy of ROS has a bus and a clock of its own')
+
+import rclpy  # noqa: E402
+from helpers import picture  # noqa: E402
+from nav_msgs.msg import Odometry  # noqa: E402
+from rclpy.executors import SingleThreadedExecutor  # noqa: E402
+from rclpy.node import Node  # noqa: E402
+from sensor_msgs.msg import Image  # noqa: E402
+
+from ratslam_ros.core.config import Config  # noqa: E402
+from ratslam_ros.core.ratslam import RatSLAM  # noqa: E402
+from ratslam_ros.errors import RatslamError  # noqa: E402
+from ratslam_ros.files.config import combined_yaml  # noqa: E402
+from ratslam_ros.files.version import package_version  # noqa: E402
+from ratslam_ros.live.action_wait import ActionWait  # noqa: E402
+from ratslam_ros.live.resender import Resender  # noqa: E402
+from ratslam_ros.live.sending import send  # noqa: E402
+from ratslam_ros.maps import read_map  # noqa: E402
+from ratslam_ros.maps import store as store_module  # noqa: E402
+from ratslam_ros.maps.chunks import digest_of  # noqa: E402
+from ratslam_ros.maps.locks import MapLock  # noqa: E402
+from ratslam_ros.nodes import backlog  # noqa: E402
+from ratslam_ros.nodes.convert import grey_image, header_of, odometry_of  # noqa: E402
+from ratslam_ros.nodes.experience_map_node import ExperienceMapNode  # noqa: E402
+from ratslam_ros.nodes.local_view_node import LocalViewNode  # noqa: E402
+from ratslam_ros.nodes.pose_cells_node import PoseCellsNode  # noqa: E402
+from ratslam_ros.nodes.qos import PLAYED  # noqa: E402
+from ratslam_ros.recordings.events import (  # noqa: E402
+    ImageEvent,
+    OdometryEvent,
+    Orientation,
+)
+from ratslam_ros.standalone.context import Context, get_default_context  # noqa: E402
+from ratslam_ros.starting import starting  # noqa: E402
+
+SETTINGS = {
+    'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
+    'local_view.vt_shift_match': 2, 'pose_cells.pc_cell_x_size': 0.5,
+    'pose_cells.exp_delta_pc_threshold': 1.0,
+}  # fmt: skip
+"""Parameters for the small images of the world."""
+
+KINDS = {
+    'local_view': LocalViewNode, 'pose_cells': PoseCellsNode, 'experience_map': ExperienceMapNode,
+}  # fmt: skip
+DRIVE_S = 20
+ODOMETRY_NS, IMAGE_NS = 100 * MS, 200 * MS
+PER_LAP, RADIUS_M = 20, 1.5
+SETTLED_NS, MOST_NS = 6 * S, 200 * S
+"""Time without a message after which the nodes are considered idle, and the limit of a run."""
+
+REPAIR_NS = 1500 * MS
+"""Time after which a killed node has to be starting again. Its neighbours do not know that it was
+killed, and process what they hold after ``flush_after_s`` and ``max_lateness_s``, 2 s."""
+
+SMALL_BACKLOG = 4_000
+"""Bytes of images that wait in a shrunk queue."""
+
+LOSSES = {
+    'lost': r'\d+ messages of \w+ were lost in transport',
+    'dropped': r'an image was dropped',
+    'late': r'came too late',
+    'refused': r'was refused',
+    'gap': r'has a gap before|odometry has a gap',
+    'lost span': r'images from \S+ s to \S+ s are lost|images after \S+ s may be lost|s are missing, up to stamp',
+    'missed': r'actions of pose_cells were lost',
+    'no answer': r'does not answer',
+    'restarted empty': r'has started with an empty memory|has gone back to an earlier memory',
+    'late start': r'this node started late',
+}
+"""Reports that explain why a map differs from that of the replay, by their texts."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What happens in a simulation, drawn from the seed.
+
+    kills: time after the start of the drive, in ns, names of the nodes, and time until the restart.
+    full: begin and end of a full disk. resends: the source sends again on request. lockstep: the
+    source waits for the action of each image, as ``ratslam play --lockstep``. best_effort: the camera is. duplicates: probability
+    that a message is published twice. swaps: probability that an odometry message is published
+    after the next image. backlog: limit of the waiting images, in bytes. ends: how the nodes end.
+    """
+
+    bus: BusFaults
+    kills: tuple[tuple[int, tuple[str, ...], int], ...]
+    full: tuple[int, int] | None
+    resends: bool
+    lockstep: bool
+    duplicates: float
+    swaps: float
+    backlog: int
+    best_effort: bool
+    ends: str
+
+    @property
+    def is_repairable(self) -> bool:
+        """Whether the source can send everything again, and waits for restarted nodes."""
+        return self.lockstep and self.resends and not (self.best_effort and self.bus.loss) and (
+            not self.backlog and all(pause_ns < REPAIR_NS for _, _, pause_ns in self.kills)
+        )
+
+    @classmethod
+    def drawn(cls, seed: int) -> Plan:
+        """Return the plan of a seed; each kind of fault occurs in some of them."""
+        chance = Scheduler(f'plan {seed}').chance
+        bus = BusFaults(
+            chance.choice([2, 5, 20]) * MS, chance.choice([0.0, 0.0, 0.002, 0.02]),
+            chance.choice([100, 300, 800]) * MS, chance.choice([0.0, 0.02, 0.1]),
+            chance.choice([0, 0, 0, 1, 3]), chance.choice([20, 100, 400]) * MS,
+            chance.choice([0.0, 0.0, 0.005]),
+        )  # fmt: skip
+        kills = []
+        for _ in range(chance.choice([0, 1, 1, 2, 3, 4])):
+            all_of_them = chance.random() < 0.15
+            names = tuple(KINDS) if all_of_them else (chance.choice(list(KINDS)),)
+            kills.append(
+                (chance.randrange(DRIVE_S * S), names, chance.choice([100 * MS, S, 3 * S]))
+            )
+        full = None
+        if chance.random() < 0.2:
+            begin_ns = chance.randrange(DRIVE_S * S)
+            full = begin_ns, begin_ns + chance.randrange(8 * S)
+        return cls(
+            bus, tuple(sorted(kills)), full, chance.random() < 0.85,
+            # In lockstep, each message that is lost in a short queue would take ten seconds.
+            bus.depth == 0 and chance.random() < 0.8,
+            chance.choice([0.0, 0.0, 0.05]), chance.choice([0.0, 0.0, 0.1]),
+            chance.choice([0, 0, 0, SMALL_BACKLOG]), chance.random() < 0.15,
+            chance.choice(['closed', 'killed']),
+        )  # fmt: skip
+
+
+@dataclass
+class Outcome:
+    """Result of a simulation.
+
+    trace_hash: equal for equal seeds. identical: whether the map is that of the replay. losses:
+    kinds of reported losses. problems: violations of what must always hold.
+    """
+
+    seed: int
+    trace_hash: int = 0
+    identical: bool = False
+    losses: tuple[str, ...] = ()
+    kills: int = 0
+    problems: list[str] = field(default_factory=list)
+    trace: list[str] = field(default_factory=list)
+
+    is_repairable: bool = False
+    """Whether the source can send everything again, and waits for restarted nodes."""
+
+    @property
+    def kind(self) -> str:
+        """Class of the outcome in words."""
+        if self.problems:
+            return 'FAILED'
+        if self.identical:
+            return 'identical'
+        return f'differs, reported: {", ".join(self.losses)}'
+
+
+def simulate(seed: int, trace: bool = False, plan: Plan | None = None) -> Outcome:
+    """Run the simulation of a seed.
+
+    Args:
+        seed: the seed; equal ones give equal runs.
+        trace: keep the events as text.
+        plan: faults; None for those of the seed.
+    """
+    with tempfile.TemporaryDirectory(prefix='simulation', dir=_memory_folder()) as folder:
+        return Simulation(seed, plan or Plan.drawn(seed), Path(folder) / 'map', trace).run()
+
+
+def _memory_folder() -> str | None:
+    return '/dev/shm' if Path('/dev/shm').is_dir() else None
+
+
+@dataclass(frozen=True)
+class Event:
+    """A message of the world."""
+
+    stamp_ns: int
+    topic: str
+    message: Any
+    recorded: ImageEvent | OdometryEvent
+    pixels: Any = None
+
+
+@cache
+def world() -> tuple[Event, ...]:
+    """Return odometry and images of a robot that drives in circles, in the order of stamps."""
+    events = []
+    start_ns = EPOCH_NS
+    for n in range(DRIVE_S * S // ODOMETRY_NS):
+        stamp_ns = start_ns + n * ODOMETRY_NS
+        lap_s = PER_LAP * IMAGE_NS / S
+        odometry = Odometry(header=header_of(stamp_ns, 'odom'), child_frame_id='base_link')
+        odometry.twist.twist.linear.x = 2.0 * math.pi * RADIUS_M / lap_s
+        odometry.twist.twist.angular.z = 2.0 * math.pi / lap_s
+        odometry.pose.pose.orientation.w = 1.0
+        twist = odometry.twist.twist
+        events.append(Event(stamp_ns, 'odom', odometry, OdometryEvent(
+            stamp_ns, stamp_ns, twist.linear.x, twist.angular.z, 0.0, 0.0,
+            Orientation(0.0, 0.0, 0.0, 1.0),
+        )))  # fmt: skip
+        number, between = divmod(n * ODOMETRY_NS, IMAGE_NS)
+        if between == 0:
+            pixels = picture(number % PER_LAP, 24, 32)
+            stamp_ns += MS
+            image = grey_image(stamp_ns, 'camera', pixels)
+            recorded = ImageEvent(stamp_ns, stamp_ns, image)
+            events.append(Event(stamp_ns, 'image', image, recorded, pixels))
+    return tuple(events)
+
+
+@cache
+def replayed() -> dict[str, bytes]:
+    """Return the digests of what each part has learned in an undisturbed replay."""
+    slam = RatSLAM(Config().with_values(SETTINGS))
+    for event in world():
+        if event.pixels is None:
+            slam.odometry(odometry_of(event.message))
+        else:
+            slam.image(event.stamp_ns, event.pixels)
+    slam.finish()
+    return {part: digest_of(state['core']) for part, state in slam.state().items()
+            if part in KINDS}  # fmt: skip
+
+
+class RobotProcess(Process):
+    """A node in a process of its own."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self.node: Any = None
+        self.is_ready = self.must_stop = self.has_ended = False
+        self.refusal = ''
+
+
+class Simulation:
+    """All nodes, the source and the faults."""
+
+    def __init__(self, seed: int, plan: Plan, path: Path, trace: bool) -> None:
+        self.seed, self.plan, self.path = seed, plan, path
+        self.scheduler = Scheduler(seed)
+        if trace:
+            self.scheduler.trace = []
+        self.bus = Bus(self.scheduler, plan.bus)
+        self.disk = Disk(self.scheduler)
+        self.nodes: dict[str, RobotProcess] = {}
+        self.cuts: dict[tuple[str, bytes], int] = {}
+        """Number of each cut, by its part and the digest of the state."""
+        self.logs: list[str] = []
+        self.is_played = False
+        self.last_message_ns = 0
+        self.outcome = Outcome(seed, is_repairable=plan.is_repairable)
+        self._drive_ns: int | None = None
+
+    def run(self) -> Outcome:
+        """Run until the nodes are idle, end them, and check the result."""
+        scheduler, outcome = self.scheduler, self.outcome
+        replayed()  # in the time of the machine
+        with installed(self):
+            try:
+                self._drive()
+            except Exception as error:
+                self.outcome.problems.append(f'{type(error).__name__}: {error}')
+            for process in [*self.nodes.values(), self._source]:
+                self._kill(process)
+        outcome.problems += scheduler.failures
+        self._check_file()
+        text = '\n'.join(self.logs)
+        outcome.losses = tuple(
+            name for name, pattern in LOSSES.items()
+            # Messages that the source sent twice are refused, and nothing is lost.
+            if re.search(pattern, text) and not (name == 'refused' and self.plan.duplicates)
+        )  # fmt: skip
+        if not outcome.problems and not outcome.identical and not outcome.losses:
+            outcome.problems.append('the map differs from the replay, and no loss is reported')
+        outcome.trace_hash = scheduler.trace_hash
+        outcome.trace = scheduler.trace or []
+        return outcome
+
+    def _drive(self) -> None:
+        scheduler, plan = self.scheduler, self.plan
+        self._source = RobotProcess('player')
+        for name in KINDS:
+            self._start(name)
+        scheduler.start(self._source, 'player', self._play)
+        self._until(lambda: self._drive_ns is not None)
+        assert self._drive_ns is not None
+        if plan.full is not None:
+            scheduler.at(self._drive_ns + plan.full[0], self._fill_disk)
+        restarts: list[tuple[int, str]] = []
+        kills = list(plan.kills)
+        idle_ns = 0
+        while idle_ns < SETTLED_NS:
+            now_ns = scheduler.now_ns - self._drive_ns
+            assert now_ns < MOST_NS, 'the nodes are not idle in time'
+            while kills and kills[0][0] <= now_ns:
+                _, names, pause_ns = kills.pop(0)
+                for name in names:
+                    if not self.nodes[name].is_dead:
+                        self.outcome.kills += 1
+                        self._kill(self.nodes[name])
+                        restarts.append((now_ns + pause_ns, name))
+            for one in [one for one in restarts if one[0] <= now_ns]:
+                restarts.remove(one)
+                self._start(one[1])
+            for name, process in self.nodes.items():
+                if process.has_ended and not process.is_dead:  # the map could not be opened
+                    self._kill(process)
+                    restarts.append((now_ns + S, name))
+            assert not scheduler.failures
+            is_busy = (
+                kills or restarts or not self.is_played or not all(map(_is_mapping, self._alive()))
+            )
+            idle_ns = 0 if is_busy else idle_ns + 50 * MS
+            scheduler.sleep(50 * MS)
+        self._compare()
+        if plan.ends == 'closed':
+            for process in self.nodes.values():
+                process.must_stop = True
+            self._until(lambda: all(process.has_ended for process in self.nodes.values()))
+
+    def _alive(self) -> list[RobotProcess]:
+        return list(self.nodes.values())
+
+    def _until(self, condition: Callable[[], Any]) -> None:
+        end_ns = self.scheduler.now_ns + MOST_NS
+        while not condition():
+            assert not self.scheduler.failures
+            assert self.scheduler.now_ns < end_ns, 'a step takes too long'
+            self.scheduler.sleep(50 * MS)
+
+    def _fill_disk(self) -> None:
+        assert self.plan.full is not None
+        self.disk.full_until_ns = self.scheduler.now_ns + self.plan.full[1] - self.plan.full[0]
+
+    # Processes
+
+    def _start(self, name: str) -> None:
+        process = RobotProcess(name)
+        self.nodes[name] = process
+        self.scheduler.note(f'start {name}')
+        self.scheduler.start(process, name, lambda: self._run_node(process, KINDS[name]))
+
+    def _run_node(self, process: RobotProcess, kind: Any) -> None:
+        self.scheduler.sleep(self.scheduler.chance.randrange(100 * MS, 2 * S))
+        context = self._context()
+        values = {**SETTINGS, **{f'{part}.map': str(self.path) for part in KINDS}}
+        node = kind(Config().with_values(values))
+        process.node = node
+        if self.plan.backlog and hasattr(node, '_backlog'):
+            node._backlog._max_bytes = self.plan.backlog
+        try:
+            node.open_map()
+        except RatslamError as error:
+            process.refusal = str(error)
+            self.log(f'{process.name}: {error}')
+            process.has_ended = True
+            return
+        executor = SingleThreadedExecutor(context=context)
+        executor.add_node(node)
+        process.is_ready = True
+        while not process.must_stop:
+            executor.spin_once(timeout_sec=0.5)
+            if getattr(node, 'error', None) is not None:
+                raise node.error
+        node.close()
+        process.has_ended = True
+
+    def _context(self) -> Context:
+        context = Context()
+        context.init(['--ros-args', '--disable-rosout-logs'], domain_id=0)
+        self.scheduler.current.process.context = context  # type: ignore[attr-defined]
+        return context
+
+    def _kill(self, process: RobotProcess) -> None:
+        if process.is_dead:
+            return
+        self.scheduler.note(f'kill {process.name}')
+        self.bus.kill(process)
+        self.scheduler.kill(process)
+        self.disk.kill(process, self.path)
+
+    def _play(self) -> None:
+        """Publish the world, and send again what is asked for."""
+        plan, chance, scheduler = self.plan, self.scheduler.chance, self.scheduler
+        context = self._context()
+        node = Node('player', context=context)
+        image_qos = rclpy.qos.qos_profile_sensor_data if plan.best_effort else PLAYED
+        publishers = {
+            'odom': node.create_publisher(Odometry, 'odom', PLAYED),
+            'image': node.create_publisher(Image, 'image', image_qos),
+        }
+        resender = Resender(node, {'odom': Odometry, 'image': Image}) if plan.resends else None
+
+        def are_nodes_restarting() -> bool:
+            return (resender is not None and resender.resuming) or bool(self._starting())
+
+        actions = ActionWait(node, True, are_nodes_restarting) if plan.lockstep else None
+        counts = {'odom': 2, 'image': 1}
+        while any(publishers[t].get_subscription_count() < counts[t] for t in counts) or (
+            not self._are_connected(node) or self._starting()
+        ):
+            rclpy.spin_once(node, timeout_sec=0.05)
+        scheduler.sleep(300 * MS + plan.bus.discovery_ns)
+        self._drive_ns = start_ns = scheduler.now_ns
+        for event in self._order():
+            due_ns = start_ns + event.stamp_ns - EPOCH_NS
+            while scheduler.now_ns < due_ns:
+                rclpy.spin_once(node, timeout_sec=(due_ns - scheduler.now_ns) / 1e9)
+            if actions is not None:
+                while are_nodes_restarting():
+                    rclpy.spin_once(node, timeout_sec=0.05)
+                actions.wait_before(event.recorded)
+                start_ns += max(0, scheduler.now_ns - due_ns)
+                actions.add(event.recorded)
+            for _ in range(1 + (chance.random() < plan.duplicates)):
+                send(publishers[event.topic], event.message)
+            if resender is not None:
+                resender.add(event.topic, event.stamp_ns, event.message)
+        self.is_played = True
+        while True:
+            rclpy.spin_once(node, timeout_sec=0.5)
+
+    def _are_connected(self, node: Node) -> bool:
+        return all(
+            node.count_subscribers(topic) and node.count_publishers(topic)
+            for topic in ('local_view/template', 'pose_cells/action')
+        )
+
+    def _order(self) -> Iterator[Event]:
+        """Yield the world, with some neighbours swapped that are of different topics."""
+        events = list(world())
+        for n in range(len(events) - 1):
+            if events[n].topic != events[n + 1].topic and (
+                self.scheduler.chance.random() < self.plan.swaps
+            ):
+                events[n], events[n + 1] = events[n + 1], events[n]
+        yield from events
+
+    def _starting(self) -> list[str]:
+        """Return the nodes that are starting, in place of ``starting``."""
+        return [
+            name for name, one in self.nodes.items() if not (one.is_ready or one.is_dead)
+        ]
+
+    def log(self, text: str) -> None:
+        """Keep a line of a node's log."""
+        text = text.replace(str(self.path.parent), '')
+        self.logs.append(text)
+        self.scheduler.note(text)
+
+    # Checks
+
+    def note_cut(self, store: Any, cut: Any, states: Any) -> None:
+        """Keep what is handed over to be written."""
+        for part, state in states.items():
+            digest = digest_of(state)
+            self.cuts[part, digest] = cut.number
+            self.scheduler.note(f'cut {cut.number} {digest.hex()[:8]}')
+
+    def _compare(self) -> None:
+        different = [
+            name for name, process in self.nodes.items()
+            if digest_of(process.node._memory_state()['core']) != replayed()[name]
+        ]  # fmt: skip
+        self.outcome.identical = not different
+        if different:
+            self.scheduler.note(f'different: {different}')
+
+    def _check_file(self) -> None:
+        """Check that the file opens, and contains states that the nodes have handed over."""
+        try:
+            saved = read_map(self.path)
+        except Exception as error:
+            self.outcome.problems.append(f'the map does not open: {error!r}')
+            return
+        for part, state in saved.states.items():
+            if (part, digest_of(state)) not in self.cuts:
+                self.outcome.problems.append(f'{part} in the file was never in memory')
+        if self.plan.ends == 'closed' and not self.outcome.problems:
+            beside = sorted(path.name for path in self.path.parent.iterdir())
+            if beside != [self.path.name]:
+                self.outcome.problems.append(f'files are left at the end: {beside}')
+            for name, process in self.nodes.items():
+                kept = {k: v for k, v in process.node._memory_state().items() if k != 'goals'}
+                found = {k: v for k, v in saved.states[name].items() if k != 'goals'}
+                if digest_of(kept) != digest_of(found):
+                    self.outcome.problems.append(f'{name}: the saved state is not the last one')
+
+
+def _is_mapping(process: RobotProcess) -> bool:
+    keeper = getattr(process.node, '_keeper', None)
+    return process.is_ready and not process.is_dead and (
+        keeper is not None and keeper._resuming is None
+    )
+
+
+_combined = cache(combined_yaml)
+
+
+@contextmanager
+def installed(simulation: Simulation) -> Iterator[None]:
+    """Replace transport, time, threads and disk of the nodes by those of a simulation."""
+    from ratslam_ros.standalone import context, executors, logging
+
+    scheduler = simulation.scheduler
+    new_time, new_threading = VirtualTime(scheduler), VirtualThreading(scheduler)
+
+    def present_context() -> Context:
+        found: Context = scheduler.current.process.context  # type: ignore[attr-defined]
+        return found
+
+    class Lock(MapLock):
+        def __init__(self, path: Path) -> None:
+            super().__init__(path)
+            simulation.disk.locks.setdefault(scheduler.current.process, []).append(self)
+
+    class Store(store_module.MapStore):
+        def cut(self, cut: Any, states: Any) -> None:
+            simulation.note_cut(self, cut, states)
+            super().cut(cut, states)
+
+    replaced: list[tuple[Any, Any]] = [
+        (sys.modules['time'], new_time), (sys.modules['threading'], new_threading),
+        (sys.modules['sqlite3'], simulation.disk), (starting, simulation._starting),
+        (get_default_context, present_context), (MapLock, Lock),
+        (store_module.MapStore, Store),
+        # Pure functions that take most of the time of a restart.
+        (combined_yaml, _combined), (package_version, lambda: '0'),
+        (context.Graph, Graph), (context.Participant, lambda _: Participant(simulation.bus)),
+        (executors.Guard, Guard), (executors.WaitSet, WaitSet),
+    ]  # fmt: skip
+    by_id = {id(old): (old, new) for old, new in replaced}
+    with ExitStack() as stack:
+        for name, module in list(sys.modules.items()):
+            if not name.startswith('ratslam_ros.') or name == 'ratslam_ros.maps.reader':
+                continue
+            for key, value in list(vars(module).items()):
+                old, new = by_id.get(id(value), (None, None))
+                if old is value and old is not None:
+                    stack.enter_context(mock.patch.object(module, key, new))
+        stack.enter_context(
+            mock.patch.object(logging, '_print', lambda record: simulation.log(
+                f'[{record.level.name}] [{record.name}]: {record.text}'
+            ))
+        )  # fmt: skip
+        # The executor of a simulation that has ended belongs to another bus.
+        stack.enter_context(mock.patch.object(executors, '_global', None))
+        stack.enter_context(mock.patch('ratslam_ros.live.action_wait.print_notice', simulation.log))
+        yield
