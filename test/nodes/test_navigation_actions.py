@@ -247,3 +247,51 @@ def test_without_nav2_one_line_names_the_topics(world: MakeWorld, capfd: Any) ->
     out, err = capfd.readouterr()
     assert (out + err).count('are not served') == 1
     assert not any('navigate' in name for name, _ in made.nodes[0].get_topic_names_and_types())
+
+
+@needs_nav2
+def test_real_map_drives_refuses_and_cancels_goals(world: MakeWorld) -> None:
+    from nav2_msgs.action import NavigateToPose
+    from rclpy.action import ActionClient
+    from std_msgs.msg import String
+    from test_nodes import drive_straight, goal, last_map
+
+    from ratslam_ros.nodes.experience_map_node import ExperienceMapNode
+    from ratslam_ros.nodes.goal_follower_node import GoalFollowerNode
+    from ratslam_ros.nodes.qos import LATCHED
+
+    made = world(ExperienceMapNode, GoalFollowerNode, arguments=('-p', 'map_period_s:=0.05'))
+    received = made.listen(String, 'experience_map/map', LATCHED)
+    client = ActionClient(made.tester, NavigateToPose, 'navigate_to_pose')
+    drive_straight(made)
+    last_map(made, received, 5)
+    made.until(lambda: not made.nodes[1].refusal())
+    made.until(client.server_is_ready)
+    feedback: list[Any] = []
+
+    def ask(x: float, y: float) -> Any:
+        future = client.send_goal_async(
+            NavigateToPose.Goal(pose=goal(x, y)),
+            feedback_callback=lambda message: feedback.append(message.feedback),
+        )
+        made.until(future.done)
+        assert future.result().accepted
+        return future.result()
+
+    def result(handle: Any) -> Any:
+        future = handle.get_result_async()
+        made.until(future.done)
+        return future.result()
+
+    far = result(ask(50.0, 1.0))
+    assert (far.status, far.result.error_code) == (6, goal_progress.NO_ROUTE)
+    assert 'away' in far.result.error_msg
+    handle = ask(0.0, 1.0)
+    # The robot is at (0, 4), and drove 1 m per second.
+    made.until(lambda: any(one.estimated_time_remaining.sec == 3 for one in feedback))
+    made.until(lambda: feedback[-1].distance_remaining == pytest.approx(3.0))
+    made.until(handle.cancel_goal_async().done)
+    assert result(handle).status == 5
+    here = result(ask(0.0, 4.0))
+    assert (here.status, here.result.error_code) == (4, 0)
+    client.destroy()
