@@ -46,6 +46,16 @@ def test_killed_node_resumes_exactly(name: str) -> None:
     assert (outcome.kind, outcome.kills) == ('identical', 1), outcome
 
 
+@pytest.mark.parametrize('seed', range(4))
+def test_nodes_restarted_together_get_all_images(seed: int) -> None:
+    """Both ask the source for images, and connect to it at different times."""
+    kill = DRIVE_S * S // 2, ('visual_odometry', 'local_view'), S
+    plan = replace(
+        UNDISTURBED, bus=BusFaults(discovery_ns=800 * MS), kills=(kill,), robot='camera'
+    )
+    assert simulate(seed, plan=plan).kind == 'identical'
+
+
 def test_lost_images_are_reported() -> None:
     """The check is able to fail: without a source that sends again, the map differs."""
     plan = replace(UNDISTURBED, kills=((DRIVE_S * S // 2, ('local_view',), S),), resends=False)
