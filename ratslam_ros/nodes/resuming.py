@@ -41,7 +41,7 @@ MOST_S = 5.0
 """Longest time of collecting. A neighbour that was killed remains visible for up to 10 s."""
 
 ASK_AGAIN_S = 1.0
-"""Time after which messages that were promised, and have not arrived, are asked for again."""
+"""Time after which messages that have not arrived are asked for again."""
 
 NEIGHBOURS = frozenset(
     {'visual_odometry', 'local_view', 'pose_cells', 'experience_map', 'landmark_map'}
@@ -95,12 +95,11 @@ class Resuming:
         """Everything received, in the order of arrival."""
         self._is_promised = False
         """Whether a source has sent all its messages since ``since_ns`` again."""
-        self._promised_s = 0.0
         self._resent: dict[str, set[int]] = {topic: set() for topic in wanted}
         """Stamps that have arrived again; those for another node arrive too."""
         self._promised: dict[str, int] = {}
         self._answered: set[str] = set()
-        self._start_s = self._next_s = time.monotonic()
+        self._start_s = self._next_s = self._asked_s = time.monotonic()
         self._requests = node.create_publisher(String, RESEND, GOAL)
         self._subscriptions = [
             node.create_subscription(String, RESENT, self._on_answer, GOAL),
@@ -124,9 +123,9 @@ class Resuming:
     def update(self) -> bool:
         """Repeat the request if it is due; return whether everything has arrived."""
         now_s = time.monotonic()
-        if self._is_missing() and now_s - self._promised_s >= ASK_AGAIN_S:
+        if now_s - self._asked_s >= ASK_AGAIN_S and (self._is_missing() or self._is_awaited()):
             # The source was connected to another node that asked, and not yet to this one.
-            self._promised_s = now_s
+            self._asked_s = now_s
             self._request = replace(self._request, number=self._request.number + 1)
         if now_s >= self._next_s:
             self._next_s = now_s + REQUEST_PERIOD_S
@@ -148,11 +147,15 @@ class Resuming:
         }
         if not (names & NEIGHBOURS) - {self._node.get_name()} <= self._answered:
             return False
-        for topic in self._wanted:
-            again = self._node.resolve_topic_name(resent_topic(topic))
-            if topic not in self._promised and self._node.count_publishers(again):
-                return False
-        return not self._is_missing()
+        return not (self._is_awaited() or self._is_missing())
+
+    def _is_awaited(self) -> bool:
+        """Return whether there is a source that has not answered."""
+        return any(
+            topic not in self._promised
+            and self._node.count_publishers(self._node.resolve_topic_name(resent_topic(topic)))
+            for topic in self._wanted
+        )
 
     def _is_missing(self) -> bool:
         """Return whether messages that a source has sent again have not arrived."""
@@ -180,7 +183,8 @@ class Resuming:
             return
         self._answered.add(answer.node)
         self._promised.update(answer.counts)
-        self._promised_s = time.monotonic()
+        if answer.counts:
+            self._asked_s = time.monotonic()
         self._is_promised |= bool(answer.counts) and answer.complete
 
 

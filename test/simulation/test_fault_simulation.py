@@ -64,6 +64,26 @@ def test_lost_images_are_reported() -> None:
     assert 'lost span' in outcome.losses, outcome
 
 
+@pytest.mark.parametrize(
+    ('at_s', 'names'),
+    [(DRIVE_S - 1, ('local_view',)), (DRIVE_S // 2, ROBOTS['camera'])],
+    ids=['end of the drive', 'all nodes'],
+)
+def test_lost_images_without_a_next_one_are_reported(at_s: int, names: tuple[str, ...]) -> None:
+    plan = replace(
+        UNDISTURBED, kills=((at_s * S, names, S),), resends=False, lockstep=False, robot='camera'
+    )
+    outcome = simulate(5, plan=plan)
+    assert not outcome.identical
+    assert 'lost span' in outcome.losses, outcome
+
+
+def test_odometry_of_images_survives_all_its_receivers() -> None:
+    kill = DRIVE_S * S // 2, ('pose_cells', 'experience_map'), S
+    plan = replace(UNDISTURBED, kills=(kill,), resends=False, robot='camera')
+    assert simulate(6, plan=plan).kind == 'identical'
+
+
 def test_equal_seeds_give_equal_traces() -> None:
     first, second = (simulate(3, trace=True) for _ in range(2))
     assert first.trace == second.trace
