@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import pytest
 from virtual_bus import BusFaults
-from virtual_time import MS, S, Hang, Process, Scheduler, VirtualCondition, VirtualTime
+from virtual_time import MS, Hang, Process, S, Scheduler, VirtualCondition, VirtualTime
 
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.standalone import StandaloneUnavailable
