@@ -213,10 +213,12 @@ class FileWriter:
         if rows or found.cut is not None:
             last = max(rows.values(), key=lambda row: (row.session, row.number), default=None)
             cut = found.cut if last is None else Cut(last.number, last.stamp_ns)
-            lost = None if found.session == self._session else found.lost
+            lost = found.lost
+            if found.session == self._session:  # All that join a session know what it lacks.
+                lost = None if self.joins else sessions[-1].lost
             self.restored = SavedMap(
                 self.path, sessions[-1].meta, cut, states, sessions,
-                [] if lost is None else [loss_note(lost, found.cut)],
+                [] if lost is None else [loss_note(lost, cut)],
                 {part: row.digest for part, row in rows.items()}, lost,
             )  # fmt: skip
 

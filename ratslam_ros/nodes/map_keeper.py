@@ -126,7 +126,9 @@ class MapKeeper:
     def before(self, stamp_ns: int) -> None:
         """Save the state if it is due before a message with this stamp."""
         cut = self._grid.before(stamp_ns)
-        if cut is not None:
+        # A pause may have used the number of this point already, as messages came late: then the
+        # next pause or point of the grid writes the state.
+        if cut is not None and cut.number > self._saved:
             self._write(cut)
         self._has_changed = True
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 from rclpy.node import Node
@@ -39,6 +39,9 @@ LEAST_S = 1.0
 
 MOST_S = 5.0
 """Longest time of collecting. A neighbour that was killed remains visible for up to 10 s."""
+
+ASK_AGAIN_S = 1.0
+"""Time after which messages that have not arrived are asked for again."""
 
 NEIGHBOURS = frozenset(
     {'visual_odometry', 'local_view', 'pose_cells', 'experience_map', 'landmark_map'}
@@ -90,12 +93,13 @@ class Resuming:
         )  # fmt: skip
         self.missed: list[Missed] = []
         """Everything received, in the order of arrival."""
-        self.is_complete = False
+        self._is_promised = False
         """Whether a source has sent all its messages since ``since_ns`` again."""
-        self._resent = dict.fromkeys(wanted, 0)
+        self._resent: dict[str, set[int]] = {topic: set() for topic in wanted}
+        """Stamps that have arrived again; those for another node arrive too."""
         self._promised: dict[str, int] = {}
         self._answered: set[str] = set()
-        self._start_s = self._next_s = time.monotonic()
+        self._start_s = self._next_s = self._asked_s = time.monotonic()
         self._requests = node.create_publisher(String, RESEND, GOAL)
         self._subscriptions = [
             node.create_subscription(String, RESENT, self._on_answer, GOAL),
@@ -107,6 +111,11 @@ class Resuming:
             ),
         ]
 
+    @property
+    def is_complete(self) -> bool:
+        """Whether all messages of a source since ``since_ns`` have arrived again."""
+        return self._is_promised and not self._is_missing()
+
     def keep(self, stream: str, message: Any, callback: Callable[[Any], None]) -> None:
         """Keep a message until the node has caught up."""
         self.missed.append(Missed(stamp_of(message), stream, lambda: callback(message)))
@@ -114,6 +123,10 @@ class Resuming:
     def update(self) -> bool:
         """Repeat the request if it is due; return whether everything has arrived."""
         now_s = time.monotonic()
+        if now_s - self._asked_s >= ASK_AGAIN_S and (self._is_missing() or self._is_awaited()):
+            # The source was connected to another node that asked, and not yet to this one.
+            self._asked_s = now_s
+            self._request = replace(self._request, number=self._request.number + 1)
         if now_s >= self._next_s:
             self._next_s = now_s + REQUEST_PERIOD_S
             self._requests.publish(String(data=encode_request(self._request)))
@@ -134,18 +147,28 @@ class Resuming:
         }
         if not (names & NEIGHBOURS) - {self._node.get_name()} <= self._answered:
             return False
-        for topic in self._wanted:
-            again = self._node.resolve_topic_name(resent_topic(topic))
-            if topic in self._promised:
-                if self._resent[topic] < self._promised[topic]:
-                    return False
-            elif self._node.count_publishers(again):
-                return False
-        return True
+        return not (self._is_awaited() or self._is_missing())
+
+    def _is_awaited(self) -> bool:
+        """Return whether there is a source that has not answered."""
+        return any(
+            topic not in self._promised
+            and self._node.count_publishers(self._node.resolve_topic_name(resent_topic(topic)))
+            for topic in self._wanted
+        )
+
+    def _is_missing(self) -> bool:
+        """Return whether messages that a source has sent again have not arrived."""
+        return any(
+            len(self._resent[topic]) < count
+            for topic, count in self._promised.items() if topic in self._resent
+        )  # fmt: skip
 
     def _receiver(self, topic: str, one: Wanted) -> Callable[[Any], None]:
         def receive(message: Any) -> None:
-            self._resent[topic] += 1
+            stamp_ns = stamp_of(message)
+            if stamp_ns > one.after_ns:
+                self._resent[topic].add(stamp_ns)
             self.keep(one.stream, message, one.callback)
 
         return receive
@@ -160,7 +183,9 @@ class Resuming:
             return
         self._answered.add(answer.node)
         self._promised.update(answer.counts)
-        self.is_complete |= bool(answer.counts) and answer.complete
+        if answer.counts:
+            self._asked_s = time.monotonic()
+        self._is_promised |= bool(answer.counts) and answer.complete
 
 
 def stamp_of(message: Any) -> int:

@@ -20,7 +20,14 @@ from ratslam_ros.core.common.odometry import Odometry
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.vision.visual_odometry import VisualOdometry, field_of_view_deg
-from ratslam_ros.nodes.convert import UNKNOWN_SCALE_VARIANCE, header_of, pose_message, transform
+from ratslam_ros.messages.logged import encode_odometry
+from ratslam_ros.nodes.convert import (
+    UNKNOWN_SCALE_VARIANCE,
+    header_of,
+    odometry_of,
+    pose_message,
+    transform,
+)
 from ratslam_ros.nodes.image_node import ImageNode, Message
 from ratslam_ros.nodes.inputs import publisher_count
 from ratslam_ros.nodes.qos import RESULT, STATE
@@ -157,6 +164,8 @@ class VisualOdometryNode(ImageNode):
         message.twist.twist.angular.z = twist.angular_z_radps
         message.twist.covariance = _diagonal(*TWIST_VARIANCES)
         self._publisher.publish(message)
+        # Its receivers log it too, but all of them may be restarting.
+        self._log('odometry', odometry.stamp_ns, lambda: encode_odometry(odometry_of(message)))
         if p.publish_tf:
             frames = transform(odometry.stamp_ns, p.odom_frame, p.base_frame, odometry.pose)
             self._tf.publish(TFMessage(transforms=[frames]))

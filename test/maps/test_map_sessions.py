@@ -68,7 +68,7 @@ def test_new_session_drops_what_does_not_belong_together(tmp_path: Path) -> None
     )
     assert cells.restored is not None
     assert cells.restored.states == {CELLS: {'n': 2}}
-    assert cells.restored.notes == []
+    assert cells.restored.notes == views.restored.notes
     assert not cells.joins
     assert views.logged('odometry', 0) == []
     assert numbers(path) == {VIEWS: 2, CELLS: 2}

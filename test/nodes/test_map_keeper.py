@@ -95,3 +95,26 @@ def test_restarted_node_repeats_the_actions_of_the_first_run(
         assert [unsigned(message.data) for message in repeated] == expected[start:]
     finally:
         other.close()
+
+
+def test_cut_after_messages_that_came_late_has_a_new_number() -> None:
+    """While a node pauses, others save a cut; then messages arrive that belong before it."""
+    from unittest.mock import MagicMock
+
+    from ratslam_ros.nodes.map_keeper import MapKeeper
+
+    store = MagicMock(restored=None)
+    keeper = MapKeeper(
+        MagicMock(), MagicMock(), store, 'pose_cells', lambda: {}, lambda stream: 0
+    )
+    keeper.before(3 * S)
+    keeper._on_cut(MagicMock(data=5))
+    keeper.pause()
+    keeper.before(5 * S)  # the grid has cut 2 here, but 5 is saved already
+    keeper.pause()
+    keeper.before(13 * S)
+    numbers = [call.args[0].number for call in store.cut.call_args_list]
+    assert numbers == [5, 6]
+    keeper.before(15 * S)
+    numbers = [call.args[0].number for call in store.cut.call_args_list]
+    assert numbers == [5, 6, 7]

@@ -60,8 +60,9 @@ def pose_cells(world: MakeWorld, *arguments: str) -> tuple[Any, list[Any]]:
     from ratslam_ros.nodes.pose_cells_node import PoseCellsNode
 
     made = world(PoseCellsNode, arguments=('-p', 'flush_after_s:=60.0', *arguments))
+    actions = made.listen(String, 'pose_cells/action')
     made.nodes[0].open_map()
-    return made, made.listen(String, 'pose_cells/action')
+    return made, actions
 
 
 def decoded(actions: list[Any]) -> list[str]:
@@ -74,11 +75,10 @@ def set_values(made: Any, **values: Any) -> list[Any]:
     from rcl_interfaces.srv import SetParameters
     from rclpy.parameter import Parameter
 
-    parameters = [Parameter(name, value=value) for name, value in values.items()]
-    response = made.call(
-        SetParameters, 'pose_cells/set_parameters',
-        parameters=[one.to_parameter_msg() for one in parameters],
-    )  # fmt: skip
+    parameters = [
+        Parameter(name, value=value).to_parameter_msg() for name, value in values.items()
+    ]
+    response = made.call(SetParameters, 'pose_cells/set_parameters', parameters=parameters)
     return list(response.results)
 
 
@@ -149,15 +149,15 @@ def test_restarted_node_sets_the_parameters_again(world: MakeWorld, tmp_path: Pa
     set_values(made, **{ENERGY: 0.6})
     send(made, HALF, COUNT)
     made.until(lambda: len(actions) == COUNT)
-    expected = [message.data for message in actions]
+    expected = decoded(actions)
     made.nodes[0]._keeper._store.flush(5.0)
     other = MapStore.open(path, ['experience_map'], MapMeta(), lambda text: None)
     try:
         crash(made)
         again, repeated = pose_cells(world, '-p', f'map:={path}')
         again.until(lambda: again.nodes[0]._keeper._resuming is None)
-        again.until(lambda: bool(repeated) and repeated[-1].data == expected[-1])
-        assert [message.data for message in repeated] == expected[-len(repeated) :]
+        again.until(lambda: expected[-1:] == decoded(repeated[-1:]))
+        assert decoded(repeated) == expected[-len(repeated) :]
         assert again.nodes[0].get_parameter(ENERGY).value == 0.6
     finally:
         other.close()

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import pytest
 from virtual_bus import BusFaults
-from virtual_time import MS, S, Hang, Process, Scheduler, VirtualCondition, VirtualTime
+from virtual_time import MS, Hang, Process, S, Scheduler, VirtualCondition, VirtualTime
 
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.standalone import StandaloneUnavailable
@@ -46,12 +46,42 @@ def test_killed_node_resumes_exactly(name: str) -> None:
     assert (outcome.kind, outcome.kills) == ('identical', 1), outcome
 
 
+@pytest.mark.parametrize('seed', range(4))
+def test_nodes_restarted_together_get_all_images(seed: int) -> None:
+    """Both ask the source for images, and connect to it at different times."""
+    kill = DRIVE_S * S // 2, ('visual_odometry', 'local_view'), S
+    plan = replace(
+        UNDISTURBED, bus=BusFaults(discovery_ns=800 * MS), kills=(kill,), robot='camera'
+    )
+    assert simulate(seed, plan=plan).kind == 'identical'
+
+
 def test_lost_images_are_reported() -> None:
     """The check is able to fail: without a source that sends again, the map differs."""
     plan = replace(UNDISTURBED, kills=((DRIVE_S * S // 2, ('local_view',), S),), resends=False)
     outcome = simulate(2, plan=plan)
     assert not outcome.identical
     assert 'lost span' in outcome.losses, outcome
+
+
+@pytest.mark.parametrize(
+    ('at_s', 'names'),
+    [(DRIVE_S - 1, ('local_view',)), (DRIVE_S // 2, ROBOTS['camera'])],
+    ids=['end of the drive', 'all nodes'],
+)
+def test_lost_images_without_a_next_one_are_reported(at_s: int, names: tuple[str, ...]) -> None:
+    plan = replace(
+        UNDISTURBED, kills=((at_s * S, names, S),), resends=False, lockstep=False, robot='camera'
+    )
+    outcome = simulate(5, plan=plan)
+    assert not outcome.identical
+    assert 'lost span' in outcome.losses, outcome
+
+
+def test_odometry_of_images_survives_all_its_receivers() -> None:
+    kill = DRIVE_S * S // 2, ('pose_cells', 'experience_map'), S
+    plan = replace(UNDISTURBED, kills=(kill,), resends=False, robot='camera')
+    assert simulate(6, plan=plan).kind == 'identical'
 
 
 def test_equal_seeds_give_equal_traces() -> None:

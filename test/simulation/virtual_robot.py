@@ -15,7 +15,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -37,47 +37,47 @@ from ratslam_ros.standalone import StandaloneUnavailable, install
 if not install():
     raise StandaloneUnavailable('rclpy of ROS has a bus and a clock of its own')
 
-import numpy as np  # noqa: E402
-import rclpy  # noqa: E402
-from helpers import picture  # noqa: E402
-from laser_rooms import full_turn  # noqa: E402
-from nav_msgs.msg import Odometry  # noqa: E402
-from rclpy.executors import SingleThreadedExecutor  # noqa: E402
-from rclpy.node import Node  # noqa: E402
-from rclpy.serialization import deserialize_message, serialize_message  # noqa: E402
-from sensor_msgs.msg import Image, LaserScan  # noqa: E402
+import numpy as np
+import rclpy
+from helpers import picture
+from laser_rooms import full_turn
+from nav_msgs.msg import Odometry
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.serialization import deserialize_message, serialize_message
+from sensor_msgs.msg import Image, LaserScan
 
-from ratslam_ros.core.common.pose import Pose  # noqa: E402
-from ratslam_ros.core.config import Config  # noqa: E402
-from ratslam_ros.core.ratslam import RatSLAM  # noqa: E402
-from ratslam_ros.errors import RatslamError  # noqa: E402
-from ratslam_ros.files.config import combined_yaml  # noqa: E402
-from ratslam_ros.files.version import package_version  # noqa: E402
-from ratslam_ros.live.action_wait import ActionWait  # noqa: E402
-from ratslam_ros.live.resender import Resender  # noqa: E402
-from ratslam_ros.live.sending import send  # noqa: E402
-from ratslam_ros.maps import read_map  # noqa: E402
-from ratslam_ros.maps import store as store_module  # noqa: E402
-from ratslam_ros.maps.chunks import digest_of  # noqa: E402
-from ratslam_ros.maps.locks import MapLock  # noqa: E402
-from ratslam_ros.nodes.convert import grey_image, header_of, odometry_of  # noqa: E402
-from ratslam_ros.nodes.experience_map_node import ExperienceMapNode  # noqa: E402
-from ratslam_ros.nodes.goal_follower_node import GoalFollowerNode  # noqa: E402
-from ratslam_ros.nodes.landmark_map_node import LandmarkMapNode  # noqa: E402
-from ratslam_ros.nodes.local_view_node import LocalViewNode  # noqa: E402
-from ratslam_ros.nodes.pose_cells_node import PoseCellsNode  # noqa: E402
-from ratslam_ros.nodes.qos import PLAYED  # noqa: E402
-from ratslam_ros.nodes.scans import scan_from_message  # noqa: E402
-from ratslam_ros.nodes.visual_odometry_node import VisualOdometryNode  # noqa: E402
-from ratslam_ros.offline.landmark_mapping import LandmarkMapping  # noqa: E402
-from ratslam_ros.recordings.events import (  # noqa: E402
+from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.config import Config
+from ratslam_ros.core.ratslam import RatSLAM
+from ratslam_ros.errors import RatslamError
+from ratslam_ros.files.config import combined_yaml
+from ratslam_ros.files.version import package_version
+from ratslam_ros.live.action_wait import ActionWait
+from ratslam_ros.live.resender import Resender
+from ratslam_ros.live.sending import send
+from ratslam_ros.maps import read_map
+from ratslam_ros.maps import store as store_module
+from ratslam_ros.maps.chunks import digest_of
+from ratslam_ros.maps.locks import MapLock
+from ratslam_ros.nodes.convert import grey_image, header_of, odometry_of
+from ratslam_ros.nodes.experience_map_node import ExperienceMapNode
+from ratslam_ros.nodes.goal_follower_node import GoalFollowerNode
+from ratslam_ros.nodes.landmark_map_node import LandmarkMapNode
+from ratslam_ros.nodes.local_view_node import LocalViewNode
+from ratslam_ros.nodes.pose_cells_node import PoseCellsNode
+from ratslam_ros.nodes.qos import PLAYED
+from ratslam_ros.nodes.scans import scan_from_message
+from ratslam_ros.nodes.visual_odometry_node import VisualOdometryNode
+from ratslam_ros.offline.landmark_mapping import LandmarkMapping
+from ratslam_ros.recordings.events import (
     ImageEvent,
     OdometryEvent,
     Orientation,
     ScanEvent,
 )
-from ratslam_ros.standalone.context import Context, get_default_context  # noqa: E402
-from ratslam_ros.starting import starting  # noqa: E402
+from ratslam_ros.standalone.context import Context, get_default_context
+from ratslam_ros.starting import starting
 
 SETTINGS = {
     'local_view.template_x_size': 16, 'local_view.template_y_size': 8,

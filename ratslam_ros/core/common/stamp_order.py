@@ -8,7 +8,6 @@ does not depend on scheduling (docs/algorithm.md, "Time and order").
 
 from __future__ import annotations
 
-import heapq
 import math
 from collections import deque
 from collections.abc import Callable
@@ -189,13 +188,28 @@ class _Rhythm:
 
     A message that comes earlier than predicted is ordered as if its stamp were the predicted one.
     The order is therefore independent of arrival times, although other streams do not wait.
+
+    The prediction is used once successive messages of the last stream had no message of the same
+    stamp in the regular stream. Otherwise both have one source, such as odometry from the camera,
+    and messages of equal stamps belong together.
     """
 
     def __init__(self) -> None:
+        self._apart_count = 0
         self.reached_ns: int | None = None
         """All further messages of the stream are ordered after this stamp."""
         self._last_ns = 0
         self._steps_ns: deque[int] = deque(maxlen=STEP_COUNT)
+
+    @property
+    def is_used(self) -> bool:
+        """Whether other streams rely on the prediction."""
+        return self._apart_count >= STEP_COUNT
+
+    def see(self, is_apart: bool) -> None:
+        """Count a released message of the last stream, until the prediction is used."""
+        if not self.is_used:
+            self._apart_count = self._apart_count + 1 if is_apart else 0
 
     def place_ns(self, stamp_ns: int) -> int:
         """Return the stamp by which the next message of the stream is ordered."""
@@ -213,12 +227,14 @@ class _Rhythm:
 
     def state(self) -> State:
         return {
-            'reached_ns': self.reached_ns, 'last_ns': self._last_ns, 'steps_ns': [*self._steps_ns]
-        }
+            'reached_ns': self.reached_ns, 'last_ns': self._last_ns,
+            'steps_ns': [*self._steps_ns], 'apart_count': self._apart_count,
+        }  # fmt: skip
 
     def restore(self, state: State) -> None:
         self.reached_ns, self._last_ns = state['reached_ns'], state['last_ns']
         self._steps_ns.extend(state['steps_ns'])
+        self._apart_count = state['apart_count']
 
 
 class StampOrder(Generic[Item]):
@@ -237,7 +253,7 @@ class StampOrder(Generic[Item]):
         Args:
             streams: names of the streams. At equal stamps, the stream named first goes first.
             max_lateness_ns: longest time to wait for other streams, measured in stamps.
-            regular: the stream whose stamps are predicted, None if none is.
+            regular: the stream whose stamps are predicted, not the last one; None if none is.
         """
         self._regular = None if regular is None else streams.index(regular)
         self._rhythm = _Rhythm()
@@ -249,9 +265,10 @@ class StampOrder(Generic[Item]):
         self._late = 0
         self._newest_ns: int | None = None
         self._released: tuple[int, int] | None = None
-        # Place in the order, rank, stamp and item. (place, rank) is unique, so that the heap never
-        # compares items. The place is the stamp, unless a regular stream was early.
-        self._held: list[tuple[int, int, int, Item]] = []
+        self._regular_ns: int | None = None  # stamp of its last released message
+        # Messages of each stream in order: stamp, place and item. The place is the stamp, unless
+        # a regular stream was early.
+        self._held: list[deque[tuple[int, int, Item]]] = [deque() for _ in streams]
 
     @property
     def streams(self) -> tuple[str, ...]:
@@ -270,7 +287,8 @@ class StampOrder(Generic[Item]):
     @property
     def held(self) -> int:
         """Number of messages that have been neither released nor dropped yet."""
-        return len(self._held) + sum(stream.unconfirmed_count for stream in self._streams)
+        unconfirmed = sum(stream.unconfirmed_count for stream in self._streams)
+        return sum(map(len, self._held)) + unconfirmed
 
     @property
     def newest_ns(self) -> int | None:
@@ -283,10 +301,7 @@ class StampOrder(Generic[Item]):
 
     def waiting(self, stream: str) -> list[Item]:
         """Return the accepted messages of a stream that are still held, in order."""
-        rank = self._rank[stream]
-        return [
-            item for _, item_rank, _, item in sorted(self._held, key=_key) if item_rank == rank
-        ]
+        return [item for _, _, item in self._held[self._rank[stream]]]
 
     def push(self, stream: str, stamp_ns: int, item: Item) -> list[Released[Item]]:
         """Add one message and return all messages that can be released now, in order.
@@ -310,7 +325,10 @@ class StampOrder(Generic[Item]):
         for rank, stream in enumerate(self._streams):
             for message in stream.settle():
                 self._hold(rank, *message)
-        return [self._pop() for _ in range(len(self._held))]
+        out = []
+        while (following := self._next_rank()) is not None:
+            out.append(self._pop(following))
+        return out
 
     @property
     def jumped_back(self) -> bool:
@@ -328,10 +346,10 @@ class StampOrder(Generic[Item]):
         """
         begin_ns = next(s.restart_run[0][0] for s in self._streams if _is_run(s.restart_run))
         runs = [s.restart_run if s.has_restarted(begin_ns) else [] for s in self._streams]
-        for _, rank, _, _ in self._held:
-            self._streams[rank].refused += 1
-        self._held.clear()
-        self._rhythm = _Rhythm()
+        for held, stream in zip(self._held, self._streams, strict=True):
+            stream.refused += len(held)
+            held.clear()
+        self._rhythm, self._regular_ns = _Rhythm(), None
         self._newest_ns = self._released = None
         for stream, run in zip(self._streams, runs, strict=True):
             stream.restart(bool(run))
@@ -354,9 +372,14 @@ class StampOrder(Generic[Item]):
             'released': None if self._released is None else list(self._released),
             'held': [
                 [stamp_ns, rank, encode(item), *([] if place_ns == stamp_ns else [place_ns])]
-                for place_ns, rank, stamp_ns, item in sorted(self._held, key=_key)
+                for stamp_ns, rank, place_ns, item in sorted(
+                    ((stamp_ns, rank, place_ns, item) for rank, held in enumerate(self._held)
+                     for stamp_ns, place_ns, item in held), key=_key,
+                )
             ],
-            **({} if self._regular is None else {'rhythm': self._rhythm.state()}),
+            **({} if self._regular is None else {
+                'rhythm': self._rhythm.state(), 'regular_ns': self._regular_ns,
+            }),
         }  # fmt: skip
 
     def restore(self, state: State, decode: Callable[[Any], Item]) -> None:
@@ -379,13 +402,14 @@ class StampOrder(Generic[Item]):
         self._late, self._newest_ns = state['late'], state['newest_ns']
         released = state['released']
         self._released = None if released is None else (released[0], released[1])
-        # A sorted list is a heap.
-        self._held = [
-            (place_ns[0] if place_ns else stamp_ns, rank, stamp_ns, decode(item))
-            for stamp_ns, rank, item, *place_ns in state['held']
-        ]
-        if 'rhythm' in state:
+        for held in self._held:
+            held.clear()
+        for stamp_ns, rank, item, *place_ns in state['held']:
+            place = place_ns[0] if place_ns else stamp_ns
+            self._held[rank].append((stamp_ns, place, decode(item)))
+        if 'rhythm' in state and self._regular is not None:
             self._rhythm.restore(state['rhythm'])
+            self._regular_ns = state['regular_ns']
 
     def _is_from_before_restart(self, stream: _Stream[Item], stamp_ns: int) -> bool:
         """Return whether a message of a stream that lags behind predates the restart."""
@@ -400,32 +424,47 @@ class StampOrder(Generic[Item]):
         if self._newest_ns is None or stamp_ns > self._newest_ns:
             self._newest_ns = stamp_ns
         place_ns = self._rhythm.place_ns(stamp_ns) if rank == self._regular else stamp_ns
-        if self._released is not None and (place_ns, rank) < self._released:
+        at_ns = place_ns if self._rhythm.is_used else stamp_ns
+        if self._released is not None and (at_ns, rank) < self._released:
             self._late += 1
         else:
-            heapq.heappush(self._held, (place_ns, rank, stamp_ns, item))
+            self._held[rank].append((stamp_ns, place_ns, item))
 
     def _release(self) -> list[Released[Item]]:
         out = []
-        while self._held and self._is_due(*self._held[0][:2]):
-            out.append(self._pop())
+        while (rank := self._next_rank()) is not None and self._is_due(self._at_ns(rank), rank):
+            out.append(self._pop(rank))
         return out
 
-    def _is_due(self, place_ns: int, rank: int) -> bool:
+    def _at_ns(self, rank: int) -> int:
+        """Return the stamp by which the oldest held message of a stream is ordered."""
+        stamp_ns, place_ns, _ = self._held[rank][0]
+        return place_ns if self._rhythm.is_used else stamp_ns
+
+    def _next_rank(self) -> int | None:
+        """Return the stream whose oldest held message is the next one, None if none is held."""
+        found = [(self._at_ns(rank), rank) for rank, held in enumerate(self._held) if held]
+        return min(found)[1] if found else None
+
+    def _is_due(self, at_ns: int, rank: int) -> bool:
         assert self._newest_ns is not None
-        if self._newest_ns - place_ns > self.max_lateness_ns:
+        if self._newest_ns - at_ns > self.max_lateness_ns:
             return True
         for other, stream in enumerate(self._streams):
             if other != rank:
-                is_regular = other == self._regular
+                is_regular = other == self._regular and self._rhythm.is_used
                 reached_ns = self._rhythm.reached_ns if is_regular else stream.last_ns
-                if reached_ns is None or reached_ns < place_ns:
+                if reached_ns is None or reached_ns < at_ns:
                     return False
         return True
 
-    def _pop(self) -> Released[Item]:
-        place_ns, rank, stamp_ns, item = heapq.heappop(self._held)
-        self._released = (place_ns, rank)
+    def _pop(self, rank: int) -> Released[Item]:
+        self._released = (self._at_ns(rank), rank)
+        stamp_ns, _, item = self._held[rank].popleft()
+        if rank == self._regular:
+            self._regular_ns = stamp_ns
+        elif rank == len(self._held) - 1:
+            self._rhythm.see(stamp_ns != self._regular_ns)
         return Released(stamp_ns, self._names[rank], item)
 
 

@@ -23,10 +23,10 @@ def regular_order(max_lateness_ns: int = 2000 * MS) -> StampOrder[int]:
 
 
 def after_regular_odometry(order: StampOrder[int]) -> int:
-    """Push odometry until the next stamp can be predicted; return the last stamp."""
+    """Push messages until the next odometry is predicted; return its last stamp."""
     for n in range(1, STEP_COUNT + 2):
+        order.push('template', n * STEP_NS - STEP_NS // 2, 0)
         order.push('odometry', n * STEP_NS, 0)
-    order.push('template', STEP_NS // 2, 0)
     return (STEP_COUNT + 1) * STEP_NS
 
 
@@ -50,6 +50,17 @@ def test_message_waits_until_the_steps_are_known() -> None:
     for n in range(1, STEP_COUNT + 1):
         order.push('odometry', n * STEP_NS, 0)
         assert ('template', n * STEP_NS + 1) not in pushed(order, [('template', n * STEP_NS + 1)])
+
+
+def test_messages_of_equal_stamps_always_belong_together() -> None:
+    order = regular_order()
+    for n in range(1, 3 * STEP_COUNT):
+        message = 'template', n * STEP_NS
+        assert pushed(order, [message]) == []
+        assert message in pushed(order, [('odometry', n * STEP_NS)])
+    early = (3 * STEP_COUNT - 1) * STEP_NS + 5 * MS
+    assert pushed(order, [('template', early)]) == []
+    assert pushed(order, [('odometry', early)]) == [('odometry', early), ('template', early)]
 
 
 def test_early_message_goes_after_what_did_not_wait_for_it() -> None:
