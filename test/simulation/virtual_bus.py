@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from typing import Any
 from zlib import crc32
 
-from virtual_time import MS, S, Process, Scheduler, Task
+from virtual_time import MS, Process, S, Scheduler, Task
 
 from ratslam_ros.standalone.dds import EndpointQos, StatusChange, TakenSample
 from ratslam_ros.standalone.graph import NodeName, TopicEndpointInfo, TopicEndpointTypeEnum

@@ -13,7 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from virtual_time import MS, S, Killed, Process, Scheduler
+from virtual_time import MS, Killed, Process, S, Scheduler
 
 BUSY_NS = 5 * S
 """Time for which a statement waits for another connection."""
