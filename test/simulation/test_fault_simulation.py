@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -24,7 +23,7 @@ except StandaloneUnavailable as error:
 from virtual_robot import simulate
 from virtual_world import DRIVE_S, MAPPING, ROBOTS, Plan
 
-SEEDS = 50
+SEEDS, SHARE = 50, 10
 UNDISTURBED = Plan(BusFaults(), (), None, True, True, 0.0, 0.0, 0, False, 'closed')
 
 
@@ -95,14 +94,13 @@ def test_equal_seeds_give_equal_traces() -> None:
     assert len(first.trace) > 500
 
 
-def test_faults_lose_nothing_unnoticed() -> None:
-    kinds = Counter()
-    for seed in range(SEEDS):
-        outcome = simulate(seed)
-        assert outcome.problems == [], (seed, outcome.problems)
-        kinds[outcome.is_repairable, outcome.identical] += 1
-    assert kinds[True, True] > SEEDS // 4
-    assert kinds[True, False] <= SEEDS // 20  # faults are to be repaired, not only reported
+@pytest.mark.parametrize('first', range(0, SEEDS, SHARE))
+def test_faults_lose_nothing_unnoticed(first: int) -> None:
+    outcomes = [simulate(seed) for seed in range(first, first + SHARE)]
+    assert [(one.seed, one.problems) for one in outcomes if one.problems] == []
+    # What can be repaired is to be repaired, and not only reported.
+    repairable = [one for one in outcomes if one.is_repairable]
+    assert [one for one in repairable if not one.identical] == []
 
 
 def test_time_passes_only_while_all_threads_wait() -> None:
