@@ -42,7 +42,12 @@ def main() -> int:
     parser.add_argument('--trace', action='store_true', help='print the events of the seed')
     options = parser.parse_args()
 
-    from virtual_robot import Plan, simulate
+    from ratslam_ros.standalone import install
+
+    if not install():
+        parser.error('rclpy of ROS is sourced; the simulation needs the stand-in for it')
+    from virtual_robot import simulate
+    from virtual_world import Plan
 
     from ratslam_ros.core.warm_up import warm_up
 

@@ -59,6 +59,7 @@ class FileWriter:
         self._meta = self._described = meta
         self.restored: SavedMap | None = None
         self.joins = False
+        self.notes: list[str] = []
         compressor = Compressor()
         self._writers = {part: PartWriter(part, compressor) for part in parts}
         self._session = 0
@@ -210,15 +211,15 @@ class FileWriter:
                 self._session = begin(database, self.parts, self._meta, found)
                 states = self._load(database, rows)  # A damaged map is not changed.
                 database.execute('COMMIT')
+        last = max(rows.values(), key=lambda row: (row.session, row.number), default=None)
+        cut = found.cut if last is None else Cut(last.number, last.stamp_ns)
+        lost = found.lost
+        if found.session == self._session:  # All that join a session know what it lacks.
+            lost = None if self.joins else sessions[-1].lost
+        self.notes = [] if lost is None else [loss_note(lost, cut)]
         if rows or found.cut is not None:
-            last = max(rows.values(), key=lambda row: (row.session, row.number), default=None)
-            cut = found.cut if last is None else Cut(last.number, last.stamp_ns)
-            lost = found.lost
-            if found.session == self._session:  # All that join a session know what it lacks.
-                lost = None if self.joins else sessions[-1].lost
             self.restored = SavedMap(
-                self.path, sessions[-1].meta, cut, states, sessions,
-                [] if lost is None else [loss_note(lost, cut)],
+                self.path, sessions[-1].meta, cut, states, sessions, self.notes,
                 {part: row.digest for part, row in rows.items()}, lost,
             )  # fmt: skip
 

@@ -50,6 +50,8 @@ class MapStore:
         """What to restore; None for a new map. It may lack parts that are new in the map."""
         self.joins = writer.joins
         """Whether this process was interrupted in the running session and has to catch up."""
+        self.notes = writer.notes
+        """What is missing of the session before; also if nothing of it was saved."""
         self.problem = ''
         """Why the file cannot be written now, '' if it can."""
         self.acknowledged: Cut | None = None

@@ -286,9 +286,8 @@ class MapKeeper:
         are_lost = self._store.joins and has_images and not resuming.is_complete
         if are_lost:
             self._lost_after_ns = since_ns
-        saved = self._store.restored
-        if not self._store.joins and has_images and not resuming.is_complete and saved is not None:
-            for note in saved.notes:  # All nodes were killed, and no source sends it again.
+        if not self._store.joins and has_images and not resuming.is_complete:
+            for note in self._store.notes:  # All nodes were killed, no source sends it again.
                 self._diagnostics.note(note)
         missed = [
             Missed(stamp_ns, one.stream, partial(one.replay, data))

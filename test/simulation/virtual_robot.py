@@ -8,7 +8,6 @@ the time, the threads and the disk of this folder. A source plays 20 s of a smal
 
 from __future__ import annotations
 
-import math
 import re
 import sys
 import tempfile
@@ -20,7 +19,12 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
-from virtual_bus import Bus, BusFaults, Graph, Guard, Participant, WaitSet
+import rclpy
+from nav_msgs.msg import Odometry
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from sensor_msgs.msg import Image, LaserScan
+from virtual_bus import Bus, Graph, Guard, Participant, WaitSet
 from virtual_disk import Disk
 from virtual_time import (
     EPOCH_NS,
@@ -31,25 +35,20 @@ from virtual_time import (
     VirtualThreading,
     VirtualTime,
 )
+from virtual_world import (
+    KINDS,
+    LEARNING,
+    LOSSES,
+    MOST_NS,
+    SETTINGS,
+    SETTLED_NS,
+    Event,
+    Plan,
+    replayed,
+    world,
+)
 
-from ratslam_ros.standalone import StandaloneUnavailable, install
-
-if not install():
-    raise StandaloneUnavailable('rclpy of ROS has a bus and a clock of its own')
-
-import numpy as np
-import rclpy
-from helpers import picture
-from laser_rooms import full_turn
-from nav_msgs.msg import Odometry
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
-from rclpy.serialization import deserialize_message, serialize_message
-from sensor_msgs.msg import Image, LaserScan
-
-from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.ratslam import RatSLAM
 from ratslam_ros.errors import RatslamError
 from ratslam_ros.files.config import combined_yaml
 from ratslam_ros.files.version import package_version
@@ -60,143 +59,9 @@ from ratslam_ros.maps import read_map
 from ratslam_ros.maps import store as store_module
 from ratslam_ros.maps.chunks import digest_of
 from ratslam_ros.maps.locks import MapLock
-from ratslam_ros.nodes.convert import grey_image, header_of, odometry_of
-from ratslam_ros.nodes.experience_map_node import ExperienceMapNode
-from ratslam_ros.nodes.goal_follower_node import GoalFollowerNode
-from ratslam_ros.nodes.landmark_map_node import LandmarkMapNode
-from ratslam_ros.nodes.local_view_node import LocalViewNode
-from ratslam_ros.nodes.pose_cells_node import PoseCellsNode
 from ratslam_ros.nodes.qos import PLAYED
-from ratslam_ros.nodes.scans import scan_from_message
-from ratslam_ros.nodes.visual_odometry_node import VisualOdometryNode
-from ratslam_ros.offline.landmark_mapping import LandmarkMapping
-from ratslam_ros.recordings.events import (
-    ImageEvent,
-    OdometryEvent,
-    Orientation,
-    ScanEvent,
-)
 from ratslam_ros.standalone.context import Context, get_default_context
 from ratslam_ros.starting import starting
-
-SETTINGS = {
-    'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
-    'local_view.vt_shift_match': 2, 'pose_cells.pc_cell_x_size': 0.5,
-    'pose_cells.exp_delta_pc_threshold': 1.0,
-}  # fmt: skip
-"""Parameters for the small images of the world."""
-
-KINDS = {
-    'local_view': LocalViewNode, 'pose_cells': PoseCellsNode, 'experience_map': ExperienceMapNode,
-    'visual_odometry': VisualOdometryNode, 'landmark_map': LandmarkMapNode,
-    'goal_follower': GoalFollowerNode,
-}  # fmt: skip
-MAPPING = 'local_view', 'pose_cells', 'experience_map'
-ROBOTS: dict[str, tuple[str, ...]] = {
-    'wheels': MAPPING, 'camera': ('visual_odometry', *MAPPING),
-    'laser': (*MAPPING, 'landmark_map', 'goal_follower'),
-}
-"""Nodes by the sensors of the robot."""
-
-LEARNING = (*MAPPING, 'visual_odometry', 'landmark_map')
-DRIVE_S = 20
-WALLS: list[list[tuple[float, float]]] = [
-    [(-3.0, -2.0), (4.0, -2.0), (4.0, 2.5), (2.5, 2.5), (2.5, 5.0), (-3.0, 5.0), (-3.0, -2.0)]
-]
-BEAMS = 120
-ODOMETRY_NS, IMAGE_NS = 100 * MS, 200 * MS
-PER_LAP, RADIUS_M = 20, 1.5
-SETTLED_NS, MOST_NS = 6 * S, 200 * S
-"""Time without a message after which the nodes are considered idle, and the limit of a run."""
-
-REPAIR_NS = 1500 * MS
-"""Time after which a killed node has to be starting again. Its neighbours do not know that it was
-killed, and process what they hold after ``flush_after_s`` and ``max_lateness_s``, 2 s."""
-
-SMALL_BACKLOG = 4_000
-"""Bytes of images that wait in a shrunk queue."""
-
-LOSSES = {
-    'lost': r'\d+ messages of \w+ were lost in transport',
-    'dropped': r'an image was dropped',
-    'late': r'came too late',
-    'refused': r'was refused',
-    'gap': r'has a gap before|odometry has a gap',
-    'lost span': r'images from \S+ s to \S+ s are lost|images after \S+ s may be lost|s are missing, up to stamp',
-    'missed': r'actions of pose_cells were lost',
-    'no answer': r'does not answer',
-    'restarted empty': r'has started with an empty memory|has gone back to an earlier memory',
-    'late start': r'this node started late',
-}
-"""Reports that explain why a map differs from that of the replay, by their texts."""
-
-
-@dataclass(frozen=True)
-class Plan:
-    """What happens in a simulation, drawn from the seed.
-
-    kills: time after the start of the drive, in ns, names of the nodes, and time until the restart.
-    full: begin and end of a full disk. resends: the source sends again on request. lockstep: the
-    source waits for the action of each image, as ``ratslam play --lockstep``. best_effort: the camera is. duplicates: probability
-    that a message is published twice. swaps: probability that an odometry message is published
-    after the next image. backlog: limit of the waiting images, in bytes. ends: how the nodes end.
-    robot: its sensors, of ``ROBOTS``.
-    """
-
-    bus: BusFaults
-    kills: tuple[tuple[int, tuple[str, ...], int], ...]
-    full: tuple[int, int] | None
-    resends: bool
-    lockstep: bool
-    duplicates: float
-    swaps: float
-    backlog: int
-    best_effort: bool
-    ends: str
-    robot: str = 'wheels'
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The nodes."""
-        return ROBOTS[self.robot]
-
-    @property
-    def is_repairable(self) -> bool:
-        """Whether the source can send everything again, and waits for restarted nodes."""
-        return self.lockstep and self.resends and not (self.best_effort and self.bus.loss) and (
-            not self.backlog and all(pause_ns < REPAIR_NS for _, _, pause_ns in self.kills)
-        )
-
-    @classmethod
-    def drawn(cls, seed: int) -> Plan:
-        """Return the plan of a seed; each kind of fault occurs in some of them."""
-        chance = Scheduler(f'plan {seed}').chance
-        bus = BusFaults(
-            chance.choice([2, 5, 20]) * MS, chance.choice([0.0, 0.0, 0.002, 0.02]),
-            chance.choice([100, 300, 800]) * MS, chance.choice([0.0, 0.02, 0.1]),
-            chance.choice([0, 0, 0, 0, 0, 2, 20]), chance.choice([20, 100, 400]) * MS,
-            chance.choice([0.0, 0.0, 0.005]),
-        )  # fmt: skip
-        robot = chance.choice(['wheels', 'wheels', 'wheels', 'camera', 'laser'])
-        kills = []
-        for _ in range(chance.choice([0, 1, 1, 2, 3, 4])):
-            all_of_them = chance.random() < 0.15
-            names = ROBOTS[robot] if all_of_them else (chance.choice(ROBOTS[robot]),)
-            kills.append(
-                (chance.randrange(DRIVE_S * S), names, chance.choice([100 * MS, S, 3 * S]))
-            )
-        full = None
-        if chance.random() < 0.2:
-            begin_ns = chance.randrange(DRIVE_S * S)
-            full = begin_ns, begin_ns + chance.randrange(8 * S)
-        return cls(
-            bus, tuple(sorted(kills)), full, chance.random() < 0.85,
-            # In lockstep, each message that is lost in a short queue would take ten seconds.
-            bus.depth == 0 and chance.random() < 0.8,
-            chance.choice([0.0, 0.0, 0.05]), chance.choice([0.0, 0.0, 0.1]),
-            chance.choice([0, 0, 0, SMALL_BACKLOG]), chance.random() < 0.15,
-            chance.choice(['closed', 'killed']), robot,
-        )  # fmt: skip
 
 
 @dataclass
@@ -242,78 +107,6 @@ def simulate(seed: int, trace: bool = False, plan: Plan | None = None) -> Outcom
 
 def _memory_folder() -> str | None:
     return '/dev/shm' if Path('/dev/shm').is_dir() else None
-
-
-@dataclass(frozen=True)
-class Event:
-    """A message of the world."""
-
-    stamp_ns: int
-    topic: str
-    message: Any
-    recorded: Any
-    pixels: Any = None
-
-
-@cache
-def world(robot: str) -> tuple[Event, ...]:
-    """Return what the sensors of a robot measure on a drive in circles, in the order of stamps."""
-    events = []
-    start_ns = EPOCH_NS
-    for n in range(DRIVE_S * S // ODOMETRY_NS):
-        stamp_ns = start_ns + n * ODOMETRY_NS
-        lap_s = PER_LAP * IMAGE_NS / S
-        odometry = Odometry(header=header_of(stamp_ns, 'odom'), child_frame_id='base_link')
-        odometry.twist.twist.linear.x = 2.0 * math.pi * RADIUS_M / lap_s
-        odometry.twist.twist.angular.z = 2.0 * math.pi / lap_s
-        odometry.pose.pose.orientation.w = 1.0
-        twist = odometry.twist.twist
-        if robot != 'camera':
-            events.append(Event(stamp_ns, 'odom', odometry, OdometryEvent(
-                stamp_ns, stamp_ns, twist.linear.x, twist.angular.z, 0.0, 0.0,
-                Orientation(0.0, 0.0, 0.0, 1.0),
-            )))  # fmt: skip
-        number, between = divmod(n * ODOMETRY_NS, IMAGE_NS)
-        if between == 0:
-            pixels = picture(number % PER_LAP, 24, 32)
-            stamp_ns += MS
-            image = grey_image(stamp_ns, 'camera', pixels)
-            recorded = ImageEvent(stamp_ns, stamp_ns, image)
-            events.append(Event(stamp_ns, 'image', image, recorded, pixels))
-        elif robot == 'laser':
-            stamp_ns += 2 * MS
-            angle = 2.0 * math.pi * (stamp_ns - EPOCH_NS) / (PER_LAP * IMAGE_NS)
-            pose = Pose(RADIUS_M * math.sin(angle), RADIUS_M * (1.0 - math.cos(angle)), angle)
-            scan = full_turn(WALLS, pose, BEAMS // 2)
-            message = LaserScan(
-                header=header_of(stamp_ns, ''), angle_min=scan.angle_min_rad,
-                angle_increment=scan.angle_increment_rad, range_max=20.0,
-                ranges=scan.ranges_m.astype(np.float32),
-            )  # fmt: skip
-            message = deserialize_message(serialize_message(message), LaserScan)  # has float32
-            recorded_scan = ScanEvent(stamp_ns, stamp_ns, 0.0, 0.0, 0.0, 20.0, message.ranges)
-            events.append(Event(stamp_ns, 'scan', message, recorded_scan))
-    return tuple(events)
-
-
-@cache
-def replayed(robot: str) -> dict[str, bytes]:
-    """Return the digests of what each part has learned in an undisturbed replay."""
-    config = Config().with_values(SETTINGS)
-    slam = RatSLAM(config, visual_odometry=robot == 'camera')
-    landmarks = LandmarkMapping(config)
-    for event in world(robot):
-        if event.topic == 'odom':
-            slam.odometry(odometry_of(event.message))
-            landmarks.odometry(odometry_of(event.message))
-        elif event.topic == 'scan':
-            landmarks.scan(scan_from_message(event.message))
-        else:
-            slam.image(event.stamp_ns, event.pixels)
-    slam.finish()
-    landmarks.finish()
-    states = {**slam.state(), 'landmark_map': landmarks.state()}
-    return {part: digest_of(states[part]['core']) for part in ROBOTS[robot] if part in LEARNING}
 
 
 class RobotProcess(Process):
@@ -493,9 +286,13 @@ class Simulation:
         def are_nodes_restarting() -> bool:
             return (resender is not None and resender.resuming) or bool(self._starting())
 
-        actions = ActionWait(node, 'odom' in topics, are_nodes_restarting) if plan.lockstep else None
-        while self._starting() or not self._are_connected(node) or not all(
-            publisher.get_subscription_count() for publisher in publishers.values()
+        actions = (
+            ActionWait(node, 'odom' in topics, are_nodes_restarting) if plan.lockstep else None
+        )
+        while (
+            self._starting()
+            or not self._are_connected(node)
+            or not all(publisher.get_subscription_count() for publisher in publishers.values())
         ):
             rclpy.spin_once(node, timeout_sec=0.05)
         scheduler.sleep(300 * MS + 2 * plan.bus.discovery_ns)
@@ -536,9 +333,7 @@ class Simulation:
 
     def _starting(self) -> list[str]:
         """Return the nodes that are starting, in place of ``starting``."""
-        return [
-            name for name, one in self.nodes.items() if not (one.is_ready or one.is_dead)
-        ]
+        return [name for name, one in self.nodes.items() if not (one.is_ready or one.is_dead)]
 
     def log(self, text: str) -> None:
         """Keep a line of a node's log."""
@@ -557,7 +352,8 @@ class Simulation:
 
     def _compare(self) -> None:
         different = [
-            name for name, digest in replayed(self.plan.robot).items()
+            name
+            for name, digest in replayed(self.plan.robot).items()
             if digest_of(self.nodes[name].node._memory_state()['core']) != digest
         ]
         self.outcome.identical = not different
@@ -579,7 +375,9 @@ class Simulation:
             if beside != [self.path.name]:
                 self.outcome.problems.append(f'files are left at the end: {beside}')
             for name in replayed(self.plan.robot):
-                kept = {k: v for k, v in self.nodes[name].node._memory_state().items() if k != 'goals'}
+                kept = {
+                    k: v for k, v in self.nodes[name].node._memory_state().items() if k != 'goals'
+                }
                 found = {k: v for k, v in saved.states[name].items() if k != 'goals'}
                 if digest_of(kept) != digest_of(found):
                     self.outcome.problems.append(f'{name}: the saved state is not the last one')
@@ -589,8 +387,10 @@ def _is_mapping(process: RobotProcess) -> bool:
     if process.name not in LEARNING:
         return process.is_ready and not process.is_dead
     keeper = getattr(process.node, '_keeper', None)
-    return process.is_ready and not process.is_dead and (
-        keeper is not None and keeper._resuming is None
+    return (
+        process.is_ready
+        and not process.is_dead
+        and (keeper is not None and keeper._resuming is None)
     )
 
 
@@ -645,5 +445,7 @@ def installed(simulation: Simulation) -> Iterator[None]:
         )  # fmt: skip
         # The executor of a simulation that has ended belongs to another bus.
         stack.enter_context(mock.patch.object(executors, '_global', None))
-        stack.enter_context(mock.patch('ratslam_ros.live.action_wait.print_notice', simulation.log))
+        stack.enter_context(
+            mock.patch('ratslam_ros.live.action_wait.print_notice', simulation.log)
+        )
         yield

@@ -31,7 +31,7 @@ class Killed(BaseException):
     """The process of this thread was killed."""
 
 
-class Hang(Exception):
+class Hang(Exception):  # noqa: N818
     """No thread can continue, or the threads run without an end."""
 
 
@@ -375,18 +375,18 @@ class VirtualThreading:
     def __getattr__(self, name: str) -> Any:
         return getattr(threading, name)
 
-    def Lock(self) -> VirtualLock:
+    def Lock(self) -> VirtualLock:  # noqa: N802
         return VirtualLock(self._scheduler)
 
     RLock = Lock
 
-    def Condition(self, lock: VirtualLock | None = None) -> VirtualCondition:
+    def Condition(self, lock: VirtualLock | None = None) -> VirtualCondition:  # noqa: N802
         return VirtualCondition(self._scheduler, lock)
 
-    def Event(self) -> VirtualEvent:
+    def Event(self) -> VirtualEvent:  # noqa: N802
         return VirtualEvent(self._scheduler)
 
-    def Thread(self, *, target: Callable[..., Any], **options: Any) -> VirtualThread:
+    def Thread(self, *, target: Callable[..., Any], **options: Any) -> VirtualThread:  # noqa: N802
         return VirtualThread(self._scheduler, target, **options)
 
     def current_thread(self) -> Task:
