@@ -48,7 +48,8 @@ from ratslam_ros.core.config import Config
 from ratslam_ros.core.merging.merge import JoinReport, MergedMap, merge_sessions
 from ratslam_ros.core.merging.session import Session
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
-from ratslam_ros.core.ratslam import RatSLAM, Step, ViewStep
+from ratslam_ros.core.ratslam import RatSLAM
+from ratslam_ros.core.steps import Step, ViewStep
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.event_inputs import odometry_from_event
 from ratslam_ros.files.config import load_config

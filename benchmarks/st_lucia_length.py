@@ -28,7 +28,8 @@ from numpy.typing import NDArray
 from town import At, Camera, Laps, Pixels, Town, drive, resident_mb
 
 from ratslam_ros.core.config import Value
-from ratslam_ros.core.ratslam import RatSLAM, ViewStep
+from ratslam_ros.core.ratslam import RatSLAM
+from ratslam_ros.core.steps import ViewStep
 from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.files.config import load_config

@@ -12,7 +12,8 @@ from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.odometry import Odometry
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.ratslam import RatSLAM, Step, ViewStep
+from ratslam_ros.core.ratslam import RatSLAM
+from ratslam_ros.core.steps import Step, ViewStep
 
 PERIOD_NS = 500_000_000
 STEP_M = 0.5

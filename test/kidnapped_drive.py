@@ -16,7 +16,8 @@ from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.config.parameter import Value
-from ratslam_ros.core.ratslam import RatSLAM, ViewStep
+from ratslam_ros.core.ratslam import RatSLAM
+from ratslam_ros.core.steps import ViewStep
 from ratslam_ros.core.vision.local_view import ViewMatch
 
 STEP_NS = 250_000_000

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from ratslam_ros.core.common.state import State
-from ratslam_ros.core.ratslam import RatSLAM, Step
+from ratslam_ros.core.ratslam import RatSLAM
+from ratslam_ros.core.steps import Step
 from ratslam_ros.files.memory import load, save
 
 Event = Callable[[RatSLAM], list[Step]]

@@ -34,7 +34,7 @@ CORE_LAYERS = [
     ['pose_cells'],
     ['mapping', 'goal_memory'],
     ['navigation', 'merging'],
-    ['driving', 'held_messages'],
+    ['driving', 'held_messages', 'steps'],
     ['ratslam', 'warm_up', 'learned'],
 ]
 LAYERS = [

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,14 +33,15 @@ from ratslam_ros.core.held_messages import (
     item_from_state,
     item_state,
 )
-from ratslam_ros.core.mapping.experience_map import ExperienceMap, PrunedExperience
+from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.mapping_step import adopt_correction, apply_action
 from ratslam_ros.core.mapping.pose_hint import PendingHints, PoseHint
 from ratslam_ros.core.mapping.relocator import Relocator
 from ratslam_ros.core.mapping.scan_matching import ScanMatcher
-from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
+from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
 from ratslam_ros.core.pose_cells.map_relocation import MapRelocations
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
+from ratslam_ros.core.steps import OdometryStep, Step, ViewStep
 from ratslam_ros.core.vision.local_view import (
     UNDECODABLE,
     EncodedView,
@@ -57,44 +57,6 @@ from ratslam_ros.errors import UnusableInput, UnusableParameter
 
 Stopwatch = Callable[[str], AbstractContextManager[object]]
 
-
-@dataclass(frozen=True, slots=True)
-class OdometryStep:
-    """Result of one odometry message.
-
-    ``pose``: estimate on the map, composed of the pose of experience ``experience_id`` and
-    ``offset``. ``dead_reckoning``: pose by odometry alone. ``gap_s``: length of the gap of the
-    odometry that this message ends, after which the motion is unknown; otherwise 0.
-    """
-
-    stamp_ns: int
-    pose: Pose
-    dead_reckoning: Pose
-    experience_id: int
-    offset: Pose
-    gap_s: float = 0.0
-
-
-@dataclass(frozen=True, slots=True)
-class ViewStep:
-    """Result of one template message.
-
-    ``pruned``: the experience that made room for a new one. ``rejected``: the loop-closure gate
-    rejected the action, and the map is unchanged. ``relocated_to``: experience to which scans have
-    relocated the robot after the action, -1 if they have not. ``reason``: why the gate rejected
-    the action, '' if it did not.
-    """
-
-    stamp_ns: int
-    match: ViewMatch
-    action: MapAction
-    pruned: PrunedExperience | None = None
-    rejected: bool = False
-    relocated_to: int = NO_EXPERIENCE
-    reason: str = ''
-
-
-Step = OdometryStep | ViewStep
 
 STREAMS = 'odometry', 'template'
 STREAMS_WITH_SCANS = 'odometry', 'scan', 'template'

@@ -15,7 +15,8 @@ from ratslam_ros.core.common.scan import Scan, points_of
 from ratslam_ros.core.mapping.map_changes import MapChange, MapChangeTracker
 from ratslam_ros.core.pose_cells.active_cells import active_cells
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
-from ratslam_ros.core.ratslam import OdometryStep, RatSLAM, Step, ViewStep
+from ratslam_ros.core.ratslam import RatSLAM
+from ratslam_ros.core.steps import OdometryStep, Step, ViewStep
 from ratslam_ros.core.vision.local_view import FIXED_THRESHOLD, LocalView
 from ratslam_ros.history.recorded_images import jpeg_of
 from ratslam_ros.history.records import (

@@ -19,7 +19,8 @@ from ratslam_ros.console import ProgressBar
 from ratslam_ros.core.common.odometry import MAX_GAP_NS
 from ratslam_ros.core.common.scan import UnusableScan
 from ratslam_ros.core.config import AUTOMATIC, Config
-from ratslam_ros.core.ratslam import RatSLAM, Step
+from ratslam_ros.core.ratslam import RatSLAM
+from ratslam_ros.core.steps import Step
 from ratslam_ros.core.vision.local_view import LocalView
 from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.core.vision.visual_odometry import field_of_view_deg

@@ -7,7 +7,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Self
 
-from ratslam_ros.core.ratslam import RatSLAM, Step, ViewStep
+from ratslam_ros.core.ratslam import RatSLAM
+from ratslam_ros.core.steps import Step, ViewStep
 from ratslam_ros.core.vision.local_view import LocalView
 from ratslam_ros.recordings import ImageEvent, UndecodableImage
 from ratslam_ros.results.video import MapVideo

@@ -17,7 +17,7 @@ from tqdm import tqdm
 
 from ratslam_ros.console import print_notice
 from ratslam_ros.core.config import AUTOMATIC, Config
-from ratslam_ros.core.ratslam import Step
+from ratslam_ros.core.steps import Step
 from ratslam_ros.errors import UnreachableGoal, UnusableInput
 from ratslam_ros.files.config import to_yaml
 from ratslam_ros.files.version import package_version

@@ -19,7 +19,8 @@ from ratslam_ros.core.common.pose import Pose, composed
 from ratslam_ros.core.common.scan import UnusableScan
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
-from ratslam_ros.core.ratslam import OdometryStep, RatSLAM, Step
+from ratslam_ros.core.ratslam import RatSLAM
+from ratslam_ros.core.steps import OdometryStep, Step
 from ratslam_ros.core.vision.local_view import LocalView
 from ratslam_ros.descriptors import encoder_of
 from ratslam_ros.errors import UnusableParameter

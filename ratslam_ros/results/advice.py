@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.ratslam import OdometryStep, Step, ViewStep
+from ratslam_ros.core.steps import OdometryStep, Step, ViewStep
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
 from ratslam_ros.messages.json_schema import NS_PER_S
 

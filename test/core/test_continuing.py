@@ -19,7 +19,8 @@ from states import Event, continues_exactly
 from ratslam_ros.core.common.odometry import Odometry
 from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.ratslam import RatSLAM, Step
+from ratslam_ros.core.ratslam import RatSLAM
+from ratslam_ros.core.steps import Step
 from ratslam_ros.core.vision.local_view import ViewMatch
 
 PER_LAP = 30

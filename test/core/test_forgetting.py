@@ -16,7 +16,8 @@ from ratslam_ros.core.config import Config, LocalViewParameters, PoseCellsParame
 from ratslam_ros.core.config.local_view import LEAST_VT_MAX
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
-from ratslam_ros.core.ratslam import RatSLAM, ViewStep
+from ratslam_ros.core.ratslam import RatSLAM
+from ratslam_ros.core.steps import ViewStep
 from ratslam_ros.core.vision.local_view import LocalView
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.files.memory import load, save

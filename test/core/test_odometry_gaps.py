@@ -22,7 +22,8 @@ from ratslam_ros.core.navigation.route_planner import RoutePlanner
 from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.pose_cells.torus import Place
-from ratslam_ros.core.ratslam import RatSLAM, ViewStep
+from ratslam_ros.core.ratslam import RatSLAM
+from ratslam_ros.core.steps import ViewStep
 from ratslam_ros.errors import UnreachableGoal
 from ratslam_ros.messages.mapping import encode_map
 

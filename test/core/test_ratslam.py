@@ -16,7 +16,8 @@ from helpers import START_NS, panorama, picture, twist
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.ratslam import OdometryStep, RatSLAM, Step, ViewStep
+from ratslam_ros.core.ratslam import RatSLAM
+from ratslam_ros.core.steps import OdometryStep, Step, ViewStep
 from ratslam_ros.messages.mapping import encode_map
 
 COLUMNS = 60

@@ -40,7 +40,8 @@ def replayed(energy: float | None) -> list[str]:
     from ratslam_ros.core.common.odometry import Odometry, Twist
     from ratslam_ros.core.common.pose import Pose
     from ratslam_ros.core.config import Config
-    from ratslam_ros.core.ratslam import RatSLAM, ViewStep
+    from ratslam_ros.core.ratslam import RatSLAM
+    from ratslam_ros.core.steps import ViewStep
     from ratslam_ros.core.vision.local_view import ViewMatch
 
     slam, steps = RatSLAM(Config()), []

@@ -36,7 +36,7 @@ from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
-from ratslam_ros.core.ratslam import ViewStep
+from ratslam_ros.core.steps import ViewStep
 from ratslam_ros.core.vision.local_view import ViewMatch
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.messages.mapping import encode_template

@@ -1,0 +1,51 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The results of the two kinds of steps: one for each odometry message, one for each view."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.mapping.experience_map import PrunedExperience
+from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
+from ratslam_ros.core.vision.local_view import ViewMatch
+
+
+@dataclass(frozen=True, slots=True)
+class OdometryStep:
+    """Result of one odometry message.
+
+    ``pose``: estimate on the map, composed of the pose of experience ``experience_id`` and
+    ``offset``. ``dead_reckoning``: pose by odometry alone. ``gap_s``: length of the gap of the
+    odometry that this message ends, after which the motion is unknown; otherwise 0.
+    """
+
+    stamp_ns: int
+    pose: Pose
+    dead_reckoning: Pose
+    experience_id: int
+    offset: Pose
+    gap_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class ViewStep:
+    """Result of one template message.
+
+    ``pruned``: the experience that made room for a new one. ``rejected``: the loop-closure gate
+    rejected the action, and the map is unchanged. ``relocated_to``: experience to which scans have
+    relocated the robot after the action, -1 if they have not. ``reason``: why the gate rejected
+    the action, '' if it did not.
+    """
+
+    stamp_ns: int
+    match: ViewMatch
+    action: MapAction
+    pruned: PrunedExperience | None = None
+    rejected: bool = False
+    relocated_to: int = NO_EXPERIENCE
+    reason: str = ''
+
+
+Step = OdometryStep | ViewStep
