@@ -115,7 +115,7 @@ class MapKeeper:
             self._grid.restore(self._cut)
             is_own = store.joins and saved.sessions[-1].base_ns != self._cut.stamp_ns
             self._is_first = not is_own
-        self._saved, self._passed = -1, 0
+        self._saved, self._passed = -1 if store.number is None else store.number, 0
         self._cuts = node.create_publisher(Int64, CUT, GOAL)
         node.create_subscription(Int64, CUT, self._on_cut, GOAL)
         self._answers = node.create_publisher(String, RESENT, GOAL)
