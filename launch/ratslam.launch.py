@@ -20,7 +20,7 @@ from launch_ros.actions import Node
 
 from ratslam_ros.errors import RatslamError
 from ratslam_ros.files.config import load_config, to_yaml
-from ratslam_ros.live.launch import MAX_RESTARTS, OPTIONAL, nodes, remappings, with_map
+from ratslam_ros.live.launch import MANAGED, MAX_RESTARTS, OPTIONAL, nodes, remappings, with_map
 from ratslam_ros.live.required import ending_launch
 
 YES_OR_NO = ['true', 'false']
@@ -83,6 +83,12 @@ ARGUMENTS = [
         'rviz', default_value='false', choices=YES_OR_NO,
         description='start RViz; its layout uses the topics of the root namespace'),
     DeclareLaunchArgument(
+        'lifecycle', default_value='false', choices=YES_OR_NO,
+        description='true: managed nodes, with the states of the ROS 2 life cycle'),
+    DeclareLaunchArgument(
+        'autostart', default_value='true', choices=YES_OR_NO,
+        description='managed nodes configure and activate themselves; false: another node does'),
+    DeclareLaunchArgument(
         'log_level', default_value='info', choices=['debug', 'info', 'warn', 'error', 'fatal'],
         description='lowest severity that the nodes log'),
 ]  # fmt: skip
@@ -105,12 +111,14 @@ def _start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
     parameters = folder / 'parameters.yaml'
     parameters.write_text(text, encoding='utf-8')
     use_sim_time = given('use_sim_time') == 'true'
+    states = ['--lifecycle', *(['--autostart'] if given('autostart') == 'true' else [])]
+    managed = MANAGED if given('lifecycle') == 'true' else frozenset()
     started = [
         Node(
             package='ratslam_ros',
             executable=name,
             namespace=given('namespace'),
-            arguments=arguments,
+            arguments=[*arguments, *(states if name in managed else [])],
             parameters=[str(parameters), {'use_sim_time': use_sim_time}],
             remappings=remappings(*(
                 given(f'{name}_topic') for name in ('image', 'odom', 'scan', 'cmd_vel')

@@ -30,6 +30,12 @@ SHUTDOWN_TIMEOUT_S = 20.0
 OPTIONAL = frozenset({'viewer'})
 """Nodes that the others do not need: if one ends, the others go on."""
 
+MANAGED = frozenset({
+    'visual_odometry', 'local_view', 'pose_cells', 'experience_map', 'single_process',
+    'goal_follower', 'landmark_map',
+})  # fmt: skip
+"""Nodes that can be managed nodes of ROS 2."""
+
 POLL_S = 0.05
 
 MAX_RESTARTS, RESTARTS_WITHIN_S = 5, 60.0

@@ -275,7 +275,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
     def _take_odometry(self, odometry: Odometry) -> None:
         self._push('odometry', odometry.stamp_ns, odometry)
         self._log('odometry', odometry.stamp_ns, lambda: encode_odometry(odometry))
-        if not self._paused:
+        if not self._is_halted:
             self._locate(odometry)
 
     def _use_scan(self, scan: Scan) -> None:

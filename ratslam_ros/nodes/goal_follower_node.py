@@ -169,8 +169,8 @@ class GoalFollowerNode(RatslamNode[Scan]):
 
     def refusal(self) -> str:
         """Return why the robot cannot drive to goals now, or an empty string."""
-        if self._paused:
-            return 'goal_follower is paused'
+        if self._is_halted:
+            return f'goal_follower is {"paused" if self._is_active else "not active"}'
         if not self._has_map or self._stamped_pose is None:
             missing = 'pose' if self._has_map else 'status'
             return f'no experience_map/{missing} has arrived: is experience_map running?'
@@ -190,7 +190,7 @@ class GoalFollowerNode(RatslamNode[Scan]):
 
     def _choose_task(self) -> None:
         task = 'none'
-        if not self._paused:
+        if not self._is_halted:
             if len(self._route):
                 task = 'following'
             elif self._explore_requested or self._section.explore:

@@ -120,7 +120,7 @@ class LandmarkMapNode(RatslamNode[Odometry | Scan]):
     def _take_odometry(self, odometry: Odometry) -> None:
         self._push('odometry', odometry.stamp_ns, odometry)
         self._log('odometry', odometry.stamp_ns, lambda: encode_odometry(odometry))
-        if not self._paused:
+        if not self._is_halted:
             self._publish_tf(odometry)
 
     def _use_scan(self, scan: Scan) -> None:

@@ -131,9 +131,11 @@ class MapKeeper:
             self._is_first = not is_own
         self._saved, self._passed = -1 if store.number is None else store.number, 0
         self._cuts = node.create_publisher(Int64, CUT, GOAL)
-        node.create_subscription(Int64, CUT, self._on_cut, GOAL)
         self._answers = node.create_publisher(String, RESENT, GOAL)
-        node.create_subscription(String, RESEND, self._on_request, GOAL)
+        self._subscriptions = [
+            node.create_subscription(Int64, CUT, self._on_cut, GOAL),
+            node.create_subscription(String, RESEND, self._on_request, GOAL),
+        ]
 
     # Saving
 
@@ -184,6 +186,10 @@ class MapKeeper:
                 f'the last seconds of the map could not be saved: {self._store.problem}'
             )
         self._store.close()
+        for subscription in self._subscriptions:
+            self._node.destroy_subscription(subscription)
+        for publisher in (self._cuts, self._answers):
+            self._node.destroy_publisher(publisher)
 
     def _write(self, cut: GridCut) -> None:
         with self._diagnostics.times('map_file'):

@@ -63,6 +63,8 @@ class RatslamNode(ConfiguredNode, Generic[Item]):
         self._order: StampOrder[Item] = self._new_order()
         self._counted = Counts()
         self._paused = False
+        self._is_active = True
+        """False while a managed node is not in the state `active`; see nodes/managed.py."""
         self._mapping = True
         self._sender_id = time.time_ns()
         """Distinguishes this process from others with the same node; see ``SingleSender``."""
@@ -97,6 +99,10 @@ class RatslamNode(ConfiguredNode, Generic[Item]):
         Raises:
             UnusableInput: the file cannot be used, or its map does not fit the parameters.
         """
+        self._restore_map()
+        self._catch_up()
+
+    def _restore_map(self) -> None:
         path = getattr(self._section, 'map', '')
         if not path:
             return
@@ -125,7 +131,11 @@ class RatslamNode(ConfiguredNode, Generic[Item]):
             store.close()
             raise
         self._keeper = keeper
-        keeper.resume(self._kept_inputs, self.REPEATS, self._lock, self._on_caught_up)
+
+    def _catch_up(self) -> None:
+        """Get the messages that were sent since the restored state."""
+        if self._keeper is not None:
+            self._keeper.resume(self._kept_inputs, self.REPEATS, self._lock, self._on_caught_up)
 
     def _localise_in(self, path: Path) -> None:
         """Restore the state from a map file that stays unchanged, and stop learning."""
@@ -140,11 +150,19 @@ class RatslamNode(ConfiguredNode, Generic[Item]):
 
     def close(self) -> None:
         """Process the messages that are still held, and save the last state."""
+        self._close_map()
+
+    def _close_map(self) -> None:
         with self._lock:
             self._process_held()
             if self._keeper is not None:
                 self._keeper.close()
                 self._keeper = None
+
+    @property
+    def _is_halted(self) -> bool:
+        """Whether messages are ignored now."""
+        return self._paused or not self._is_active
 
     # Implemented by subclasses
 
@@ -221,7 +239,7 @@ class RatslamNode(ConfiguredNode, Generic[Item]):
 
     def _push(self, stream: str, stamp_ns: int, item: Item) -> None:
         """Put a message into the stamp order, and process all messages this releases."""
-        if self._paused:
+        if self._is_halted:
             self._diagnostics.counts['paused'] += 1
             return
         if self._keeper is not None and self._keeper.is_repeated(stream, stamp_ns):
@@ -342,8 +360,8 @@ class RatslamNode(ConfiguredNode, Generic[Item]):
             values[f'{one.name}_hz'] = round(one.update(self._section.watchdog_after_s), 2)
         with self._lock:
             values['held'] = self._order.held
-            values['memory'] = 'paused' if self._paused else 'mapping'
-            if not self._mapping and not self._paused:
+            values['memory'] = 'paused' if self._is_halted else 'mapping'
+            if not self._mapping and not self._is_halted:
                 values['memory'] = 'localisation only'
             values |= self._diagnostic_values()
             if self._parameter_changes.record:
@@ -366,13 +384,17 @@ class RatslamNode(ConfiguredNode, Generic[Item]):
         return 'running'
 
     def _on_reset(self, request: Any, response: Any) -> Any:
+        self._forget()
+        return self._answer(response, True, f'{self.SECTION} has an empty memory')
+
+    def _forget(self) -> None:
+        """Drop all messages, and start with an empty memory."""
         with self._lock:
             self._drop_queued()
             self._order = self._new_order()
             self._counted = Counts()
             self._start_over()
             self._diagnostics.clear()
-        return self._answer(response, True, f'{self.SECTION} has an empty memory')
 
     def _on_pause(self, request: Any, response: Any) -> Any:
         with self._lock:

@@ -12,11 +12,13 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.logging import get_logger
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
 
 from ratslam_ros import starting
 from ratslam_ros.compilation import announced_compilation
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.errors import RatslamError
+from ratslam_ros.nodes.managed import AUTOSTART, LIFECYCLE, managed
 from ratslam_ros.nodes.node import RatslamNode
 from ratslam_ros.nodes.parameters import initial_config
 from ratslam_ros.quick_start import import_numba, settle
@@ -33,7 +35,8 @@ def run(*kinds: type[Any], args: list[str] | None = None) -> int:
         kinds: node classes: RatslamNodes, whose constructors take the initial configuration, or
             classes with the same ``SECTION``, ``warm_up``, ``parts`` and ``close``, whose
             constructors take no arguments.
-        args: arguments for rclpy; None: those of the process.
+        args: arguments for rclpy; None: those of the process. With ``--lifecycle``, RatslamNodes
+            are managed nodes, and with ``--autostart`` they activate themselves.
 
     Returns:
         The exit code: 0 after a signal, 2 if a parameter or argument cannot be used.
@@ -50,15 +53,23 @@ def run(*kinds: type[Any], args: list[str] | None = None) -> int:
         if not _warmed_up(kinds):
             return DONE
         with stop:
-            initial = initial_config(sys.argv if args is None else args)
+            given = sys.argv if args is None else args
+            initial = initial_config(given)
+            options = remove_ros_args(given)
             for kind in kinds:
-                arguments = (initial,) if issubclass(kind, RatslamNode) else ()
-                nodes.append(kind(*arguments))
-                if isinstance(nodes[-1], RatslamNode):
+                if issubclass(kind, RatslamNode):
+                    created: type[Any] = managed(kind) if LIFECYCLE in options else kind
+                    nodes.append(created(initial))
                     nodes[-1].open_map()
+                else:
+                    nodes.append(kind())
             executor = SingleThreadedExecutor()
             for node in nodes:
                 executor.add_node(node)
+            if LIFECYCLE in options and AUTOSTART in options:
+                for node in nodes:
+                    if hasattr(node, 'start'):
+                        node.start()
             settle()
             starting.ready()
             for node in nodes:

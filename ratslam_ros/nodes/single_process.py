@@ -11,6 +11,7 @@ from rclpy.utilities import remove_ros_args
 
 from ratslam_ros.nodes.experience_map_node import ExperienceMapNode
 from ratslam_ros.nodes.local_view_node import LocalViewNode
+from ratslam_ros.nodes.managed import AUTOSTART, LIFECYCLE
 from ratslam_ros.nodes.pose_cells_node import PoseCellsNode
 from ratslam_ros.nodes.run import run
 from ratslam_ros.nodes.visual_odometry_node import VisualOdometryNode
@@ -23,6 +24,8 @@ def main(args: list[str] | None = None) -> int:
     )
     parser.add_argument('--visual-odometry', action='store_true',
                         help='run visual_odometry too, which publishes odom')
+    parser.add_argument(LIFECYCLE, action='store_true', help='run managed nodes (ROS 2)')
+    parser.add_argument(AUTOSTART, action='store_true', help='activate them')
     given = sys.argv if args is None else ['single_process', *args]
     options = parser.parse_args(remove_ros_args(given)[1:])
     kinds = [LocalViewNode, PoseCellsNode, ExperienceMapNode]

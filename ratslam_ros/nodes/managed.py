@@ -1,0 +1,104 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Managed nodes: the states of the ROS 2 life cycle for any of the nodes.
+
+    unconfigured --configure--> inactive --activate--> active
+         ^---------cleanup---------/  ^---deactivate-----/
+
+Parameters are declared and checked when the process starts. `configure` opens the map file and
+restores its map; it fails, with the reason in the log, if the file cannot be used. Only an active
+node processes messages: others are ignored, and counted as `paused`. `deactivate` processes what
+is held and saves; the robot may be elsewhere when the node is activated again. `cleanup` saves and
+closes the map file, and empties the memory. `shutdown` saves and closes it too.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ratslam_ros.errors import RatslamError, UnusableInput
+
+LIFECYCLE, AUTOSTART = '--lifecycle', '--autostart'
+"""Arguments of a node's process: it is managed, and activates itself."""
+
+
+def managed(kind: Any) -> type[Any]:
+    """Return a class of the same nodes with the states of the life cycle.
+
+    Args:
+        kind: class of RatslamNodes whose constructor takes the initial configuration.
+
+    Raises:
+        UnusableInput: rclpy has no managed nodes.
+    """
+    try:
+        from rclpy.lifecycle import LifecycleNodeMixin, TransitionCallbackReturn
+    except ImportError:
+        raise UnusableInput(
+            f'{LIFECYCLE} needs ROS 2: the stand-in for rclpy has no managed nodes; leave it out '
+            '(lifecycle:=false)'
+        ) from None
+    done, failed = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
+
+    class Managed(LifecycleNodeMixin, kind):  # type: ignore[misc]
+        def __init__(self, initial: Any) -> None:
+            kind.__init__(self, initial)
+            LifecycleNodeMixin.__init__(self)
+            self._is_active = False
+            self._was_active = self._has_caught_up = False
+            self._failure = ''
+
+        def open_map(self) -> None:
+            """Do nothing: `configure` opens the map."""
+
+        def start(self) -> None:
+            """Configure and activate the node; raises UnusableInput if that fails."""
+            if self.trigger_configure() != done:
+                raise UnusableInput(self._failure)
+            self.trigger_activate()
+
+        def on_configure(self, state: Any) -> Any:
+            try:
+                self._restore_map()
+            except RatslamError as error:
+                self._failure = str(error)
+                self.get_logger().error(self._failure)
+                return failed
+            self._has_caught_up = False
+            return done
+
+        def on_activate(self, state: Any) -> Any:
+            with self._lock:
+                if self._was_active:
+                    self._on_relocated()
+                self._is_active = self._was_active = True
+                if not self._has_caught_up:
+                    self._catch_up()
+                    self._has_caught_up = True
+            return done
+
+        def on_deactivate(self, state: Any) -> Any:
+            with self._lock:
+                self._process_held()
+                self._is_active = False
+                if self._keeper is not None:
+                    self._keeper.pause()
+            return done
+
+        def on_cleanup(self, state: Any) -> Any:
+            self._close_map()
+            self._forget()
+            self._was_active = False
+            return done
+
+        def on_shutdown(self, state: Any) -> Any:
+            self._close_map()
+            self._is_active = False
+            return done
+
+        def _state(self) -> str:
+            _, label = self._state_machine.current_state
+            return super()._state() if self._is_active else str(label)
+
+    Managed.__name__ = Managed.__qualname__ = kind.__name__
+    return Managed
