@@ -32,6 +32,9 @@ OPTIONAL = frozenset({'viewer'})
 
 POLL_S = 0.05
 
+INTERRUPTED = 130
+"""Exit code of a command that is interrupted before its node starts."""
+
 MAX_RESTARTS, RESTARTS_WITHIN_S = 5, 60.0
 """A node that ends more often than this within this time is not started again."""
 
@@ -273,8 +276,9 @@ def _watch(
             _signal(processes, running, number)
             kill_at_s = time.monotonic() + grace_s
         time.sleep(POLL_S)
-    # During start-up a process may end by the signal itself.
-    expected = (0, *(-number for number in FORWARDED_SIGNALS)) if forwarded else ()
+    # During start-up a process may end by the signal itself, or as an interrupted command.
+    ends = 0, INTERRUPTED, *(-number for number in FORWARDED_SIGNALS)
+    expected = ends if forwarded else ()
     bad = [name for name in needed if processes[name].wait() not in expected]
     if bad and not failed:
         print_notice(f'ratslam launch: {_endings(processes, bad)}')

@@ -20,7 +20,7 @@ from ratslam_ros.errors import RatslamError
 from ratslam_ros.nodes.node import RatslamNode
 from ratslam_ros.nodes.parameters import initial_config
 from ratslam_ros.quick_start import import_numba, settle
-from ratslam_ros.signals import StopAtOnce, StopSignals
+from ratslam_ros.signals import StopSignals, end_process
 
 DONE, UNUSABLE = 0, 2
 SIGNAL_CHECK_PERIOD_S = 0.1
@@ -28,6 +28,9 @@ SIGNAL_CHECK_PERIOD_S = 0.1
 
 def run(*kinds: type[Any], args: list[str] | None = None) -> int:
     """Create nodes and spin them on one executor until SIGINT or SIGTERM.
+
+    Stop signals are handled by the caller until the nodes are created, and after they are closed;
+    see `StopAtOnce`.
 
     Args:
         kinds: node classes: RatslamNodes, whose constructors take the initial configuration, or
@@ -46,16 +49,16 @@ def run(*kinds: type[Any], args: list[str] | None = None) -> int:
         print(f'ratslam: {" ".join(str(error).split())[:300]}', file=sys.stderr, flush=True)
         return UNUSABLE
     nodes: list[Any] = []
+    threads: list[threading.Thread] = []
     try:
-        if not _warmed_up(kinds):
-            return DONE
+        _warm_up(kinds)
+        initial = initial_config(sys.argv if args is None else args)
+        for kind in kinds:  # It compiles what only some parameters need.
+            nodes.append(kind(initial) if issubclass(kind, RatslamNode) else kind())
         with stop:
-            initial = initial_config(sys.argv if args is None else args)
-            for kind in kinds:
-                arguments = (initial,) if issubclass(kind, RatslamNode) else ()
-                nodes.append(kind(*arguments))
-                if isinstance(nodes[-1], RatslamNode):
-                    nodes[-1].open_map()
+            for node in nodes:
+                if isinstance(node, RatslamNode):
+                    node.open_map()
             executor = SingleThreadedExecutor()
             for node in nodes:
                 executor.add_node(node)
@@ -65,7 +68,8 @@ def run(*kinds: type[Any], args: list[str] | None = None) -> int:
                 node.get_logger().info('ready')
             for part in {part for node in nodes for part in node.parts}:
                 # Its imports take long and no stream of messages needs it: not before `ready`.
-                threading.Thread(target=warm_up, args=(part,)).start()
+                threads.append(threading.Thread(target=warm_up, args=(part,)))
+                threads[-1].start()
             while not stop.received and rclpy.ok():
                 executor.spin_once(timeout_sec=SIGNAL_CHECK_PERIOD_S)
                 for node in nodes:
@@ -81,26 +85,17 @@ def run(*kinds: type[Any], args: list[str] | None = None) -> int:
         for node in nodes:
             node.destroy_node()
         rclpy.try_shutdown()
+    if any(thread.is_alive() for thread in threads):
+        end_process(DONE)
     return DONE
 
 
-def _warmed_up(kinds: tuple[type[Any], ...]) -> bool:
-    """Compile everything before the first message, which must not wait for the compiler.
-
-    Returns:
-        False if a stop signal ended it.
-    """
-    stop = StopAtOnce()
-    try:
-        with stop:
-            import_numba()
-            with announced_compilation(_logger(kinds).info):
-                for kind in kinds:
-                    kind.warm_up()
-    except BaseException:  # Numba turns an interrupt into errors of its own
-        if not stop.received:
-            raise
-    return not stop.received
+def _warm_up(kinds: tuple[type[Any], ...]) -> None:
+    """Compile everything before the first message, which must not wait for the compiler."""
+    import_numba()
+    with announced_compilation(_logger(kinds).info):
+        for kind in kinds:
+            kind.warm_up()
 
 
 def _logger(kinds: tuple[type[Any], ...]) -> Any:
