@@ -54,7 +54,8 @@ def run(*kinds: type[Any], args: list[str] | None = None) -> int:
         _warm_up(kinds)
         initial = initial_config(sys.argv if args is None else args)
         for kind in kinds:  # It compiles what only some parameters need.
-            nodes.append(kind(initial) if issubclass(kind, RatslamNode) else kind())
+            arguments = (initial,) if issubclass(kind, RatslamNode) else ()
+            nodes.append(kind(*arguments))
         with stop:
             for node in nodes:
                 if isinstance(node, RatslamNode):

@@ -65,7 +65,8 @@ print('continued')
 def started(source: str, *arguments: str) -> tuple[int, str]:
     """Run a source until it ends; return its exit code and output."""
     done = subprocess.run(
-        [sys.executable, '-c', source, *arguments], cwd=ROOT, env={**os.environ, **live_environment()},
+        [sys.executable, '-c', source, *arguments], cwd=ROOT,
+        env={**os.environ, **live_environment()},
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=END_S, check=False,
     )  # fmt: skip
     return done.returncode, done.stdout
