@@ -70,6 +70,12 @@ class StopAtOnce(StopSignals):
     and the start continues.
     """
 
+    def __enter__(self) -> Self:
+        super().__enter__()
+        if hasattr(signal, 'pthread_sigmask'):  # not on Windows
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, self._numbers)  # see live/launch.py
+        return self
+
     def _on_signal(self, number: int, frame: object) -> None:
         end_process(0)
 

@@ -22,7 +22,7 @@ from ratslam_ros.core.config.inputs import MapFile
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.files.config import to_yaml
 from ratslam_ros.live.required import UNUSABLE
-from ratslam_ros.signals import StopSignals
+from ratslam_ros.signals import STOP_SIGNALS, StopSignals
 
 SHUTDOWN_TIMEOUT_S = 20.0
 """Time for the nodes to end, which includes writing a map."""
@@ -168,12 +168,12 @@ def launch(config: Config, options: LaunchOptions) -> int:
         if options.viewer:
             for name, value in options.viewer_parameters.items():
                 commands['viewer'] += ['-p', f'{name}:={json.dumps(value)}']
-        return supervise(commands, respawn=bool(options.map))
+        return supervise(commands, respawn=bool(options.map), are_nodes=True)
 
 
 def supervise(
     commands: Mapping[str, Sequence[str]], grace_s: float = SHUTDOWN_TIMEOUT_S,
-    optional: Container[str] = OPTIONAL, respawn: bool = False,
+    optional: Container[str] = OPTIONAL, respawn: bool = False, are_nodes: bool = False,
 ) -> int:  # fmt: skip
     """Run commands until all have ended.
 
@@ -185,6 +185,7 @@ def supervise(
         grace_s: time from the stop signal until the commands are killed.
         optional: names of commands that the others do not need.
         respawn: start commands again that were killed or ended with an error.
+        are_nodes: all commands are ``ratslam run``, which handles stop signals.
 
     Returns:
         The exit code: 0 if all commands ended without error after a stop signal, otherwise 1.
@@ -193,8 +194,8 @@ def supervise(
     with StopSignals(FORWARDED_SIGNALS, raise_on_second=False) as signals:
         try:
             for name, command in commands.items():
-                processes[name] = _start(command)
-            restarts = _Restarts(processes, commands) if respawn else None
+                processes[name] = _start(command, are_nodes)
+            restarts = _Restarts(processes, commands, are_nodes) if respawn else None
             return _watch(processes, signals, grace_s, optional, restarts)
         finally:
             for process in processes.values():  # After any error, none may be left.
@@ -203,11 +204,18 @@ def supervise(
                 process.wait()
 
 
-def _start(command: Sequence[str]) -> subprocess.Popen[bytes]:
-    # In a session of its own, so that Ctrl-C in the terminal reaches it only through supervise.
-    return subprocess.Popen(
-        command, stdin=subprocess.DEVNULL, start_new_session=True, preexec_fn=end_with_parent()
-    )
+def _start(command: Sequence[str], is_node: bool) -> subprocess.Popen[bytes]:
+    # A node begins with stop signals blocked, and `StopAtOnce` receives them: before, they would
+    # end in a traceback of the interpreter.
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, STOP_SIGNALS if is_node else ())
+    try:
+        # In a session of its own: Ctrl-C in the terminal reaches it only through `supervise`.
+        return subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, start_new_session=True,
+            preexec_fn=end_with_parent(),
+        )  # fmt: skip
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def end_with_parent() -> Callable[[], object] | None:
@@ -223,9 +231,10 @@ class _Restarts:
 
     def __init__(
         self, processes: dict[str, subprocess.Popen[bytes]],
-        commands: Mapping[str, Sequence[str]],
+        commands: Mapping[str, Sequence[str]], are_nodes: bool,
     ) -> None:  # fmt: skip
         self._processes, self._commands = processes, commands
+        self._are_nodes = are_nodes
         self._times_s: dict[str, list[float]] = {name: [] for name in commands}
 
     def start_again(self) -> bool:
@@ -241,7 +250,7 @@ class _Restarts:
                     f'ratslam launch: {_endings(self._processes, [name])}; starting it again'
                 )
                 self._times_s[name] = [*recent, now_s]
-                self._processes[name] = _start(self._commands[name])
+                self._processes[name] = _start(self._commands[name], self._are_nodes)
                 has_started = True
         return has_started
 

@@ -3,12 +3,16 @@
 """Ctrl-C ends a node in every phase of its start: at once, and without a traceback."""
 
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 from helpers import live_environment
+
+from ratslam_ros.live.launch import supervise
+from ratslam_ros.signals import STOP_SIGNALS
 
 ROOT = Path(__file__).parents[2]
 END_S = 120.0
@@ -75,6 +79,27 @@ def started(source: str, *arguments: str) -> tuple[int, str]:
 @pytest.mark.parametrize('module', ['numpy', 'numba', 'numba.np.arraymath'])
 def test_interrupted_import_ends_node(ros: None, module: str) -> None:
     assert started(START_SOURCE, module) == (0, '')
+
+
+def test_signal_before_interpreter_ends_node(ros: None) -> None:
+    def interrupt() -> None:
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        os.kill(os.getpid(), signal.SIGINT)  # pending until the node has a handler
+
+    done = subprocess.run(
+        [sys.executable, '-m', 'ratslam_ros', 'run', 'pose_cells'], cwd=ROOT,
+        env={**os.environ, **live_environment()}, preexec_fn=interrupt, stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT, text=True, timeout=END_S, check=False,
+    )  # fmt: skip
+    assert (done.returncode, done.stdout) == (0, '')
+
+
+def test_launched_nodes_begin_with_signals_blocked(capfd: pytest.CaptureFixture[str]) -> None:
+    source = 'import signal; print(sorted(map(int, signal.pthread_sigmask(signal.SIG_BLOCK, ()))))'
+    for are_nodes, expected in (True, f'{sorted(map(int, STOP_SIGNALS))}\n'), (False, '[]\n'):
+        supervise({'node': [sys.executable, '-c', source]}, are_nodes=are_nodes)
+        assert capfd.readouterr().out == expected
+    assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == set()
 
 
 def test_interrupted_compilation_ends_node(ros: None) -> None:

@@ -438,11 +438,14 @@ class StampOrder(Generic[Item]):
 
     def _following(self) -> tuple[int, int] | None:
         """Return the stamp by which the next held message is ordered, and its stream's rank."""
-        field = 1 if self._rhythm.is_used else 0  # place or stamp
+        by_place = self._rhythm.is_used
         following = None
         for rank, held in enumerate(self._held):
-            if held and (following is None or held[0][field] < following[0]):
-                following = held[0][field], rank
+            if held:
+                stamp_ns, place_ns, _ = held[0]
+                at_ns = place_ns if by_place else stamp_ns
+                if following is None or at_ns < following[0]:
+                    following = at_ns, rank
         return following
 
     def _is_due(self, at_ns: int, rank: int) -> bool:
