@@ -4,9 +4,12 @@
 
 from __future__ import annotations
 
+import os
 import signal
+import sys
 import threading
-from typing import Any, Self
+from contextlib import suppress
+from typing import Any, NoReturn, Self
 
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
@@ -60,13 +63,30 @@ class StopSignals:
 
 
 class StopAtOnce(StopSignals):
-    """Context manager in which a stop signal raises KeyboardInterrupt: nothing can be half done.
+    """Context manager in which a stop signal ends the process with exit code 0.
 
-    It is for a start, which may compile for half a minute. ``received`` tells whether there was a
-    signal even if the code that was interrupted has turned the error into another one.
+    It is for a start, in which nothing can be half done. A KeyboardInterrupt would not end it
+    reliably: the callbacks of the compiler drop it, imports and Numba turn it into other errors,
+    and the start continues.
     """
 
+    def __enter__(self) -> Self:
+        super().__enter__()
+        if hasattr(signal, 'pthread_sigmask'):  # not on Windows
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, self._numbers)  # see live/launch.py
+        return self
+
     def _on_signal(self, number: int, frame: object) -> None:
-        self.count += 1
-        self.last = signal.Signals(number)
-        raise KeyboardInterrupt
+        end_process(0)
+
+
+def end_process(code: int) -> NoReturn:
+    """End the process without waiting for its threads, which may be importing SciPy.
+
+    Args:
+        code: the exit code.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(RuntimeError, OSError, ValueError):  # Interrupted in a write, or closed.
+            stream.flush()
+    os._exit(code)

@@ -69,7 +69,8 @@ class Budget:
             stamp_ns: largest stamp of the run up to now.
             is_special: the record is worth more than others of its kind, and need not wait.
         """
-        if kind not in PERIODS_NS or stamp_ns >= self._due_ns.get(kind, stamp_ns):
+        due_ns = self._due_ns.get(kind)  # None for those that may always be written, too.
+        if due_ns is None or stamp_ns >= due_ns:
             return True
         return is_special and self.left_bytes > RESERVE_BYTES // 2
 

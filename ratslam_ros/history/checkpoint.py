@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any, cast
 
@@ -26,15 +27,22 @@ from ratslam_ros.history.run_state import RunState, Trail
 _HEAD = struct.Struct('<qQ')
 
 
-def encode_state(state: RunState) -> bytes:
-    """Return a state as bytes."""
+def encode_state(state: RunState, recent: Iterable[bytes] | None = None) -> bytes:
+    """Return a state as bytes.
+
+    Args:
+        state: the state.
+        recent: encoded ``state.recent``; None: encode it.
+    """
+    if recent is None:
+        recent = map(encode, state.recent)
     visits, last = state.visits, (state.pose, state.cells, state.image, state.match, state.scan,
                                   state.route, state.status)  # fmt: skip
     return b''.join([
         _HEAD.pack(state.stamp_ns, state.record_count),
         pack_bytes(encode(_whole_map(state))),
         pack_bytes(b''.join(encode(record) for record in last if record is not None)),
-        pack_bytes(b''.join(map(encode, state.recent))),
+        pack_bytes(b''.join(recent)),
         pack_bytes(b'' if state.view is None else encode(state.view)),
         pack_ints(visits.created_ns, visits.visited_ns, visits.counts),
         pack_floats(visits.errors),

@@ -9,6 +9,7 @@ import sqlite3
 import struct
 import sys
 import time
+from collections import deque
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
@@ -100,6 +101,8 @@ class HistoryWriter:
         self._queue_ns = self._queue_bytes = 0
         self._state = RunState()
         """Sum of all encoded records."""
+        self._recent: deque[bytes] = deque()
+        """Encoded views of the last minute, for checkpoints."""
         self._compressed = compressor()
         self._pending: list[bytes] = []
         self._pending_bytes = 0
@@ -135,8 +138,10 @@ class HistoryWriter:
             stamp_ns: its stamp.
             is_special: it is worth more than others, such as the image of a new template.
         """
-        at_ns = max(stamp_ns, self._stamp_ns)
-        return self._database is not None and self._budget.allows(kind, at_ns, is_special)
+        if self._database is None:
+            return False
+        at_ns = stamp_ns if stamp_ns > self._stamp_ns else self._stamp_ns
+        return self._budget.allows(kind, at_ns, is_special)
 
     @property
     def map_rows(self) -> int:
@@ -208,6 +213,9 @@ class HistoryWriter:
                 if type(record) is ViewRecord:
                     self._index(record, data)
                     self._pending_views += 1
+                    self._recent.append(data)
+                    while len(self._recent) > len(state.recent):
+                        self._recent.popleft()
         except (struct.error, ValueError, OverflowError) as error:
             self._fail(error)  # A number that is not finite, or does not fit.
         self._queue_bytes = 0
@@ -293,7 +301,7 @@ class HistoryWriter:
         if self._since_checkpoint >= max(
             CHECKPOINT_RATIO * self._checkpoint_bytes, MIN_CHECKPOINT_BYTES
         ):
-            data = self._compressed(encode_state(state))
+            data = self._compressed(encode_state(state, self._recent))
             database.execute(
                 'INSERT INTO checkpoints VALUES (?, ?, ?)',
                 (state.record_count, state.stamp_ns, data),

@@ -10,6 +10,7 @@ from importlib.util import find_spec
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.live.run import load, require_packages
 from ratslam_ros.quick_start import quick_start
+from ratslam_ros.signals import StopAtOnce
 from ratslam_ros.starting import announced
 
 
@@ -22,14 +23,12 @@ def _main(node: str) -> int:
         )
         return 2
     try:
-        with quick_start(), announced(node):
+        with quick_start(), announced(node), StopAtOnce():
             require_packages(node)
             return int(load(node).main())
     except UnusableInput as error:
         print(f'{node}: {error}', file=sys.stderr)
         return 2
-    except KeyboardInterrupt:  # during start-up
-        return 0
 
 
 def visual_odometry() -> int:

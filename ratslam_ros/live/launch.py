@@ -22,7 +22,7 @@ from ratslam_ros.core.config.inputs import MapFile
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.files.config import to_yaml
 from ratslam_ros.live.required import UNUSABLE
-from ratslam_ros.signals import StopSignals
+from ratslam_ros.signals import STOP_SIGNALS, StopSignals
 
 SHUTDOWN_TIMEOUT_S = 20.0
 """Time for the nodes to end, which includes writing a map."""
@@ -37,6 +37,9 @@ MANAGED = frozenset({
 """Nodes that can be managed nodes of ROS 2."""
 
 POLL_S = 0.05
+
+INTERRUPTED = 130
+"""Exit code of a command that is interrupted before its node starts."""
 
 MAX_RESTARTS, RESTARTS_WITHIN_S = 5, 60.0
 """A node that ends more often than this within this time is not started again."""
@@ -171,12 +174,12 @@ def launch(config: Config, options: LaunchOptions) -> int:
         if options.viewer:
             for name, value in options.viewer_parameters.items():
                 commands['viewer'] += ['-p', f'{name}:={json.dumps(value)}']
-        return supervise(commands, respawn=bool(options.map))
+        return supervise(commands, respawn=bool(options.map), are_nodes=True)
 
 
 def supervise(
     commands: Mapping[str, Sequence[str]], grace_s: float = SHUTDOWN_TIMEOUT_S,
-    optional: Container[str] = OPTIONAL, respawn: bool = False,
+    optional: Container[str] = OPTIONAL, respawn: bool = False, are_nodes: bool = False,
 ) -> int:  # fmt: skip
     """Run commands until all have ended.
 
@@ -188,6 +191,7 @@ def supervise(
         grace_s: time from the stop signal until the commands are killed.
         optional: names of commands that the others do not need.
         respawn: start commands again that were killed or ended with an error.
+        are_nodes: all commands are ``ratslam run``, which handles stop signals.
 
     Returns:
         The exit code: 0 if all commands ended without error after a stop signal, otherwise 1.
@@ -196,8 +200,8 @@ def supervise(
     with StopSignals(FORWARDED_SIGNALS, raise_on_second=False) as signals:
         try:
             for name, command in commands.items():
-                processes[name] = _start(command)
-            restarts = _Restarts(processes, commands) if respawn else None
+                processes[name] = _start(command, are_nodes)
+            restarts = _Restarts(processes, commands, are_nodes) if respawn else None
             return _watch(processes, signals, grace_s, optional, restarts)
         finally:
             for process in processes.values():  # After any error, none may be left.
@@ -206,11 +210,18 @@ def supervise(
                 process.wait()
 
 
-def _start(command: Sequence[str]) -> subprocess.Popen[bytes]:
-    # In a session of its own, so that Ctrl-C in the terminal reaches it only through supervise.
-    return subprocess.Popen(
-        command, stdin=subprocess.DEVNULL, start_new_session=True, preexec_fn=end_with_parent()
-    )
+def _start(command: Sequence[str], is_node: bool) -> subprocess.Popen[bytes]:
+    # A node begins with stop signals blocked, and `StopAtOnce` receives them: before, they would
+    # end in a traceback of the interpreter.
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, STOP_SIGNALS if is_node else ())
+    try:
+        # In a session of its own: Ctrl-C in the terminal reaches it only through `supervise`.
+        return subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, start_new_session=True,
+            preexec_fn=end_with_parent(),
+        )  # fmt: skip
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def end_with_parent() -> Callable[[], object] | None:
@@ -226,9 +237,10 @@ class _Restarts:
 
     def __init__(
         self, processes: dict[str, subprocess.Popen[bytes]],
-        commands: Mapping[str, Sequence[str]],
+        commands: Mapping[str, Sequence[str]], are_nodes: bool,
     ) -> None:  # fmt: skip
         self._processes, self._commands = processes, commands
+        self._are_nodes = are_nodes
         self._times_s: dict[str, list[float]] = {name: [] for name in commands}
 
     def start_again(self) -> bool:
@@ -244,7 +256,7 @@ class _Restarts:
                     f'ratslam launch: {_endings(self._processes, [name])}; starting it again'
                 )
                 self._times_s[name] = [*recent, now_s]
-                self._processes[name] = _start(self._commands[name])
+                self._processes[name] = _start(self._commands[name], self._are_nodes)
                 has_started = True
         return has_started
 
@@ -279,8 +291,9 @@ def _watch(
             _signal(processes, running, number)
             kill_at_s = time.monotonic() + grace_s
         time.sleep(POLL_S)
-    # During start-up a process may end by the signal itself.
-    expected = (0, *(-number for number in FORWARDED_SIGNALS)) if forwarded else ()
+    # During start-up a process may end by the signal itself, or as an interrupted command.
+    ends = 0, INTERRUPTED, *(-number for number in FORWARDED_SIGNALS)
+    expected = ends if forwarded else ()
     bad = [name for name in needed if processes[name].wait() not in expected]
     if bad and not failed:
         print_notice(f'ratslam launch: {_endings(processes, bad)}')

@@ -13,6 +13,7 @@ from types import ModuleType
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.live import ros
 from ratslam_ros.quick_start import quick_start
+from ratslam_ros.signals import StopAtOnce
 from ratslam_ros.starting import announced
 
 NODES = {
@@ -58,13 +59,10 @@ def run(node: str, arguments: Sequence[str] = ()) -> int:
     """
     if node not in NODES:
         raise UnusableInput(f'there is no node {node!r}: expected one of {", ".join(NODES)}')
-    try:
-        with quick_start(), announced(node):
-            require_packages(node)
-            ros.require()
-            return int(load(node).main(list(arguments)))
-    except KeyboardInterrupt:  # during start-up
-        return 0
+    with quick_start(), announced(node), StopAtOnce():
+        require_packages(node)
+        ros.require()
+        return int(load(node).main(list(arguments)))
 
 
 def load(node: str) -> ModuleType:

@@ -22,7 +22,7 @@ from ratslam_ros.nodes.managed import AUTOSTART, LIFECYCLE, managed
 from ratslam_ros.nodes.node import RatslamNode
 from ratslam_ros.nodes.parameters import initial_config
 from ratslam_ros.quick_start import import_numba, settle
-from ratslam_ros.signals import StopAtOnce, StopSignals
+from ratslam_ros.signals import StopSignals, end_process
 
 DONE, UNUSABLE = 0, 2
 SIGNAL_CHECK_PERIOD_S = 0.1
@@ -30,6 +30,9 @@ SIGNAL_CHECK_PERIOD_S = 0.1
 
 def run(*kinds: type[Any], args: list[str] | None = None) -> int:
     """Create nodes and spin them on one executor until SIGINT or SIGTERM.
+
+    Stop signals are handled by the caller until the nodes are created, and after they are closed;
+    see `StopAtOnce`.
 
     Args:
         kinds: node classes: RatslamNodes, whose constructors take the initial configuration, or
@@ -49,20 +52,21 @@ def run(*kinds: type[Any], args: list[str] | None = None) -> int:
         print(f'ratslam: {" ".join(str(error).split())[:300]}', file=sys.stderr, flush=True)
         return UNUSABLE
     nodes: list[Any] = []
+    threads: list[threading.Thread] = []
     try:
-        if not _warmed_up(kinds):
-            return DONE
+        _warm_up(kinds)
+        given = sys.argv if args is None else args
+        initial, options = initial_config(given), remove_ros_args(given)
+        for kind in kinds:  # It compiles what only some parameters need.
+            if issubclass(kind, RatslamNode):
+                created: type[Any] = managed(kind) if LIFECYCLE in options else kind
+                nodes.append(created(initial))
+            else:
+                nodes.append(kind())
         with stop:
-            given = sys.argv if args is None else args
-            initial = initial_config(given)
-            options = remove_ros_args(given)
-            for kind in kinds:
-                if issubclass(kind, RatslamNode):
-                    created: type[Any] = managed(kind) if LIFECYCLE in options else kind
-                    nodes.append(created(initial))
-                    nodes[-1].open_map()
-                else:
-                    nodes.append(kind())
+            for node in nodes:
+                if isinstance(node, RatslamNode):
+                    node.open_map()
             executor = SingleThreadedExecutor()
             for node in nodes:
                 executor.add_node(node)
@@ -76,7 +80,8 @@ def run(*kinds: type[Any], args: list[str] | None = None) -> int:
                 node.get_logger().info('ready')
             for part in {part for node in nodes for part in node.parts}:
                 # Its imports take long and no stream of messages needs it: not before `ready`.
-                threading.Thread(target=warm_up, args=(part,)).start()
+                threads.append(threading.Thread(target=warm_up, args=(part,)))
+                threads[-1].start()
             while not stop.received and rclpy.ok():
                 executor.spin_once(timeout_sec=SIGNAL_CHECK_PERIOD_S)
                 for node in nodes:
@@ -92,26 +97,17 @@ def run(*kinds: type[Any], args: list[str] | None = None) -> int:
         for node in nodes:
             node.destroy_node()
         rclpy.try_shutdown()
+    if any(thread.is_alive() for thread in threads):
+        end_process(DONE)
     return DONE
 
 
-def _warmed_up(kinds: tuple[type[Any], ...]) -> bool:
-    """Compile everything before the first message, which must not wait for the compiler.
-
-    Returns:
-        False if a stop signal ended it.
-    """
-    stop = StopAtOnce()
-    try:
-        with stop:
-            import_numba()
-            with announced_compilation(_logger(kinds).info):
-                for kind in kinds:
-                    kind.warm_up()
-    except BaseException:  # Numba turns an interrupt into errors of its own
-        if not stop.received:
-            raise
-    return not stop.received
+def _warm_up(kinds: tuple[type[Any], ...]) -> None:
+    """Compile everything before the first message, which must not wait for the compiler."""
+    import_numba()
+    with announced_compilation(_logger(kinds).info):
+        for kind in kinds:
+            kind.warm_up()
 
 
 def _logger(kinds: tuple[type[Any], ...]) -> Any:

@@ -81,8 +81,8 @@ def test_raw_or_compressed_camera_topic_is_accepted(given: str) -> None:
 def test_nodes_share_one_parameter_file(monkeypatch: pytest.MonkeyPatch) -> None:
     seen: dict[str, list[str]] = {}
 
-    def inspect(commands: dict[str, list[str]], respawn: bool) -> int:
-        assert not respawn
+    def inspect(commands: dict[str, list[str]], respawn: bool, are_nodes: bool) -> int:
+        assert are_nodes and not respawn
         seen.update(commands)
         values = yaml.safe_load(Path(commands['pose_cells'][-1]).read_text('utf-8'))
         assert values['/**/pose_cells']['ros__parameters']['pc_dim_x'] == 31

@@ -326,8 +326,8 @@ class StampOrder(Generic[Item]):
             for message in stream.settle():
                 self._hold(rank, *message)
         out = []
-        while (following := self._next_rank()) is not None:
-            out.append(self._pop(following))
+        while (following := self._following()) is not None:
+            out.append(self._pop(*following))
         return out
 
     @property
@@ -432,19 +432,21 @@ class StampOrder(Generic[Item]):
 
     def _release(self) -> list[Released[Item]]:
         out = []
-        while (rank := self._next_rank()) is not None and self._is_due(self._at_ns(rank), rank):
-            out.append(self._pop(rank))
+        while (following := self._following()) is not None and self._is_due(*following):
+            out.append(self._pop(*following))
         return out
 
-    def _at_ns(self, rank: int) -> int:
-        """Return the stamp by which the oldest held message of a stream is ordered."""
-        stamp_ns, place_ns, _ = self._held[rank][0]
-        return place_ns if self._rhythm.is_used else stamp_ns
-
-    def _next_rank(self) -> int | None:
-        """Return the stream whose oldest held message is the next one, None if none is held."""
-        found = [(self._at_ns(rank), rank) for rank, held in enumerate(self._held) if held]
-        return min(found)[1] if found else None
+    def _following(self) -> tuple[int, int] | None:
+        """Return the stamp by which the next held message is ordered, and its stream's rank."""
+        by_place = self._rhythm.is_used
+        following = None
+        for rank, held in enumerate(self._held):
+            if held:
+                stamp_ns, place_ns, _ = held[0]
+                at_ns = place_ns if by_place else stamp_ns
+                if following is None or at_ns < following[0]:
+                    following = at_ns, rank
+        return following
 
     def _is_due(self, at_ns: int, rank: int) -> bool:
         assert self._newest_ns is not None
@@ -458,8 +460,8 @@ class StampOrder(Generic[Item]):
                     return False
         return True
 
-    def _pop(self, rank: int) -> Released[Item]:
-        self._released = (self._at_ns(rank), rank)
+    def _pop(self, at_ns: int, rank: int) -> Released[Item]:
+        self._released = at_ns, rank
         stamp_ns, _, item = self._held[rank].popleft()
         if rank == self._regular:
             self._regular_ns = stamp_ns

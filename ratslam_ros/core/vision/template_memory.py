@@ -247,15 +247,13 @@ class TemplateMemory:
                 )
             )
         chunk = self._chunks[number]
-        fine, coarse = self._pixels_per_offset, self._blocks_per_offset
+        planes = self._planes_of(view)
         for dy in range(self._vertical_count):
-            columns = self._columns_from(view, dy)
-            at = row * self._fine.stride + dy * fine
-            chunk.pixels[at : at + fine] = columns.reshape(-1)
-            at = row * self._coarse.stride + dy * coarse
-            _blocks(
-                columns, self._edges, self._signs, self._divisor, chunk.blocks[at : at + coarse]
-            )
+            _arrange(
+                planes, dy, 0, self._width, self._edges, self._signs, self._divisor,
+                chunk.pixels[row * self._fine.stride + dy * self._pixels_per_offset :],
+                chunk.blocks[row * self._coarse.stride + dy * self._blocks_per_offset :],
+            )  # fmt: skip
         rank = bisect_left(self._ids, template_id)
         self._ids.insert(rank, template_id)
         self._slots.insert(rank, self._count)
@@ -296,17 +294,14 @@ class TemplateMemory:
 
         It is valid until a template is added or removed.
         """
-        columns = self._columns_from(view, self._top)
-        if self._panoramic:  # Two periods, so that every rotation is contiguous.
-            columns = np.concatenate([columns, columns])
-        else:
-            columns = columns[self._left : self._left + self._columns]
-        columns = np.ascontiguousarray(columns)
-        pixels = _aligned(columns.size)
-        pixels[: columns.size] = columns.reshape(-1)
-        groups = len(self._edges) - 1
-        blocks = _aligned(2 * (len(columns) // BLOCK_COLUMNS) * groups)
-        _blocks(columns, self._edges, self._signs, self._divisor, blocks)
+        # Two periods of a panorama, so that every rotation is contiguous.
+        count = 2 * self._width if self._panoramic else self._columns
+        pixels = _aligned(count * self._rows)
+        blocks = _aligned(2 * (count // BLOCK_COLUMNS) * (len(self._edges) - 1))
+        _arrange(
+            self._planes_of(view), self._top, self._left, count, self._edges, self._signs,
+            self._divisor, pixels, blocks,
+        )  # fmt: skip
         return Search(self, pixels, blocks)
 
     def _rows_from(self, view: Bytes, top: int) -> Bytes:
@@ -314,9 +309,11 @@ class TemplateMemory:
         planes = view.reshape(self._planes, -1, self._width)
         return planes[:, top : top + self._rows // self._planes]
 
-    def _columns_from(self, view: Bytes, top: int) -> Bytes:
-        """Return the columns of these rows, contiguous: (width, rows of all planes)."""
-        return np.ascontiguousarray(self._rows_from(view, top).reshape(self._rows, -1).T)
+    def _planes_of(self, view: Bytes) -> Bytes:
+        """Return a view as (planes, rows, width), writable for a single compiled variant."""
+        flags = view.flags
+        contiguous = view if flags.c_contiguous and flags.writeable else view.copy()
+        return contiguous.reshape(self._planes, -1, self._width)
 
 
 class Search:
@@ -419,6 +416,35 @@ def _aligned(size: int) -> Bytes:
     """Return (size + PIECE_BYTES,) uint8, uninitialised, aligned to cache lines."""
     padded = np.empty(size + 2 * PIECE_BYTES, np.uint8)
     return padded[-padded.ctypes.data % PIECE_BYTES :][: size + PIECE_BYTES]
+
+
+@compiled
+def _arrange(
+    planes: Bytes, top: int, left: int, count: int, edges: Indices, signs: Indices, divisor: int,
+    pixels: Bytes, blocks: Bytes,
+) -> None:  # fmt: skip
+    """Fill ``pixels`` with columns of a view, one after the other, and ``blocks`` with their sums.
+
+    A single call, because NumPy releases the interpreter lock for every copy of this size, and
+    taking it again from a thread that decodes images takes longer than the copy.
+
+    Args:
+        planes: (planes, rows, width) the view.
+        top: first row of every plane.
+        left: first column; columns beyond the last one wrap.
+        count: number of columns.
+        edges, signs, divisor: see ``_blocks``.
+        pixels: (at least count * compared rows,) result.
+        blocks: result, see ``_blocks``.
+    """
+    rows = edges[-1]
+    in_plane = rows // planes.shape[0]
+    columns = pixels[: count * rows].reshape((count, rows))
+    for n in range(count):
+        column = (left + n) % planes.shape[2]
+        for row in range(rows):
+            columns[n, row] = planes[row // in_plane, top + row % in_plane, column]
+    _blocks(columns, edges, signs, divisor, blocks)
 
 
 @compiled
