@@ -55,7 +55,8 @@ class Newest:
         cut: the newest cut; None if nothing has been saved.
         number: its number if it is of the last session, None if it is older.
         rows: the cut of each part; parts that the last session did not use have older ones.
-        lost: stamps from which and to which the last session is missing in it, in ns.
+        lost: stamps from which and to which the last session is missing in it, in ns; also what
+            the session before it lost, if nothing of the last one was saved.
     """
 
     session: int
@@ -88,8 +89,15 @@ def newest(database: sqlite3.Connection) -> Newest:
     if number is not None and cut is not None:
         if max(stamps, default=cut.stamp_ns) > cut.stamp_ns:
             lost = cut.stamp_ns, max(stamps)
-    elif stamps:
-        lost = min(stamps), max(stamps)
+    else:
+        # What the session before lost was not reported either if this one was killed at once.
+        earlier = database.execute(
+            'SELECT lost_from_ns, lost_to_ns FROM sessions WHERE session = ?', (session,)
+        )
+        for row in typed(earlier, NULLABLE, NULLABLE):
+            stamps += [ns for ns in row if ns is not None]
+        if stamps:
+            lost = min(stamps), max(stamps)
     return Newest(session, members, cut, number, rows, lost)
 
 

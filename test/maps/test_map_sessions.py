@@ -105,6 +105,28 @@ def test_crashed_process_rejoins_with_its_own_newest_cut(tmp_path: Path) -> None
     cells.close()
 
 
+def test_loss_is_reported_again_if_the_session_after_it_was_killed_at_once(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / 'a.map'
+    views = opened(path, VIEWS)
+    put(views, 1)
+    views.log('odometry', 12_345_678_912, b'')
+    kill(views)
+    for _ in range(2):
+        views = opened(path, VIEWS)
+        assert views.restored is not None
+        assert views.restored.lost == (10, 12_345_678_912)
+        assert len(views.notes) == 1
+        kill(views)
+    views = opened(path, VIEWS)
+    put(views, 2)
+    kill(views)
+    views = opened(path, VIEWS)
+    assert views.notes == []
+    views.close()
+
+
 def test_process_that_crashes_before_its_first_cut_has_to_catch_up(tmp_path: Path) -> None:
     path = tmp_path / 'a.map'
     save_map(path, {VIEWS: {'n': 7}, CELLS: {'n': 7}}, META)

@@ -71,8 +71,9 @@ WALLS: list[list[tuple[float, float]]] = [
 BEAMS = 120
 ODOMETRY_NS, IMAGE_NS = 100 * MS, 200 * MS
 PER_LAP, RADIUS_M = 20, 1.5
-SETTLED_NS, MOST_NS = 6 * S, 200 * S
-"""Time without a message after which the nodes are considered idle, and the limit of a run."""
+SETTLED_NS, MOST_NS = 6 * S, 600 * S
+"""Time without a message after which the nodes are considered idle, and the limit of a run: in
+lockstep, the source waits 10 s for each image that is lost."""
 
 REPAIR_NS = 1500 * MS
 """Time after which a killed node has to be starting again. Its neighbours do not know that it was
