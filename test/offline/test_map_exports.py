@@ -19,9 +19,10 @@ from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.errors import UnusableInput
+from ratslam_ros.files.text import write_durably
 from ratslam_ros.messages.mapping import encode_map
 from ratslam_ros.offline import route_export
-from ratslam_ros.offline.map_export import exported, information, write_durably
+from ratslam_ros.offline.map_export import exported, information
 from ratslam_ros.results.trajectory import read_tum
 
 
