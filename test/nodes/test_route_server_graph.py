@@ -160,7 +160,7 @@ def test_graph_is_sent_once_and_again_when_the_map_grows(server: RouteServer) ->
 
 @needs_nav2
 def test_unlearned_link_is_closed_until_the_graph_is_replaced(server: RouteServer) -> None:
-    server.closed = {3, 40_000}  # of an earlier run; only ids in use can be known
+    server.closed = {8, 40_000}  # of an earlier run; only ids in use can be known
     server.send_map()
     edges = server.edge_ids(server.until_graphs(1))
     assert server.closed == {40_000}
@@ -224,7 +224,7 @@ def test_missing_scorer_is_named_and_prevents_no_graph(world: MakeWorld) -> None
 
 
 @needs_nav2
-def test_file_is_the_given_one_or_temporary(world: MakeWorld, tmp_path: Path) -> None:
+def test_given_file_stays(world: MakeWorld, tmp_path: Path) -> None:
     from ratslam_ros.nodes.route_server_graph_node import RouteServerGraphNode
 
     given = tmp_path / 'office.geojson'
@@ -235,12 +235,22 @@ def test_file_is_the_given_one_or_temporary(world: MakeWorld, tmp_path: Path) ->
     assert server.paths == [given]
     server.node.close()
     assert given.is_file()
+
+
+@needs_nav2
+def test_temporary_file_is_deleted(world: MakeWorld) -> None:
+    from ratslam_ros.nodes.route_server_graph_node import RouteServerGraphNode
+
+    [node] = world(RouteServerGraphNode).nodes
+    assert node._file.parent.is_dir()
+    node.close()
+    assert not node._file.parent.exists()
+
+
+@needs_nav2
+def test_file_in_a_missing_folder_is_refused(world: MakeWorld, tmp_path: Path) -> None:
     with pytest.raises(UnusableParameter, match='existing folder'):
         RouteServer(world, '-p', f'graph_file:={tmp_path / "missing" / "map.geojson"}')
-    plain = world(RouteServerGraphNode).nodes[0]
-    assert plain._file.parent.is_dir()
-    plain.close()
-    assert not plain._file.parent.exists()
 
 
 def test_without_nav2_the_error_names_the_package(world: MakeWorld) -> None:
