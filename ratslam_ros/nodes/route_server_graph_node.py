@@ -229,6 +229,7 @@ class RouteServerGraphNode(Node):  # type: ignore[misc]
         if any(self._routing.values()):
             self._waits_for = 'the end of a route'
             return
+        worked_s = time.thread_time()
         try:
             graph = self._graphs.graph(known)
         except ValueError as error:
@@ -238,8 +239,8 @@ class RouteServerGraphNode(Node):  # type: ignore[misc]
             )
             graph = None
         self._seen_version = known.version
-        took_s = time.monotonic() - now_s
-        self._next_s = now_s + max(self._p.refresh_period_s, took_s / MAX_LOAD_RATIO)
+        worked_s = time.thread_time() - worked_s
+        self._next_s = now_s + max(self._p.refresh_period_s, worked_s / MAX_LOAD_RATIO)
         if graph is None or not graph.edge_ids:
             self._waits_for = 'a map with at least one link'
             return

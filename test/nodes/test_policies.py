@@ -22,6 +22,7 @@ LISTS = {
     'topics': ('topic', {'publish', 'subscribe'}), 'services': ('service', {'reply', 'request'}),
     'actions': ('action', {'call', 'execute'}),
 }  # fmt: skip
+NAME = re.compile(r'(/|~/)?[a-zA-Z0-9_]+(/[a-zA-Z0-9_]+)*')
 
 
 def tool() -> Any:
@@ -60,7 +61,7 @@ def test_policy_has_the_layout_of_its_schema() -> None:
             assert len(group) > 0
             for entry in group:
                 assert entry.tag == item and not entry.attrib
-                assert re.fullmatch(r'(/|~/)?[a-zA-Z0-9_]+(/[a-zA-Z0-9_]+)*', str(entry.text)), entry.text
+                assert NAME.fullmatch(str(entry.text)), entry.text
 
 
 def test_policy_is_up_to_date(world: Callable[..., Any]) -> None:
