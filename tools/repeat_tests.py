@@ -77,7 +77,7 @@ def one_run(tests: Sequence[str], log: Path) -> dict[str, str]:
             [sys.executable, '-m', 'pytest', '-p', 'no:cacheprovider', '-p', 'no:xdist',
              '-rfE', *tests],
             cwd=ROOT, stdout=out, stderr=subprocess.STDOUT, check=False,
-            env={**os.environ, 'PYTHONPATH': os.pathsep.join(
+            env={**os.environ, 'PYTHONUNBUFFERED': '1', 'PYTHONPATH': os.pathsep.join(
                 filter(None, [str(ROOT), os.environ.get('PYTHONPATH')])
             )},
         )  # fmt: skip
