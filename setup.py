@@ -13,7 +13,7 @@ HERE = Path(__file__).resolve().parent
 
 def version() -> str:
     """Return the version, without importing the package: its dependencies may be absent."""
-    text = (HERE / NAME / '__init__.py').read_text(encoding='utf-8')
+    text = (HERE / NAME / 'version.py').read_text(encoding='utf-8')
     found = re.search(r"^__version__ = '(.+)'$", text, re.MULTILINE)
     assert found is not None
     return found[1]

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The version of this package, as files record it."""
 
-from ratslam_ros import __version__
+from ratslam_ros.version import __version__
 
 
 def package_version() -> str:
