@@ -242,8 +242,7 @@ class RouteServerGraphNode(Node):  # type: ignore[misc]
         worked_s = time.thread_time() - worked_s
         self._next_s = now_s + max(self._p.refresh_period_s, worked_s / MAX_LOAD_RATIO)
         if graph is None or not graph.edge_ids:
-            self._waits_for = 'a map with at least one link'
-            return
+            return  # The server refuses a graph without edges.
         reason = 'the route server has none'
         if self._sent is not None:
             reason = self._sent.difference(graph, self._p.spacing_m)
@@ -316,8 +315,8 @@ class RouteServerGraphNode(Node):  # type: ignore[misc]
             'edges': 0 if sent is None else len(sent.edge_ids),
             'closed': len(self._closed or ()),
         }
-        state = f'waiting for {self._waits_for}' if self._waits_for else 'running'
-        self._diagnostics.publish(values, state)
+        waits_for = self._waits_for or ('' if sent else 'a map with at least one link')
+        self._diagnostics.publish(values, f'waiting for {waits_for}' if waits_for else 'running')
 
 
 @dataclass
