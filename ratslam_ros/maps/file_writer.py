@@ -59,6 +59,8 @@ class FileWriter:
         self._meta = self._described = meta
         self.restored: SavedMap | None = None
         self.joins = False
+        self.number: int | None = None
+        """Number of the restored cut if it is of this session."""
         self.notes: list[str] = []
         compressor = Compressor()
         self._writers = {part: PartWriter(part, compressor) for part in parts}
@@ -213,6 +215,8 @@ class FileWriter:
                 database.execute('COMMIT')
         last = max(rows.values(), key=lambda row: (row.session, row.number), default=None)
         cut = found.cut if last is None else Cut(last.number, last.stamp_ns)
+        if last is not None and last.session == self._session:
+            self.number = last.number
         lost = found.lost
         if found.session == self._session:  # All that join a session know what it lacks.
             lost = None if self.joins else sessions[-1].lost

@@ -54,6 +54,8 @@ class MapStore:
         """What is missing of the session before; also if nothing of it was saved."""
         self.problem = ''
         """Why the file cannot be written now, '' if it can."""
+        self.number = writer.number
+        """Number of the restored cut if it is of this session; the next ones are larger."""
         self.acknowledged: Cut | None = None
         """Newest cut of this session that is durable."""
         self._writer = writer
@@ -62,7 +64,7 @@ class MapStore:
         self._cuts: deque[tuple[Cut, Mapping[str, State]]] = deque()
         self._log: deque[LogEntry] = deque()
         self._log_bytes = 0
-        self._newest: int | None = None
+        self._newest = writer.number
         self._is_writing = self._is_urgent = self._is_closing = False
         self._thread = threading.Thread(target=self._run, name='map writer', daemon=True)
         self._thread.start()

@@ -31,6 +31,7 @@ from ratslam_ros.messages.resending import (
     decode_request,
     encode_answer,
 )
+from ratslam_ros.nodes.continuity import Continuity
 from ratslam_ros.nodes.cut_grid import CutGrid, GridCut, Repetitions
 from ratslam_ros.nodes.diagnostics import Diagnostics
 from ratslam_ros.nodes.qos import GOAL
@@ -58,6 +59,10 @@ RESUME_TIMEOUT_S = 20.0
 RECENT_NS = 30_000_000_000
 """Messages this much older than the restored state may still be repeated by neighbours that were
 restarted too; still older ones belong to a recording that has been started again."""
+
+
+REGULAR = 'odometry', 'scan'
+"""Streams of which lost messages are recognised by their stamps; see ``Continuity``."""
 
 
 @dataclass(frozen=True)
@@ -102,6 +107,12 @@ class MapKeeper:
         self._neighbours_until_s: dict[str, float] = {}
         self._busy_s = time.monotonic()
         self._lost_after_ns: int | None = None
+        self._continuity: dict[str, Continuity] = {}
+        self._reached: dict[str, int] = {}
+        """Stamp of the last message of each stream that has left the stamp order."""
+        self._restored: dict[str, int] = {}
+        """The same at the restored state. Some streams may lag behind its stamp: a node processes
+        what it holds if nothing comes any more. What comes later is late, also after a restart."""
         self._is_first = True
         """Whether the first message may belong to another session than the restored state."""
         self._has_changed = False
@@ -111,11 +122,14 @@ class MapKeeper:
         saved = store.restored
         if saved is not None and saved.cut is not None and part in saved.states:
             self.restored = saved.states[part]
+            if store.joins:
+                self._restored = _stamps(self.restored.get('reached'))
+            self._reached = dict(self._restored)
             self._cut = GridCut(saved.cut.number, saved.cut.stamp_ns)
             self._grid.restore(self._cut)
             is_own = store.joins and saved.sessions[-1].base_ns != self._cut.stamp_ns
             self._is_first = not is_own
-        self._saved, self._passed = -1, 0
+        self._saved, self._passed = -1 if store.number is None else store.number, 0
         self._cuts = node.create_publisher(Int64, CUT, GOAL)
         node.create_subscription(Int64, CUT, self._on_cut, GOAL)
         self._answers = node.create_publisher(String, RESENT, GOAL)
@@ -132,6 +146,10 @@ class MapKeeper:
             self._write(cut)
         self._has_changed = True
 
+    def reach(self, stream: str, stamp_ns: int) -> None:
+        """Note that a message is the next one in the order of stamps."""
+        self._reached[stream] = stamp_ns
+
     def changed(self) -> None:
         """Save the state soon, although it was changed by a request and not by a message."""
         self._has_changed = True
@@ -146,6 +164,8 @@ class MapKeeper:
                 f'images after {self._lost_after_ns * 1e-9:.3f} s may be lost: this node was '
                 'restarted, and their source does not send them again'
             )
+        for stream in [*self._continuity]:
+            self._judge(stream)
         least = self._saved + 1 if self._has_changed else 0
         cut = self._grid.now(max(least, self._passed))
         if cut is not None and cut.number > self._saved:
@@ -167,7 +187,8 @@ class MapKeeper:
 
     def _write(self, cut: GridCut) -> None:
         with self._diagnostics.times('map_file'):
-            self._store.cut(Cut(cut.number, cut.stamp_ns), {self._part: self._state()})
+            state = {**self._state(), 'reached': dict(self._reached)}
+            self._store.cut(Cut(cut.number, cut.stamp_ns), {self._part: state})
         self._saved = cut.number
         self._cuts.publish(Int64(data=cut.number))
 
@@ -221,7 +242,16 @@ class MapKeeper:
         """Return whether a restarted neighbour sends this message for the second time."""
         if stream == 'image' and self._lost_after_ns is not None:
             self._report_lost(stamp_ns)
-        return self._repetitions.contains(stream, stamp_ns)
+        if self._repetitions.contains(stream, stamp_ns):
+            if stamp_ns > self._restored.get(stream, stamp_ns):
+                self._diagnostics.drop(
+                    'late', f'a message of {stream} with stamp {stamp_ns * 1e-9:.3f} s came too '
+                    'late: later ones had been processed before this node was restarted',
+                )  # fmt: skip
+            return True
+        if stream in self._continuity and self._continuity[stream].add(stamp_ns):
+            self._judge(stream)
+        return False
 
     def settled_s(self) -> float:
         """Return the time for which no node has been restarting, in s of a steady clock.
@@ -258,7 +288,7 @@ class MapKeeper:
             for one in inputs:
                 self._repetitions.expect(one.stream, since_ns - RECENT_NS, since_ns)
         wanted = {
-            topic: Wanted(one.stream, kind, max(since_ns - one.delay_ns, 0), one.receive)
+            topic: Wanted(one.stream, kind, self._after_ns(one), one.receive)
             for one in inputs for topic, kind in one.topics.items()
         }  # fmt: skip
         self._resuming = Resuming(self._node, wanted, repeats, since_ns)
@@ -292,14 +322,23 @@ class MapKeeper:
         missed = [
             Missed(stamp_ns, one.stream, partial(one.replay, data))
             for one in inputs if one.replay is not None
-            for stamp_ns, data in self.logged(one.stream, max(since_ns - one.delay_ns, 0))
+            for stamp_ns, data in self.logged(one.stream, self._after_ns(one))
         ] + resuming.missed  # fmt: skip
         caught_up(are_lost)
+        known = {
+            stream: [after_ns] for stream, after_ns in self._restored.items()
+            if stream in REGULAR
+        }
         done: set[tuple[str, int]] = set()
         for one in sorted(missed, key=lambda item: item.stamp_ns):
             if one.stamp_ns == 0 or (one.stream, one.stamp_ns) not in done:
                 done.add((one.stream, one.stamp_ns))
                 one.deliver()
+        if self._store.joins and not resuming.is_complete:
+            for stream, stamp_ns in done:
+                if stream in REGULAR:
+                    known.setdefault(stream, []).append(stamp_ns)
+            self._continuity = {stream: Continuity(stamps) for stream, stamps in known.items()}
         resuming.close()
         for request in self._requests.values():
             self._expect(request)
@@ -308,6 +347,27 @@ class MapKeeper:
                 f'continued from the map at {since_ns * 1e-9:.3f} s with {len(done)} messages '
                 'since then'
             )
+
+    def _judge(self, stream: str) -> None:
+        """Report what is lost of a stream, as messages have arrived since, or none do."""
+        continuity = self._continuity.pop(stream)
+        lost = continuity.lost()
+        if lost is not None:
+            self._diagnostics.counts['lost_spans'] += 1
+            self._diagnostics.note(
+                f'{stream} from {lost[0] * 1e-9:.3f} s to {lost[1] * 1e-9:.3f} s is lost: this '
+                'node was restarted, and its source does not send it again'
+            )
+        elif not continuity.has_new:
+            self._diagnostics.note(
+                f'{stream} after {continuity.last_ns * 1e-9:.3f} s may be lost: this node was '
+                'restarted, and its source does not send it again'
+            )
+
+    def _after_ns(self, one: KeptInput) -> int:
+        """Return the stamp of the last message of an input in the restored state."""
+        after_ns = min(self._restored.get(one.stream, self.since_ns), self.since_ns)
+        return max(after_ns - one.delay_ns, 0)
 
     def _report_lost(self, stamp_ns: int) -> None:
         after_ns, self._lost_after_ns = self._lost_after_ns, None
@@ -348,3 +408,10 @@ class MapKeeper:
     def _expect(self, request: ResendRequest) -> None:
         for stream in request.repeats:
             self._repetitions.expect(stream, request.since_ns, self._newest_ns(stream))
+
+
+def _stamps(saved: Any) -> dict[str, int]:
+    """Return the stamps of a state, which may be of another version."""
+    if not isinstance(saved, dict):
+        return {}
+    return {stream: int(ns) for stream, ns in saved.items() if isinstance(ns, int)}

@@ -238,6 +238,8 @@ class RatslamNode(ConfiguredNode, Generic[Item]):
 
     def _process(self, released: Iterable[Released[Item]]) -> None:
         for stamp_ns, stream, item in released:
+            if self._keeper is not None:
+                self._keeper.reach(stream, stamp_ns)
             self._take(stamp_ns, stream, item)
 
     def _take(self, stamp_ns: int, stream: str, item: Item) -> None:

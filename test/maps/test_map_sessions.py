@@ -95,8 +95,11 @@ def test_crashed_process_rejoins_with_its_own_newest_cut(tmp_path: Path) -> None
     assert cells.restored is not None
     assert cells.restored.cut == Cut(2, 20)
     assert cells.restored.states == {CELLS: {'n': 2}}
+    assert cells.number == 2
+    cells.cut(Cut(2, 20), {CELLS: {'n': 2}})  # of a node without messages since then
     for number in (3, 4):
         put(cells, number)
+    assert cells.problem == ''
     assert numbers(path) == {VIEWS: 4, CELLS: 4}
     views.close()
     cells.close()
@@ -110,6 +113,7 @@ def test_process_that_crashes_before_its_first_cut_has_to_catch_up(tmp_path: Pat
     kill(cells)
     cells = opened(path, CELLS)
     assert cells.joins
+    assert cells.number is None
     assert cells.restored is not None
     assert cells.restored.states == {CELLS: {'n': 7}}
     assert numbers(path) == {VIEWS: 7, CELLS: 7}

@@ -103,7 +103,7 @@ def test_cut_after_messages_that_came_late_has_a_new_number() -> None:
 
     from ratslam_ros.nodes.map_keeper import MapKeeper
 
-    store = MagicMock(restored=None)
+    store = MagicMock(restored=None, number=None)
     keeper = MapKeeper(
         MagicMock(), MagicMock(), store, 'pose_cells', lambda: {}, lambda stream: 0
     )
@@ -118,3 +118,33 @@ def test_cut_after_messages_that_came_late_has_a_new_number() -> None:
     keeper.before(15 * S)
     numbers = [call.args[0].number for call in store.cut.call_args_list]
     assert numbers == [5, 6, 7]
+
+
+def test_messages_that_the_restored_state_had_passed_are_late() -> None:
+    """The node had processed what it held, as nothing came any more, and was killed then."""
+    from unittest.mock import MagicMock
+
+    from ratslam_ros.maps import Cut
+    from ratslam_ros.nodes.map_keeper import KeptInput, MapKeeper
+
+    state = {'reached': {'odometry': 10 * S, 'template': 8 * S}}
+    restored = MagicMock(cut=Cut(5, 10 * S), states={'pose_cells': state})
+    store = MagicMock(restored=restored, number=5, joins=True)
+    node, diagnostics = MagicMock(), MagicMock()
+    node.get_name.return_value = 'pose_cells'
+    keeper = MapKeeper(
+        node, diagnostics, store, 'pose_cells', lambda: {}, lambda stream: 0
+    )
+    inputs = [KeptInput(stream, {}, print, print) for stream in ('odometry', 'template')]
+    keeper.resume(inputs, (), MagicMock(), print)
+    assert keeper.is_repeated('template', 8 * S)
+    assert diagnostics.drop.call_count == 0
+    assert keeper.is_repeated('template', 9 * S)
+    assert diagnostics.drop.call_args.args[0] == 'late'
+    assert keeper.is_repeated('odometry', 10 * S)
+    assert not keeper.is_repeated('template', 11 * S)
+    assert diagnostics.drop.call_count == 1
+    logged = {call.args for call in store.logged.call_args_list}
+    keeper._finish(inputs, 10 * S, print)
+    logged = {call.args for call in store.logged.call_args_list} - logged
+    assert logged == {('odometry', 10 * S), ('template', 8 * S)}

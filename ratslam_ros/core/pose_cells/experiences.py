@@ -273,6 +273,23 @@ class Experiences:
                 return i
         return NO_EXPERIENCE
 
+    def first_at(self, template_id: int, component: int, place: Located) -> int:
+        """Return the first experience of a template at the place of the template, -1 if none.
+
+        The experience that was created with the template may have been pruned. Others may be at
+        places that only look alike.
+        """
+        for i in self._of_template.get(template_id, ()):
+            if self._components[i] == component and self._are_same(self._located[i], place):
+                return i
+        return NO_EXPERIENCE
+
+    def _are_same(self, a: Located, b: Located) -> bool:
+        """Return whether two places are closer than ``exp_delta_pc_threshold``."""
+        threshold, scale = self._lengths.delta
+        theta = self._torus.distance(a.place, Place(a.place.x, a.place.y, b.place.theta))
+        return math.hypot(scale * math.dist(a.unwrapped, b.unwrapped), theta) < threshold
+
     def _decide_by_motion(self, seen: Observation) -> Action:
         """Create an experience for a new template, and where the robot has moved on."""
         is_new = self.first_of(seen.template_id, seen.component) == NO_EXPERIENCE
@@ -379,16 +396,15 @@ class Experiences:
 
     def _supersede(self, template_id: int, experience_id: int) -> None:
         """Mark the experiences of a template at the place of a new one: it replaces them."""
-        threshold, scale = self._lengths.delta
-        place, component = self._located[experience_id].place, self._components[experience_id]
+        here, component = self._located[experience_id], self._components[experience_id]
         for other in self._of_template[template_id]:
-            distance = self._torus.distance(place, self._located[other].place, scale)
-            if other != experience_id and distance < threshold and (
-                self._components[other] == component
+            there = self._located[other]
+            if other != experience_id and self._components[other] == component and (
+                self._are_same(here, there)
             ):
                 self._superseded[other] = True
-                distance_m = distance / scale * self._lengths.cell_m
-                self._distances.connect(experience_id, other, distance_m)
+                cells = math.dist(here.unwrapped, there.unwrapped)
+                self._distances.connect(experience_id, other, cells * self._lengths.cell_m)
 
     def _store(self, number: int) -> None:
         """Store where an experience is in the table that is saved."""

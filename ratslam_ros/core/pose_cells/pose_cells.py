@@ -260,7 +260,10 @@ class PoseCells:
         if match.template_id != NO_TEMPLATE and is_located:
             action = self._observe(match.related_count)
             if self._p.exp_view_links and self._evidence.agreement > 0.0:
-                recognised_id = self._experiences.first_of(match.template_id, self._component)
+                learned_at = self._evidence.located(match.template_id, self._component)
+                recognised_id = self._experiences.first_at(
+                    match.template_id, self._component, learned_at
+                )
                 agreement = self._evidence.agreement
         target_id = self._experiences.current_id
         correction = None

@@ -217,6 +217,11 @@ class VisualEvidence:
             used = {number for _, number in self._associations} | {component}
             self._components = [number for number in self._components if number in used]
 
+    def located(self, template_id: int, component: int) -> Located:
+        """Return the place of a template that has one in the component."""
+        known = self._associations[template_id, component]
+        return Located(known.place, known.unwrapped)
+
     def is_known(self, template_id: int) -> bool:
         """Return whether a template has a place."""
         return any((template_id, number) in self._associations for number in self._components)

@@ -4,36 +4,52 @@
 
 from __future__ import annotations
 
-from helpers import ahead
+import math
 
+from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.config import PoseCellsParameters
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.vision.local_view import ViewMatch
 
 LAP = 40
 LIMIT = 60
+STEP = Motion(0.1, 0.25, 2.0 * math.pi / LAP)
+LOOKS_LIKE = {25: 5}
+"""Place at the other side of the circle with the view of another one."""
 
 
-def driven(laps: int) -> tuple[PoseCells, list[int]]:
-    """Drive laps on a straight that returns by the edge of the torus; return pruned ids."""
+def driven(
+    laps: int, look_alikes: dict[int, int] | None = None
+) -> tuple[PoseCells, list[int], list[tuple[int, int]]]:
+    """Drive laps on a circle.
+
+    Returns:
+        The pose cells, the pruned ids, and pairs of the present place and that at which the
+        recognised experience was created.
+    """
     cells = PoseCells(PoseCellsParameters(
         exp_view_links=True, exp_max=LIMIT, pc_dim_x=LAP // 2, pc_dim_y=LAP // 2,
         pc_cell_x_size=0.5, exp_delta_pc_threshold=0.6,
     ))  # fmt: skip
-    pruned, count = [], 0
+    pruned: list[int] = []
+    recognised: list[tuple[int, int]] = []
+    created_at: dict[int, int] = {}
     for lap in range(laps):
         for place in range(LAP):
-            cells.integrate(ahead(0.25))
-            action = cells.view(ViewMatch(place, lap == 0, 0.0, 0.0))
+            cells.integrate(STEP)
+            view = (look_alikes or {}).get(place, place)
+            action = cells.view(ViewMatch(view, lap == 0 and view == place, 0.0, 0.0))
+            if action.recognised_id >= 0 and view == place:
+                recognised.append((place, created_at[action.recognised_id]))
             if action.action == 'create':
-                if action.target_id < count:
+                if action.target_id in created_at:
                     pruned.append(action.target_id)
-                count = max(count, action.target_id + 1)
-    return cells, pruned
+                created_at[action.target_id] = place
+    return cells, pruned, recognised
 
 
 def test_older_experience_at_the_same_place_goes_first() -> None:
-    cells, pruned = driven(3)
+    cells, pruned, _ = driven(3)
     assert len(cells.state()['experiences']) == LIMIT
     assert pruned
     # Each place still has an experience, although as many as have room were driven twice.
@@ -41,8 +57,18 @@ def test_older_experience_at_the_same_place_goes_first() -> None:
     assert len(templates) == len({int(row[0]) for row in driven(1)[0].state()['experiences']})
 
 
+def test_recognised_experience_is_at_the_place_of_the_view() -> None:
+    # The experiences created with the views are pruned; those at look-alikes may be older than
+    # the ones that replace them.
+    _, pruned, recognised = driven(6, LOOKS_LIKE)
+    assert len(pruned) > LAP
+    assert {place for place, _ in recognised} >= set(LOOKS_LIKE.values())
+    for place, created_at in recognised:
+        assert abs(place - created_at) <= 2
+
+
 def test_marks_are_restored() -> None:
-    cells, _ = driven(2)
+    cells, _, _ = driven(2)
     state = cells.state()
     assert len(state['superseded']) > 0
     other = PoseCells(cells._p)

@@ -1,0 +1,61 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a restarted node has lost of a regular stream, recognised by the stamps."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from statistics import median
+
+NEW_COUNT = 5
+"""Number of messages after the restart by which a stream is judged: enough for its usual step."""
+
+MIN_STEPS = 3
+"""Smallest number of steps that have a usual one."""
+
+LOST_RATIO = 1.5
+"""Step, relative to the usual one, from which on a message must be missing: without one, the
+step doubles."""
+
+
+class Continuity:
+    """The stamps of a stream from the state that a node continues from until after the restart.
+
+    Odometry and scans come at regular times. Their sources rarely send them again, and neighbours
+    keep only what they have received themselves.
+    """
+
+    def __init__(self, known_ns: list[int]) -> None:
+        """Begin.
+
+        Args:
+            known_ns: stamp of the last message before the state, and those that were recovered.
+        """
+        self._stamps_ns = known_ns
+        self._new_count = 0
+
+    @property
+    def has_new(self) -> bool:
+        """Whether a message has arrived since the restart."""
+        return self._new_count > 0
+
+    @property
+    def last_ns(self) -> int:
+        """The newest stamp, 0 if there is none."""
+        return max(self._stamps_ns, default=0)
+
+    def add(self, stamp_ns: int) -> bool:
+        """Add a message after the restart; return whether there are enough of them."""
+        self._stamps_ns.append(stamp_ns)
+        self._new_count += 1
+        return self._new_count >= NEW_COUNT
+
+    def lost(self) -> tuple[int, int] | None:
+        """Return between which stamps messages are missing, in ns; None if none are."""
+        stamps_ns = sorted(set(self._stamps_ns))
+        steps_ns = [b - a for a, b in pairwise(stamps_ns)]
+        if len(steps_ns) < MIN_STEPS:
+            return None
+        limit_ns = LOST_RATIO * median(steps_ns)
+        gaps = [pair for pair in pairwise(stamps_ns) if pair[1] - pair[0] > limit_ns]
+        return (gaps[0][0], gaps[-1][1]) if gaps else None
