@@ -16,6 +16,7 @@ import argparse
 import csv
 import os
 import re
+import signal
 import subprocess
 import sys
 import time
@@ -105,6 +106,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument('--results', type=Path, default=Path('repeat.tsv'), help='table of runs')
     parser.add_argument('tests', nargs='*', default=TESTS, help='files or folders')
     options = parser.parse_args(arguments)
+    # A shell starts background jobs with SIGINT ignored, which the tests would inherit.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     same = {
         'code': code(), 'rclpy': 'stand-in' if find_spec('rclpy') is None else 'real',
         'load': str(options.load), 'tests': ' '.join(options.tests),
