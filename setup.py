@@ -13,7 +13,7 @@ HERE = Path(__file__).resolve().parent
 
 def version() -> str:
     """Return the version, without importing the package: its dependencies may be absent."""
-    text = (HERE / NAME / '__init__.py').read_text(encoding='utf-8')
+    text = (HERE / NAME / 'version.py').read_text(encoding='utf-8')
     found = re.search(r"^__version__ = '(.+)'$", text, re.MULTILINE)
     assert found is not None
     return found[1]
@@ -28,7 +28,8 @@ def installed(folder: str, *patterns: str) -> tuple[str, list[str]]:
 # ros2 run NODE; a machine without ROS is told of "ratslam run NODE".
 NODES = [
     'visual_odometry', 'local_view', 'pose_cells', 'experience_map', 'goal_follower',
-    'route_to_nav2', 'landmark_map', 'simulator', 'viewer', 'single_process',
+    'route_to_nav2', 'route_server_graph', 'landmark_map', 'simulator', 'viewer',
+    'single_process',
 ]
 
 FUZZ = ['atheris>=3.0']  # for tools/fuzz.py; there are wheels for Linux on x86_64

@@ -48,6 +48,9 @@ ARGUMENTS = [
         'nav2', default_value='false', choices=YES_OR_NO,
         description='have the controller server of Nav2 drive along the routes (route_to_nav2)'),
     DeclareLaunchArgument(
+        'route_server', default_value='false', choices=YES_OR_NO,
+        description='keep the graph of the route server of Nav2 up to date (route_server_graph)'),
+    DeclareLaunchArgument(
         'landmarks', default_value='false', choices=YES_OR_NO,
         description='map corners and edges of walls by a laser scan (landmark_map)'),
     DeclareLaunchArgument(
@@ -136,7 +139,7 @@ def _start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
         for name, arguments in nodes(
             *(given(name) == 'true'
               for name in ('visual_odometry', 'single_process', 'goal_follower', 'landmarks',
-                           'viewer', 'nav2'))
+                           'viewer', 'nav2', 'route_server'))
         ).items()
     ]
     remove_folder = OnShutdown(on_shutdown=lambda event, context: shutil.rmtree(folder, True))

@@ -10,6 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from ratslam_ros.limits import limit_images
+from ratslam_ros.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from ratslam_ros.core.common.odometry import Odometry, Twist
@@ -34,8 +35,6 @@ if TYPE_CHECKING:
         Topic,
         open_recording,
     )
-
-__version__ = '0.1.0'
 
 limit_images()  # before any module imports OpenCV
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from domains import own_domain
 from numpy.typing import NDArray
 from scipy.ndimage import convolve1d
 
@@ -402,11 +403,14 @@ def restored(
 # Live nodes
 
 
-def live_environment() -> dict[str, str]:
-    """Return environment variables that isolate the nodes of a test from other tests and hosts."""
-    domain = 1 + os.getpid() % 100
+def live_environment(number: int = 0) -> dict[str, str]:
+    """Return environment variables that isolate the nodes of a test from other tests and hosts.
+
+    Args:
+        number: of the domain, see ``own_domain``.
+    """
     return {
-        'ROS_DOMAIN_ID': str(domain),
+        'ROS_DOMAIN_ID': str(own_domain(number)),
         'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
         'PYTHONUNBUFFERED': '1',
         'PYTHONPATH': os.pathsep.join(

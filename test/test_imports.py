@@ -38,7 +38,7 @@ CORE_LAYERS = [
     ['ratslam', 'warm_up', 'learned'],
 ]
 LAYERS = [
-    ['errors'],
+    ['errors', 'version'],
     ['limits'],
     [
         'compilation', 'images', 'timing', 'quick_start', 'signals', 'console', 'standalone',

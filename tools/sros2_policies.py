@@ -7,17 +7,20 @@
 
 Every node is created with all of its optional functions, without ROS on the stand-in. It may
 publish, subscribe, reply and request exactly what it creates then, and what it creates only for a
-while: see ``_add_temporary``. docs/security.md describes the use of the policy.
+while: see ``_add_temporary``. Actions, and the messages of Nav2, which the stand-in does not have,
+are replaced by classes that only record their names. docs/security.md describes the use of the
+policy.
 """
 
 from __future__ import annotations
 
 import argparse
-import re
 import sys
 import tempfile
 from collections.abc import Sequence
+from enum import Enum
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 from xml.sax.saxutils import escape, quoteattr
 
@@ -40,7 +43,12 @@ KEPT = 'ratslam/cut', 'ratslam/resend', 'ratslam/resent'
 """Topics by which nodes with a map file agree on cuts, and ask for messages that they missed."""
 
 Interfaces = dict[str, set[str]]
-KINDS = 'publish', 'subscribe', 'reply', 'request'
+GROUPS = {
+    'execute': ('actions', 'action'), 'call': ('actions', 'action'),
+    'reply': ('services', 'service'), 'request': ('services', 'service'),
+    'publish': ('topics', 'topic'), 'subscribe': ('topics', 'topic'),
+}  # fmt: skip
+"""Elements of the policy for a group of names and for a name, by kind."""
 
 
 def interfaces() -> dict[str, Interfaces]:
@@ -48,6 +56,7 @@ def interfaces() -> dict[str, Interfaces]:
     from ratslam_ros.standalone import install
 
     install()
+    _stand_in_for_nav2()
     import rclpy
 
     with tempfile.TemporaryDirectory() as folder:
@@ -70,14 +79,61 @@ def _node_classes() -> list[Any]:
     from ratslam_ros.nodes.landmark_map_node import LandmarkMapNode
     from ratslam_ros.nodes.local_view_node import LocalViewNode
     from ratslam_ros.nodes.pose_cells_node import PoseCellsNode
+    from ratslam_ros.nodes.route_server_graph_node import RouteServerGraphNode
+    from ratslam_ros.nodes.route_to_nav2_node import RouteToNav2Node
     from ratslam_ros.nodes.simulator_node import SimulatorNode
     from ratslam_ros.nodes.viewer_node import ViewerNode
     from ratslam_ros.nodes.visual_odometry_node import VisualOdometryNode
 
     return [
         VisualOdometryNode, LocalViewNode, PoseCellsNode, ExperienceMapNode, GoalFollowerNode,
-        LandmarkMapNode, SimulatorNode, ViewerNode,
+        RouteToNav2Node, RouteServerGraphNode, LandmarkMapNode, SimulatorNode, ViewerNode,
     ]
+
+
+_ACTIONS: list[tuple[Any, str, str]] = []
+"""Node, kind and name of all actions that were created."""
+
+
+class _ActionServer:
+    KIND = 'execute'
+
+    def __init__(self, node: Any, _: Any, name: str, *args: Any, **options: Any) -> None:
+        _ACTIONS.append((node, self.KIND, name))
+
+    def destroy(self) -> None:
+        """Do nothing."""
+
+
+class _ActionClient(_ActionServer):
+    KIND = 'call'
+
+
+class _Response(Enum):
+    ACCEPT = 1
+
+
+def _stand_in_for_nav2() -> None:
+    """Make what the nodes import for Nav2 importable on the stand-in for rclpy."""
+    from std_msgs.msg import String
+    from std_srvs.srv import Trigger
+
+    message: Any = type('Message', (), {})
+    for name, content in {
+        'nav2_msgs': {},
+        'nav2_msgs.action': dict.fromkeys(
+            ('FollowPath', 'NavigateThroughPoses', 'NavigateToPose'), message
+        ),
+        'nav2_msgs.srv': dict.fromkeys(('DynamicEdges', 'SetRouteGraph'), Trigger),
+        'action_msgs': {},
+        'action_msgs.msg': {'GoalStatus': message, 'GoalStatusArray': String},
+        'rclpy.action': {
+            'ActionClient': _ActionClient, 'ActionServer': _ActionServer,
+            'CancelResponse': _Response, 'GoalResponse': _Response,
+        },
+    }.items():  # fmt: skip
+        sys.modules[name] = ModuleType(name)
+        vars(sys.modules[name]).update(content)
 
 
 def _of_node(kind: Any, folder: str) -> Interfaces:
@@ -123,6 +179,8 @@ def _listed(node: Any) -> Interfaces:
     found['publish'] |= {'/rosout', '/parameter_events'}
     found['subscribe'] |= {'/clock', '/parameter_events'}
     found['reply'].add(f'/{node.get_name()}/get_type_description')
+    for kind in ('execute', 'call'):
+        found[kind] = {name for other, used, name in _ACTIONS if other is node and used == kind}
     return {
         kind: {_relative(name, node.get_name()) for name in names}
         for kind, names in found.items()
@@ -141,7 +199,7 @@ def _relative(name: str, node: str) -> str:
         return name
     name = name.replace('~/', f'/{node}/')
     if name.startswith(f'/{node}/') and name.rpartition('/')[2] in PARAMETER_SERVICES:
-        return f'~{name.removeprefix(f"/{node}/")}'
+        return f'~/{name.removeprefix(f"/{node}/")}'
     return name.removeprefix('/')
 
 
@@ -170,8 +228,8 @@ def _add_temporary(found: dict[str, Interfaces]) -> None:
         found[name]['subscribe'] |= {*KEPT, *(f'ratslam/resent/{topic}' for topic in topics)}
     for name in VIEWED:
         found['viewer']['request'] |= {
-            service.replace('~', f'{name}/') for service in found[name]['reply']
-            if re.split('[~/]', service)[-1] in REQUESTED
+            service.replace('~/', f'{name}/') for service in found[name]['reply']
+            if service.rpartition('/')[2] in REQUESTED
         }  # fmt: skip
 
 
@@ -189,10 +247,7 @@ def policy_text(found: dict[str, Interfaces]) -> str:
             '      <profiles>',
             f'        <profile ns="/" node={quoteattr(node)}>',
         ]
-        for kind in ('reply', 'request', 'publish', 'subscribe'):
-            group, item = ('topics', 'topic') if 'sub' in kind or 'pub' in kind else (
-                'services', 'service'
-            )  # fmt: skip
+        for kind, (group, item) in GROUPS.items():
             if names[kind]:
                 lines += [
                     f'          <{group} {kind}="ALLOW">',

@@ -98,8 +98,9 @@ def _check(options: argparse.Namespace) -> int:
 
 
 def _export(options: argparse.Namespace) -> int:
+    from ratslam_ros.files.text import write_durably
     from ratslam_ros.maps import read_map
-    from ratslam_ros.offline.map_export import exported, write_durably
+    from ratslam_ros.offline.map_export import exported
     from ratslam_ros.offline.map_upkeep import config_of_map, experience_map_of
 
     form = options.format

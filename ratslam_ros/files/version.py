@@ -2,12 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The version of this package, as files record it."""
 
-from importlib.metadata import PackageNotFoundError, version
+from ratslam_ros.version import __version__
 
 
 def package_version() -> str:
-    """Return the version of this package, '' if it is not installed."""
-    try:
-        return version('ratslam_ros')
-    except PackageNotFoundError:
-        return ''
+    """Return the version of the code that runs, whether it is installed or not."""
+    return __version__

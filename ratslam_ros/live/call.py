@@ -43,10 +43,11 @@ def call(
         client = node.create_client(service_type, name)
         end_s = time.monotonic() + timeout_s
         if not client.wait_for_service(timeout_sec=timeout_s):
-            node.destroy_client(client)  # It is in the graph itself.
-            kinds = dict(node.get_service_names_and_types()).get(name)
+            # The client itself is in the graph, and for a while after its end.
+            node.destroy_client(client)
+            kinds = set(dict(node.get_service_names_and_types()).get(name, ())) - {kind}
             if kinds:
-                raise UnusableInput(f'{name} is of type {", ".join(kinds)}, not {kind}')
+                raise UnusableInput(f'{name} is of type {", ".join(sorted(kinds))}, not {kind}')
             raise UnusableInput(f'no node offers {name} ({graph.describe_services(node)})')
         future = client.call_async(request)
         while not future.done():

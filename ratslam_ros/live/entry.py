@@ -61,6 +61,11 @@ def route_to_nav2() -> int:
     return _main('route_to_nav2')
 
 
+def route_server_graph() -> int:
+    """Run route_server_graph."""
+    return _main('route_server_graph')
+
+
 def landmark_map() -> int:
     """Run landmark_map."""
     return _main('landmark_map')

@@ -27,7 +27,7 @@ from ratslam_ros.signals import STOP_SIGNALS, StopSignals
 SHUTDOWN_TIMEOUT_S = 20.0
 """Time for the nodes to end, which includes writing a map."""
 
-OPTIONAL = frozenset({'viewer'})
+OPTIONAL = frozenset({'viewer', 'route_server_graph'})
 """Nodes that the others do not need: if one ends, the others go on."""
 
 MANAGED = frozenset({
@@ -74,6 +74,7 @@ class LaunchOptions:
 def nodes(
     visual_odometry: bool, single_process: bool, goal_follower: bool = False,
     landmarks: bool = False, viewer: bool = False, nav2: bool = False,
+    route_server: bool = False,
 ) -> dict[str, list[str]]:
     """Return the nodes to start, with the arguments that only they have.
 
@@ -90,6 +91,7 @@ def nodes(
         )
     own = ['goal_follower'] if goal_follower else []
     own += ['route_to_nav2'] if nav2 else []
+    own += ['route_server_graph'] if route_server else []
     own += ['landmark_map'] if landmarks else []
     own += ['viewer'] if viewer else []
     if single_process:

@@ -23,6 +23,7 @@ NODES = {
     'experience_map': 'experience_map_node',
     'goal_follower': 'goal_follower_node',
     'route_to_nav2': 'route_to_nav2_node',
+    'route_server_graph': 'route_server_graph_node',
     'landmark_map': 'landmark_map_node',
     'simulator': 'simulator_node',
     'viewer': 'viewer_node',

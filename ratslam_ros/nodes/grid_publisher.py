@@ -19,7 +19,8 @@ from ratslam_ros.nodes.convert import header_of, time_of
 from ratslam_ros.nodes.qos import LATCHED
 
 MAX_LOAD_RATIO = 0.1
-"""Largest share of a core for drawing."""
+"""Largest share of a core for drawing. The processor time of drawing is measured, because the time
+for which a busy machine stops it may be a thousand times as long."""
 
 SLICE_S = 0.002
 """Time after which a slice ends. One more step takes up to 1 ms, so that no message is delayed by
@@ -74,7 +75,7 @@ class GridPublisher:
         Returns:
             Whether a slice was drawn.
         """
-        start_s = time.monotonic()
+        start_s, worked_s = time.monotonic(), time.thread_time()
         if start_s < self._next_slice_s or self._publisher.get_subscription_count() == 0:
             return False
         if self._thread is not None and self._thread.is_alive():
@@ -95,7 +96,8 @@ class GridPublisher:
                 self._has_changed, self._next_s = False, now_s + period_s
             elif remaining == 0:
                 break
-        self._next_slice_s = now_s + (now_s - start_s) / MAX_LOAD_RATIO
+        worked_s = time.thread_time() - worked_s
+        self._next_slice_s = time.monotonic() + worked_s / MAX_LOAD_RATIO
         return True
 
     def _finish(self, stamp_ns: int, frame_id: str) -> None:

@@ -24,7 +24,8 @@ from ratslam_ros.nodes.convert import serialised_text
 from ratslam_ros.nodes.qos import LATCHED
 
 MAX_LOAD_RATIO = 0.1
-"""Largest share of a core for sending the map: a large map is sent at a longer period."""
+"""Largest share of a core for sending the map: a large map is sent at a longer period. Only
+processor time counts, and not the time for which a busy machine stops the node."""
 
 MIN_SLICE_S, MAX_SLICE_S = 0.0005, 0.003
 """Least and largest time of writing at once: the time of one step, and with another step less than
@@ -79,9 +80,10 @@ class MapSender:
         slice_s = min(MAX_LOAD_RATIO * (start_s - self._paused_s), MAX_SLICE_S)
         if slice_s < MIN_SLICE_S:
             return False
+        worked_s = time.thread_time()
         is_complete = self._write(start_s + slice_s)
         self._paused_s = time.monotonic()
-        self._worked_s += self._paused_s - start_s
+        self._worked_s += time.thread_time() - worked_s
         if is_complete:
             self._publish()
             self._next_s = max(

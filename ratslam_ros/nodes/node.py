@@ -59,6 +59,7 @@ class RatslamNode(ConfiguredNode, Generic[Item]):
         super().__init__(initial)
         self._diagnostics = Diagnostics(self)
         self._inputs: list[Input] = []
+        self._was_silent = False
         self._streams = streams
         self._order: StampOrder[Item] = self._new_order()
         self._counted = Counts()
@@ -290,11 +291,17 @@ class RatslamNode(ConfiguredNode, Generic[Item]):
         self._process(self._order.flush())
 
     def _flush(self) -> None:
-        """Process the held messages if all inputs have been silent for flush_after_s."""
+        """Process the held messages if all inputs have been silent for flush_after_s.
+
+        After the machine has stopped this process for so long, the timer runs before the messages
+        that have arrived meanwhile are taken. So only silence that is seen twice counts.
+        """
         silent_s = [one.silent_s() for one in self._inputs]
         if self._keeper is not None:
             silent_s.append(self._keeper.settled_s())
-        silent = all(one >= self._section.flush_after_s for one in silent_s)
+        was_silent = self._was_silent
+        self._was_silent = all(one >= self._section.flush_after_s for one in silent_s)
+        silent = self._was_silent and was_silent
         if silent and self._order.held:
             with self._lock:
                 self._process_held()

@@ -6,9 +6,7 @@ from __future__ import annotations
 
 import io
 import math
-import os
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,26 +46,6 @@ def exported(
         'g2o': lambda: _g2o(experience_map),
     }
     return writers[form](), []
-
-
-def write_durably(path: Path, text: str) -> None:
-    """Replace a file; the earlier one stays until the new one is on the disk.
-
-    Raises:
-        UnusableInput: it cannot be written.
-    """
-    fresh = path.with_name(f'.{path.name}.{os.getpid()}')
-    try:
-        with fresh.open('w', encoding='utf-8', newline='\n') as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        fresh.replace(path)
-    except OSError as error:
-        fresh.unlink(missing_ok=True)
-        raise UnusableInput(
-            f'{path} cannot be written ({error.strerror}); choose another file'
-        ) from None
 
 
 def _graphml(experience_map: ExperienceMap) -> str:

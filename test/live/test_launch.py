@@ -50,6 +50,7 @@ def test_visual_odometry_is_started_only_on_request() -> None:
 
 def test_only_one_node_may_drive() -> None:
     assert list(nodes(False, True, nav2=True)) == ['single_process', 'route_to_nav2']
+    assert list(nodes(False, True, route_server=True)) == ['single_process', 'route_server_graph']
     with pytest.raises(UnusableParameter, match='both would drive'):
         nodes(False, False, goal_follower=True, nav2=True)
 

@@ -97,7 +97,8 @@ def test_clock_advances_between_messages(commands: Commands, tmp_path: Path) -> 
     times_ns = [sec * 10**9 + ns for sec, ns in zip(numbers[::2], numbers[1::2], strict=True)]
     assert times_ns == sorted(times_ns)
     assert times_ns[0] >= START_NS and times_ns[-1] == stamps[-1]
-    assert len(times_ns) >= 2 * 40
+    # 100 are sent; a subscriber that stands still receives only the newest one.
+    assert sum(stamps[0] < time_ns < stamps[1] for time_ns in times_ns) >= 10
     assert images.communicate(timeout=20)[0].count('sec: 17000000') == 2
 
 

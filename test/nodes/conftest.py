@@ -119,7 +119,8 @@ class World:
 def warm() -> None:
     """Compile before the time limit of any test runs, as nodes do before they are ready."""
     warm_up()
-    warm_up('goal_recall', 'goal_follower', 'landmark_map')
+    warm_up('scan_alignment', 'relocation', 'goal_recall', 'goal_memory')
+    warm_up('goal_follower', 'landmark_map')
 
 
 @pytest.fixture

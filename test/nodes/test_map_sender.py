@@ -72,8 +72,11 @@ class Sender:
 
         for name, value in settings.items():
             monkeypatch.setattr(map_sender, name, value)
-        self.clock_s = 0.0
-        monkeypatch.setattr(map_sender, 'time', SimpleNamespace(monotonic=lambda: self.clock_s))
+        self.clock_s = self.worked_s = 0.0
+        clocks = SimpleNamespace(
+            monotonic=lambda: self.clock_s, thread_time=lambda: self.worked_s
+        )
+        monkeypatch.setattr(map_sender, 'time', clocks)
         self.world = world()
         self.sender = map_sender.MapSender(self.world.tester)
         self.received = self.world.listen(String, 'experience_map/map', LATCHED)
@@ -108,6 +111,28 @@ def test_large_map_is_sent_in_slices(
     sending.clock_s = 1.0
     sender.advance(graph, 10, period_s=1.0)
     assert not sender.has_changed
+
+
+@pytest.mark.parametrize(('worked_s', 'next_s'), [(0.0, 11.0), (1.0, 20.0)])
+def test_pause_after_a_map_is_for_work_and_not_for_stalls(
+    world: MakeWorld, monkeypatch: pytest.MonkeyPatch, worked_s: float, next_s: float
+) -> None:
+    sending = Sender(world, monkeypatch)
+    graph, sender = chain(3), sending.sender
+    sending.clock_s = 10.0
+    sender.has_changed = True
+    publish = sender._write
+
+    def write(until_s: float) -> bool:
+        sending.clock_s += 1.0  # the machine is busy with other processes, or with this map
+        sending.worked_s += worked_s
+        return publish(float('inf'))
+
+    sender._write = write
+    assert sender.advance(graph, 9, period_s=1.0)
+    for now_s, is_due in ((next_s - 0.1, False), (next_s + 0.1, True)):
+        sending.clock_s, sender.has_changed = now_s, True
+        assert sender.advance(graph, 10, period_s=1.0) == is_due
 
 
 def test_finish_sends_the_last_map_at_once(

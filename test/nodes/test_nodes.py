@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import math
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -285,6 +286,20 @@ def test_held_messages_are_flushed_when_inputs_are_silent(world: MakeWorld) -> N
     made.send('odom', odometry(START_NS))
     made.send('local_view/template', string(template_text(START_NS + 5, 0)))
     made.until(lambda: len(received) == 1)
+
+
+def test_messages_that_arrived_during_a_stall_are_not_late(world: MakeWorld) -> None:
+    """The machine stops the process for longer than flush_after_s."""
+    made, received = pose_cells(world, '-p', 'flush_after_s:=0.5')
+    made.send('odom', odometry(START_NS))
+    made.send('local_view/template', string(template_text(START_NS + 50, 0)))
+    made.until(lambda: made.nodes[0]._order.newest_of('template') == START_NS + 50)
+    for n in range(1, 11):
+        made.send('odom', odometry(START_NS + 10 * n, 1.0))
+    time.sleep(0.8)
+    made.until(lambda: len(received) == 1)
+    made.until(lambda: made.nodes[0]._order.newest_of('odometry') == START_NS + 100)
+    assert made.nodes[0]._diagnostics.counts['late'] == 0
 
 
 @pytest.mark.parametrize('payload', [

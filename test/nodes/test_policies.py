@@ -20,7 +20,9 @@ ROOT = Path(__file__).parents[2]
 POLICY = ElementTree.parse(ROOT / 'policies' / 'ratslam.policy.xml').getroot()
 LISTS = {
     'topics': ('topic', {'publish', 'subscribe'}), 'services': ('service', {'reply', 'request'}),
+    'actions': ('action', {'call', 'execute'}),
 }  # fmt: skip
+NAME = re.compile(r'(/|~/)?[a-zA-Z0-9_]+(/[a-zA-Z0-9_]+)*')
 
 
 def tool() -> Any:
@@ -59,13 +61,13 @@ def test_policy_has_the_layout_of_its_schema() -> None:
             assert len(group) > 0
             for entry in group:
                 assert entry.tag == item and not entry.attrib
-                assert re.fullmatch(r'[~/]?[a-z_]+(/[a-z_]+)*', str(entry.text)), entry.text
+                assert NAME.fullmatch(str(entry.text)), entry.text
 
 
 def test_policy_is_up_to_date(world: Callable[..., Any]) -> None:
     world()  # skipped without a middleware
     if find_spec('nav2_msgs') is not None:
-        pytest.skip('the policies are those of nodes without the actions of nav2_msgs')
+        pytest.skip('the policies are written with the stand-in for rclpy')
     done = subprocess.run(
         [sys.executable, ROOT / 'tools' / 'sros2_policies.py', '--check'], capture_output=True,
         text=True, check=False,
@@ -77,8 +79,26 @@ def test_all_nodes_have_a_policy() -> None:
     nodes = {str(profile.get('node')) for profile in POLICY.iter('profile')}
     text = (ROOT / 'setup.py').read_text(encoding='utf-8')
     listed = set(re.findall(r"'(\w+)'", text.split('NODES = [')[1].split(']')[0]))
-    # Those of single_process are in one process; Nav2 needs policies of its own.
-    assert nodes == listed - {'single_process', 'route_to_nav2'}
+    # Those of single_process are in one process.
+    assert nodes == listed - {'single_process'}
+
+
+def test_policy_permits_what_nav2_needs() -> None:
+    served = {'navigate_to_pose', 'navigate_through_poses'}
+    assert permitted('goal_follower', 'execute') == served
+    assert permitted('route_to_nav2', 'call') == {'follow_path'}
+    assert permitted('route_server_graph', 'request') == {
+        'route_server/set_route_graph', 'route_server/DynamicEdgesScorer/adjust_edges',
+        'experience_map/send_all',
+    }  # fmt: skip
+
+
+def test_names_are_those_that_sros2_derives() -> None:
+    """It replaces ~ by the name of the node, and adds no slash."""
+    for profile in POLICY.iter('profile'):
+        private = [str(entry.text) for group in profile for entry in group if '~' in entry.text]
+        assert '~/get_parameters' in private
+        assert all(name.startswith('~/') for name in private)
 
 
 def test_viewer_may_call_what_its_controls_call() -> None:

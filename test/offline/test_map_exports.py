@@ -18,10 +18,14 @@ from graphs import arrive, drive, new_map
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.mapping.map_changes import MapChangeTracker, MapMirror
+from ratslam_ros.core.navigation.graph_refresh import GraphNumbering
 from ratslam_ros.errors import UnusableInput
+from ratslam_ros.files.text import write_durably
 from ratslam_ros.messages.mapping import encode_map
+from ratslam_ros.messages.route_graph import encode_route_graph
 from ratslam_ros.offline import route_export
-from ratslam_ros.offline.map_export import exported, information, write_durably
+from ratslam_ros.offline.map_export import exported, information
 from ratslam_ros.results.trajectory import read_tum
 
 
@@ -139,6 +143,23 @@ def test_thinned_geojson_keeps_junctions_spacing_and_times() -> None:
     assert networkx.shortest_path_length(routes, of_place[0], of_place[18], 's') == 9.0
     around = [routes.edges[a, b]['s'] for a, b in routes.edges if of_place[18] not in (a, b)]
     assert sum(around) == 2 * 16 * 2.0  # the loop is closed, in both directions
+
+
+def test_graph_of_a_followed_map_is_that_of_the_export() -> None:
+    graph, mirror = loop_with_tail(), MapMirror()
+    mirror.apply(MapChangeTracker().next_change(graph, 0))
+    numbering = GraphNumbering(3.0)
+    live = numbering.graph(mirror)
+    text = encode_route_graph(live.graph, 'map', live.node_ids, live.edge_ids)
+    assert text == exported(graph, 0, 'geojson', 3.0)[0]
+    drive(graph, Motion(3.0, 4.0, 0.0))
+    arrive(graph, 19)
+    mirror.apply(MapChangeTracker().next_change(graph, 0))
+    grown = numbering.graph(mirror)
+    text = encode_route_graph(grown.graph, 'map', grown.node_ids, grown.edge_ids)
+    nodes, edges = route_server_graph(text)
+    assert len(nodes) == len(live.node_ids) + 1
+    assert set(live.edge_ids.values()) <= set(edges)
 
 
 def test_thinned_geojson_of_random_maps_stays_connected() -> None:

@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 from contract import ROOT, SKIP_REASON
+from domains import own_domain
 
 PRELUDE = 'from ratslam_ros.standalone import install\ninstall()\n'
 TIMEOUT_S = 20.0
@@ -23,7 +24,7 @@ def domain() -> Iterator[None]:
     if SKIP_REASON:
         pytest.skip(SKIP_REASON)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv('ROS_DOMAIN_ID', str(1 + os.getpid() % 100))
+        patch.setenv('ROS_DOMAIN_ID', str(own_domain()))
         patch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
         yield
 

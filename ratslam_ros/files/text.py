@@ -1,0 +1,30 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Text files that are replaced at once."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from ratslam_ros.errors import UnusableInput
+
+
+def write_durably(path: Path, text: str) -> None:
+    """Replace a file; the earlier one stays until the new one is on the disk.
+
+    Raises:
+        UnusableInput: it cannot be written.
+    """
+    fresh = path.with_name(f'.{path.name}.{os.getpid()}')
+    try:
+        with fresh.open('w', encoding='utf-8', newline='\n') as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        fresh.replace(path)
+    except OSError as error:
+        fresh.unlink(missing_ok=True)
+        raise UnusableInput(
+            f'{path} cannot be written ({error.strerror}); choose another file'
+        ) from None
