@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from itertools import pairwise
 from statistics import median
 
@@ -18,20 +19,32 @@ LOST_RATIO = 1.5
 step doubles."""
 
 
+def gaps(stamps_ns: Iterable[int]) -> list[tuple[int, int]]:
+    """Return the pairs of successive stamps between which messages are missing, in ns."""
+    ordered = sorted(set(stamps_ns))
+    steps_ns = [b - a for a, b in pairwise(ordered)]
+    if len(steps_ns) < MIN_STEPS:
+        return []
+    limit_ns = LOST_RATIO * median(steps_ns)
+    return [(a, b) for a, b in pairwise(ordered) if b - a > limit_ns]
+
+
 class Continuity:
     """The stamps of a stream from the state that a node continues from until after the restart.
 
-    Odometry and scans come at regular times. Their sources rarely send them again, and neighbours
-    keep only what they have received themselves.
+    Inputs come at regular times. Their sources rarely send them again, and neighbours keep only
+    what they have received themselves.
     """
 
-    def __init__(self, known_ns: list[int]) -> None:
+    def __init__(self, known_ns: list[int], is_complete: bool = False) -> None:
         """Begin.
 
         Args:
             known_ns: stamp of the last message before the state, and those that were recovered.
+            is_complete: whether the source has sent all messages up to the last one again.
         """
         self._stamps_ns = known_ns
+        self.is_complete = is_complete
         self._new_count = 0
 
     @property
@@ -52,10 +65,5 @@ class Continuity:
 
     def lost(self) -> tuple[int, int] | None:
         """Return between which stamps messages are missing, in ns; None if none are."""
-        stamps_ns = sorted(set(self._stamps_ns))
-        steps_ns = [b - a for a, b in pairwise(stamps_ns)]
-        if len(steps_ns) < MIN_STEPS:
-            return None
-        limit_ns = LOST_RATIO * median(steps_ns)
-        gaps = [pair for pair in pairwise(stamps_ns) if pair[1] - pair[0] > limit_ns]
-        return (gaps[0][0], gaps[-1][1]) if gaps else None
+        found = gaps(self._stamps_ns)
+        return (found[0][0], found[-1][1]) if found else None

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Set
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -331,20 +331,13 @@ class MapKeeper:
             for stamp_ns, data in self.logged(one.stream, self._after_ns(one))
         ] + resuming.missed  # fmt: skip
         caught_up(are_lost)
-        known = {
-            stream: [after_ns] for stream, after_ns in self._restored.items()
-            if stream in REGULAR
-        }
         done: set[tuple[str, int]] = set()
         for one in sorted(missed, key=lambda item: item.stamp_ns):
             if one.stamp_ns == 0 or (one.stream, one.stamp_ns) not in done:
                 done.add((one.stream, one.stamp_ns))
                 one.deliver()
-        if self._store.joins and not resuming.is_complete:
-            for stream, stamp_ns in done:
-                if stream in REGULAR:
-                    known.setdefault(stream, []).append(stamp_ns)
-            self._continuity = {stream: Continuity(stamps) for stream, stamps in known.items()}
+        if self._store.joins:
+            self._continuity = self._continuities(done, resuming.is_complete)
         resuming.close()
         for request in self._requests.values():
             self._expect(request)
@@ -353,6 +346,21 @@ class MapKeeper:
                 f'continued from the map at {since_ns * 1e-9:.3f} s with {len(done)} messages '
                 'since then'
             )
+
+    def _continuities(
+        self, recovered: Set[tuple[str, int]], is_complete: bool
+    ) -> dict[str, Continuity]:
+        """Return what is known of each regular stream: of a complete one, the last stamp."""
+        known = {stream: [after_ns] for stream, after_ns in self._restored.items()}
+        for stream, stamp_ns in recovered:
+            known.setdefault(stream, []).append(stamp_ns)
+        if is_complete:
+            return {
+                stream: Continuity([max(known[stream])], True)
+                for stream in (*REGULAR, 'image') if stream in known
+            }  # fmt: skip
+        # Images are lost in any case.
+        return {stream: Continuity(known[stream]) for stream in REGULAR if stream in known}
 
     def _judge(self, stream: str) -> None:
         """Report what is lost of a stream, as messages have arrived since, or none do."""
@@ -364,7 +372,7 @@ class MapKeeper:
                 f'{stream} from {lost[0] * 1e-9:.3f} s to {lost[1] * 1e-9:.3f} s is lost: this '
                 'node was restarted, and its source does not send it again'
             )
-        elif not continuity.has_new:
+        elif not continuity.has_new and not continuity.is_complete:
             self._diagnostics.note(
                 f'{stream} after {continuity.last_ns * 1e-9:.3f} s may be lost: this node was '
                 'restarted, and its source does not send it again'

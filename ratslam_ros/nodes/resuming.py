@@ -28,6 +28,7 @@ from ratslam_ros.messages.resending import (
     encode_request,
     resent_topic,
 )
+from ratslam_ros.nodes.continuity import gaps
 from ratslam_ros.nodes.convert import stamp_ns
 from ratslam_ros.nodes.qos import GOAL, INPUT
 
@@ -160,9 +161,21 @@ class Resuming:
     def _is_missing(self) -> bool:
         """Return whether messages that a source has sent again have not arrived."""
         return any(
-            len(self._resent[topic]) < count
+            len(self._resent[topic]) < count or self._has_gap(topic)
             for topic, count in self._promised.items() if topic in self._resent
         )  # fmt: skip
+
+    def _has_gap(self, topic: str) -> bool:
+        """Return whether messages are missing between those sent again and those that followed.
+
+        The source may have been connected later on the topic itself than on that of the messages
+        which it sends again. It will send all of them if it is asked again.
+        """
+        resent, stream = self._resent[topic], self._wanted[topic].stream
+        stamps_ns = [
+            one.stamp_ns for one in self.missed if one.stream == stream and one.stamp_ns > 0
+        ]
+        return any(not {a, b} <= resent for a, b in gaps(stamps_ns))
 
     def _receiver(self, topic: str, one: Wanted) -> Callable[[Any], None]:
         def receive(message: Any) -> None:

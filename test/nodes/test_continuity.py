@@ -4,7 +4,10 @@
 
 from __future__ import annotations
 
+from unittest.mock import MagicMock
+
 import pytest
+from helpers import START_NS, template_text
 
 from ratslam_ros.nodes.continuity import NEW_COUNT, Continuity
 
@@ -42,3 +45,30 @@ def test_silent_stream_is_not_judged() -> None:
     assert continuity.lost() is None
     assert not continuity.has_new
     assert continuity.last_ns == 100
+
+
+def test_gap_between_resent_and_live_messages_is_filled_by_asking_again() -> None:
+    from ratslam_ros.nodes.resuming import Resuming, Wanted
+
+    def message(number: int) -> MagicMock:
+        text = template_text(START_NS + number * 100, number, error=0.5, is_new=True)
+        return MagicMock(spec=['data'], data=text)
+
+    wanted = Wanted('image', object, START_NS, print)
+    resuming = Resuming(MagicMock(), {'image': wanted}, (), START_NS)
+    resend = resuming._receiver('image', wanted)
+    for number in (1, 2, 3, 4):
+        resend(message(number))
+    resuming._promised['image'] = 4
+    assert not resuming._is_missing()
+    resuming.keep('image', message(6), print)  # 5 was sent before the topic was connected
+    assert resuming._is_missing()
+    for number in (1, 2, 3, 4, 5, 6):
+        resend(message(number))
+    resuming._promised['image'] = 6
+    assert not resuming._is_missing()
+    # The source itself has made a pause.
+    for number in (9, 10):
+        resend(message(number))
+    resuming._promised['image'] = 8
+    assert not resuming._is_missing()
