@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import argparse
 import sys
 import threading
 from typing import Any
@@ -44,6 +45,8 @@ def run(*kinds: type[Any], args: list[str] | None = None) -> int:
     Returns:
         The exit code: 0 after a signal, 2 if a parameter or argument cannot be used.
     """
+    given = sys.argv[1:] if args is None else args
+    options = _options(kinds, given)
     stop = StopSignals()
     # Signals only end the loop below: the nodes then still process and publish what they hold.
     try:
@@ -55,11 +58,10 @@ def run(*kinds: type[Any], args: list[str] | None = None) -> int:
     threads: list[threading.Thread] = []
     try:
         _warm_up(kinds)
-        given = sys.argv if args is None else args
-        initial, options = initial_config(given), remove_ros_args(given)
+        initial = initial_config(given)
         for kind in kinds:  # It compiles what only some parameters need.
             if issubclass(kind, RatslamNode):
-                created: type[Any] = managed(kind) if LIFECYCLE in options else kind
+                created: type[Any] = managed(kind) if options.lifecycle else kind
                 nodes.append(created(initial))
             else:
                 nodes.append(kind())
@@ -70,7 +72,7 @@ def run(*kinds: type[Any], args: list[str] | None = None) -> int:
             executor = SingleThreadedExecutor()
             for node in nodes:
                 executor.add_node(node)
-            if LIFECYCLE in options and AUTOSTART in options:
+            if options.lifecycle and options.autostart:
                 for node in nodes:
                     if hasattr(node, 'start'):
                         node.start()
@@ -100,6 +102,22 @@ def run(*kinds: type[Any], args: list[str] | None = None) -> int:
     if any(thread.is_alive() for thread in threads):
         end_process(DONE)
     return DONE
+
+
+def _options(kinds: tuple[type[Any], ...], given: list[str]) -> argparse.Namespace:
+    """Parse the arguments that are not for ROS; exit with help or an error."""
+    name = kinds[0].SECTION if len(kinds) == 1 else 'single_process'
+    parser = argparse.ArgumentParser(
+        prog=name, description=(kinds[0].__doc__ or '').partition('\n')[0],
+        epilog='Arguments after --ros-args, such as -p NAME:=VALUE and -r FROM:=TO, are those of '
+        'ROS 2. docs/parameters.md describes the parameters.',
+    )  # fmt: skip
+    parser.add_argument(LIFECYCLE, action='store_true', help='managed node (ROS 2)')
+    parser.add_argument(AUTOSTART, action='store_true', help='configure and activate it')
+    options, unknown = parser.parse_known_args(remove_ros_args(['', *given])[1:])
+    if unknown and len(kinds) == 1:  # single_process has arguments of its own
+        parser.error(f'unknown arguments: {" ".join(unknown)}')
+    return options
 
 
 def _warm_up(kinds: tuple[type[Any], ...]) -> None:

@@ -57,8 +57,23 @@ def test_stand_in_reports_that_it_has_none(
     from ratslam_ros.nodes.pose_cells_node import PoseCellsNode
     from ratslam_ros.nodes.run import UNUSABLE, run
 
-    assert run(PoseCellsNode, args=['pose_cells', '--lifecycle']) == UNUSABLE
+    assert run(PoseCellsNode, args=['--lifecycle']) == UNUSABLE
     assert 'the stand-in for rclpy has no managed nodes' in capsys.readouterr().err
+
+
+def test_unknown_arguments_are_refused_and_help_starts_no_node(
+    world: MakeWorld, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from ratslam_ros.nodes.pose_cells_node import PoseCellsNode
+    from ratslam_ros.nodes.run import run
+
+    for argument, code in (('--help', 0), ('--lifecylce', 2)):
+        with pytest.raises(SystemExit) as raised:
+            run(PoseCellsNode, args=[argument, '--ros-args', '-p', 'unknown:=1'])
+        assert raised.value.code == code
+    printed = capsys.readouterr()
+    assert '--lifecycle' in printed.out
+    assert 'unknown arguments: --lifecylce' in printed.err
 
 
 @needs_states
