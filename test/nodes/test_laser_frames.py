@@ -79,7 +79,7 @@ def test_scans_wait_for_the_transform_of_their_laser(world: MakeWorld) -> None:
     robot.odometry(0)
     for tick in range(3):
         robot.scan(tick)
-    robot.made.until(lambda: len(robot.node._laser._waiting) == 3)
+    robot.made.until(lambda: len(robot.node._lasers[0]._waiting) == 3)
     assert robot.used == []
     robot.mount(Pose(0.3, 0.0, math.pi))
     robot.made.until(lambda: len(robot.used) == 3)
