@@ -165,10 +165,11 @@ class _Player:
         self._start_s = time.monotonic()
         self._elapsed_s = 0.0
         played = [topic for topic in recording.topics if topic.name in selection.topics]
-        # Further lasers are played on the topics on which they were recorded.
-        self._further_lasers = selection.scan_topics[1:]
+        # Further lasers are played as they were recorded, in the namespace of the node.
+        further = {name: name.lstrip('/') for name in selection.scan_topics[1:]}
+        self._further_lasers = list(further.values())
         kinds = {
-            topic.name if topic.name in self._further_lasers else TOPICS[kind]: kind
+            further.get(topic.name, TOPICS[kind]): kind
             for topic, kind in ((topic, PLAYED_AS[topic.type]) for topic in played)
         }
         self._publishers = {
