@@ -4,10 +4,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from ratslam_ros.core.common.mount import CENTRED, FrameTree, Mount
 from ratslam_ros.core.common.odometry import Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import Scan, checked_scan
+from ratslam_ros.errors import UnusableInput
 from ratslam_ros.recordings import OdometryEvent, Recording, ScanEvent, Selection
 
 
@@ -20,8 +23,16 @@ def odometry_from_event(event: OdometryEvent) -> Odometry:
     )
 
 
+def laser_mounts(recording: Recording, selection: Selection) -> list[Mount]:
+    """Return ``laser_mount`` of each laser, by its number."""
+    return [
+        laser_mount(recording, replace(selection, scan_topic=topic))
+        for topic in selection.scan_topics
+    ]
+
+
 def laser_mount(recording: Recording, selection: Selection) -> Mount:
-    """Return where the laser of the selected scans sits on the robot.
+    """Return where the laser of the selected scans, which must be the only one, is mounted.
 
     If the recording does not tell, it is taken to be at the centre and to look ahead, with a
     warning of the recording if its frame is not that of the robot.
@@ -46,6 +57,21 @@ def laser_mount(recording: Recording, selection: Selection) -> Mount:
     return mount
 
 
+def check_lasers(selection: Selection, topics: tuple[str, ...]) -> None:
+    """Check that scans are read for each laser of ``experience_map.scan_topics``, or none at all.
+
+    Raises:
+        UnusableInput: another number of lasers was selected.
+    """
+    read = len(selection.scan_topics)
+    if read not in (0, len(topics)):
+        raise UnusableInput(
+            f'the scans of {selection.scan_topic} are read, but experience_map.scan_topics names '
+            f'{len(topics)} lasers ({",".join(topics)}): name as many topics with --scan-topic, '
+            'separated by commas and in the same order'
+        )
+
+
 def scan_from_event(event: ScanEvent, mount: Mount = CENTRED) -> Scan:
     """Return the checked scan of an event.
 
@@ -56,7 +82,7 @@ def scan_from_event(event: ScanEvent, mount: Mount = CENTRED) -> Scan:
     Raises:
         UnusableScan: angles, range limits or number of beams are invalid.
     """
-    return checked_scan(
+    scan = checked_scan(
         event.stamp_ns,
         event.angle_min_rad,
         event.angle_increment_rad,
@@ -65,3 +91,4 @@ def scan_from_event(event: ScanEvent, mount: Mount = CENTRED) -> Scan:
         event.ranges_m,
         mount,
     )
+    return replace(scan, laser=event.laser) if event.laser else scan

@@ -101,7 +101,7 @@ def add_replay_options(
     add_topics(parser)
     parser.add_argument('--scan-topic', metavar='T',
                         help='laser topic, read if experience_map.exp_align_scans is set or '
-                             'with --landmarks')
+                             'with --landmarks; several: T,T in the order of scan_topics')
     parser.add_argument('--landmarks', action='store_true',
                         help='also map corners and edges of walls: landmarks.json')
     parser.add_argument('--visual-odometry', action='store_true',

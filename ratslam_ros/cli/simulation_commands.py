@@ -65,6 +65,9 @@ def add_simulate(commands: Commands) -> None:
                           help='place a box from FROM_S to TO_S; may be repeated')
     simulate.add_argument('--noise', type=float, metavar='FACTOR',
                           help='factor on the odometry noise (default: 1)')
+    simulate.add_argument('--rear-laser', action='store_true', default=None,
+                          help='add a laser that looks back; set experience_map.scan_topics to '
+                               'scan,scan_rear')
     add_config(simulate, 'navigation')
     simulate.add_argument('--record', type=Path, metavar='DIR',
                           help='record all sensor data (rosbag2)')
@@ -125,7 +128,7 @@ def _simulate(options: argparse.Namespace) -> int:
 
     given = {
         name: value
-        for name in ('plan', 'cell_m', 'start', 'seed', 'people', 'noise', 'rate')
+        for name in ('plan', 'cell_m', 'start', 'seed', 'people', 'noise', 'rear_laser', 'rate')
         if (value := getattr(options, name)) is not None
     }
     if options.obstacle:

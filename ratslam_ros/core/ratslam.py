@@ -22,7 +22,7 @@ from ratslam_ros.core.common.odometry import (
     moved,
 )
 from ratslam_ros.core.common.pose import Pose, composed
-from ratslam_ros.core.common.scan import Scan
+from ratslam_ros.core.common.scan import Scan, scan_stream
 from ratslam_ros.core.common.stamp_order import Counts, Released, StampOrder
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config, ConfigChanges
@@ -56,11 +56,6 @@ from ratslam_ros.core.vision.visual_odometry import VisualOdometry
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 
 Stopwatch = Callable[[str], AbstractContextManager[object]]
-
-
-STREAMS = 'odometry', 'template'
-STREAMS_WITH_SCANS = 'odometry', 'scan', 'template'
-"""Input streams; at equal stamps the one named first is processed first."""
 
 
 class RatSLAM:
@@ -99,7 +94,9 @@ class RatSLAM:
             self.relocator = Relocator(self.experience_map, self.scan_matcher)
         self.dead_reckoning = self.experience_map.origin
         """Pose by odometry alone, in the map frame."""
-        streams = STREAMS if self.scan_matcher is None else STREAMS_WITH_SCANS
+        lasers = 0 if self.scan_matcher is None else len(config.experience_map.lasers)
+        # At equal stamps the stream named first is processed first.
+        streams = 'odometry', *map(scan_stream, range(lasers)), 'template'
         self.order: StampOrder[Odometry | Scan | ViewMatch] = StampOrder(
             streams, round(config.pose_cells.max_lateness_s * 1e9), 'odometry'
         )
@@ -201,10 +198,19 @@ class RatSLAM:
         """Process one laser scan; return the steps of all messages that it released.
 
         Without ``exp_align_scans`` scans are ignored.
+
+        Raises:
+            UnusableInput: ``scan_topics`` has fewer lasers than the number of the scan's one.
         """
         if self.scan_matcher is None:
             return []
-        return self._process(self.order.push('scan', scan.stamp_ns, scan))
+        lasers = len(self._config.experience_map.lasers)
+        if not 0 <= scan.laser < lasers:
+            raise UnusableInput(
+                f'a scan is of laser {scan.laser}; expected 0 to {lasers - 1}: name all lasers in '
+                'experience_map.scan_topics'
+            )
+        return self._process(self.order.push(scan_stream(scan.laser), scan.stamp_ns, scan))
 
     def finish(self) -> list[Step]:
         """Process all messages that are still held."""

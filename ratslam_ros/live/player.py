@@ -9,7 +9,7 @@ import time
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import rclpy
@@ -37,7 +37,7 @@ from ratslam_ros.live.pacing import Pacing
 from ratslam_ros.live.resender import Resender
 from ratslam_ros.live.sending import send
 from ratslam_ros.nodes.qos import CLOCK, PLAYED, STATE, STATIC
-from ratslam_ros.recordings import Event, ImageEvent, Recording, Selection
+from ratslam_ros.recordings import Event, ImageEvent, Recording, ScanEvent, Selection
 from ratslam_ros.recordings.prefetch import Prefetch
 from ratslam_ros.recordings.topics import (
     COMPRESSED_IMAGE,
@@ -165,24 +165,35 @@ class _Player:
         self._start_s = time.monotonic()
         self._elapsed_s = 0.0
         played = [topic for topic in recording.topics if topic.name in selection.topics]
-        kinds = [PLAYED_AS[topic.type] for topic in played]
+        # Further lasers are played as they were recorded, in the namespace of the node.
+        further = {name: name.lstrip('/') for name in selection.scan_topics[1:]}
+        self._further_lasers = list(further.values())
+        kinds = {
+            further.get(topic.name, TOPICS[kind]): kind
+            for topic, kind in ((topic, PLAYED_AS[topic.type]) for topic in played)
+        }
         self._publishers = {
-            TOPICS[kind]: node.create_publisher(kind, TOPICS[kind], PLAYED) for kind in kinds
+            name: node.create_publisher(kind, name, PLAYED) for name, kind in kinds.items()
         }
         self._calibration = recording.calibration(selection)
         self._camera_info = (
             node.create_publisher(CameraInfo, CAMERA_INFO, PLAYED) if self._calibration else None
         )
         # Nothing else publishes odom -> base_link in place of the robot.
-        self._tf = node.create_publisher(TFMessage, '/tf', STATE) if Odometry in kinds else None
+        self._tf = node.create_publisher(TFMessage, '/tf', STATE) if ODOM in kinds else None
         self._tf_static = None
-        frames = recording.laser_frames(selection) if selection.scan_topic is not None else None
-        if frames is not None and frames.laser not in ('', BASE_FRAME):
+        mounts = []
+        for topic in selection.scan_topics:
+            one = replace(selection, scan_topic=topic)
+            frames = recording.laser_frames(one)
+            if frames is not None and frames.laser not in ('', BASE_FRAME):
+                mount = laser_mount(recording, one)
+                mounts.append(mount_of(frames.laser, mount, recording.start_ns))
+        if mounts:
             self._tf_static = node.create_publisher(TFMessage, '/tf_static', STATIC)
-            mount = mount_of(frames.laser, laser_mount(recording, selection), recording.start_ns)
-            self._tf_static.publish(TFMessage(transforms=[mount]))
+            self._tf_static.publish(TFMessage(transforms=mounts))
         self._clock = node.create_publisher(Clock, '/clock', CLOCK) if options.clock else None
-        self._resender = Resender(node, {TOPICS[kind]: kind for kind in kinds})
+        self._resender = Resender(node, kinds)
         self._actions = (
             ActionWait(node, selection.odom_topic is not None, self._are_nodes_restarting)
             if options.lockstep else None
@@ -258,7 +269,8 @@ class _Player:
 
     def summary(self) -> str:
         """Return number of messages, duration and speed in one line."""
-        odometry, templates, scans = (self._counts[topic] for topic in (ODOM, TEMPLATE, SCAN))
+        odometry, templates = self._counts[ODOM], self._counts[TEMPLATE]
+        scans = sum(self._counts[topic] for topic in (SCAN, *self._further_lasers))
         views = self._counts.total() - odometry - templates - scans
         counts = [f'{views} images' if views or not templates else f'{templates} templates']
         if scans:
@@ -302,6 +314,8 @@ class _Player:
 
     def _publish(self, event: Event, message: Any) -> None:
         topic = TOPICS[type(message)]
+        if isinstance(event, ScanEvent) and event.laser:
+            topic = self._further_lasers[event.laser - 1]
         if self._actions is not None:
             self._actions.add(event)
         if self._camera_info is not None and isinstance(event, ImageEvent):

@@ -31,7 +31,7 @@ def resent_topic(topic: str) -> str:
 
     It is a topic of its own, because no other subscriber expects old messages.
     """
-    return f'{RESENT}/{topic}'
+    return f'{RESENT}/{topic.lstrip("/")}'
 
 
 @dataclass(frozen=True)

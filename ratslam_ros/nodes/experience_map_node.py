@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from nav_msgs.msg import Odometry as OdometryMessage
@@ -17,7 +17,7 @@ from visualization_msgs.msg import MarkerArray
 
 from ratslam_ros.core.common.odometry import Motion, MotionFromOdometry, Odometry
 from ratslam_ros.core.common.pose import Pose, composed, inverse
-from ratslam_ros.core.common.scan import Scan
+from ratslam_ros.core.common.scan import Scan, scan_stream
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.common.turn_correction import TurnCorrection
 from ratslam_ros.core.config import Config
@@ -32,16 +32,8 @@ from ratslam_ros.core.vision.local_view import NO_TEMPLATE
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.messages.corrections import Correction
 from ratslam_ros.messages.json_schema import MalformedMessage
-from ratslam_ros.messages.logged import (
-    decode_odometry,
-    decode_scan,
-    encode_odometry,
-    encode_scan,
-)
-from ratslam_ros.messages.mapping import (
-    decode_action,
-    encode_relocation,
-)
+from ratslam_ros.messages.logged import decode_odometry, decode_scan, encode_odometry, encode_scan
+from ratslam_ros.messages.mapping import decode_action, encode_relocation
 from ratslam_ros.nodes.behaviours import Behaviours
 from ratslam_ros.nodes.convert import accepted_odometry, transform
 from ratslam_ros.nodes.goal_navigation import GoalNavigation
@@ -84,7 +76,8 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         super().__init__(('odometry', 'action'), initial)
         if self._section.exp_align_scans:
             warm_up('scan_alignment')  # loads LAPACK, for a seventh of the time of a start
-            self._streams = 'odometry', 'scan', 'action'
+            lasers = range(len(self._section.lasers))
+            self._streams = 'odometry', *map(scan_stream, lasers), 'action'
             self._order = self._new_order()
         self._sender = MapSender(self)
         self._markers = self.create_publisher(MarkerArray, 'experience_map/markers', LATCHED)
@@ -118,17 +111,11 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
             'odometry', {'odom': OdometryMessage}, self._on_odometry,
             lambda data: self._take_odometry(decode_odometry(data)),
         )  # fmt: skip
-        self._laser: ScanInput | None = None
+        self._lasers: list[ScanInput] = []
         if self._section.exp_align_scans:
             self._grid = GridPublisher(self, self._section.grid_cell_m)
-            self._laser = ScanInput(
-                self, self._diagnostics.note, lambda: self._frames.known_base, self._refuse,
-                self._use_scan,
-            )  # fmt: skip
-            self._add_input(
-                'scan', {'scan': LaserScan}, self._laser.receive,
-                lambda data: self._use_scan(decode_scan(data)),
-            )  # fmt: skip
+            for laser, topic in enumerate(self._section.lasers):
+                self._add_laser(laser, topic)
         actions = SingleSender(
             self, 'pose_cells/action', self._on_action,
             lambda reason: self._refuse('action', reason),
@@ -267,6 +254,19 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
 
     # Inputs
 
+    def _add_laser(self, laser: int, topic: str) -> None:
+        stream = scan_stream(laser)
+        scans = ScanInput(
+            self, self._diagnostics.note, lambda: self._frames.known_base,
+            lambda _, reason: self._refuse(stream, reason),
+            lambda scan: self._use_scan(replace(scan, laser=laser)),
+        )  # fmt: skip
+        self._lasers.append(scans)
+        self._add_input(
+            stream, {topic: LaserScan}, scans.receive,
+            lambda data: self._use_scan(replace(decode_scan(data), laser=laser)),
+        )  # fmt: skip
+
     def _on_odometry(self, message: OdometryMessage) -> None:
         self._frames.update(message)
         odometry = accepted_odometry(message, self._motion, self._refuse)
@@ -280,8 +280,9 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
             self._locate(odometry)
 
     def _use_scan(self, scan: Scan) -> None:
-        self._push('scan', scan.stamp_ns, scan)
-        self._log('scan', scan.stamp_ns, lambda: encode_scan(scan))
+        stream = scan_stream(scan.laser)
+        self._push(stream, scan.stamp_ns, scan)
+        self._log(stream, scan.stamp_ns, lambda: encode_scan(scan))
         self._report_correction()
 
     def _on_action(self, message: String) -> None:
@@ -430,8 +431,8 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
     # The map
 
     def _on_timer(self) -> None:
-        if self._laser is not None:
-            self._laser.update()
+        for laser in self._lasers:
+            laser.update()
         self._flush()
         self._send()
         viewers = self._markers.get_subscription_count()

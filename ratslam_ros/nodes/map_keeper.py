@@ -20,7 +20,9 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from std_msgs.msg import Int64, String
 
+from ratslam_ros.core.common.scan import scan_stream
 from ratslam_ros.core.common.state import State
+from ratslam_ros.core.config.experience_map import MAX_LASERS
 from ratslam_ros.maps import Cut, MapStore
 from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.messages.resending import (
@@ -61,7 +63,7 @@ RECENT_NS = 30_000_000_000
 restarted too; still older ones belong to a recording that has been started again."""
 
 
-REGULAR = 'odometry', 'scan'
+REGULAR = 'odometry', *map(scan_stream, range(MAX_LASERS))
 """Streams of which lost messages are recognised by their stamps; see ``Continuity``."""
 
 

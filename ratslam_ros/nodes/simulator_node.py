@@ -33,9 +33,10 @@ from ratslam_ros.nodes.run import run
 from ratslam_ros.simulator.config import SimulatorParameters, make_simulator
 from ratslam_ros.simulator.recording import (
     CAMERA_FRAME,
-    LASER_FRAME,
+    LASER_FRAMES,
     ODOM_FRAME,
     ROBOT_FRAME,
+    SCAN_TOPICS,
     WORLD_FRAME,
 )
 from ratslam_ros.simulator.samples import ImageSample, OdometrySample, Sample, ScanSample
@@ -70,14 +71,18 @@ class SimulatorNode(Node):  # type: ignore[misc]
         self._image = self.create_publisher(Image, 'image', RESULT)
         self._camera_info = self.create_publisher(CameraInfo, 'camera_info', RESULT)
         self._odometry = self.create_publisher(OdometryMessage, 'odom', RESULT)
-        self._scan = self.create_publisher(LaserScan, 'scan', RESULT)
+        lasers = self.simulator.options.lasers
+        self._scans = [
+            self.create_publisher(LaserScan, topic.lstrip('/'), RESULT)
+            for topic in SCAN_TOPICS[: len(lasers)]
+        ]
         self._truth = self.create_publisher(PoseStamped, 'ground_truth/pose', STATE)
         self._tf = self.create_publisher(TFMessage, '/tf', STATE)
         self._tf_static = self.create_publisher(TFMessage, '/tf_static', STATIC)
-        if self.simulator.options.laser is not None:
-            mount = self.simulator.options.laser.mount
+        if lasers:
             self._tf_static.publish(TFMessage(transforms=[
-                transform(self.simulator.stamp_ns, ROBOT_FRAME, LASER_FRAME, mount)
+                transform(self.simulator.stamp_ns, ROBOT_FRAME, frame, laser.mount)
+                for frame, laser in zip(LASER_FRAMES, lasers, strict=False)
             ]))  # fmt: skip
         self.create_subscription(Twist, 'cmd_vel', self._on_command, STATE)
         self._command_s = -math.inf
@@ -126,7 +131,7 @@ class SimulatorNode(Node):  # type: ignore[misc]
             self._image.publish(grey_image(stamp_ns, CAMERA_FRAME, sample.image))
             self._camera_info.publish(self._info(stamp_ns))
         else:
-            self._scan.publish(self._laser_scan(sample))
+            self._scans[sample.laser].publish(self._laser_scan(sample))
 
     def _publish_truth(self, stamp_ns: int, truth: Pose) -> None:
         self._truth.publish(
@@ -148,10 +153,9 @@ class SimulatorNode(Node):  # type: ignore[misc]
         )
 
     def _laser_scan(self, sample: ScanSample) -> LaserScan:
-        laser = self.simulator.options.laser
-        assert laser is not None  # there is a scan sample
+        laser = self.simulator.options.lasers[sample.laser]
         return LaserScan(
-            header=header_of(sample.stamp_ns, LASER_FRAME),
+            header=header_of(sample.stamp_ns, LASER_FRAMES[sample.laser]),
             angle_min=laser.first_rad,
             angle_max=laser.first_rad + laser.step_rad * (laser.beams - 1),
             angle_increment=laser.step_rad,

@@ -26,7 +26,12 @@ from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.core.vision.visual_odometry import field_of_view_deg
 from ratslam_ros.descriptors import encoder_of
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.event_inputs import laser_mount, odometry_from_event, scan_from_event
+from ratslam_ros.event_inputs import (
+    check_lasers,
+    laser_mounts,
+    odometry_from_event,
+    scan_from_event,
+)
 from ratslam_ros.files.config import to_yaml
 from ratslam_ros.files.version import package_version
 from ratslam_ros.history.file import HISTORY_NAME, HistoryMeta
@@ -174,6 +179,8 @@ class _Run:
             stopwatch=self.times,
             local_view=LocalView(p, encoder_of(p)),
         )
+        if config.experience_map.exp_align_scans:
+            check_lasers(selection, config.experience_map.lasers)
         self._map = options.map_file
         self._landmarks: LandmarkMapping | None = None
         if options.landmarks:
@@ -203,7 +210,7 @@ class _Run:
         self._recording = recording
         self.config = config
         self._folder = folder
-        self._mount = laser_mount(recording, selection)
+        self._mounts = laser_mounts(recording, selection)
         self._lacks_scans = self.slam.scan_matcher is not None and selection.scan_topic is None
         self._unusable: Counter[str] = Counter()
         self._first_errors: dict[str, str] = {}
@@ -245,14 +252,14 @@ class _Run:
             self._write(self.slam.image(event.stamp_ns, image))
         elif isinstance(event, ScanEvent):
             try:
-                scan = scan_from_event(event, self._mount)
+                scan = scan_from_event(event, self._mounts[event.laser])
             except UnusableScan as error:
                 self._count_unusable('scan', error)
             else:
-                if self._recorder is not None:
+                if self._recorder is not None and scan.laser == 0:  # one scan is shown
                     self._recorder.add_scan(scan)
                 self._write(self.slam.scan(scan))
-                if self._landmarks is not None:
+                if self._landmarks is not None and scan.laser == 0:
                     self._landmarks.scan(scan)
         else:
             try:

@@ -180,7 +180,7 @@ class _RecordingLoop(ClosedLoop):
         assert self._recorder is not None
         if isinstance(sample, ImageSample):
             self._recorder.add_image(sample.stamp_ns, _GreyImage(sample.image), sample.image)
-        elif isinstance(sample, ScanSample):
+        elif isinstance(sample, ScanSample) and sample.laser == 0:  # one scan is shown
             self._recorder.add_scan(scan_from_sample(sample, self.simulator))
 
     def _note(self, steps: Iterable[Step]) -> None:

@@ -24,7 +24,12 @@ from ratslam_ros.core.steps import OdometryStep, Step
 from ratslam_ros.core.vision.local_view import LocalView
 from ratslam_ros.descriptors import encoder_of
 from ratslam_ros.errors import UnusableParameter
-from ratslam_ros.event_inputs import laser_mount, odometry_from_event, scan_from_event
+from ratslam_ros.event_inputs import (
+    check_lasers,
+    laser_mounts,
+    odometry_from_event,
+    scan_from_event,
+)
 from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.messages.mapping import decode_template
 from ratslam_ros.offline.replay import calibrated
@@ -135,10 +140,12 @@ class _Run:
         used = config.with_values({'pose_cells.exp_max': 0, 'goal_memory.goal_memory': False})
         if visual_odometry:
             used = calibrated(used, recording, selection)
+        if used.experience_map.exp_align_scans:
+            check_lasers(selection, used.experience_map.lasers)
         p = used.local_view
         self._slam = RatSLAM(used, visual_odometry=visual_odometry,
                              local_view=LocalView(p, encoder_of(p)))
-        self._mount = laser_mount(recording, selection)
+        self._mounts = laser_mounts(recording, selection)
         self._view_ns, self._template_id = array('q'), array('q')
         self._stamp_ns, self._experience_id = array('q'), array('q')
         self._offset, self._dead_reckoning = array('d'), array('d')
@@ -155,7 +162,7 @@ class _Run:
             self._add(slam.image(event.stamp_ns, image))
         elif isinstance(event, ScanEvent):
             try:
-                self._add(slam.scan(scan_from_event(event, self._mount)))
+                self._add(slam.scan(scan_from_event(event, self._mounts[event.laser])))
             except UnusableScan:
                 return
         else:

@@ -20,7 +20,13 @@ from ratslam_ros.recordings.decode import (
     encoding_problem,
     ros2_type_name,
 )
-from ratslam_ros.recordings.events import Calibration, Event, FrameTransform, LaserFrames
+from ratslam_ros.recordings.events import (
+    Calibration,
+    Event,
+    FrameTransform,
+    LaserFrames,
+    ScanEvent,
+)
 from ratslam_ros.recordings.files import Workspace
 from ratslam_ros.recordings.recording import Recording
 from ratslam_ros.recordings.selection import camera_info_topic
@@ -241,6 +247,7 @@ class BagRecording(Recording):
     def read_events(self, selection: Selection, start_ns: int, stop_ns: int) -> Iterator[Event]:
         """Yield the selected events with start_ns <= log_ns < stop_ns."""
         unstamped = {topic for topic in selection.topics if self._is_unstamped(topic)}
+        lasers = {topic: number for number, topic in enumerate(selection.scan_topics) if number}
         skipped: Counter[str] = Counter()
         reasons: dict[str, str] = {}
         try:
@@ -254,6 +261,8 @@ class BagRecording(Recording):
                     skipped[topic] += 1
                     self.skipped += 1
                     continue
+                if isinstance(event, ScanEvent) and topic in lasers:
+                    event = replace(event, laser=lasers[topic])
                 yield replace(event, stamp_ns=event.log_ns) if topic in unstamped else event
         finally:
             for topic, number in skipped.items():

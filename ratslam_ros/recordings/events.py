@@ -93,6 +93,8 @@ class ScanEvent:
     ranges_m: NDArray[np.float32]
     frame_id: str = ''
     """Frame of the laser; '' if it is unknown."""
+    laser: int = 0
+    """Number of the laser: the position of its topic in the selection."""
 
 
 Event = ImageEvent | OdometryEvent | TemplateEvent | ScanEvent

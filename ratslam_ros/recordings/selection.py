@@ -31,7 +31,8 @@ def select(
         image_topic: topic with images; None selects the only candidate.
         odom_topic: topic with odometry; None selects the only candidate.
         visual_odometry: ignore recorded odometry.
-        scan_topic: topic with scans; None selects the only candidate.
+        scan_topic: topic with scans, or several separated by commas; None selects the only
+            candidate.
         scans: whether to read scans at all.
 
     Raises:
@@ -40,7 +41,8 @@ def select(
     """
     notices: list[str] = []
     templates = template_candidates(recording)
-    image = template = odom = scan = None
+    image = template = odom = None
+    lasers: list[Topic] = []
     if image_topic is not None:
         image = _named(recording, image_topic, IMAGE_TYPES, 'images', '--image-topic')
     else:
@@ -89,14 +91,22 @@ def select(
                 f'the scans of {scan_topic} are requested, but nothing uses them: set '
                 'experience_map.exp_align_scans, or leave out --scan-topic'
             )
-        scan = _named(recording, scan_topic, SCAN_TYPES, 'scans', '--scan-topic')
+        lasers = [
+            _named(recording, name, SCAN_TYPES, 'scans', '--scan-topic')
+            for name in scan_topic.split(',')
+        ]
+        if len(set(lasers)) < len(lasers):
+            raise UnusableInput(
+                f'--scan-topic {scan_topic} names a topic twice; expected a topic for each laser'
+            )
     elif scans:
-        scan = _single(recording, scan_candidates(recording), 'scans', '--scan-topic')
+        only = _single(recording, scan_candidates(recording), 'scans', '--scan-topic')
+        lasers = [] if only is None else [only]
     return Selection(
         image.name if image else None,
         odom.name if odom else None,
         template.name if template else None,
-        scan.name if scan else None,
+        ','.join(laser.name for laser in lasers) or None,
         tuple(notices),
     )
 

@@ -42,6 +42,7 @@ class Selection:
     """The topics to read from a recording, each None if not used.
 
     Without ``odom_topic`` the motion is estimated from the images (visual odometry).
+    ``scan_topic`` names several lasers separated by commas, in the order of their numbers.
     """
 
     image_topic: str | None
@@ -52,9 +53,14 @@ class Selection:
     """Messages for the user about choices that the selection made."""
 
     @property
+    def scan_topics(self) -> tuple[str, ...]:
+        """Topic of each laser."""
+        return () if self.scan_topic is None else tuple(self.scan_topic.split(','))
+
+    @property
     def topics(self) -> frozenset[str]:
         """Names of all selected topics."""
-        names = (self.image_topic, self.odom_topic, self.template_topic, self.scan_topic)
+        names = (self.image_topic, self.odom_topic, self.template_topic, *self.scan_topics)
         return frozenset(name for name in names if name is not None)
 
 

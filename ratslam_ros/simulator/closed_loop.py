@@ -122,6 +122,8 @@ class ClosedLoop:
                 else:
                     scan = scan_from_sample(sample, simulator)
                     self._note(self.ratslam.scan(scan))
+                    if scan.laser:
+                        continue  # the first laser looks ahead
                     self.command = steer(scan)
                     self.ratslam.behaviour = self.command.behaviour
                     simulator.command(self.command.speed_mps, self.command.turn_rate_radps)
@@ -217,11 +219,10 @@ class ClosedLoop:
 
 def scan_from_sample(sample: ScanSample, simulator: Simulator) -> Scan:
     """Convert a scan sample to the scan that the core takes."""
-    laser = simulator.options.laser
-    assert laser is not None  # there is a scan
+    laser = simulator.options.lasers[sample.laser]
     ranges_m = sample.ranges_m.astype(np.float64)
     mount = laser.mount
     return Scan(
         sample.stamp_ns, laser.first_rad + mount.heading_rad, laser.step_rad, ranges_m, mount.x_m,
-        mount.y_m,
+        mount.y_m, sample.laser,
     )  # fmt: skip

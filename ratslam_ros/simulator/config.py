@@ -6,9 +6,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.common.pose import Pose, composed
 from ratslam_ros.core.config.parameter import Section, parameter
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.simulator.camera import CameraOptions
@@ -95,6 +95,12 @@ class SimulatorParameters(Section):
     laser_fov_deg: int = parameter(
         180, 'deg', 10, 359, 'Field of view of the laser, with one beam for each degree.',
         'your laser sees more', 'your laser sees less')  # fmt: skip
+    rear_laser: bool = parameter(
+        False, '', 0, 1,
+        'A second laser like the first, mounted opposite to it: turned by 180 degrees about the '
+        "robot's centre.",
+        'your robot has two lasers; then set experience_map.scan_topics to scan,scan_rear',
+        'one laser is enough')  # fmt: skip
     rate: float = parameter(
         1.0, 'times real time', 0.01, 100.0,
         'Live only: simulated time per real time; a slow machine may not reach it.',
@@ -106,7 +112,12 @@ class SimulatorParameters(Section):
 
     def options(self) -> SimulationOptions:
         """Return the options of the simulator."""
-        robot, camera, laser = RobotOptions(), CameraOptions(), LaserOptions()
+        robot, camera, default = RobotOptions(), CameraOptions(), LaserOptions()
+        laser = LaserOptions(
+            beams=self.laser_fov_deg + 1, fov_deg=self.laser_fov_deg,
+            noise_m=default.noise_m * self.noise, mount=parse_mount(self.laser_mount),
+        )  # fmt: skip
+        opposite = composed(Pose(0.0, 0.0, math.pi), laser.mount)
         return SimulationOptions(
             world=WorldOptions(
                 aliasing=self.aliasing, light_change=self.light_change, variety=VARIETY
@@ -116,10 +127,8 @@ class SimulatorParameters(Section):
                 noise_grey=camera.noise_grey * self.noise,
                 exposure_spread=camera.exposure_spread * self.noise,
             ),
-            laser=LaserOptions(
-                beams=self.laser_fov_deg + 1, fov_deg=self.laser_fov_deg,
-                noise_m=laser.noise_m * self.noise, mount=parse_mount(self.laser_mount),
-            ),
+            laser=laser,
+            rear_laser=replace(laser, mount=opposite) if self.rear_laser else None,
             robot=RobotOptions(
                 wheel_radius_error=robot.wheel_radius_error * self.noise,
                 wheel_base_error=WHEEL_BASE_ERROR_RATIO * self.noise,

@@ -64,7 +64,7 @@ class OfficeTour:
         waypoints = _waypoints(self.plan, duration_s, drive.speed_mps)
         self._driver = Driver(waypoints, RandomStreams.from_seed(seed).driving, drive)
         # The driver steers by the true pose and needs no laser.
-        options = replace(options or SimulationOptions(), laser=None)
+        options = replace(options or SimulationOptions(), laser=None, rear_laser=None)
         self._simulator = Simulator(self.plan, self._driver.start, seed, options)
         self.world = self._simulator.world
 

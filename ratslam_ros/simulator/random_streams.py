@@ -23,6 +23,7 @@ class RandomStreams:
     laser: np.random.Generator
     people: np.random.Generator
     light: np.random.Generator
+    rear_laser: np.random.Generator
 
     @classmethod
     def from_seed(cls, seed: int) -> RandomStreams:

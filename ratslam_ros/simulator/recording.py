@@ -31,12 +31,12 @@ CAMERA_INFO_TOPIC = '/camera/camera_info'
 ODOMETRY_TOPIC = '/odom'
 # A PoseStamped, not an Odometry: with two odometry topics, tools could not choose one themselves.
 TRUTH_TOPIC = '/ground_truth/pose'
-SCAN_TOPIC = '/scan'
+SCAN_TOPICS = '/scan', '/scan_rear'
 TF_STATIC_TOPIC = '/tf_static'
 TRUTH_FILE = 'truth.tum'
 
 ODOM_FRAME, ROBOT_FRAME, CAMERA_FRAME, WORLD_FRAME = 'odom', 'base_link', 'camera', 'world'
-LASER_FRAME = 'laser'
+LASER_FRAMES = 'laser', 'laser_rear'
 JPEG_QUALITY = 85
 
 _TOPICS = {
@@ -45,10 +45,7 @@ _TOPICS = {
     ODOMETRY_TOPIC: 'nav_msgs/msg/Odometry',
     TRUTH_TOPIC: 'geometry_msgs/msg/PoseStamped',
 }
-_SCAN_TOPICS = {
-    SCAN_TOPIC: 'sensor_msgs/msg/LaserScan',
-    TF_STATIC_TOPIC: 'tf2_msgs/msg/TFMessage',
-}
+_SCAN, _TRANSFORMS = 'sensor_msgs/msg/LaserScan', 'tf2_msgs/msg/TFMessage'
 
 
 @dataclass(frozen=True)
@@ -133,7 +130,10 @@ class RecordingWriter:
             raise UnusableInput(f'{path} exists already: choose another folder or remove it')
         self.truth: list[tuple[int, Pose]] = []
         self._messages = _Messages(options)
-        self._topics = {**_TOPICS, **(_SCAN_TOPICS if options.laser else {})}
+        scan_topics = SCAN_TOPICS[: len(options.lasers)]
+        self._topics = {**_TOPICS, **dict.fromkeys(scan_topics, _SCAN)}
+        if scan_topics:
+            self._topics[TF_STATIC_TOPIC] = _TRANSFORMS
         self._writer = Writer(self.path, version=9, storage_plugin=StoragePlugin.MCAP)
         self._connections: dict[str, Connection] = {}
         self._has_mount = False
@@ -162,8 +162,8 @@ class RecordingWriter:
         elif isinstance(sample, ScanSample):
             if not self._has_mount:
                 self._has_mount = True
-                self._write(TF_STATIC_TOPIC, stamp_ns, messages.laser_mount(stamp_ns))
-            self._write(SCAN_TOPIC, stamp_ns, messages.scan(stamp_ns, sample.ranges_m))
+                self._write(TF_STATIC_TOPIC, stamp_ns, messages.laser_mounts(stamp_ns))
+            self._write(SCAN_TOPICS[sample.laser], stamp_ns, messages.scan(sample))
         else:
             self.truth.append((stamp_ns, sample.truth))
             self._write(TRUTH_TOPIC, stamp_ns, messages.truth(stamp_ns, sample.truth))
@@ -184,7 +184,7 @@ class _Messages:
     def __init__(self, options: SimulationOptions) -> None:
         self.store = get_typestore(Stores.ROS2_JAZZY)
         self._types = self.store.types
-        self._camera, self._laser = options.camera, options.laser
+        self._camera, self._lasers = options.camera, options.lasers
 
     def _make(self, name: str, *values: Any) -> Any:
         return self._types[name](*values)
@@ -253,12 +253,11 @@ class _Messages:
         header = self._header(stamp_ns, WORLD_FRAME)
         return self._make(_TOPICS[TRUTH_TOPIC], header, self._pose(pose))
 
-    def scan(self, stamp_ns: int, ranges_m: NDArray[np.float32]) -> Any:
-        laser = self._laser
-        assert laser is not None  # there is a scan
+    def scan(self, sample: ScanSample) -> Any:
+        laser = self._lasers[sample.laser]
         return self._make(
-            _SCAN_TOPICS[SCAN_TOPIC],
-            self._header(stamp_ns, LASER_FRAME),
+            _SCAN,
+            self._header(sample.stamp_ns, LASER_FRAMES[sample.laser]),
             laser.first_rad,
             laser.first_rad + laser.step_rad * (laser.beams - 1),
             laser.step_rad,
@@ -266,26 +265,26 @@ class _Messages:
             1.0 / laser.rate_hz,
             0.0,
             laser.range_max_m,
-            ranges_m,
+            sample.ranges_m,
             np.empty(0, np.float32),
         )
 
-    def laser_mount(self, stamp_ns: int) -> Any:
-        """Return the transform of the laser to the robot."""
-        laser = self._laser
-        assert laser is not None  # there is a scan
-        pose = self._pose(laser.mount)
-        transform = self._make(
-            'geometry_msgs/msg/Transform',
-            self._vector(laser.mount.x_m, laser.mount.y_m, 0.0),
-            pose.orientation,
-        )
+    def laser_mounts(self, stamp_ns: int) -> Any:
+        """Return the transforms of the lasers to the robot."""
+        header = self._header(stamp_ns, ROBOT_FRAME)
         return self._make(
-            _SCAN_TOPICS[TF_STATIC_TOPIC],
+            _TRANSFORMS,
             [
                 self._make(
-                    'geometry_msgs/msg/TransformStamped', self._header(stamp_ns, ROBOT_FRAME),
-                    LASER_FRAME, transform,
+                    'geometry_msgs/msg/TransformStamped', header, frame,
+                    self._transform(laser.mount),
                 )
+                for frame, laser in zip(LASER_FRAMES, self._lasers, strict=False)
             ],
+        )  # fmt: skip
+
+    def _transform(self, pose: Pose) -> Any:
+        return self._make(
+            'geometry_msgs/msg/Transform', self._vector(pose.x_m, pose.y_m, 0.0),
+            self._pose(pose).orientation,
         )  # fmt: skip

@@ -24,11 +24,15 @@ class OdometrySample:
 
 @dataclass(frozen=True)
 class ScanSample:
-    """A laser scan: (beams,) float32 ranges in m from right to left, inf beyond the range."""
+    """A laser scan: (beams,) float32 ranges in m from right to left, inf beyond the range.
+
+    laser: its number; 1 is the rear laser.
+    """
 
     stamp_ns: int
     ranges_m: NDArray[np.float32]
     truth: Pose
+    laser: int = 0
 
 
 @dataclass(frozen=True)

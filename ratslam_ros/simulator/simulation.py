@@ -46,13 +46,19 @@ A robot that scrapes along a wall thereby collides once.
 class SimulationOptions:
     """Properties of the world, the robot and its sensors.
 
-    camera, laser: None if the robot has no such sensor
+    camera, laser, rear_laser: None if the robot has no such sensor
     """
 
     world: WorldOptions = field(default_factory=WorldOptions)
     camera: CameraOptions | None = field(default_factory=CameraOptions)
     laser: LaserOptions | None = field(default_factory=LaserOptions)
     robot: RobotOptions = field(default_factory=RobotOptions)
+    rear_laser: LaserOptions | None = None
+
+    @property
+    def lasers(self) -> list[LaserOptions]:
+        """Lasers in the order of their numbers."""
+        return [laser for laser in (self.laser, self.rear_laser) if laser is not None]
 
 
 @dataclass(frozen=True)
@@ -127,13 +133,15 @@ class Simulator:
         self._robot = Robot(start, streams.wheel_slip, options.robot)
         self._require_room(start)
         self._odometry = WheelOdometry(options.robot)
-        self._camera = self._laser = None
+        self._camera = None
         if options.camera is not None:
             self._camera_steps = _steps_between('camera', 'images', options.camera.rate_hz)
             self._camera = Camera(self.world, streams.camera, options.camera)
-        if options.laser is not None:
-            self._laser_steps = _steps_between('laser', 'scans', options.laser.rate_hz)
-            self._laser = Laser(self.world, streams.laser, options.laser)
+        rngs = streams.laser, streams.rear_laser
+        self._lasers = [
+            (_steps_between('laser', 'scans', laser.rate_hz), Laser(self.world, rng, laser))
+            for laser, rng in zip(options.lasers, rngs, strict=False)
+        ]
         self._people = None
         if people:
             radius_m = options.robot.body_radius_m
@@ -187,7 +195,7 @@ class Simulator:
         """Sample the sensors that are due, then advance by STEP_NS.
 
         Returns:
-            The samples of this step: odometry, then the scan, then the image.
+            The samples of this step: odometry, then the scans, then the image.
         """
         while self._obstacle_events and self._obstacle_events[-1].at_s <= self.elapsed_s:
             self._apply(self._obstacle_events.pop())
@@ -264,8 +272,9 @@ class Simulator:
             counts = self._robot.encoder_counts()
             odometry = self._odometry.update(counts, ODOMETRY_STEPS / STEPS_PER_S)
             samples.append(OdometrySample(stamp_ns, odometry, truth))
-        if self._laser is not None and self._step % self._laser_steps == 0:
-            samples.append(ScanSample(stamp_ns, self._laser.scan(*truth), truth))
+        for number, (steps, laser) in enumerate(self._lasers):
+            if self._step % steps == 0:
+                samples.append(ScanSample(stamp_ns, laser.scan(*truth), truth, number))
         if self._camera is not None and self._step % self._camera_steps == 0:
             samples.append(ImageSample(stamp_ns, self._camera.take(*truth), truth))
         return samples

@@ -27,6 +27,7 @@ from ratslam_ros.messages.resending import (
     decode_request,
     encode_answer,
     encode_request,
+    resent_topic,
 )
 
 REQUEST = ResendRequest(7, 'local_view', {'image': 5, 'odom': 0}, ('template',), 6)
@@ -81,3 +82,7 @@ def test_log_entry_of_another_size_is_refused(size: int) -> None:
         decode_odometry(bytes(size))
     with pytest.raises(MalformedMessage, match='expected'):
         decode_scan(bytes(size))
+
+
+def test_resent_topic_of_an_absolute_name_is_valid() -> None:
+    assert resent_topic('/scan_rear') == resent_topic('scan_rear')

@@ -13,6 +13,8 @@ import pytest
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import points_of
+from ratslam_ros.core.config.experience_map import ExperienceMapParameters
+from ratslam_ros.errors import UnusableParameter
 
 MakeWorld = Callable[..., Any]
 START_NS = 1_700_000_000 * 10**9
@@ -36,7 +38,7 @@ class Robot:
         push = self.node._push
 
         def pushed(stream: str, stamp_ns: int, item: Any) -> None:
-            if stream == 'scan':
+            if stream.startswith('scan'):
                 self.used.append(item)
             push(stream, stamp_ns, item)
 
@@ -52,13 +54,13 @@ class Robot:
         message.pose.pose.orientation.w = 1.0
         self.made.send('odom', message)
 
-    def scan(self, tick: int, frame: str = 'laser') -> None:
+    def scan(self, tick: int, frame: str = 'laser', topic: str = 'scan') -> None:
         from sensor_msgs.msg import LaserScan
 
         from ratslam_ros.nodes.convert import header_of
 
         ranges = np.full(181, 2.0, np.float32)
-        self.made.send('scan', LaserScan(
+        self.made.send(topic, LaserScan(
             header=header_of(START_NS + tick * PERIOD_NS, frame), angle_min=-math.pi / 2,
             angle_max=math.pi / 2, angle_increment=math.pi / 180, range_min=0.0, range_max=8.0,
             ranges=ranges.tolist(),
@@ -79,7 +81,7 @@ def test_scans_wait_for_the_transform_of_their_laser(world: MakeWorld) -> None:
     robot.odometry(0)
     for tick in range(3):
         robot.scan(tick)
-    robot.made.until(lambda: len(robot.node._laser._waiting) == 3)
+    robot.made.until(lambda: len(robot.node._lasers[0]._waiting) == 3)
     assert robot.used == []
     robot.mount(Pose(0.3, 0.0, math.pi))
     robot.made.until(lambda: len(robot.used) == 3)
@@ -140,3 +142,24 @@ def test_a_parameter_that_contradicts_the_odometry_is_named(world: MakeWorld) ->
     assert transform.child_frame_id == 'odom'
     notice = robot.made.diagnostics()['experience_map']['notice']
     assert 'the odometry has the frame_id robot_odom, but odom_frame is odom' in notice
+
+
+def test_each_of_two_lasers_is_placed_through_its_own_frame(world: MakeWorld) -> None:
+    robot = Robot(world, '-p', 'scan_topics:=scan,scan_rear')
+    robot.odometry(0)
+    robot.mount(Pose(0.2, 0.0, 0.0))
+    robot.scan(0)
+    robot.scan(0, 'rear', 'scan_rear')  # of the same stamp
+    robot.made.until(lambda: len(robot.used) == 1)
+    assert (robot.used[0].laser, robot.used[0].x_m) == (0, 0.2)
+    robot.mount(Pose(-0.2, 0.0, math.pi), child='rear')
+    robot.made.until(lambda: len(robot.used) == 2)
+    assert (robot.used[1].laser, robot.used[1].x_m) == (1, -0.2)
+    assert points_of(robot.used[1])[90] == pytest.approx([-2.2, 0.0], abs=1e-6)
+    assert robot.node._diagnostics.counts['refused'] == 0
+
+
+@pytest.mark.parametrize('topics', ['scan,', 'scan,scan', ','.join(map(str, range(9)))])
+def test_unusable_lists_of_lasers_are_refused(topics: str) -> None:
+    with pytest.raises(UnusableParameter, match='expected 1 to 8 different topics'):
+        ExperienceMapParameters(scan_topics=topics)

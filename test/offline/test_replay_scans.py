@@ -289,6 +289,44 @@ def test_several_scan_topics_require_a_choice(
     assert bytes_of(tmp_path / 'rear') != bytes_of(aligned)
 
 
+def halved(messages: list[Recorded], late_ns: int = 0) -> list[Recorded]:
+    """Return the messages with each scan split between two lasers."""
+    split = []
+    for message in messages:
+        if message[1] != SCAN_TOPIC:
+            split.append(message)
+            continue
+        whole = scan(STAMPS.index(message[0] - 1))
+        middle = len(whole.ranges_m) // 2
+        left = dataclasses.replace(
+            whole, ranges_m=whole.ranges_m[middle:],
+            angle_min_rad=whole.angle_min_rad + middle * whole.angle_increment_rad,
+        )
+        right = dataclasses.replace(whole, ranges_m=whole.ranges_m[:middle])
+        split.append((message[0], SCAN_TOPIC, 'scan', scan_message(right)))
+        split.append((message[0] + late_ns, '/left/scan', 'scan', scan_message(left)))
+    return sorted(split, key=lambda message: message[0])
+
+
+def test_two_lasers_map_like_one_that_sees_both_parts(
+    messages: list[Recorded], aligned: Path, tmp_path: Path
+) -> None:
+    config = CONFIG.with_values({'experience_map.scan_topics': 'right,left'})
+    folders = []
+    for late_ns in (0, 70_000_000):  # the second laser arrives after the next image
+        bag = write_bag(tmp_path / f'bag{late_ns}', halved(messages, late_ns))
+        folders.append(tmp_path / f'out{late_ns}')
+        run(bag, folders[-1], config, scan_topic='scan,/left/scan')
+    assert bytes_of(folders[0]) == bytes_of(folders[1])
+    assert error_m(folders[0], tmp_path) == pytest.approx(error_m(aligned, tmp_path), abs=0.002)
+    run(bag, tmp_path / 'right', scan_topic='scan')
+    assert bytes_of(tmp_path / 'right') != bytes_of(folders[0])
+    with pytest.raises(UnusableInput, match=r'scan_topics names 2 lasers \(right,left\): name as'):
+        run(bag, tmp_path / 'out', config, scan_topic='/left/scan')
+    with pytest.raises(UnusableInput, match='names a topic twice'):
+        run(bag, tmp_path / 'out', config, scan_topic='scan,/scan')
+
+
 def test_command_reads_scans_if_aligned(
     bag: Path, aligned: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -32,6 +32,7 @@ class Scan:
     Beam i points ``angle_min_rad + i * angle_increment_rad`` counter-clockwise from straight
     ahead of the robot. ``ranges_m`` is (n,); beams whose range is not finite and positive hit no
     obstacle. ``x_m`` and ``y_m``: position of the laser, ahead and left of the robot's centre.
+    ``laser``: number of the laser, from 0.
     """
 
     stamp_ns: int
@@ -40,6 +41,12 @@ class Scan:
     ranges_m: NDArray[np.float64]
     x_m: float = 0.0
     y_m: float = 0.0
+    laser: int = 0
+
+
+def scan_stream(laser: int) -> str:
+    """Return the name of the stream of a laser: each has stamps of its own."""
+    return f'scan_{laser + 1}' if laser else 'scan'
 
 
 def scan_state(scan: Scan) -> State:
@@ -47,6 +54,7 @@ def scan_state(scan: Scan) -> State:
     return {
         'stamp_ns': scan.stamp_ns, 'angles': [scan.angle_min_rad, scan.angle_increment_rad],
         'ranges_m': scan.ranges_m.copy(), 'position_m': [scan.x_m, scan.y_m],
+        **({'laser': scan.laser} if scan.laser else {}),
     }  # fmt: skip
 
 
@@ -55,8 +63,9 @@ def scan_from_state(state: State) -> Scan:
     first_rad, step_rad = state['angles']
     x_m, y_m = state.get('position_m', (0.0, 0.0))
     return Scan(
-        int(state['stamp_ns']), float(first_rad), float(step_rad), state['ranges_m'], x_m, y_m
-    )
+        int(state['stamp_ns']), float(first_rad), float(step_rad), state['ranges_m'], x_m, y_m,
+        int(state.get('laser', 0)),
+    )  # fmt: skip
 
 
 class UnusableScan(UnusableInput):

@@ -8,6 +8,10 @@ from dataclasses import dataclass
 
 from ratslam_ros.core.config.inputs import OdometryInput
 from ratslam_ros.core.config.parameter import parameter
+from ratslam_ros.errors import UnusableParameter
+
+MAX_LASERS = 8
+"""Largest number of lasers; every action waits for the scans of all of them."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +41,13 @@ class ExperienceMapParameters(OdometryInput):
         'scans. Not in the papers.',
         'goals are missed by half a metre, and the robot has a laser',
         'the map should depend on camera and odometry alone')  # fmt: skip
+    scan_topics: str = parameter(
+        'scan', '', 0, 0,
+        'Topics of the lasers that exp_align_scans uses, separated by commas without spaces, such '
+        'as scan,scan_rear. Their newest scans are used together, as one scan.',
+        'list all lasers if each sees a part of the surroundings',
+        'leave as it is for a single laser',
+    )  # fmt: skip
     exp_jump_drift: float = parameter(
         0.0, 'm per m; 0: all are accepted', 0.0, 100.0,
         'Loop-closure gate: expected odometry drift per metre driven. A closure that would move '
@@ -135,3 +146,17 @@ class ExperienceMapParameters(OdometryInput):
         'map to have at most 2048 cells along each axis.',
         'the grid takes too much network bandwidth', 'narrow passages should be visible',
     )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        names = self.lasers
+        if not all(names) or len(set(names)) < len(names) or len(names) > MAX_LASERS:
+            raise UnusableParameter(
+                f'scan_topics is {self.scan_topics!r}; expected 1 to {MAX_LASERS} different '
+                'topics separated by commas, such as scan,scan_rear'
+            )
+
+    @property
+    def lasers(self) -> tuple[str, ...]:
+        """Topic of each laser, in the order of their numbers."""
+        return tuple(self.scan_topics.split(','))

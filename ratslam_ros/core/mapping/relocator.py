@@ -530,17 +530,22 @@ def _are_close(a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:
 
 
 def landmarks_of(observed: Observed) -> NDArray[np.float64]:
-    """Return the corners and ends of walls in a scan, (n, 4), as for ``PlaceLandmarks.add``.
+    """Return the corners and ends of walls in scans, (n, 4), as for ``PlaceLandmarks.add``.
 
-    Whole walls are left out, because they repeat their ends.
+    Whole walls are left out, because they repeat their ends. Each scan is examined on its own,
+    because walls are found between neighbouring beams.
     """
-    found = extract_landmarks(observed.scan, EXTRACTION).without_walls
-    rows = np.full((len(found), BAR_SIZE), math.nan)
-    for row, (start, end) in zip(rows, itertools.pairwise(found.offsets.tolist()), strict=True):
-        row[: end - start] = found.values[start:end]
-        x, y, direction, length = row.tolist()
-        row[:] = moved_landmark(observed.scan_pose, (x, y, direction, length))
-    return rows
+    parts = []
+    for scan, pose in observed.scans:
+        found = extract_landmarks(scan, EXTRACTION).without_walls
+        rows = np.full((len(found), BAR_SIZE), math.nan)
+        offsets = itertools.pairwise(found.offsets.tolist())
+        for row, (start, end) in zip(rows, offsets, strict=True):
+            row[: end - start] = found.values[start:end]
+            x, y, direction, length = row.tolist()
+            row[:] = moved_landmark(pose, (x, y, direction, length))
+        parts.append(rows)
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def _is_same_place(a: Pose, b: Pose) -> bool:

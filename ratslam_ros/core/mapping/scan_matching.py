@@ -66,17 +66,24 @@ class ScanMatch(NamedTuple):
 
 
 class Observed(NamedTuple):
-    """The last scan before a stamp.
+    """The last scan of each laser before a stamp.
 
-    ``points``: (n, 2) m, in the robot's frame at the stamp. ``odometry``: pose of the robot by
-    odometry at the stamp. ``scan_pose``: pose of the robot at the stamp of the scan, in the frame
-    of the robot at the stamp.
+    ``points``: (n, 2) m, of all lasers, in the robot's frame at the stamp. ``odometry``: pose of
+    the robot by odometry at the stamp. ``scans``: each scan, with the pose of the robot at its
+    stamp in the frame of the robot at the stamp.
     """
 
     points: NDArray[np.float64]
     odometry: Pose
+    scans: list[tuple[Scan, Pose]]
+
+
+class _Seen(NamedTuple):
+    """A scan: (n, 2) points in m, and the pose of the robot at the scan, relative to now."""
+
+    points: NDArray[np.float64]
     scan: Scan
-    scan_pose: Pose
+    pose: Pose
 
 
 class _Saved(NamedTuple):
@@ -137,14 +144,12 @@ class ScanMatcher:
         return self._references.get(experience_id)
 
     def observed(self, stamp_ns: int) -> Observed | None:
-        """Return the last scan at or before a stamp; None if it is too old or has no odometry."""
-        points, pose = self._points_at(stamp_ns), self._pose_at(stamp_ns)
-        scan = self._scan_at(stamp_ns)
-        if points is None or pose is None or scan is None:
+        """Return the last scans at or before a stamp; None if all are too old or lack odometry."""
+        pose, seen = self._pose_at(stamp_ns), self._seen_at(stamp_ns)
+        if pose is None or not seen:
             return None
-        then = self._pose_at(scan[0])
-        assert then is not None  # there are points
-        return Observed(points, pose, scan[2], composed(inverse(pose), then))
+        scans = [(scan, then) for _, scan, then in seen]
+        return Observed(_points_of(seen), pose, scans)
 
     def relocated(self) -> None:
         """Set the variance after the robot was relocated by its scan."""
@@ -306,24 +311,32 @@ class ScanMatcher:
             self.restarts = present['restarts']
 
     def _points_at(self, stamp_ns: int) -> NDArray[np.float64] | None:
-        """Return the last scan at or before a stamp, (n, 2) m in the robot's frame at that stamp.
+        """Return the last scans at or before a stamp, (n, 2) m in the robot's frame at that stamp.
 
-        None if that scan is too old, or if no odometry covers it.
+        None if they are too old, or if no odometry covers them.
         """
-        scan = self._scan_at(stamp_ns)
-        if scan is None:
-            return None
-        then, now = self._pose_at(scan[0]), self._pose_at(stamp_ns)
-        if then is None or now is None:
-            return None
-        points = scan[1]
-        near = points[np.hypot(points[:, 0], points[:, 1]) < MAX_RANGE_M]
-        return transformed(near, composed(inverse(now), then))
+        seen = self._seen_at(stamp_ns)
+        return _points_of(seen) if seen else None
 
-    def _scan_at(self, stamp_ns: int) -> tuple[int, NDArray[np.float64], Scan] | None:
-        """Return the last buffered scan at or before a stamp, None if it is too old."""
-        scan = next((s for s in reversed(self._scans) if s[0] <= stamp_ns), None)
-        return None if scan is None or stamp_ns - scan[0] > MAX_SCAN_AGE_NS else scan
+    def _seen_at(self, stamp_ns: int) -> list[_Seen]:
+        """Return the last scan of each laser at or before a stamp, in the order of the lasers.
+
+        A scan is left out if it is too old, or if no odometry covers it. A laser that fails thus
+        leaves the others in use.
+        """
+        latest: dict[int, tuple[int, NDArray[np.float64], Scan]] = {}
+        for buffered in self._scans:
+            if stamp_ns - MAX_SCAN_AGE_NS <= buffered[0] <= stamp_ns:
+                latest[buffered[2].laser] = buffered
+        now = self._pose_at(stamp_ns) if latest else None
+        if now is None:
+            return []
+        seen = []
+        for _, (at_ns, points, scan) in sorted(latest.items(), key=lambda item: item[0]):
+            then = self._pose_at(at_ns)
+            if then is not None:
+                seen.append(_Seen(points, scan, composed(inverse(now), then)))
+        return seen
 
     def _pose_at(self, stamp_ns: int) -> Pose | None:
         """Return the odometry pose at a stamp, interpolated between messages; None if unknown."""
@@ -337,6 +350,15 @@ class ScanMatcher:
                 return composed(pose, Pose(share * x, share * y, share * heading))
             after = at_ns, pose
         return None
+
+
+def _points_of(seen: list[_Seen]) -> NDArray[np.float64]:
+    """Return the (n, 2) near points in m of scans, in the present frame of the robot."""
+    parts = []
+    for points, _, pose in seen:
+        near = points[np.hypot(points[:, 0], points[:, 1]) < MAX_RANGE_M]
+        parts.append(transformed(near, pose))
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def _joined(parts: list[NDArray[np.int64]]) -> NDArray[np.int64]:

@@ -5,14 +5,17 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
+import numpy as np
 import pytest
-from rooms import Line, corridor
+from rooms import Line, corridor, scan_in
 from scans import HALL, ORIGIN, ROOM, TICK_NS, drive, map_action, pose_error
 
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.common.pose import Pose, composed, inverse
-from ratslam_ros.core.mapping.scan_matching import ScanMatch, ScanMatcher
+from ratslam_ros.core.common.scan import Scan, points_of
+from ratslam_ros.core.mapping.scan_matching import MAX_SCAN_AGE_NS, ScanMatch, ScanMatcher
 from ratslam_ros.core.pose_cells.map_action import MapAction
 
 
@@ -96,6 +99,58 @@ def test_stamp_jump_back_discards_older_scans() -> None:
     locate(matcher, tick, map_action('create', 0))
     _, tick = drive(matcher, HALL, ORIGIN, 0, 4, still=True)
     assert locate(matcher, tick, map_action('link', 0)) is None
+
+
+# Several lasers
+
+
+def turned_scan(walls: list[Line], stamp_ns: int, laser: int) -> Scan:
+    """Return the scan of a half laser at the origin: laser 0 looks ahead, laser 1 back."""
+    seen = scan_in(walls, Pose(0.0, 0.0, laser * math.pi), stamp_ns, beams=181)
+    return replace(seen, angle_min_rad=seen.angle_min_rad + laser * math.pi, laser=laser)
+
+
+def two_lasers(rear_ns: int) -> ScanMatcher:
+    """Return a matcher with an experience seen by a front scan at 1 s and an earlier rear scan."""
+    matcher = ScanMatcher()
+    for tick in range(11):
+        matcher.integrate(tick * TICK_NS, Motion(0.1, 0.0, 0.0))
+    matcher.scan(turned_scan(ROOM, rear_ns, 1))
+    matcher.scan(turned_scan(ROOM, 10 * TICK_NS, 0))
+    locate(matcher, 10, map_action('create', 0))
+    return matcher
+
+
+def test_newest_scans_of_all_lasers_are_stored_together() -> None:
+    matcher = two_lasers(10 * TICK_NS)
+    points = matcher.reference(0)
+    assert points is not None
+    expected = [points_of(turned_scan(ROOM, 0, laser)) for laser in (0, 1)]
+    assert points == pytest.approx(np.concatenate(expected), abs=1e-5)
+    observed = matcher.observed(10 * TICK_NS)
+    assert observed is not None
+    assert [scan.laser for scan, _ in observed.scans] == [0, 1]
+    copy = ScanMatcher()
+    copy.restore(matcher.state())
+    again = copy.observed(10 * TICK_NS)
+    assert again is not None
+    assert np.array_equal(again.points, observed.points)
+
+
+def test_each_laser_is_moved_by_the_motion_since_its_scan() -> None:
+    matcher = ScanMatcher()
+    for tick in range(3):
+        matcher.integrate(tick * TICK_NS, Motion(0.1, 0.1, 0.0))
+        matcher.scan(turned_scan(ROOM, tick * TICK_NS, tick % 2))
+    observed = matcher.observed(2 * TICK_NS)
+    assert observed is not None
+    assert [pose.x_m for _, pose in observed.scans] == pytest.approx([0.0, -0.1])
+
+
+def test_laser_without_recent_scans_is_left_out() -> None:
+    points = two_lasers(10 * TICK_NS - MAX_SCAN_AGE_NS - 1).reference(0)
+    assert points is not None
+    assert len(points) == len(points_of(turned_scan(ROOM, 0, 0)))
 
 
 # The pose relative to the current experience

@@ -1,0 +1,97 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Maps of a simulated robot with a front and a rear laser."""
+
+import math
+
+import numpy as np
+import pytest
+from test_simulated_loop import CONFIG, PLAN, near_walls
+
+from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.common.scan import points_of
+from ratslam_ros.core.driving.steering import Command
+from ratslam_ros.errors import UnusableInput
+from ratslam_ros.simulator.closed_loop import ClosedLoop, scan_from_sample
+from ratslam_ros.simulator.config import SimulatorParameters, make_simulator
+from ratslam_ros.simulator.laser import LaserOptions
+from ratslam_ros.simulator.samples import ScanSample
+from ratslam_ros.simulator.simulation import SimulationOptions, Simulator
+
+LAP = (1.8, 1.75), (7.2, 1.75), (7.2, 5.2), (1.8, 5.2)
+"""Corners of a lap around the block, in m."""
+
+FULL = LaserOptions(beams=360, fov_deg=359.0)
+FRONT = LaserOptions(mount=Pose(0.15, 0.0, 0.0))
+REAR = LaserOptions(mount=Pose(-0.15, 0.0, math.pi))
+
+
+def driven(laser, rear_laser=None):
+    """Drive for 130 s along a path that does not depend on the lasers."""
+    topics = 'scan' if rear_laser is None else 'scan,scan_rear'
+    options = SimulationOptions(laser=laser, rear_laser=rear_laser)
+    simulator = Simulator(PLAN, Pose(*PLAN.places['S'], 0.0), 1, options)
+    config = CONFIG.with_values({'experience_map.scan_topics': topics})
+    loop = ClosedLoop(simulator, config, exploring_seed=1)
+    corners = list(LAP) * 3
+
+    def steer(scan):
+        here = simulator.truth
+        if math.dist(corners[0], here[:2]) < 0.3:
+            corners.pop(0)
+        x_m, y_m = corners[0]
+        direction_rad = math.atan2(y_m - here.y_m, x_m - here.x_m)
+        turn_rad = math.remainder(direction_rad - here.heading_rad, math.tau)
+        speed_mps = 0.3 if abs(turn_rad) < 0.5 else 0.0
+        return Command(speed_mps, max(-1.0, min(1.0, 2.0 * turn_rad)), 'turn')
+
+    loop.run(steer, lambda: loop.now_s >= 130.0)
+    assert len(corners) < 6  # it has come round, and recognised places
+    return loop
+
+
+def error_m(loop):
+    """Return the root mean square error of the experiences after a rigid alignment."""
+    numbers = sorted(loop.log.truth_of)
+    found = np.array([loop.experience_map.pose_of(number)[:2] for number in numbers])
+    true = np.array([loop.log.truth_of[number][:2] for number in numbers])
+    found, true = found - found.mean(axis=0), true - true.mean(axis=0)
+    u, _, v = np.linalg.svd(found.T @ true)
+    return float(np.sqrt(np.square(found @ (u @ v) - true).sum(axis=1).mean()))
+
+
+def test_two_half_lasers_map_as_well_as_a_full_one():
+    full, halves, front = driven(FULL), driven(FRONT, REAR), driven(FRONT)
+    assert near_walls(halves) > 0.95
+    assert error_m(halves) < error_m(full) + 0.01
+    assert error_m(front) > 2.0 * error_m(halves)  # the rear laser is of use
+
+
+def test_rear_laser_leaves_the_front_scans_unchanged():
+    samples = [
+        [s for _ in range(40) for s in make_simulator(parameters).step()]
+        for parameters in (SimulatorParameters(plan='office'),
+                           SimulatorParameters(plan='office', rear_laser=True))
+    ]  # fmt: skip
+    one, two = ([s for s in some if isinstance(s, ScanSample)] for some in samples)
+    assert len(two) == 2 * len(one) > 0
+    for alone, front in zip(one, [s for s in two if s.laser == 0], strict=True):
+        assert np.array_equal(alone.ranges_m, front.ranges_m)
+
+
+def test_rear_laser_is_mounted_opposite_to_the_first():
+    simulator = make_simulator(
+        SimulatorParameters(plan='office', rear_laser=True, laser_mount='0.2,0.1,30', noise=0.0)
+    )
+    front, rear = (s for s in simulator.step() if isinstance(s, ScanSample))
+    assert scan_from_sample(front, simulator).laser == 0
+    scan = scan_from_sample(rear, simulator)
+    assert (scan.laser, scan.x_m, scan.y_m) == (1, pytest.approx(-0.2), pytest.approx(-0.1))
+    assert len(points_of(scan)) > 0
+
+
+def test_scan_of_an_unnamed_laser_is_refused():
+    options = SimulationOptions(laser=FRONT, rear_laser=REAR)
+    loop = ClosedLoop(Simulator(PLAN, Pose(*PLAN.places['S'], 0.0), 1, options), CONFIG, 1)
+    with pytest.raises(UnusableInput, match='name all lasers'):
+        loop.explore(1.0)
