@@ -244,7 +244,7 @@ class Run:
 
     def lost_s(self) -> list[float]:
         """Return the lengths of the lost spans that the nodes have reported."""
-        spans = re.findall(r'images from (\S+) s to (\S+) s are lost', self.logs())
+        spans = re.findall(r'\w+ from (\S+) s to (\S+) s (?:are|is) lost', self.logs())
         return [float(end) - float(begin) for begin, end in dict.fromkeys(spans)]
 
     def logs(self) -> str:
