@@ -251,7 +251,7 @@ class MapKeeper:
         if stream == 'image' and self._lost_after_ns is not None:
             self._report_lost(stamp_ns)
         if self._repetitions.contains(stream, stamp_ns):
-            if stamp_ns > self._restored.get(stream, stamp_ns):
+            if self._restored.get(stream, stamp_ns) < stamp_ns <= self.since_ns:
                 self._diagnostics.drop(
                     'late', f'a message of {stream} with stamp {stamp_ns * 1e-9:.3f} s came too '
                     'late: later ones had been processed before this node was restarted',

@@ -143,6 +143,9 @@ def test_messages_that_the_restored_state_had_passed_are_late() -> None:
     assert diagnostics.drop.call_args.args[0] == 'late'
     assert keeper.is_repeated('odometry', 10 * S)
     assert not keeper.is_repeated('template', 11 * S)
+    # A restarted neighbour repeats what this node has processed since.
+    keeper._repetitions.expect('template', 9 * S, 11 * S)
+    assert keeper.is_repeated('template', 11 * S)
     assert diagnostics.drop.call_count == 1
     logged = {call.args for call in store.logged.call_args_list}
     keeper._finish(inputs, 10 * S, print)
