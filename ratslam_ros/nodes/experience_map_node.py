@@ -116,12 +116,12 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
             self._grid = GridPublisher(self, self._section.grid_cell_m)
             for laser, topic in enumerate(self._section.lasers):
                 self._add_laser(laser, topic)
-        actions = SingleSender(
+        self._senders['action'] = SingleSender(
             self, 'pose_cells/action', self._on_action,
             lambda reason: self._refuse('action', reason),
         )
         self._add_input(
-            'action', {'pose_cells/action': String}, actions.take,
+            'action', {'pose_cells/action': String}, self._senders['action'].take,
             lambda data: self._on_action(String(data=data.decode())),
         )  # fmt: skip
         self.create_timer(FLUSH_CHECK_PERIOD_S, self._on_timer, clock=self._steady)

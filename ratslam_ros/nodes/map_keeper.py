@@ -89,6 +89,7 @@ class MapKeeper:
     def __init__(
         self, node: Node, diagnostics: Diagnostics, store: MapStore, part: str,
         state: Callable[[], State], newest_ns: Callable[[str], int],
+        restarted: Callable[[tuple[str, ...]], None] = lambda streams: None,
     ) -> None:  # fmt: skip
         """Restore nothing yet: ``restored`` is the state to restore.
 
@@ -99,9 +100,10 @@ class MapKeeper:
             part: name of the node's part of it.
             state: returns the state of the node.
             newest_ns: returns the newest received stamp of a stream.
+            restarted: is called with the streams that a restarted neighbour will send again.
         """
         self._node, self._diagnostics, self._store, self._part = node, diagnostics, store, part
-        self._state, self._newest_ns = state, newest_ns
+        self._state, self._newest_ns, self._restarted = state, newest_ns, restarted
         self._grid = CutGrid()
         self._repetitions = Repetitions()
         self._requests: dict[str, ResendRequest] = {}
@@ -416,6 +418,7 @@ class MapKeeper:
         is_new = self._requests.get(request.node) != request
         self._requests[request.node] = request
         if is_new:
+            self._restarted(request.repeats)
             self._expect(request)
             self._store.flush(FLUSH_TIMEOUT_S)
         answer = ResendAnswer(request.number, self._node.get_name())

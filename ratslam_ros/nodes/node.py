@@ -27,6 +27,7 @@ from ratslam_ros.nodes.inputs import Input
 from ratslam_ros.nodes.map_keeper import KeptInput, MapKeeper
 from ratslam_ros.nodes.map_operations import MapOperations
 from ratslam_ros.nodes.parameter_changes import encode_values
+from ratslam_ros.nodes.single_sender import SingleSender
 
 Item = TypeVar('Item')
 
@@ -69,6 +70,8 @@ class RatslamNode(ConfiguredNode, Generic[Item]):
         self._mapping = True
         self._sender_id = time.time_ns()
         """Distinguishes this process from others with the same node; see ``SingleSender``."""
+        self._senders: dict[str, SingleSender] = {}
+        """By stream, for those that come from another node."""
         self._keeper: MapKeeper | None = None
         """The node's part of the map file, if there is one."""
         self._kept_inputs: list[KeptInput] = []
@@ -115,8 +118,9 @@ class RatslamNode(ConfiguredNode, Generic[Item]):
             Path(path).expanduser(), [self.SECTION], meta, self.get_logger().warning
         )
         keeper = MapKeeper(
-            self, self._diagnostics, store, self.SECTION, self._saved_state, self._newest_ns
-        )
+            self, self._diagnostics, store, self.SECTION, self._saved_state, self._newest_ns,
+            self._on_neighbour_restarted,
+        )  # fmt: skip
         try:
             with self._lock:
                 if keeper.restored is not None:
@@ -229,6 +233,12 @@ class RatslamNode(ConfiguredNode, Generic[Item]):
         """Log a message in the map file, for neighbours that are restarted."""
         if self._keeper is not None:
             self._keeper.log(stream, stamp_ns, data())
+
+    def _on_neighbour_restarted(self, streams: Iterable[str]) -> None:
+        """Prepare for the streams of a node that was restarted."""
+        for stream in streams:
+            if stream in self._senders:
+                self._senders[stream].expect_successor()
 
     def _newest_ns(self, stream: str) -> int:
         newest_ns = self._order.newest_of(stream) if stream in self._streams else None

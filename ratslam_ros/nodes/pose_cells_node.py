@@ -84,12 +84,12 @@ class PoseCellsNode(RatslamNode[Odometry | Template]):
                 'relocation', self._on_relocation, self._on_relocation
             ), INPUT,
         )  # fmt: skip
-        templates = SingleSender(
+        self._senders['template'] = SingleSender(
             self, 'local_view/template', self._on_template,
             lambda reason: self._refuse('template', reason),
         )
         self._add_input(
-            'template', {'local_view/template': String}, templates.take,
+            'template', {'local_view/template': String}, self._senders['template'].take,
             lambda data: self._on_template(String(data=data.decode())),
         )  # fmt: skip
         self.create_timer(FLUSH_CHECK_PERIOD_S, self._flush, clock=self._steady)
