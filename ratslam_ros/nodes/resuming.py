@@ -3,8 +3,9 @@
 """Restart of a node: what it missed, from its neighbours, from sources that can resend, and live.
 
 A restarted node continues from the last state that it saved. Until it has received everything
-since then, it only collects messages. Its neighbours answer its request when their logs are in the
-map file, and sources of images when they have sent them again.
+since then, it only collects messages. Sources of images answer its request when they have sent
+them again. Then its topics are connected, and a second request, for nothing, is answered by its
+neighbours when their logs are in the map file: later messages arrive on the topics themselves.
 """
 
 from __future__ import annotations
@@ -99,7 +100,10 @@ class Resuming:
         self._resent: dict[str, set[int]] = {topic: set() for topic in wanted}
         """Stamps that have arrived again; those for another node arrive too."""
         self._promised: dict[str, int] = {}
+        self._last_request: ResendRequest | None = None
+        """Asks the neighbours to save their logs; sent once the topics are connected."""
         self._answered: set[str] = set()
+        """Nodes that have done so."""
         self._start_s = self._next_s = self._asked_s = time.monotonic()
         self._requests = node.create_publisher(String, RESEND, GOAL)
         self._subscriptions = [
@@ -127,12 +131,19 @@ class Resuming:
         if now_s - self._asked_s >= ASK_AGAIN_S and (self._is_missing() or self._is_awaited()):
             # The source was connected to another node that asked, and not yet to this one.
             self._asked_s = now_s
-            self._request = replace(self._request, number=self._request.number + 1)
+            number = (self._last_request or self._request).number + 1
+            self._request, self._last_request = replace(self._request, number=number), None
+            self._answered.clear()
+        took_s = now_s - self._start_s
+        is_last = took_s >= LEAST_S and not (self._is_awaited() or self._is_missing())
+        if is_last and self._last_request is None:
+            self._last_request = replace(self._request, number=self._request.number + 1, after={})
+            self._next_s = now_s
         if now_s >= self._next_s:
             self._next_s = now_s + REQUEST_PERIOD_S
-            self._requests.publish(String(data=encode_request(self._request)))
-        took_s = now_s - self._start_s
-        return took_s >= MOST_S or (took_s >= LEAST_S and self._has_all())
+            request = (self._last_request if is_last else None) or self._request
+            self._requests.publish(String(data=encode_request(request)))
+        return took_s >= MOST_S or (is_last and self._have_answered())
 
     def close(self) -> None:
         """Announce that the node has caught up, and end the subscriptions."""
@@ -141,14 +152,13 @@ class Resuming:
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
 
-    def _has_all(self) -> bool:
+    def _have_answered(self) -> bool:
+        """Return whether all neighbours have saved their logs since the topics are connected."""
         names = {
             name for name, space in self._node.get_node_names_and_namespaces()
             if space == self._node.get_namespace()
         }
-        if not (names & NEIGHBOURS) - {self._node.get_name()} <= self._answered:
-            return False
-        return not (self._is_awaited() or self._is_missing())
+        return (names & NEIGHBOURS) - {self._node.get_name()} <= self._answered
 
     def _is_awaited(self) -> bool:
         """Return whether there is a source that has not answered."""
@@ -192,9 +202,10 @@ class Resuming:
         except MalformedMessage as error:
             self._node.get_logger().warning(str(error))
             return
+        if self._last_request is not None and answer.number == self._last_request.number:
+            self._answered.add(answer.node)
         if answer.number != self._request.number:
             return
-        self._answered.add(answer.node)
         self._promised.update(answer.counts)
         if answer.counts:
             self._asked_s = time.monotonic()

@@ -72,3 +72,40 @@ def test_gap_between_resent_and_live_messages_is_filled_by_asking_again() -> Non
         resend(message(number))
     resuming._promised['image'] = 8
     assert not resuming._is_missing()
+
+
+def test_neighbours_save_their_logs_after_the_topics_are_connected(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """What they publish before the restarted node is connected is only in their logs."""
+    from ratslam_ros.messages.resending import ResendAnswer, decode_request, encode_answer
+    from ratslam_ros.nodes import resuming as module
+
+    now_s = 0.0
+    monkeypatch.setattr(module.time, 'monotonic', lambda: now_s)
+    node = MagicMock()
+    node.get_node_names_and_namespaces.return_value = [('pose_cells', '/'), ('local_view', '/')]
+    node.get_name.return_value, node.get_namespace.return_value = 'pose_cells', '/'
+    node.count_publishers.return_value = 0
+    wanted = module.Wanted('template', object, START_NS, print)
+    resuming = module.Resuming(node, {'template': wanted}, (), START_NS)
+
+    def requests() -> list[str]:
+        return [call.args[0].data for call in node.create_publisher().publish.call_args_list]
+
+    def answer(request: str) -> None:
+        answer = ResendAnswer(decode_request(request).number, 'local_view')
+        resuming._on_answer(MagicMock(data=encode_answer(answer)))
+
+    assert not resuming.update()
+    (first,) = requests()
+    answer(first)
+    now_s = module.LEAST_S
+    assert not resuming.update()  # the answer came before the topics were connected
+    answer(first)
+    assert not resuming.update()
+    last = requests()[-1]
+    assert decode_request(last).after == {}
+    assert decode_request(last).number != decode_request(first).number
+    answer(last)
+    assert resuming.update()
