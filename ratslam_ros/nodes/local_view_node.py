@@ -92,7 +92,10 @@ class LocalViewNode(ImageNode):
 
     def _new_order(self) -> StampOrder[Any]:
         if uses_odometry(self._first_section):
-            return StampOrder(('odometry', 'image'), round(self._section.max_lateness_s * 1e9))
+            return StampOrder(
+                ('odometry', 'image'), round(self._section.max_lateness_s * 1e9),
+                is_patient=self._is_restart_expected,
+            )  # fmt: skip
         return StampOrder(('image',), 0)
 
     def _on_odometry(self, message: OdometryMessage) -> None:

@@ -35,6 +35,9 @@ DIAGNOSTICS_PERIOD_S = 1.0
 FLUSH_CHECK_PERIOD_S = 0.1
 """Period of the checks whether held messages must be processed, as all inputs are silent."""
 
+SETTLING_S = 1.0
+"""Time after the end of a restart in which the messages that were missing arrive."""
+
 
 class RatslamNode(ConfiguredNode, Generic[Item]):
     """A node that merges its inputs in the order of their stamps and processes each message.
@@ -246,7 +249,13 @@ class RatslamNode(ConfiguredNode, Generic[Item]):
 
     def _new_order(self) -> StampOrder[Item]:
         lateness_s = getattr(self._section, 'max_lateness_s', 0.0)
-        return StampOrder(self._streams, round(lateness_s * 1e9), self.REGULAR)
+        return StampOrder(
+            self._streams, round(lateness_s * 1e9), self.REGULAR, self._is_restart_expected
+        )
+
+    def _is_restart_expected(self) -> bool:
+        """Return whether a node is restarting, or has just sent what was missing."""
+        return self._keeper is not None and self._keeper.settled_s() < SETTLING_S
 
     def _push(self, stream: str, stamp_ns: int, item: Item) -> None:
         """Put a message into the stamp order, and process all messages this releases."""

@@ -151,3 +151,39 @@ def test_messages_that_the_restored_state_had_passed_are_late() -> None:
     keeper._finish(inputs, 10 * S, print)
     logged = {call.args for call in store.logged.call_args_list} - logged
     assert logged == {('odometry', 10 * S), ('template', 8 * S)}
+
+
+def test_node_waits_for_the_templates_of_a_restarted_neighbour(
+    world: MakeWorld, tmp_path: Path
+) -> None:
+    """Odometry runs ahead of them by more than max_lateness_s meanwhile."""
+    from nav_msgs.msg import Odometry
+    from std_msgs.msg import String
+
+    from ratslam_ros.messages.resending import ResendRequest, encode_request
+    from ratslam_ros.nodes.convert import header_of
+    from ratslam_ros.nodes.pose_cells_node import PoseCellsNode
+
+    file = ('-p', f'map:={tmp_path / "office.ratslam"}', '-p', 'flush_after_s:=60.0')
+    made = world(PoseCellsNode, arguments=file)
+    node = made.nodes[0]
+    node.open_map()
+    made.until(lambda: node._keeper._resuming is None)
+    found = actions(made)
+    drive(made, 0, 3)
+    made.until(lambda: len(found) == 3)
+    request = ResendRequest(1, 'local_view', {}, ('template',), START_NS)
+    made.send('ratslam/resend', String(data=encode_request(request)))
+    made.until(lambda: 'local_view' in node._keeper._neighbours_until_s)
+    for n in range(3, 30):  # 5.4 s, and max_lateness_s is 2
+        odometry = Odometry(header=header_of(START_NS + n * S // 5, 'odom'))
+        odometry.twist.twist.linear.x = odometry.pose.pose.orientation.w = 1.0
+        made.send('odom', odometry)
+    made.until(lambda: node._order.newest_of('odometry') == START_NS + 29 * S // 5)
+    for n in range(3, 30):
+        text = template_text(START_NS + n * S // 5, n, error=0.5, is_new=True)
+        made.send('local_view/template', String(data=text))
+    done = ResendRequest(1, 'local_view', done=True)
+    made.send('ratslam/resend', String(data=encode_request(done)))
+    made.until(lambda: len(found) == 30)
+    assert node._order.counts.late == 0

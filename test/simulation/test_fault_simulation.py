@@ -59,6 +59,14 @@ def test_nodes_restarted_together_get_all_images(seed: int) -> None:
     assert simulate(seed, plan=plan).kind == 'identical'
 
 
+@pytest.mark.parametrize('seed', range(3))
+def test_nodes_wait_for_the_slowest_of_them_after_a_restart_of_all(seed: int) -> None:
+    """The source goes on meanwhile, so that odometry arrives long before the templates."""
+    kills = tuple((DRIVE_S * S * part // 3, ROBOTS['wheels'], S) for part in (1, 2))
+    plan = replace(UNDISTURBED, bus=BusFaults(discovery_ns=400 * MS), kills=kills, lockstep=False)
+    assert simulate(seed, plan=plan).kind == 'identical'
+
+
 def test_lost_images_are_reported() -> None:
     """The check is able to fail: without a source that sends again, the map differs."""
     plan = replace(UNDISTURBED, kills=((DRIVE_S * S // 2, ('local_view',), S),), resends=False)

@@ -246,15 +246,19 @@ class StampOrder(Generic[Item]):
     """
 
     def __init__(
-        self, streams: tuple[str, ...], max_lateness_ns: int, regular: str | None = None
-    ) -> None:
+        self, streams: tuple[str, ...], max_lateness_ns: int, regular: str | None = None,
+        is_patient: Callable[[], bool] = lambda: False,
+    ) -> None:  # fmt: skip
         """Create an empty merge.
 
         Args:
             streams: names of the streams. At equal stamps, the stream named first goes first.
             max_lateness_ns: longest time to wait for other streams, measured in stamps.
             regular: the stream whose stamps are predicted, not the last one; None if none is.
+            is_patient: returns whether to wait longer than that, as the source of a stream is
+                expected to go on.
         """
+        self._is_patient = is_patient
         self._regular = None if regular is None else streams.index(regular)
         self._rhythm = _Rhythm()
         self._rank = {stream: rank for rank, stream in enumerate(streams)}
@@ -450,7 +454,7 @@ class StampOrder(Generic[Item]):
 
     def _is_due(self, at_ns: int, rank: int) -> bool:
         assert self._newest_ns is not None
-        if self._newest_ns - at_ns > self.max_lateness_ns:
+        if self._newest_ns - at_ns > self.max_lateness_ns and not self._is_patient():
             return True
         for other, stream in enumerate(self._streams):
             if other != rank:

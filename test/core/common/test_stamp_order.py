@@ -161,6 +161,18 @@ def test_message_waits_for_the_other_stream() -> None:
     assert [r.item for r in merger.push('template', 20, 'd')] == ['b', 'd']
 
 
+def test_patient_order_waits_for_a_stream_that_is_late() -> None:
+    is_patient = True
+    merger: StampOrder[str] = StampOrder(STREAMS, 100, is_patient=lambda: is_patient)
+    assert merger.push('odometry', 10, 'a') == []
+    assert merger.push('odometry', 500, 'b') == []
+    assert [r.item for r in merger.push('template', 10, 'c')] == ['a', 'c']
+    is_patient = False
+    assert merger.push('odometry', 550, 'd') == []
+    assert [r.item for r in merger.push('odometry', 601, 'e')] == ['b']
+    assert merger.counts.late == 0
+
+
 def test_three_streams_message_waits_for_all_others() -> None:
     merger = order(100, ('odometry', 'template', 'action'))
     assert merger.push('odometry', 1, 'a') == []
