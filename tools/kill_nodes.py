@@ -244,8 +244,11 @@ class Run:
 
     def lost_s(self) -> list[float]:
         """Return the lengths of the lost spans that the nodes have reported."""
-        spans = re.findall(r'\w+ from (\S+) s to (\S+) s (?:are|is) lost', self.logs())
-        return [float(end) - float(begin) for begin, end in dict.fromkeys(spans)]
+        logs = self.logs()
+        spans = re.findall(r'\w+ from (\S+) s to (\S+) s (?:are|is) lost', logs)
+        ends = re.findall(r'; (\S+) s are missing, up to stamp (\S+) s', logs)  # all were killed
+        lengths_s = [float(end) - float(begin) for begin, end in dict.fromkeys(spans)]
+        return lengths_s + [float(length) for length, _ in dict.fromkeys(ends)]
 
     def logs(self) -> str:
         """Return all logs."""

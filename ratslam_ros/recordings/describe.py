@@ -155,6 +155,8 @@ def _scan_notices(recording: Recording, broken: set[str]) -> tuple[str, ...]:
     if not usable:
         return ()
     choice = ' or '.join(f'--scan-topic {name}' for name in usable)
+    if len(usable) > 1:
+        choice += f', or --scan-topic {",".join(usable)} for all lasers'
     return (
         f'the scans of {" or ".join(usable)} are read if experience_map.exp_align_scans is set'
         + (f'; give {choice}' if len(candidates) > 1 else ''),

@@ -26,14 +26,8 @@ FRONT = LaserOptions(mount=Pose(0.15, 0.0, 0.0))
 REAR = LaserOptions(mount=Pose(-0.15, 0.0, math.pi))
 
 
-def driven(laser, rear_laser=None):
-    """Drive for 130 s along a path that does not depend on the lasers."""
-    topics = 'scan' if rear_laser is None else 'scan,scan_rear'
-    options = SimulationOptions(laser=laser, rear_laser=rear_laser)
-    simulator = Simulator(PLAN, Pose(*PLAN.places['S'], 0.0), 1, options)
-    config = CONFIG.with_values({'experience_map.scan_topics': topics})
-    loop = ClosedLoop(simulator, config, exploring_seed=1)
-    corners = list(LAP) * 3
+def along(corners, simulator):
+    """Return the steering along a path that depends on nothing but the true pose."""
 
     def steer(scan):
         here = simulator.truth
@@ -45,7 +39,18 @@ def driven(laser, rear_laser=None):
         speed_mps = 0.3 if abs(turn_rad) < 0.5 else 0.0
         return Command(speed_mps, max(-1.0, min(1.0, 2.0 * turn_rad)), 'turn')
 
-    loop.run(steer, lambda: loop.now_s >= 130.0)
+    return steer
+
+
+def driven(laser, rear_laser=None, values=None):
+    """Drive three laps at most, for 130 s."""
+    topics = 'scan' if rear_laser is None else 'scan,scan_rear'
+    options = SimulationOptions(laser=laser, rear_laser=rear_laser)
+    simulator = Simulator(PLAN, Pose(*PLAN.places['S'], 0.0), 1, options)
+    config = CONFIG.with_values({'experience_map.scan_topics': topics, **(values or {})})
+    loop = ClosedLoop(simulator, config, exploring_seed=1)
+    corners = list(LAP) * 3
+    loop.run(along(corners, simulator), lambda: loop.now_s >= 130.0)
     assert len(corners) < 6  # it has come round, and recognised places
     return loop
 
