@@ -10,6 +10,7 @@ import sqlite3
 import threading
 from collections.abc import Callable
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -202,6 +203,39 @@ def test_log_is_found_by_other_writers_until_it_is_old(tmp_path: Path) -> None:
     assert second.logged('scan', 4) == [(5, b'waiting')]
     first.close()
     second.close()
+
+
+def test_reading_the_log_creates_no_file(tmp_path: Path) -> None:
+    store = opened(tmp_path / 'a.map', PART)
+    store.log('odometry', 5, b'message')
+    assert store.flush(LONG_S)
+    for file in tmp_path.iterdir():
+        file.unlink()
+    assert store.logged('odometry', -1) == []
+    assert os.listdir(tmp_path) == []
+    store.close()
+
+
+def test_changed_parameters_are_recorded_with_the_next_cut(tmp_path: Path) -> None:
+    """Those of other processes, and what else is known of the session, stay as they are."""
+    first, second = opened(tmp_path / 'a.map', PART), opened(tmp_path / 'a.map', 'pose_cells')
+    first.configure('local_view:\n  vt_match_threshold: 0.5\n')
+    second.configure('pose_cells:\n  pc_vt_agree_views: 7\n')
+    assert read_map(tmp_path / 'a.map').meta == META
+    for store in (first, second):
+        write(store, 1)
+    found = read_map(tmp_path / 'a.map').meta
+    assert 'vt_match_threshold: 0.5' in found.configuration
+    assert 'pc_vt_agree_views: 7' in found.configuration
+    assert replace(found, configuration=META.configuration) == META
+    first.configure('local_view:\n  vt_match_threshold: 0.25\n')
+    write(first, 2)
+    found = read_map(tmp_path / 'a.map').meta
+    assert 'vt_match_threshold: 0.25' in found.configuration
+    assert 'vt_match_threshold: 0.5' not in found.configuration
+    assert 'pc_vt_agree_views: 7' in found.configuration
+    for store in (first, second):
+        store.close()
 
 
 # Failures
