@@ -14,7 +14,15 @@ from typing import Any
 
 import yaml
 
-from ratslam_ros.core.config import SECTIONS, Config, Value, section_of
+from ratslam_ros.core.config import (
+    SECTIONS,
+    SHARED,
+    SHARING,
+    Config,
+    Value,
+    section_of,
+    with_shared,
+)
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.limits import MAX_CONFIG_BYTES, load_yaml, read_limited
 
@@ -90,12 +98,15 @@ def load_config(source: str | None) -> tuple[Config, list[str]]:
 def stored_config(text: str, where: str) -> tuple[Config, list[str]]:
     """Return a configuration that ``to_yaml`` of this or another version has written.
 
+    It may consist of some sections only, written by nodes that know nothing of each other.
+
     Args:
         text: the configuration.
         where: what contains it, for the messages.
 
     Returns:
-        The configuration, and a notice about parameters that this version does not have.
+        The configuration; notices about parameters that this version does not have, and about
+        sections that contradict each other.
 
     Raises:
         UnusableInput: the text is no configuration.
@@ -109,9 +120,15 @@ def stored_config(text: str, where: str) -> tuple[Config, list[str]]:
         f'{section}.{name}' for section, cls in SECTIONS.items() for name, *_ in cls.parameters()
     }
     unknown = sorted(values.keys() - known)
-    config = Config().with_values({name: values[name] for name in values if name in known})
     notices = [f'{where}: unknown parameters are ignored: {", ".join(unknown)}'] if unknown else []
-    return config, notices
+    used = with_shared({name: values[name] for name in values if name in known})
+    for name in SHARED:  # Nodes may have been started with values that contradict each other.
+        first, *others = (f'{section}.{name}' for section in SHARING)
+        for other in others:
+            if used.get(first) != used.get(other):
+                notices.append(f'{where}: {other} was {used[other]}, {used[first]} is used')
+                used[other] = used[first]
+    return Config().with_values(used), notices
 
 
 def _preset(name: str) -> Path:
@@ -161,10 +178,15 @@ def combined_yaml(earlier: str, later: str) -> str:
         UnusableInput: the first one is damaged.
         UnusableParameter: a value is out of range.
     """
-    config, _ = stored_config(earlier, 'the earlier session')
-    values = dict(_yaml_values(later))
-    sections = {key.partition('.')[0] for key in [*dict(_yaml_values(earlier)), *values]}
-    return to_yaml(config.with_values(values), sections & SECTIONS.keys())
+    _, _ = stored_config(earlier, 'the earlier session')
+    values = dict(_yaml_values(earlier)) | dict(_yaml_values(later))
+    texts = []
+    for section, cls in SECTIONS.items():
+        keys = {f'{section}.{name}' for name, *_ in cls.parameters()} & values.keys()
+        if keys:  # Each for itself: they may contradict each other.
+            config = Config().with_values(with_shared({key: values[key] for key in keys}))
+            texts.append(to_yaml(config, [section]))
+    return ''.join(texts)
 
 
 def documented_yaml() -> str:

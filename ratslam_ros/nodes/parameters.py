@@ -18,12 +18,12 @@ from rclpy.parameter import Parameter
 
 from ratslam_ros.core.config import (
     SECTIONS,
-    SHARED,
     Config,
     ParameterInfo,
     Section,
     Value,
     section_of,
+    with_shared,
 )
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.files.config import load_config
@@ -112,7 +112,7 @@ class NodeParameters:
         # Aliases that set several parameters first: a parameter given by its name takes priority.
         own = set(self._keys.values())
         ordered = dict(sorted(values.items(), key=lambda item: item[0] in own))
-        return _with_values(initial, ordered)
+        return initial.with_values(with_shared(ordered))
 
     def named(self, values: Mapping[str, Value]) -> list[Parameter]:
         """Return values given by ``section.name`` as parameters of the node; skip unknown ones."""
@@ -133,7 +133,7 @@ class NodeParameters:
                     'which the node was started'
                 ))  # fmt: skip
         try:
-            config = _with_values(self.config, values)
+            config = self.config.with_values(with_shared(values))
             self.first.check_change(config)
         except UnusableParameter as error:
             return SetParametersResult(successful=False, reason=str(error))
@@ -167,15 +167,6 @@ def declare(node: Node, kind: type[AnySection]) -> AnySection:
         descriptor = _descriptor(info, default)
         node.declare_parameter(name, getattr(section, name), descriptor, ignore_override=True)
     return section
-
-
-def _with_values(config: Config, values: dict[str, Any]) -> Config:
-    """Set values; those of SHARED must agree in two sections, of which a node gets only one."""
-    for section, other in (('pose_cells', 'experience_map'), ('experience_map', 'pose_cells')):
-        for name in SHARED:
-            if f'{section}.{name}' in values:
-                values.setdefault(f'{other}.{name}', values[f'{section}.{name}'])
-    return config.with_values(values)
 
 
 def _info(section: str, name: str) -> tuple[ParameterInfo, Value]:

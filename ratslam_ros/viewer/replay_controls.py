@@ -8,14 +8,10 @@ import json
 import threading
 from collections.abc import Callable, Sequence
 
-from ratslam_ros.core.config import Config
-from ratslam_ros.core.config.config import SHARED
+from ratslam_ros.core.config import SHARED, SHARING, Config
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.viewer.controls import NoControls
 from ratslam_ros.viewer.run_source import Answer
-
-SHARING = 'pose_cells', 'experience_map'
-"""Sections in which the parameters SHARED have the same values."""
 
 Again = Callable[[Sequence[str]], None]
 """Requests a replay with settings, each `section.name=value`."""

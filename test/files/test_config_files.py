@@ -1,5 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
+from itertools import permutations
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +14,12 @@ from ratslam_ros.core.config.local_view import LEAST_VT_MAX
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.files.config import (
     AUTO,
+    combined_yaml,
     documented_yaml,
     load_config,
     parse_setting,
     presets,
+    stored_config,
     to_yaml,
 )
 
@@ -308,3 +311,35 @@ def test_setting_without_equals_sign_is_rejected() -> None:
 def test_different_odometry_sources_are_rejected() -> None:
     with pytest.raises(UnusableParameter, match='set both'):
         Config().with_values({'pose_cells.odom_source': 'pose'})
+
+
+def test_sections_of_nodes_are_combined_in_any_order() -> None:
+    """Each node writes its own section; some of their values must be equal."""
+    whole, _ = load_config('auto')
+    assert whole.pose_cells.max_odom_gap_s != Config().pose_cells.max_odom_gap_s
+    for names in permutations(('local_view', 'pose_cells', 'experience_map')):
+        text = ''
+        for name in names:
+            text = combined_yaml(text, to_yaml(whole, [name]))
+            partial, notices = stored_config(text, 'the map')
+            assert getattr(partial, name) == getattr(whole, name)
+            assert notices == []
+        assert text == to_yaml(whole, names)
+
+
+def test_contradicting_sections_of_nodes_are_kept_and_noticed() -> None:
+    one, other = (
+        Config().with_values(dict.fromkeys(
+            ('pose_cells.odom_source', 'experience_map.odom_source'), source)
+        ) for source in ('twist', 'pose')
+    )
+    text = combined_yaml(to_yaml(one, ['pose_cells']), to_yaml(other, ['experience_map']))
+    assert 'odom_source: twist' in text
+    assert 'odom_source: pose' in text
+    config, notices = stored_config(text, 'the map')
+    assert config.experience_map.odom_source == config.pose_cells.odom_source == 'twist'
+    assert notices == ['the map: experience_map.odom_source was pose, twist is used']
+    changed = one.with_values({'pose_cells.pc_vt_agree_views': 7.0})
+    text = combined_yaml(text, to_yaml(changed, ['pose_cells']))
+    assert 'pc_vt_agree_views: 7.0' in text
+    assert 'odom_source: pose' in text

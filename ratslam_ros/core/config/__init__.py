@@ -7,7 +7,14 @@ dataclasses. Names follow OpenRatSLAM (Ball et al. 2013), so that its configurat
 """
 
 from ratslam_ros.core.config.changes import ConfigChanges
-from ratslam_ros.core.config.config import SECTIONS, SHARED, Config, section_of
+from ratslam_ros.core.config.config import (
+    SECTIONS,
+    SHARED,
+    SHARING,
+    Config,
+    section_of,
+    with_shared,
+)
 from ratslam_ros.core.config.experience_map import ExperienceMapParameters
 from ratslam_ros.core.config.goal_follower import GoalFollowerParameters
 from ratslam_ros.core.config.goal_memory import GoalMemoryParameters
@@ -27,10 +34,10 @@ from ratslam_ros.core.config.pose_cells import LEAST_EXP_MAX, PoseCellsParameter
 from ratslam_ros.core.config.visual_odometry import VisualOdometryParameters
 
 __all__ = [
-    'AUTOMATIC', 'LEAST_EXP_MAX', 'SECTIONS', 'SHARED', 'WHOLE', 'Config',
+    'AUTOMATIC', 'LEAST_EXP_MAX', 'SECTIONS', 'SHARED', 'SHARING', 'WHOLE', 'Config',
     'ConfigChanges',
     'ExperienceMapParameters', 'GoalFollowerParameters', 'GoalMemoryParameters',
     'GoalRecallParameters', 'LandmarkMapParameters', 'LineExtractionParameters', 'LiveInput',
     'LocalViewParameters', 'ParameterInfo', 'PoseCellsParameters', 'Section', 'Value',
-    'VisualOdometryParameters', 'parameter', 'section_of',
+    'VisualOdometryParameters', 'parameter', 'section_of', 'with_shared',
 ]

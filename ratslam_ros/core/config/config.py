@@ -21,8 +21,8 @@ from ratslam_ros.core.config.pose_cells import PoseCellsParameters
 from ratslam_ros.core.config.visual_odometry import VisualOdometryParameters
 from ratslam_ros.errors import UnusableParameter
 
-SHARED = 'odom_source', 'max_odom_gap_s'
-"""Parameters that must have the same value in the sections pose_cells and experience_map."""
+SHARED, SHARING = ('odom_source', 'max_odom_gap_s'), ('pose_cells', 'experience_map')
+"""Parameters that must have the same value in several sections, and these sections."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Config:
 
     def __post_init__(self) -> None:
         for name in SHARED:
-            values = getattr(self.pose_cells, name), getattr(self.experience_map, name)
+            values = [getattr(getattr(self, section), name) for section in SHARING]
             if values[0] != values[1]:
                 raise UnusableParameter(
                     f'pose_cells.{name} and experience_map.{name} are {values[0]} and '
@@ -90,6 +90,20 @@ class Config:
             }
             for item in fields(self)
         }
+
+
+def with_shared(values: Mapping[str, Value]) -> dict[str, Value]:
+    """Return values, given by ``section.name``, where one section has the shared ones of another.
+
+    Nodes, and the files that they write, have values of their own sections only.
+    """
+    result = dict(values)
+    for name in SHARED:
+        keys = [f'{section}.{name}' for section in SHARING]
+        for key in keys:
+            if key in values:
+                result = {**dict.fromkeys(keys, values[key]), **result}
+    return result
 
 
 def _replaced(section: str, old: Any, change: Mapping[str, Value]) -> Any:

@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from ratslam_ros.core.config import SECTIONS, SHARED, Config, ParameterInfo, Value
+from ratslam_ros.core.config import SECTIONS, SHARED, SHARING, Config, ParameterInfo, Value
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.history.run_state import RunState
 from ratslam_ros.viewer.panels.desk import Desk, assign
@@ -17,9 +17,6 @@ from ratslam_ros.viewer.run_source import Answer, Controls
 ALL = 'all sections'
 FIRST = 'local_view'
 """Section shown first: its threshold is what users change most."""
-
-SHARING = 'pose_cells', 'experience_map'
-"""Sections that must agree in the parameters ``SHARED``."""
 
 DISCARD, DEFAULTS = 'Discard', 'Defaults'
 
