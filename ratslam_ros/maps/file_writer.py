@@ -31,6 +31,7 @@ from ratslam_ros.maps.schema import (
     typed,
 )
 from ratslam_ros.maps.sessions import (
+    age,
     begin,
     describe,
     drop_after,
@@ -213,7 +214,7 @@ class FileWriter:
                 self._session = begin(database, self.parts, self._meta, found)
                 states = self._load(database, rows)  # A damaged map is not changed.
                 database.execute('COMMIT')
-        last = max(rows.values(), key=lambda row: (row.session, row.number), default=None)
+        last = max(rows.values(), key=age, default=None)
         cut = found.cut if last is None else Cut(last.number, last.stamp_ns)
         if last is not None and last.session == self._session:
             self.number = last.number

@@ -79,7 +79,7 @@ def newest(database: sqlite3.Connection) -> Newest:
         for part in set(TRANSIENT) & (rows.keys() - names):
             del rows[part]
         rows |= {row.part: row for row in present if row.number == number}
-    last = max(rows.values(), key=lambda row: (row.session, row.number), default=None)
+    last = max(rows.values(), key=age, default=None)
     cut = None if last is None else Cut(last.number, last.stamp_ns)
     stamps = [row.stamp_ns for row in present if number is None or row.number > number]
     ((logged_ns,),) = typed(database.execute('SELECT max(stamp_ns) FROM log'), NULLABLE)
@@ -99,6 +99,14 @@ def newest(database: sqlite3.Connection) -> Newest:
         if stamps:
             lost = min(stamps), max(stamps)
     return Newest(session, members, cut, number, rows, lost)
+
+
+def age(row: Row) -> tuple[int, int, int]:
+    """Return a key by which later cuts are larger.
+
+    At the end of a session, parts have the same number and the stamps of their last messages.
+    """
+    return row.session, row.number, row.stamp_ns
 
 
 def members_of(database: sqlite3.Connection, session: int) -> tuple[Member, ...]:

@@ -98,6 +98,10 @@ class LocalViewNode(ImageNode):
             )  # fmt: skip
         return StampOrder(('image',), 0)
 
+    def _last_of_session_ns(self) -> int | None:
+        """Leave out odometry that is delayed beyond the last image: no other node is so far."""
+        return self._order.newest_of('image')
+
     def _on_odometry(self, message: OdometryMessage) -> None:
         self._follow(odometry_of(message))
 

@@ -162,10 +162,14 @@ class RatslamNode(ConfiguredNode, Generic[Item]):
 
     def _close_map(self) -> None:
         with self._lock:
-            self._process_held()
+            self._process(self._order.flush(self._last_of_session_ns()))
             if self._keeper is not None:
                 self._keeper.close()
                 self._keeper = None
+
+    def _last_of_session_ns(self) -> int | None:
+        """Return the stamp up to which held messages belong to the last state; None: all do."""
+        return None
 
     @property
     def _is_halted(self) -> bool:

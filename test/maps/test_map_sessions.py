@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from map_states import META, kill, opened, write
+from map_states import META, growing_state, kill, opened, write
 
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.maps import Cut, MapMeta, MapStore, read_map, save_map
@@ -47,6 +47,17 @@ def test_map_is_the_newest_cut_of_all_parts(tmp_path: Path) -> None:
     assert saved.lost == (30, 40)
     views.close()
     cells.close()
+
+
+def test_part_without_the_last_messages_is_not_a_loss(tmp_path: Path) -> None:
+    """At the end, each part has the stamp of the last message that it has processed."""
+    stores = [opened(tmp_path / 'a.map', part) for part in ('local_view', 'pose_cells')]
+    for store, stamp_ns in zip(stores, (40, 45), strict=True):
+        store.cut(Cut(5, stamp_ns), {store.parts[0]: growing_state(1)})
+        store.log('odometry', 45, b'')
+        store.close()
+    saved = read_map(tmp_path / 'a.map')
+    assert (saved.cut, saved.notes) == (Cut(5, 45), [])
 
 
 def test_new_session_drops_what_does_not_belong_together(tmp_path: Path) -> None:

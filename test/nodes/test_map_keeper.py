@@ -187,3 +187,39 @@ def test_node_waits_for_the_templates_of_a_restarted_neighbour(
     made.send('ratslam/resend', String(data=encode_request(done)))
     made.until(lambda: len(found) == 30)
     assert node._order.counts.late == 0
+
+
+def test_local_view_ends_at_the_same_cut_as_its_neighbours(
+    world: MakeWorld, tmp_path: Path
+) -> None:
+    """It processes odometry later than they do, but has not seen more of the drive."""
+    import numpy as np
+    from nav_msgs.msg import Odometry
+
+    from ratslam_ros.maps import read_map
+    from ratslam_ros.nodes.convert import grey_image, header_of
+    from ratslam_ros.nodes.local_view_node import LocalViewNode
+
+    path = tmp_path / 'office.ratslam'
+    given = {
+        'map': path, 'flush_after_s': 60.0, 'vt_match_threshold': -1.0, 'vt_match_ratio': -1.0,
+    }  # fmt: skip
+    arguments = [word for name, value in given.items() for word in ('-p', f'{name}:={value}')]
+    made = world(LocalViewNode, arguments=arguments)
+    node = made.nodes[0]
+    node.open_map()
+    made.until(lambda: node._keeper._resuming is None)
+    chance = np.random.default_rng(1)
+    for n in range(8):
+        stamp_ns = START_NS + n * S // 5
+        odometry = Odometry(header=header_of(stamp_ns, 'odom'))
+        odometry.twist.twist.linear.x = odometry.pose.pose.orientation.w = 1.0
+        made.send('odom', odometry)
+        pixels = chance.integers(0, 255, (60, 80), np.uint8)
+        made.send('image', grey_image(stamp_ns, 'camera', pixels))
+    made.until(lambda: node._order.newest_of('image') == stamp_ns)
+    made.until(lambda: node._order.newest_of('odometry') > stamp_ns)
+    node.close()
+    cut = read_map(path).cut
+    assert cut is not None
+    assert (cut.stamp_ns, cut.number) == (stamp_ns, stamp_ns // (2 * S) + 1)

@@ -324,13 +324,19 @@ class StampOrder(Generic[Item]):
             self._hold(rank, *message)
         return self._release()
 
-    def flush(self) -> list[Released[Item]]:
-        """Release all held messages, in order; a single message that jumps ahead is refused."""
+    def flush(self, until_ns: int | None = None) -> list[Released[Item]]:
+        """Release all held messages, in order; a single message that jumps ahead is refused.
+
+        Args:
+            until_ns: messages with later stamps stay held; None: none does.
+        """
         for rank, stream in enumerate(self._streams):
             for message in stream.settle():
                 self._hold(rank, *message)
         out = []
         while (following := self._following()) is not None:
+            if until_ns is not None and following[0] > until_ns:
+                break
             out.append(self._pop(*following))
         return out
 
