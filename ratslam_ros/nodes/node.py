@@ -21,6 +21,7 @@ from ratslam_ros.errors import RatslamError
 from ratslam_ros.files import memory as memory_files
 from ratslam_ros.files.version import package_version
 from ratslam_ros.maps import MapMeta, MapStore, read_map
+from ratslam_ros.maps.file_writer import LOG_NS
 from ratslam_ros.nodes.configured_node import ConfiguredNode
 from ratslam_ros.nodes.diagnostics import Diagnostics
 from ratslam_ros.nodes.inputs import Input
@@ -257,9 +258,15 @@ class RatslamNode(ConfiguredNode, Generic[Item]):
             self._streams, round(lateness_s * 1e9), self.REGULAR, self._is_restart_expected
         )
 
-    def _is_restart_expected(self) -> bool:
-        """Return whether a node is restarting, or has just sent what was missing."""
-        return self._keeper is not None and self._keeper.settled_s() < SETTLING_S
+    def _is_restart_expected(self, waited_ns: int) -> bool:
+        """Return whether a node is restarting, or has just sent what was missing.
+
+        It can send nothing that is older than the logs from which it gets its own inputs.
+        """
+        return (
+            waited_ns <= LOG_NS
+            and self._keeper is not None and self._keeper.settled_s() < SETTLING_S
+        )  # fmt: skip
 
     def _push(self, stream: str, stamp_ns: int, item: Item) -> None:
         """Put a message into the stamp order, and process all messages this releases."""

@@ -247,7 +247,7 @@ class StampOrder(Generic[Item]):
 
     def __init__(
         self, streams: tuple[str, ...], max_lateness_ns: int, regular: str | None = None,
-        is_patient: Callable[[], bool] = lambda: False,
+        is_patient: Callable[[int], bool] = lambda late_ns: False,
     ) -> None:  # fmt: skip
         """Create an empty merge.
 
@@ -256,7 +256,7 @@ class StampOrder(Generic[Item]):
             max_lateness_ns: longest time to wait for other streams, measured in stamps.
             regular: the stream whose stamps are predicted, not the last one; None if none is.
             is_patient: returns whether to wait longer than that, as the source of a stream is
-                expected to go on.
+                expected to go on, given the time in ns waited so far, measured in stamps.
         """
         self._is_patient = is_patient
         self._regular = None if regular is None else streams.index(regular)
@@ -460,7 +460,8 @@ class StampOrder(Generic[Item]):
 
     def _is_due(self, at_ns: int, rank: int) -> bool:
         assert self._newest_ns is not None
-        if self._newest_ns - at_ns > self.max_lateness_ns and not self._is_patient():
+        waited_ns = self._newest_ns - at_ns
+        if waited_ns > self.max_lateness_ns and not self._is_patient(waited_ns):
             return True
         for other, stream in enumerate(self._streams):
             if other != rank:

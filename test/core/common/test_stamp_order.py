@@ -162,12 +162,12 @@ def test_message_waits_for_the_other_stream() -> None:
 
 
 def test_patient_order_waits_for_a_stream_that_is_late() -> None:
-    is_patient = True
-    merger: StampOrder[str] = StampOrder(STREAMS, 100, is_patient=lambda: is_patient)
+    patience_ns = 1000
+    merger: StampOrder[str] = StampOrder(STREAMS, 100, is_patient=lambda ns: ns <= patience_ns)
     assert merger.push('odometry', 10, 'a') == []
     assert merger.push('odometry', 500, 'b') == []
     assert [r.item for r in merger.push('template', 10, 'c')] == ['a', 'c']
-    is_patient = False
+    patience_ns = 0
     assert merger.push('odometry', 550, 'd') == []
     assert [r.item for r in merger.push('odometry', 601, 'e')] == ['b']
     assert merger.counts.late == 0
