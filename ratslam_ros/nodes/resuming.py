@@ -4,8 +4,9 @@
 
 A restarted node continues from the last state that it saved. Until it has received everything
 since then, it only collects messages. Sources of images answer its request when they have sent
-them again. Then its topics are connected, and a second request, for nothing, is answered by its
-neighbours when their logs are in the map file: later messages arrive on the topics themselves.
+them again. Then its topics are connected, and a second request asks for what was sent meanwhile:
+the sources send it again, and the neighbours save their logs in the map file once more. Later
+messages arrive on the topics themselves.
 """
 
 from __future__ import annotations
@@ -100,10 +101,11 @@ class Resuming:
         self._resent: dict[str, set[int]] = {topic: set() for topic in wanted}
         """Stamps that have arrived again; those for another node arrive too."""
         self._promised: dict[str, int] = {}
-        self._last_request: ResendRequest | None = None
-        """Asks the neighbours to save their logs; sent once the topics are connected."""
+        """Number of the messages that the present request brings, by topic."""
+        self._is_last = False
+        """Whether the present request was sent after the topics were connected."""
         self._answered: set[str] = set()
-        """Nodes that have done so."""
+        """Nodes that have answered it."""
         self._start_s = self._next_s = self._asked_s = time.monotonic()
         self._requests = node.create_publisher(String, RESEND, GOAL)
         self._subscriptions = [
@@ -119,7 +121,7 @@ class Resuming:
     @property
     def is_complete(self) -> bool:
         """Whether all messages of a source since ``since_ns`` have arrived again."""
-        return self._is_promised and not self._is_missing()
+        return self._is_promised and self._has_all()
 
     def keep(self, stream: str, message: Any, callback: Callable[[Any], None]) -> None:
         """Keep a message until the node has caught up."""
@@ -128,22 +130,19 @@ class Resuming:
     def update(self) -> bool:
         """Repeat the request if it is due; return whether everything has arrived."""
         now_s = time.monotonic()
-        if now_s - self._asked_s >= ASK_AGAIN_S and (self._is_missing() or self._is_awaited()):
-            # The source was connected to another node that asked, and not yet to this one.
-            self._asked_s = now_s
-            number = (self._last_request or self._request).number + 1
-            self._request, self._last_request = replace(self._request, number=number), None
-            self._answered.clear()
         took_s = now_s - self._start_s
-        is_last = took_s >= LEAST_S and not (self._is_awaited() or self._is_missing())
-        if is_last and self._last_request is None:
-            self._last_request = replace(self._request, number=self._request.number + 1, after={})
-            self._next_s = now_s
+        if self._has_all():
+            if self._is_last and self._have_answered():
+                return True
+            if not self._is_last and took_s >= LEAST_S:
+                self._ask(now_s, is_last=True)
+        elif now_s - self._asked_s >= ASK_AGAIN_S:
+            # The source was connected to another node that asked, and not yet to this one.
+            self._ask(now_s, is_last=False)
         if now_s >= self._next_s:
             self._next_s = now_s + REQUEST_PERIOD_S
-            request = (self._last_request if is_last else None) or self._request
-            self._requests.publish(String(data=encode_request(request)))
-        return took_s >= MOST_S or (is_last and self._have_answered())
+            self._requests.publish(String(data=encode_request(self._request)))
+        return took_s >= MOST_S
 
     def close(self) -> None:
         """Announce that the node has caught up, and end the subscriptions."""
@@ -152,8 +151,23 @@ class Resuming:
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
 
+    def _ask(self, now_s: float, is_last: bool) -> None:
+        """Ask for what is missing, or for all that was missed."""
+        after = {
+            topic: max(self._resent[topic] if is_last else (), default=one.after_ns)
+            for topic, one in self._wanted.items()
+        }
+        self._request = replace(self._request, number=self._request.number + 1, after=after)
+        self._is_last = is_last
+        self._promised.clear()
+        self._answered.clear()
+        self._asked_s = self._next_s = now_s
+
+    def _has_all(self) -> bool:
+        return not (self._is_awaited() or self._is_missing())
+
     def _have_answered(self) -> bool:
-        """Return whether all neighbours have saved their logs since the topics are connected."""
+        """Return whether all neighbours have saved their logs."""
         names = {
             name for name, space in self._node.get_node_names_and_namespaces()
             if space == self._node.get_namespace()
@@ -171,9 +185,13 @@ class Resuming:
     def _is_missing(self) -> bool:
         """Return whether messages that a source has sent again have not arrived."""
         return any(
-            len(self._resent[topic]) < count or self._has_gap(topic)
+            self._resent_count(topic) < count or self._has_gap(topic)
             for topic, count in self._promised.items() if topic in self._resent
         )  # fmt: skip
+
+    def _resent_count(self, topic: str) -> int:
+        after_ns = self._request.after[topic]
+        return sum(stamp_ns > after_ns for stamp_ns in self._resent[topic])
 
     def _has_gap(self, topic: str) -> bool:
         """Return whether messages are missing between those sent again and those that followed.
@@ -202,10 +220,9 @@ class Resuming:
         except MalformedMessage as error:
             self._node.get_logger().warning(str(error))
             return
-        if self._last_request is not None and answer.number == self._last_request.number:
-            self._answered.add(answer.node)
         if answer.number != self._request.number:
             return
+        self._answered.add(answer.node)
         self._promised.update(answer.counts)
         if answer.counts:
             self._asked_s = time.monotonic()

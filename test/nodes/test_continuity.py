@@ -105,7 +105,42 @@ def test_neighbours_save_their_logs_after_the_topics_are_connected(
     answer(first)
     assert not resuming.update()
     last = requests()[-1]
-    assert decode_request(last).after == {}
+    assert decode_request(last).after == {'template': START_NS}
     assert decode_request(last).number != decode_request(first).number
     answer(last)
     assert resuming.update()
+
+
+def test_message_that_was_sent_while_the_topic_was_being_connected_is_asked_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """No later message shows that it is missing if the source makes a pause or ends."""
+    from ratslam_ros.messages.resending import ResendAnswer, decode_request, encode_answer
+    from ratslam_ros.nodes import resuming as module
+
+    now_s = 0.0
+    monkeypatch.setattr(module.time, 'monotonic', lambda: now_s)
+    node = MagicMock()
+    node.get_name.return_value, node.get_node_names_and_namespaces.return_value = 'local_view', []
+    node.count_publishers.return_value = 1
+    wanted = module.Wanted('image', object, START_NS, print)
+    resuming = module.Resuming(node, {'image': wanted}, (), START_NS)
+
+    def resend(count: int, first: int, last: int) -> int:
+        """Send messages again, and answer the last request; return the stamp after which."""
+        request = decode_request(node.create_publisher().publish.call_args.args[0].data)
+        for number in range(first, last + 1):
+            text = template_text(START_NS + number, number, error=0.5, is_new=True)
+            resuming._receiver('image', wanted)(MagicMock(spec=['data'], data=text))
+        answer = ResendAnswer(request.number, 'player', {'image': count})
+        resuming._on_answer(MagicMock(data=encode_answer(answer)))
+        return request.after['image'] - START_NS
+
+    assert not resuming.update()
+    assert resend(2, 1, 2) == 0
+    now_s = module.LEAST_S
+    assert not resuming.update()  # the third message was sent on the topic before this
+    assert not resuming.is_complete
+    assert resend(1, 3, 3) == 2
+    assert resuming.update()
+    assert resuming.is_complete
