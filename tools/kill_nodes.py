@@ -61,6 +61,7 @@ def main() -> int:
     if options.record is not None:
         record(options.record)
         return 0
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # ends the nodes
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     os.environ.setdefault('ROS_DOMAIN_ID', '96')
     os.environ['PYTHONPATH'] = str(ROOT)
