@@ -45,7 +45,7 @@ def main() -> int:
     parser.add_argument('--map', action='store_true', help='save a map file while mapping')
     options = parser.parse_args()
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    os.environ.setdefault('ROS_DOMAIN_ID', '97')
+    os.environ.setdefault('ROS_DOMAIN_ID', '101')
     sys.path.insert(0, str(ROOT))
     from ratslam_ros.live import ros
 

@@ -51,7 +51,7 @@ def main() -> int:
     parser.add_argument('--seconds', type=float, default=30.0)
     options = parser.parse_args()
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    os.environ.setdefault('ROS_DOMAIN_ID', '96')
+    os.environ.setdefault('ROS_DOMAIN_ID', '101')
     sys.path.insert(0, str(ROOT))
     from ratslam_ros.live import ros
 

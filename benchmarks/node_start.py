@@ -42,7 +42,7 @@ def _start_s(node: str) -> float:
     environment = {
         **os.environ,
         'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
-        'ROS_DOMAIN_ID': '96',  # a separate domain, against interference by other nodes
+        'ROS_DOMAIN_ID': '101',  # a separate domain, against interference by other nodes
         'PYTHONPATH': os.pathsep.join(filter(None, [str(ROOT), os.environ.get('PYTHONPATH')])),
     }
     environment.pop('PYTHONDONTWRITEBYTECODE', None)

@@ -457,7 +457,7 @@ def main() -> int:
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    os.environ.setdefault('ROS_DOMAIN_ID', '96')
+    os.environ.setdefault('ROS_DOMAIN_ID', '101')
     from ratslam_ros.core.config import Config
     from ratslam_ros.core.warm_up import warm_up
     from ratslam_ros.files.config import to_yaml

@@ -80,7 +80,7 @@ def row(driver: Any, viewer: int) -> list[str]:
 def start(log: Path, *words: str) -> subprocess.Popen[bytes]:
     """Start a ratslam command in a session of its own, as in a terminal of its own."""
     environment = {
-        'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', 'ROS_DOMAIN_ID': '95', **os.environ,
+        'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', 'ROS_DOMAIN_ID': '101', **os.environ,
         'PYTHONPATH': str(ROOT),
     }  # fmt: skip
     with log.open('wb') as out:

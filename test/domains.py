@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any
 
 DOMAINS = 100
-"""Number of ROS domains for tests: from 102 on, their ports are those of other connections."""
+"""Number of ROS domains for tests; benchmarks and tools use 101. From 102 on, ports are those
+of other connections."""
 
 _locks: list[Any] = []
 """Locked files of the domains that this process has taken, open until it ends."""

@@ -63,7 +63,7 @@ def main() -> int:
         return 0
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # ends the nodes
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    os.environ.setdefault('ROS_DOMAIN_ID', '96')
+    os.environ.setdefault('ROS_DOMAIN_ID', '101')
     os.environ['PYTHONPATH'] = str(ROOT)
     chance = random.Random(options.seed)
     table = Table()
