@@ -78,6 +78,8 @@ class RatslamNode(ConfiguredNode, Generic[Item]):
         """By stream, for those that come from another node."""
         self._keeper: MapKeeper | None = None
         """The node's part of the map file, if there is one."""
+        self._rhythm: State | None = None
+        """Prediction of odometry in a restored state, until it is known whether that goes on."""
         self._kept_inputs: list[KeptInput] = []
         self._operations: MapOperations | None = None
         # With use_sim_time and no /clock, the node must still publish diagnostics.
@@ -122,14 +124,16 @@ class RatslamNode(ConfiguredNode, Generic[Item]):
             Path(path).expanduser(), [self.SECTION], meta, self.get_logger().warning
         )
         keeper = MapKeeper(
-            self, self._diagnostics, store, self.SECTION, self._saved_state, self._newest_ns,
+            self, self._diagnostics, store, self.SECTION, self._kept_state, self._newest_ns,
             self._on_neighbour_restarted,
         )  # fmt: skip
         try:
             with self._lock:
                 if keeper.restored is not None:
                     self._restore_saved(keeper.restored)
+                    self._rhythm = keeper.restored.get('rhythm')
                     if keeper.joins:
+                        self._restore_rhythm(keeper.since_ns)
                         self._resume_parameters(
                             keeper.logged(self._parameter_stream, keeper.since_ns)
                         )
@@ -140,6 +144,12 @@ class RatslamNode(ConfiguredNode, Generic[Item]):
             store.close()
             raise
         self._keeper = keeper
+
+    def _kept_state(self) -> State:
+        """Return the memory, and what a restarted node needs for the same order of messages."""
+        if self.REGULAR is None:
+            return self._saved_state()
+        return {**self._saved_state(), 'rhythm': self._order.rhythm}
 
     def _catch_up(self) -> None:
         """Get the messages that were sent since the restored state."""
@@ -275,10 +285,20 @@ class RatslamNode(ConfiguredNode, Generic[Item]):
             return
         if self._keeper is not None and self._keeper.is_repeated(stream, stamp_ns):
             return
+        if self._rhythm is not None and stream == self.REGULAR:
+            self._restore_rhythm(stamp_ns)
         self._process(self._order.push(stream, stamp_ns, item))
         if self._order.jumped_back:
             self._handle_jump_back(stream, stamp_ns)
         self._count_dropped(stream, stamp_ns)
+
+    def _restore_rhythm(self, stamp_ns: int) -> None:
+        """Predict odometry as before the restart, if it goes on at this stamp."""
+        rhythm, self._rhythm = self._rhythm, None
+        if rhythm and rhythm['regular_ns'] is not None:
+            gap_ns = stamp_ns - rhythm['regular_ns']
+            if 0 <= gap_ns <= round(self._section.max_odom_gap_s * 1e9):
+                self._order.restore_rhythm(rhythm)
 
     def _refuse(self, stream: str, reason: str) -> None:
         """Count and report a message that cannot be used."""
@@ -289,6 +309,8 @@ class RatslamNode(ConfiguredNode, Generic[Item]):
             if self._keeper is not None:
                 self._keeper.reach(stream, stamp_ns)
             self._take(stamp_ns, stream, item)
+            if self._keeper is not None:
+                self._order.note_processed(stream, stamp_ns)
 
     def _take(self, stamp_ns: int, stream: str, item: Item) -> None:
         """Take the next message in stamp order."""

@@ -73,6 +73,7 @@ def test_restarted_node_repeats_the_actions_of_the_first_run(
     drive(made, 0, 40)
     made.until(lambda: len(whole) == 40)
     expected = [unsigned(message.data) for message in whole]
+    rhythm = made.nodes[0]._order.rhythm
     made.nodes[0]._keeper._store.flush(5.0)
     saved = made.nodes[0]._keeper._store.acknowledged
     assert saved is not None
@@ -93,6 +94,7 @@ def test_restarted_node_repeats_the_actions_of_the_first_run(
         assert START_NS + (start - 1) * S // 5 <= saved.stamp_ns < START_NS + start * S // 5
         again.until(lambda: len(repeated) == 40 - start)
         assert [unsigned(message.data) for message in repeated] == expected[start:]
+        assert node._order.rhythm == rhythm
     finally:
         other.close()
 

@@ -233,7 +233,7 @@ class _Rhythm:
 
     def restore(self, state: State) -> None:
         self.reached_ns, self._last_ns = state['reached_ns'], state['last_ns']
-        self._steps_ns.extend(state['steps_ns'])
+        self._steps_ns = deque(state['steps_ns'], STEP_COUNT)
         self._apart_count = state['apart_count']
 
 
@@ -261,6 +261,8 @@ class StampOrder(Generic[Item]):
         self._is_patient = is_patient
         self._regular = None if regular is None else streams.index(regular)
         self._rhythm = _Rhythm()
+        self._processed = _Rhythm()
+        self._processed_ns: int | None = None
         self._rank = {stream: rank for rank, stream in enumerate(streams)}
         self._names = streams
         self.max_lateness_ns = max_lateness_ns
@@ -302,6 +304,26 @@ class StampOrder(Generic[Item]):
     def newest_of(self, stream: str) -> int | None:
         """Return the newest accepted stamp of a stream, None before the first."""
         return self._streams[self._rank[stream]].last_ns
+
+    def note_processed(self, stream: str, stamp_ns: int) -> None:
+        """Note that a released message has been processed, for ``rhythm``."""
+        rank = self._rank[stream]
+        if rank == self._regular:
+            self._processed.place_ns(stamp_ns)
+            self._processed_ns = stamp_ns
+        elif rank == len(self._held) - 1:
+            self._processed.see(stamp_ns != self._processed_ns)
+
+    @property
+    def rhythm(self) -> State:
+        """How the regular stream is predicted after the messages that were processed."""
+        return {**self._processed.state(), 'regular_ns': self._processed_ns}
+
+    def restore_rhythm(self, state: State) -> None:
+        """Predict the regular stream as another object that has processed the same messages."""
+        for rhythm in (self._rhythm, self._processed):
+            rhythm.restore(state)
+        self._regular_ns = self._processed_ns = state['regular_ns']
 
     def waiting(self, stream: str) -> list[Item]:
         """Return the accepted messages of a stream that are still held, in order."""

@@ -122,3 +122,39 @@ def test_old_state_without_prediction_is_restored() -> None:
     again = StampOrder[int](STREAMS, 100, 'odometry')
     again.restore(order.state(lambda item: item), lambda item: item)
     assert pushed(again, [('template', 7), ('odometry', 8)]) == [('odometry', 5), ('template', 7)]
+
+
+@given(
+    st.lists(st.integers(1, 40), min_size=50, max_size=120), st.integers(0, 200),
+    st.randoms(use_true_random=False),
+)  # fmt: skip
+def test_restarted_order_goes_on_as_the_one_before(
+    steps_ms: list[int], count: int, chance: random.Random
+) -> None:
+    """It knows the messages that were processed, and gets all others, as a restarted node."""
+    messages, at_ns = [], 0
+    for step in steps_ms:
+        at_ns += step * MS
+        messages += [
+            ('template', at_ns - chance.randrange(step) * MS - MS // 2), ('odometry', at_ns)
+        ]
+    order = regular_order(10**12)
+    expected = pushed(order, messages)
+    done, rest = expected[:count], expected[count:]
+    for message in done:
+        order.note_processed(*message)
+    again = regular_order(10**12)
+    again.restore_rhythm(json.loads(json.dumps(order.rhythm)))
+    known = set(done)
+    assert pushed(again, [one for one in messages if one not in known])[: len(rest)] == rest
+
+
+def test_restarted_order_does_not_wait_for_odometry_that_is_predicted() -> None:
+    order = regular_order()
+    last_ns = after_regular_odometry(order)
+    for n in range(1, STEP_COUNT + 2):
+        order.note_processed('template', n * STEP_NS - STEP_NS // 2)
+        order.note_processed('odometry', n * STEP_NS)
+    again, template = regular_order(), ('template', last_ns + MS)
+    again.restore_rhythm(order.rhythm)
+    assert pushed(again, [template]) == [template]
