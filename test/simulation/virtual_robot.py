@@ -63,6 +63,9 @@ from ratslam_ros.nodes.qos import PLAYED
 from ratslam_ros.standalone.context import Context, get_default_context
 from ratslam_ros.starting import starting
 
+NOT_MEMORY = 'goals', 'reached', 'rhythm'
+"""Parts of a saved state that are no result of a replay."""
+
 
 @dataclass
 class Outcome:
@@ -141,7 +144,7 @@ class Simulation:
     def run(self) -> Outcome:
         """Run until the nodes are idle, end them, and check the result."""
         scheduler, outcome, plan = self.scheduler, self.outcome, self.plan
-        replayed(plan.robot)  # in the time of the machine
+        replayed(plan.robot, plan.jitter_ns)  # in the time of the machine
         with installed(self):
             try:
                 self._drive()
@@ -273,7 +276,7 @@ class Simulation:
         node = Node('player', context=context)
         image_qos = rclpy.qos.qos_profile_sensor_data if plan.best_effort else PLAYED
         kinds = {'odom': Odometry, 'image': Image, 'scan': LaserScan}
-        topics = sorted({event.topic for event in world(plan.robot)})
+        topics = sorted({event.topic for event in world(plan.robot, plan.jitter_ns)})
         publishers = {
             topic: node.create_publisher(
                 kinds[topic], topic, image_qos if topic == 'image' else PLAYED
@@ -323,7 +326,7 @@ class Simulation:
 
     def _order(self) -> Iterator[Event]:
         """Yield the world, with some neighbours swapped that are of different topics."""
-        events = list(world(self.plan.robot))
+        events = list(world(self.plan.robot, self.plan.jitter_ns))
         for n in range(len(events) - 1):
             if events[n].topic != events[n + 1].topic and (
                 self.scheduler.chance.random() < self.plan.swaps
@@ -353,7 +356,7 @@ class Simulation:
     def _compare(self) -> None:
         different = [
             name
-            for name, digest in replayed(self.plan.robot).items()
+            for name, digest in replayed(self.plan.robot, self.plan.jitter_ns).items()
             if digest_of(self.nodes[name].node._memory_state()['core']) != digest
         ]
         self.outcome.identical = not different
@@ -374,13 +377,11 @@ class Simulation:
             beside = sorted(path.name for path in self.path.parent.iterdir())
             if beside != [self.path.name]:
                 self.outcome.problems.append(f'files are left at the end: {beside}')
-            for name in replayed(self.plan.robot):
-                kept = {
-                    k: v for k, v in self.nodes[name].node._memory_state().items() if k != 'goals'
-                }
-                found = {
-                    k: v for k, v in saved.states[name].items() if k not in ('goals', 'reached')
-                }
+            for name in replayed(self.plan.robot, self.plan.jitter_ns):
+                kept, found = (
+                    {key: value for key, value in state.items() if key not in NOT_MEMORY}
+                    for state in (self.nodes[name].node._memory_state(), saved.states[name])
+                )
                 if digest_of(kept) != digest_of(found):
                     self.outcome.problems.append(f'{name}: the saved state is not the last one')
 

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+import random
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -79,6 +80,9 @@ REPAIR_NS = 1500 * MS
 """Time after which a killed node has to be starting again. Its neighbours do not know that it was
 killed, and process what they hold after ``flush_after_s`` and ``max_lateness_s``, 2 s."""
 
+JITTER_NS = 40 * MS
+"""Deviation of the stamps of odometry, whose period is 100 ms, in some of the simulations."""
+
 SMALL_BACKLOG = 4_000
 """Bytes of images that wait in a shrunk queue."""
 
@@ -110,7 +114,7 @@ class Plan:
     duplicates: probability that a message is published twice. swaps: probability that an odometry
     message is published after the next image. backlog: limit of the waiting images, in bytes.
     best_effort: the camera is. ends: how the nodes end, ``closed`` or ``killed``.
-    robot: its sensors, of ``ROBOTS``.
+    robot: its sensors, of ``ROBOTS``. jitter_ns: deviation of the stamps of odometry, at most.
     """
 
     bus: BusFaults
@@ -124,6 +128,7 @@ class Plan:
     best_effort: bool
     ends: str
     robot: str = 'wheels'
+    jitter_ns: int = 0
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -168,7 +173,7 @@ class Plan:
             bus.depth == 0 and chance.random() < 0.8,
             chance.choice([0.0, 0.0, 0.05]), chance.choice([0.0, 0.0, 0.1]),
             chance.choice([0, 0, 0, SMALL_BACKLOG]), chance.random() < 0.15,
-            chance.choice(['closed', 'killed']), robot,
+            chance.choice(['closed', 'killed']), robot, chance.choice([0, 0, JITTER_NS]),
         )  # fmt: skip
 
 
@@ -184,21 +189,25 @@ class Event:
 
 
 @cache
-def world(robot: str) -> tuple[Event, ...]:
-    """Return what the sensors of a robot measure on a drive in circles, in the order of stamps."""
+def world(robot: str, jitter_ns: int = 0) -> tuple[Event, ...]:
+    """Return what the sensors of a robot measure on a drive in circles, in the order of stamps.
+
+    The stamps of odometry deviate by up to ``jitter_ns``.
+    """
     events = []
-    start_ns = EPOCH_NS
+    start_ns, deviations = EPOCH_NS, random.Random('jitter')
     for n in range(DRIVE_S * S // ODOMETRY_NS):
         stamp_ns = start_ns + n * ODOMETRY_NS
         lap_s = PER_LAP * IMAGE_NS / S
-        odometry = Odometry(header=header_of(stamp_ns, 'odom'), child_frame_id='base_link')
+        odometry_ns = stamp_ns + deviations.randint(-jitter_ns, jitter_ns)
+        odometry = Odometry(header=header_of(odometry_ns, 'odom'), child_frame_id='base_link')
         odometry.twist.twist.linear.x = 2.0 * math.pi * RADIUS_M / lap_s
         odometry.twist.twist.angular.z = 2.0 * math.pi / lap_s
         odometry.pose.pose.orientation.w = 1.0
         twist = odometry.twist.twist
         if robot != 'camera':
-            events.append(Event(stamp_ns, 'odom', odometry, OdometryEvent(
-                stamp_ns, stamp_ns, twist.linear.x, twist.angular.z, 0.0, 0.0,
+            events.append(Event(odometry_ns, 'odom', odometry, OdometryEvent(
+                odometry_ns, odometry_ns, twist.linear.x, twist.angular.z, 0.0, 0.0,
                 Orientation(0.0, 0.0, 0.0, 1.0),
             )))  # fmt: skip
         number, between = divmod(n * ODOMETRY_NS, IMAGE_NS)
@@ -221,16 +230,16 @@ def world(robot: str) -> tuple[Event, ...]:
             message = deserialize_message(serialize_message(message), LaserScan)  # has float32
             recorded_scan = ScanEvent(stamp_ns, stamp_ns, 0.0, 0.0, 0.0, 20.0, message.ranges)
             events.append(Event(stamp_ns, 'scan', message, recorded_scan))
-    return tuple(events)
+    return tuple(sorted(events, key=lambda event: event.stamp_ns))
 
 
 @cache
-def replayed(robot: str) -> dict[str, bytes]:
+def replayed(robot: str, jitter_ns: int = 0) -> dict[str, bytes]:
     """Return the digests of what each part has learned in an undisturbed replay."""
     config = Config().with_values(SETTINGS)
     slam = RatSLAM(config, visual_odometry=robot == 'camera')
     landmarks = LandmarkMapping(config)
-    for event in world(robot):
+    for event in world(robot, jitter_ns):
         if event.topic == 'odom':
             slam.odometry(odometry_of(event.message))
             landmarks.odometry(odometry_of(event.message))
