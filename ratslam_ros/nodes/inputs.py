@@ -19,6 +19,10 @@ from ratslam_ros.starting import starting
 RESUBSCRIBE_AFTER_S = 0.5
 """Time without a message after which a subscription may be replaced."""
 
+KNOWN_AFTER_S = 2.0
+"""Time after which the quality of service of a publisher that was found is known; on a loaded
+machine, ROS reports a mismatch before."""
+
 
 class Input:
     """One stream on one of several topics, reliable if all its publishers are."""
@@ -48,6 +52,8 @@ class Input:
         self._callback = callback
         self._subscriptions: dict[str, Any] = {}
         self._best_effort: dict[str, bool] = {}
+        self._mismatched_s: dict[str, float] = {}
+        """Topics with a publisher of an incompatible quality of service, and since when."""
         self._used: str | None = None
         self.received = 0
         self._counted = 0
@@ -72,6 +78,8 @@ class Input:
 
     def update(self, silence_s: float) -> float:
         """Adapt to the publishers' quality of service, warn of silence, return the rate in Hz."""
+        for topic, since_s in [*self._mismatched_s.items()]:
+            self._judge_mismatch(topic, since_s)
         wanted = self._wanted_topics()
         for topic in self._topics:
             if topic not in wanted:
@@ -191,13 +199,20 @@ class Input:
 
     def _on_mismatch(self, topic: str) -> None:
         """Report a publisher with another quality of service: ``update`` adapts to best effort."""
+        if topic not in self._mismatched_s:
+            self._mismatched_s[topic] = time.monotonic()
+            self._judge_mismatch(topic, self._mismatched_s[topic])
+
+    def _judge_mismatch(self, topic: str, since_s: float) -> None:
         name = self._node.resolve_topic_name(topic)
         if self._is_best_effort(topic):
+            del self._mismatched_s[topic]
             if not self._best_effort.get(topic, False):
                 self._node.get_logger().info(
                     f'{name} has a best-effort publisher: subscribing again as best effort'
                 )
-        else:
+        elif time.monotonic() - since_s >= KNOWN_AFTER_S:
+            del self._mismatched_s[topic]
             self._diagnostics.warn(
                 f'{name} has a publisher of an incompatible quality of service, whose messages '
                 f'are not received; expected reliable or best effort, volatile: '

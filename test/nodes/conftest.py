@@ -114,6 +114,15 @@ class World:
             count += 1
         return found
 
+    def reported(self, name: str, **expected: str) -> dict[str, str]:
+        """Wait until the diagnostics of a node have these values, and return all of them."""
+        end_s = time.monotonic() + TIMEOUT_S
+        while True:
+            found = self.diagnostics()[name]
+            if all(found.get(key) == value for key, value in expected.items()):
+                return found
+            assert time.monotonic() < end_s, f'{name} has {found}; expected {expected}'
+
 
 @pytest.fixture(scope='session', autouse=True)
 def warm() -> None:

@@ -154,8 +154,7 @@ def test_unreachable_goal_has_reason_and_goals_are_cancelled(world: MakeWorld) -
     robot.text('experience_map/goal', '{"name":1}')
     robot.text('experience_map/name_place', '{"name":" "}')
     robot.text('experience_map/name_place', '{"name":"a","remove":true}')
-    values = robot.made.diagnostics()['experience_map']
-    assert (values['refused'], values['goal']) == ('3', 'none')
+    robot.made.reported('experience_map', refused='3', goal='none')
 
 
 def test_goal_times_out_and_its_route_ends(world: MakeWorld) -> None:
@@ -238,4 +237,4 @@ def test_blocked_attempts_unlearn_links_and_the_route(world: MakeWorld) -> None:
     assert status['explore']
     assert robot.node._core.link_count < before
     robot.text('goal_follower/behaviour', '{"behaviour":"left_wall"}')
-    assert robot.made.diagnostics()['experience_map']['refused'] == '1'
+    robot.made.reported('experience_map', refused='1')

@@ -110,12 +110,9 @@ def test_invalid_images_are_counted_and_change_nothing(world: MakeWorld) -> None
         made.send('image', message)
     made.send('image', image(START_NS + PERIOD_NS, 1))
     made.until(lambda: len(received) >= 6)
-    made.spin(0.2)
     found = [decode_template(message.data) for message in received]
     assert [match.template_id for _, match, _ in found] == [0, -1, -1, -1, -1, 1]
-    state = made.diagnostics()['local_view']
-    assert state['undecodable'] == '4'
-    assert state['refused'] == '4'
+    state = made.reported('local_view', undecodable='4', refused='4')
     assert state['templates'] == '2'
     assert state['level'] == '1'
 
@@ -220,6 +217,28 @@ def test_best_effort_camera_is_received_without_a_false_alarm(
     logged = ''.join(capfd.readouterr())
     assert '/image has a best-effort publisher: subscribing again as best effort' in logged
     assert 'No messages will be received' not in logged
+
+
+def test_mismatch_that_is_reported_before_its_publisher_is_known_is_no_false_alarm(
+    world: MakeWorld, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from ratslam_ros.nodes import inputs
+
+    made, _ = local_view(world)
+    [images] = made.nodes[0]._inputs
+    monkeypatch.setattr(images, '_is_best_effort', lambda topic: False)
+    images._on_mismatch('image')
+    images.update(60.0)
+    assert ''.join(capfd.readouterr()) == ''
+    monkeypatch.setattr(images, '_is_best_effort', lambda topic: topic == 'image')
+    images.update(60.0)
+    assert 'subscribing again as best effort' in ''.join(capfd.readouterr())
+    # Another difference than reliability.
+    monkeypatch.setattr(images, '_is_best_effort', lambda topic: False)
+    monkeypatch.setattr(inputs, 'KNOWN_AFTER_S', 0.0)
+    images._on_mismatch('image')
+    images.update(60.0)
+    assert ''.join(capfd.readouterr()).count('incompatible quality of service') == 1
 
 
 def test_memory_learned_at_stamp_0_is_numbered_1(world: MakeWorld) -> None:
@@ -620,9 +639,8 @@ def test_invalid_actions_are_refused_and_leave_the_map(world: MakeWorld) -> None
     ]  # fmt: skip
     for text in wrong:
         made.send('pose_cells/action', string(text))
-    made.spin(0.5)
+    made.reported('experience_map', refused='6')  # one is still held
     assert received[-1].data == before
-    assert made.diagnostics()['experience_map']['refused'] == '6'  # one is still held
     made.send('pose_cells/action', string(good))
     made.send('odom', odometry(stamp + 2))
     last_map(made, received, 6)
