@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 import signal
 from pathlib import Path
+from typing import Any
 
 from processes import Commands
 
@@ -27,7 +28,9 @@ cell_m: 0.5
 #......................#
 ########################
 """
-RATE = 4.0
+RATES = 4.0, 1.0
+"""Speeds in units of real time. On a loaded machine, the robot may miss the goal at four times real
+time; then it has to reach it in real time."""
 NODES = ('local_view', 'pose_cells', 'experience_map', 'goal_follower')
 
 OPERATOR = """
@@ -102,6 +105,17 @@ def test_exploring_robot_drives_to_named_goal(
 ) -> None:
     plan = tmp_path / 'ring.txt'
     plan.write_text(RING)
+    for rate in RATES:
+        result = drive(commands, plan, rate)
+        if result['status'] == 'succeeded' and result['away_m'] <= 0.5:
+            break
+    else:
+        raise AssertionError(result)
+    assert result['goal'] == 'there'
+
+
+def drive(commands: Commands, plan: Path, rate: float) -> dict[str, Any]:
+    """Start all processes, explore, drive to the goal, end them; return the goal's outcome."""
     settings = [
         'goal_follower.explore=true',
         # At four times real time, delays of a loaded machine count four times.
@@ -120,17 +134,13 @@ def test_exploring_robot_drives_to_named_goal(
         assert line, 'a node has ended'
         ready += 'ready' in line
     robot = commands.start(
-        'run', 'simulator', '--ros-args', '-p', f'plan:={plan}', '-p', f'rate:={RATE}',
+        'run', 'simulator', '--ros-args', '-p', f'plan:={plan}', '-p', f'rate:={rate}',
         '-p', 'seed:=2', '-p', 'aliasing:=0.0', '-p', 'noise:=0.5', '-p', 'light_change:=0.0',
     )  # fmt: skip
-    operator = commands.start_python(OPERATOR, '120', '230', '4', '180')
-    out, err = operator.communicate(timeout=200.0)
-    assert operator.returncode == 0, err
-    result = json.loads(out)
-    assert result['goal'] == 'there'
-    assert result['status'] == 'succeeded', result
-    assert result['away_m'] <= result['from_m'] / 4.0, result
-    robot.send_signal(signal.SIGINT)
-    assert robot.wait(20.0) == 0
-    nodes.send_signal(signal.SIGINT)
-    assert nodes.wait(20.0) == 0
+    over_s = 720.0 / rate
+    operator = commands.start_python(OPERATOR, '120', '230', '4', str(over_s))
+    out, err = operator.communicate(timeout=over_s + 20.0)
+    for process in (robot, nodes):
+        process.send_signal(signal.SIGINT)
+        assert process.wait(20.0) == 0
+    return dict(json.loads(out)) if operator.returncode == 0 else {'status': err}
