@@ -29,8 +29,8 @@ cell_m: 0.5
 ########################
 """
 RATES = 4.0, 1.0
-"""Speeds in units of real time. On a loaded machine, the robot may miss the goal at four times real
-time; then it has to reach it in real time."""
+"""Speeds in units of real time. On a loaded machine, the robot may miss the goal at four times
+real time; then it has to reach it in real time."""
 NODES = ('local_view', 'pose_cells', 'experience_map', 'goal_follower')
 
 OPERATOR = """
