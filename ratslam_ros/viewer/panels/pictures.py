@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from itertools import islice
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -44,25 +45,25 @@ def match_picture(match: MatchRecord) -> NDArray[np.uint8]:
         _row(match.template, max(shift, 0), columns, match.view.shape[1], max(-shift, 0)),
     ]
     upper, lower = (row.repeat(zoom, axis=0).repeat(zoom, axis=1) for row in rows)
-    gap = np.full((GAP_PX, columns * zoom, 3), 127, np.uint8)
-    picture = np.concatenate([upper, gap, lower])
+    gap = np.full((GAP_PX, columns * zoom), 127, np.uint8)
+    picture = cv2.cvtColor(np.concatenate([upper, gap, lower]), cv2.COLOR_GRAY2RGB)
     first = abs(shift) * zoom
     last = (columns - abs(shift)) * zoom
     if shift:
         picture[:, max(first - 1, 0) : first + 1] = ORANGE
         picture[:, last - 1 : last + 1] = ORANGE
-    return picture
+    return np.asarray(picture, np.uint8)
 
 
 def _row(
     image: NDArray[np.uint8], at: int, columns: int, other_width: int, other_at: int
 ) -> NDArray[np.uint8]:
     """Return an image at its columns of the picture, dark where the other one has none."""
-    row = np.full((image.shape[0], columns, 3), 127.0)
-    row[:, at : at + image.shape[1]] = image[:, :, None]
-    column = np.arange(columns)
-    row[:, (column < other_at) | (column >= other_at + other_width)] *= UNMATCHED
-    return row.astype(np.uint8)
+    row = np.full((image.shape[0], columns), 127, np.uint8)
+    row[:, at : at + image.shape[1]] = image
+    for unmatched in (row[:, :other_at], row[:, other_at + other_width :]):
+        unmatched[:] = (unmatched * UNMATCHED).astype(np.uint8)
+    return row
 
 
 def error_curves(views: Iterable[ViewRecord], now_ns: int) -> tuple[NDArray[np.float64], ...]:
