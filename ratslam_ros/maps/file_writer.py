@@ -17,7 +17,7 @@ from ratslam_ros.maps.chunks import Compressor, pack
 from ratslam_ros.maps.locks import MapLock
 from ratslam_ros.maps.part import Image, PartWriter, Row, Written, load, rows_of
 from ratslam_ros.maps.reader import unusable
-from ratslam_ros.maps.saved_map import Cut, MapMeta, SavedMap, loss_note
+from ratslam_ros.maps.saved_map import Cut, MapMeta, SavedMap, interruption_note, loss_note
 from ratslam_ros.maps.schema import (
     NEW,
     beside,
@@ -63,6 +63,7 @@ class FileWriter:
         self.number: int | None = None
         """Number of the restored cut if it is of this session."""
         self.notes: list[str] = []
+        self.may_lack = ''
         compressor = Compressor()
         self._writers = {part: PartWriter(part, compressor) for part in parts}
         self._session = 0
@@ -222,6 +223,9 @@ class FileWriter:
         if found.session == self._session:  # All that join a session know what it lacks.
             lost = None if self.joins else sessions[-1].lost
         self.notes = [] if lost is None else [loss_note(lost, cut)]
+        before = sessions[:-1] if found.session == self._session else sessions
+        if lost is None and before and not (before[-1].ended or self.joins):
+            self.may_lack = interruption_note(cut)
         if rows or found.cut is not None:
             self.restored = SavedMap(
                 self.path, sessions[-1].meta, cut, states, sessions, self.notes,

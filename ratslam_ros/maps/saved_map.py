@@ -149,6 +149,14 @@ def loss_note(lost: tuple[int, int], cut: Cut | None) -> str:
     )
 
 
+def interruption_note(cut: Cut | None) -> str:
+    """Return in one line what a new session misses if only the source of the last one knows it."""
+    if cut is None:
+        return 'nothing of the map was saved before it was interrupted: all until then may be lost'
+    after = seconds(cut.stamp_ns)
+    return f'the last session was interrupted: what came after {after} s may be lost'
+
+
 def seconds(stamp_ns: int) -> str:
     """Return a stamp in seconds with all digits."""
     sign = '-' if stamp_ns < 0 else ''

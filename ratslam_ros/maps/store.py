@@ -52,6 +52,9 @@ class MapStore:
         """Whether this process was interrupted in the running session and has to catch up."""
         self.notes = writer.notes
         """What is missing of the session before; also if nothing of it was saved."""
+        self.may_lack = writer.may_lack
+        """What may be missing of it without a trace in the file, because it was interrupted; '' if
+        nothing. Messages are in the log after up to a second."""
         self.problem = ''
         """Why the file cannot be written now, '' if it can."""
         self.number = writer.number

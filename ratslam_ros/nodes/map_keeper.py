@@ -327,7 +327,8 @@ class MapKeeper:
         if are_lost:
             self._lost_after_ns = since_ns
         if not self._store.joins and has_images and not resuming.is_complete:
-            for note in self._store.notes:  # All nodes were killed, no source sends it again.
+            # All nodes were killed, no source sends it again.
+            for note in filter(None, (*self._store.notes, self._store.may_lack)):
                 self._diagnostics.note(note)
         missed = [
             Missed(stamp_ns, one.stream, partial(one.replay, data))

@@ -116,6 +116,29 @@ def test_crashed_process_rejoins_with_its_own_newest_cut(tmp_path: Path) -> None
     cells.close()
 
 
+@pytest.mark.parametrize('is_saved', [True, False])
+def test_interruption_without_a_known_loss_is_noted(tmp_path: Path, is_saved: bool) -> None:
+    path = tmp_path / 'a.map'
+    views = opened(path, VIEWS)
+    assert views.may_lack == ''
+    if is_saved:
+        put(views, 1)
+    kill(views)
+    views, cells = opened(path, VIEWS), opened(path, CELLS)
+    expected = 'after 0.00000001 s may be lost' if is_saved else 'all until then may be lost'
+    assert views.notes == cells.notes == []
+    assert expected in views.may_lack
+    assert expected in cells.may_lack
+    kill(cells)
+    cells = opened(path, CELLS)
+    assert (cells.joins, cells.may_lack) == (True, '')  # Its neighbours know what it missed.
+    views.close()
+    cells.close()
+    views = opened(path, VIEWS)
+    assert views.may_lack == ''
+    views.close()
+
+
 def test_loss_is_reported_again_if_the_session_after_it_was_killed_at_once(
     tmp_path: Path,
 ) -> None:

@@ -89,6 +89,17 @@ def test_lost_images_without_a_next_one_are_reported(at_s: int, names: tuple[str
     assert 'lost span' in outcome.losses, outcome
 
 
+def test_messages_are_reported_that_only_their_source_knew() -> None:
+    """All nodes are killed after the first image, before anything is in the file."""
+    plan = replace(
+        UNDISTURBED, bus=BusFaults(delay_ns=20 * MS, discovery_ns=20 * MS), duplicates=0.05,
+        jitter_ns=40 * MS, kills=((115 * MS, ROBOTS['wheels'], 100 * MS),), resends=False,
+    )  # fmt: skip
+    outcome = simulate(4693, plan=plan)
+    assert not outcome.identical
+    assert outcome.losses == ('lost span',), outcome
+
+
 def test_odometry_of_images_survives_all_its_receivers() -> None:
     kill = DRIVE_S * S // 2, ('pose_cells', 'experience_map'), S
     plan = replace(UNDISTURBED, kills=(kill,), resends=False, robot='camera')

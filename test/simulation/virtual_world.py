@@ -93,7 +93,7 @@ LOSSES = {
     'refused': r'was refused',
     'gap': r'has a gap before|odometry has a gap',
     'lost span': (
-        r'\w+ from \S+ s to \S+ s (are|is) lost|\w+ after \S+ s may be lost|'
+        r'\w+ from \S+ s to \S+ s (are|is) lost|(\w+ after \S+ s|until then) may be lost|'
         r's are missing, up to stamp'
     ),
     'missed': r'actions of pose_cells were lost',
