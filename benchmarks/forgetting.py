@@ -38,12 +38,11 @@ from place_recognition import LAPS, Laps, lap_recognition
 from real_recordings import map_spread, read_frames
 
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.ratslam import RatSLAM
-from ratslam_ros.core.vision.local_view import LocalView
 from ratslam_ros.event_inputs import odometry_from_event
 from ratslam_ros.files.config import load_config
 from ratslam_ros.files.memory import save
 from ratslam_ros.offline.replay import ReplayOptions, replay
+from ratslam_ros.pipeline.ratslam import RatSLAM
 from ratslam_ros.recordings import ImageEvent, OdometryEvent, open_recording
 from ratslam_ros.results.evaluation import evaluate
 from ratslam_ros.results.trajectory import read_tum
@@ -80,7 +79,7 @@ class Stopwatch:
         """Time one step."""
         start_s = time.perf_counter()
         yield
-        if name == 'local_view':
+        if name == 'local_view.image':
             self.total_s += time.perf_counter() - start_s
 
 
@@ -88,7 +87,7 @@ def map_recording(recording_path: Path, truth: Path, config: Config) -> Row:
     """Map one recording."""
     watch, images = Stopwatch(), 0
     slam = RatSLAM(config, stopwatch=watch)
-    assert isinstance(slam.local_view, LocalView)
+    assert slam.local_view is not None
     templates = experiences = 0
     with tempfile.TemporaryDirectory() as name, open_recording(recording_path) as recording:
         folder = Path(name)

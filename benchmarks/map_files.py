@@ -24,9 +24,9 @@ from ratslam_ros.core.common.odometry import Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.common.state import State
-from ratslam_ros.core.ratslam import RatSLAM
 from ratslam_ros.files.config import load_config
 from ratslam_ros.maps import Cut, MapMeta, MapStore, read_map
+from ratslam_ros.pipeline.ratslam import RatSLAM
 
 SIZES = 1_000, 5_000, 20_000
 REPETITIONS = 9

@@ -48,14 +48,14 @@ from ratslam_ros.core.config import Config
 from ratslam_ros.core.merging.merge import JoinReport, MergedMap, merge_sessions
 from ratslam_ros.core.merging.session import Session
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
-from ratslam_ros.core.ratslam import RatSLAM
-from ratslam_ros.core.steps import Step, ViewStep
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.event_inputs import odometry_from_event
 from ratslam_ros.files.config import load_config
 from ratslam_ros.messages.mapping import decode_template
 from ratslam_ros.offline.inspection import inspect
-from ratslam_ros.offline.replay import calibrated
+from ratslam_ros.offline.replay import calibrated, head_of
+from ratslam_ros.pipeline.items import Step, ViewStep
+from ratslam_ros.pipeline.ratslam import RatSLAM
 from ratslam_ros.recordings import ImageEvent, OdometryEvent, Recording, open_recording
 from ratslam_ros.results.evaluation import evaluate, fit
 from ratslam_ros.results.trajectory import Trajectory, read_tum
@@ -112,7 +112,7 @@ def run(
 ) -> Run:
     """Replay a part of a recording."""
     selection = recording.select()
-    slam = RatSLAM(config, visual_odometry=selection.odom_topic is None)
+    slam = RatSLAM(config, head_of(selection))
     frames: list[Frame] = []
 
     def take(steps: list[Step]) -> None:

@@ -31,12 +31,12 @@ from two_hours import WAREHOUSE
 from ratslam_ros.core.common.odometry import Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.navigation.route_planner import RoutePlanner
-from ratslam_ros.core.ratslam import RatSLAM
-from ratslam_ros.core.steps import ViewStep
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.errors import UnreachableGoal
 from ratslam_ros.files.config import AUTO, load_config, to_yaml
 from ratslam_ros.maps import Cut, MapMeta, MapStore, read_map
+from ratslam_ros.pipeline.items import ViewStep
+from ratslam_ros.pipeline.ratslam import RatSLAM
 
 matplotlib.use('Agg')
 import matplotlib.pyplot as plt

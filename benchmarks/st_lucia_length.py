@@ -28,12 +28,12 @@ from numpy.typing import NDArray
 from town import At, Camera, Laps, Pixels, Town, drive, resident_mb
 
 from ratslam_ros.core.config import Value
-from ratslam_ros.core.ratslam import RatSLAM
-from ratslam_ros.core.steps import ViewStep
 from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.files.config import load_config
 from ratslam_ros.images import RawImage
+from ratslam_ros.pipeline.items import ViewStep
+from ratslam_ros.pipeline.ratslam import RatSLAM
 from ratslam_ros.recordings import ImageEvent
 from ratslam_ros.recordings.prefetch import prefetch_prepared
 from ratslam_ros.results.evaluation import fit
@@ -50,8 +50,8 @@ TARGET_RATIO = 30.0  # speed relative to real time
 CHUNK = 128  # frames rendered before they are processed
 WINDOW = 1000  # frames per point of the curves
 SAME_PLACE_M, SAME_HEADING_RAD = 10.0, math.radians(20.0)
-STEPS = ('decode', 'encode', 'visual_odometry', 'local_view', 'pose_cells', 'pose_cells_view',
-         'experience_map')  # fmt: skip
+STEPS = ('decode', 'encode', 'visual_odometry.image', 'local_view.image', 'pose_cells.odometry',
+         'pose_cells.template', 'experience_map.action')  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +89,7 @@ def travel(frames: int, seed: int) -> Journey:
     """Drive through the town, and process every frame with RatSLAM."""
     config = load_config(PRESET)[0].with_values(CHANGED)
     laps = Laps()
-    journey = Journey(RatSLAM(config, visual_odometry=True, stopwatch=laps), laps)
+    journey = Journey(RatSLAM(config, head='visual_odometry', stopwatch=laps), laps)
     town = Town()
     way = enumerate(itertools.islice(drive(town, seed, 1.0 / HZ), frames))
     camera = Camera(town, seed, WIDTH, HEIGHT)

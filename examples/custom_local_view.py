@@ -30,7 +30,7 @@ class HashView:
         return ViewMatch(len(self._hashes) - 1, True, 1.0, 0.0)
 
 
-slam = RatSLAM(Config(), visual_odometry=True, local_view=HashView())
+slam = RatSLAM(Config(), head='visual_odometry', local_view=HashView())
 with open_recording(sys.argv[1]) as recording:
     for event in recording.events(recording.select(visual_odometry=True)):
         if isinstance(event, ImageEvent):

@@ -17,7 +17,7 @@ FRAME_NS = 100_000_000  # the images were taken at 10 Hz
 
 def main(folder: Path, output: Path) -> None:
     """Map the images in the order of their names."""
-    slam = RatSLAM(Config(), visual_odometry=True)
+    slam = RatSLAM(Config(), head='visual_odometry')
     stamp_ns = 0
     for path in sorted(folder.iterdir()):
         image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)  # None if this is no image

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from ratslam_ros.core.common.pose import Pose
     from ratslam_ros.core.config import Config
     from ratslam_ros.core.mapping.experience_map import ExperienceMap
-    from ratslam_ros.core.ratslam import RatSLAM
     from ratslam_ros.core.vision.local_view import ViewMatch, ViewMatcher
     from ratslam_ros.files.config import load_config
     from ratslam_ros.images import Frame
@@ -25,6 +24,7 @@ if TYPE_CHECKING:
     from ratslam_ros.maps.system import load_map, save_map
     from ratslam_ros.messages.mapping import encode_map
     from ratslam_ros.offline.replay import replay
+    from ratslam_ros.pipeline.ratslam import RatSLAM
     from ratslam_ros.recordings import (
         Event,
         ImageEvent,
@@ -48,7 +48,7 @@ _HOME = {
     'OdometryEvent': 'recordings',
     'Orientation': 'recordings',
     'Pose': 'core.common.pose',
-    'RatSLAM': 'core.ratslam',
+    'RatSLAM': 'pipeline.ratslam',
     'Recording': 'recordings',
     'Selection': 'recordings',
     'Topic': 'recordings',

@@ -12,8 +12,8 @@ from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.odometry import Odometry
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.ratslam import RatSLAM
-from ratslam_ros.core.steps import Step, ViewStep
+from ratslam_ros.pipeline.items import Step, ViewStep
+from ratslam_ros.pipeline.ratslam import RatSLAM
 
 PERIOD_NS = 500_000_000
 STEP_M = 0.5
@@ -50,7 +50,7 @@ class Drive:
     """A robot on the square track, where each step has its own template."""
 
     def __init__(self, parameters: Config) -> None:
-        self.slam = RatSLAM(parameters)
+        self.slam = RatSLAM(parameters, 'pose_cells')
         self.stamp_ns = START_NS
         self.at = 0
         self.truths: dict[int, Pose] = {}

@@ -16,9 +16,9 @@ from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.config.parameter import Value
-from ratslam_ros.core.ratslam import RatSLAM
-from ratslam_ros.core.steps import ViewStep
 from ratslam_ros.core.vision.local_view import ViewMatch
+from ratslam_ros.pipeline.items import ViewStep
+from ratslam_ros.pipeline.ratslam import RatSLAM
 
 STEP_NS = 250_000_000
 STEP_M, STEP_RAD = 0.16, math.pi / 12.0
@@ -99,7 +99,7 @@ class Drive:
     """RatSLAM, fed with samples."""
 
     def __init__(self, parameters: Config) -> None:
-        self.slam = RatSLAM(parameters)
+        self.slam = RatSLAM(parameters, 'pose_cells')
         self.steps: list[ViewStep] = []
 
     def feed(self, given: list[Sample]) -> None:

@@ -18,7 +18,7 @@ from ratslam_ros.core.config.parameter import Value
 from ratslam_ros.core.merging.merge import MergedMap
 from ratslam_ros.core.merging.session import Session
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
-from ratslam_ros.core.ratslam import RatSLAM
+from ratslam_ros.pipeline.ratslam import RatSLAM
 
 PERIOD_NS = 500_000_000
 WIDTH, HEIGHT = 12, 6

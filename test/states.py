@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from ratslam_ros.core.common.state import State
-from ratslam_ros.core.ratslam import RatSLAM
-from ratslam_ros.core.steps import Step
 from ratslam_ros.files.memory import load, save
+from ratslam_ros.pipeline.items import Step
+from ratslam_ros.pipeline.ratslam import RatSLAM
 
 Event = Callable[[RatSLAM], list[Step]]
 

@@ -200,7 +200,7 @@ def test_core_imports_without_optional_dependencies() -> None:
         'import sys\n'
         'for name in ("cv2", "scipy", "rosbags", "matplotlib", "yaml", "tqdm", "rclpy"):\n'
         '    sys.modules[name] = None\n'
-        'import ratslam_ros.core.ratslam, ratslam_ros.core.config\n'
+        'import ratslam_ros.pipeline.ratslam, ratslam_ros.core.config\n'
         'import ratslam_ros.messages.mapping, ratslam_ros.messages.goals\n'
         'print(sorted(m for m in sys.modules if m.startswith("ratslam_ros.")))\n'
     )

@@ -15,9 +15,7 @@ from ratslam_ros.core.common.scan import Scan, points_of
 from ratslam_ros.core.mapping.map_changes import MapChange, MapChangeTracker
 from ratslam_ros.core.pose_cells.active_cells import active_cells
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
-from ratslam_ros.core.ratslam import RatSLAM
-from ratslam_ros.core.steps import OdometryStep, Step, ViewStep
-from ratslam_ros.core.vision.local_view import FIXED_THRESHOLD, LocalView
+from ratslam_ros.core.vision.local_view import FIXED_THRESHOLD
 from ratslam_ros.history.recorded_images import jpeg_of
 from ratslam_ros.history.records import (
     CellsRecord,
@@ -29,6 +27,8 @@ from ratslam_ros.history.records import (
 )
 from ratslam_ros.history.writer import HistoryWriter
 from ratslam_ros.images import Image, Pixels, UndecodableImage
+from ratslam_ros.pipeline.items import OdometryStep, Step, ViewStep
+from ratslam_ros.pipeline.ratslam import RatSLAM
 
 IMAGE_WIDTH_PX = 320
 """Width of the images: recognisable, and about 8 kB."""
@@ -159,7 +159,7 @@ class Recorder:
         if grey is None or not writer.wants(MatchRecord, stamp_ns):
             return
         # A held step may be of a template that has been removed since.
-        if not isinstance(local_view, LocalView) or match.template_id not in local_view:
+        if local_view is None or match.template_id not in local_view:
             return
         template = local_view.template(match.template_id)
         view = template if match.is_new else local_view.encode(grey)

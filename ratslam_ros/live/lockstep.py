@@ -7,8 +7,8 @@ from __future__ import annotations
 from collections import deque
 
 from ratslam_ros.core.common.odometry import MotionFromOdometry
-from ratslam_ros.core.common.stamp_order import Released, StampOrder
 from ratslam_ros.event_inputs import odometry_from_event
+from ratslam_ros.pipeline.order import Released, StampOrder
 from ratslam_ros.recordings import Event, ImageEvent, OdometryEvent, ScanEvent
 
 UNLIMITED_NS = 2**63

@@ -7,13 +7,13 @@ from __future__ import annotations
 from pathlib import Path
 
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.ratslam import RatSLAM
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.config import stored_config, to_yaml
 from ratslam_ros.files.version import package_version
 from ratslam_ros.maps import saving
 from ratslam_ros.maps.reader import read_map
 from ratslam_ros.maps.saved_map import Cut, MapMeta
+from ratslam_ros.pipeline.ratslam import RatSLAM, head_of
 
 
 def save_map(slam: RatSLAM, path: str | Path, config: Config, title: str = '') -> None:
@@ -32,7 +32,7 @@ def save_map(slam: RatSLAM, path: str | Path, config: Config, title: str = '') -
     """
     path = Path(path)
     meta = MapMeta(title or path.stem, package_version(), to_yaml(config))
-    saving.save_map(path, slam.state(), meta, Cut(0, slam.order.newest_ns or 0))
+    saving.save_map(path, slam.state(), meta, Cut(0, slam.newest_ns))
 
 
 def load_map(path: str | Path, config: Config | None = None) -> RatSLAM:
@@ -53,6 +53,6 @@ def load_map(path: str | Path, config: Config | None = None) -> RatSLAM:
         if not saved.meta.configuration:
             raise UnusableInput(f'{path} contains no configuration; pass one as config')
         config, _ = stored_config(saved.meta.configuration, str(path))
-    slam = RatSLAM(config, visual_odometry='visual_odometry' in saved.states)
+    slam = RatSLAM(config, head_of(saved.states))
     slam.restore(saved.states)
     return slam

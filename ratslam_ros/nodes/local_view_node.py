@@ -13,7 +13,6 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
 from ratslam_ros.core.common.odometry import Odometry
-from ratslam_ros.core.common.stamp_order import StampOrder
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.id_map import MIN_MEMORY_NS, NO_MEMORY_NS
@@ -35,6 +34,7 @@ from ratslam_ros.nodes.image_node import ImageNode
 from ratslam_ros.nodes.match_pictures import joined
 from ratslam_ros.nodes.qos import RESULT, VIEW
 from ratslam_ros.nodes.run import run
+from ratslam_ros.pipeline.order import StampOrder
 
 
 class LocalViewNode(ImageNode):

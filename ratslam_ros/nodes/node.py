@@ -13,7 +13,6 @@ from rclpy.clock import Clock, ClockType
 from std_srvs.srv import SetBool, Trigger
 
 from ratslam_ros.core.common.odometry import MAX_GAP_NS
-from ratslam_ros.core.common.stamp_order import Counts, Released, StampOrder
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.warm_up import warm_up
@@ -29,6 +28,7 @@ from ratslam_ros.nodes.map_keeper import KeptInput, MapKeeper
 from ratslam_ros.nodes.map_operations import MapOperations
 from ratslam_ros.nodes.parameter_changes import encode_values
 from ratslam_ros.nodes.single_sender import SingleSender
+from ratslam_ros.pipeline.order import Counts, Released, StampOrder
 
 Item = TypeVar('Item')
 

@@ -13,12 +13,12 @@ from ratslam_ros.core.common.odometry import (
     odometry_state,
 )
 from ratslam_ros.core.common.scan import Scan, scan_from_state, scan_state
-from ratslam_ros.core.common.stamp_order import Released, StampOrder
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.landmarks.laser_map import STREAMS, LaserMap
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.messages.landmarks import encode_landmarks
+from ratslam_ros.pipeline.order import Released, StampOrder
 
 
 class LandmarkMapping:

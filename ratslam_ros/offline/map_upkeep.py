@@ -15,9 +15,6 @@ from typing import Any
 
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
-from ratslam_ros.core.ratslam import RatSLAM
-from ratslam_ros.core.vision.local_view import LocalView
-from ratslam_ros.descriptors import encoder_of
 from ratslam_ros.errors import RatslamError, UnusableInput
 from ratslam_ros.files.config import stored_config
 from ratslam_ros.maps import PARTS, SavedMap, read_map
@@ -37,6 +34,7 @@ from ratslam_ros.maps.schema import (
     sync_folder,
 )
 from ratslam_ros.offline.replay_map import PROGRESS, session_titles
+from ratslam_ros.pipeline.ratslam import RatSLAM, head_of
 
 BACKUP = '.bak'
 
@@ -176,10 +174,7 @@ def restored(saved: SavedMap) -> RatSLAM:
     """
     config = config_of_map(saved)[0]
     try:
-        slam = RatSLAM(
-            config, visual_odometry='visual_odometry' in saved.states,
-            local_view=LocalView(config.local_view, encoder_of(config.local_view)),
-        )
+        slam = RatSLAM(config, head_of(saved.states))
         states = {part: dict(state) for part, state in saved.states.items()}
         states.get('inputs', {}).pop(PROGRESS, None)
         slam.restore(states)

@@ -19,12 +19,8 @@ from ratslam_ros.console import ProgressBar
 from ratslam_ros.core.common.odometry import MAX_GAP_NS
 from ratslam_ros.core.common.scan import UnusableScan
 from ratslam_ros.core.config import AUTOMATIC, Config
-from ratslam_ros.core.ratslam import RatSLAM
-from ratslam_ros.core.steps import Step
-from ratslam_ros.core.vision.local_view import LocalView
 from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.core.vision.visual_odometry import field_of_view_deg
-from ratslam_ros.descriptors import encoder_of
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.event_inputs import (
     check_lasers,
@@ -42,6 +38,8 @@ from ratslam_ros.messages.mapping import decode_template
 from ratslam_ros.offline.landmark_mapping import LandmarkMapping
 from ratslam_ros.offline.replay_map import ReplayMap
 from ratslam_ros.offline.replay_video import ReplayVideo
+from ratslam_ros.pipeline.items import Step
+from ratslam_ros.pipeline.ratslam import RatSLAM
 from ratslam_ros.recordings import (
     Event,
     ImageEvent,
@@ -169,16 +167,11 @@ class _Run:
         options: ReplayOptions,
     ) -> None:
         self.times = StepTimes()
-        visual_odometry = selection.odom_topic is None and selection.image_topic is not None
+        head = head_of(selection)
+        visual_odometry = head == 'visual_odometry'
         if visual_odometry:
             config = calibrated(config, recording, selection)
-        p = config.local_view
-        self.slam = RatSLAM(
-            config,
-            visual_odometry=visual_odometry,
-            stopwatch=self.times,
-            local_view=LocalView(p, encoder_of(p)),
-        )
+        self.slam = RatSLAM(config, head, self.times)
         if config.experience_map.exp_align_scans:
             check_lasers(selection, config.experience_map.lasers)
         self._map = options.map_file
@@ -198,7 +191,7 @@ class _Run:
         if options.history:
             meta = _history_meta(recording, selection, config, options)
             self._recorder = Recorder(
-                self.slam, p.vt_match_threshold,
+                self.slam, config.local_view.vt_match_threshold,
                 lambda: HistoryWriter(folder / HISTORY_NAME, meta, self._history_problems.append),
             )
         self._history_problems: list[str] = []
@@ -301,7 +294,7 @@ class _Run:
             )
         counts = self.slam.counts
         local_view = self.slam.local_view
-        low_texture = local_view.low_texture if isinstance(local_view, LocalView) else 0
+        low_texture = 0 if local_view is None else local_view.low_texture
         summary = {
             'frames': results.frames,
             'odometry': results.odometry,
@@ -412,6 +405,14 @@ def _history_meta(
         str(recording.path.absolute()), recording.kind, selection.image_topic or '',
         options.images_rate_hz, package_version(),
     )
+
+
+def head_of(selection: Selection) -> str:
+    """Return the stage that takes the selected topics."""
+    if selection.template_topic is not None:
+        return 'pose_cells'
+    visual_odometry = selection.odom_topic is None and selection.image_topic is not None
+    return 'visual_odometry' if visual_odometry else 'local_view'
 
 
 def calibrated(config: Config, recording: Recording, selection: Selection) -> Config:

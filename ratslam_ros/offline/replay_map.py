@@ -17,12 +17,12 @@ from typing import Any
 
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.ratslam import RatSLAM
 from ratslam_ros.errors import RatslamError, UnusableInput
 from ratslam_ros.files.config import stored_config, to_yaml
 from ratslam_ros.files.version import package_version
 from ratslam_ros.maps import Cut, MapMeta, MapStore, SavedMap, read_map
 from ratslam_ros.offline.landmark_mapping import LandmarkMapping
+from ratslam_ros.pipeline.ratslam import RatSLAM
 from ratslam_ros.recordings import (
     Event,
     ImageEvent,
@@ -175,7 +175,8 @@ class ReplayMap:
         if inputs:
             states['inputs'] = inputs
         try:
-            slam.restore(states)
+            if not slam.restore(states):
+                progress = None  # the held messages of this recording are not known
             if self._landmarks is not None and 'landmark_map' in states:
                 self._landmarks.restore(states['landmark_map'])
         except RatslamError as error:
@@ -285,7 +286,7 @@ class ReplayMap:
             },
         }  # fmt: skip
         self._number += 1
-        stamp_ns = self._slam.order.newest_ns or 0
+        stamp_ns = self._slam.newest_ns
         self._store.cut(Cut(self._number, stamp_ns), states)
         self._saved_s = time.monotonic()
 

@@ -7,9 +7,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Self
 
-from ratslam_ros.core.ratslam import RatSLAM
-from ratslam_ros.core.steps import Step, ViewStep
-from ratslam_ros.core.vision.local_view import LocalView
+from ratslam_ros.pipeline.items import Step, ViewStep
+from ratslam_ros.pipeline.ratslam import RatSLAM
 from ratslam_ros.recordings import ImageEvent, UndecodableImage
 from ratslam_ros.results.video import MapVideo
 
@@ -51,7 +50,7 @@ class ReplayVideo:
         except UndecodableImage:
             return
         template_id, local_view = step.match.template_id, self._slam.local_view
-        assert isinstance(local_view, LocalView)
+        assert local_view is not None
         self._video.write(
             image,
             # A held step may be of a template that has been removed since.

@@ -17,13 +17,13 @@ from tqdm import tqdm
 
 from ratslam_ros.console import print_notice
 from ratslam_ros.core.config import AUTOMATIC, Config
-from ratslam_ros.core.steps import Step
 from ratslam_ros.errors import UnreachableGoal, UnusableInput
 from ratslam_ros.files.config import to_yaml
 from ratslam_ros.files.version import package_version
 from ratslam_ros.history.file import HISTORY_NAME, HistoryMeta
 from ratslam_ros.history.recorder import Recorder
 from ratslam_ros.history.writer import HistoryWriter
+from ratslam_ros.pipeline.items import Step
 from ratslam_ros.results.goal_plots import draw_temporal_map
 from ratslam_ros.results.plots import draw_all
 from ratslam_ros.results.trajectory import tum_line

@@ -19,10 +19,6 @@ from ratslam_ros.core.common.pose import Pose, composed
 from ratslam_ros.core.common.scan import UnusableScan
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
-from ratslam_ros.core.ratslam import RatSLAM
-from ratslam_ros.core.steps import OdometryStep, Step
-from ratslam_ros.core.vision.local_view import LocalView
-from ratslam_ros.descriptors import encoder_of
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.event_inputs import (
     check_lasers,
@@ -32,7 +28,9 @@ from ratslam_ros.event_inputs import (
 )
 from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.messages.mapping import decode_template
-from ratslam_ros.offline.replay import calibrated
+from ratslam_ros.offline.replay import calibrated, head_of
+from ratslam_ros.pipeline.items import OdometryStep, Step
+from ratslam_ros.pipeline.ratslam import RatSLAM
 from ratslam_ros.recordings import (
     Event,
     ImageEvent,
@@ -112,8 +110,7 @@ def run_trials(
         The trials, in the order of the configurations; an error for a configuration that does
         not fit the images.
     """
-    visual_odometry = selection.odom_topic is None and selection.image_topic is not None
-    runs = [_Run(config, recording, selection, visual_odometry) for config in configs]
+    runs = [_Run(config, recording, selection) for config in configs]
     errors: dict[int, UnusableParameter] = {}
     first_ns: int | None = None
     events = recording.events(selection, span.start_s, span.duration_s)
@@ -134,17 +131,16 @@ class _Run:
     """RatSLAM with one configuration, and the record of its steps."""
 
     def __init__(
-        self, config: Config, recording: Recording, selection: Selection, visual_odometry: bool
+        self, config: Config, recording: Recording, selection: Selection
     ) -> None:
         self._config = config
         used = config.with_values({'pose_cells.exp_max': 0, 'goal_memory.goal_memory': False})
-        if visual_odometry:
+        head = head_of(selection)
+        if head == 'visual_odometry':
             used = calibrated(used, recording, selection)
         if used.experience_map.exp_align_scans:
             check_lasers(selection, used.experience_map.lasers)
-        p = used.local_view
-        self._slam = RatSLAM(used, visual_odometry=visual_odometry,
-                             local_view=LocalView(p, encoder_of(p)))
+        self._slam = RatSLAM(used, head)
         self._mounts = laser_mounts(recording, selection)
         self._view_ns, self._template_id = array('q'), array('q')
         self._stamp_ns, self._experience_id = array('q'), array('q')

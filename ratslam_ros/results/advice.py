@@ -23,9 +23,9 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.steps import OdometryStep, Step, ViewStep
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
 from ratslam_ros.messages.json_schema import NS_PER_S
+from ratslam_ros.pipeline.items import OdometryStep, Step, ViewStep
 
 LONG_DRIVE_S = 120.0
 """Time in motion from which a map without loop closures is reported: indoors and on tracks, robots

@@ -17,11 +17,11 @@ from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.experience_map import ExperienceMap, PrunedExperience
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
-from ratslam_ros.core.steps import OdometryStep, Step, ViewStep
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.config import to_yaml
 from ratslam_ros.messages.mapping import encode_map
+from ratslam_ros.pipeline.items import OdometryStep, Step, ViewStep
 from ratslam_ros.results.trajectory import tum_line
 
 FRAMES_HEADER = 'stamp_ns,template_id,is_new,match_error,relative_rad,experience_id\n'

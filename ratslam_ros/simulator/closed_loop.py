@@ -25,8 +25,8 @@ from ratslam_ros.core.navigation.navigator import GoalTask, Navigator
 from ratslam_ros.core.navigation.route_following import Guidance
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
 from ratslam_ros.core.pose_cells.torus import Place
-from ratslam_ros.core.ratslam import RatSLAM
-from ratslam_ros.core.steps import Step, ViewStep
+from ratslam_ros.pipeline.items import Step, ViewStep
+from ratslam_ros.pipeline.ratslam import RatSLAM
 from ratslam_ros.simulator.samples import ImageSample, OdometrySample, ScanSample
 from ratslam_ros.simulator.simulation import Simulator
 

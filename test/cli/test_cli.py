@@ -18,8 +18,8 @@ from helpers import ODOM_TOPIC, PERIOD_NS, START_NS, circles, write_bag
 
 from ratslam_ros import __version__
 from ratslam_ros.cli import main
-from ratslam_ros.core.ratslam import RatSLAM
-from ratslam_ros.core.steps import Step
+from ratslam_ros.pipeline.items import Step
+from ratslam_ros.pipeline.ratslam import RatSLAM
 from ratslam_ros.recordings import Event
 from ratslam_ros.recordings.bag import BagRecording
 from ratslam_ros.results.writer import Results

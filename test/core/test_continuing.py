@@ -19,9 +19,9 @@ from states import Event, continues_exactly
 from ratslam_ros.core.common.odometry import Odometry
 from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.ratslam import RatSLAM
-from ratslam_ros.core.steps import Step
 from ratslam_ros.core.vision.local_view import ViewMatch
+from ratslam_ros.pipeline.items import Step
+from ratslam_ros.pipeline.ratslam import RatSLAM
 
 PER_LAP = 30
 SMALL = Config().with_values({
@@ -83,7 +83,7 @@ def circles(count: int, own_odometry: bool = False, delayed: int = 0) -> list[Ev
         stamp_ns = START_NS + n * PERIOD_NS
         if not own_odometry:
             events.append(partial(_odometry, twist(stamp_ns, 4.0, turn_rate)))
-        if n % 41 == 40:
+        if n % 41 == 40 and not own_odometry:
             events.append(partial(_odometry, twist(stamp_ns + 10**13, 1.0)))
         image = None if n % 53 == 52 else picture(100 * circle + place)
         late.append(partial(_image, stamp_ns, image))
@@ -108,7 +108,7 @@ def test_a_run_continues_exactly_from_its_state(variant: str, tmp_path: Path) ->
 
 def test_visual_odometry_continues_exactly(tmp_path: Path) -> None:
     events = circles(80, own_odometry=True)
-    new = partial(RatSLAM, SMALL, True)
+    new = partial(RatSLAM, SMALL, 'visual_odometry')
     assert continues_exactly(new, events, random_cuts(events, 3, 1), tmp_path) == []
 
 
@@ -123,7 +123,7 @@ def test_scans_and_relocation_continue_exactly(tmp_path: Path) -> None:
     # Shortly before and after the robot is carried, and anywhere.
     carried = 3 * (len(given) - 40)
     cuts = [carried - 5, carried + 1, carried + 61, *random_cuts(events, 2, 2)]
-    new = partial(RatSLAM, kidnapped_drive.config())
+    new = partial(RatSLAM, kidnapped_drive.config(), 'pose_cells')
     assert continues_exactly(new, events, cuts, tmp_path) == []
 
 
@@ -140,5 +140,5 @@ def test_components_continue_exactly(tmp_path: Path) -> None:
         events += [partial(_odometry, message), partial(_template, stamp_ns, match)]
     at_gap = 2 * 61
     cuts = [at_gap + 1, at_gap + 7, *random_cuts(events, 2, 3)]
-    new = partial(RatSLAM, gap_drives.config())
+    new = partial(RatSLAM, gap_drives.config(), 'pose_cells')
     assert continues_exactly(new, events, cuts, tmp_path) == []

@@ -16,12 +16,12 @@ from ratslam_ros.core.config import Config, LocalViewParameters, PoseCellsParame
 from ratslam_ros.core.config.local_view import LEAST_VT_MAX
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
-from ratslam_ros.core.ratslam import RatSLAM
-from ratslam_ros.core.steps import ViewStep
 from ratslam_ros.core.vision.local_view import LocalView
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.files.memory import load, save
 from ratslam_ros.messages.mapping import decode_template, encode_map, encode_template
+from ratslam_ros.pipeline.items import ViewStep
+from ratslam_ros.pipeline.ratslam import RatSLAM
 
 VT_MAX, EXP_MAX = 50, 40
 PER_LAP = 30
@@ -54,7 +54,7 @@ def drive(slam: RatSLAM, first: int, last: int) -> list[ViewStep]:
 
 
 def local_view(slam: RatSLAM) -> LocalView:
-    assert isinstance(slam.local_view, LocalView)
+    assert slam.local_view is not None
     return slam.local_view
 
 
@@ -106,7 +106,7 @@ def test_removed_templates_are_announced_once_and_not_reused() -> None:
 
 def test_templates_sent_as_messages_give_same_map() -> None:
     """The live nodes and a replay of recorded templates, which have no images, forget alike."""
-    slam, receiver = RatSLAM(LIMITED), RatSLAM(LIMITED)
+    slam, receiver = RatSLAM(LIMITED), RatSLAM(LIMITED, 'pose_cells')
     for n, step in enumerate(drive(slam, 0, 900)):
         stamp_ns, match, _ = decode_template(encode_template(step.stamp_ns, step.match, 1))
         receiver.odometry(twist(START_NS + n * PERIOD_NS, 4.0, 2.0 * np.pi * 10 / PER_LAP))
@@ -134,7 +134,7 @@ def test_restored_state_forgets_identically(
     for part, core in restored.items():
         save(tmp_path / part, part, getattr(slam, part).state())
         core.restore(load(tmp_path / part, part))
-        setattr(other, part, core)
+        other.pipeline.stages[part].core = core
     steps_of = [drive(one, steps, 900) for one in (slam, other)]
     assert steps_of[0] == steps_of[1]
     assert encode_map(1, other.experience_map) == encode_map(1, slam.experience_map)

@@ -8,11 +8,11 @@ from functools import partial
 
 import kidnapped_drive
 import pytest
+from learned import PRESENT, learned
 from states import differences
 from test_continuing import SMALL, VARIANTS, circles
 
-from ratslam_ros.core.learned import PRESENT, learned
-from ratslam_ros.core.ratslam import RatSLAM
+from ratslam_ros.pipeline.ratslam import RatSLAM
 
 
 @pytest.mark.parametrize('begins', [True, False])
@@ -58,11 +58,11 @@ def test_localisation_by_scans_learns_nothing() -> None:
 def test_every_present_entry_exists() -> None:
     """A path that is misspelt, or was renamed, would excuse nothing, or too much."""
     found: set[str] = set()
-    driven = RatSLAM(SMALL.with_values(VARIANTS['automatic']), visual_odometry=True)
+    driven = RatSLAM(SMALL.with_values(VARIANTS['automatic']))
     for event in circles(90):
         event(driven)
     for slam in (
-        driven,
+        driven, RatSLAM(SMALL, 'visual_odometry'),
         RatSLAM(SMALL.with_values(VARIANTS['goal memory'])),
         RatSLAM(kidnapped_drive.config()),
     ):

@@ -22,10 +22,10 @@ from ratslam_ros.core.navigation.route_planner import RoutePlanner
 from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.pose_cells.torus import Place
-from ratslam_ros.core.ratslam import RatSLAM
-from ratslam_ros.core.steps import ViewStep
 from ratslam_ros.errors import UnreachableGoal
 from ratslam_ros.messages.mapping import encode_map
+from ratslam_ros.pipeline.items import ViewStep
+from ratslam_ros.pipeline.ratslam import RatSLAM
 
 
 @pytest.mark.parametrize('drift', [0.0, 0.1])
@@ -164,7 +164,7 @@ def test_map_with_gaps_is_independent_of_arrival_times(seed: int) -> None:
     expected = None
     for shuffled in (False, True):
         rng = random.Random(seed)
-        slam = RatSLAM(config())
+        slam = RatSLAM(config(), 'pose_cells')
         arrivals = []
         delays = {'odometry': 0, 'template': 0}
         stamp_ns = START_NS
@@ -235,7 +235,8 @@ def test_restored_memory_continues_in_a_separate_component(forward: int) -> None
     graph = ExperienceMap(parameters.experience_map)
     graph.restore(slam.experience_map.state())
     assert graph.components == slam.experience_map.components
-    slam.pose_cells, slam.experience_map = pose_cells, graph
+    stages = slam.pipeline.stages
+    stages['pose_cells'].core, stages['experience_map'].core = pose_cells, graph
     maps = []
     for drive in drives:
         drive.forward(LAP_STEPS)

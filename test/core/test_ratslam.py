@@ -16,9 +16,9 @@ from helpers import START_NS, panorama, picture, twist
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.ratslam import RatSLAM
-from ratslam_ros.core.steps import OdometryStep, Step, ViewStep
 from ratslam_ros.messages.mapping import encode_map
+from ratslam_ros.pipeline.items import OdometryStep, Step, ViewStep
+from ratslam_ros.pipeline.ratslam import RatSLAM
 
 COLUMNS = 60
 COLUMN_RAD = 2.0 * math.pi / COLUMNS
@@ -226,6 +226,7 @@ def test_images_with_non_increasing_stamps_are_refused() -> None:
     assert slam.image(4, picture(2)) == []
     assert slam.image(3, None) == []
     assert slam.counts.refused == 3
+    slam.finish()
     assert len(slam.local_view.templates) == 1
 
 
@@ -279,7 +280,7 @@ def test_odometry_is_released_when_the_camera_stops() -> None:
     for n in range(5, 100):
         released += len(slam.odometry(twist(n * 100_000_000, 1.0)))
     assert released > 70
-    assert slam.order.held <= 21
+    assert slam.pipeline.order.held <= 21
 
 
 @pytest.mark.parametrize('descriptor', ['intensity', 'gradients'])
@@ -294,7 +295,7 @@ def test_prepared_images_give_the_same_results(descriptor: str) -> None:
     images[25] = images[25][:2]  # fits no window
     found = []
     for prepares in (False, True):
-        slam = RatSLAM(config, visual_odometry=True)
+        slam = RatSLAM(config, head='visual_odometry')
         ready = [slam.prepare(image) for image in images] if prepares else images
         steps = [slam.image(n * 10**8, image) for n, image in enumerate(ready, 1)]
         found.append((steps, slam.finish(), slam.experience_map.poses.tobytes()))
@@ -302,7 +303,7 @@ def test_prepared_images_give_the_same_results(descriptor: str) -> None:
 
 
 def test_visual_odometry_estimates_motion_from_images() -> None:
-    slam = RatSLAM(small_config(), visual_odometry=True)
+    slam = RatSLAM(small_config(), head='visual_odometry')
     columns = np.tile(np.random.default_rng(0).integers(0, 256, 200, dtype=np.uint8), (12, 1))
     steps: list[Step] = []
     for n in range(10):
@@ -350,7 +351,8 @@ def test_stopwatch_is_entered_once_per_step() -> None:
     feed(slam, 10)
     slam.finish()
     assert entered == {
-        'local_view': 10, 'pose_cells': 9, 'pose_cells_view': 10, 'experience_map': 10
+        'local_view.image': 10, 'pose_cells.odometry': 10, 'pose_cells.template': 10,
+        'pose_cells.relocation': 10, 'experience_map.odometry': 10, 'experience_map.action': 10,
     }  # fmt: skip
 
 

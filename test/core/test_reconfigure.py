@@ -13,9 +13,9 @@ from helpers import PERIOD_NS, START_NS, picture
 from ratslam_ros.core.common.odometry import Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import SECTIONS, Config
-from ratslam_ros.core.ratslam import RatSLAM
 from ratslam_ros.core.vision.local_view import FIXED_THRESHOLD, LocalView
 from ratslam_ros.errors import UnusableParameter
+from ratslam_ros.pipeline.ratslam import RatSLAM
 
 LAP = 40
 CONFIG = Config().with_values({

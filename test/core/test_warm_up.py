@@ -23,7 +23,7 @@ from ratslam_ros.core.vision.local_view import LocalView, ViewMatch
 from ratslam_ros.core.common.odometry import Motion, MotionFromOdometry, Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
-from ratslam_ros.core.ratslam import RatSLAM
+from ratslam_ros.pipeline.ratslam import RatSLAM
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.core.vision.visual_odometry import VisualOdometry
 from ratslam_ros.core.warm_up import warm_up
@@ -90,7 +90,7 @@ again.integrate(motion)
 """
 
 EXPERIENCE_MAP = """
-slam = RatSLAM(config.with_values({'pose_cells.odom_calibration': True}))
+slam = RatSLAM(config.with_values({'pose_cells.odom_calibration': True}), 'pose_cells')
 warm_up('pose_cells')  # Part of RatSLAM, but not of the experience map node.
 before = loaded()
 for n in range(300):

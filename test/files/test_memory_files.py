@@ -16,11 +16,11 @@ from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.id_map import IdMap
 from ratslam_ros.core.mapping.late_join import LateJoin
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
-from ratslam_ros.core.ratslam import RatSLAM
 from ratslam_ros.core.vision.local_view import LocalView
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.memory import load, save
 from ratslam_ros.messages.mapping import encode_map
+from ratslam_ros.pipeline.ratslam import RatSLAM
 
 CONFIG = Config().with_values({
     'local_view.template_x_size': 16, 'local_view.template_y_size': 8,

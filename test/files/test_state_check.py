@@ -15,11 +15,11 @@ import pytest
 from ratslam_ros.core.common.odometry import Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import checked_scan
-from ratslam_ros.core.ratslam import RatSLAM
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.config import load_config
 from ratslam_ros.files.memory import load, save
 from ratslam_ros.files.state_check import RULES, check_state
+from ratslam_ros.pipeline.ratslam import RatSLAM
 
 States = dict[str, dict[str, Any]]
 STEP_NS = 10**8

@@ -12,10 +12,10 @@ from helpers import PERIOD_NS, START_NS
 from ratslam_ros.core.common.odometry import Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.ratslam import RatSLAM
-from ratslam_ros.core.steps import ViewStep
 from ratslam_ros.images import Frame
 from ratslam_ros.live.lockstep import Lockstep
+from ratslam_ros.pipeline.items import ViewStep
+from ratslam_ros.pipeline.ratslam import RatSLAM
 from ratslam_ros.recordings import (
     Event,
     ImageEvent,

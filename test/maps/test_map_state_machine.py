@@ -20,12 +20,12 @@ from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.merging.merge import merge_sessions
 from ratslam_ros.core.merging.session import Session
-from ratslam_ros.core.ratslam import RatSLAM
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.maps import Cut, read_map
 from ratslam_ros.maps.chunks import digest_of
 from ratslam_ros.maps.system import load_map, save_map
 from ratslam_ros.offline.map_pruning import prune
+from ratslam_ros.pipeline.ratslam import RatSLAM
 
 CONFIG = Config().with_values({
     'local_view.template_x_size': 16, 'local_view.template_y_size': 8,

@@ -40,11 +40,11 @@ def replayed(energy: float | None) -> list[str]:
     from ratslam_ros.core.common.odometry import Odometry, Twist
     from ratslam_ros.core.common.pose import Pose
     from ratslam_ros.core.config import Config
-    from ratslam_ros.core.ratslam import RatSLAM
-    from ratslam_ros.core.steps import ViewStep
     from ratslam_ros.core.vision.local_view import ViewMatch
+    from ratslam_ros.pipeline.items import ViewStep
+    from ratslam_ros.pipeline.ratslam import RatSLAM
 
-    slam, steps = RatSLAM(Config()), []
+    slam, steps = RatSLAM(Config(), 'pose_cells'), []
     if energy is not None:
         changed = Config().with_values({f'pose_cells.{ENERGY}': energy})
         slam.reconfigure(changed, START_NS + HALF * S // 5)

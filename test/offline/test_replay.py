@@ -36,11 +36,11 @@ from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
-from ratslam_ros.core.steps import ViewStep
 from ratslam_ros.core.vision.local_view import ViewMatch
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.messages.mapping import encode_template
 from ratslam_ros.offline.replay import ReplayOptions, ReplayOutcome, replay
+from ratslam_ros.pipeline.items import ViewStep
 from ratslam_ros.recordings import Event, Recording, open_recording
 from ratslam_ros.results.writer import Results
 

@@ -33,12 +33,12 @@ from ratslam_ros.core.common.odometry import Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import Scan, UnusableScan, checked_scan
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.ratslam import RatSLAM
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.maps import read_map
 from ratslam_ros.messages.mapping import encode_map
 from ratslam_ros.offline.replay import ReplayOptions, replay
 from ratslam_ros.offline.replay_map import ReplayMap
+from ratslam_ros.pipeline.ratslam import RatSLAM
 from ratslam_ros.recordings import open_recording
 from ratslam_ros.results.evaluation import evaluate
 from ratslam_ros.results.trajectory import read_tum, tum_line

@@ -17,8 +17,8 @@ from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
-from ratslam_ros.core.steps import OdometryStep, Step, ViewStep
 from ratslam_ros.core.vision.local_view import ViewMatch
+from ratslam_ros.pipeline.items import OdometryStep, Step, ViewStep
 from ratslam_ros.results.advice import LONG_DRIVE_S, Observations, Source, advise
 
 S = 10**9

@@ -15,7 +15,7 @@ from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
-from ratslam_ros.core.steps import OdometryStep, ViewStep
+from ratslam_ros.pipeline.items import OdometryStep, ViewStep
 from ratslam_ros.results.writer import Results
 
 

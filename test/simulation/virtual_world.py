@@ -26,7 +26,6 @@ from virtual_time import (
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.ratslam import RatSLAM
 from ratslam_ros.maps.chunks import digest_of
 from ratslam_ros.nodes.convert import grey_image, header_of, odometry_of
 from ratslam_ros.nodes.experience_map_node import ExperienceMapNode
@@ -37,6 +36,7 @@ from ratslam_ros.nodes.pose_cells_node import PoseCellsNode
 from ratslam_ros.nodes.scans import scan_from_message
 from ratslam_ros.nodes.visual_odometry_node import VisualOdometryNode
 from ratslam_ros.offline.landmark_mapping import LandmarkMapping
+from ratslam_ros.pipeline.ratslam import RatSLAM
 from ratslam_ros.recordings.events import (
     ImageEvent,
     OdometryEvent,
@@ -237,7 +237,7 @@ def world(robot: str, jitter_ns: int = 0) -> tuple[Event, ...]:
 def replayed(robot: str, jitter_ns: int = 0) -> dict[str, bytes]:
     """Return the digests of what each part has learned in an undisturbed replay."""
     config = Config().with_values(SETTINGS)
-    slam = RatSLAM(config, visual_odometry=robot == 'camera')
+    slam = RatSLAM(config, 'visual_odometry' if robot == 'camera' else 'local_view')
     landmarks = LandmarkMapping(config)
     for event in world(robot, jitter_ns):
         if event.topic == 'odom':

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ratslam_ros.core.common.stamp_order import STEP_COUNT, Released, StampOrder
+from ratslam_ros.pipeline.order import STEP_COUNT, Released, StampOrder
 
 STREAMS = 'odometry', 'template'
 MS = 1_000_000

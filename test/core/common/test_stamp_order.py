@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ratslam_ros.core.common.stamp_order import RUN_COUNT, Released, StampOrder
+from ratslam_ros.pipeline.order import RUN_COUNT, Released, StampOrder
 
 STREAMS = ('odometry', 'template')
 Arrivals = list[tuple[str, int]]

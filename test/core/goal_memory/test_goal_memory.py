@@ -18,9 +18,9 @@ from ratslam_ros.core.config import Config
 from ratslam_ros.core.goal_memory.goal_memory import GoalMemory, TemporalArray
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.pose_cells.torus import Place
-from ratslam_ros.core.ratslam import RatSLAM
 from ratslam_ros.core.vision.local_view import ViewMatch
 from ratslam_ros.errors import UnreachableGoal, UnusableInput
+from ratslam_ros.pipeline.ratslam import RatSLAM
 
 CELL_M = 0.25
 DT_S = 0.1
@@ -508,7 +508,7 @@ def test_goal_memory_in_ratslam_does_not_change_the_map() -> None:
     actions = []
     for switched_on in (False, True):
         c = config().with_values({'goal_memory.goal_memory': switched_on})
-        slam = RatSLAM(c)
+        slam = RatSLAM(c, 'pose_cells')
         steps = []
         for n in range(200):
             steps += slam.odometry(Odometry(n * 10**8, Twist(0.5, 0.2), Pose(0.0, 0.0, 0.0)))

@@ -14,8 +14,8 @@ from states import differences
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.mapping.relocator import LEAST_EVIDENCE_M, Relocator
-from ratslam_ros.core.ratslam import RatSLAM
 from ratslam_ros.messages.mapping import encode_map
+from ratslam_ros.pipeline.ratslam import RatSLAM
 
 NORTH = Pose(9.5, 9.4, math.pi + 0.2)
 """Beside the path, and turned."""

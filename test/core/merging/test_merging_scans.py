@@ -17,8 +17,8 @@ from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.merging.merge import MergedMap, merge_sessions
 from ratslam_ros.core.merging.session import Session
-from ratslam_ros.core.ratslam import RatSLAM
 from ratslam_ros.errors import UnusableInput
+from ratslam_ros.pipeline.ratslam import RatSLAM
 
 
 @cache

@@ -13,8 +13,8 @@ from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.turn_correction import TurnCorrection
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
-from ratslam_ros.core.ratslam import RatSLAM
 from ratslam_ros.core.vision.local_view import ViewMatch
+from ratslam_ros.pipeline.ratslam import RatSLAM
 
 PER_LAP, STEP_M, PERIOD_NS = 60, 0.5, 100_000_000
 CALIBRATING = Config().with_values({
@@ -38,7 +38,7 @@ def oval(laps: int, gain: float, per_m_rad: float = 0.0) -> Iterator[tuple[Odome
 def driven(
     laps: int, gain: float, per_m_rad: float = 0.0, config: Config = CALIBRATING
 ) -> RatSLAM:
-    slam = RatSLAM(config)
+    slam = RatSLAM(config, 'pose_cells')
     for odometry, match in oval(laps, gain, per_m_rad):
         slam.odometry(odometry)
         slam.template(odometry.stamp_ns, match)
@@ -64,7 +64,7 @@ def test_small_errors_are_corrected(gain: float, per_m_rad: float) -> None:
     measured = TurnCorrection(gain, per_m_rad).measured(2.0 * math.pi, PER_LAP * STEP_M)
     corrected = calibration.correction.corrected(measured, PER_LAP * STEP_M)
     assert abs(corrected - 2.0 * math.pi) < 0.4 * abs(measured - 2.0 * math.pi)
-    assert slam._motion.correction == calibration.correction
+    assert slam.pipeline.stages['pose_cells'].motion.correction == calibration.correction
 
 
 @pytest.mark.parametrize('gain', [0.4, 2.5])
@@ -91,7 +91,7 @@ def test_calibration_is_off_by_default() -> None:
     slam = driven(3, 1.04, config=config)
     assert slam.pose_cells.calibration is None
     assert 'calibration' not in slam.pose_cells.state()
-    assert slam._motion.correction == TurnCorrection()
+    assert slam.pipeline.stages['pose_cells'].motion.correction == TurnCorrection()
 
 
 def test_estimate_starts_from_configured_correction() -> None:
@@ -146,7 +146,7 @@ def test_loop_through_an_odometry_gap_does_not_count() -> None:
     config = CALIBRATING.with_values(
         {'pose_cells.max_odom_gap_s': 2.0, 'experience_map.max_odom_gap_s': 2.0}
     )
-    slam = RatSLAM(config)
+    slam = RatSLAM(config, 'pose_cells')
     gap_ns = 10 * 10**9
     for n, (odometry, match) in enumerate(oval(2, 1.05)):
         if n >= PER_LAP:

@@ -12,7 +12,8 @@ from ratslam_ros.core.common.state import State
 PRESENT = {
     'visual_odometry', 'inputs',
     # Local view: its motion, the images it has seen, and where the robot is.
-    'local_view/has_matched', 'local_view/core/motion', 'local_view/core/low_texture',
+    'local_view/has_matched', 'local_view/ahead', 'local_view/core/motion',
+    'local_view/core/low_texture',
     'local_view/core/look_alikes/now', 'local_view/core/look_alikes/seen_at_m',
     # Pose cells: activity, recent recognitions, current experience and component, and the
     # measurements since the last view.
@@ -27,7 +28,8 @@ PRESENT = {
     'pose_cells/core/lengths/latest', 'pose_cells/core/calibration/travelled',
     'pose_cells/core/calibration/visits',
     # Experience map: the robot's pose, its drive so far, recent closures and scans.
-    'experience_map/correction', 'experience_map/dead_reckoning', 'experience_map/core/current',
+    'experience_map/correction', 'experience_map/motion', 'experience_map/dead_reckoning',
+    'experience_map/core/current',
     'experience_map/core/offset', 'experience_map/core/duration_s', 'experience_map/core/way_m',
     'experience_map/core/odometer_m', 'experience_map/core/recognised_at_m',
     'experience_map/core/jumps', 'experience_map/core/present',

@@ -1,15 +1,39 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The results of the two kinds of steps: one for each odometry message, one for each view."""
+"""Items that stages write: templates are ``ViewMatch``, odometry is ``Odometry``."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.mapping.experience_map import PrunedExperience
+from ratslam_ros.core.mapping.experience_map import MapUpdate, PrunedExperience
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
+from ratslam_ros.core.pose_cells.map_relocation import MapRelocation
 from ratslam_ros.core.vision.local_view import ViewMatch
+
+
+class NumberedAction(NamedTuple):
+    """An action of the pose cells; the numbers count from 0."""
+
+    number: int
+    action: MapAction
+
+
+class Answer(NamedTuple):
+    """Answer of the map to an action: where it has relocated the robot, None if it has not."""
+
+    number: int
+    relocation: MapRelocation | None
+
+
+class MapStep(NamedTuple):
+    """What an action changed in the map."""
+
+    number: int
+    action: MapAction
+    update: MapUpdate
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,158 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Stage experience_map: odometry, scans and actions to a map, and to the robot's pose on it."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from ratslam_ros.core.common.odometry import Motion, MotionFromOdometry, Odometry, moved
+from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.common.scan import Scan, scan_stream
+from ratslam_ros.core.common.state import State
+from ratslam_ros.core.common.turn_correction import TurnCorrection
+from ratslam_ros.core.config import Config
+from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.mapping.mapping_step import adopt_correction, apply_action
+from ratslam_ros.core.mapping.relocator import Relocator
+from ratslam_ros.core.mapping.scan_matching import ScanMatcher
+from ratslam_ros.pipeline.commands import (
+    Command,
+    Configure,
+    Hint,
+    NewSession,
+    Relocated,
+    Reset,
+    SetBehaviour,
+    SetMapping,
+    concerns,
+)
+from ratslam_ros.pipeline.items import Answer, MapStep, NumberedAction, OdometryStep
+from ratslam_ros.pipeline.pose_cells import UNKNOWN_MOTION
+from ratslam_ros.pipeline.stage import NOTHING, Output, Reader
+
+
+class ExperienceMapStage:
+    """Builds the map, and locates the robot on it."""
+
+    NAME: ClassVar[str] = 'experience_map'
+    WRITES: ClassVar[tuple[str, ...]] = ('pose', 'update', 'relocation')
+
+    def __init__(self, config: Config) -> None:
+        self._created_with = self._config = config
+        self._mapping = True
+        self.behaviour = ''
+        """Name of the active behaviour, stored in the links; '' if unknown."""
+        self.lasers = len(config.experience_map.lasers) if self._aligns_scans else 0
+        """Number of lasers whose scans are used."""
+        self._begin()
+
+    @property
+    def _aligns_scans(self) -> bool:
+        return self._created_with.experience_map.exp_align_scans
+
+    def _begin(self) -> None:
+        p, cells = self._created_with.experience_map, self._created_with.pose_cells
+        self.core = ExperienceMap(p)
+        self.core.reconfigure(self._config.experience_map)
+        self.core.mapping = self._mapping
+        self.scans = ScanMatcher() if self._aligns_scans else None
+        self.relocator: Relocator | None = None
+        if self.scans is not None and p.exp_relocate != 'views':
+            self.relocator = Relocator(self.core, self.scans)
+        self.motion = MotionFromOdometry(
+            cells.odom_source, cells.max_odom_gap_s, cells.turn_correction
+        )
+        self.dead_reckoning = self.core.origin
+        """Pose by odometry alone, in the map frame."""
+
+    def readers(self) -> dict[str, Reader]:
+        """Return the readers."""
+        scans = {scan_stream(laser): self._scan for laser in range(self.lasers)}
+        return {'command': self._obey, 'odometry': self._move, **scans, 'action': self._act}
+
+    def _obey(self, stamp_ns: int, command: Command) -> tuple[Output, ...]:
+        match command:
+            case Configure():
+                self._config = command.config
+                self.core.reconfigure(command.config.experience_map)
+            case SetMapping() if concerns(command, self.NAME):
+                self.core.mapping = self._mapping = command.mapping
+            case Hint():
+                self.core.suggest(command.hint)
+            case SetBehaviour():
+                self.behaviour = command.name
+            case Reset() if concerns(command, self.NAME):
+                self._begin()
+            case NewSession():
+                self.motion.restart()
+                if len(self.core):
+                    self._integrate(0, UNKNOWN_MOTION)
+            case Relocated() if concerns(command, self.NAME):
+                self._relocated()
+        return NOTHING
+
+    def _relocated(self) -> None:
+        self.motion.restart()
+        if self.scans is not None:
+            self.scans.restart()
+        self.core.gate.restart()
+
+    def _integrate(self, stamp_ns: int, motion: Motion) -> None:
+        self.core.integrate(motion)
+        if self.scans is not None:
+            self.scans.integrate(stamp_ns, motion)
+
+    def _move(self, stamp_ns: int, odometry: Odometry) -> tuple[Output, ...]:
+        motion, gap_s = self.motion.update(odometry), 0.0
+        if motion is not None:
+            self._integrate(stamp_ns, motion)
+            self.dead_reckoning = moved(self.dead_reckoning, motion)
+            gap_s = 0.0 if motion.is_known else motion.dt_s
+        graph = self.core
+        step = OdometryStep(
+            stamp_ns, graph.pose, self.dead_reckoning, graph.current_id, graph.offset, gap_s
+        )
+        return (Output('pose', stamp_ns, step),)
+
+    def _scan(self, stamp_ns: int, scan: Scan) -> tuple[Output, ...]:
+        assert self.scans is not None
+        self.scans.scan(scan)
+        return NOTHING
+
+    def _act(self, stamp_ns: int, item: NumberedAction) -> tuple[Output, ...]:
+        number, action = item
+        adopt_correction(self.motion, self.core, action)
+        update = apply_action(
+            self.core, self.scans, stamp_ns, action, self.behaviour, self.relocator
+        )
+        return (
+            Output('update', stamp_ns, MapStep(number, action, update)),
+            # Always: the pose cells wait for it.
+            Output('relocation', stamp_ns, Answer(number, update.relocation)),
+        )
+
+    def state(self) -> State:
+        """Return everything, for ``restore``."""
+        scans, relocator = self.scans, self.relocator
+        return {
+            'core': self.core.state(), 'correction': list(self.motion.correction),
+            'motion': self.motion.state(), 'dead_reckoning': list(self.dead_reckoning),
+            **({} if scans is None else {'scans': scans.state()}),
+            **({} if relocator is None else {'relocator': relocator.state()}),
+        }  # fmt: skip
+
+    def restore(self, state: State) -> None:
+        """Restore what ``state`` returned."""
+        self.core.restore(state['core'])
+        self.dead_reckoning = Pose(*state.get('dead_reckoning', self.core.pose))
+        if self.scans is not None and 'scans' in state:
+            self.scans.restore(state['scans'])
+        if self.relocator is not None and 'relocator' in state:
+            self.relocator.restore(state['relocator'])
+        if 'motion' in state:
+            self.motion.restore(state['motion'])
+        else:
+            default = self._created_with.pose_cells.turn_correction
+            self.motion.correction = TurnCorrection(*state.get('correction', default))
+            self.motion.restart()

@@ -1,0 +1,85 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Inputs and commands that wait, as part of a saved state."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+
+from ratslam_ros.core.common.odometry import Odometry, odometry_from_state, odometry_state
+from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.common.scan import Scan, scan_from_state, scan_state
+from ratslam_ros.core.common.state import State
+from ratslam_ros.core.config import Config
+from ratslam_ros.core.mapping.pose_hint import PoseHint
+from ratslam_ros.core.vision.local_view import ViewMatch, match_from_state, match_state
+from ratslam_ros.core.vision.prepared_image import PreparedImage
+from ratslam_ros.pipeline.commands import (
+    Command,
+    Configure,
+    Hint,
+    Relocated,
+    Reset,
+    SetBehaviour,
+    SetFieldOfView,
+    SetMapping,
+)
+
+
+def item_state(item: Odometry | Scan | ViewMatch | PreparedImage | None) -> State:
+    """Return an input for a saved state."""
+    if isinstance(item, Odometry):
+        return {'odometry': odometry_state(item)}
+    if isinstance(item, Scan):
+        return {'scan': scan_state(item)}
+    if isinstance(item, ViewMatch):
+        return {'match': match_state(item)}
+    return {'image': None if item is None else np.array(item.pixels)}
+
+
+def item_from_state(state: State) -> Any:
+    """Return an input from ``item_state``."""
+    ((kind, value),) = state.items()
+    decode: dict[str, Callable[[Any], Any]] = {
+        'odometry': odometry_from_state, 'scan': scan_from_state, 'match': match_from_state,
+        'image': _image_from_state,
+    }  # fmt: skip
+    return decode[kind](value)
+
+
+def _image_from_state(value: Any) -> PreparedImage | None:
+    return None if value is None else PreparedImage(np.asarray(value, np.uint8))
+
+
+_SIMPLE: dict[str, Callable[..., Command]] = {
+    one.__name__: one for one in (SetMapping, Reset, Relocated, SetBehaviour, SetFieldOfView)
+}
+"""Commands whose fields are numbers and strings."""
+
+
+def command_state(command: Command) -> State:
+    """Return a command for a saved state."""
+    name = type(command).__name__
+    if isinstance(command, Configure):
+        return {name: command.config.values()}
+    if isinstance(command, Hint):
+        pose, *variances = command.hint
+        return {name: [*pose, *variances]}
+    return {name: [getattr(command, one.name) for one in fields(command)]}
+
+
+def command_from_state(state: State) -> Command:
+    """Return a command from ``command_state``."""
+    ((name, values),) = state.items()
+    if name == 'Configure':
+        return Configure(Config().with_values({
+            f'{section}.{key}': value
+            for section, entries in values.items() for key, value in entries.items()
+        }))  # fmt: skip
+    if name == 'Hint':
+        return Hint(PoseHint(Pose(*values[:3]), *values[3:]))
+    return _SIMPLE[name](*values)

@@ -1,0 +1,133 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Stage local_view: images to templates."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import ClassVar
+
+from ratslam_ros.core.common.odometry import Odometry, odometry_from_state, odometry_state
+from ratslam_ros.core.common.state import State
+from ratslam_ros.core.config import Config
+from ratslam_ros.core.vision.local_view import (
+    UNDECODABLE,
+    LocalView,
+    ViewMatcher,
+    delayed_ns,
+    uses_odometry,
+)
+from ratslam_ros.core.vision.prepared_image import PreparedImage
+from ratslam_ros.descriptors import encoder_of
+from ratslam_ros.errors import UnusableInput, UnusableParameter
+from ratslam_ros.pipeline.commands import (
+    Command,
+    Configure,
+    NewSession,
+    Relocated,
+    Reset,
+    SetMapping,
+    concerns,
+)
+from ratslam_ros.pipeline.stage import NOTHING, Output, Reader
+
+
+class LocalViewStage:
+    """Matches each image with the learned templates."""
+
+    NAME: ClassVar[str] = 'local_view'
+    WRITES: ClassVar[tuple[str, ...]] = ('template',)
+
+    def __init__(self, config: Config) -> None:
+        self._created_with = self._config = config.local_view
+        self._encoder = encoder_of(self._config)
+        self.core = LocalView(self._config, self._encoder)
+        self._ahead: deque[Odometry] = deque()
+        """Odometry that the local view has not followed yet: it does so a second later."""
+        self._has_matched = False
+
+    def readers(self) -> dict[str, Reader]:
+        """Return the readers; odometry is needed to tell look-alikes apart."""
+        follow: dict[str, Reader] = (
+            {'odometry': self._hold} if uses_odometry(self._config) else {}
+        )
+        return {'command': self._obey, **follow, 'image': self._match}
+
+    def _obey(self, stamp_ns: int, command: Command) -> tuple[Output, ...]:
+        match command:
+            case Configure():
+                self._config = command.config.local_view
+                self.core.reconfigure(self._config)
+            case SetMapping() if concerns(command, self.NAME):
+                self.core.mapping = command.mapping
+            case Reset() if concerns(command, self.NAME):
+                mapping = self.core.mapping
+                self.core = LocalView(self._created_with, self._encoder)
+                self.core.reconfigure(self._config)
+                self.core.mapping = mapping
+                self._ahead.clear()
+            case NewSession():
+                self._ahead.clear()
+                self.core.relocated()
+            case Relocated() if concerns(command, self.NAME):
+                self.core.relocated()
+        return NOTHING
+
+    def _hold(self, stamp_ns: int, odometry: Odometry) -> tuple[Output, ...]:
+        self._ahead.append(odometry)
+        return NOTHING
+
+    def _match(self, stamp_ns: int, image: PreparedImage | None) -> tuple[Output, ...]:
+        while self._ahead and delayed_ns(self._ahead[0].stamp_ns) <= stamp_ns:
+            self.core.follow(self._ahead.popleft())
+        match = UNDECODABLE
+        if image is not None:
+            try:
+                match = self.core.match(image.pixels, stamp_ns, image.encoded)
+                self._has_matched = True
+            except UnusableParameter:
+                if not self._has_matched:
+                    raise  # the crop or template does not fit this camera
+        return (Output('template', stamp_ns, match),)
+
+    def state(self) -> State:
+        """Return everything, for ``restore``."""
+        return {
+            'core': self.core.state(), 'has_matched': self._has_matched,
+            'ahead': [odometry_state(odometry) for odometry in self._ahead],
+        }  # fmt: skip
+
+    def restore(self, state: State) -> None:
+        """Restore what ``state`` returned."""
+        self.core.restore(state['core'])
+        self._has_matched = state.get('has_matched', True)
+        self._ahead = deque(odometry_from_state(one) for one in state.get('ahead', ()))
+
+
+class MatcherStage:
+    """A place recognition of the user in the place of local_view."""
+
+    NAME: ClassVar[str] = 'local_view'
+    WRITES: ClassVar[tuple[str, ...]] = ('template',)
+
+    def __init__(self, matcher: ViewMatcher) -> None:
+        self._matcher = matcher
+
+    def readers(self) -> dict[str, Reader]:
+        """Return the readers."""
+        return {'image': self._match}
+
+    def _match(self, stamp_ns: int, image: PreparedImage | None) -> tuple[Output, ...]:
+        match = UNDECODABLE if image is None else self._matcher.match(image.pixels)
+        return (Output('template', stamp_ns, match),)
+
+    def state(self) -> State:
+        """Raise UnusableInput: a matcher has no state; a stage of your own has."""
+        raise UnusableInput(
+            f'the local view is a {type(self._matcher).__name__}, whose memory cannot be '
+            'saved; expected a LocalView, or a stage of your own (examples/custom_stage.py)'
+        )
+
+    def restore(self, state: State) -> None:
+        """Raise UnusableInput: a matcher has no state."""
+        self.state()

@@ -1,0 +1,249 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Pipeline: feeds the stages with one stream of inputs, in the order of their stamps."""
+
+from __future__ import annotations
+
+from bisect import insort
+from collections import deque
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import AbstractContextManager
+from typing import Any
+
+from ratslam_ros.core.common.state import State
+from ratslam_ros.pipeline.commands import NOW, Command, Flush, NewSession
+from ratslam_ros.pipeline.item_states import (
+    command_from_state,
+    command_state,
+    item_from_state,
+    item_state,
+)
+from ratslam_ros.pipeline.order import Counts, StampOrder
+from ratslam_ros.pipeline.stage import Output, Reader, Stage
+from ratslam_ros.pipeline.streams import STREAMS, Stream
+
+COMMAND = 'command'
+"""Name of the stream of commands, which every stage may read."""
+
+Observer = Callable[[int, Any], None]
+"""Takes the stamp and the item of a stream."""
+Stopwatch = Callable[[str], AbstractContextManager[object]]
+
+
+class Pipeline:
+    """The head of a chain of stages: sorts the inputs by stamp, and runs the stages on them.
+
+    The order is decided once, here. Whatever follows - a stage, an observer, a follower in another
+    process - sees one stream in one order, in which nothing is late.
+    """
+
+    def __init__(
+        self, stages: Sequence[Stage], max_lateness_ns: int, stopwatch: Stopwatch | None = None,
+        streams: Sequence[Stream] = STREAMS,
+    ) -> None:  # fmt: skip
+        """Connect stages that have an empty memory.
+
+        Args:
+            stages: the stages, in the direction of flow.
+            max_lateness_ns: longest time for which an input waits for others, in stamps.
+            stopwatch: takes the name of a stage and stream, such as `pose_cells.template`, and
+                returns a context manager that is entered around each step.
+            streams: the streams that may occur, in their order at equal stamps.
+        """
+        self.stages: dict[str, Stage] = {stage.NAME: stage for stage in stages}
+        """The stages by name."""
+        self._observers: dict[str, list[Observer]] = {}
+        self._readers = _readers(stages, stopwatch)
+        written = {stream for stage in stages for stream in stage.WRITES}
+        outside = [one for one in streams if one.name in self._readers and one.name not in written]
+        self.inputs = tuple(one.name for one in outside if not one.answers)
+        """Names of the streams that come from outside, in their order at equal stamps."""
+        self._gates = {one.answers: _Gate(one) for one in outside if one.answers}
+        self._answers = {gate.stream.name: gate for gate in self._gates.values()}
+        regular = [one.name for one in outside if one.is_regular and one.name != self.inputs[-1]]
+        self._regular = regular[0] if regular else None
+        self._max_lateness_ns = max_lateness_ns
+        self.order = self._new_order()
+        self._released: deque[tuple[int, str, Any]] = deque()
+        self._commands: list[tuple[int, Command]] = []
+        self._is_running = False
+
+    def observe(self, stream: str, observer: Observer) -> None:
+        """Call a function with each item of a stream, before the stages read it."""
+        self._observers.setdefault(stream, []).append(observer)
+
+    def feed(self, stream: str, stamp_ns: int, item: Any) -> None:
+        """Take one input; process it, and all others that need not wait any longer.
+
+        An observer may feed commands: they take effect after the step that it observes.
+
+        Args:
+            stream: one of ``inputs``, the name of a stream of answers, or `command`.
+            stamp_ns: stamp of the input; for a command, see commands.py.
+            item: the item, of the class that the table of streams names.
+        """
+        if stream == COMMAND:
+            self._take_command(stamp_ns, item)
+        elif stream in self._answers:
+            self._answers[stream].answered += 1
+            self._released.appendleft((stamp_ns, stream, item))
+        else:
+            self._released.extend(
+                (one.stamp_ns, one.stream, one.item)
+                for one in self.order.push(stream, stamp_ns, item)
+            )
+        self._drain()
+
+    def finish(self) -> None:
+        """Process all inputs that are still held: no further ones will come."""
+        self.feed(COMMAND, NOW, Flush())
+
+    def _take_command(self, stamp_ns: int, command: Command) -> None:
+        if isinstance(command, Flush):
+            for gate in self._gates.values():
+                gate.is_open = True
+            for one in self.order.flush():
+                self._released.append((one.stamp_ns, one.stream, one.item))
+            return
+        if stamp_ns != NOW:
+            insort(self._commands, (stamp_ns, command), key=lambda waiting: waiting[0])
+            return
+        if isinstance(command, NewSession):
+            self._released.clear()
+            self._commands.clear()
+            self.order = self._new_order()
+        self._released.appendleft((NOW, COMMAND, command))
+
+    def _new_order(self) -> StampOrder[Any]:
+        return StampOrder(self.inputs, self._max_lateness_ns, self._regular)
+
+    def _drain(self) -> None:
+        if self._is_running:
+            return
+        self._is_running = True
+        try:
+            released, gates, commands = self._released, self._gates, self._commands
+            while released:
+                stamp_ns, stream, item = released[0]
+                if stream in gates and not gates[stream].passes():
+                    return
+                released.popleft()
+                while commands and commands[0][0] <= stamp_ns:
+                    at_ns, command = commands.pop(0)
+                    self._run(at_ns, COMMAND, command)
+                self._run(stamp_ns, stream, item)
+            for gate in gates.values():
+                gate.is_open = False
+        finally:
+            self._is_running = False
+
+    def _run(self, stamp_ns: int, stream: str, item: Any) -> None:
+        for observer in self._observers.get(stream, ()):
+            observer(stamp_ns, item)
+        for reader in self._readers.get(stream, ()):
+            for output in reader(stamp_ns, item):
+                self._run(output.stamp_ns, output.stream, output.item)
+
+    @property
+    def counts(self) -> Counts:
+        """Numbers of inputs that were dropped because of their stamps."""
+        return self.order.counts
+
+    def state(self) -> dict[str, State]:
+        """Return everything, for ``restore``: a state for each stage, and one for the inputs."""
+        return {
+            **{name: stage.state() for name, stage in self.stages.items()},
+            'inputs': {
+                'streams': list(self.inputs), 'order': self.order.state(item_state),
+                'released': [
+                    [stamp_ns, stream, item_state(item)]
+                    for stamp_ns, stream, item in self._released
+                ],
+                'commands': [
+                    [stamp_ns, command_state(command)] for stamp_ns, command in self._commands
+                ],
+                'gates': {name: gate.state() for name, gate in self._gates.items()},
+            },
+        }  # fmt: skip
+
+    def restore(self, states: dict[str, State]) -> bool:
+        """Restore what ``state`` returned; the stages must have an empty memory.
+
+        Returns:
+            Whether the inputs were restored, too. Otherwise they were saved with other streams, or
+            by another program: feed the command ``NewSession``.
+        """
+        for name, stage in self.stages.items():
+            if name in states:
+                stage.restore(states[name])
+        inputs = states.get('inputs', {})
+        if inputs.get('streams') != list(self.inputs):
+            return False
+        self.order.restore(inputs['order'], item_from_state)
+        self._released = deque(
+            (stamp_ns, stream, item_from_state(item))
+            for stamp_ns, stream, item in inputs['released']
+        )
+        self._commands = [
+            (stamp_ns, command_from_state(command)) for stamp_ns, command in inputs['commands']
+        ]
+        for name, gate in self._gates.items():
+            gate.restore(inputs['gates'][name])
+        return True
+
+
+class Follower(Pipeline):
+    """Stages behind the head: their inputs are in order already, and nothing can be late."""
+
+    def feed(self, stream: str, stamp_ns: int, item: Any) -> None:
+        """Take the next item of the stream, or an answer."""
+        if stream in self._answers:
+            self._answers[stream].answered += 1
+            self._released.appendleft((stamp_ns, stream, item))
+        else:
+            self._released.append((stamp_ns, stream, item))
+        self._drain()
+
+
+class _Gate:
+    """Lets item n of a stream pass once item n - delay has been answered."""
+
+    def __init__(self, stream: Stream) -> None:
+        self.stream = stream
+        self.answered = self._passed = 0
+        self.is_open = False
+        """Whether items pass without an answer, until all that are waiting have passed."""
+
+    def passes(self) -> bool:
+        """Return whether the next item passes, and count it."""
+        if not self.is_open and self._passed >= self.answered + self.stream.delay:
+            return False
+        self._passed += 1
+        return True
+
+    def state(self) -> State:
+        return {'answered': self.answered, 'passed': self._passed}
+
+    def restore(self, state: State) -> None:
+        self.answered, self._passed = state['answered'], state['passed']
+
+
+def _readers(
+    stages: Iterable[Stage], stopwatch: Stopwatch | None
+) -> dict[str, tuple[Reader, ...]]:
+    """Return the readers of each stream, in the direction of flow."""
+    readers: dict[str, tuple[Reader, ...]] = {}
+    for stage in stages:
+        for stream, reader in stage.readers().items():
+            if stopwatch is not None:
+                reader = _timed(reader, stopwatch, f'{stage.NAME}.{stream}')
+            readers[stream] = (*readers.get(stream, ()), reader)
+    return readers
+
+
+def _timed(reader: Reader, stopwatch: Stopwatch, name: str) -> Reader:
+    def timed(stamp_ns: int, item: Any) -> Iterable[Output]:
+        with stopwatch(name):
+            return reader(stamp_ns, item)
+
+    return timed

@@ -1,0 +1,132 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Stage pose_cells: odometry and templates to actions on the map."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from ratslam_ros.core.common.odometry import Motion, MotionFromOdometry, Odometry
+from ratslam_ros.core.common.state import State
+from ratslam_ros.core.config import Config
+from ratslam_ros.core.goal_memory.goal_memory import GoalMemory
+from ratslam_ros.core.pose_cells.map_relocation import MapRelocations
+from ratslam_ros.core.pose_cells.pose_cells import PoseCells
+from ratslam_ros.core.vision.local_view import ViewMatch
+from ratslam_ros.pipeline.commands import (
+    Command,
+    Configure,
+    NewSession,
+    Relocated,
+    Reset,
+    SetMapping,
+    concerns,
+)
+from ratslam_ros.pipeline.items import Answer, NumberedAction
+from ratslam_ros.pipeline.stage import NOTHING, Output, Reader
+
+UNKNOWN_MOTION = Motion(0.0, 0.0, 0.0, False)
+"""Motion after which the robot may be anywhere."""
+
+
+class PoseCellsStage:
+    """Tracks the robot in the pose cells, and in the goal memory if it is switched on."""
+
+    NAME: ClassVar[str] = 'pose_cells'
+    WRITES: ClassVar[tuple[str, ...]] = ('action',)
+
+    def __init__(self, config: Config) -> None:
+        self._created_with = self._config = config
+        self._mapping = True
+        self._begin()
+
+    def _begin(self) -> None:
+        p = self._created_with.pose_cells
+        self.core = PoseCells(p)
+        self.core.reconfigure(self._config.pose_cells)
+        self.core.mapping = self._mapping
+        self.goal_memory: GoalMemory | None = None
+        if self._config.goal_memory.goal_memory:
+            self.goal_memory = GoalMemory(self._config.goal_memory, p)
+        self.motion = MotionFromOdometry(p.odom_source, p.max_odom_gap_s, p.turn_correction)
+        self._relocations = MapRelocations()
+        self._number = 0
+
+    def readers(self) -> dict[str, Reader]:
+        """Return the readers."""
+        return {
+            'command': self._obey, 'odometry': self._move, 'template': self._view,
+            'relocation': self._answered,
+        }  # fmt: skip
+
+    def _obey(self, stamp_ns: int, command: Command) -> tuple[Output, ...]:
+        match command:
+            case Configure():
+                self._config = command.config
+                self.core.reconfigure(command.config.pose_cells)
+            case SetMapping() if concerns(command, self.NAME):
+                self.core.mapping = self._mapping = command.mapping
+            case Reset() if concerns(command, self.NAME):
+                self._begin()
+            case NewSession():
+                self.motion.restart()
+                if len(self.core):
+                    self._integrate(UNKNOWN_MOTION)
+            case Relocated() if concerns(command, self.NAME):
+                self._relocated()
+        return NOTHING
+
+    def _relocated(self) -> None:
+        self.motion.restart()
+        if self.core.calibration is not None:
+            self.core.calibration.restart()
+        if self.goal_memory is not None:
+            self.goal_memory.relocated()
+
+    def _move(self, stamp_ns: int, odometry: Odometry) -> tuple[Output, ...]:
+        motion = self.motion.update(odometry)
+        if motion is not None:
+            self._integrate(motion)
+        return NOTHING
+
+    def _integrate(self, motion: Motion) -> None:
+        self.core.integrate(motion)
+        if self.goal_memory is not None:
+            self.goal_memory.integrate(motion, self.core)
+
+    def _view(self, stamp_ns: int, match: ViewMatch) -> tuple[Output, ...]:
+        relocation = self._relocations.due(self._number)
+        if relocation is not None and self.core.relocate(relocation) and (
+            self.goal_memory is not None
+        ):
+            self.goal_memory.relocated()
+        action = self.core.view(match, self.motion.reaches(stamp_ns), stamp_ns)
+        if action.correction is not None:
+            self.motion.correction = action.correction
+        number, self._number = self._number, self._number + 1
+        return (Output('action', stamp_ns, NumberedAction(number, action)),)
+
+    def _answered(self, stamp_ns: int, answer: Answer) -> tuple[Output, ...]:
+        self._relocations.answer(*answer)
+        return NOTHING
+
+    def state(self) -> State:
+        """Return everything, for ``restore``."""
+        memory = self.goal_memory
+        return {
+            'core': self.core.state(), 'motion': self.motion.state(),
+            'relocations': self._relocations.state(), 'sequence': self._number,
+            **({} if memory is None else {'goal_memory': memory.state()}),
+        }  # fmt: skip
+
+    def restore(self, state: State) -> None:
+        """Restore what ``state`` returned."""
+        self.core.restore(state['core'])
+        if self.goal_memory is not None and 'goal_memory' in state:
+            self.goal_memory.restore(state['goal_memory'])
+        if 'motion' in state:
+            self.motion.restore(state['motion'])
+            self._relocations.restore(state['relocations'])
+        elif self.core.calibration is not None:
+            self.motion.correction = self.core.calibration.correction
+        self._number = state['sequence']

@@ -1,0 +1,371 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""RatSLAM: the whole system in one process, for library users."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ratslam_ros.core.common.odometry import Odometry
+from ratslam_ros.core.common.pose import Pose, composed
+from ratslam_ros.core.common.scan import Scan, scan_stream
+from ratslam_ros.core.common.state import State
+from ratslam_ros.core.config import Config
+from ratslam_ros.core.goal_memory.goal_memory import GoalMemory
+from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.mapping.pose_hint import PoseHint
+from ratslam_ros.core.mapping.relocator import Relocator
+from ratslam_ros.core.mapping.scan_matching import ScanMatcher
+from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
+from ratslam_ros.core.pose_cells.pose_cells import PoseCells
+from ratslam_ros.core.vision.local_view import (
+    UNDECODABLE,
+    EncodedView,
+    LocalView,
+    ViewMatch,
+    ViewMatcher,
+)
+from ratslam_ros.core.vision.prepared_image import PreparedImage
+from ratslam_ros.core.vision.visual_odometry import VisualOdometry
+from ratslam_ros.errors import UnusableInput, UnusableParameter
+from ratslam_ros.pipeline.commands import (
+    NOW,
+    Configure,
+    Hint,
+    NewSession,
+    SetBehaviour,
+    SetMapping,
+)
+from ratslam_ros.pipeline.experience_map import ExperienceMapStage
+from ratslam_ros.pipeline.items import MapStep, OdometryStep, Step, ViewStep
+from ratslam_ros.pipeline.local_view import LocalViewStage, MatcherStage
+from ratslam_ros.pipeline.order import Counts
+from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline, Stopwatch
+from ratslam_ros.pipeline.pose_cells import PoseCellsStage
+from ratslam_ros.pipeline.stage import Stage
+from ratslam_ros.pipeline.visual_odometry import VisualOdometryStage
+
+STAGES: tuple[type[Stage], ...] = (
+    VisualOdometryStage, LocalViewStage, PoseCellsStage, ExperienceMapStage,
+)  # fmt: skip
+"""The stages of RatSLAM, in the direction of flow."""
+
+
+def stages_from(head: str, stages: Sequence[type[Stage]] = STAGES) -> tuple[type[Stage], ...]:
+    """Return the stages from the one that takes the inputs on.
+
+    Args:
+        head: `visual_odometry` for images alone, `local_view` for images and odometry,
+            `pose_cells` for templates and odometry.
+        stages: all stages.
+
+    Raises:
+        UnusableParameter: no stage has this name.
+    """
+    names = [stage.NAME for stage in stages]
+    if head not in names:
+        raise UnusableParameter(f'there is no stage {head!r}: expected one of {", ".join(names)}')
+    return tuple(stages[names.index(head):])
+
+
+def head_of(states: Mapping[str, State]) -> str:
+    """Return the head of the pipeline that has saved these states."""
+    return next((stage.NAME for stage in STAGES if stage.NAME in states), 'local_view')
+
+
+class RatSLAM:
+    """Visual odometry, local view, pose cells and experience map, fed in the order of stamps."""
+
+    def __init__(
+        self, config: Config, head: str = 'local_view', stopwatch: Stopwatch | None = None,
+        local_view: ViewMatcher | None = None, stages: Sequence[type[Stage]] = STAGES,
+    ) -> None:  # fmt: skip
+        """Prepare an empty map.
+
+        Args:
+            config: all parameters.
+            head: the stage that takes the inputs; see ``stages_from``.
+            stopwatch: function that takes the name of a step, and returns a context manager that
+                is entered around it; the pipeline has no clock of its own.
+            local_view: matcher of the images; None: the one that ``config`` describes.
+            stages: the stages, some of which may be your own.
+        """
+        self.config = config
+        self.pipeline = Pipeline(
+            [
+                MatcherStage(local_view) if local_view is not None and kind.NAME == 'local_view'
+                else kind(config)
+                for kind in stages_from(head, stages)
+            ],
+            round(config.pose_cells.max_lateness_s * 1e9), stopwatch,
+        )  # fmt: skip
+        self._cells = cast(PoseCellsStage, self.pipeline.stages['pose_cells'])
+        self._graph = cast(ExperienceMapStage, self.pipeline.stages['experience_map'])
+        self._eyes = self.pipeline.stages.get('visual_odometry')
+        self._views = self.pipeline.stages.get('local_view')
+        self._refused = 0
+        self._steps: list[Step] = []
+        self._match = UNDECODABLE
+        self.pipeline.observe('template', self._note_match)
+        self.pipeline.observe('pose', self._note_pose)
+        self.pipeline.observe('update', self._note_update)
+
+    # Inputs
+
+    def prepare(self, image: NDArray[np.uint8]) -> PreparedImage:
+        """Compute what depends on one image alone; another thread may do so for later images.
+
+        Args:
+            image: (H, W) grey levels, 0 to 255.
+
+        Returns:
+            The image for ``image``, which gives the same results as without ``prepare``.
+        """
+        encoded = profiles = None
+        # If a window does not fit, ``image`` raises, unless it is a single image of another size.
+        with suppress(UnusableParameter):
+            if self.visual_odometry is not None:
+                profiles = self.visual_odometry.profiles(image)
+            if self.local_view is not None and self.local_view.encodes_ahead:
+                encoded = EncodedView(self.local_view.encode(image))
+        return PreparedImage(image, encoded, profiles)
+
+    def image(
+        self, stamp_ns: int, image: NDArray[np.uint8] | PreparedImage | None
+    ) -> list[Step]:
+        """Process one image; return the steps of all messages that it released.
+
+        Args:
+            stamp_ns: stamp of the image. An image whose stamp does not increase is refused and
+                counted.
+            image: (H, W) grey levels, 0 to 255, or what ``prepare`` returned for them; None if the
+                image could not be decoded.
+
+        Raises:
+            UnusableParameter: the crop, window or template does not fit the first image.
+        """
+        if isinstance(image, np.ndarray):
+            image = PreparedImage(image)
+        return self._feed('image', stamp_ns, image)
+
+    def odometry(self, odometry: Odometry) -> list[Step]:
+        """Process one odometry message; return the steps of all messages that it released.
+
+        A message with a value that is not finite, or is implausible, is refused and counted.
+        """
+        if not self._graph.motion.accepts(odometry):
+            self._refused += 1
+            return []
+        return self._feed('odometry', odometry.stamp_ns, odometry)
+
+    def template(self, stamp_ns: int, match: ViewMatch) -> list[Step]:
+        """Process one template message; return the steps of all messages that it released."""
+        return self._feed('template', stamp_ns, match)
+
+    def scan(self, scan: Scan) -> list[Step]:
+        """Process one laser scan; return the steps of all messages that it released.
+
+        Without ``exp_align_scans`` scans are ignored.
+
+        Raises:
+            UnusableInput: ``scan_topics`` has fewer lasers than the number of the scan's one.
+        """
+        lasers = self._graph.lasers
+        if not lasers:
+            return []
+        if not 0 <= scan.laser < lasers:
+            raise UnusableInput(
+                f'a scan is of laser {scan.laser}; expected 0 to {lasers - 1}: name all lasers in '
+                'experience_map.scan_topics'
+            )
+        return self._feed(scan_stream(scan.laser), scan.stamp_ns, scan)
+
+    def finish(self) -> list[Step]:
+        """Process all messages that are still held."""
+        self.pipeline.finish()
+        return self._taken()
+
+    def suggest(self, stamp_ns: int, hint: PoseHint) -> None:
+        """Use a pose that an operator has given from the first message with its stamp on.
+
+        Raises:
+            UnusableInput: a value is not finite, or the covariance is none.
+        """
+        self.pipeline.feed(COMMAND, stamp_ns, Hint(hint.checked()))
+
+    def reconfigure(self, config: Config, from_ns: int = NOW) -> None:
+        """Continue with other parameters from a stamp on, as live nodes whose parameters are set.
+
+        Args:
+            config: all parameters.
+            from_ns: the stamp; 0: the next message.
+
+        Raises:
+            UnusableParameter: a parameter differs that cannot change; nothing is changed.
+        """
+        self.config.check_change(config)
+        self.pipeline.feed(COMMAND, from_ns, Configure(config))
+
+    def _feed(self, stream: str, stamp_ns: int, item: Any) -> list[Step]:
+        if stream not in self.pipeline.inputs:
+            raise UnusableInput(
+                f'{stream} is no input of this RatSLAM, which takes '
+                f'{", ".join(self.pipeline.inputs)}: choose another head'
+            )
+        self.pipeline.feed(stream, stamp_ns, item)
+        return self._taken()
+
+    # Steps
+
+    def _note_match(self, stamp_ns: int, match: ViewMatch) -> None:
+        self._match = match
+
+    def _note_pose(self, stamp_ns: int, step: OdometryStep) -> None:
+        self._steps.append(step)
+
+    def _note_update(self, stamp_ns: int, step: MapStep) -> None:
+        update, relocation = step.update, step.update.relocation
+        self._steps.append(ViewStep(
+            stamp_ns, self._match, step.action, update.pruned, update.rejected,
+            NO_EXPERIENCE if relocation is None else relocation.experience_id, update.reason,
+        ))  # fmt: skip
+
+    def _taken(self) -> list[Step]:
+        steps, self._steps = self._steps, []
+        return steps
+
+    # State
+
+    @property
+    def mapping(self) -> bool:
+        """Whether anything is learned; False: the robot is only localised on the map."""
+        return self.pose_cells.mapping
+
+    @mapping.setter
+    def mapping(self, mapping: bool) -> None:
+        self.pipeline.feed(COMMAND, NOW, SetMapping(mapping))
+
+    @property
+    def behaviour(self) -> str:
+        """Name of the active behaviour, stored in the links; '' if unknown."""
+        return self._graph.behaviour
+
+    @behaviour.setter
+    def behaviour(self, behaviour: str) -> None:
+        self.pipeline.feed(COMMAND, NOW, SetBehaviour(behaviour))
+
+    def state(self) -> dict[str, State]:
+        """Return everything, for ``restore``: a state for each part.
+
+        A run that continues from it gives the same results, byte for byte, as one that was not
+        interrupted.
+
+        Raises:
+            UnusableInput: the local view is of a class of your own.
+        """
+        states = self.pipeline.state()
+        states['inputs']['refused'] = self._refused
+        return states
+
+    def restore(self, states: Mapping[str, State]) -> bool:
+        """Restore what ``state`` returned, or the states of nodes; nothing must be learned yet.
+
+        Returns:
+            Whether the held inputs were restored, too. Otherwise the states are those of nodes or
+            of an earlier version, and the inputs begin anew: call ``begin_session``.
+
+        Raises:
+            UnusableInput: the states do not fit the parameters. This object must not be used then.
+        """
+        try:
+            has_inputs = self.pipeline.restore(dict(states))
+        except (LookupError, ValueError, TypeError, AttributeError, OverflowError) as error:
+            raise UnusableInput(
+                f'the saved map is damaged, or of another version ({error!r}); use a backup'
+            ) from None
+        if has_inputs:
+            self._refused = states['inputs']['refused']
+        else:
+            self._cells.motion.restart()
+            self._graph.motion.restart()
+        return has_inputs
+
+    def begin_session(self) -> None:
+        """Continue the map with inputs that do not follow the last ones: another drive, or robot.
+
+        Held messages are dropped, and stamps may begin anywhere. The motion since the last session
+        is unknown: the robot is in a separate component until it recognises a place.
+        """
+        self.pipeline.feed(COMMAND, NOW, NewSession())
+
+    # Parts and outputs
+
+    @property
+    def visual_odometry(self) -> VisualOdometry | None:
+        """Visual odometry, None if odometry comes from outside."""
+        return self._eyes.core if isinstance(self._eyes, VisualOdometryStage) else None
+
+    @property
+    def local_view(self) -> LocalView | None:
+        """Local view, None if templates come from outside, or from a matcher of your own."""
+        return self._views.core if isinstance(self._views, LocalViewStage) else None
+
+    @property
+    def pose_cells(self) -> PoseCells:
+        """Pose cells."""
+        return self._cells.core
+
+    @property
+    def goal_memory(self) -> GoalMemory | None:
+        """Goal memory, learned along with the map if ``goal_memory.goal_memory`` is set."""
+        return self._cells.goal_memory
+
+    @property
+    def experience_map(self) -> ExperienceMap:
+        """Experience map."""
+        return self._graph.core
+
+    @property
+    def scan_matcher(self) -> ScanMatcher | None:
+        """Scan matcher, None without ``exp_align_scans``."""
+        return self._graph.scans
+
+    @property
+    def relocator(self) -> Relocator | None:
+        """Relocation by scans, None if ``exp_relocate`` is `views` or there is no laser."""
+        return self._graph.relocator
+
+    @property
+    def dead_reckoning(self) -> Pose:
+        """Pose by odometry alone, in the map frame."""
+        return self._graph.dead_reckoning
+
+    @property
+    def newest_ns(self) -> int:
+        """Newest accepted stamp of any input, 0 before the first."""
+        return self.pipeline.order.newest_ns or 0
+
+    @property
+    def counts(self) -> Counts:
+        """Numbers of late and of refused messages."""
+        counts = self.pipeline.counts
+        return Counts(counts.late, counts.refused + self._refused)
+
+    @property
+    def offset(self) -> Pose:
+        """Pose of the robot in the frame of the current experience, including held odometry."""
+        held = self.pipeline.order.waiting('odometry') if (
+            'odometry' in self.pipeline.inputs
+        ) else []
+        return self._graph.motion.ahead(held, self.experience_map.offset)
+
+    @property
+    def pose(self) -> Pose:
+        """Pose of the robot on the map, including held odometry."""
+        graph = self.experience_map
+        return composed(graph.pose_of(graph.current_id), self.offset)

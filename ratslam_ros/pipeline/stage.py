@@ -1,0 +1,56 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Protocol of a stage."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any, ClassVar, NamedTuple, Protocol
+
+from ratslam_ros.core.common.state import State
+from ratslam_ros.core.config import Config
+
+
+class Output(NamedTuple):
+    """An item that a stage adds to the stream."""
+
+    stream: str
+    stamp_ns: int
+    item: Any
+
+
+NOTHING: tuple[Output, ...] = ()
+"""Result of a reader that adds nothing to the stream."""
+
+Reader = Callable[[int, Any], Iterable[Output]]
+"""Takes the stamp and the item of a stream, and returns what the stage adds to the stream."""
+
+
+class Stage(Protocol):
+    """A part of the system that reads streams, keeps a state, and writes streams.
+
+    Its results depend on its configuration and on the items that it has read, in their order, and
+    on nothing else: no clock, no file, no random numbers. Therefore they are the same in a replay,
+    in a live process, and in a process of its own.
+    """
+
+    NAME: ClassVar[str]
+    """Name of the stage, of its node, and of its part of a saved map."""
+    WRITES: ClassVar[tuple[str, ...]]
+    """Names of the streams that it writes."""
+
+    def __init__(self, config: Config) -> None:
+        """Create the stage with an empty memory."""
+        ...
+
+    def readers(self) -> dict[str, Reader]:
+        """Return the reader of each stream that the stage needs. It is called once."""
+        ...
+
+    def state(self) -> State:
+        """Return everything that influences later results, for ``restore``."""
+        ...
+
+    def restore(self, state: State) -> None:
+        """Restore what ``state`` returned; raise and change nothing if it does not fit."""
+        ...

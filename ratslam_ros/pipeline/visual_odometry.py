@@ -1,0 +1,80 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Stage visual_odometry: images to odometry."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from ratslam_ros.core.common.state import State
+from ratslam_ros.core.config import Config
+from ratslam_ros.core.vision.prepared_image import PreparedImage
+from ratslam_ros.core.vision.visual_odometry import VisualOdometry
+from ratslam_ros.errors import UnusableParameter
+from ratslam_ros.pipeline.commands import (
+    Command,
+    Configure,
+    NewSession,
+    Relocated,
+    Reset,
+    SetFieldOfView,
+    concerns,
+)
+from ratslam_ros.pipeline.stage import NOTHING, Output, Reader
+
+
+class VisualOdometryStage:
+    """Estimates the motion of the robot between successive images."""
+
+    NAME: ClassVar[str] = 'visual_odometry'
+    WRITES: ClassVar[tuple[str, ...]] = ('odometry',)
+
+    def __init__(self, config: Config) -> None:
+        self._config = config.visual_odometry
+        self.core = VisualOdometry(self._config)
+        self._fov_deg: float | None = None
+        self._has_seen = False
+
+    def readers(self) -> dict[str, Reader]:
+        """Return the readers."""
+        return {'command': self._obey, 'image': self._see}
+
+    def _obey(self, stamp_ns: int, command: Command) -> tuple[Output, ...]:
+        match command:
+            case Configure():
+                self.core.reconfigure(command.config.visual_odometry)
+            case SetFieldOfView():
+                self._fov_deg = command.fov_deg
+                self.core.set_field_of_view(command.fov_deg)
+            case Reset() if concerns(command, self.NAME):
+                self.core = VisualOdometry(self._config)
+                if self._fov_deg is not None:
+                    self.core.set_field_of_view(self._fov_deg)
+            case NewSession():
+                self.core.restart()
+            case Relocated() if concerns(command, self.NAME):
+                self.core.restart()
+        return NOTHING
+
+    def _see(self, stamp_ns: int, image: PreparedImage | None) -> tuple[Output, ...]:
+        if image is None:
+            return NOTHING
+        try:
+            odometry = self.core.estimate(stamp_ns, image.pixels, image.profiles)
+        except UnusableParameter:
+            if self._has_seen:
+                return NOTHING  # an image of another size, which no window fits
+            raise
+        self._has_seen = True
+        if odometry is None:
+            return NOTHING
+        return (Output('odometry', stamp_ns, odometry.as_received()),)
+
+    def state(self) -> State:
+        """Return everything, for ``restore``."""
+        return {'core': self.core.state(), 'fov_deg': self._fov_deg, 'has_seen': self._has_seen}
+
+    def restore(self, state: State) -> None:
+        """Restore what ``state`` returned."""
+        self.core.restore(state['core'])
+        self._fov_deg, self._has_seen = state.get('fov_deg'), state.get('has_seen', True)
