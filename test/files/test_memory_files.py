@@ -54,7 +54,7 @@ def test_restored_state_continues_identically(
     drive(other, 0, steps)
     for part, core in restored.items():
         core.restore(load(tmp_path / part, part))
-        setattr(other, part, core)
+        other.pipeline.stages[part].core = core
     for instance in (slam, other):
         drive(instance, steps, 100)
         instance.finish()

@@ -223,12 +223,13 @@ def test_summary_has_its_keys_in_order(base: Path) -> None:
     ]  # fmt: skip
     assert summary['duration_s'] == pytest.approx((FRAMES - 1) * 0.1 + 0.001, abs=2e-3)
     assert set(summary['step_ms']) == {
-        'decode', 'encode', 'local_view', 'pose_cells', 'pose_cells_view', 'experience_map',
+        'decode', 'encode', 'local_view.image', 'pose_cells.odometry', 'pose_cells.template',
+        'pose_cells.relocation', 'experience_map.odometry', 'experience_map.action',
     }  # fmt: skip
     for step in summary['step_ms'].values():
         assert list(step) == ['count', 'median', 'p99']
         assert 0.0 < step['median'] <= step['p99']
-    assert summary['step_ms']['local_view']['count'] == FRAMES
+    assert summary['step_ms']['local_view.image']['count'] == FRAMES
 
 
 def test_map_has_last_stamp_and_no_paths(
@@ -366,7 +367,7 @@ def test_recording_without_odometry_uses_visual_odometry(
     summary = run(write_bag(tmp_path / 'bag', images), tmp_path / 'results').summary
     assert summary['odometry'] == FRAMES - 1
     assert summary['frames'] == FRAMES
-    assert 'visual_odometry' in summary['step_ms']
+    assert 'visual_odometry.image' in summary['step_ms']
 
 
 def test_odometry_from_poses_maps_recording_without_twists(tmp_path: Path) -> None:
