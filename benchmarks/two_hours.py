@@ -257,8 +257,8 @@ class Bench:
         """Wait until all nodes have processed these messages and their consequences."""
         self._spin_until(
             lambda: self.map._action_ns >= image_ns
-            and (self.map._order.newest_of('odometry') or 0) >= odometry_ns
-            and (self.pose_cells._order.newest_of('odometry') or 0) >= odometry_ns
+            and (self.map._host.pipeline.order.newest_of('odometry') or 0) >= odometry_ns
+            and (self.pose_cells._host.pipeline.order.newest_of('odometry') or 0) >= odometry_ns
         )
 
     def _spin_until(self, condition: Callable[[], bool]) -> None:

@@ -10,7 +10,6 @@ from typing import Any
 
 from rclpy.node import Node
 
-from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.files.config import to_yaml
 from ratslam_ros.nodes.parameter_changes import ParameterChanges, decode_values
@@ -48,7 +47,7 @@ class ConfiguredNode(Node):  # type: ignore[misc]
         except BaseException:
             self.destroy_node()  # the caller gets no node that it could destroy
             raise
-        self._parameter_changes = ParameterChanges((self.SECTION, *self.PARTS), self.config)
+        self.parameter_changes = ParameterChanges((self.SECTION, *self.PARTS), self.config)
         self._set_from_ns = 0
 
     @property
@@ -71,7 +70,7 @@ class ConfiguredNode(Node):  # type: ignore[misc]
         return getattr(self._checked.first, self.SECTION)
 
     @property
-    def _parameter_stream(self) -> str:
+    def parameter_stream(self) -> str:
         """Name of the changes of parameters in the log of a map file."""
         return f'{self.SECTION}_parameters'
 
@@ -80,35 +79,22 @@ class ConfiguredNode(Node):  # type: ignore[misc]
 
     def _on_parameters_set(self, before: Config) -> None:
         with self._lock:
-            if self._parameter_changes.differences(before, self.config):
-                self._parameter_changes.add(self.config, self._set_from_ns)
+            if self.parameter_changes.differences(before, self.config):
+                self.parameter_changes.add(self.config, self._set_from_ns)
         self._on_set(before)
 
-    def _start_over(self) -> None:
-        self._reset_state()
-        self._parameter_changes.start_over(self.config)
-
-    def _saved_state(self) -> State:
-        """Return the memory, and the parameters that were set while it was learned."""
-        record = self._parameter_changes.state()
-        return {**self._memory_state(), **({'parameters_set': record} if record else {})}
-
-    def _restore_saved(self, state: State) -> None:
-        self._restore(state)
-        self._parameter_changes.start_over(self.config, state.get('parameters_set', ()))
-
-    def _resume_parameters(self, logged: Iterable[tuple[int, bytes]]) -> None:
+    def resume_parameters(self, logged: Iterable[tuple[int, bytes]]) -> None:
         """After a restart, set the parameters again that were set before.
 
         Args:
             logged: stamps and values of changes after the restored state.
         """
-        values = {change.key: change.value for change in self._parameter_changes.record}
-        record = self._parameter_changes.state()
+        values = {change.key: change.value for change in self.parameter_changes.record}
+        record = self.parameter_changes.state()
         if values:
             self.set_parameters_atomically(self._checked.named(values))
-            self._reconfigure(self._section)
-            self._parameter_changes.start_over(self.config, record)
+            self._reconfigure()
+            self.parameter_changes.start_over(self.config, record)
         for stamp_ns, data in logged:
             self._set_from_ns = stamp_ns
             self.set_parameters_atomically(self._checked.named(decode_values(data)))
@@ -117,19 +103,6 @@ class ConfiguredNode(Node):  # type: ignore[misc]
     def _on_set(self, before: Config) -> None:
         """React to parameters that take effect at once."""
 
-    def _reconfigure(self, section: Any) -> None:
-        """Continue with other values of the parameters that influence the map."""
-
-    # Implemented by RatslamNode and the nodes that learn
-
-    def _reset_state(self) -> None:
-        """Start with an empty memory."""
-        raise NotImplementedError
-
-    def _memory_state(self) -> State:
-        """Return the memory, for ``_restore``."""
-        raise NotImplementedError
-
-    def _restore(self, state: State) -> None:
-        """Replace the memory by a saved one; raise and change nothing if it cannot be used."""
+    def _reconfigure(self) -> None:
+        """Let the stage use the present parameters."""
         raise NotImplementedError

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 import time
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped, Twist
@@ -18,6 +18,7 @@ from std_msgs.msg import String
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import Scan
+from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.driving.exploration import Exploration
 from ratslam_ros.core.driving.goal_follower import GoalFollower, in_robot_frame, remaining_route
@@ -29,12 +30,16 @@ from ratslam_ros.messages.goals import BehaviourReport, decode_status, encode_be
 from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.nodes.convert import planar_pose, route_points, stamp_ns
 from ratslam_ros.nodes.goal_frames import pose_on_map
+from ratslam_ros.nodes.host import Host
 from ratslam_ros.nodes.navigation_actions import RobotState, offer_actions
 from ratslam_ros.nodes.node import FLUSH_CHECK_PERIOD_S, RatslamNode
 from ratslam_ros.nodes.odometry_frames import FROM_ODOMETRY, OdometryFrames
 from ratslam_ros.nodes.qos import INPUT, LATCHED, RESULT, STATE
 from ratslam_ros.nodes.run import run
 from ratslam_ros.nodes.scans import ScanInput
+from ratslam_ros.pipeline.commands import Relocated
+from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline
+from ratslam_ros.pipeline.stage import NOTHING, Output, Reader, Stage
 
 INPUT_CHECK_PERIOD_S = 0.05
 """Period of the checks whether the inputs needed for driving have arrived."""
@@ -45,16 +50,41 @@ POSE_TIMEOUT_S = 1.0
 NO_POSITIONS = np.empty((0, 2))
 
 
-class GoalFollowerNode(RatslamNode[Scan]):
+class SteeringStage:
+    """Passes scans to the node in the order of their stamps."""
+
+    NAME: ClassVar[str] = 'goal_follower'
+    WRITES: ClassVar[tuple[str, ...]] = ('steering',)
+
+    def readers(self) -> dict[str, Reader]:
+        """Return the readers."""
+        return {'scan': self._pass, COMMAND: self._obey}
+
+    def _pass(self, stamp_ns: int, scan: Scan) -> tuple[Output, ...]:
+        return (Output('steering', stamp_ns, scan),)
+
+    def _obey(self, stamp_ns: int, command: object) -> tuple[Output, ...]:
+        return (Output('moved', stamp_ns, None),) if isinstance(command, Relocated) else NOTHING
+
+    def state(self) -> State:
+        """Return nothing: the stage has no memory."""
+        return {}
+
+    def restore(self, state: State) -> None:
+        """Do nothing."""
+
+
+class GoalFollowerNode(RatslamNode):
     """Drives the robot along its route, or explores if that is requested.
 
     Without a task it publishes no velocities, so that another node may drive.
     """
 
     SECTION = 'goal_follower'
+    TAKES = ('scan',)
 
-    def __init__(self, initial: Config = Config()) -> None:
-        super().__init__(('scan',), initial)
+    def __init__(self, initial: Config = Config(), host: Host | None = None) -> None:
+        super().__init__(initial, host)
         self._velocity = self.create_publisher(Twist, 'cmd_vel', STATE)
         self._behaviour = self.create_publisher(String, 'goal_follower/behaviour', RESULT)
         self._task = 'none'
@@ -62,13 +92,13 @@ class GoalFollowerNode(RatslamNode[Scan]):
         self._reset_state()
         self._map_frame = ''
         self._frames = OdometryFrames(
-            FROM_ODOMETRY, FROM_ODOMETRY, self._diagnostics.note
+            FROM_ODOMETRY, FROM_ODOMETRY, self.diagnostics.note
         )
         self._laser = ScanInput(
-            self, self._diagnostics.note, lambda: self._frames.known_base, self._refuse,
+            self, self.diagnostics.note, lambda: self._frames.known_base, self._refuse,
             self._use_scan,
         )  # fmt: skip
-        self._add_input('scan', {'scan': LaserScan}, self._laser.receive)
+        self._complete()
         self._add_input('odometry', {'odom': OdometryMessage}, self._on_odometry)
         self.create_subscription(PoseStamped, 'experience_map/pose', self._on_pose, STATE)
         self.create_subscription(String, CORRECTION, self._on_correction, INPUT)
@@ -78,6 +108,24 @@ class GoalFollowerNode(RatslamNode[Scan]):
         self.create_timer(FLUSH_CHECK_PERIOD_S, self._flush, clock=self._steady)
         self.create_timer(INPUT_CHECK_PERIOD_S, self._check_inputs, clock=self._steady)
 
+    def new_stages(self, config: Config) -> list[Stage]:
+        """Return what orders the scans."""
+        return [SteeringStage()]
+
+    def connect(self, pipeline: Pipeline) -> None:
+        """Drive by the scans."""
+        pipeline.observe('steering', self._drive)
+        pipeline.observe('moved', lambda stamp_ns, item: self._moved())
+
+    def subscribe(self, stream: str) -> None:
+        """Subscribe to the scans."""
+        self._add_input('scan', {'scan': LaserScan}, self._laser.receive)
+
+    def started_over(self) -> None:
+        """Continue after the memory was emptied."""
+        super().started_over()
+        self._reset_state()
+
     def close(self) -> None:
         """Stop the robot."""
         super().close()
@@ -86,7 +134,7 @@ class GoalFollowerNode(RatslamNode[Scan]):
         self._stop_robot()
 
     def _reset_state(self) -> None:
-        p = self._section
+        p = self.section
         rng = np.random.Generator(np.random.PCG64(p.explore_seed))
         self._exploration = Exploration(p, rng)
         self._pose = self._odom_pose = Pose(0.0, 0.0, 0.0)
@@ -95,10 +143,10 @@ class GoalFollowerNode(RatslamNode[Scan]):
         self._explore_requested, self._wall = False, ''
         self._stamped_pose: PoseStamped | None = None
         self._has_map = False
-        self._on_relocated()
+        self._moved()
 
-    def _on_relocated(self) -> None:
-        self._follower = GoalFollower(self._section)
+    def _moved(self) -> None:
+        self._follower = GoalFollower(self.section)
         self._exploration.restart()
 
     # Inputs
@@ -159,7 +207,7 @@ class GoalFollowerNode(RatslamNode[Scan]):
     def state(self) -> RobotState:
         """Return what the actions report."""
         return RobotState(
-            self._stamped_pose, self._pose, self._route, self._section.speed_mps
+            self._stamped_pose, self._pose, self._route, self.section.speed_mps
         )
 
     def goal_on_map(self, message: PoseStamped) -> Pose:
@@ -170,7 +218,7 @@ class GoalFollowerNode(RatslamNode[Scan]):
     def refusal(self) -> str:
         """Return why the robot cannot drive to goals now, or an empty string."""
         if self._is_halted:
-            return f'goal_follower is {"paused" if self._is_active else "not active"}'
+            return 'goal_follower is paused, or not active'
         if not self._has_map or self._stamped_pose is None:
             missing = 'pose' if self._has_map else 'status'
             return f'no experience_map/{missing} has arrived: is experience_map running?'
@@ -178,13 +226,13 @@ class GoalFollowerNode(RatslamNode[Scan]):
 
     # Driving
 
-    def _process_item(self, stamp_ns: int, stream: str, item: Scan) -> None:
+    def _drive(self, stamp_ns: int, scan: Scan) -> None:
         self._scan_s = time.monotonic()
         self._choose_task()
         if self._task == 'none' or self._missing_input():
             return  # _check_inputs stops the robot
-        with self._diagnostics.times('steer'):
-            command = self._steer(item)
+        with self.diagnostics.times('steer'):
+            command = self._steer(scan)
         self._publish_velocity(command.speed_mps, command.turn_rate_radps)
         self._publish_behaviour(stamp_ns, command)
 
@@ -193,12 +241,12 @@ class GoalFollowerNode(RatslamNode[Scan]):
         if not self._is_halted:
             if len(self._route):
                 task = 'following'
-            elif self._explore_requested or self._section.explore:
+            elif self._explore_requested or self.section.explore:
                 task = 'exploring'
         if task != self._task:
             if task == 'none':
                 self._stop_robot()
-            self._on_relocated()  # another node may have moved the robot
+            self._moved()  # another node may have moved the robot
             self._task = task
 
     def _steer(self, scan: Scan) -> Command:
@@ -229,17 +277,17 @@ class GoalFollowerNode(RatslamNode[Scan]):
         self._choose_task()
         missing = self._missing_input() if self._task != 'none' else ''
         if not missing:
-            self._diagnostics.missing.pop('steering', None)
+            self.diagnostics.missing.pop('steering', None)
             return
         self._stop_robot()
-        if 'steering' not in self._diagnostics.missing:
+        if 'steering' not in self.diagnostics.missing:
             self.get_logger().warning(f'the robot is stopped: {missing}')
-        self._diagnostics.missing['steering'] = f'the robot is stopped: {missing}'
+        self.diagnostics.missing['steering'] = f'the robot is stopped: {missing}'
 
     def _missing_input(self) -> str:
         """Return which input must arrive before the robot may move, or an empty string."""
         now_s = time.monotonic()
-        if now_s - self._scan_s > self._section.scan_timeout_s:
+        if now_s - self._scan_s > self.section.scan_timeout_s:
             return 'no scan arrives'
         if self._task == 'exploring' and now_s - self._odom_s > POSE_TIMEOUT_S:
             return 'no odometry arrives'

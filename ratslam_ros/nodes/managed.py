@@ -41,12 +41,13 @@ def managed(kind: Any) -> type[Any]:
     done, failed = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 
     class Managed(LifecycleNodeMixin, kind):  # type: ignore[misc]
-        def __init__(self, initial: Any) -> None:
-            kind.__init__(self, initial)
+        def __init__(self, initial: Any, host: Any = None) -> None:
+            kind.__init__(self, initial, host)
             LifecycleNodeMixin.__init__(self)
-            self._is_active = False
-            self._was_active = self._has_caught_up = False
+            self._is_active = self._has_caught_up = False
             self._failure = ''
+            if self._has_own_host:
+                self._host.halt(self, True)
 
         def open_map(self) -> None:
             """Do nothing: `configure` opens the map."""
@@ -59,7 +60,8 @@ def managed(kind: Any) -> type[Any]:
 
         def on_configure(self, state: Any) -> Any:
             try:
-                self._restore_map()
+                if self._host.nodes[0] is self:
+                    self._host.restore_map()
             except RatslamError as error:
                 self._failure = str(error)
                 self.get_logger().error(self._failure)
@@ -68,31 +70,27 @@ def managed(kind: Any) -> type[Any]:
             return done
 
         def on_activate(self, state: Any) -> Any:
-            with self._lock:
-                if self._was_active:
-                    self._on_relocated()
-                self._is_active = self._was_active = True
-                if not self._has_caught_up:
-                    self._catch_up()
-                    self._has_caught_up = True
+            self._is_active = True
+            self._host.halt(self, False)
+            if not self._has_caught_up and self._host.nodes[0] is self:
+                self._host.catch_up()
+            self._has_caught_up = True
             return done
 
         def on_deactivate(self, state: Any) -> Any:
-            with self._lock:
-                self._process_held()
-                self._is_active = False
-                if self._keeper is not None:
-                    self._keeper.pause()
+            self._is_active = False
+            self._host.halt(self, True)
+            if self._host.keeper is not None:
+                self._host.keeper.pause()
             return done
 
         def on_cleanup(self, state: Any) -> Any:
-            self._close_map()
-            self._forget()
-            self._was_active = False
+            self._host.close_map()
+            self._host.reset(self)
             return done
 
         def on_shutdown(self, state: Any) -> Any:
-            self._close_map()
+            self._host.close_map()
             self._is_active = False
             return done
 

@@ -87,8 +87,8 @@ class MapKeeper:
     """Saves the state of a node in a map file, and lets the node continue from it."""
 
     def __init__(
-        self, node: Node, diagnostics: Diagnostics, store: MapStore, part: str,
-        state: Callable[[], State], newest_ns: Callable[[str], int],
+        self, node: Node, diagnostics: Diagnostics, store: MapStore, parts: tuple[str, ...],
+        states: Callable[[], dict[str, State]], newest_ns: Callable[[str], int],
         restarted: Callable[[tuple[str, ...]], None] = lambda streams: None,
     ) -> None:  # fmt: skip
         """Restore nothing yet: ``restored`` is the state to restore.
@@ -97,13 +97,13 @@ class MapKeeper:
             node: the node.
             diagnostics: where lost messages are reported.
             store: the opened file.
-            part: name of the node's part of it.
-            state: returns the state of the node.
+            parts: names of its parts that this process writes.
+            states: returns the state of each part.
             newest_ns: returns the newest received stamp of a stream.
             restarted: is called with the streams that a restarted neighbour will send again.
         """
-        self._node, self._diagnostics, self._store, self._part = node, diagnostics, store, part
-        self._state, self._newest_ns, self._restarted = state, newest_ns, restarted
+        self._node, self._diagnostics, self._store = node, diagnostics, store
+        self._states, self._newest_ns, self._restarted = states, newest_ns, restarted
         self._grid = CutGrid()
         self._repetitions = Repetitions()
         self._requests: dict[str, ResendRequest] = {}
@@ -120,14 +120,14 @@ class MapKeeper:
         self._is_first = True
         """Whether the first message may belong to another session than the restored state."""
         self._has_changed = False
-        self.restored: State | None = None
-        """The state of the node to restore; None for a new map."""
+        self.restored: Mapping[str, State] | None = None
+        """The states of the parts to restore; None for a new map."""
         self._cut: GridCut | None = None
         saved = store.restored
-        if saved is not None and saved.cut is not None and part in saved.states:
-            self.restored = saved.states[part]
+        if saved is not None and saved.cut is not None and set(parts) & set(saved.states):
+            self.restored = {part: saved.states[part] for part in parts if part in saved.states}
             if store.joins:
-                self._restored = _stamps(self.restored.get('reached'))
+                self._restored = _stamps(next(iter(self.restored.values())).get('reached'))
             self._reached = dict(self._restored)
             self._cut = GridCut(saved.cut.number, saved.cut.stamp_ns)
             self._grid.restore(self._cut)
@@ -197,8 +197,11 @@ class MapKeeper:
 
     def _write(self, cut: GridCut) -> None:
         with self._diagnostics.times('map_file'):
-            state = {**self._state(), 'reached': dict(self._reached)}
-            self._store.cut(Cut(cut.number, cut.stamp_ns), {self._part: state})
+            states = {
+                part: {**state, 'reached': dict(self._reached)}
+                for part, state in self._states().items()
+            }
+            self._store.cut(Cut(cut.number, cut.stamp_ns), states)
         self._saved = cut.number
         self._cuts.publish(Int64(data=cut.number))
 

@@ -19,6 +19,7 @@ from ratslam_ros import starting
 from ratslam_ros.compilation import announced_compilation
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.errors import RatslamError
+from ratslam_ros.nodes.host import Host
 from ratslam_ros.nodes.managed import AUTOSTART, LIFECYCLE, managed
 from ratslam_ros.nodes.node import RatslamNode
 from ratslam_ros.nodes.parameters import initial_config
@@ -59,12 +60,16 @@ def run(*kinds: type[Any], args: list[str] | None = None) -> int:
     try:
         _warm_up(kinds)
         initial = initial_config(given)
+        staged = [kind for kind in kinds if issubclass(kind, RatslamNode)]
+        host = Host() if len(staged) > 1 else None
         for kind in kinds:  # It compiles what only some parameters need.
             if issubclass(kind, RatslamNode):
                 created: type[Any] = managed(kind) if options.lifecycle else kind
-                nodes.append(created(initial))
+                nodes.append(created(initial, host))
             else:
                 nodes.append(kind())
+        if host is not None:
+            host.start()
         with stop:
             for node in nodes:
                 if isinstance(node, RatslamNode):

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -19,7 +18,8 @@ from tf2_msgs.msg import TFMessage
 from ratslam_ros.core.common.odometry import Odometry
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.vision.visual_odometry import VisualOdometry, field_of_view_deg
+from ratslam_ros.core.vision.prepared_image import PreparedImage
+from ratslam_ros.core.vision.visual_odometry import field_of_view_deg
 from ratslam_ros.messages.logged import encode_odometry
 from ratslam_ros.nodes.convert import (
     UNKNOWN_SCALE_VARIANCE,
@@ -28,10 +28,15 @@ from ratslam_ros.nodes.convert import (
     pose_message,
     transform,
 )
+from ratslam_ros.nodes.host import Host
 from ratslam_ros.nodes.image_node import ImageNode, Message
 from ratslam_ros.nodes.inputs import publisher_count
 from ratslam_ros.nodes.qos import RESULT, STATE
 from ratslam_ros.nodes.run import run
+from ratslam_ros.nodes.stages import LiveVisualOdometry
+from ratslam_ros.pipeline.commands import SetFieldOfView
+from ratslam_ros.pipeline.pipeline import Pipeline
+from ratslam_ros.pipeline.stage import Stage
 
 TWIST_VARIANCES = (UNKNOWN_SCALE_VARIANCE, 1e-9, 1e-9, 1e-9, 1e-9, 0.01)
 """Variances of the linear, (m/s)^2, and angular, (rad/s)^2, velocity along x, y and z.
@@ -49,65 +54,57 @@ class VisualOdometryNode(ImageNode):
     SECTION = 'visual_odometry'
     REPEATS = ('odometry',)
 
-    def __init__(self, initial: Config = Config()) -> None:
-        super().__init__(initial)
+    def __init__(self, initial: Config = Config(), host: Host | None = None) -> None:
+        super().__init__(initial, host)
         self._publisher = self.create_publisher(OdometryMessage, 'odom', RESULT)
         self._tf = self.create_publisher(TFMessage, '/tf', STATE)
         self._fov_deg: float | None = None
         self._waiting: list[Message] = []
         self._wait_until_s = math.inf
-        self._reset_state()
-        if self._section.fov_from_camera_info:
+        self._variances = [0.0, 0.0]
+        self._before_ns: int | None = None
+        self._last_ns: int | None = None
+        """Stamps of the image before the present one, and of this one."""
+        if self.section.fov_from_camera_info:
             self.create_subscription(
                 CameraInfo, 'camera_info', self._on_camera_info, qos_profile_sensor_data
             )
-        self._subscribe_to_images()
+        self._complete()
 
-    def _reset_state(self) -> None:
-        parameters = self._section
-        if self._fov_deg is not None:
-            parameters = replace(parameters, camera_fov_deg=self._fov_deg)
-        self._core = VisualOdometry(parameters)
-        self._variances = [0.0, 0.0]
-        self._last_ns: int | None = None
+    def new_stages(self, config: Config) -> list[Stage]:
+        """Return the visual odometry."""
+        return [LiveVisualOdometry(config, self.diagnostics)]
 
-    def _reconfigure(self, section: Any) -> None:
-        self._core.reconfigure(section)
+    def connect(self, pipeline: Pipeline) -> None:
+        """Publish the odometry."""
+        pipeline.observe('image', self._see)
+        pipeline.observe('odometry', self._publish)
 
-    def _on_relocated(self) -> None:
-        self._core.restart()
+    def started_over(self) -> None:
+        """Continue after the memory was emptied."""
+        super().started_over()
+        self._variances, self._last_ns = [0.0, 0.0], None
 
-    def _memory_state(self) -> State:
-        return {
-            'core': self._core.state(), 'variances': list(self._variances),
-            'last_ns': self._last_ns, 'fov_deg': self._fov_deg,
-        }  # fmt: skip
+    def _extra_state(self) -> State:
+        return {'variances': list(self._variances), 'last_ns': self._last_ns}
 
-    def _restore(self, state: State) -> None:
-        fov_deg = state.get('fov_deg', self._fov_deg)
-        core = VisualOdometry(self._section)
-        core.restore(state['core'])
-        if fov_deg is not None:
-            core.set_field_of_view(fov_deg)
-        variances = [float(one) for one in state.get('variances', (0.0, 0.0))]
-        self._core, self._variances, self._fov_deg = core, variances, fov_deg
+    def _restored(self, state: State) -> None:
+        self._variances = [float(one) for one in state.get('variances', (0.0, 0.0))]
         self._last_ns = state.get('last_ns')
-
-    def _set_mapping(self, mapping: bool) -> None:
-        """Odometry from images learns nothing."""
+        if state.get('fov_deg') is not None:
+            self._fov_deg = state['fov_deg']
 
     def _process_message(self, message: Message) -> None:
         """Process an image, once the field of view is known if camera_info has a publisher."""
-        with self._lock:
-            self._waiting.append(message)
-            if self._must_wait():
-                return
-            waiting, self._waiting = self._waiting, []
-            for waited in waiting:
-                super()._process_message(waited)
+        self._waiting.append(message)
+        if self._must_wait():
+            return
+        waiting, self._waiting = self._waiting, []
+        for waited in waiting:
+            super()._process_message(waited)
 
     def _must_wait(self) -> bool:
-        if self._fov_deg is not None or not self._section.fov_from_camera_info:
+        if self._fov_deg is not None or not self.section.fov_from_camera_info:
             return False
         if publisher_count(self, 'camera_info') == 0:
             return False
@@ -115,22 +112,23 @@ class VisualOdometryNode(ImageNode):
             self._wait_until_s = time.monotonic() + CAMERA_INFO_WAIT_S
         if time.monotonic() < self._wait_until_s:
             return True
-        self._diagnostics.warn(
+        self.diagnostics.warn(
             'no field of view came from camera_info within '
             f'{CAMERA_INFO_WAIT_S:g} s: camera_fov_deg is used',
         )
         return False
 
-    def _drop_queued(self) -> int:
+    def drop_queued(self) -> int:
+        """Drop the images that wait; return their number."""
         waiting, self._waiting = self._waiting, []
-        return len(waiting) + super()._drop_queued()
+        return len(waiting) + super().drop_queued()
 
     def _on_camera_info(self, message: CameraInfo) -> None:
         focal_px, width_px = float(message.k[0]), int(message.width)
         if self._fov_deg is not None:
             return
         if not (math.isfinite(focal_px) and focal_px > 0.0 and width_px > 0):
-            self._diagnostics.warn(
+            self.diagnostics.warn(
                 f'camera_info has a focal length of {focal_px} px at a width of '
                 f'{width_px} px: the camera is not calibrated; camera_fov_deg is used'
             )  # fmt: skip
@@ -139,19 +137,16 @@ class VisualOdometryNode(ImageNode):
         with self._lock:
             self._fov_deg = field_of_view_deg(focal_px, width_px)
             self.get_logger().info(f'field of view from camera_info: {self._fov_deg:.2f} deg')
-            self._core.set_field_of_view(self._fov_deg)
+            self._host.command(SetFieldOfView(self._fov_deg))
 
-    def _process_image(self, stamp_ns: int, image: NDArray[np.uint8], frame_id: str) -> None:
-        with self._diagnostics.times('visual_odometry'):
-            odometry = self._core.estimate(stamp_ns, image)
-        if odometry is not None:
-            self._publish(odometry)
-        self._last_ns = stamp_ns
+    def _see(self, stamp_ns: int, image: PreparedImage | None) -> None:
+        if image is not None:
+            self._before_ns, self._last_ns = self._last_ns, stamp_ns
 
-    def _publish(self, odometry: Odometry) -> None:
-        p, twist = self._section, odometry.twist
-        if self._last_ns is not None:
-            dt_s = (odometry.stamp_ns - self._last_ns) * 1e-9
+    def _publish(self, stamp_ns: int, odometry: Odometry) -> None:
+        p, twist = self.section, odometry.twist
+        if self._before_ns is not None:
+            dt_s = (stamp_ns - self._before_ns) * 1e-9
             self._variances[0] += PER_METRE_M2 * abs(twist.linear_x_mps) * dt_s
             self._variances[1] += PER_RADIAN_RAD2 * abs(twist.angular_z_radps) * dt_s
         place_m2, heading_rad2 = self._variances
@@ -164,6 +159,7 @@ class VisualOdometryNode(ImageNode):
         message.twist.twist.angular.z = twist.angular_z_radps
         message.twist.covariance = _diagonal(*TWIST_VARIANCES)
         self._publisher.publish(message)
+        self._host.heard('odometry', message)
         # Its receivers log it too, but all of them may be restarting.
         self._log('odometry', odometry.stamp_ns, lambda: encode_odometry(odometry_of(message)))
         if p.publish_tf:
@@ -171,7 +167,7 @@ class VisualOdometryNode(ImageNode):
             self._tf.publish(TFMessage(transforms=[frames]))
 
     def _diagnostic_values(self) -> dict[str, Any]:
-        fov_deg = self._fov_deg if self._fov_deg is not None else self._section.camera_fov_deg
+        fov_deg = self._fov_deg if self._fov_deg is not None else self.section.camera_fov_deg
         source = 'camera_fov_deg' if self._fov_deg is None else 'camera_info'
         return {**super()._diagnostic_values(), 'field_of_view': f'{fov_deg:.2f} deg ({source})'}
 

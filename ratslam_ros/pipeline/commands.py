@@ -33,6 +33,14 @@ class SetMapping:
 
 
 @dataclass(frozen=True, slots=True)
+class SetPaused:
+    """Skip a stage: it reads nothing until it goes on, after which it may be elsewhere."""
+
+    paused: bool
+    stage: str
+
+
+@dataclass(frozen=True, slots=True)
 class Reset:
     """Start with an empty memory. stage: '' for all stages."""
 
@@ -82,8 +90,8 @@ class SetFieldOfView:
 
 
 Command = (
-    Configure | SetMapping | Reset | Relocated | NewSession | Flush | Hint | SetBehaviour
-    | SetFieldOfView
+    Configure | SetMapping | SetPaused | Reset | Relocated | NewSession | Flush | Hint
+    | SetBehaviour | SetFieldOfView
 )
 
 

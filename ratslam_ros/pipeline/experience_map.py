@@ -52,7 +52,7 @@ class ExperienceMapStage:
         return self._created_with.experience_map.exp_align_scans
 
     def _begin(self) -> None:
-        p, cells = self._created_with.experience_map, self._created_with.pose_cells
+        p = self._created_with.experience_map
         self.core = ExperienceMap(p)
         self.core.reconfigure(self._config.experience_map)
         self.core.mapping = self._mapping
@@ -60,9 +60,7 @@ class ExperienceMapStage:
         self.relocator: Relocator | None = None
         if self.scans is not None and p.exp_relocate != 'views':
             self.relocator = Relocator(self.core, self.scans)
-        self.motion = MotionFromOdometry(
-            cells.odom_source, cells.max_odom_gap_s, cells.turn_correction
-        )
+        self.motion = MotionFromOdometry(p.odom_source, p.max_odom_gap_s, p.turn_correction)
         self.dead_reckoning = self.core.origin
         """Pose by odometry alone, in the map frame."""
 
@@ -153,6 +151,6 @@ class ExperienceMapStage:
         if 'motion' in state:
             self.motion.restore(state['motion'])
         else:
-            default = self._created_with.pose_cells.turn_correction
+            default = self._created_with.experience_map.turn_correction
             self.motion.correction = TurnCorrection(*state.get('correction', default))
             self.motion.restart()

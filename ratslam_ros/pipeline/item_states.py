@@ -27,6 +27,7 @@ from ratslam_ros.pipeline.commands import (
     SetBehaviour,
     SetFieldOfView,
     SetMapping,
+    SetPaused,
 )
 
 
@@ -56,7 +57,8 @@ def _image_from_state(value: Any) -> PreparedImage | None:
 
 
 _SIMPLE: dict[str, Callable[..., Command]] = {
-    one.__name__: one for one in (SetMapping, Reset, Relocated, SetBehaviour, SetFieldOfView)
+    one.__name__: one
+    for one in (SetMapping, SetPaused, Reset, Relocated, SetBehaviour, SetFieldOfView)
 }
 """Commands whose fields are numbers and strings."""
 

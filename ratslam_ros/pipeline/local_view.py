@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import replace
 from typing import ClassVar
 
 from ratslam_ros.core.common.odometry import Odometry, odometry_from_state, odometry_state
@@ -12,6 +13,7 @@ from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.vision.local_view import (
     UNDECODABLE,
+    EncodedView,
     LocalView,
     ViewMatcher,
     delayed_ns,
@@ -41,10 +43,16 @@ class LocalViewStage:
     def __init__(self, config: Config) -> None:
         self._created_with = self._config = config.local_view
         self._encoder = encoder_of(self._config)
-        self.core = LocalView(self._config, self._encoder)
+        self._mapping = True
+        self._has_matched = False
+        self._begin()
+
+    def _begin(self) -> None:
+        self.core = LocalView(self._created_with, self._encoder)
+        self.core.reconfigure(self._config)
+        self.core.mapping = self._mapping
         self._ahead: deque[Odometry] = deque()
         """Odometry that the local view has not followed yet: it does so a second later."""
-        self._has_matched = False
 
     def readers(self) -> dict[str, Reader]:
         """Return the readers; odometry is needed to tell look-alikes apart."""
@@ -59,13 +67,9 @@ class LocalViewStage:
                 self._config = command.config.local_view
                 self.core.reconfigure(self._config)
             case SetMapping() if concerns(command, self.NAME):
-                self.core.mapping = command.mapping
+                self.core.mapping = self._mapping = command.mapping
             case Reset() if concerns(command, self.NAME):
-                mapping = self.core.mapping
-                self.core = LocalView(self._created_with, self._encoder)
-                self.core.reconfigure(self._config)
-                self.core.mapping = mapping
-                self._ahead.clear()
+                self._begin()
             case NewSession():
                 self._ahead.clear()
                 self.core.relocated()
@@ -85,10 +89,20 @@ class LocalViewStage:
             try:
                 match = self.core.match(image.pixels, stamp_ns, image.encoded)
                 self._has_matched = True
-            except UnusableParameter:
-                if not self._has_matched:
-                    raise  # the crop or template does not fit this camera
+            except UnusableParameter as error:
+                self._unusable(error)
         return (Output('template', stamp_ns, match),)
+
+    def prepare(self, image: PreparedImage) -> PreparedImage:
+        """Return the image with its view, unless a model is bound to the thread of the stage."""
+        if not self.core.encodes_ahead:
+            return image
+        return replace(image, encoded=EncodedView(self.core.encode(image.pixels)))
+
+    def _unusable(self, error: UnusableParameter) -> None:
+        """Treat an image of a size that no window fits as undecodable, except for the first."""
+        if not self._has_matched:
+            raise error  # the crop or template does not fit this camera
 
     def state(self) -> State:
         """Return everything, for ``restore``."""

@@ -7,23 +7,33 @@ from __future__ import annotations
 from bisect import insort
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ratslam_ros.core.common.state import State
-from ratslam_ros.pipeline.commands import NOW, Command, Flush, NewSession
+from ratslam_ros.core.vision.prepared_image import PreparedImage
+from ratslam_ros.errors import UnusableParameter
+from ratslam_ros.pipeline.commands import NOW, Command, Flush, NewSession, SetPaused
 from ratslam_ros.pipeline.item_states import (
     command_from_state,
     command_state,
     item_from_state,
     item_state,
 )
-from ratslam_ros.pipeline.order import Counts, StampOrder
-from ratslam_ros.pipeline.stage import Output, Reader, Stage
+from ratslam_ros.pipeline.order import Counts, Released, StampOrder
+from ratslam_ros.pipeline.stage import Output, Preparing, Reader, Stage
 from ratslam_ros.pipeline.streams import STREAMS, Stream
 
 COMMAND = 'command'
 """Name of the stream of commands, which every stage may read."""
+
+def never(waited_ns: int) -> bool:
+    """Return that inputs wait no longer than the longest lateness."""
+    return False
+
 
 Observer = Callable[[int, Any], None]
 """Takes the stamp and the item of a stream."""
@@ -39,7 +49,7 @@ class Pipeline:
 
     def __init__(
         self, stages: Sequence[Stage], max_lateness_ns: int, stopwatch: Stopwatch | None = None,
-        streams: Sequence[Stream] = STREAMS,
+        streams: Sequence[Stream] = STREAMS, is_patient: Callable[[int], bool] = never,
     ) -> None:  # fmt: skip
         """Connect stages that have an empty memory.
 
@@ -49,6 +59,7 @@ class Pipeline:
             stopwatch: takes the name of a stage and stream, such as `pose_cells.template`, and
                 returns a context manager that is entered around each step.
             streams: the streams that may occur, in their order at equal stamps.
+            is_patient: see ``StampOrder``.
         """
         self.stages: dict[str, Stage] = {stage.NAME: stage for stage in stages}
         """The stages by name."""
@@ -62,15 +73,30 @@ class Pipeline:
         self._answers = {gate.stream.name: gate for gate in self._gates.values()}
         regular = [one.name for one in outside if one.is_regular and one.name != self.inputs[-1]]
         self._regular = regular[0] if regular else None
-        self._max_lateness_ns = max_lateness_ns
+        self.max_lateness_ns, self._is_patient = max_lateness_ns, is_patient
         self.order = self._new_order()
         self._released: deque[tuple[int, str, Any]] = deque()
         self._commands: list[tuple[int, Command]] = []
+        self._paused: set[str] = set()
         self._is_running = False
 
     def observe(self, stream: str, observer: Observer) -> None:
         """Call a function with each item of a stream, before the stages read it."""
         self._observers.setdefault(stream, []).append(observer)
+
+    def prepare(self, pixels: NDArray[np.uint8]) -> PreparedImage:
+        """Compute what depends on one image alone; another thread may do so for later images.
+
+        Args:
+            pixels: (H, W) grey levels, 0 to 255.
+        """
+        image = PreparedImage(pixels)
+        for stage in self.stages.values():
+            if isinstance(stage, Preparing):
+                # If a window does not fit, the stage reports it when it gets the image.
+                with suppress(UnusableParameter):
+                    image = stage.prepare(image)
+        return image
 
     def feed(self, stream: str, stamp_ns: int, item: Any) -> None:
         """Take one input; process it, and all others that need not wait any longer.
@@ -85,37 +111,85 @@ class Pipeline:
         if stream == COMMAND:
             self._take_command(stamp_ns, item)
         elif stream in self._answers:
-            self._answers[stream].answered += 1
-            self._released.appendleft((stamp_ns, stream, item))
+            self._take_answer(stream, stamp_ns, item)
         else:
-            self._released.extend(
-                (one.stamp_ns, one.stream, one.item)
-                for one in self.order.push(stream, stamp_ns, item)
-            )
+            self._extend(self.order.push(stream, stamp_ns, item))
         self._drain()
 
     def finish(self) -> None:
         """Process all inputs that are still held: no further ones will come."""
         self.feed(COMMAND, NOW, Flush())
 
+    def obey(self, command: Command) -> None:
+        """Carry out a command at this point of the stream: before the item that is observed."""
+        self._run(NOW, COMMAND, command)
+
+    def restart(self) -> None:
+        """Continue from the earlier time to which the stamps have jumped back."""
+        self._extend(self.order.restart())
+        self._drain()
+
+    def begin_inputs(self) -> None:
+        """Drop all inputs and commands that wait; stamps may begin anywhere."""
+        self._released.clear()
+        self._commands.clear()
+        self.order = self._new_order()
+
+    @property
+    def answers(self) -> tuple[str, ...]:
+        """Names of the streams of answers that come from outside."""
+        return tuple(self._answers)
+
+    @property
+    def has_regular(self) -> bool:
+        """Whether the stamps of an input are predicted."""
+        return self._regular is not None
+
+    def waiting(self, stream: str) -> list[Any]:
+        """Return the items of an input that wait for others, in order."""
+        return self.order.waiting(stream) if stream in self.inputs else []
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether an item waits for its answer."""
+        return bool(self._released)
+
+    @property
+    def unanswered_ns(self) -> int:
+        """By how much the inputs are ahead of an item that waits for its answer, in stamps."""
+        return self._released[-1][0] - self._released[0][0] if self._released else 0
+
+    def go_on_unanswered(self) -> None:
+        """Process the item that waits for its answer, and all up to the next that waits."""
+        if self._released:
+            self._gates[self._released[0][1]].skips = 1
+            self._drain()
+
     def _take_command(self, stamp_ns: int, command: Command) -> None:
         if isinstance(command, Flush):
             for gate in self._gates.values():
                 gate.is_open = True
-            for one in self.order.flush():
-                self._released.append((one.stamp_ns, one.stream, one.item))
+            self._extend(self.order.flush())
             return
         if stamp_ns != NOW:
             insort(self._commands, (stamp_ns, command), key=lambda waiting: waiting[0])
             return
         if isinstance(command, NewSession):
-            self._released.clear()
-            self._commands.clear()
-            self.order = self._new_order()
+            self.begin_inputs()
         self._released.appendleft((NOW, COMMAND, command))
 
+    def _take_answer(self, stream: str, stamp_ns: int, item: Any) -> None:
+        gate = self._answers[stream]
+        gate.answered = max(gate.answered, item.number + 1)
+        self._released.appendleft((stamp_ns, stream, item))
+
+    def _extend(self, released: Iterable[Released[Any]]) -> None:
+        self._released.extend((one.stamp_ns, one.stream, one.item) for one in released)
+
     def _new_order(self) -> StampOrder[Any]:
-        return StampOrder(self.inputs, self._max_lateness_ns, self._regular)
+        return StampOrder(
+            self.inputs, self.max_lateness_ns, self._regular, self._is_patient
+        )
 
     def _drain(self) -> None:
         if self._is_running:
@@ -140,9 +214,12 @@ class Pipeline:
     def _run(self, stamp_ns: int, stream: str, item: Any) -> None:
         for observer in self._observers.get(stream, ()):
             observer(stamp_ns, item)
-        for reader in self._readers.get(stream, ()):
-            for output in reader(stamp_ns, item):
-                self._run(output.stamp_ns, output.stream, output.item)
+        for stage, reader in self._readers.get(stream, ()):
+            if stage not in self._paused or stream == COMMAND:
+                for output in reader(stamp_ns, item):
+                    self._run(output.stamp_ns, output.stream, output.item)
+        if stream == COMMAND and isinstance(item, SetPaused):
+            (self._paused.add if item.paused else self._paused.discard)(item.stage)
 
     @property
     def counts(self) -> Counts:
@@ -198,26 +275,33 @@ class Follower(Pipeline):
     def feed(self, stream: str, stamp_ns: int, item: Any) -> None:
         """Take the next item of the stream, or an answer."""
         if stream in self._answers:
-            self._answers[stream].answered += 1
-            self._released.appendleft((stamp_ns, stream, item))
+            self._take_answer(stream, stamp_ns, item)
         else:
             self._released.append((stamp_ns, stream, item))
         self._drain()
 
 
 class _Gate:
-    """Lets item n of a stream pass once item n - delay has been answered."""
+    """Lets item n of a stream pass once item n - delay has been answered.
+
+    Before the first answer all pass: nothing answers, or nothing has happened yet.
+    """
 
     def __init__(self, stream: Stream) -> None:
         self.stream = stream
         self.answered = self._passed = 0
+        self.skips = 0
+        """Number of items that pass without an answer."""
         self.is_open = False
         """Whether items pass without an answer, until all that are waiting have passed."""
 
     def passes(self) -> bool:
         """Return whether the next item passes, and count it."""
-        if not self.is_open and self._passed >= self.answered + self.stream.delay:
-            return False
+        is_awaited = 0 < self.answered <= self._passed - self.stream.delay
+        if is_awaited and not self.is_open:
+            if not self.skips:
+                return False
+            self.skips -= 1
         self._passed += 1
         return True
 
@@ -230,14 +314,14 @@ class _Gate:
 
 def _readers(
     stages: Iterable[Stage], stopwatch: Stopwatch | None
-) -> dict[str, tuple[Reader, ...]]:
-    """Return the readers of each stream, in the direction of flow."""
-    readers: dict[str, tuple[Reader, ...]] = {}
+) -> dict[str, tuple[tuple[str, Reader], ...]]:
+    """Return the readers of each stream with the names of their stages, in flow direction."""
+    readers: dict[str, tuple[tuple[str, Reader], ...]] = {}
     for stage in stages:
         for stream, reader in stage.readers().items():
             if stopwatch is not None:
                 reader = _timed(reader, stopwatch, f'{stage.NAME}.{stream}')
-            readers[stream] = (*readers.get(stream, ()), reader)
+            readers[stream] = (*readers.get(stream, ()), (stage.NAME, reader))
     return readers
 
 

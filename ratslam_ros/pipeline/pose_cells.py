@@ -4,13 +4,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import ClassVar
 
 from ratslam_ros.core.common.odometry import Motion, MotionFromOdometry, Odometry
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.goal_memory.goal_memory import GoalMemory
-from ratslam_ros.core.pose_cells.map_relocation import MapRelocations
+from ratslam_ros.core.pose_cells.map_relocation import ADOPTION_DELAY, MapRelocations
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.vision.local_view import ViewMatch
 from ratslam_ros.pipeline.commands import (
@@ -29,6 +30,10 @@ UNKNOWN_MOTION = Motion(0.0, 0.0, 0.0, False)
 """Motion after which the robot may be anywhere."""
 
 
+def ignore(stamp_ns: int) -> None:
+    """Do nothing."""
+
+
 class PoseCellsStage:
     """Tracks the robot in the pose cells, and in the goal memory if it is switched on."""
 
@@ -38,6 +43,8 @@ class PoseCellsStage:
     def __init__(self, config: Config) -> None:
         self._created_with = self._config = config
         self._mapping = True
+        self.on_moved: Callable[[int], None] = ignore
+        """Called with the stamp of each odometry message that has moved the activity."""
         self._begin()
 
     def _begin(self) -> None:
@@ -50,7 +57,8 @@ class PoseCellsStage:
             self.goal_memory = GoalMemory(self._config.goal_memory, p)
         self.motion = MotionFromOdometry(p.odom_source, p.max_odom_gap_s, p.turn_correction)
         self._relocations = MapRelocations()
-        self._number = 0
+        self.number = 0
+        """Number of the next action."""
 
     def readers(self) -> dict[str, Reader]:
         """Return the readers."""
@@ -87,6 +95,7 @@ class PoseCellsStage:
         motion = self.motion.update(odometry)
         if motion is not None:
             self._integrate(motion)
+            self.on_moved(stamp_ns)
         return NOTHING
 
     def _integrate(self, motion: Motion) -> None:
@@ -95,7 +104,7 @@ class PoseCellsStage:
             self.goal_memory.integrate(motion, self.core)
 
     def _view(self, stamp_ns: int, match: ViewMatch) -> tuple[Output, ...]:
-        relocation = self._relocations.due(self._number)
+        relocation = self._relocations.due(self.number)
         if relocation is not None and self.core.relocate(relocation) and (
             self.goal_memory is not None
         ):
@@ -103,11 +112,12 @@ class PoseCellsStage:
         action = self.core.view(match, self.motion.reaches(stamp_ns), stamp_ns)
         if action.correction is not None:
             self.motion.correction = action.correction
-        number, self._number = self._number, self._number + 1
+        number, self.number = self.number, self.number + 1
         return (Output('action', stamp_ns, NumberedAction(number, action)),)
 
     def _answered(self, stamp_ns: int, answer: Answer) -> tuple[Output, ...]:
-        self._relocations.answer(*answer)
+        if answer.number >= self.number - ADOPTION_DELAY:  # a repeated one was adopted before
+            self._relocations.answer(*answer)
         return NOTHING
 
     def state(self) -> State:
@@ -115,7 +125,7 @@ class PoseCellsStage:
         memory = self.goal_memory
         return {
             'core': self.core.state(), 'motion': self.motion.state(),
-            'relocations': self._relocations.state(), 'sequence': self._number,
+            'relocations': self._relocations.state(), 'sequence': self.number,
             **({} if memory is None else {'goal_memory': memory.state()}),
         }  # fmt: skip
 
@@ -129,4 +139,4 @@ class PoseCellsStage:
             self._relocations.restore(state['relocations'])
         elif self.core.calibration is not None:
             self.motion.correction = self.core.calibration.correction
-        self._number = state['sequence']
+        self.number = state['sequence']

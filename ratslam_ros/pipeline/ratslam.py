@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from typing import Any, cast
 
 import numpy as np
@@ -25,7 +24,6 @@ from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.vision.local_view import (
     UNDECODABLE,
-    EncodedView,
     LocalView,
     ViewMatch,
     ViewMatcher,
@@ -126,14 +124,7 @@ class RatSLAM:
         Returns:
             The image for ``image``, which gives the same results as without ``prepare``.
         """
-        encoded = profiles = None
-        # If a window does not fit, ``image`` raises, unless it is a single image of another size.
-        with suppress(UnusableParameter):
-            if self.visual_odometry is not None:
-                profiles = self.visual_odometry.profiles(image)
-            if self.local_view is not None and self.local_view.encodes_ahead:
-                encoded = EncodedView(self.local_view.encode(image))
-        return PreparedImage(image, encoded, profiles)
+        return self.pipeline.prepare(image)
 
     def image(
         self, stamp_ns: int, image: NDArray[np.uint8] | PreparedImage | None
@@ -359,9 +350,7 @@ class RatSLAM:
     @property
     def offset(self) -> Pose:
         """Pose of the robot in the frame of the current experience, including held odometry."""
-        held = self.pipeline.order.waiting('odometry') if (
-            'odometry' in self.pipeline.inputs
-        ) else []
+        held = self.pipeline.waiting('odometry')
         return self._graph.motion.ahead(held, self.experience_map.offset)
 
     @property

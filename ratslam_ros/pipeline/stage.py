@@ -5,10 +5,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import Any, ClassVar, NamedTuple, Protocol
+from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
+from ratslam_ros.core.vision.prepared_image import PreparedImage
 
 
 class Output(NamedTuple):
@@ -24,6 +25,15 @@ NOTHING: tuple[Output, ...] = ()
 
 Reader = Callable[[int, Any], Iterable[Output]]
 """Takes the stamp and the item of a stream, and returns what the stage adds to the stream."""
+
+
+@runtime_checkable
+class Preparing(Protocol):
+    """A stage that can compute a part of its work from an image alone, in another thread."""
+
+    def prepare(self, image: PreparedImage) -> PreparedImage:
+        """Return the image with what the stage will need of it."""
+        ...
 
 
 class Stage(Protocol):

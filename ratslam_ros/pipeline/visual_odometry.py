@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import ClassVar
 
 from ratslam_ros.core.common.state import State
@@ -61,14 +62,22 @@ class VisualOdometryStage:
             return NOTHING
         try:
             odometry = self.core.estimate(stamp_ns, image.pixels, image.profiles)
-        except UnusableParameter:
-            if self._has_seen:
-                return NOTHING  # an image of another size, which no window fits
-            raise
+        except UnusableParameter as error:
+            self._unusable(error)
+            return NOTHING
         self._has_seen = True
         if odometry is None:
             return NOTHING
         return (Output('odometry', stamp_ns, odometry.as_received()),)
+
+    def prepare(self, image: PreparedImage) -> PreparedImage:
+        """Return the image with its profiles."""
+        return replace(image, profiles=self.core.profiles(image.pixels))
+
+    def _unusable(self, error: UnusableParameter) -> None:
+        """Skip an image of a size that no window fits, except for the first."""
+        if not self._has_seen:
+            raise error
 
     def state(self) -> State:
         """Return everything, for ``restore``."""

@@ -63,11 +63,11 @@ class Nodes:
         self.made.send('odom', message)
         text = encode_template(stamp_ns, match, 1)
         self.made.send('local_view/template', self._string(data=text))
-        self.made.until(lambda: self.map._order.newest_of('action') == stamp_ns)
+        self.made.until(lambda: self.map._host.pipeline.order.newest_of('action') == stamp_ns)
 
     @property
     def corrections(self) -> list[Any]:
-        return [node._motion.correction for node in (self.pose_cells, self.map)]
+        return [node._stage.motion.correction for node in (self.pose_cells, self.map)]
 
 
 def offline(laps: int) -> RatSLAM:

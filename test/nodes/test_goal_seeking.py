@@ -43,8 +43,8 @@ def drive(made: Any, seconds: range, speed: float, turn_rate: float = 0.0) -> No
         message.twist.twist.angular.z = turn_rate
         made.send('odom', message)
     [node] = made.nodes
-    made.until(lambda: node._order.newest_of('odometry') == START_NS + seconds[-1] * S)
-    made.until(lambda: not node._order.held)
+    made.until(lambda: node._host.pipeline.order.newest_of('odometry') == START_NS + seconds[-1] * S)
+    made.until(lambda: not node._host.pipeline.order.held)
 
 
 def mark_and_seek_goal(made: Any) -> tuple[list[Any], str]:
@@ -149,7 +149,7 @@ def test_goal_memory_switched_off_has_no_topics(world: MakeWorld) -> None:
     made = world(PoseCellsNode)
     [node] = made.nodes
     assert not [topic for topic in node.publishers if 'goal' in topic.topic_name]
-    assert 'goal_memory' not in node._memory_state()
+    assert 'goal_memory' not in node.saved_state()
 
 
 def test_topics_service_and_payload_are_documented(world: MakeWorld) -> None:

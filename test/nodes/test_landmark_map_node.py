@@ -52,7 +52,7 @@ class Driven:
             # Messages have float32, offline too.
             ranges = scan.ranges_m.astype(np.float32)
             self.scan(stamp_ns, ranges)
-        self.made.until(lambda: self.node._order.newest_of('scan') == stamp_ns)
+        self.made.until(lambda: self.node._host.pipeline.order.newest_of('scan') == stamp_ns)
 
     def odometry(self, stamp_ns: int, speed_mps: float, turn_rate_radps: float) -> None:
         from nav_msgs.msg import Odometry as Message
@@ -85,7 +85,7 @@ class Driven:
     def latest(self) -> str:
         """Return the map that the node publishes last."""
         count = len(self.maps)
-        self.node._process(self.node._order.flush())
+        self.node._process(self.node._host.pipeline.order.flush())
         self.node._changed = True
         self.node._send_map()
         self.made.until(lambda: len(self.maps) > count)

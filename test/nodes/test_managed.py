@@ -130,10 +130,10 @@ def test_map_is_saved_and_restored_by_the_states(world: MakeWorld, tmp_path: Pat
     assert not path.exists()
     assert manager.change('configure')
     assert manager.change('activate')
-    made.until(lambda: node._keeper._resuming is None)
+    made.until(lambda: node._host.keeper._resuming is None)
     drive(made, 0, 20)
     assert manager.change('deactivate')
-    assert node._keeper._store.flush(5.0)
+    assert node._host.keeper._store.flush(5.0)
     count = len(node._core)
     assert count > 0
     assert len(read_map(path).states['pose_cells']['core']['experiences']) == count

@@ -51,7 +51,7 @@ def unsigned(payload: str) -> str:
 def crash(made: Any) -> None:
     """End a node without closing its map file; its writer ends, as the file is still locked."""
     [node] = made.nodes
-    keeper, node._keeper = node._keeper, None
+    keeper, node._host.keeper = node._host.keeper, None
     keeper._store.flush(5.0)
     keeper._store._writer._lock.close()  # a killed process holds no locks
     made.close()
@@ -68,14 +68,14 @@ def test_restarted_node_repeats_the_actions_of_the_first_run(
     file = ('-p', f'map:={tmp_path / "office.ratslam"}', '-p', 'flush_after_s:=60.0')
     made = world(PoseCellsNode, arguments=file)
     made.nodes[0].open_map()
-    made.until(lambda: made.nodes[0]._keeper._resuming is None)
+    made.until(lambda: made.nodes[0]._host.keeper._resuming is None)
     whole = actions(made)
     drive(made, 0, 40)
     made.until(lambda: len(whole) == 40)
     expected = [unsigned(message.data) for message in whole]
-    rhythm = made.nodes[0]._order.rhythm
-    made.nodes[0]._keeper._store.flush(5.0)
-    saved = made.nodes[0]._keeper._store.acknowledged
+    rhythm = made.nodes[0]._host.pipeline.order.rhythm
+    made.nodes[0]._host.keeper._store.flush(5.0)
+    saved = made.nodes[0]._host.keeper._store.acknowledged
     assert saved is not None
     # Another node of the session is running, so that the killed one joins it again.
     other = MapStore.open(
@@ -87,14 +87,14 @@ def test_restarted_node_repeats_the_actions_of_the_first_run(
         node = again.nodes[0]
         repeated = actions(again)
         node.open_map()
-        assert node._keeper._store.joins
-        again.until(lambda: node._keeper._resuming is None)
+        assert node._host.keeper._store.joins
+        again.until(lambda: node._host.keeper._resuming is None)
         again.until(lambda: bool(repeated))
         start = expected.index(unsigned(repeated[0].data))
         assert START_NS + (start - 1) * S // 5 <= saved.stamp_ns < START_NS + start * S // 5
         again.until(lambda: len(repeated) == 40 - start)
         assert [unsigned(message.data) for message in repeated] == expected[start:]
-        assert node._order.rhythm == rhythm
+        assert node._host.pipeline.order.rhythm == rhythm
     finally:
         other.close()
 
@@ -170,25 +170,25 @@ def test_node_waits_for_the_templates_of_a_restarted_neighbour(
     made = world(PoseCellsNode, arguments=file)
     node = made.nodes[0]
     node.open_map()
-    made.until(lambda: node._keeper._resuming is None)
+    made.until(lambda: node._host.keeper._resuming is None)
     found = actions(made)
     drive(made, 0, 3)
     made.until(lambda: len(found) == 3)
     request = ResendRequest(1, 'local_view', {}, ('template',), START_NS)
     made.send('ratslam/resend', String(data=encode_request(request)))
-    made.until(lambda: 'local_view' in node._keeper._neighbours_until_s)
+    made.until(lambda: 'local_view' in node._host.keeper._neighbours_until_s)
     for n in range(3, 30):  # 5.4 s, and max_lateness_s is 2
         odometry = Odometry(header=header_of(START_NS + n * S // 5, 'odom'))
         odometry.twist.twist.linear.x = odometry.pose.pose.orientation.w = 1.0
         made.send('odom', odometry)
-    made.until(lambda: node._order.newest_of('odometry') == START_NS + 29 * S // 5)
+    made.until(lambda: node._host.pipeline.order.newest_of('odometry') == START_NS + 29 * S // 5)
     for n in range(3, 30):
         text = template_text(START_NS + n * S // 5, n, error=0.5, is_new=True)
         made.send('local_view/template', String(data=text))
     done = ResendRequest(1, 'local_view', done=True)
     made.send('ratslam/resend', String(data=encode_request(done)))
     made.until(lambda: len(found) == 30)
-    assert node._order.counts.late == 0
+    assert node._host.pipeline.order.counts.late == 0
 
 
 def test_local_view_ends_at_the_same_cut_as_its_neighbours(
@@ -210,7 +210,7 @@ def test_local_view_ends_at_the_same_cut_as_its_neighbours(
     made = world(LocalViewNode, arguments=arguments)
     node = made.nodes[0]
     node.open_map()
-    made.until(lambda: node._keeper._resuming is None)
+    made.until(lambda: node._host.keeper._resuming is None)
     chance = np.random.default_rng(1)
     for n in range(8):
         stamp_ns = START_NS + n * S // 5
@@ -219,8 +219,8 @@ def test_local_view_ends_at_the_same_cut_as_its_neighbours(
         made.send('odom', odometry)
         pixels = chance.integers(0, 255, (60, 80), np.uint8)
         made.send('image', grey_image(stamp_ns, 'camera', pixels))
-    made.until(lambda: node._order.newest_of('image') == stamp_ns)
-    made.until(lambda: node._order.newest_of('odometry') > stamp_ns)
+    made.until(lambda: node._host.pipeline.order.newest_of('image') == stamp_ns)
+    made.until(lambda: node._host.pipeline.order.newest_of('odometry') > stamp_ns)
     node.close()
     cut = read_map(path).cut
     assert cut is not None

@@ -312,12 +312,12 @@ def test_messages_that_arrived_during_a_stall_are_not_late(world: MakeWorld) -> 
     made, received = pose_cells(world, '-p', 'flush_after_s:=0.5')
     made.send('odom', odometry(START_NS))
     made.send('local_view/template', string(template_text(START_NS + 50, 0)))
-    made.until(lambda: made.nodes[0]._order.newest_of('template') == START_NS + 50)
+    made.until(lambda: made.nodes[0]._host.pipeline.order.newest_of('template') == START_NS + 50)
     for n in range(1, 11):
         made.send('odom', odometry(START_NS + 10 * n, 1.0))
     time.sleep(0.8)
     made.until(lambda: len(received) == 1)
-    made.until(lambda: made.nodes[0]._order.newest_of('odometry') == START_NS + 100)
+    made.until(lambda: made.nodes[0]._host.pipeline.order.newest_of('odometry') == START_NS + 100)
     assert made.nodes[0]._diagnostics.counts['late'] == 0
 
 
@@ -365,7 +365,7 @@ def test_earlier_start_or_restart_of_local_view_is_detected(world: MakeWorld) ->
     made.until(lambda: len(received) == 2)
     assert decode_action(received[1].data)[2].template_id == 58
     # The old numbers cannot be seen again, so that restarts do not accumulate associations.
-    associated = made.nodes[0]._memory_state()['core']['memories']
+    associated = made.nodes[0].saved_state()['core']['memories']
     assert [template_id for template_id, *_ in associated] == [58]
     assert 'empty memory' in made.diagnostics()['pose_cells']['message']
 
@@ -733,14 +733,14 @@ def test_memory_file_without_a_key_is_refused_unchanged(
     memory.save(path, 'experience_map', state)
     before = received[-1].data
     node = made.nodes[0]
-    learned = node._core, node._goals._navigator, node._late_join, node._scans
+    learned = node._core, node._goals._navigator, node._stage.late_join, node._stage.scans
     answer = made.call(Trigger, 'experience_map/load')
     assert not answer.success
     assert answer.message == (
         f'{path} has no {keys[-1]!r}: it was written by an older version of ratslam_ros; map '
         'again and save'
     )
-    after = node._core, node._goals._navigator, node._late_join, node._scans
+    after = node._core, node._goals._navigator, node._stage.late_join, node._stage.scans
     assert all(new is old for new, old in zip(after, learned, strict=True))
     made.spin(0.2)
     assert received[-1].data == before

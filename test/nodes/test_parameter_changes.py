@@ -94,7 +94,7 @@ def test_value_set_in_mid_run_equals_core_from_the_same_stamp(world: MakeWorld) 
     assert decoded(actions) == replayed(0.6)
     assert replayed(0.6) != replayed(None)
     since_s = (START_NS + HALF * S // 5) * 1e-9
-    values = made.nodes[0]._saved_state()
+    values = made.nodes[0].saved_state()
     assert values['parameters_set'] == [[START_NS + HALF * S // 5, f'pose_cells.{ENERGY}', 0.6]]
     made.until(lambda: 'last_parameter_set' in made.diagnostics().get('pose_cells', {}))
     shown = made.diagnostics()['pose_cells']['last_parameter_set']
@@ -119,7 +119,7 @@ def test_refused_value_changes_nothing(
     send(made, HALF, COUNT)
     made.until(lambda: len(actions) == COUNT)
     assert decoded(actions) == replayed(None)
-    assert 'parameters_set' not in made.nodes[0]._saved_state()
+    assert 'parameters_set' not in made.nodes[0].saved_state()
 
 
 def test_values_set_atomically_are_all_refused_with_one(world: MakeWorld) -> None:
@@ -144,19 +144,19 @@ def test_restarted_node_sets_the_parameters_again(world: MakeWorld, tmp_path: Pa
 
     path = tmp_path / 'office.ratslam'
     made, actions = pose_cells(world, '-p', f'map:={path}')
-    made.until(lambda: made.nodes[0]._keeper._resuming is None)
+    made.until(lambda: made.nodes[0]._host.keeper._resuming is None)
     send(made, 0, HALF)
     made.until(lambda: len(actions) == HALF)
     set_values(made, **{ENERGY: 0.6})
     send(made, HALF, COUNT)
     made.until(lambda: len(actions) == COUNT)
     expected = decoded(actions)
-    made.nodes[0]._keeper._store.flush(5.0)
+    made.nodes[0]._host.keeper._store.flush(5.0)
     other = MapStore.open(path, ['experience_map'], MapMeta(), lambda text: None)
     try:
         crash(made)
         again, repeated = pose_cells(world, '-p', f'map:={path}')
-        again.until(lambda: again.nodes[0]._keeper._resuming is None)
+        again.until(lambda: again.nodes[0]._host.keeper._resuming is None)
         again.until(lambda: expected[-1:] == decoded(repeated[-1:]))
         assert decoded(repeated) == expected[-len(repeated) :]
         assert again.nodes[0].get_parameter(ENERGY).value == 0.6

@@ -77,7 +77,7 @@ def test_nodes_relocate_as_a_replay_does(world: MakeWorld, tmp_path: Path) -> No
     replayed.feed(single)
     replayed.slam.finish()
     send(made, single)
-    made.until(lambda: map_node._late_join._next == len(given))
+    made.until(lambda: map_node._stage.late_join._next == len(given))
     relocations = [decode_relocation(one.data)[1] for one in answers]
     assert sum(one is not None for one in relocations) == 1
     assert encode_map(0, map_node._core) == encode_map(0, replayed.slam.experience_map)
@@ -85,7 +85,7 @@ def test_nodes_relocate_as_a_replay_does(world: MakeWorld, tmp_path: Path) -> No
     assert cells_node._core.current_experience == replayed.slam.pose_cells.current_experience
     relocator = replayed.slam.relocator
     assert relocator is not None
-    assert map_node._relocator.counts == relocator.counts
+    assert map_node._stage.relocator.counts == relocator.counts
     values = map_node._diagnostic_values()
     assert values['relocations_found'] == 1
     assert cells_node._diagnostics.counts['missed'] == 1  # local_view had learned before
@@ -98,7 +98,7 @@ def test_nodes_relocate_as_a_replay_does(world: MakeWorld, tmp_path: Path) -> No
     assert (answer.success, answer.message) == (False, 'too little: there is no scan yet')
     before = relocator.state()['landmarks']['visits'].tolist()
     assert made.call(Trigger, 'experience_map/load').success
-    loaded = map_node._relocator.state()
+    loaded = map_node._stage.relocator.state()
     assert loaded['landmarks']['visits'].tolist() == before
     assert list(loaded['misplaced']) == list(relocator.state()['misplaced'])
 

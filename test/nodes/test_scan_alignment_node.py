@@ -36,7 +36,7 @@ def scan(robot: Robot, x_m: float, first_rad: float = -math.pi / 2) -> None:
 
 def scan_received(robot: Robot, x_m: float) -> None:
     scan(robot, x_m)
-    robot.made.until(lambda: robot.node._order.newest_of('scan') == robot.stamp_ns)
+    robot.made.until(lambda: robot.node._host.pipeline.order.newest_of('scan') == robot.stamp_ns)
 
 
 def learn(robot: Robot) -> None:
@@ -76,7 +76,7 @@ def test_scan_that_arrives_after_the_action_is_still_used(world: MakeWorld) -> N
     robot.node.set_parameters([Parameter('flush_after_s', value=60.0)])
     robot.drive(-1.0)
     robot.send_action(6)
-    robot.made.until(lambda: robot.node._order.newest_of('action') == robot.stamp_ns)
+    robot.made.until(lambda: robot.node._host.pipeline.order.newest_of('action') == robot.stamp_ns)
     assert robot.node._core.current_id == 5
     scan(robot, 0.2)
     robot.made.until(lambda: robot.node._core.current_id == 6)
@@ -89,10 +89,10 @@ def test_scans_are_saved_and_loaded_with_the_map(world: MakeWorld, tmp_path: Pat
     assert robot.call('save').success
     assert robot.call('reset').success
     assert robot.call('load').success
-    assert robot.node._scans.state()['ids'].tolist() == [6]
+    assert robot.node._stage.scans.state()['ids'].tolist() == [6]
     scan(robot, float('nan'), first_rad=float('nan'))  # refused
     robot.made.until(lambda: robot.node._diagnostics.counts['refused'] == 1)
-    assert robot.node._scans.state()['ids'].tolist() == [6]
+    assert robot.node._stage.scans.state()['ids'].tolist() == [6]
 
 
 def test_without_exp_align_scans_scans_are_not_subscribed(world: MakeWorld) -> None:

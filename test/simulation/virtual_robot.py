@@ -357,7 +357,7 @@ class Simulation:
         different = [
             name
             for name, digest in replayed(self.plan.robot, self.plan.jitter_ns).items()
-            if digest_of(self.nodes[name].node._memory_state()['core']) != digest
+            if digest_of(self.nodes[name].node.saved_state()['core']) != digest
         ]
         self.outcome.identical = not different
         if different:
@@ -380,7 +380,7 @@ class Simulation:
             for name in replayed(self.plan.robot, self.plan.jitter_ns):
                 kept, found = (
                     {key: value for key, value in state.items() if key not in NOT_MEMORY}
-                    for state in (self.nodes[name].node._memory_state(), saved.states[name])
+                    for state in (self.nodes[name].node.saved_state(), saved.states[name])
                 )
                 if digest_of(kept) != digest_of(found):
                     self.outcome.problems.append(f'{name}: the saved state is not the last one')

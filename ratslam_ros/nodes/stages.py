@@ -1,0 +1,257 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Stages whose neighbours may be other processes, which can be restarted, reset or replaced.
+
+Ids of templates and experiences are numbers in the memory of the stage that gives them. With each
+id goes the stamp of that memory, so that a receiver notices that the ids mean other things now.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+from typing import Any, NamedTuple, Protocol
+
+from ratslam_ros.core.common.odometry import Motion
+from ratslam_ros.core.common.state import State
+from ratslam_ros.core.config import Config
+from ratslam_ros.core.mapping.experience_map import MapUpdate
+from ratslam_ros.core.mapping.id_map import MIN_MEMORY_NS, NO_MEMORY_NS, IdMap
+from ratslam_ros.core.mapping.late_join import LateJoin
+from ratslam_ros.core.mapping.mapping_step import adopt_correction
+from ratslam_ros.core.mapping.pose_uncertainty import PoseUncertainty
+from ratslam_ros.core.pose_cells.map_action import MapAction
+from ratslam_ros.core.pose_cells.map_relocation import MapRelocation
+from ratslam_ros.core.vision.local_view import NO_TEMPLATE, ViewMatch
+from ratslam_ros.errors import UnusableParameter
+from ratslam_ros.pipeline import items
+from ratslam_ros.pipeline.experience_map import ExperienceMapStage
+from ratslam_ros.pipeline.items import MapStep, NumberedAction
+from ratslam_ros.pipeline.local_view import LocalViewStage
+from ratslam_ros.pipeline.pose_cells import PoseCellsStage
+from ratslam_ros.pipeline.stage import NOTHING, Output
+from ratslam_ros.pipeline.visual_odometry import VisualOdometryStage
+
+
+class Reporter(Protocol):
+    """Takes what a stage notices for the user; ``Diagnostics`` does."""
+
+    counts: Counter[str]
+
+    def note(self, text: str) -> None:
+        """Report a past event: once, and in all later diagnostics."""
+        ...
+
+    def drop(self, reason: str, text: str, number: int = 1) -> None:
+        """Count messages that are not used, and warn."""
+        ...
+
+
+class Template(NamedTuple):
+    """A match, and the stamp of the memory that its id belongs to."""
+
+    match: ViewMatch
+    memory_ns: int
+
+
+class Action(NamedTuple):
+    """An action, its number, and the stamp of the memory that its ids belong to."""
+
+    number: int
+    action: MapAction
+    memory_ns: int
+
+
+class Answer(NamedTuple):
+    """An answer of the map, with ids of the memory of the pose cells."""
+
+    number: int
+    relocation: MapRelocation | None
+    memory_ns: int
+
+
+class LiveVisualOdometry(VisualOdometryStage):
+    """Visual odometry that reports images which it cannot use."""
+
+    def __init__(self, config: Config, reporter: Reporter) -> None:
+        self._reporter = reporter
+        super().__init__(config)
+
+    def _unusable(self, error: UnusableParameter) -> None:
+        self._reporter.drop('undecodable', f'an image cannot be used: {error}')
+
+
+class LiveLocalView(LocalViewStage):
+    """Local view whose templates carry the stamp of its memory."""
+
+    def __init__(self, config: Config, reporter: Reporter) -> None:
+        self._reporter = reporter
+        super().__init__(config)
+
+    def _begin(self) -> None:
+        super()._begin()
+        self.memory_ns = NO_MEMORY_NS
+
+    def _match(self, stamp_ns: int, image: Any) -> tuple[Output, ...]:
+        ((_, _, match),) = super()._match(stamp_ns, image)
+        if match.is_new and self.memory_ns == NO_MEMORY_NS:
+            self.memory_ns = max(stamp_ns, MIN_MEMORY_NS)
+        return (Output('template', stamp_ns, Template(match, self.memory_ns)),)
+
+    def _unusable(self, error: UnusableParameter) -> None:
+        self._reporter.drop('undecodable', f'an image cannot be used: {error}')
+
+    def state(self) -> State:
+        """Return everything, for ``restore``."""
+        return {**super().state(), 'memory_ns': self.memory_ns}
+
+    def restore(self, state: State) -> None:
+        """Restore what ``state`` returned, or the state of a replay."""
+        super().restore(state)
+        # A replay has no other memory that its ids could be confused with.
+        assumed_ns = MIN_MEMORY_NS if len(self.core) else NO_MEMORY_NS
+        self.memory_ns = int(state.get('memory_ns', assumed_ns))
+
+
+class LivePoseCells(PoseCellsStage):
+    """Pose cells that notice when the ids of the templates mean other views."""
+
+    def __init__(self, config: Config, reporter: Reporter) -> None:
+        self._reporter = reporter
+        super().__init__(config)
+
+    def _begin(self) -> None:
+        super()._begin()
+        self._ids = IdMap()
+        self.memory_ns = NO_MEMORY_NS
+
+    def _view(self, stamp_ns: int, item: Any) -> tuple[Output, ...]:
+        self._check_memory(stamp_ns, *item)
+        match: ViewMatch = item.match
+        match = replace(
+            match, template_id=self._ids.own_id(match.template_id),
+            removed=tuple(self._ids.own_id(i) for i in match.removed),
+        )  # fmt: skip
+        ((_, _, (number, action)),) = super()._view(stamp_ns, match)
+        if action.action == 'create' and self.memory_ns == NO_MEMORY_NS:
+            self.memory_ns = max(stamp_ns, MIN_MEMORY_NS)
+        return (Output('action', stamp_ns, Action(number, action, self.memory_ns)),)
+
+    def _answered(self, stamp_ns: int, item: Any) -> tuple[Output, ...]:
+        number, relocation, memory_ns = item
+        if memory_ns not in (NO_MEMORY_NS, self.memory_ns):
+            return NOTHING
+        return super()._answered(stamp_ns, items.Answer(number, relocation))
+
+    def _check_memory(self, stamp_ns: int, match: ViewMatch, memory_ns: int) -> None:
+        """Detect that local_view has another memory than before, and renumber its templates."""
+        first = self._ids.memory_ns == NO_MEMORY_NS
+        if match.is_new and not first and memory_ns == self._ids.memory_ns and (
+            self._ids.was_used(match.template_id)
+        ):
+            self._ids.restart()
+            self.core.forget()
+            self._reporter.note(
+                'local_view has gone back to an earlier memory: its ids mean other views now, so '
+                'places seen before will not be recognised; load or reset all nodes together'
+            )
+        if self._ids.set_memory(memory_ns):
+            self.core.forget()
+            self._reporter.note(
+                'local_view has started with an empty memory: places seen before will not be '
+                'recognised; to start over, call pose_cells/reset and experience_map/reset too'
+            )
+        elif first and match.template_id > NO_TEMPLATE and memory_ns < stamp_ns:
+            self._reporter.counts['missed'] += match.template_id + 1
+            self._reporter.note(
+                'this node started late: local_view had learned before; views learned then are '
+                'associated with pose cells when they are seen again. To start over, call reset '
+                'on all nodes'
+            )
+
+    def state(self) -> State:
+        """Return everything, for ``restore``."""
+        return {
+            **super().state(), 'memory_ns': self.memory_ns, 'numbering': self._ids.state()
+        }  # fmt: skip
+
+    def restore(self, state: State) -> None:
+        """Restore what ``state`` returned, or the state of a replay."""
+        super().restore(state)
+        if 'numbering' in state:
+            self._ids.restore(state['numbering'])
+        elif len(self.core):
+            self._ids.assume(self.core.next_template_id)  # a replay has no other memory
+        assumed_ns = MIN_MEMORY_NS if len(self.core) else NO_MEMORY_NS
+        self.memory_ns = int(state.get('memory_ns', assumed_ns))
+
+
+class LiveExperienceMap(ExperienceMapStage):
+    """Experience map that may have missed actions, and knows how certain the pose is."""
+
+    def __init__(self, config: Config, reporter: Reporter) -> None:
+        self._reporter = reporter
+        super().__init__(config)
+
+    def _begin(self) -> None:
+        super()._begin()
+        self.late_join, self.uncertainty = LateJoin(self.core), PoseUncertainty()
+
+    def _relocated(self) -> None:
+        super()._relocated()
+        self.uncertainty = PoseUncertainty(is_known=False)
+
+    def _integrate(self, stamp_ns: int, motion: Motion) -> None:
+        super()._integrate(stamp_ns, motion)
+        self.uncertainty.integrate(motion)
+
+    def _act(self, stamp_ns: int, item: Any) -> tuple[Output, ...]:
+        number, action, memory_ns = item
+        join = self.late_join
+        missed, restarts = join.missed, join.restarts
+        translated = join.translate(action, number, memory_ns)
+        self._report_missed(number, missed, restarts)
+        if translated is None:
+            adopt_correction(self.motion, self.core, action)
+            step = MapStep(number, action, MapUpdate())
+        else:
+            (_, _, step), _ = super()._act(stamp_ns, NumberedAction(number, translated))
+            variance_m2 = float('inf') if self.scans is None else self.scans.variance_m2
+            self.uncertainty.apply(translated, step.update, variance_m2)
+        relocation = join.peer_relocation(step.update.relocation)
+        return (
+            Output('update', stamp_ns, step),
+            Output('relocation', stamp_ns, Answer(number, relocation, memory_ns)),
+        )
+
+    def _report_missed(self, number: int, missed: int, restarts: int) -> None:
+        join = self.late_join
+        if join.missed > missed:
+            self._reporter.drop(
+                'missed', f'{join.missed - missed} actions of pose_cells were lost: the map '
+                'differs from that of a replay', join.missed - missed,
+            )  # fmt: skip
+        if join.restarts > restarts:
+            self._reporter.note(
+                'pose_cells has started with an empty memory: the map is continued, but places '
+                'mapped before will not be recognised. To start over, call experience_map/reset'
+            )
+        elif number > 0 and number == join.first_sequence and not missed:
+            self._reporter.note(
+                f'this node started late: {number} actions of pose_cells were sent before and '
+                'are missing from the map. To start over, call reset on all nodes'
+            )
+
+    def state(self) -> State:
+        """Return everything, for ``restore``."""
+        return {**super().state(), 'joining': self.late_join.state()}
+
+    def restore(self, state: State) -> None:
+        """Restore what ``state`` returned, or the state of a replay."""
+        super().restore(state)
+        if 'joining' in state:
+            self.late_join.restore(state['joining'])
+        else:
+            self.late_join.assume()
+        self.uncertainty = PoseUncertainty(is_known=False)
+

@@ -1,0 +1,89 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Stage landmark_map: odometry and scans to a map of landmarks."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry
+from ratslam_ros.core.common.scan import Scan
+from ratslam_ros.core.common.state import State
+from ratslam_ros.core.config import Config
+from ratslam_ros.core.landmarks.laser_map import LaserMap
+from ratslam_ros.pipeline.commands import (
+    Command,
+    NewSession,
+    Relocated,
+    Reset,
+    SetMapping,
+    concerns,
+)
+from ratslam_ros.pipeline.stage import NOTHING, Output, Reader
+
+
+class LandmarkMapStage:
+    """Maps corners and edges of walls by a laser, independently of the other stages."""
+
+    NAME: ClassVar[str] = 'landmark_map'
+    WRITES: ClassVar[tuple[str, ...]] = ('landmarks',)
+
+    def __init__(self, config: Config) -> None:
+        self._config = config
+        self._mapping = True
+        self._begin()
+
+    def _begin(self) -> None:
+        p = self._config.landmark_map
+        self.core = LaserMap(p, self._config.line_extraction)
+        self.core.mapping = self._mapping
+        self.motion = MotionFromOdometry(p.odom_source, p.max_odom_gap_s, p.turn_correction)
+        self.scan_ns = 0
+        """Stamp of the last scan that was used."""
+
+    def readers(self) -> dict[str, Reader]:
+        """Return the readers."""
+        return {'command': self._obey, 'odometry': self._move, 'scan': self._scan}
+
+    def _obey(self, stamp_ns: int, command: Command) -> tuple[Output, ...]:
+        match command:
+            case SetMapping() if concerns(command, self.NAME):
+                self.core.mapping = self._mapping = command.mapping
+            case Reset() if concerns(command, self.NAME):
+                self._begin()
+            case NewSession():
+                self._relocated()
+            case Relocated() if concerns(command, self.NAME):
+                self._relocated()
+        return NOTHING
+
+    def _relocated(self) -> None:
+        self.motion.restart()
+        self.core.lose()
+
+    def _move(self, stamp_ns: int, odometry: Odometry) -> tuple[Output, ...]:
+        motion = self.motion.update(odometry)
+        if motion is not None:
+            self.core.integrate(motion)
+        return NOTHING
+
+    def _scan(self, stamp_ns: int, scan: Scan) -> tuple[Output, ...]:
+        if not self.core.scan(scan):
+            return NOTHING
+        self.scan_ns = stamp_ns
+        return (Output('landmarks', stamp_ns, len(self.core)),)
+
+    def state(self) -> State:
+        """Return everything, for ``restore``."""
+        return {
+            'scan_ns': self.scan_ns, 'core': self.core.state(), 'motion': self.motion.state()
+        }  # fmt: skip
+
+    def restore(self, state: State) -> None:
+        """Restore what ``state`` returned."""
+        self.core.restore(state['core'])
+        self.scan_ns = int(state['scan_ns'])
+        if 'motion' in state:
+            self.motion.restore(state['motion'])
+        else:
+            self.motion.restart()
