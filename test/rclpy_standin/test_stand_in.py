@@ -49,7 +49,7 @@ def test_install_without_rclpy_adds_finder_once() -> None:
         '    print("none")\n'
         'print(install(), install())\n'
         'import rclpy, rclpy.node\n'
-        'print(sum("ratslam" in type(f).__module__ for f in sys.meta_path))\n'
+        'print(sum("rclpy_standin" in type(f).__module__ for f in sys.meta_path))\n'
     )
     assert run_python(code) == 'none\nTrue True\n1'
 
