@@ -51,9 +51,12 @@ setup(
     maintainer_email='ratslam_ros@example.org',
     license='Apache-2.0',
     keywords=['SLAM', 'RatSLAM', 'ROS 2', 'robotics', 'mapping', 'place recognition'],
-    packages=find_packages(include=[NAME, f'{NAME}.*']),
+    packages=[*find_packages(include=[NAME, f'{NAME}.*']), 'ratslam_simulator', 'rclpy_standin'],
     package_data={
-        NAME: ['py.typed'], f'{NAME}.simulator': ['plans/*.txt'], f'{NAME}.viewer': ['*.html'],
+        NAME: ['py.typed'],
+        f'{NAME}.viewer': ['*.html'],
+        'ratslam_simulator': ['py.typed', 'plans/*.txt'],
+        'rclpy_standin': ['py.typed'],
     },
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),

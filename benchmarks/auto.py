@@ -59,7 +59,7 @@ from ratslam_ros.offline.replay import replay as replay_recording
 from ratslam_ros.recordings import open_recording
 from ratslam_ros.results.evaluation import evaluate
 from ratslam_ros.results.trajectory import read_tum
-from ratslam_ros.simulator.recording import write_recording
+from ratslam_simulator.recording import write_recording
 
 TOLERANCE_FRAMES = 8
 """Largest distance between frames of the same place, unless a recording states another."""

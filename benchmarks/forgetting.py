@@ -47,7 +47,7 @@ from ratslam_ros.recordings import ImageEvent, OdometryEvent, open_recording
 from ratslam_ros.results.evaluation import evaluate
 from ratslam_ros.results.trajectory import read_tum
 from ratslam_ros.results.writer import Results
-from ratslam_ros.simulator.recording import write_recording
+from ratslam_simulator.recording import write_recording
 
 SHARES = 0.75, 0.5, 0.35, 0.25
 """Limits, as shares of the numbers without limits."""

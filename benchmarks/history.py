@@ -36,7 +36,7 @@ from ratslam_ros.history.packing import compressor, decompressed
 from ratslam_ros.offline.inspection import inspect
 from ratslam_ros.offline.replay import ReplayOptions, replay
 from ratslam_ros.recordings import open_recording
-from ratslam_ros.simulator.recording import write_recording
+from ratslam_simulator.recording import write_recording
 
 LOOK_UPS = 100
 """Number of random stamps at which look-ups are timed."""

@@ -57,9 +57,9 @@ from ratslam_ros.results.plots import (
     new_figure,
     save_figure,
 )
-from ratslam_ros.simulator.config import SimulatorParameters, parse_start
-from ratslam_ros.simulator.floor_plan import FloorPlan, load_floor_plan
-from ratslam_ros.simulator.landmarks import (
+from ratslam_simulator.config import SimulatorParameters, parse_start
+from ratslam_simulator.floor_plan import FloorPlan, load_floor_plan
+from ratslam_simulator.landmarks import (
     DISTINCT,
     NORMAL,
     BarOptions,
@@ -74,8 +74,8 @@ from ratslam_ros.simulator.landmarks import (
     random_pose,
     scattered_bars,
 )
-from ratslam_ros.simulator.samples import OdometrySample, ScanSample
-from ratslam_ros.simulator.simulation import Simulator
+from ratslam_simulator.samples import OdometrySample, ScanSample
+from ratslam_simulator.simulation import Simulator
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -59,12 +59,12 @@ from ratslam_ros.pipeline.ratslam import RatSLAM
 from ratslam_ros.recordings import ImageEvent, OdometryEvent, Recording, open_recording
 from ratslam_ros.results.evaluation import evaluate, fit
 from ratslam_ros.results.trajectory import Trajectory, read_tum
-from ratslam_ros.simulator.closed_loop import ClosedLoop
-from ratslam_ros.simulator.config import SimulatorParameters, parse_start
-from ratslam_ros.simulator.floor_plan import load_floor_plan
-from ratslam_ros.simulator.recording import write_recording
-from ratslam_ros.simulator.simulation import ObstacleEvent, Simulator
-from ratslam_ros.simulator.trials import attempt, choose_goals
+from ratslam_simulator.closed_loop import ClosedLoop
+from ratslam_simulator.config import SimulatorParameters, parse_start
+from ratslam_simulator.floor_plan import load_floor_plan
+from ratslam_simulator.recording import write_recording
+from ratslam_simulator.simulation import ObstacleEvent, Simulator
+from ratslam_simulator.trials import attempt, choose_goals
 
 ROOT = Path(__file__).resolve().parents[1]
 LAPS = 'rc_car_loops', 'donkeycar_track', 'lab_car'

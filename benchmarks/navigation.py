@@ -44,12 +44,12 @@ from ratslam_ros.results.evaluation import figures, fit
 from ratslam_ros.results.goal_memory_plots import draw_temporal_array
 from ratslam_ros.results.goal_plots import draw_temporal_map
 from ratslam_ros.results.plots import new_figure, save_figure
-from ratslam_ros.simulator.closed_loop import ClosedLoop
-from ratslam_ros.simulator.config import SimulatorParameters, make_simulator
-from ratslam_ros.simulator.drive import DriveOptions, Driver
-from ratslam_ros.simulator.picture import draw_plan
-from ratslam_ros.simulator.shortest_paths import DrivenGraph
-from ratslam_ros.simulator.trials import Trial, attempt, choose_goals
+from ratslam_simulator.closed_loop import ClosedLoop
+from ratslam_simulator.config import SimulatorParameters, make_simulator
+from ratslam_simulator.drive import DriveOptions, Driver
+from ratslam_simulator.picture import draw_plan
+from ratslam_simulator.shortest_paths import DrivenGraph
+from ratslam_simulator.trials import Trial, attempt, choose_goals
 
 Job = TypeVar('Job')
 Row = TypeVar('Row')

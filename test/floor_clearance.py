@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ratslam_ros.simulator.floor_plan import FloorPlan
+from ratslam_simulator.floor_plan import FloorPlan
 
 
 def clearance_m(plan: FloorPlan, x_m: float, y_m: float) -> float:

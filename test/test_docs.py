@@ -25,7 +25,10 @@ PAGES = [ROOT / 'README.md', ROOT / 'CONTRIBUTING.md', *sorted((ROOT / 'docs').g
 
 SOURCES = sorted(
     path
-    for folder in ('ratslam_ros', 'benchmarks', 'config', 'examples', 'launch', 'test', 'tools')
+    for folder in (
+        'ratslam_ros', 'ratslam_simulator', 'rclpy_standin', 'benchmarks', 'config', 'examples',
+        'launch', 'test', 'tools',
+    )
     for path in (ROOT / folder).rglob('*')
     if path.suffix in ('.py', '.yaml') and path != Path(__file__)
 )

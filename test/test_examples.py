@@ -104,7 +104,7 @@ def test_goal_client_prints_a_route(tmp_path: Path) -> None:
         )  # fmt: skip
         code = (
             'import runpy, sys\n'
-            'from ratslam_ros.standalone import install\n'
+            'from rclpy_standin import install\n'
             'install()\n'
             'sys.argv[:] = sys.argv[1:]\n'
             'runpy.run_path(sys.argv[0], run_name="__main__")\n'

@@ -13,7 +13,9 @@ from pathlib import Path
 
 import pytest
 
-PACKAGE = Path(__file__).parents[1] / 'ratslam_ros'
+ROOT = Path(__file__).parents[1]
+PACKAGE = ROOT / 'ratslam_ros'
+PACKAGES = (PACKAGE, ROOT / 'ratslam_simulator', ROOT / 'rclpy_standin')
 
 ROS = {
     'rclpy', 'sensor_msgs', 'nav_msgs', 'geometry_msgs', 'std_msgs', 'std_srvs', 'tf2_ros',
@@ -41,15 +43,15 @@ LAYERS = [
     ['errors', 'version'],
     ['limits'],
     [
-        'compilation', 'images', 'timing', 'quick_start', 'signals', 'console', 'standalone',
-        'starting',
+        'compilation', 'images', 'timing', 'quick_start', 'signals', 'console', 'starting',
+        'rclpy_standin',
     ],
     ['core', 'recordings'],
     ['messages', 'files', 'event_inputs', 'descriptors'],
     ['pipeline'],
     ['results'],
     ['history', 'maps'],
-    ['simulator', 'viewer'],
+    ['ratslam_simulator', 'viewer'],
     ['offline', 'nodes'],
     ['live'],
     ['cli'],
@@ -59,8 +61,10 @@ INDEPENDENT = {
     'core': {'errors'},
     'pipeline': {'core', 'descriptors', 'errors'},
     'recordings': {'errors', 'images', 'limits'},
-    'standalone': set(),
-    'simulator': {'errors', 'limits', 'images', 'core', 'pipeline', 'results', 'recordings'},
+    'rclpy_standin': set(),
+    'ratslam_simulator': {
+        'errors', 'limits', 'images', 'core', 'pipeline', 'results', 'recordings',
+    },
     'results': {'errors', 'limits', 'images', 'core', 'pipeline', 'files', 'messages'},
 }
 """Packages that may import less than their layer permits."""
@@ -68,12 +72,17 @@ INDEPENDENT = {
 
 @cache
 def modules() -> dict[str, Path]:
-    """Return the dotted name of every module within the package, without its first part."""
+    """Return every module of the packages by its dotted name, shortened."""
     names = {}
-    for path in PACKAGE.rglob('*.py'):
-        parts = path.relative_to(PACKAGE).with_suffix('').parts
-        names['.'.join(parts[:-1] if parts[-1] == '__init__' else parts)] = path
+    for path in (path for package in PACKAGES for path in package.rglob('*.py')):
+        parts = path.relative_to(ROOT).with_suffix('').parts
+        names[shortened('.'.join(parts[:-1] if parts[-1] == '__init__' else parts))] = path
     return names
+
+
+def shortened(name: str) -> str:
+    """Return the dotted name of a module without ratslam_ros, whose parts are the layers."""
+    return name.removeprefix('ratslam_ros').removeprefix('.')
 
 
 def files(part: str) -> list[Path]:
@@ -99,13 +108,13 @@ def imports(path: Path) -> tuple[str, ...]:
 
 @cache
 def own_imports(path: Path) -> frozenset[str]:
-    """Return the modules of this package that a file imports."""
+    """Return the modules of the packages that a file imports."""
     known = modules()
     found = set()
     for name in imports(path):
-        first, _, rest = name.partition('.')
-        if first == 'ratslam_ros':
-            found.add(rest if rest in known else rest.rpartition('.')[0])
+        if name.split('.')[0] in {package.name for package in PACKAGES}:
+            short = shortened(name)
+            found.add(short if short in known else short.rpartition('.')[0])
     return frozenset(found)
 
 
@@ -115,7 +124,7 @@ def layer_of(layers: list[list[str]], package: str) -> int:
 
 
 def ids(path: Path) -> str:
-    return path.relative_to(PACKAGE).as_posix()
+    return path.relative_to(ROOT).as_posix()
 
 
 def test_every_package_has_a_layer() -> None:
@@ -189,9 +198,9 @@ def test_core_is_compiled_with_strict_arithmetic(path: Path) -> None:
 
 
 def ros_free_files() -> Iterator[Path]:
-    """Yield all files but the nodes, and the packages that put the stand-in in place."""
-    for path in files('.'):
-        if not {'nodes', 'standalone', 'live'} & set(path.relative_to(PACKAGE).parts):
+    """Yield all files but those of the nodes, of the live commands and of the stand-in."""
+    for name, path in sorted(modules().items()):
+        if name.split('.')[0] not in ('nodes', 'live', 'rclpy_standin'):
             yield path
 
 

@@ -39,7 +39,10 @@ ROSDEP = {
 
 def sources() -> list[Path]:
     """Return all files that must start with copyright and licence."""
-    folders = ('ratslam_ros', 'test', 'benchmarks', 'launch', 'examples')
+    folders = (
+        'ratslam_ros', 'ratslam_simulator', 'rclpy_standin', 'test', 'benchmarks', 'launch',
+        'examples',
+    )  # fmt: skip
     code = [path for folder in folders for path in (ROOT / folder).rglob('*.py')]
     others = ('setup.py', 'setup.cfg', 'pyproject.toml', 'Makefile', '.gitignore', 'CITATION.cff')
     scripts = [path for path in (ROOT / '.ci').iterdir() if path.is_file()]
@@ -102,8 +105,8 @@ def ros_imports() -> set[str]:
             names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             names += [str(node.module)] if isinstance(node, ast.ImportFrom) else []
             found |= {name.split('.')[0] for name in names}
-    ours = {'ratslam_ros', 'numpy', 'yaml', 'tqdm', *sys.stdlib_module_names}
-    return found - ours
+    ours = {'ratslam_ros', 'ratslam_simulator', 'rclpy_standin'}
+    return found - ours - {'numpy', 'yaml', 'tqdm', *sys.stdlib_module_names}
 
 
 def test_package_xml_lists_all_imported_ros_packages():

@@ -31,10 +31,11 @@ from ratslam_ros.errors import RatslamError
 MAX_S = 1.0
 MAX_MEMORY_KIB = 512 * 1024
 MAX_INPUT_BYTES = 2**16
+PACKAGES = ('ratslam_ros', 'ratslam_simulator')
 INSTRUMENTED = (
     'ratslam_ros.files', 'ratslam_ros.history', 'ratslam_ros.images', 'ratslam_ros.limits',
     'ratslam_ros.maps', 'ratslam_ros.messages', 'ratslam_ros.recordings',
-    'ratslam_ros.results.trajectory', 'ratslam_ros.simulator.floor_plan',
+    'ratslam_ros.results.trajectory', 'ratslam_simulator.floor_plan',
 )  # fmt: skip
 """Readers of inputs. Compiled functions cannot be instrumented."""
 
@@ -126,15 +127,15 @@ def _fuzz(options: argparse.Namespace, folder: Path) -> int:
     except ImportError:
         print("tools/fuzz.py needs atheris: pip install -e '.[fuzz]'", file=sys.stderr)
         return 2
-    package = Path(ratslam_ros.__file__).parent
+    root = Path(ratslam_ros.__file__).parents[1]
     modules = [
-        '.'.join(path.relative_to(package.parent).with_suffix('').parts)
-        for path in package.rglob('*.py')
+        '.'.join(path.relative_to(root).with_suffix('').parts)
+        for package in PACKAGES for path in (root / package).rglob('*.py')
     ]
     others = [
         name.removesuffix('.__init__') for name in modules if not name.startswith(INSTRUMENTED)
     ]
-    with atheris.instrument_imports(include=['ratslam_ros', 'mcap', 'yaml'], exclude=others):
+    with atheris.instrument_imports(include=[*PACKAGES, 'mcap', 'yaml'], exclude=others):
         import fuzz_targets
 
         from ratslam_ros.core.warm_up import warm_up

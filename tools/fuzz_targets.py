@@ -42,7 +42,7 @@ from ratslam_ros.recordings import ImageEvent, OdometryEvent, ScanEvent, Selecti
 from ratslam_ros.recordings.decode import UndecodableMessage, decode_event
 from ratslam_ros.recordings.stream import Channel, Message
 from ratslam_ros.results.trajectory import read_tum
-from ratslam_ros.simulator.floor_plan import load_floor_plan
+from ratslam_simulator.floor_plan import load_floor_plan
 
 Target = Callable[[bytes, Path], None]
 

@@ -48,6 +48,7 @@ from live_session import LiveError, LiveSession, Observer
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = 'ratslam_ros'
+COMPILED = (PACKAGE, 'ratslam_simulator')
 ENTRY = f'import sys; from {PACKAGE}.cli import main; sys.exit(main())'
 WORKERS = 2
 COMMAND_TIMEOUT_S = 300.0
@@ -172,7 +173,8 @@ def compiled_key(tree: Path) -> str:
     """
     trees = {
         path.relative_to(tree).with_suffix('').as_posix().replace('/', '.'): _code(path)
-        for path in sorted((tree / PACKAGE).rglob('*.py'))
+        for package in COMPILED
+        for path in sorted((tree / package).rglob('*.py'))
     }
     imports = {name: _imports(code) for name, code in trees.items()}
     direct = {name for name, found in imports.items() if 'numba' in found}

@@ -42,7 +42,7 @@ def main() -> int:
     parser.add_argument('--trace', action='store_true', help='print the events of the seed')
     options = parser.parse_args()
 
-    from ratslam_ros.standalone import install
+    from rclpy_standin import install
 
     if not install():
         parser.error('rclpy of ROS is sourced; the simulation needs the stand-in for it')

@@ -53,7 +53,7 @@ GROUPS = {
 
 def interfaces() -> dict[str, Interfaces]:
     """Return the names that each node uses, by kind, with absolute topics beginning with /."""
-    from ratslam_ros.standalone import install
+    from rclpy_standin import install
 
     install()
     _stand_in_for_nav2()

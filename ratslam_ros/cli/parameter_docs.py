@@ -15,8 +15,8 @@ from pathlib import Path
 
 from ratslam_ros.core.config import AUTOMATIC, SECTIONS, ParameterInfo, Section, Value
 from ratslam_ros.files.config import documented_yaml
-from ratslam_ros.simulator.config import SimulatorParameters
 from ratslam_ros.viewer.config import ViewerParameters
+from ratslam_simulator.config import SimulatorParameters
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -124,7 +124,7 @@ def _simulate(options: argparse.Namespace) -> int:
             )
         where = '' if options.plan is None else f' on the floor plan {options.plan}'
         return _view(options, 'simulate', f'simulate: a robot{where}')
-    from ratslam_ros.simulator.config import SimulatorParameters
+    from ratslam_simulator.config import SimulatorParameters
 
     given = {
         name: value

@@ -22,7 +22,7 @@ def require() -> None:
     Raises:
         UnusableInput: neither rclpy nor the package that its stand-in needs is installed.
     """
-    from ratslam_ros.standalone import StandaloneUnavailable, install
+    from rclpy_standin import StandaloneUnavailable, install
 
     try:
         install()

@@ -30,8 +30,8 @@ from ratslam_ros.nodes.node import DIAGNOSTICS_PERIOD_S
 from ratslam_ros.nodes.parameters import declare
 from ratslam_ros.nodes.qos import CLOCK, RESULT, STATE, STATIC
 from ratslam_ros.nodes.run import run
-from ratslam_ros.simulator.config import SimulatorParameters, make_simulator
-from ratslam_ros.simulator.recording import (
+from ratslam_simulator.config import SimulatorParameters, make_simulator
+from ratslam_simulator.recording import (
     CAMERA_FRAME,
     LASER_FRAMES,
     ODOM_FRAME,
@@ -39,8 +39,8 @@ from ratslam_ros.simulator.recording import (
     SCAN_TOPICS,
     WORLD_FRAME,
 )
-from ratslam_ros.simulator.samples import ImageSample, OdometrySample, Sample, ScanSample
-from ratslam_ros.simulator.simulation import STEP_NS
+from ratslam_simulator.samples import ImageSample, OdometrySample, Sample, ScanSample
+from ratslam_simulator.simulation import STEP_NS
 
 STEP_CHECK_PERIOD_S = 0.01
 """Period of the timer that runs the steps that are due."""

@@ -99,7 +99,7 @@ def _compile(parts: tuple[str, ...]) -> float:
     with compilation_time() as taken:
         for part in parts:
             if part == 'simulator':
-                from ratslam_ros.simulator.config import SimulatorParameters, make_simulator
+                from ratslam_simulator.config import SimulatorParameters, make_simulator
 
                 for people in (0, 1):
                     make_simulator(SimulatorParameters(plan='office', people=people)).step()

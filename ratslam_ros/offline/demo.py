@@ -24,9 +24,9 @@ from ratslam_ros.recordings import ImageEvent, Recording, Selection, open_record
 from ratslam_ros.results.evaluation import evaluate
 from ratslam_ros.results.plots import draw_all
 from ratslam_ros.results.trajectory import read_tum
-from ratslam_ros.simulator.aliasing import measure_aliasing
-from ratslam_ros.simulator.picture import draw_run
-from ratslam_ros.simulator.recording import SimulatedRun, write_recording
+from ratslam_simulator.aliasing import measure_aliasing
+from ratslam_simulator.picture import draw_run
+from ratslam_simulator.recording import SimulatedRun, write_recording
 
 TITLE = 'demo: a simulated robot in an office'
 """Name of the run in the live view."""

@@ -28,14 +28,14 @@ from ratslam_ros.results.goal_plots import draw_temporal_map
 from ratslam_ros.results.plots import draw_all
 from ratslam_ros.results.trajectory import tum_line
 from ratslam_ros.results.writer import Results
-from ratslam_ros.simulator.closed_loop import ClosedLoop, scan_from_sample
-from ratslam_ros.simulator.config import SimulatorParameters, make_simulator
-from ratslam_ros.simulator.floor_plan import FloorPlan
-from ratslam_ros.simulator.picture import draw_plan
-from ratslam_ros.simulator.recording import TRUTH_FILE, RecordingWriter
-from ratslam_ros.simulator.samples import ImageSample, Sample, ScanSample
-from ratslam_ros.simulator.simulation import Simulator
-from ratslam_ros.simulator.trials import Trial, attempt, choose_goals
+from ratslam_simulator.closed_loop import ClosedLoop, scan_from_sample
+from ratslam_simulator.config import SimulatorParameters, make_simulator
+from ratslam_simulator.floor_plan import FloorPlan
+from ratslam_simulator.picture import draw_plan
+from ratslam_simulator.recording import TRUTH_FILE, RecordingWriter
+from ratslam_simulator.samples import ImageSample, Sample, ScanSample
+from ratslam_simulator.simulation import Simulator
+from ratslam_simulator.trials import Trial, attempt, choose_goals
 
 NAMING_DISTANCE_M = 1.0
 """Distance within which a place of the plan is named on the map."""

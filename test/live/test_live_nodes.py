@@ -33,7 +33,7 @@ from helpers import (
 
 from ratslam_ros.cli import main
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.standalone import StandaloneUnavailable, install
+from rclpy_standin import StandaloneUnavailable, install
 
 try:
     install()
@@ -413,7 +413,7 @@ def test_invalid_input_on_every_topic_changes_nothing(
 
 
 def test_simulated_recording_gives_same_map_live_and_offline(tmp_path: Path) -> None:
-    from ratslam_ros.simulator.recording import write_recording
+    from ratslam_simulator.recording import write_recording
 
     settings = preset('pioneer')
     recording = write_recording(tmp_path / 'recording', 1).recording

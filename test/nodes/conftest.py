@@ -14,7 +14,7 @@ from browser import chromium, new_page, viser
 from helpers import live_environment
 
 from ratslam_ros.core.warm_up import warm_up
-from ratslam_ros.standalone import StandaloneUnavailable, install
+from rclpy_standin import StandaloneUnavailable, install
 
 __all__ = ['chromium', 'new_page', 'viser']  # fixtures of all folders with a browser
 

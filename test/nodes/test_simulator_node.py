@@ -14,9 +14,9 @@ from floor_clearance import clearance_m
 
 from ratslam_ros.errors import RatslamError
 from ratslam_ros.nodes.qos import CLOCK
-from ratslam_ros.simulator.config import SimulatorParameters
-from ratslam_ros.simulator.floor_plan import office
-from ratslam_ros.simulator.simulation import START_STAMP_NS
+from ratslam_simulator.config import SimulatorParameters
+from ratslam_simulator.floor_plan import office
+from ratslam_simulator.simulation import START_STAMP_NS
 
 MakeWorld = Callable[..., Any]
 QUICK = ('-p', 'plan:=office', '-p', 'start:=E', '-p', 'rate:=5.0', '-p', 'noise:=0.0')

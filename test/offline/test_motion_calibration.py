@@ -27,9 +27,9 @@ from ratslam_ros.core.config import Config
 from ratslam_ros.core.vision.visual_odometry import VisualOdometry
 from ratslam_ros.offline.motion_calibration import MotionCalibration, calibrate_motion
 from ratslam_ros.recordings import ImageEvent, open_recording
-from ratslam_ros.simulator.camera import Camera, CameraOptions
-from ratslam_ros.simulator.floor_plan import parse_floor_plan
-from ratslam_ros.simulator.world import WorldOptions, build_world
+from ratslam_simulator.camera import Camera, CameraOptions
+from ratslam_simulator.floor_plan import parse_floor_plan
+from ratslam_simulator.world import WorldOptions, build_world
 
 ROOM = parse_floor_plan('\n'.join(['#' * 16, *['#..............#'] * 14, '#' * 16]), cell_m=1.0)
 REFINED = Config().with_values(

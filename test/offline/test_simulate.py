@@ -19,14 +19,14 @@ from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.history.opening import open_run
 from ratslam_ros.recordings import open_recording
 from ratslam_ros.results.trajectory import read_tum
-from ratslam_ros.simulator.config import (
+from ratslam_simulator.config import (
     SimulatorParameters,
     make_simulator,
     parse_obstacles,
     parse_start,
 )
-from ratslam_ros.simulator.floor_plan import load_floor_plan, office
-from ratslam_ros.simulator.simulation import ObstacleEvent
+from ratslam_simulator.floor_plan import load_floor_plan, office
+from ratslam_simulator.simulation import ObstacleEvent
 
 RUN = ('simulate', '--plan', 'office', '--explore', '0.5', '--quiet')
 

@@ -12,7 +12,7 @@ from virtual_bus import BusFaults
 from virtual_time import MS, Hang, Process, S, Scheduler, VirtualCondition, VirtualTime
 
 from ratslam_ros.core.warm_up import warm_up
-from ratslam_ros.standalone import StandaloneUnavailable, install
+from rclpy_standin import StandaloneUnavailable, install
 
 try:
     if not install():

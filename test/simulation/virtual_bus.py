@@ -18,9 +18,9 @@ from zlib import crc32
 
 from virtual_time import MS, Process, S, Scheduler, Task
 
-from ratslam_ros.standalone.dds import EndpointQos, StatusChange, TakenSample
-from ratslam_ros.standalone.graph import NodeName, TopicEndpointInfo, TopicEndpointTypeEnum
-from ratslam_ros.standalone.qos import from_dds
+from rclpy_standin.dds import EndpointQos, StatusChange, TakenSample
+from rclpy_standin.graph import NodeName, TopicEndpointInfo, TopicEndpointTypeEnum
+from rclpy_standin.qos import from_dds
 
 LEASE_NS = 10 * S
 """Time for which a killed process stays visible, as in DDS."""

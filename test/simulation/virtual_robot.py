@@ -60,8 +60,8 @@ from ratslam_ros.maps import store as store_module
 from ratslam_ros.maps.chunks import digest_of
 from ratslam_ros.maps.locks import MapLock
 from ratslam_ros.nodes.qos import PLAYED
-from ratslam_ros.standalone.context import Context, get_default_context
 from ratslam_ros.starting import starting
+from rclpy_standin.context import Context, get_default_context
 
 NOT_MEMORY = 'goals', 'reached', 'rhythm'
 """Parts of a saved state that are no result of a replay."""
@@ -403,7 +403,7 @@ _combined = cache(combined_yaml)
 @contextmanager
 def installed(simulation: Simulation) -> Iterator[None]:
     """Replace transport, time, threads and disk of the nodes by those of a simulation."""
-    from ratslam_ros.standalone import context, executors, logging
+    from rclpy_standin import context, executors, logging
 
     scheduler = simulation.scheduler
     new_time, new_threading = VirtualTime(scheduler), VirtualThreading(scheduler)
@@ -435,7 +435,8 @@ def installed(simulation: Simulation) -> Iterator[None]:
     by_id = {id(old): (old, new) for old, new in replaced}
     with ExitStack() as stack:
         for name, module in list(sys.modules.items()):
-            if not name.startswith('ratslam_ros.') or name == 'ratslam_ros.maps.reader':
+            ours = name.startswith(('ratslam_ros.', 'rclpy_standin.'))
+            if not ours or name == 'ratslam_ros.maps.reader':
                 continue
             for key, value in list(vars(module).items()):
                 old, new = by_id.get(id(value), (None, None))

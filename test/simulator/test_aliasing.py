@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from ratslam_ros.simulator.aliasing import measure_aliasing, nearest_errors
-from ratslam_ros.simulator.camera import CameraOptions
-from ratslam_ros.simulator.office_tour import OfficeTour
-from ratslam_ros.simulator.samples import ImageSample
-from ratslam_ros.simulator.simulation import SimulationOptions
-from ratslam_ros.simulator.world import WorldOptions
+from ratslam_simulator.aliasing import measure_aliasing, nearest_errors
+from ratslam_simulator.camera import CameraOptions
+from ratslam_simulator.office_tour import OfficeTour
+from ratslam_simulator.samples import ImageSample
+from ratslam_simulator.simulation import SimulationOptions
+from ratslam_simulator.world import WorldOptions
 
 
 def test_nearest_errors_separates_revisits_from_look_alikes():

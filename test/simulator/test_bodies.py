@@ -8,8 +8,8 @@ from floor_clearance import clearance_m
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ratslam_ros.simulator.bodies import fits, room_for, slide
-from ratslam_ros.simulator.floor_plan import office, parse_floor_plan
+from ratslam_simulator.bodies import fits, room_for, slide
+from ratslam_simulator.floor_plan import office, parse_floor_plan
 
 NO_DISCS = np.empty((0, 2))
 PLAN = parse_floor_plan('#######\n#.....#\n#..#..#\n#.....#\n#######', cell_m=1.0)

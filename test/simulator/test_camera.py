@@ -6,10 +6,10 @@ import time
 import numpy as np
 import pytest
 
-from ratslam_ros.simulator.camera import Camera, CameraOptions
-from ratslam_ros.simulator.floor_plan import office, parse_floor_plan
-from ratslam_ros.simulator.textures import WALL_HEIGHT_M, PanelLibrary
-from ratslam_ros.simulator.world import World, build_world
+from ratslam_simulator.camera import Camera, CameraOptions
+from ratslam_simulator.floor_plan import office, parse_floor_plan
+from ratslam_simulator.textures import WALL_HEIGHT_M, PanelLibrary
+from ratslam_simulator.world import World, build_world
 
 QUIET = CameraOptions(noise_grey=0.0, exposure_spread=0.0)
 ROOM = parse_floor_plan('\n'.join(['#' * 14, *['#............#'] * 12, '#' * 14]), cell_m=1.0)

@@ -10,8 +10,8 @@ from floor_clearance import clearance_m
 from scipy.ndimage import label
 
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.simulator.bodies import room_for
-from ratslam_ros.simulator.floor_plan import (
+from ratslam_simulator.bodies import room_for
+from ratslam_simulator.floor_plan import (
     OFFICE,
     OFFICE_CELL_M,
     load_floor_plan,
@@ -45,7 +45,7 @@ def test_shipped_plans_load_by_name():
 
 def test_shipped_plans_are_package_data():
     setup = (Path(__file__).resolve().parents[2] / 'setup.py').read_text('utf-8')
-    assert "f'{NAME}.simulator': ['plans/*.txt']" in setup
+    assert "'ratslam_simulator': ['py.typed', 'plans/*.txt']" in setup
 
 
 @pytest.mark.parametrize('name', [UNIVERSITY, OBSTACLE])

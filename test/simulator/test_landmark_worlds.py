@@ -12,8 +12,8 @@ import pytest
 
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.simulator.floor_plan import parse_floor_plan
-from ratslam_ros.simulator.landmarks import (
+from ratslam_simulator.floor_plan import parse_floor_plan
+from ratslam_simulator.landmarks import (
     DISTINCT,
     NORMAL,
     BarOptions,

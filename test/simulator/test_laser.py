@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from ratslam_ros.simulator.floor_plan import parse_floor_plan
-from ratslam_ros.simulator.laser import Laser, LaserOptions
-from ratslam_ros.simulator.world import PERSON_RADIUS_M, build_world
+from ratslam_simulator.floor_plan import parse_floor_plan
+from ratslam_simulator.laser import Laser, LaserOptions
+from ratslam_simulator.world import PERSON_RADIUS_M, build_world
 
 # A room of 8 x 5 m, from (1, 1) to (9, 6).
 ROOM = parse_floor_plan('\n'.join(['#' * 10, *['#........#'] * 5, '#' * 10]), cell_m=1.0)

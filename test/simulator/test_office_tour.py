@@ -7,12 +7,12 @@ import pytest
 from floor_clearance import clearance_m
 
 from ratslam_ros.errors import UnusableParameter
-from ratslam_ros.simulator.camera import CameraOptions
-from ratslam_ros.simulator.drive import rounded_path
-from ratslam_ros.simulator.floor_plan import office
-from ratslam_ros.simulator.office_tour import OfficeTour
-from ratslam_ros.simulator.samples import ImageSample, OdometrySample
-from ratslam_ros.simulator.simulation import START_STAMP_NS, SimulationOptions
+from ratslam_simulator.camera import CameraOptions
+from ratslam_simulator.drive import rounded_path
+from ratslam_simulator.floor_plan import office
+from ratslam_simulator.office_tour import OfficeTour
+from ratslam_simulator.samples import ImageSample, OdometrySample
+from ratslam_simulator.simulation import START_STAMP_NS, SimulationOptions
 
 # Tiny images at a low rate: these tests check the motion only.
 BLIND = SimulationOptions(camera=CameraOptions(width=4, height=2, rate_hz=1))

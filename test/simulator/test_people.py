@@ -9,11 +9,11 @@ from floor_clearance import clearance_m
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.simulator.camera import Camera, CameraOptions
-from ratslam_ros.simulator.floor_plan import load_floor_plan, parse_floor_plan
-from ratslam_ros.simulator.people import People
-from ratslam_ros.simulator.simulation import SimulationOptions, Simulator
-from ratslam_ros.simulator.world import PERSON_HEIGHT_M, PERSON_RADIUS_M, World, build_world
+from ratslam_simulator.camera import Camera, CameraOptions
+from ratslam_simulator.floor_plan import load_floor_plan, parse_floor_plan
+from ratslam_simulator.people import People
+from ratslam_simulator.simulation import SimulationOptions, Simulator
+from ratslam_simulator.world import PERSON_HEIGHT_M, PERSON_RADIUS_M, World, build_world
 
 BLIND = SimulationOptions(camera=None, laser=None)
 UNIVERSITY = load_floor_plan('university_floor')

@@ -3,8 +3,8 @@
 import cv2
 import numpy as np
 
-from ratslam_ros.simulator.floor_plan import load_floor_plan
-from ratslam_ros.simulator.picture import draw_plan
+from ratslam_simulator.floor_plan import load_floor_plan
+from ratslam_simulator.picture import draw_plan
 
 
 def test_draw_plan_shows_trajectories_and_obstacles(tmp_path):

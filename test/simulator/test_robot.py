@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.simulator.robot import Robot, RobotOptions, WheelOdometry, after_arc
+from ratslam_simulator.robot import Robot, RobotOptions, WheelOdometry, after_arc
 
 EXACT = RobotOptions(
     wheel_radius_error=0.0, wheel_base_error=0.0, slip_m=0.0, encoder_counts_per_turn=10**9

@@ -12,11 +12,11 @@ from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import points_of
 from ratslam_ros.core.driving.steering import Command
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.simulator.closed_loop import ClosedLoop, scan_from_sample
-from ratslam_ros.simulator.config import SimulatorParameters, make_simulator
-from ratslam_ros.simulator.laser import LaserOptions
-from ratslam_ros.simulator.samples import ScanSample
-from ratslam_ros.simulator.simulation import SimulationOptions, Simulator
+from ratslam_simulator.closed_loop import ClosedLoop, scan_from_sample
+from ratslam_simulator.config import SimulatorParameters, make_simulator
+from ratslam_simulator.laser import LaserOptions
+from ratslam_simulator.samples import ScanSample
+from ratslam_simulator.simulation import SimulationOptions, Simulator
 
 LAP = (1.8, 1.75), (7.2, 1.75), (7.2, 5.2), (1.8, 5.2)
 """Corners of a lap around the block, in m."""

@@ -13,12 +13,12 @@ from ratslam_ros.core.driving.steering import Command
 from ratslam_ros.errors import UnreachableGoal
 from ratslam_ros.files.config import load_config
 from ratslam_ros.messages.mapping import encode_map
-from ratslam_ros.simulator.closed_loop import ClosedLoop
-from ratslam_ros.simulator.floor_plan import parse_floor_plan
-from ratslam_ros.simulator.laser import LaserOptions
-from ratslam_ros.simulator.robot import RobotOptions
-from ratslam_ros.simulator.simulation import SimulationOptions, Simulator
-from ratslam_ros.simulator.world import WorldOptions
+from ratslam_simulator.closed_loop import ClosedLoop
+from ratslam_simulator.floor_plan import parse_floor_plan
+from ratslam_simulator.laser import LaserOptions
+from ratslam_simulator.robot import RobotOptions
+from ratslam_simulator.simulation import SimulationOptions, Simulator
+from ratslam_simulator.world import WorldOptions
 
 # A corridor around a block, one lap of which takes about a minute.
 PLAN = parse_floor_plan("""

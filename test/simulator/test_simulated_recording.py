@@ -6,8 +6,8 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.simulator.picture import draw_run
-from ratslam_ros.simulator.recording import write_recording
+from ratslam_simulator.picture import draw_run
+from ratslam_simulator.recording import write_recording
 
 
 @pytest.fixture(scope='module')

@@ -11,20 +11,20 @@ from hypothesis import strategies as st
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.errors import UnusableInput, UnusableParameter
-from ratslam_ros.simulator.camera import CameraOptions
-from ratslam_ros.simulator.floor_plan import load_floor_plan, office
-from ratslam_ros.simulator.laser import LaserOptions
-from ratslam_ros.simulator.light import LightDrift
-from ratslam_ros.simulator.robot import RobotOptions
-from ratslam_ros.simulator.samples import ImageSample, OdometrySample, ScanSample
-from ratslam_ros.simulator.simulation import (
+from ratslam_simulator.camera import CameraOptions
+from ratslam_simulator.floor_plan import load_floor_plan, office
+from ratslam_simulator.laser import LaserOptions
+from ratslam_simulator.light import LightDrift
+from ratslam_simulator.robot import RobotOptions
+from ratslam_simulator.samples import ImageSample, OdometrySample, ScanSample
+from ratslam_simulator.simulation import (
     START_STAMP_NS,
     STEP_NS,
     ObstacleEvent,
     SimulationOptions,
     Simulator,
 )
-from ratslam_ros.simulator.world import PERSON_RADIUS_M, WorldOptions, build_world
+from ratslam_simulator.world import PERSON_RADIUS_M, WorldOptions, build_world
 
 RADIUS_M = RobotOptions().body_radius_m
 BLIND = SimulationOptions(camera=None, laser=None)

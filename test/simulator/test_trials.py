@@ -11,11 +11,11 @@ from floor_clearance import clearance_m
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.config.goal_follower import GoalFollowerParameters
-from ratslam_ros.simulator.closed_loop import ClosedLoop
-from ratslam_ros.simulator.floor_plan import load_floor_plan, parse_floor_plan
-from ratslam_ros.simulator.shortest_paths import DrivenGraph, FloorGraph, FloorPath
-from ratslam_ros.simulator.simulation import SimulationOptions, Simulator
-from ratslam_ros.simulator.trials import Trial, attempt, choose_goals
+from ratslam_simulator.closed_loop import ClosedLoop
+from ratslam_simulator.floor_plan import load_floor_plan, parse_floor_plan
+from ratslam_simulator.shortest_paths import DrivenGraph, FloorGraph, FloorPath
+from ratslam_simulator.simulation import SimulationOptions, Simulator
+from ratslam_simulator.trials import Trial, attempt, choose_goals
 
 ROOM = parse_floor_plan('\n'.join(['#' * 12, *['#..........#'] * 10, '#' * 12]), 0.5)
 WALLED = parse_floor_plan(

@@ -5,8 +5,8 @@ import pytest
 from floor_clearance import clearance_m
 
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.simulator.floor_plan import office, parse_floor_plan
-from ratslam_ros.simulator.world import EAST, NORTH, SOUTH, WEST, WorldOptions, build_world
+from ratslam_simulator.floor_plan import office, parse_floor_plan
+from ratslam_simulator.world import EAST, NORTH, SOUTH, WEST, WorldOptions, build_world
 
 
 def rng(seed):

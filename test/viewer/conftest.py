@@ -16,10 +16,10 @@ from browser import chromium, new_page, viser
 if TYPE_CHECKING:
     from pages import View
 
-    from ratslam_ros.simulator.recording import SimulatedRun
     from ratslam_ros.viewer.app import ViewApp
     from ratslam_ros.viewer.run_source import Controls, RunSource
     from ratslam_ros.viewer.server import ViewServer
+    from ratslam_simulator.recording import SimulatedRun
 
 __all__ = ['chromium', 'new_page', 'viser']  # fixtures of all folders with a browser
 
@@ -36,7 +36,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 @pytest.fixture(scope='session')
 def recording(tmp_path_factory: pytest.TempPathFactory) -> SimulatedRun:
     """Simulate the first seconds of the demo."""
-    from ratslam_ros.simulator.recording import write_recording
+    from ratslam_simulator.recording import write_recording
 
     return write_recording(tmp_path_factory.mktemp('recordings') / 'demo', 1, RECORDING_S)
 

@@ -16,12 +16,12 @@ from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.config.goal_follower import GoalFollowerParameters
 from ratslam_ros.core.driving.exploration import Exploration
 from ratslam_ros.core.driving.steering import Command
-from ratslam_ros.simulator.floor_plan import FloorPlan, parse_floor_plan
-from ratslam_ros.simulator.laser import LaserOptions
-from ratslam_ros.simulator.robot import Pose as Start
-from ratslam_ros.simulator.robot import RobotOptions
-from ratslam_ros.simulator.samples import ScanSample
-from ratslam_ros.simulator.simulation import SimulationOptions, Simulator
+from ratslam_simulator.floor_plan import FloorPlan, parse_floor_plan
+from ratslam_simulator.laser import LaserOptions
+from ratslam_simulator.robot import Pose as Start
+from ratslam_simulator.robot import RobotOptions
+from ratslam_simulator.samples import ScanSample
+from ratslam_simulator.simulation import SimulationOptions, Simulator
 
 LASER = LaserOptions(noise_m=0.0)
 IDEAL = SimulationOptions(

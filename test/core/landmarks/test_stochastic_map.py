@@ -26,7 +26,7 @@ from ratslam_ros.core.landmarks.features import (
 )
 from ratslam_ros.core.landmarks.stochastic_map import StochasticMap
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.simulator.landmarks import LandmarkSensor, drive, lap, scattered_bars
+from ratslam_simulator.landmarks import LandmarkSensor, drive, lap, scattered_bars
 
 P = LandmarkMapParameters()
 START = Pose(0.0, 0.0, 0.0)

@@ -1,0 +1,185 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Conversion between messages and plain values, as in rosidl_runtime_py."""
+
+from __future__ import annotations
+
+import array
+import time
+from collections import OrderedDict
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from rclpy_standin.definitions import Field
+from rclpy_standin.types import Message, message_class
+
+_TIME = 'builtin_interfaces/msg/Time'
+_HEADER = 'std_msgs/msg/Header'
+
+
+def message_to_ordereddict(
+    msg: Message, *, truncate_length: int | None = None, no_arr: bool = False, no_str: bool = False
+) -> OrderedDict[str, Any]:
+    """Convert a message to plain values by field name.
+
+    Args:
+        msg: any message.
+        truncate_length: number of items or characters after which lists and strings are cut.
+        no_arr: replace lists by a description of their type and length.
+        no_str: replace strings by their length.
+    """
+    return OrderedDict(
+        (field.name, _plain(getattr(msg, field.name), field, truncate_length, no_arr, no_str))
+        for field in msg.FIELDS
+    )
+
+
+def message_to_yaml(
+    msg: Message,
+    *,
+    truncate_length: int | None = None,
+    no_arr: bool = False,
+    no_str: bool = False,
+    flow_style: bool = False,
+) -> str:
+    """Convert a message to YAML; see ``message_to_ordereddict`` for the options."""
+    import sys
+
+    import yaml
+
+    tree = message_to_ordereddict(
+        msg, truncate_length=truncate_length, no_arr=no_arr, no_str=no_str
+    )
+    return str(
+        yaml.safe_dump(
+            _plain_dicts(tree),
+            allow_unicode=True,
+            width=sys.maxsize,
+            default_flow_style=flow_style,
+            sort_keys=False,
+        )
+    )
+
+
+def set_message_fields(
+    msg: Message,
+    values: Mapping[str, Any],
+    expand_header_auto: bool = False,
+    expand_time_now: bool = False,
+) -> list[Any]:
+    """Set fields of a message from plain values.
+
+    Args:
+        msg: message to modify.
+        values: values by field name.
+        expand_header_auto: accept 'auto' for a header, with the current time as its stamp.
+        expand_time_now: accept 'now' for a time, which sets the current time.
+
+    Returns:
+        The time messages that were set from 'auto' or 'now'.
+
+    Raises:
+        AttributeError: the message has no such field.
+        TypeError, ValueError: a value does not fit its field.
+    """
+    if not isinstance(values, Mapping):
+        raise ValueError(
+            f"Value '{values}' is expected to be a dictionary but is a {type(values).__name__}"
+        )
+    stamps: list[Any] = []
+    fields = {field.name: field for field in msg.FIELDS}
+    for name, value in values.items():
+        if name not in fields:
+            raise AttributeError(f"'{type(msg).__name__}' object has no attribute '{name}'")
+        field = fields[name]
+        if field.is_message and field.size is None and value in ('auto', 'now'):
+            made = message_class(field.base)()
+            stamp = made.stamp if field.base == _HEADER and value == 'auto' else made
+            allowed = expand_header_auto if value == 'auto' else expand_time_now
+            if not allowed or stamp.__msgtype__ != _TIME:
+                raise ValueError(f'{name}: {value!r} is not a value for {field.idl}')
+            stamp.sec, stamp.nanosec = divmod(time.time_ns(), 1_000_000_000)
+            stamps.append(stamp)
+        else:
+            made = _value(
+                getattr(msg, name), field, value, stamps, expand_header_auto, expand_time_now
+            )
+        setattr(msg, name, made)
+    return stamps
+
+
+def _value(
+    present: Any, field: Field, value: Any, stamps: list[Any], header: bool, now: bool
+) -> Any:
+    if field.is_message and field.size is None:
+        if type(value) is type(present):
+            return value
+        stamps += set_message_fields(present, value or {}, header, now)
+        return present
+    if field.size is None:
+        return _scalar(field, value)
+    if isinstance(value, str | bytes | Mapping) or not hasattr(value, '__iter__'):
+        raise ValueError(f'{field.name}: expected a list, not {value!r}')
+    if field.is_message:
+        made = []
+        for item in value:
+            if not isinstance(item, Message):
+                part = message_class(field.base)()
+                stamps += set_message_fields(part, item, header, now)
+                item = part
+            made.append(item)
+        return made
+    items = [_scalar(field, item) for item in value]
+    if isinstance(present, np.ndarray):
+        if len(items) != len(present):
+            raise ValueError(f'{field.name}: expected {len(present)} values, not {len(items)}')
+        return np.array(items, present.dtype)
+    return array.array(present.typecode, items) if isinstance(present, array.array) else items
+
+
+def _scalar(field: Field, value: Any) -> Any:
+    kind: Any
+    if field.base == 'byte':
+        return value if isinstance(value, bytes) else bytes([int(value)])
+    if field.base in ('string', 'bool'):
+        kind = str if field.base == 'string' else bool
+        # YAML reads an unquoted 12 as a number, which is accepted for strings but not for bools.
+        if kind is bool and not isinstance(value, bool):
+            raise TypeError(f'{field.name}: expected a boolean, not {value!r}')
+        return kind(value)
+    kind = float if field.base.startswith('float') else int
+    if kind is int and isinstance(value, float) and not value.is_integer():
+        raise ValueError(f'{field.name}: expected an integer, not {value!r}')
+    return kind(value)
+
+
+def _plain(value: Any, field: Field, max_length: int | None, no_arr: bool, no_str: bool) -> Any:
+    if field.size is not None:
+        if no_arr:
+            kind = 'array' if field.is_fixed else 'sequence'
+            return f'<{kind} type: {field.idl}, length: {len(value)}>'
+        items = value.tolist() if hasattr(value, 'tolist') else list(value)
+        cut = max_length is not None and len(items) > max_length
+        one = field._replace(size=None)
+        made = [_plain(item, one, max_length, no_arr, no_str) for item in items[:max_length]]
+        return [*made, '...'] if cut else made
+    if field.is_message:
+        return message_to_ordereddict(
+            value, truncate_length=max_length, no_arr=no_arr, no_str=no_str
+        )
+    if isinstance(value, bytes):
+        return value[0] if len(value) == 1 else list(value)
+    if isinstance(value, str):
+        if no_str:
+            return f'<string length: <{len(value)}>>'
+        if max_length is not None and len(value) > max_length:
+            return f'{value[:max_length]}...'
+    return value
+
+
+def _plain_dicts(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _plain_dicts(item) for key, item in value.items()}
+    return [_plain_dicts(item) for item in value] if isinstance(value, list) else value

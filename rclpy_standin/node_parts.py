@@ -1,0 +1,88 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Base class of the parts of a node, and callback groups."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from rclpy_standin.exceptions import InvalidHandle, RCLError
+
+INVALID_SAMPLE = 'dropped a sample that is not a valid'
+"""Beginning of the log message; the name of the type follows."""
+
+
+class Waitable(NamedTuple):
+    """A DDS entity that an executor waits for, and the function to run when it triggers."""
+
+    reference: int
+    run: Callable[[], bool]
+    """Returns whether there was something to do."""
+
+
+class CallbackGroup:
+    """A group of callbacks; without effect, because executors have a single thread."""
+
+
+class MutuallyExclusiveCallbackGroup(CallbackGroup):
+    """Callbacks that must not run in parallel."""
+
+
+class ReentrantCallbackGroup(CallbackGroup):
+    """Callbacks that may run in parallel, in executors with several threads."""
+
+
+class NodePart:
+    """A publisher, subscription, service, client or timer of a node."""
+
+    def __init__(self, node: Any, callback_group: CallbackGroup | None = None) -> None:
+        self._node = node
+        self._closed = False
+        self.callback_group = callback_group or node.default_callback_group
+
+    def waitables(self) -> list[Waitable]:
+        """Return the entities to wait for."""
+        return []
+
+    def gids(self) -> tuple[list[bytes], list[bytes]]:
+        """Return the GIDs of the readers and of the writers to announce in the graph."""
+        return [], []
+
+    def close(self) -> None:
+        """Delete the DDS entities."""
+
+    def destroy(self) -> None:
+        """Remove the part from its node, and delete it."""
+        self._node.discard(self)
+
+    def _check_alive(self) -> None:
+        if self._closed:
+            raise InvalidHandle('cannot use it because destruction was requested')
+        if not self._node.context.ok():
+            raise RCLError("the node's context is invalid: it was shut down")
+
+
+def accepted_argument_count(callback: Any, *counts: int) -> int:
+    """Return the first of ``counts`` that is a number of arguments a callback accepts.
+
+    Raises:
+        RuntimeError: the callback accepts none of these numbers of arguments.
+        NotImplementedError: the callback is a coroutine function.
+    """
+    if inspect.iscoroutinefunction(callback):
+        raise NotImplementedError('the stand-in for rclpy does not support async callbacks')
+    try:
+        signature = inspect.signature(callback)
+    except (TypeError, ValueError):
+        return counts[0]
+    for count in counts:
+        try:
+            signature.bind(*[None] * count)
+        except TypeError:
+            continue
+        return count
+    raise RuntimeError(
+        f'{callback!r}: expected a function of {" or ".join(map(str, counts))} arguments'
+    )

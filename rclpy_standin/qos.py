@@ -1,0 +1,228 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Quality of service profiles."""
+
+from __future__ import annotations
+
+from enum import Enum, IntEnum
+
+from rclpy_standin.clock import Duration
+from rclpy_standin.dds import EndpointQos
+
+_INFINITE = Duration(nanoseconds=2**63 - 1)
+_UNSPECIFIED = Duration()
+
+
+class InvalidQoSProfileException(Exception):  # noqa: N818
+    """A QoS profile with incomplete settings."""
+
+    def __init__(self, *args: object) -> None:
+        super().__init__(f'Invalid QoSProfile: {args}')
+
+
+class QoSPolicyKind(IntEnum):
+    """Kind of a QoS policy, in events."""
+
+    INVALID = 1
+    DURABILITY = 2
+    DEADLINE = 4
+    LIVELINESS = 8
+    RELIABILITY = 16
+    HISTORY = 32
+    LIFESPAN = 64
+    DEPTH = 128
+    LIVELINESS_LEASE_DURATION = 256
+    AVOID_ROS_NAMESPACE_CONVENTIONS = 512
+
+
+POLICY_KINDS = {
+    2: QoSPolicyKind.DURABILITY,
+    4: QoSPolicyKind.DEADLINE,
+    8: QoSPolicyKind.LIVELINESS,
+    11: QoSPolicyKind.RELIABILITY,
+    13: QoSPolicyKind.HISTORY,
+    21: QoSPolicyKind.LIFESPAN,
+}
+"""Policy kind by DDS policy ID."""
+
+
+def qos_policy_name_from_kind(policy_kind: int) -> str:
+    """Return the name of a policy kind."""
+    return QoSPolicyKind(policy_kind).name
+
+
+class HistoryPolicy(IntEnum):
+    """Whether the last ``depth`` messages are kept, or all."""
+
+    SYSTEM_DEFAULT = 0
+    KEEP_LAST = 1
+    KEEP_ALL = 2
+    UNKNOWN = 3
+
+
+class ReliabilityPolicy(IntEnum):
+    """Whether lost messages are retransmitted."""
+
+    SYSTEM_DEFAULT = 0
+    RELIABLE = 1
+    BEST_EFFORT = 2
+    UNKNOWN = 3
+    BEST_AVAILABLE = 4
+
+
+class DurabilityPolicy(IntEnum):
+    """Whether late-joining subscriptions receive earlier messages."""
+
+    SYSTEM_DEFAULT = 0
+    TRANSIENT_LOCAL = 1
+    VOLATILE = 2
+    UNKNOWN = 3
+    BEST_AVAILABLE = 4
+
+
+class LivelinessPolicy(IntEnum):
+    """How a publisher asserts that it is alive."""
+
+    SYSTEM_DEFAULT = 0
+    AUTOMATIC = 1
+    MANUAL_BY_TOPIC = 3
+    UNKNOWN = 4
+    BEST_AVAILABLE = 5
+
+
+QoSHistoryPolicy = HistoryPolicy
+QoSReliabilityPolicy = ReliabilityPolicy
+QoSDurabilityPolicy = DurabilityPolicy
+QoSLivelinessPolicy = LivelinessPolicy
+
+
+class QoSProfile:
+    """Quality of service of a publisher, subscription, service or client."""
+
+    __slots__ = (
+        'avoid_ros_namespace_conventions', 'deadline', 'depth', 'durability', 'history',
+        'lifespan', 'liveliness', 'liveliness_lease_duration', 'reliability',
+    )  # fmt: skip
+
+    def __init__(
+        self,
+        *,
+        history: HistoryPolicy | int | None = None,
+        depth: int | None = None,
+        reliability: ReliabilityPolicy | int = ReliabilityPolicy.RELIABLE,
+        durability: DurabilityPolicy | int = DurabilityPolicy.VOLATILE,
+        lifespan: Duration = _UNSPECIFIED,
+        deadline: Duration = _UNSPECIFIED,
+        liveliness: LivelinessPolicy | int = LivelinessPolicy.SYSTEM_DEFAULT,
+        liveliness_lease_duration: Duration = _UNSPECIFIED,
+        avoid_ros_namespace_conventions: bool = False,
+    ) -> None:
+        if history is None and depth is None:
+            raise InvalidQoSProfileException('History and/or depth settings are required.')
+        self.history = HistoryPolicy(HistoryPolicy.KEEP_LAST if history is None else history)
+        if self.history == HistoryPolicy.KEEP_LAST and depth is None:
+            raise InvalidQoSProfileException('History set to KEEP_LAST without a depth setting.')
+        self.depth = 10 if depth is None else depth
+        if not isinstance(self.depth, int) or self.depth < 0:
+            raise ValueError(f'depth {depth!r}: expected an integer >= 0')
+        self.reliability = ReliabilityPolicy(reliability)
+        self.durability = DurabilityPolicy(durability)
+        self.lifespan = lifespan
+        self.deadline = deadline
+        self.liveliness = LivelinessPolicy(liveliness)
+        self.liveliness_lease_duration = liveliness_lease_duration
+        self.avoid_ros_namespace_conventions = avoid_ros_namespace_conventions
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, QoSProfile) and all(
+            getattr(self, name) == getattr(other, name) for name in self.__slots__
+        )
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __str__(self) -> str:
+        return f'QoSProfile({", ".join(f"{n}={getattr(self, n)}" for n in self.__slots__)})'
+
+    __repr__ = __str__
+
+
+qos_profile_default = QoSProfile(depth=10)
+qos_profile_unknown = QoSProfile(
+    history=HistoryPolicy.UNKNOWN,
+    depth=0,
+    reliability=ReliabilityPolicy.UNKNOWN,
+    durability=DurabilityPolicy.UNKNOWN,
+    liveliness=LivelinessPolicy.UNKNOWN,
+)
+qos_profile_system_default = QoSProfile(
+    history=HistoryPolicy.SYSTEM_DEFAULT,
+    depth=0,
+    reliability=ReliabilityPolicy.SYSTEM_DEFAULT,
+    durability=DurabilityPolicy.SYSTEM_DEFAULT,
+)
+qos_profile_sensor_data = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
+qos_profile_services_default = QoSProfile(depth=10)
+qos_profile_parameters = QoSProfile(depth=1000)
+qos_profile_parameter_events = QoSProfile(depth=1000)
+
+
+class QoSPresetProfiles(Enum):
+    """Predefined profiles by name."""
+
+    UNKNOWN = qos_profile_unknown
+    DEFAULT = qos_profile_default
+    SYSTEM_DEFAULT = qos_profile_system_default
+    SENSOR_DATA = qos_profile_sensor_data
+    SERVICES_DEFAULT = qos_profile_services_default
+    PARAMETERS = qos_profile_parameters
+    PARAMETER_EVENTS = qos_profile_parameter_events
+
+
+def to_profile(qos: QoSProfile | int) -> QoSProfile:
+    """Return a profile; a number stands for KEEP_LAST with that depth."""
+    if isinstance(qos, QoSProfile):
+        return qos
+    if isinstance(qos, int) and not isinstance(qos, bool):
+        if qos < 0:
+            raise ValueError('history depth must be greater than or equal to zero')
+        return QoSProfile(depth=qos)
+    raise TypeError(f'Expected QoSProfile or int, but received {type(qos)!r}')
+
+
+def to_dds(qos: QoSProfile) -> EndpointQos:
+    """Convert a profile to the QoS of a DDS endpoint.
+
+    Raises:
+        NotImplementedError: the profile has an unsupported setting.
+    """
+    for name in ('lifespan', 'deadline', 'liveliness_lease_duration'):
+        if getattr(qos, name) not in (_UNSPECIFIED, _INFINITE):
+            raise NotImplementedError(f'the stand-in for rclpy does not support {name}')
+    automatic = (LivelinessPolicy.SYSTEM_DEFAULT, LivelinessPolicy.AUTOMATIC)
+    if qos.liveliness not in automatic:
+        raise NotImplementedError(f'the stand-in for rclpy does not support {qos.liveliness!r}')
+    for policy in (qos.history, qos.reliability, qos.durability):
+        if policy.name in ('UNKNOWN', 'BEST_AVAILABLE'):
+            raise NotImplementedError(f'the stand-in for rclpy does not support {policy!r}')
+    return EndpointQos(
+        None if qos.history == HistoryPolicy.KEEP_ALL else max(1, qos.depth),
+        qos.reliability != ReliabilityPolicy.BEST_EFFORT,
+        qos.durability == DurabilityPolicy.TRANSIENT_LOCAL,
+    )
+
+
+def from_dds(qos: EndpointQos) -> QoSProfile:
+    """Convert the QoS of a discovered endpoint to a profile."""
+    lifespan = _INFINITE if qos.lifespan_ns is None else Duration(nanoseconds=qos.lifespan_ns)
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_ALL if qos.depth is None else HistoryPolicy.KEEP_LAST,
+        depth=qos.depth or 0,
+        reliability=ReliabilityPolicy.RELIABLE if qos.reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL
+        if qos.transient_local
+        else DurabilityPolicy.VOLATILE,
+        lifespan=lifespan,
+        deadline=_INFINITE,
+        liveliness=LivelinessPolicy.AUTOMATIC,
+        liveliness_lease_duration=_INFINITE,
+    )

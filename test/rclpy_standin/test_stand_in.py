@@ -1,0 +1,183 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Behaviour specific to the stand-in: installation, unsupported features, encoding."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from contract import IS_STAND_IN, ROOT
+
+pytestmark = pytest.mark.skipif(not IS_STAND_IN, reason='the real rclpy is installed')
+
+
+def run_python(code: str, path: Path | None = None) -> str:
+    run = subprocess.run(
+        [sys.executable, '-c', code],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={'PYTHONPATH': f'{path}:{ROOT}' if path else str(ROOT)},
+    )
+    assert run.returncode == 0, run.stderr
+    return run.stdout.strip()
+
+
+def test_install_with_real_rclpy_changes_nothing(tmp_path: Path) -> None:
+    (tmp_path / 'rclpy.py').write_text('NAME = "real"\n', encoding='utf-8')
+    code = (
+        'from rclpy_standin import install\n'
+        'import sys\n'
+        'before = list(sys.meta_path)\n'
+        'print(install(), sys.meta_path == before)\n'
+        'import rclpy\n'
+        'print(rclpy.NAME, "cyclonedds" in sys.modules)\n'
+    )
+    assert run_python(code, tmp_path) == 'False True\nreal False'
+
+
+def test_install_without_rclpy_adds_finder_once() -> None:
+    code = (
+        'from rclpy_standin import install\n'
+        'import sys\n'
+        'try:\n'
+        '    import rclpy\n'
+        'except ImportError:\n'
+        '    print("none")\n'
+        'print(install(), install())\n'
+        'import rclpy, rclpy.node\n'
+        'print(sum("rclpy_standin" in type(f).__module__ for f in sys.meta_path))\n'
+    )
+    assert run_python(code) == 'none\nTrue True\n1'
+
+
+def test_install_without_cyclonedds_reports_requirements() -> None:
+    code = (
+        'import sys\n'
+        'sys.modules["cyclonedds"] = None\n'
+        'from rclpy_standin import StandaloneUnavailable, install\n'
+        'try:\n'
+        '    install()\n'
+        'except StandaloneUnavailable as error:\n'
+        '    print(error)\n'
+    )
+    message = run_python(code)
+    assert 'ROS 2' in message and 'cyclonedds' in message and 'aarch64' in message
+
+
+@pytest.mark.parametrize(
+    'name', ['rclpy.action', 'rclpy.lifecycle', 'rclpy.wait_for_message', 'rosidl_runtime_py.get']
+)
+def test_importing_unsupported_module_raises(name: str) -> None:
+    with pytest.raises(NotImplementedError, match=re.escape(name)) as error:
+        __import__(name)
+    assert isinstance(error.value, ImportError)
+
+
+def test_accessing_unknown_names_raises() -> None:
+    import rclpy
+    import std_msgs.msg
+
+    with pytest.raises(AttributeError, match='spin_forever'):
+        _ = rclpy.spin_forever
+    with pytest.raises(AttributeError, match='Nothing'):
+        _ = std_msgs.msg.Nothing
+    assert 'String' in dir(std_msgs.msg)
+    with pytest.raises(ImportError):
+        from std_msgs.msg import Nothing  # noqa: F401
+    with pytest.raises(ModuleNotFoundError):
+        import std_msgs.action
+
+
+def test_multi_threaded_executor_is_rejected(ros) -> None:
+    from rclpy.executors import MultiThreadedExecutor
+
+    with pytest.raises(NotImplementedError, match='SingleThreadedExecutor'):
+        MultiThreadedExecutor()
+
+
+def test_unsupported_qos_settings_are_rejected(ros, m) -> None:
+    from rclpy.duration import Duration
+    from rclpy.event_handler import SubscriptionEventCallbacks
+    from rclpy.qos import LivelinessPolicy, QoSProfile, ReliabilityPolicy
+
+    node = ros.node()
+    for options in (
+        {'deadline': Duration(seconds=1)},
+        {'lifespan': Duration(seconds=1)},
+        {'liveliness': LivelinessPolicy.MANUAL_BY_TOPIC},
+        {'reliability': ReliabilityPolicy.BEST_AVAILABLE},
+    ):
+        with pytest.raises(NotImplementedError):
+            node.create_publisher(m.String, 'chat', QoSProfile(depth=1, **options))
+    with pytest.raises(NotImplementedError, match='deadline'):
+        SubscriptionEventCallbacks(deadline=print)
+
+
+def test_coroutine_callbacks_are_rejected(ros, m) -> None:
+    async def callback(msg) -> None: ...
+
+    with pytest.raises(NotImplementedError):
+        ros.node().create_subscription(m.String, 'chat', callback, 1)
+
+
+@pytest.mark.parametrize(
+    ('make', 'message'),
+    [
+        (lambda m: m.String(data=3), 'std_msgs/msg/String.data: expected string, not int 3'),
+        (lambda m: m.Point(x=1), r'Point.x: expected double, not int 1'),
+        (lambda m: m.Image(height=-1), r'Image.height: expected uint32'),
+        (lambda m: m.Image(data='text'), r'Image.data: expected sequence<uint8>'),
+        (lambda m: m.Image(data=np.zeros(3)), r'Image.data: expected sequence<uint8>'),
+        (
+            lambda m: m.PoseStamped(pose=m.Point()),
+            r'PoseStamped.pose: expected geometry_msgs/Pose',
+        ),
+        (lambda m: m.GetPlan.Response(plan=None) and path_of_points(m), r'Path.poses'),
+    ],
+)
+def test_serialising_invalid_field_raises_type_error(m, make, message) -> None:
+    from rclpy.serialization import serialize_message
+
+    with pytest.raises(TypeError, match=message):
+        serialize_message(make(m))
+    assert serialize_message(m.Point(x=np.float64(1.0))) and serialize_message(
+        m.Image(height=np.int64(3))
+    )
+
+
+def path_of_points(m):
+    from nav_msgs.msg import Path
+
+    return Path(poses=[m.Point()])
+
+
+def test_every_known_type_survives_encoding() -> None:
+    from rclpy_standin import definitions, types
+
+    type_count = 0
+    for package in definitions.packages():
+        for name in definitions.names_in(package, 'msg'):
+            kind = types.message_class(f'{package}/msg/{name}')
+            assert types.decode(types.encode(kind()), kind) == kind()
+            assert definitions.type_hash(f'{package}/msg/{name}').startswith('RIHS01_')
+            type_count += 1
+        for name in definitions.names_in(package, 'srv'):
+            kind = types.service_class(f'{package}/srv/{name}')
+            assert (
+                types.decode(types.encode(kind.Request(), 16), kind.Request, 16) == kind.Request()
+            )
+    assert type_count > 150
+
+
+def test_decoding_invalid_bytes_raises_value_error() -> None:
+    from rclpy_standin import types
+
+    kind = types.message_class('std_msgs/msg/String')
+    valid = bytes(types.encode(kind(data='hello')))
+    for data in (b'', b'\0\1', valid[:8], b'\7\7\7\7' + valid[4:], valid[:4] + b'\xff' * 8):
+        with pytest.raises(ValueError):
+            types.decode(data, kind)
