@@ -394,17 +394,14 @@ def test_invalid_input_on_every_topic_changes_nothing(
     live: Live, bag: Path, expected: str
 ) -> None:
     live.start(*THREE)
-    command = ratslam('play', str(bag), '--rate', '1', '--quiet')
-    play = live.processes['play'] = subprocess.Popen(command, env=live.environment)
-    while not json.loads(live.map())['experiences']:
-        assert play.poll() is None
+    live.run('play', str(bag), '--rate', '10', '--quiet', '--duration', '3')
     with live.log('invalid_input').open('wb') as log:
         live.processes['invalid_input'] = subprocess.Popen(
             [sys.executable, '-c', INVALID_INPUT_SOURCE, str(START_NS)], env=live.environment,
             stdout=log, stderr=subprocess.STDOUT,
         )  # fmt: skip
-    assert play.wait(60.0) == 0
-    del live.processes['play']
+    wait_for(lambda: live.log('invalid_input').read_text() == 'ready\n')
+    live.run('play', str(bag), '--rate', '1', '--quiet', '--start', '3')
     assert live.log('invalid_input').read_text() == 'ready\n'
     live.stop('invalid_input', number=signal.SIGKILL)
     assert live.settled_map(expected) == expected, live.logs()
