@@ -1,6 +1,7 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 import sys
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -24,3 +25,10 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     for item in items:
         if item.path.relative_to(root).parts[0] in TALKING:
             item.add_marker(pytest.mark.xdist_group('talking'))
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """List the reasons of skipped tests, each with its number of tests."""
+    reasons = Counter(one.longrepr[2] for one in terminalreporter.stats.get('skipped', ()))
+    for reason, count in reasons.most_common():
+        terminalreporter.write_line(f'{count} skipped: {reason.removeprefix("Skipped: ")}')

@@ -280,12 +280,20 @@ class HistoryFile:
 
     def _open(self) -> sqlite3.Connection:
         final = self._path.with_name(self._path.name.removesuffix(PART))
-        if self.is_part and not self._path.exists():
-            self._path = final  # The run has ended.
-        if not self._path.is_file():
-            raise UnusableInput(f'{self._path} does not exist; give a results folder')
-        uri = f'{self._path.absolute().as_uri()}?mode=ro'
-        database = sqlite3.connect(uri, uri=True, check_same_thread=False, timeout=BUSY_S)
+        while True:
+            if self.is_part and not self._path.exists():
+                self._path = final  # The run has ended.
+            try:
+                if not self._path.is_file():
+                    raise UnusableInput(f'{self._path} does not exist; give a results folder')
+                uri = f'{self._path.absolute().as_uri()}?mode=ro'
+                database = sqlite3.connect(
+                    uri, uri=True, check_same_thread=False, timeout=BUSY_S
+                )
+                break
+            except (UnusableInput, sqlite3.OperationalError):
+                if not self.is_part or self._path.exists():
+                    raise
         guard_database(database, MAX_BYTES)
         if not self.is_part:
             self._database = database

@@ -4,10 +4,14 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import sys
+import tempfile
 import threading
 import webbrowser
+from html import escape
+from pathlib import Path
 
 from ratslam_ros.console import print_notice
 
@@ -35,5 +39,15 @@ def has_desktop() -> bool:
 
 
 def _open(url: str) -> None:
-    if not webbrowser.open(url):
+    """Open a page by a file that refers to it: users of this machine see a browser's arguments."""
+    try:
+        # In the home folder: a browser installed as a snap reads neither /tmp nor hidden folders.
+        handle, name = tempfile.mkstemp('.html', 'ratslam-view-', Path.home())  # mode 0600
+        atexit.register(Path(name).unlink, missing_ok=True)
+        with open(handle, 'w', encoding='utf-8') as file:
+            file.write(f'<meta http-equiv="refresh" content="0; url={escape(url)}">\n')
+        is_open = webbrowser.open(Path(name).as_uri())
+    except OSError:
+        is_open = False
+    if not is_open:
         print_notice('no browser could be opened; open the address above in one')

@@ -45,7 +45,11 @@ MAX_MESSAGE_BYTES = 16 * 2**20
 """Largest message from a browser: a screenshot of 4K as PNG. Events are below 1 kB."""
 
 MAX_CONNECTIONS = 64
-"""Largest number of open connections. A page has one, and a browser opens some in advance."""
+"""Largest number of open connections. A page has one, and a browser opens some in advance. Beyond
+it, the oldest connection without a request that has the token is closed."""
+
+REQUEST_S = 10.0
+"""Time for a request and its response, after which a connection is closed: that of websockets."""
 
 MAX_RATE_HZ, BURST = 1000.0, 1000
 """Largest mean rate of messages of one connection, and number that may come at once. A dragged
@@ -206,6 +210,7 @@ def _guarded(
             )
             if reason:
                 return connection.respond(http.HTTPStatus.FORBIDDEN, f'ratslam: {reason}\n')
+            connections.admit(connection.transport)
             response = process_request(
                 connection, replace(request, path=path_of(request.path))
             )
@@ -220,7 +225,7 @@ def _guarded(
             return response
 
         options |= {
-            'max_size': MAX_MESSAGE_BYTES, 'logger': _silent_logger(),
+            'max_size': MAX_MESSAGE_BYTES, 'logger': _silent_logger(), 'open_timeout': REQUEST_S,
             'create_connection': _connection_class(connections),
         }  # fmt: skip
         return serve(handler, sock=listener, process_request=process, **options)
@@ -237,18 +242,28 @@ class _Connections:
     """
 
     def __init__(self) -> None:
-        self._open: set[Any] = set()
+        self._open: dict[Any, bool] = {}
+        """Connections, oldest first, and whether each has sent a request with the token."""
         self._aborted = False
 
     def add(self, transport: Any) -> None:
-        """Note an open connection."""
-        self._open.add(transport)
-        if self._aborted or len(self._open) > MAX_CONNECTIONS:
+        """Add an open connection; close the oldest one without the token if there are too many."""
+        self._open[transport] = False
+        if self._aborted:
             transport.abort()
+        elif len(self._open) > MAX_CONNECTIONS:
+            oldest = next(one for one, is_admitted in self._open.items() if not is_admitted)
+            self.remove(oldest)
+            oldest.abort()
+
+    def admit(self, transport: Any) -> None:
+        """Keep a connection that has sent a request with the token."""
+        if transport in self._open:
+            self._open[transport] = True
 
     def remove(self, transport: Any) -> None:
-        """Note a closed connection."""
-        self._open.discard(transport)
+        """Remove a closed connection."""
+        self._open.pop(transport, None)
 
     def abort(self) -> None:
         """End all connections at once, and every later one."""

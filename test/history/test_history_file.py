@@ -10,7 +10,9 @@ import subprocess
 import sys
 import threading
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -402,27 +404,38 @@ def test_bytes_per_hour_are_within_promise() -> None:
     assert RESERVE_BYTES + 3600 * RATE_BYTES_PER_S <= 50_000_000
 
 
-def test_readers_see_only_complete_files(tmp_path: Path) -> None:
-    path = tmp_path / 'history.sqlite'
-    stop, strange = threading.Event(), []
+def test_reader_during_creation_sees_complete_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After every statement of the writer, there is no file or a complete one."""
+    path, connect, seen = tmp_path / HISTORY_NAME, sqlite3.connect, []
 
-    def open_again_and_again() -> None:
-        while not stop.is_set():
-            if part_path(path).exists():
-                try:
+    class Database(sqlite3.Connection):
+        def execute(self, *args: Any) -> sqlite3.Cursor:
+            rows = super().execute(*args)
+            seen.append(part_path(path).exists())
+            if seen[-1]:
+                with monkeypatch.context() as patch:
+                    patch.setattr(sqlite3, 'connect', connect)
                     HistoryRun(part_path(path)).close()
-                except UnusableInput as error:
-                    # It may have been discarded, and another one begun, since it was there.
-                    if part_path(path).exists() and 'does not exist' not in str(error):
-                        strange.append(str(error))
+            return rows
 
-    reader = threading.Thread(target=open_again_and_again)
-    reader.start()
-    problems = []
-    for _ in range(30):
-        writer = HistoryWriter(path, HistoryMeta('run'), report=problems.append)
-        writer.discard()
-    stop.set()
-    reader.join()
-    assert problems == []
-    assert strange == []
+    monkeypatch.setattr(sqlite3, 'connect', partial(connect, factory=Database))
+    HistoryWriter(path, META).discard()
+    assert set(seen) == {False, True}
+
+
+def test_reader_that_opens_while_run_ends_reads_final_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    writer = HistoryWriter(tmp_path / HISTORY_NAME, META)
+    run, connect = HistoryRun(part_path(writer.path)), sqlite3.connect
+
+    def connect_late(*args: Any, **options: Any) -> sqlite3.Connection:
+        monkeypatch.setattr(sqlite3, 'connect', connect)
+        writer.close()
+        return connect(*args, **options)
+
+    monkeypatch.setattr(sqlite3, 'connect', connect_late)
+    assert not run.is_growing
+    run.close()

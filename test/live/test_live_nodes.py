@@ -30,6 +30,7 @@ from helpers import (
     real_recording,
     write_bag,
 )
+from processes import wait_for
 
 from ratslam_ros.cli import main
 from ratslam_ros.core.common.pose import Pose
@@ -261,29 +262,25 @@ def test_playing_twice_starts_over_with_same_map(
     live.run('play', str(bag), '--rate', '10', '--quiet')
     assert live.settled_map(expected) == expected, live.logs()
     live.run('play', str(bag), '--rate', '10', '--quiet')
-    time.sleep(3.0)
+    wait_for(lambda: live.logs().count('starting with an empty memory') == 3)
     assert live.settled_map(expected) == expected, live.logs()
-    assert live.logs().count('starting with an empty memory') == 3
 
 
 def test_restarted_pose_cells_are_detected_by_the_map(
-    live: Live, bag: Path, expected: str
+    live: Live, bag: Path, tmp_path: Path
 ) -> None:
+    before = offline(bag, tmp_path / 'before', SMALL, '--duration', '6')
     live.start(*THREE)
     live.run('play', str(bag), '--rate', '10', '--quiet', '--duration', '6')
-    time.sleep(3.0)
-    before = live.map()
-    assert json.loads(before)['experiences']
+    assert live.settled_map(before) == before, live.logs()
     live.stop('pose_cells', number=signal.SIGKILL)
     live.run('play', str(bag), '--rate', '10', '--quiet', '--start', '6', '--duration', '3',
              '--wait', '1')  # fmt: skip
-    time.sleep(3.0)
     assert live.map() == before
     live.start('pose_cells')
     live.run('play', str(bag), '--rate', '10', '--quiet', '--start', '9')
-    time.sleep(3.0)
-    after = json.loads(live.map())
-    assert len(after['experiences']) > len(json.loads(before)['experiences'])
+    count = len(json.loads(before)['experiences'])
+    wait_for(lambda: len(json.loads(live.map())['experiences']) > count)
     assert 'empty memory' in live.log('experience_map').read_text()
     assert 'started late' in live.log('pose_cells').read_text()
     assert set(live.stop().values()) == {0}
@@ -316,11 +313,12 @@ def test_launch_starts_and_stops_all_nodes(live: Live, bag: Path, expected: str)
 
 
 SLOW_START_SOURCE = """
-import sys, time
+import sys
 from ratslam_ros.starting import announced
 
 with announced('single_process'):
-    time.sleep(3.0)
+    print('announced', flush=True)
+    sys.stdin.readline()
 from ratslam_ros.live.run import run
 sys.exit(run('single_process', sys.argv[1:]))
 """
@@ -328,17 +326,20 @@ sys.exit(run('single_process', sys.argv[1:]))
 
 def test_play_waits_for_nodes_that_are_starting(live: Live, bag: Path) -> None:
     with live.log('node').open('wb') as log:
-        live.processes['node'] = subprocess.Popen(
+        node = live.processes['node'] = subprocess.Popen(
             [sys.executable, '-c', SLOW_START_SOURCE, '--ros-args', *live.parameters],
+            env=live.environment, stdin=subprocess.PIPE, stdout=log, stderr=subprocess.STDOUT,
+        )  # fmt: skip
+    wait_for(lambda: 'announced' in live.log('node').read_text())
+    with live.log('play').open('wb') as log:
+        play = live.processes['play'] = subprocess.Popen(
+            ratslam('play', str(bag), '--rate', '0', '--duration', '0.5', '--wait', '1'),
             env=live.environment, stdout=log, stderr=subprocess.STDOUT,
         )  # fmt: skip
-    time.sleep(0.5)
-    done = subprocess.run(
-        ratslam('play', str(bag), '--rate', '0', '--duration', '0.5', '--wait', '1'),
-        env=live.environment, capture_output=True, text=True, timeout=60, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    assert 'waiting for single_process to start' in done.stderr
+    wait_for(lambda: 'waiting for single_process to start' in live.log('play').read_text())
+    assert node.stdin is not None
+    node.stdin.close()  # the start goes on
+    assert play.wait(READY_S) == 0, live.logs()
     assert 'ready' in live.log('node').read_text()
 
 
@@ -393,17 +394,14 @@ def test_invalid_input_on_every_topic_changes_nothing(
     live: Live, bag: Path, expected: str
 ) -> None:
     live.start(*THREE)
-    command = ratslam('play', str(bag), '--rate', '1', '--quiet')
-    play = live.processes['play'] = subprocess.Popen(command, env=live.environment)
-    while not json.loads(live.map())['experiences']:
-        assert play.poll() is None
+    live.run('play', str(bag), '--rate', '10', '--quiet', '--duration', '3')
     with live.log('invalid_input').open('wb') as log:
         live.processes['invalid_input'] = subprocess.Popen(
             [sys.executable, '-c', INVALID_INPUT_SOURCE, str(START_NS)], env=live.environment,
             stdout=log, stderr=subprocess.STDOUT,
         )  # fmt: skip
-    assert play.wait(60.0) == 0
-    del live.processes['play']
+    wait_for(lambda: live.log('invalid_input').read_text() == 'ready\n')
+    live.run('play', str(bag), '--rate', '1', '--quiet', '--start', '3')
     assert live.log('invalid_input').read_text() == 'ready\n'
     live.stop('invalid_input', number=signal.SIGKILL)
     assert live.settled_map(expected) == expected, live.logs()

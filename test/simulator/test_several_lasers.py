@@ -73,12 +73,13 @@ def test_two_half_lasers_map_as_well_as_a_full_one():
 
 
 def test_rear_laser_leaves_the_front_scans_unchanged():
-    samples = [
-        [s for _ in range(40) for s in make_simulator(parameters).step()]
-        for parameters in (SimulatorParameters(plan='office'),
-                           SimulatorParameters(plan='office', rear_laser=True))
-    ]  # fmt: skip
-    one, two = ([s for s in some if isinstance(s, ScanSample)] for some in samples)
+    one, two = (
+        [s for _ in range(40) for s in simulator.step() if isinstance(s, ScanSample)]
+        for simulator in (
+            make_simulator(SimulatorParameters(plan='office', rear_laser=rear_laser))
+            for rear_laser in (False, True)
+        )
+    )
     assert len(two) == 2 * len(one) > 0
     for alone, front in zip(one, [s for s in two if s.laser == 0], strict=True):
         assert np.array_equal(alone.ranges_m, front.ranges_m)

@@ -10,7 +10,7 @@ import socket
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -21,6 +21,7 @@ from ratslam_ros.viewer.rendering import SCRIPT, with_elements
 from ratslam_ros.viewer.server import MAX_CONNECTIONS, MAX_MESSAGE_BYTES, ViewServer
 
 FORBIDDEN, OK = 403, 200
+INVALID_DATA = 1007
 
 
 @pytest.fixture(scope='module')
@@ -260,38 +261,47 @@ def test_start_prints_nothing(viser: Any, capfd: pytest.CaptureFixture[str]) -> 
     assert capfd.readouterr() == ('', '')
 
 
-def test_connections_are_limited(server: ViewServer) -> None:
-    opened = [
-        socket.create_connection(('127.0.0.1', server.port)) for _ in range(MAX_CONNECTIONS + 5)
-    ]
+def test_connections_beyond_limit_close_the_oldest(server: ViewServer) -> None:
+    with ExitStack() as stack:
+        opened = [
+            stack.enter_context(socket.create_connection(('127.0.0.1', server.port), timeout=30.0))
+            for _ in range(MAX_CONNECTIONS + 5)
+        ]
+        assert all(one.recv(1) == b'' for one in opened[:5])
+        opened[-1].sendall(b'GET / HTTP/1.1\r\n\r\n')
+        assert opened[-1].recv(100).startswith(b'HTTP/1.1 403')
+
+
+def test_connection_without_complete_request_is_closed(
+    viser: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr('ratslam_ros.viewer.server.REQUEST_S', 0.1)
+    one = ViewServer(port=0)
     try:
-        for one in opened:
-            one.settimeout(0.05)
-        ended = 0
-        for _ in range(100):
-            ended = 0
-            for one in opened:
-                try:
-                    ended += one.recv(1) == b''
-                except TimeoutError:
-                    continue
-                except ConnectionError:
-                    ended += 1
-            if ended >= 5:
-                break
-        assert 5 <= ended < len(opened)
+        with socket.create_connection(('127.0.0.1', one.port), timeout=30.0) as silent:
+            silent.sendall(b'GET / HTTP/1.1\r\n')
+            assert silent.recv(1) == b''
     finally:
-        for one in opened:
-            one.close()
-    deadline_s = time.monotonic() + 30.0
-    while time.monotonic() < deadline_s:  # The server notices closed connections after a while.
-        try:
-            status, _ = get(server, page_of(server))
-        except (OSError, http.client.HTTPException):
-            continue
-        assert status == OK
-        return
-    raise AssertionError('the server refuses connections although all others are closed')
+        one.stop()
+
+
+def test_page_is_served_beside_connections_that_send_nothing(server: ViewServer) -> None:
+    with ExitStack() as stack:
+        for _ in range(MAX_CONNECTIONS):
+            silent = socket.create_connection(('127.0.0.1', server.port))
+            stack.enter_context(silent)
+        assert get(server, page_of(server))[0] == OK
+
+
+def test_open_page_is_kept_when_others_connect(server: ViewServer) -> None:
+    with ExitStack() as stack:
+        page = stack.enter_context(connect(server))
+        for _ in range(MAX_CONNECTIONS):
+            stack.enter_context(socket.create_connection(('127.0.0.1', server.port)))
+        assert get(server, page_of(server))[0] == OK
+        page.send(b'\xc1')
+        assert is_closed(page)
+        assert page.close_code == INVALID_DATA  # by the message, and not aborted before
 
 
 def test_flood_of_messages_waits(viser: Any, monkeypatch: pytest.MonkeyPatch) -> None:
