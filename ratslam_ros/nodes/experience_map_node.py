@@ -191,7 +191,8 @@ class ExperienceMapNode(RatslamNode):
             'goals': self._goals.memory_state(),
         }  # fmt: skip
 
-    def _restored(self, state: State) -> None:
+    def restored(self, state: State) -> None:
+        """Continue after the stage was restored from a state."""
         self._goals.use_map(self._core, state.get('goals'))
         self._action_ns = int(state.get('action_ns', 0))
         self._behaviours.reset()

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ratslam_ros.core.common.odometry import MAX_GAP_NS
 from ratslam_ros.core.common.state import State
@@ -23,6 +23,7 @@ from ratslam_ros.files.config import to_yaml
 from ratslam_ros.files.version import package_version
 from ratslam_ros.maps import MapMeta, MapStore, read_map
 from ratslam_ros.maps.file_writer import LOG_NS
+from ratslam_ros.nodes.hosted_node import HostedNode
 from ratslam_ros.nodes.inputs import Input
 from ratslam_ros.nodes.map_keeper import KeptInput, MapKeeper
 from ratslam_ros.nodes.parameter_changes import encode_values
@@ -41,9 +42,6 @@ from ratslam_ros.pipeline.order import Counts
 from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline
 from ratslam_ros.pipeline.stage import Stage
 
-if TYPE_CHECKING:
-    from ratslam_ros.nodes.node import RatslamNode
-
 SETTLING_S = 1.0
 """Time after the end of a restart in which the messages that were missing arrive."""
 
@@ -59,7 +57,7 @@ class Host:
     def __init__(self) -> None:
         self.lock = threading.RLock()
         """Serialises the thread that processes images with services and timers."""
-        self.nodes: list[RatslamNode] = []
+        self.nodes: list[HostedNode] = []
         self.pipeline: Pipeline
         self.inputs: list[Input] = []
         """Subscriptions of the nodes."""
@@ -77,7 +75,7 @@ class Host:
 
     # Set-up
 
-    def add(self, node: RatslamNode) -> None:
+    def add(self, node: HostedNode) -> None:
         """Add a node before ``start``."""
         self.nodes.append(node)
 
@@ -98,7 +96,7 @@ class Host:
             # Images are prepared by the first node, and odometry has frames that the last needs.
             (takers[0] if stream == 'image' else takers[-1]).subscribe(stream)
 
-    def _given(self, config_of: Callable[[RatslamNode], Config]) -> Config:
+    def _given(self, config_of: Callable[[HostedNode], Config]) -> Config:
         """Return a configuration with the sections of all nodes."""
         return replace(self.nodes[0].config, **{
             section: getattr(config_of(node), section)
@@ -110,7 +108,7 @@ class Host:
         node = next((one for one in self.nodes if section == one.SECTION), self.nodes[0])
         return node.times(name)
 
-    def stage_of(self, node: RatslamNode) -> Stage:
+    def stage_of(self, node: HostedNode) -> Stage:
         """Return the stage of a node."""
         return self.pipeline.stages[node.SECTION]
 
@@ -120,7 +118,7 @@ class Host:
 
     # Inputs
 
-    def feed(self, node: RatslamNode, stream: str, stamp_ns: int, item: Any) -> None:
+    def feed(self, node: HostedNode, stream: str, stamp_ns: int, item: Any) -> None:
         """Feed a received item, and process all that need not wait any longer.
 
         Args:
@@ -149,7 +147,7 @@ class Host:
         for listener in self._listeners.get(stream, ()):
             listener(message)
 
-    def _limit_waiting(self, node: RatslamNode) -> None:
+    def _limit_waiting(self, node: HostedNode) -> None:
         """Wait for an answer of the map no longer than for the inputs."""
         pipeline = self.pipeline
         while pipeline.unanswered_ns > pipeline.max_lateness_ns:
@@ -179,7 +177,7 @@ class Host:
                     keeper.log(node.parameter_stream, stamp_ns, encode_values(changes))
                     keeper.configure(self._own_sections())
 
-    def reconfigure(self, node: RatslamNode, config: Config) -> None:
+    def reconfigure(self, node: HostedNode, config: Config) -> None:
         """Continue with other parameters of a node."""
         self._config = replace(self._config, **{
             section: getattr(config, section) for section in (node.SECTION, *node.PARTS)
@@ -205,7 +203,7 @@ class Host:
         ):
             self.pipeline.order.restore_rhythm(rhythm)
 
-    def _handle_jump_back(self, node: RatslamNode, stream: str) -> None:
+    def _handle_jump_back(self, node: HostedNode, stream: str) -> None:
         node.count('jumps_back', 1)
         # A recording that is played again must not delete a map on disk.
         if node.section.on_jump_back == 'start_over' and self.keeper is None:
@@ -228,7 +226,7 @@ class Host:
             self.keeper.start_run()
         self.pipeline.restart()
 
-    def _count_dropped(self, node: RatslamNode, stream: str, stamp_ns: int) -> None:
+    def _count_dropped(self, node: HostedNode, stream: str, stamp_ns: int) -> None:
         """Count and report the messages that the stamp order has dropped since the last call."""
         counts, before = self.pipeline.counts, self._counted
         if counts == before:
@@ -284,11 +282,11 @@ class Host:
         with self.lock:
             self.pipeline.feed(COMMAND, NOW, command)
 
-    def is_halted(self, node: RatslamNode) -> bool:
+    def is_halted(self, node: HostedNode) -> bool:
         """Return whether the messages of a node are ignored now."""
         return node.SECTION in self._paused
 
-    def halt(self, node: RatslamNode, halted: bool) -> None:
+    def halt(self, node: HostedNode, halted: bool) -> None:
         """Ignore the messages of a node, or process them again: the robot may be elsewhere."""
         with self.lock:
             if halted == self.is_halted(node):
@@ -302,11 +300,11 @@ class Host:
             if not halted:
                 self.command(Relocated(node.SECTION))
 
-    def set_mapping(self, node: RatslamNode, mapping: bool) -> None:
+    def set_mapping(self, node: HostedNode, mapping: bool) -> None:
         """Let the stage of a node learn, or only localise."""
         self.command(SetMapping(mapping, node.SECTION))
 
-    def reset(self, node: RatslamNode) -> None:
+    def reset(self, node: HostedNode) -> None:
         """Drop all messages, and start the stage of a node with an empty memory."""
         with self.lock:
             for one in self.nodes:
@@ -316,20 +314,21 @@ class Host:
             self.command(Reset(node.SECTION))
             node.started_over()
 
-    def replace(self, node: RatslamNode, state: State) -> None:
+    def replace(self, node: HostedNode, state: State) -> None:
         """Continue with another memory of a node; raise and keep the present one if unfit."""
         stage = self.stage_of(node)
         with self.lock:
-            before = stage.state()
+            before = node.saved_state()
             try:
                 self.command(Reset(node.SECTION))
                 stage.restore(state)
             except BaseException:
                 self.command(Reset(node.SECTION))
                 stage.restore(before)
+                node.restored(before)
                 raise
 
-    def moved_to_memory(self, node: RatslamNode) -> None:
+    def moved_to_memory(self, node: HostedNode) -> None:
         """Continue with a memory that was just loaded: inputs and robot do not follow it."""
         self.command(Relocated(node.SECTION))
         self.pipeline.begin_inputs()
@@ -374,7 +373,7 @@ class Host:
             raise
         self.keeper = keeper
 
-    def _restore(self, nodes: Iterable[RatslamNode], keeper: MapKeeper, joins: bool) -> None:
+    def _restore(self, nodes: Iterable[HostedNode], keeper: MapKeeper, joins: bool) -> None:
         assert keeper.restored is not None
         for node in nodes:
             state = keeper.restored.get(node.SECTION)

@@ -100,7 +100,8 @@ class LandmarkMapNode(RatslamNode):
         super().started_over()
         self._changed = self._sent  # subscribers that have the old map get the empty one
 
-    def _restored(self, state: State) -> None:
+    def restored(self, state: State) -> None:
+        """Continue after the stage was restored from a state."""
         self._changed = True
 
     def close(self) -> None:

@@ -6,9 +6,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 from rclpy.clock import Clock, ClockType
 from std_srvs.srv import SetBool, Trigger
@@ -18,21 +17,19 @@ from ratslam_ros.core.config import Config
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.errors import RatslamError
 from ratslam_ros.files import memory as memory_files
-from ratslam_ros.nodes.configured_node import ConfiguredNode
 from ratslam_ros.nodes.diagnostics import Diagnostics
 from ratslam_ros.nodes.host import Host
+from ratslam_ros.nodes.hosted_node import HostedNode
 from ratslam_ros.nodes.inputs import Input
 from ratslam_ros.nodes.map_keeper import KeptInput
 from ratslam_ros.nodes.map_operations import MapOperations
-from ratslam_ros.pipeline.pipeline import Pipeline
-from ratslam_ros.pipeline.stage import Stage
 
 DIAGNOSTICS_PERIOD_S = 1.0
 FLUSH_CHECK_PERIOD_S = 0.1
 """Period of the checks whether held messages must be processed, as all inputs are silent."""
 
 
-class RatslamNode(ConfiguredNode):
+class RatslamNode(HostedNode):
     """The ROS side of a stage: its topics, parameters, services and diagnostics.
 
     Subclasses implement ``new_stages``, ``connect`` and ``subscribe``, and end their constructor
@@ -41,10 +38,6 @@ class RatslamNode(ConfiguredNode):
 
     MAPS = False
     """Whether the node learns, and so has the services ``mapping``, ``save`` and ``load``."""
-    TAKES: ClassVar[tuple[str, ...]] = ()
-    """Streams that the node can receive from topics."""
-    REPEATS: ClassVar[tuple[str, ...]] = ()
-    """Streams that the node sends again after a restart from a map file."""
 
     def __init__(self, initial: Config, host: Host | None = None) -> None:
         """Create the node.
@@ -91,90 +84,6 @@ class RatslamNode(ConfiguredNode):
     def warm_up(cls) -> None:
         """Compile or load from the cache all functions that processing a message needs."""
         warm_up(cls.SECTION)
-
-    # Implemented by subclasses
-
-    def new_stages(self, config: Config) -> list[Stage]:
-        """Return the stages of the node, with an empty memory."""
-        raise NotImplementedError
-
-    def connect(self, pipeline: Pipeline) -> None:
-        """Observe the streams that the node publishes."""
-        raise NotImplementedError
-
-    def subscribe(self, stream: str) -> None:
-        """Subscribe to one of the streams of ``TAKES``, which comes from outside."""
-        raise NotImplementedError
-
-    def before(self, stamp_ns: int) -> None:
-        """Prepare for the next item of the stream."""
-        if self._operations is not None:
-            self._operations.before(stamp_ns)
-
-    def started_over(self) -> None:
-        """Continue after the memory was emptied."""
-        self.parameter_changes.start_over(self.config)
-        self.diagnostics.clear()
-
-    def start_run(self) -> None:
-        """Expect stamps that are earlier than the last ones."""
-        if self._operations is not None:
-            self._operations.start_run()
-
-    def silent(self) -> None:
-        """Do what waits until no message arrives."""
-        if self._operations is not None:
-            self._operations.pause()
-
-    @property
-    def is_busy(self) -> bool:
-        """Whether received messages wait that the host has not got yet."""
-        return False
-
-    def drop_queued(self) -> int:
-        """Drop received messages that the host has not got yet; return their number."""
-        return 0
-
-    def drop_tasks(self) -> None:
-        """Drop what an earlier session was asked to do."""
-
-    def caught_up(self, are_images_lost: bool) -> None:
-        """Prepare for the messages that were sent while the node was restarted."""
-
-    def _extra_state(self) -> State:
-        """Return what the node keeps beside its stage."""
-        return {}
-
-    def _restored(self, state: State) -> None:
-        """Restore what ``_extra_state`` returned, after the stage was restored."""
-
-    def _diagnostic_values(self) -> dict[str, Any]:
-        """Return the node's own values for the diagnostics."""
-        return {}
-
-    # Used by the host
-
-    @property
-    def section(self) -> Any:
-        """The parameters of the node's own section."""
-        return self._section
-
-    @property
-    def max_lateness_s(self) -> float:
-        """Longest time for which an input waits for others."""
-        return float(getattr(self.section, 'max_lateness_s', 0.0))
-
-    def times(self, name: str) -> AbstractContextManager[None]:
-        """Return a context manager that measures a step."""
-        return self.diagnostics.times(name)
-
-    def count(self, reason: str, number: int) -> None:
-        """Count messages that are not used."""
-        self.diagnostics.counts[reason] += number
-
-    def drop(self, reason: str, text: str, number: int = 1) -> None:
-        """Count messages that are not used, and warn."""
-        self.diagnostics.drop(reason, text, number)
 
     def localise(self) -> None:
         """Stop learning."""
@@ -271,7 +180,7 @@ class RatslamNode(ConfiguredNode):
     def restore_saved(self, state: State) -> None:
         """Replace the memory; raise and change nothing if the new one cannot be used."""
         self._host.replace(self, state)
-        self._restored(state)
+        self.restored(state)
         self.parameter_changes.start_over(self.config, state.get('parameters_set', ()))
 
     def _replace_memory(self, state: State) -> None:

@@ -117,7 +117,8 @@ class PoseCellsNode(RatslamNode):
         if self._goals is not None:
             self._goals.reset()
 
-    def _restored(self, state: Any) -> None:
+    def restored(self, state: Any) -> None:
+        """Continue after the stage was restored from a state."""
         if self._goals is not None:
             self._goals.reset()
 

@@ -24,7 +24,6 @@ from ratslam_ros.messages.logged import encode_odometry
 from ratslam_ros.nodes.convert import (
     UNKNOWN_SCALE_VARIANCE,
     header_of,
-    odometry_of,
     pose_message,
     transform,
 )
@@ -73,7 +72,8 @@ class VisualOdometryNode(ImageNode):
 
     def new_stages(self, config: Config) -> list[Stage]:
         """Return the visual odometry."""
-        return [LiveVisualOdometry(config, self.diagnostics)]
+        self._stage = LiveVisualOdometry(config, self.diagnostics)
+        return [self._stage]
 
     def connect(self, pipeline: Pipeline) -> None:
         """Publish the odometry."""
@@ -88,7 +88,8 @@ class VisualOdometryNode(ImageNode):
     def _extra_state(self) -> State:
         return {'variances': list(self._variances), 'last_ns': self._last_ns}
 
-    def _restored(self, state: State) -> None:
+    def restored(self, state: State) -> None:
+        """Continue after the stage was restored from a state."""
         self._variances = [float(one) for one in state.get('variances', (0.0, 0.0))]
         self._last_ns = state.get('last_ns')
         if state.get('fov_deg') is not None:
@@ -143,7 +144,9 @@ class VisualOdometryNode(ImageNode):
         if image is not None:
             self._before_ns, self._last_ns = self._last_ns, stamp_ns
 
-    def _publish(self, stamp_ns: int, odometry: Odometry) -> None:
+    def _publish(self, stamp_ns: int, received: Odometry) -> None:
+        odometry = self._stage.estimate
+        assert odometry is not None
         p, twist = self.section, odometry.twist
         if self._before_ns is not None:
             dt_s = (stamp_ns - self._before_ns) * 1e-9
@@ -161,7 +164,7 @@ class VisualOdometryNode(ImageNode):
         self._publisher.publish(message)
         self._host.heard('odometry', message)
         # Its receivers log it too, but all of them may be restarting.
-        self._log('odometry', odometry.stamp_ns, lambda: encode_odometry(odometry_of(message)))
+        self._log('odometry', stamp_ns, lambda: encode_odometry(received))
         if p.publish_tf:
             frames = transform(odometry.stamp_ns, p.odom_frame, p.base_frame, odometry.pose)
             self._tf.publish(TFMessage(transforms=[frames]))

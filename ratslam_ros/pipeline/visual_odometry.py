@@ -7,6 +7,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import ClassVar
 
+from ratslam_ros.core.common.odometry import Odometry
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.vision.prepared_image import PreparedImage
@@ -35,6 +36,8 @@ class VisualOdometryStage:
         self.core = VisualOdometry(self._config)
         self._fov_deg: float | None = None
         self._has_seen = False
+        self.estimate: Odometry | None = None
+        """Last estimate, whose conversion to a message and back is what the stream contains."""
 
     def readers(self) -> dict[str, Reader]:
         """Return the readers."""
@@ -66,6 +69,7 @@ class VisualOdometryStage:
             self._unusable(error)
             return NOTHING
         self._has_seen = True
+        self.estimate = odometry
         if odometry is None:
             return NOTHING
         return (Output('odometry', stamp_ns, odometry.as_received()),)

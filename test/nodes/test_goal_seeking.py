@@ -43,8 +43,9 @@ def drive(made: Any, seconds: range, speed: float, turn_rate: float = 0.0) -> No
         message.twist.twist.angular.z = turn_rate
         made.send('odom', message)
     [node] = made.nodes
-    made.until(lambda: node._host.pipeline.order.newest_of('odometry') == START_NS + seconds[-1] * S)
-    made.until(lambda: not node._host.pipeline.order.held)
+    order = node._host.pipeline.order
+    made.until(lambda: order.newest_of('odometry') == START_NS + seconds[-1] * S)
+    made.until(lambda: not order.held)
 
 
 def mark_and_seek_goal(made: Any) -> tuple[list[Any], str]:
@@ -106,7 +107,7 @@ def test_node_learns_the_same_goal_memory_as_core(world: MakeWorld) -> None:
         if motion is not None:
             cells.integrate(motion)
             memory.integrate(motion, cells)
-    assert memory.state()['mu_s'].tolist() == node._goals.memory_state()['mu_s'].tolist()
+    assert memory.state()['mu_s'].tolist() == node._stage.goal_memory.state()['mu_s'].tolist()
 
 
 def test_unknown_goal_is_reported_and_empty_name_cancels(world: MakeWorld) -> None:

@@ -85,7 +85,7 @@ class Driven:
     def latest(self) -> str:
         """Return the map that the node publishes last."""
         count = len(self.maps)
-        self.node._process(self.node._host.pipeline.order.flush())
+        self.node._host.pipeline.finish()
         self.node._changed = True
         self.node._send_map()
         self.made.until(lambda: len(self.maps) > count)

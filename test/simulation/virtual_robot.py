@@ -389,7 +389,7 @@ class Simulation:
 def _is_mapping(process: RobotProcess) -> bool:
     if process.name not in LEARNING:
         return process.is_ready and not process.is_dead
-    keeper = getattr(process.node, '_keeper', None)
+    keeper = None if process.node is None else process.node._host.keeper
     return (
         process.is_ready
         and not process.is_dead
