@@ -24,7 +24,7 @@ from ratslam_ros.core.common.odometry import (
 from ratslam_ros.core.common.pose import Pose, composed
 from ratslam_ros.core.common.scan import Scan, scan_stream
 from ratslam_ros.core.common.stamp_order import Counts, Released, StampOrder
-from ratslam_ros.core.common.state import State
+from ratslam_ros.core.common.state import State, unused
 from ratslam_ros.core.config import Config, ConfigChanges
 from ratslam_ros.core.goal_memory.goal_memory import GoalMemory
 from ratslam_ros.core.held_messages import (
@@ -38,6 +38,7 @@ from ratslam_ros.core.mapping.mapping_step import adopt_correction, apply_action
 from ratslam_ros.core.mapping.pose_hint import PendingHints, PoseHint
 from ratslam_ros.core.mapping.relocator import Relocator
 from ratslam_ros.core.mapping.scan_matching import ScanMatcher
+from ratslam_ros.core.navigation.goals import Goals
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
 from ratslam_ros.core.pose_cells.map_relocation import MapRelocations
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
@@ -92,6 +93,11 @@ class RatSLAM:
         """Relocation by scans, if ``exp_relocate`` is not `views` and there is a laser."""
         if self.scan_matcher is not None and config.experience_map.exp_relocate != 'views':
             self.relocator = Relocator(self.experience_map, self.scan_matcher)
+        self._goals = Goals()
+        """Named places of a map that nodes have made; their anchors may be pruned."""
+        self.experience_map.on_pruned.append(self._goals.remove_pruned)
+        self._unused: dict[str, State] = {}
+        """Items of the restored parts that only other programs use."""
         self.dead_reckoning = self.experience_map.origin
         """Pose by odometry alone, in the map frame."""
         lasers = 0 if self.scan_matcher is None else len(config.experience_map.lasers)
@@ -269,6 +275,7 @@ class RatSLAM:
                 'dead_reckoning': list(self.dead_reckoning),
                 **({} if matcher is None else {'scans': matcher.state()}),
                 **({} if relocator is None else {'relocator': relocator.state()}),
+                **({'goals': self._goals.state()} if len(self._goals) else {}),
             },
             'inputs': {
                 'order': self.order.state(item_state), 'images': self._images.state(image_state),
@@ -278,7 +285,7 @@ class RatSLAM:
         }  # fmt: skip
         if self.visual_odometry is not None:
             states['visual_odometry'] = {'core': self.visual_odometry.state()}
-        return states
+        return {part: {**self._unused.get(part, {}), **own} for part, own in states.items()}
 
     def restore(self, states: Mapping[str, State]) -> None:
         """Restore what ``state`` returned, or the states of nodes; nothing must be learned yet.
@@ -291,6 +298,11 @@ class RatSLAM:
         """
         try:
             self._restore(states)
+            if isinstance(self.local_view, LocalView):
+                self._unused = {
+                    part: unused(states[part], own)
+                    for part, own in self.state().items() if part in states and part != 'inputs'
+                }
         except (LookupError, ValueError, TypeError, AttributeError, OverflowError) as error:
             raise UnusableInput(
                 f'the saved map is damaged, or of another version ({error!r}); use a backup'
@@ -319,6 +331,7 @@ class RatSLAM:
                 self.scan_matcher.restore(graph['scans'])
             if self.relocator is not None and 'relocator' in graph:
                 self.relocator.restore(graph['relocator'])
+            self._goals.restore(graph.get('goals', self._goals.state()))
         if self.visual_odometry is not None and 'visual_odometry' in states:
             self.visual_odometry.restore(states['visual_odometry']['core'])
         inputs = states.get('inputs')

@@ -10,7 +10,7 @@ from typing import Any
 
 from rclpy.node import Node
 
-from ratslam_ros.core.common.state import State
+from ratslam_ros.core.common.state import State, unused
 from ratslam_ros.core.config import Config
 from ratslam_ros.files.config import to_yaml
 from ratslam_ros.nodes.parameter_changes import ParameterChanges, decode_values
@@ -50,6 +50,8 @@ class ConfiguredNode(Node):  # type: ignore[misc]
             raise
         self._parameter_changes = ParameterChanges((self.SECTION, *self.PARTS), self.config)
         self._set_from_ns = 0
+        self._unused: State = {}
+        """Items of the restored memory that only other programs use."""
 
     @property
     def config(self) -> Config:
@@ -86,15 +88,20 @@ class ConfiguredNode(Node):  # type: ignore[misc]
 
     def _start_over(self) -> None:
         self._reset_state()
+        self._unused = {}
         self._parameter_changes.start_over(self.config)
 
     def _saved_state(self) -> State:
         """Return the memory, and the parameters that were set while it was learned."""
         record = self._parameter_changes.state()
-        return {**self._memory_state(), **({'parameters_set': record} if record else {})}
+        return {
+            **self._unused, **self._memory_state(),
+            **({'parameters_set': record} if record else {}),
+        }  # fmt: skip
 
     def _restore_saved(self, state: State) -> None:
         self._restore(state)
+        self._unused = unused(state, {*self._memory_state(), 'parameters_set'})
         self._parameter_changes.start_over(self.config, state.get('parameters_set', ()))
 
     def _resume_parameters(self, logged: Iterable[tuple[int, bytes]]) -> None:

@@ -225,7 +225,7 @@ class ExperienceMapNode(RatslamNode[Odometry | Scan | Action]):
         relocator = Relocator(core, scans) if self._relocates else None
         if relocator is not None and 'relocator' in state:
             relocator.restore(state['relocator'])
-        self._goals.use_map(core, state['goals'])
+        self._goals.use_map(core, state.get('goals'))
         self._action_ns = action_ns
         self._core, self._late_join, self._scans = core, late_join, scans
         self._relocator, self._uncertainty = relocator, PoseUncertainty(is_known=False)

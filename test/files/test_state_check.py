@@ -118,7 +118,7 @@ def test_packet_outside_of_the_pose_cells_is_refused(
         check_state('pose_cells', changed)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.lists(st.tuples(*[st.floats(0.0, 4.0)] * 3), min_size=1, max_size=10))
 def test_packets_across_the_edge_of_the_torus_are_accepted(
     places: list[tuple[float, float, float]],

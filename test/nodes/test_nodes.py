@@ -712,7 +712,7 @@ def test_saved_map_is_loaded_and_damaged_file_refused(
     assert graph['experiences'][5]['y_m'] == pytest.approx(5.0)
 
 
-@pytest.mark.parametrize('keys', [('scans',), ('core', 'poses'), ('goals',)], ids='.'.join)
+@pytest.mark.parametrize('keys', [('scans',), ('core', 'poses')], ids='.'.join)
 def test_memory_file_without_a_key_is_refused_unchanged(
     world: MakeWorld, tmp_path: Path, keys: tuple[str, ...]
 ) -> None:
