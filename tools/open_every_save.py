@@ -3,7 +3,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Save the map of a replay after every message, and open each of these maps.
 
-    tools/open_every_save.py RECORDING...                 whole recordings, many minutes each
+    tools/open_every_save.py RECORDING...                 whole recordings: a minute or more each
     tools/open_every_save.py --duration 10 RECORDING
 """
 
