@@ -40,7 +40,6 @@ from ratslam_ros.pipeline.commands import (
 )
 from ratslam_ros.pipeline.order import Counts
 from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline
-from ratslam_ros.pipeline.stage import Stage
 
 SETTLING_S = 1.0
 """Time after the end of a restart in which the messages that were missing arrive."""
@@ -107,10 +106,6 @@ class Host:
         section = name.partition('.')[0]
         node = next((one for one in self.nodes if section == one.SECTION), self.nodes[0])
         return node.times(name)
-
-    def stage_of(self, node: HostedNode) -> Stage:
-        """Return the stage of a node."""
-        return self.pipeline.stages[node.SECTION]
 
     def listen(self, stream: str, listener: Listener) -> None:
         """Call a function with each received message of a stream, after it was fed."""
@@ -316,15 +311,14 @@ class Host:
 
     def replace(self, node: HostedNode, state: State) -> None:
         """Continue with another memory of a node; raise and keep the present one if unfit."""
-        stage = self.stage_of(node)
         with self.lock:
             before = node.saved_state()
             try:
                 self.command(Reset(node.SECTION))
-                stage.restore(state)
+                self.pipeline.restore_stage(node.SECTION, state)
             except BaseException:
                 self.command(Reset(node.SECTION))
-                stage.restore(before)
+                self.pipeline.restore_stage(node.SECTION, before)
                 node.restored(before)
                 raise
 

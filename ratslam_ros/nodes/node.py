@@ -173,7 +173,7 @@ class RatslamNode(HostedNode):
         """Return the memory, and the parameters that were set while it was learned."""
         record = self.parameter_changes.state()
         return {
-            **self._host.stage_of(self).state(), **self._extra_state(),
+            **self._host.pipeline.state_of(self.SECTION), **self._extra_state(),
             **({'parameters_set': record} if record else {}),
         }  # fmt: skip
 

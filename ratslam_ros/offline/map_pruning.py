@@ -12,6 +12,7 @@ from ratslam_ros.core.merging.session import Session, SessionMap
 from ratslam_ros.descriptors import encoder_of
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.maps import read_map, save_map
+from ratslam_ros.maps.sessions import TRANSIENT
 from ratslam_ros.offline.map_upkeep import config_of_map, locked, make_backup
 
 
@@ -36,10 +37,8 @@ def prune(path: Path, count: int) -> str:
     before = len(session)
     if before <= count:
         return f'{path}: {before} places, no more than {count}: nothing is pruned'
-    states = pruned_states(session, count)
-    landmarks = saved.states.get('landmark_map')
-    if landmarks is not None:
-        states['landmark_map'] = landmarks
+    others = {part: state for part, state in saved.states.items() if part not in TRANSIENT}
+    states = {**others, **pruned_states(session, count)}
     with locked(path):
         backup = make_backup(path)
     title = f'{saved.meta.title}, pruned' if saved.meta.title else 'pruned'

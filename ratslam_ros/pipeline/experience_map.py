@@ -16,6 +16,7 @@ from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.mapping_step import adopt_correction, apply_action
 from ratslam_ros.core.mapping.relocator import Relocator
 from ratslam_ros.core.mapping.scan_matching import ScanMatcher
+from ratslam_ros.core.navigation.goals import Goals
 from ratslam_ros.pipeline.commands import (
     Command,
     Configure,
@@ -56,6 +57,9 @@ class ExperienceMapStage:
         self.core = ExperienceMap(p)
         self.core.reconfigure(self._config.experience_map)
         self.core.mapping = self._mapping
+        self.goals = Goals()
+        """Named places, whose anchors follow pruning."""
+        self.core.on_pruned.append(self.goals.remove_pruned)
         self.scans = ScanMatcher() if self._aligns_scans else None
         self.relocator: Relocator | None = None
         if self.scans is not None and p.exp_relocate != 'views':
@@ -138,6 +142,7 @@ class ExperienceMapStage:
             'motion': self.motion.state(), 'dead_reckoning': list(self.dead_reckoning),
             **({} if scans is None else {'scans': scans.state()}),
             **({} if relocator is None else {'relocator': relocator.state()}),
+            **({'goals': self.goals.state()} if len(self.goals) else {}),
         }  # fmt: skip
 
     def restore(self, state: State) -> None:
@@ -148,6 +153,8 @@ class ExperienceMapStage:
             self.scans.restore(state['scans'])
         if self.relocator is not None and 'relocator' in state:
             self.relocator.restore(state['relocator'])
+        if 'goals' in state:
+            self.goals.restore(state['goals'])
         if 'motion' in state:
             self.motion.restore(state['motion'])
         else:

@@ -13,10 +13,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ratslam_ros.core.common.state import State
+from ratslam_ros.core.common.state import State, unused
 from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.errors import UnusableParameter
-from ratslam_ros.pipeline.commands import NOW, Command, Flush, NewSession, SetPaused
+from ratslam_ros.pipeline.commands import (
+    NOW,
+    Command,
+    Flush,
+    NewSession,
+    Reset,
+    SetPaused,
+    concerns,
+)
 from ratslam_ros.pipeline.item_states import (
     command_from_state,
     command_state,
@@ -78,6 +86,8 @@ class Pipeline:
         self._released: deque[tuple[int, str, Any]] = deque()
         self._commands: list[tuple[int, Command]] = []
         self._paused: set[str] = set()
+        self._unused: dict[str, State] = {}
+        """Items of the restored states that only other programs use."""
         self._is_running = False
 
     def observe(self, stream: str, observer: Observer) -> None:
@@ -218,8 +228,16 @@ class Pipeline:
             if stage not in self._paused or stream == COMMAND:
                 for output in reader(stamp_ns, item):
                     self._run(output.stamp_ns, output.stream, output.item)
-        if stream == COMMAND and isinstance(item, SetPaused):
-            (self._paused.add if item.paused else self._paused.discard)(item.stage)
+        if stream == COMMAND:
+            self._obey(item)
+
+    def _obey(self, command: Command) -> None:
+        """Carry out what a command asks of the pipeline itself."""
+        if isinstance(command, SetPaused):
+            (self._paused.add if command.paused else self._paused.discard)(command.stage)
+        elif isinstance(command, Reset):
+            for name in [name for name in self._unused if concerns(command, name)]:
+                del self._unused[name]
 
     @property
     def counts(self) -> Counts:
@@ -229,7 +247,7 @@ class Pipeline:
     def state(self) -> dict[str, State]:
         """Return everything, for ``restore``: a state for each stage, and one for the inputs."""
         return {
-            **{name: stage.state() for name, stage in self.stages.items()},
+            **{name: self.state_of(name) for name in self.stages},
             'inputs': {
                 'streams': list(self.inputs), 'order': self.order.state(item_state),
                 'released': [
@@ -250,9 +268,9 @@ class Pipeline:
             Whether the inputs were restored, too. Otherwise they were saved with other streams, or
             by another program: feed the command ``NewSession``.
         """
-        for name, stage in self.stages.items():
+        for name in self.stages:
             if name in states:
-                stage.restore(states[name])
+                self.restore_stage(name, states[name])
         inputs = states.get('inputs', {})
         if inputs.get('streams') != list(self.inputs):
             return False
@@ -267,6 +285,16 @@ class Pipeline:
         for name, gate in self._gates.items():
             gate.restore(inputs['gates'][name])
         return True
+
+    def restore_stage(self, name: str, state: State) -> None:
+        """Restore one stage; what it does not use of the state is kept for ``state_of``."""
+        stage = self.stages[name]
+        stage.restore(state)
+        self._unused[name] = unused(state, stage.state())
+
+    def state_of(self, name: str) -> State:
+        """Return the state of one stage, and what other programs have saved with it."""
+        return {**self._unused.get(name, {}), **self.stages[name].state()}
 
 
 class Follower(Pipeline):

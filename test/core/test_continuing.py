@@ -142,3 +142,27 @@ def test_components_continue_exactly(tmp_path: Path) -> None:
     cuts = [at_gap + 1, at_gap + 7, *random_cuts(events, 2, 3)]
     new = partial(RatSLAM, gap_drives.config(), 'pose_cells')
     assert continues_exactly(new, events, cuts, tmp_path) == []
+
+
+def test_restored_items_of_nodes_survive_and_named_places_follow_pruning() -> None:
+    config = SMALL.with_values(FORGETTING)
+    events = circles(200)
+    first, again = RatSLAM(config), RatSLAM(config)
+    for event in events[:100]:
+        event(first)
+    states = first.state()
+    places = {f'place {n}': n for n in range(len(first.experience_map))}
+    states['experience_map']['goals'] = {
+        'named': [[name, at, 0.0, 0.0, 0.0] for name, at in places.items()]
+    }
+    states['experience_map']['joining'] = {}  # ids between nodes, which a replay changes
+    states['local_view']['other'] = {'a': 1}
+    again.restore(states)
+    for event in events[100:]:
+        event(again)
+    found = again.state()
+    assert found['local_view']['other'] == {'a': 1}
+    assert 'joining' not in found['experience_map']
+    anchors = {name: at for name, at, *_ in found['experience_map']['goals']['named']}
+    assert anchors.keys() == places.keys()
+    assert anchors != places  # Those of pruned experiences have other anchors.

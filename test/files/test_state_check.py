@@ -11,10 +11,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from ratslam_ros.core.common.odometry import Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import checked_scan
+from ratslam_ros.core.pose_cells.attractor import Network, kernel
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.config import load_config
 from ratslam_ros.files.memory import load, save
@@ -103,6 +106,7 @@ def test_number_out_of_range_is_refused(states: States, path: str, value: Any) -
 
 @pytest.mark.parametrize(('key', 'value'), [
     ('box', np.array([0, 0, 10**6, 14, 14, 14])), ('box', np.zeros(6, np.int64)),
+    ('box', np.array([0, -(10**6), 0, 14, 14, 14])),
     ('frame', np.array([0.0, math.nan, 0.0])), ('cells', np.full((14, 14, 14), -1.0)),
 ])  # fmt: skip
 def test_packet_outside_of_the_pose_cells_is_refused(
@@ -112,6 +116,20 @@ def test_packet_outside_of_the_pose_cells_is_refused(
     changed['core']['packets'][0][key] = value
     with pytest.raises(UnusableInput, match='do not lie on'):
         check_state('pose_cells', changed)
+
+
+@settings(max_examples=30)
+@given(st.lists(st.tuples(*[st.floats(0.0, 4.0)] * 3), min_size=1, max_size=10))
+def test_packets_across_the_edge_of_the_torus_are_accepted(
+    places: list[tuple[float, float, float]],
+) -> None:
+    network = Network((40, 40, 40), kernel(7, 1.0), kernel(5, 2.0), 0.00002)
+    packets = network.start()
+    for place in places:
+        packets = network.inject(packets, *place, 0.1)
+        found = [packet._asdict() for packet in packets]
+        check_state('pose_cells', {'core': {'dims': [40, 40, 40], 'packets': found}})
+        packets = network.step(packets, 0.4, 0.0)
 
 
 def test_memory_file_is_checked(states: States, tmp_path: Path) -> None:

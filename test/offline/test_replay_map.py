@@ -18,15 +18,17 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from helpers import circles, write_bag
+from helpers import circles, real_recording, write_bag
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / 'tools'))
 
 from kill_replays import Job, kill_replays
+from open_every_save import open_every_save
 
 from ratslam_ros.core.config import Config
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files import memory
+from ratslam_ros.files.config import load_config
 from ratslam_ros.maps import MapMeta, MapStore, read_map
 from ratslam_ros.offline import replay_map
 from ratslam_ros.offline.replay import ReplayOptions, ReplayOutcome, replay
@@ -333,3 +335,9 @@ def test_remaining_events_are_counted_by_stream(bag: Path, tmp_path: Path) -> No
     counts = [Counter(replay_map.STREAMS[type(one)] for one in items) for items in (events, left)]
     assert counts[0] - counts[1] == Counter(image=2, odometry=3)
     assert map_file.skipped == 5
+
+
+@pytest.mark.parametrize('name', ['rc_car_eight', 'lab_car'])
+def test_map_saved_after_every_message_opens_as_it_was(name: str) -> None:
+    """10 s of each recording; tools/open_every_save.py checks whole ones."""
+    assert open_every_save(real_recording(name), load_config('auto')[0], 10.0) > 100

@@ -119,6 +119,7 @@ class DenseIdMap(IdMap):
         """Use the ids below ``count`` unchanged, as those of a memory without a stamp."""
         super().assume(count)
         self._own_ids = {number: number for number in range(count)}
+        self._rows.replace([(number, number) for number in range(count)])
 
     def has(self, peer_id: int) -> bool:
         """Return whether an id of the present memory has an own id."""
