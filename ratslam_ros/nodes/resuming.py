@@ -99,7 +99,7 @@ class Resuming:
         self._is_promised = False
         """Whether a source has sent all its messages since ``since_ns`` again."""
         self._resent: dict[str, set[int]] = {topic: set() for topic in wanted}
-        """Stamps that have arrived again; those for another node arrive too."""
+        """Stamps that have arrived again."""
         self._promised: dict[str, int] = {}
         """Number of the messages that the present request brings, by topic."""
         self._is_last = False
@@ -208,9 +208,9 @@ class Resuming:
     def _receiver(self, topic: str, one: Wanted) -> Callable[[Any], None]:
         def receive(message: Any) -> None:
             stamp_ns = stamp_of(message)
-            if stamp_ns > one.after_ns:
+            if stamp_ns > one.after_ns:  # Older ones are for another node, and in the state here.
                 self._resent[topic].add(stamp_ns)
-            self.keep(one.stream, message, one.callback)
+                self.keep(one.stream, message, one.callback)
 
         return receive
 
