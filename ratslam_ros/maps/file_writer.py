@@ -33,9 +33,11 @@ from ratslam_ros.maps.schema import (
 from ratslam_ros.maps.sessions import (
     age,
     begin,
+    common_number,
     describe,
     drop_after,
     join,
+    members_of,
     newest,
     remove_old_cuts,
     resumed_rows,
@@ -62,6 +64,8 @@ class FileWriter:
         self.joins = False
         self.number: int | None = None
         """Number of the restored cut if it is of this session."""
+        self.common: int | None = None
+        """Newest cut that all parts of the session had when the last one was written."""
         self.notes: list[str] = []
         self.may_lack = ''
         compressor = Compressor()
@@ -185,6 +189,9 @@ class FileWriter:
             written.append(self._writers[part].write(database, row, pack(state)))
             kept = remove_old_cuts(database, self._session, part)
             removed[part] = self._writers[part].remove_versions(database, kept)
+        self.common = common_number(
+            members_of(database, session), rows_of(database, 'session = ?', [session])
+        )
         return written, removed
 
     # Opening

@@ -37,6 +37,8 @@ class Diagnostics:
         """Messages that were not used, by reason."""
         self.missing: dict[str, str] = {}
         """What the node lacks at present, by topic; the level is WARN until it is removed."""
+        self.error = ''
+        """Why what the node learns may be lost, '' if it is saved; the level is then ERROR."""
         self.times = StepTimes()
         self._notices: dict[str, None] = {}
         self._warned_s: dict[str, float] = {}
@@ -89,7 +91,9 @@ class Diagnostics:
         """
         lost = {reason: number for reason, number in sorted(self.counts.items()) if number}
         recent = time.monotonic() - self._last_warning_s < WARNING_SHOWN_S
-        if self.missing:
+        if self.error:
+            level, text = DiagnosticStatus.ERROR, self.error
+        elif self.missing:
             level, text = DiagnosticStatus.WARN, '; '.join(self.missing.values())
         elif recent:
             level, text = DiagnosticStatus.WARN, self._last_warning
