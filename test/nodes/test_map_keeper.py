@@ -15,10 +15,11 @@ from helpers import START_NS, template_text
 
 MakeWorld = Callable[..., Any]
 S = 1_000_000_000
+FAR_NS = 2_000_000_000 * S
 
 
 def drive(made: Any, first: int, last: int) -> None:
-    """Send odometry and templates to the pose cells."""
+    """Send odometry and templates to the pose cells, and one message of a wrong stamp."""
     from nav_msgs.msg import Odometry
     from std_msgs.msg import String
 
@@ -26,10 +27,11 @@ def drive(made: Any, first: int, last: int) -> None:
 
     for n in range(first, last):
         stamp_ns = START_NS + n * S // 5
-        odometry = Odometry(header=header_of(stamp_ns, 'odom'))
-        odometry.twist.twist.linear.x = 1.0
-        odometry.pose.pose.orientation.w = 1.0
-        made.send('odom', odometry)
+        for odometry_ns in (stamp_ns, FAR_NS) if n == 20 else (stamp_ns,):
+            odometry = Odometry(header=header_of(odometry_ns, 'odom'))
+            odometry.twist.twist.linear.x = 1.0
+            odometry.pose.pose.orientation.w = 1.0
+            made.send('odom', odometry)
         is_new = n < 15
         text = template_text(stamp_ns, n if is_new else n - 15, error=0.5, is_new=is_new)
         made.send('local_view/template', String(data=text))
@@ -75,6 +77,7 @@ def test_restarted_node_repeats_the_actions_of_the_first_run(
     drive(made, 0, 40)
     made.until(lambda: len(whole) == 40)
     expected = [unsigned(message.data) for message in whole]
+    assert made.nodes[0]._diagnostics.counts['refused'] == 1
     rhythm = made.nodes[0]._order.rhythm
     made.nodes[0]._keeper._store.flush(5.0)
     saved = made.nodes[0]._keeper._store.acknowledged
