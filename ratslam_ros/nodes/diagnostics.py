@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import time
 from collections import Counter
@@ -15,6 +16,7 @@ from rclpy.node import Node
 
 from ratslam_ros.nodes.convert import time_of
 from ratslam_ros.nodes.qos import STATE
+from ratslam_ros.starting import RESTARTS
 from ratslam_ros.timing import StepTimes
 
 WARN_PERIOD_S = 5.0
@@ -45,6 +47,8 @@ class Diagnostics:
         self._suppressed: Counter[str] = Counter()
         self._last_warning = ''
         self._last_warning_s = -WARNING_SHOWN_S
+        if os.environ.get(RESTARTS):
+            self.note(os.environ[RESTARTS])
 
     def warn(self, text: str) -> None:
         """Show a warning; log it unless one that differs only in numbers was logged recently."""

@@ -119,6 +119,14 @@ def test_a_notice_is_logged_once_and_kept_as_a_value(clock: Clock) -> None:
     assert len(node.logged) == 2
 
 
+def test_restarts_at_short_intervals_are_shown(
+    clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv('RATSLAM_RESTARTS', 'restart 4 at short intervals')
+    node = FakeNode()
+    assert status(node, Diagnostics(node)) == (1, 'restart 4 at short intervals')
+
+
 def test_what_is_missing_keeps_the_level_until_it_is_there(clock: Clock) -> None:
     node = FakeNode()
     made = Diagnostics(node)
