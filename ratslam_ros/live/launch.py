@@ -47,7 +47,7 @@ STABLE_S = 60.0
 """A node that has run for this long is started again at once."""
 
 PAUSE_S, LONGEST_PAUSE_S = 1.0, 60.0
-"""Pause before the second restart of a node that is not stable. It doubles with each further one."""
+"""Pause before the second restart of a node that is not stable; it about doubles each time."""
 
 PARAMETERS_FILE = 'parameters.yaml'
 FORWARDED_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)

@@ -314,7 +314,9 @@ class MapKeeper:
             topic: Wanted(one.stream, kind, self._after_ns(one), one.receive)
             for one in inputs for topic, kind in one.topics.items()
         }  # fmt: skip
-        self._resuming = Resuming(self._node, wanted, repeats, since_ns)
+        self._resuming = Resuming(
+            self._node, wanted, repeats, since_ns, self._diagnostics.warn
+        )
 
         def update() -> None:
             assert self._resuming is not None
@@ -421,7 +423,7 @@ class MapKeeper:
         try:
             request = decode_request(message.data)
         except MalformedMessage as error:
-            self._node.get_logger().warning(str(error))
+            self._diagnostics.drop('refused', str(error))
             return
         if request.node == self._node.get_name():
             return

@@ -94,6 +94,7 @@ class RatslamNode(ConfiguredNode, Generic[Item]):
             self._operations = MapOperations(
                 self, self.SECTION, self._saved_state, self._replace_memory,
                 self._own_sections, lambda: str(self._section.memory_folder),
+                self._diagnostics.warn,
             )  # fmt: skip
 
     @classmethod
@@ -369,14 +370,14 @@ class RatslamNode(ConfiguredNode, Generic[Item]):
         self._diagnostics.counts['jumps_back'] += 1
         # A recording that is played again must not delete a map on disk.
         if self._section.on_jump_back == 'start_over' and self._keeper is None:
-            self.get_logger().warning(
+            self._diagnostics.warn(
                 f'the stamps of {stream} have jumped back: starting with an empty memory '
                 '(on_jump_back)'
             )
             self._start_over()
             self._diagnostics.clear()
         else:
-            self.get_logger().warning(
+            self._diagnostics.warn(
                 f'the stamps of {stream} have jumped back: keeping the memory (on_jump_back)'
             )
             self._process_held()

@@ -12,7 +12,6 @@ from ratslam_ros.standalone.clock import Duration
 from ratslam_ros.standalone.dds import INFINITE_NS, Writer
 from ratslam_ros.standalone.events import Events
 from ratslam_ros.standalone.node_parts import (
-    INVALID_SAMPLE,
     CallbackGroup,
     NodePart,
     Waitable,
@@ -121,9 +120,7 @@ class Subscription(NodePart):
         if taken is None or self._closed:
             return False
         if taken.value is None:
-            self._node.logger.error(
-                f'{self.topic_name}: {INVALID_SAMPLE} {self.msg_type.__msgtype__}'
-            )
+            self._count_invalid(self.topic_name, self.msg_type)
         elif self._wants_info:
             self.callback(
                 taken.value,

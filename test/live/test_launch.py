@@ -181,7 +181,8 @@ def test_process_that_keeps_failing_is_restarted_with_growing_pauses(
     a, reports = tmp_path / 'a', tmp_path / 'reports'
     command = python(
         'import os, signal, sys, time\n'
-        f'with open({str(reports)!r}, "a") as file: print(os.getenv("RATSLAM_RESTARTS"), file=file)\n'
+        f'with open({str(reports)!r}, "a") as file: '
+        'print(os.getenv("RATSLAM_RESTARTS"), file=file)\n'
         f'if len(open({str(reports)!r}).readlines()) < 8: sys.exit(3)\n'
         f'{STOPS}\nopen({str(a)!r}, "w").close()\ntime.sleep(60)'
     )

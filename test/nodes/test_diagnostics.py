@@ -85,13 +85,27 @@ def test_a_different_warning_is_logged_at_once(clock: Clock) -> None:
     assert made.counts['refused'] == 4
 
 
-def test_kinds_of_warnings_are_bounded(clock: Clock) -> None:
+def test_malformed_messages_of_any_kind_are_logged_at_growing_intervals(clock: Clock) -> None:
+    """Twelve hours of 200 messages a minute, of which each quotes another letter."""
     node = FakeNode()
     made = Diagnostics(node)
-    for n in range(5 * MAX_KINDS):
-        made.warn('x' * (n + 1))
-    assert len(made._warned_s) == MAX_KINDS
-    assert len(node.logged) == 5 * MAX_KINDS
+    for _ in range(12 * 60):
+        for letter in range(200):
+            made.drop('refused', f'not valid: {chr(0x4e00 + letter)}')
+        clock.now_s += 60.0
+    assert len(node.logged) < 25 * MAX_KINDS
+    assert made.counts['refused'] == 12 * 60 * 200
+
+
+def test_a_rare_warning_is_always_logged(clock: Clock) -> None:
+    node = FakeNode()
+    made = Diagnostics(node)
+    for _ in range(9):
+        made.warn('odometry has a gap')
+        clock.now_s += 2 * 3600.0
+        made.warn('odometry has a gap')
+        clock.now_s += WARN_PERIOD_S
+    assert len(node.logged) == 18
 
 
 def test_the_level_returns_to_ok(clock: Clock) -> None:
