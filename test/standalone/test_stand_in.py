@@ -195,3 +195,12 @@ def test_invalid_samples_are_logged_when_their_number_has_doubled(ros, m, capfd)
     lines = capfd.readouterr().err.splitlines()
     assert [line for line in lines if 'not a valid' in line] == lines
     assert len(lines) == 7
+
+
+def test_event_of_a_destroyed_subscription_is_dropped(ros, m) -> None:
+    """It was queued before a timer destroyed the subscription."""
+    node = ros.node()
+    subscription = node.create_subscription(m.String, 'chat', print, 10)
+    runs = [waitable.run for waitable in subscription.waitables()]
+    node.destroy_subscription(subscription)
+    assert not any([run() for run in runs])
